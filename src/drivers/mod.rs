@@ -81,7 +81,7 @@ pub struct Parts {
 /// Driver in a registry.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
-    /// Its name in a deployment.
+    /// Name of the driver in a deployment.
     pub name: &'static str,
     /// Description in one line, for the help.
     pub about: &'static str,

@@ -22,21 +22,23 @@ use crate::ros2::reading::{self, Axes, Novelty, Stamps};
 use crate::ros2::settings;
 use crate::ros2::supervisor::Supervisor;
 
-/// Description in one line.
+/// Description of the driver in one line, for lists of all drivers.
 pub const ABOUT: &str = "a ROS 2 robot: Twist or TwistStamped out, Odometry in";
 
-/// Period of zeros until the robot stands, and after that.
+/// Period of zero velocities until the robot stands, and after that.
 const ZEROS: [Span; 2] = [Span::from_millis(20), Span::from_millis(200)];
-/// Time of fast zeros to a robot without odometry; it is longer than the watchdogs of known bases, 0.5 s.
+/// Time for which a robot without odometry gets zero velocities at the short period: longer than the watchdogs of known
+/// bases, 0.5 s.
 const BLIND: Span = Span::from_millis(1000);
-/// Time after which a robot that was never heard is looked for elsewhere: discovery takes 1.3 s, 5.7 s at worst.
+/// Time without odometry after which a warning is logged. Discovery takes 1.3 s, at worst 5.7 s.
 const DISCOVERY: Span = Span::from_millis(6000);
-/// Validity of a zero \[ms\], longer than the longest period of zeros.
+/// Validity of a zero velocity \[ms\], longer than the longest period of zero velocities.
 const ZERO_FOR_MS: u32 = 300;
-/// Largest speed \[m/s\] and yaw rate \[rad/s\] of a robot that stands: noise of wheel encoders is below a tenth of it.
+/// Largest speed \[m/s\] and yaw rate \[rad/s\] at which a robot counts as standing. The noise of wheel encoders is
+/// below a tenth of it.
 const STANDS: (f64, f64) = (0.01, 0.02);
 
-/// Form of the stamp of commands.
+/// Form of the stamp in commands of type `TwistStamped`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum StampForm {
@@ -47,7 +49,7 @@ enum StampForm {
     Now,
 }
 
-/// Settings in the team file.
+/// Settings of the driver in the team file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Config {
@@ -56,10 +58,10 @@ struct Config {
     /// DDS domain, `ROS_DOMAIN_ID` of the robot.
     #[serde(default)]
     domain: u16,
-    /// Name or address of the interface for multicast and announced addresses; none: all. Its ports for data accept
-    /// from every interface, so it is no fence.
+    /// Name or address of the network interface for multicast and announced addresses; all interfaces if left out. The
+    /// data ports accept datagrams from every interface, so this setting does not restrict access.
     interface: Option<String>,
-    /// Whether commands are `TwistStamped`.
+    /// Whether commands have the type `TwistStamped` instead of `Twist`.
     #[serde(default)]
     stamped: bool,
     /// Stamp of stamped commands.
@@ -71,12 +73,12 @@ struct Config {
     /// Topic of commands.
     #[serde(default = "cmd_vel")]
     cmd_vel: String,
-    /// Topic of `nav_msgs/Odometry`; empty for a robot without.
+    /// Topic of `nav_msgs/Odometry`; empty for a robot without odometry.
     #[serde(default = "odom")]
     odom: String,
-    /// Topic of `sensor_msgs/BatteryState`, if any.
+    /// Topic of `sensor_msgs/BatteryState`; left out for a robot without it.
     battery: Option<String>,
-    /// Silence of the odometry that is a fault \[s\].
+    /// Time without odometry after which it is a fault \[s\].
     #[serde(default = "silence_s")]
     silence_s: f64,
     /// Largest speed \[m/s\].
@@ -84,10 +86,10 @@ struct Config {
     /// Largest yaw rate \[rad/s\].
     #[serde(default = "yaw_rate_rad_s")]
     yaw_rate_rad_s: f32,
-    /// Memory of each DDS process \[MiB\].
+    /// Limit on the memory of each DDS process \[MiB\].
     #[serde(default = "settings::memory_mib")]
     memory_mib: u32,
-    /// Whether there is a warm spare of the DDS process.
+    /// Whether a warm spare of the DDS process runs.
     #[serde(default = "settings::yes")]
     spare: bool,
 }
@@ -100,12 +102,13 @@ fn odom() -> String {
     "odom".to_owned()
 }
 
-/// Three messages of odometry at 10 Hz.
+/// Default time without odometry \[s\]: three messages at 10 Hz.
 fn silence_s() -> f64 {
     0.3
 }
 
-/// About the most of small differential drives: 1.82 rad/s on a TurtleBot3 Waffle Pi, 1.9 on a Create 3.
+/// Default limit on the yaw rate \[rad/s\], below that of small differential drives: 1.82 rad/s on a TurtleBot3 Waffle
+/// Pi, 1.9 on a Create 3.
 fn yaw_rate_rad_s() -> f32 {
     1.5
 }
@@ -159,25 +162,26 @@ struct Ros2 {
     limits: Limits,
     yaw_rate_rad_s: f32,
     axes: Axes,
-    /// Limit on the silence of odometry; none for a robot without.
+    /// Time without odometry after which it is a fault; `None` for a robot without odometry.
     silence: Option<Span>,
     /// Arrival of the last new odometry.
     heard: Option<Time>,
-    /// Whether its silence has been dealt with.
+    /// Whether the fault of missing odometry has been handled.
     silent: bool,
     stamps: Stamps,
-    /// Whether odometry says that the robot stands since zeros are sent.
+    /// Whether the odometry has shown a standing robot since zero velocities are sent.
     stood: bool,
-    /// Time since which zeros are sent, and time of the next; none while it moves, and before the first command.
+    /// Time since which zero velocities are sent, and time of the next one. `None` while the robot moves and before the
+    /// first command.
     standing: Option<(Time, Time)>,
-    /// Time of the first packet, until the first odometry or the warning that there is none.
+    /// Time of the first packet; `None` after the first odometry or the warning that none arrives.
     waits: Option<Time>,
     /// States of topics, by name.
     topics: BTreeMap<String, TopicState>,
     /// Number of problems of topics so far.
     problems: u64,
     battery: Option<u8>,
-    /// Condition as last reported.
+    /// Last reported condition of the hardware.
     told: Option<Hardware>,
 }
 
@@ -202,7 +206,7 @@ impl Ros2 {
         }
     }
 
-    /// Whether the robot's odometry is silent.
+    /// Whether the robot's odometry has been missing for too long.
     fn is_silent(&self, now: Time) -> bool {
         self.silence.is_some_and(|most| self.heard.is_none_or(|heard| now.since(heard) >= most))
     }
@@ -223,7 +227,7 @@ impl Ros2 {
         }
     }
 
-    /// Reports the condition if it has changed.
+    /// Reports the condition of the hardware if it has changed.
     fn tell(&mut self, now: Time, out: &mut Vec<Out>) {
         let (health, reason) = self.health(now);
         let hardware = Hardware { health, battery: self.battery, temperature: None, reason };
@@ -241,7 +245,7 @@ impl Ros2 {
         out.push(Out::Send(packet::encode(&ToNode::Drive(drive)).into()));
     }
 
-    /// Sends a zero if one is due.
+    /// Sends a zero velocity if one is due.
     fn stand(&mut self, now: Time, out: &mut Vec<Out>) {
         if self.standing.is_none() {
             self.stood = false;
@@ -256,7 +260,7 @@ impl Ros2 {
         self.send(BodyTwist { forward: 0.0, left: 0.0, yaw_rate: 0.0 }, ZERO_FOR_MS, out);
     }
 
-    /// Returns a motion within the limits; none for one that is zero or not finite.
+    /// Returns a motion within the limits; `None` if it is zero or not finite.
     fn within_limits(&self, body: BodyTwist) -> Option<BodyTwist> {
         let linear = Vec2::new(body.forward, body.left).cap_magnitude(self.limits.speed_m_s);
         let yaw_rate = body.yaw_rate.clamp(-self.yaw_rate_rad_s, self.yaw_rate_rad_s);

@@ -1,4 +1,4 @@
-//! Estimator that moves the last reading on by its velocity, for the time since it arrived.
+//! Estimator that extrapolates the last reading by its velocity, over the time since its arrival.
 //!
 //! The transit time of the reading is unknown and counts as zero.
 
@@ -7,13 +7,13 @@ use crate::messages::geometry::Motion;
 use crate::messages::wire::Reading;
 use crate::time::{Span, Time};
 
-/// Longest extrapolation, so that a silent source moves no robot through a wall.
+/// Longest extrapolation, so that a missing source does not move the state of a robot through a wall.
 const LONGEST: Span = Span::from_millis(200);
 
 #[derive(Debug, Default)]
 struct ConstantVelocity(Option<(Time, Motion)>);
 
-/// Makes one without readings.
+/// Makes an estimator without readings.
 pub fn make(_: &Settings) -> Box<dyn Estimator> {
     Box::<ConstantVelocity>::default()
 }

@@ -1,11 +1,13 @@
-//! Estimator that follows a robot with a Kalman filter of constant velocity, and moves its state on to the tick.
+//! Estimator that filters the readings of a robot with a constant-velocity Kalman filter and predicts its state at the
+//! tick.
 //!
 //! The state along each axis is position and velocity, driven by white acceleration (Bar-Shalom et al., Estimation
-//! with Applications to Tracking and Navigation, 2001, section 6.2.2). Both axes share one covariance. A reading
-//! counts at the time at which it was measured: its stamp, put on this host's clock by the least transit time seen so
-//! far, less the source's known delay. A velocity is used where its standard deviation is known; elsewhere the filter
-//! finds it from positions. A reading that no robot could have reached is an outlier, unless the next one confirms it.
-//! One that a manoeuvre explains, such as a stop at a wall, makes the filter doubt its velocity.
+//! with Applications to Tracking and Navigation, 2001, section 6.2.2). Both axes share one covariance. The time of a
+//! reading is the time of measurement: its stamp, converted to this host's clock with the smallest transit time seen so
+//! far, minus the known delay of the source. A measured velocity is used if its standard deviation is known; otherwise
+//! the filter derives the velocity from positions. A reading that no robot could have reached is an outlier, unless the
+//! next one confirms it. If a manoeuvre explains the reading, such as a stop at a wall, the filter increases the
+//! variance of the velocity.
 
 use super::{Estimator, Settings};
 use crate::messages::geometry::{Motion, Vec2};
@@ -20,13 +22,13 @@ const LONGEST: Span = Span::from_millis(500);
 /// expects less goes on in the old direction for too long: in `passage` its robots touch walls.
 const ACCELERATION: f64 = 3.0;
 
-/// Standard deviation of a position that does not say its own \[m\], and the least that is assumed: an exact sensor
+/// Standard deviation of a position without its own \[m\], and the smallest that is assumed: an exact sensor
 /// must not make the covariance singular.
 const POSITION: f64 = 0.01;
 const LEAST_POSITION: f64 = 1e-4;
 const LEAST_VELOCITY: f64 = 1e-3;
 
-/// Standard deviation of the velocity of a robot that was measured once, without it \[m/s\].
+/// Standard deviation of the velocity after a first reading without velocity \[m/s\].
 const UNKNOWN_VELOCITY: f64 = 1.0;
 
 /// Distance from the prediction, in standard deviations along an axis, beyond which the robot counts as manoeuvring.
@@ -66,7 +68,7 @@ struct Kalman {
     outlier: Option<[f64; 3]>,
 }
 
-/// Makes one without readings.
+/// Makes an estimator without readings.
 pub fn make(settings: &Settings) -> Box<dyn Estimator> {
     Box::new(Kalman { delay: settings.delay.as_secs(), state: None, offset: None, outlier: None })
 }

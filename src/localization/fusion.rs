@@ -20,19 +20,20 @@ use crate::time::{Span, Time};
 
 /// Name of the table with these settings, in the table of any source.
 const TABLE: &str = "fuse";
-/// Standard deviation of a heading that was said by hand, and of a measured one that does not say its own \[rad\].
+/// Standard deviation of a heading that was set by hand, and of a measured heading without its own standard deviation
+/// \[rad\].
 const BY_HAND_RAD: f64 = 0.2;
 const MEASURED_RAD: f64 = 0.02;
-/// Standard deviation of a position that does not say its own, and the least that is assumed \[m\].
+/// Standard deviation of a position without its own, and the smallest that is assumed \[m\].
 const POSITION_M: (f64, f64) = (0.02, 0.001);
 /// Squared distance from the prediction, in standard deviations, beyond which a reading is an outlier: one in 270 000
 /// of a normal distribution in two dimensions.
 const GATE: f64 = 25.0;
-/// Number of outliers in a row after which they are believed: the robot was carried, or the filter is lost.
+/// Number of consecutive outliers after which they are accepted: the robot was carried, or the filter has diverged.
 const OUTLIERS: u32 = 10;
-/// Distance and angle between two odometries beyond which the odometry has begun anew \[m, rad\].
+/// Difference in position and angle between two odometry readings beyond which the odometry has restarted \[m, rad\].
 const JUMP: (f64, f64) = (1.0, 1.5);
-/// Poses that are kept for late readings: two seconds at 50 Hz.
+/// Number of past poses that are stored for late readings: those of two seconds at 50 Hz.
 const KEPT: usize = 100;
 
 /// Settings of the fusion for one robot.
@@ -42,14 +43,14 @@ struct Config {
     /// Heading of the robot when its host starts \[rad\], for sources that measure none. It may be off by some 20
     /// degrees.
     heading_rad: Option<f64>,
-    /// Age of the source's readings when they arrive \[s\].
+    /// Age of the source's readings at their arrival \[s\].
     #[serde(default)]
     delay_s: f64,
     /// Error of the odometry after 1 m: the same number as distance \[m\] and as heading \[rad\]. It grows with the
     /// square root of the distance.
     #[serde(default = "drift")]
     drift: f64,
-    /// Time for which the robot goes on by odometry alone \[s\].
+    /// Longest time for which the robot continues on odometry alone \[s\].
     #[serde(default = "alone_s")]
     alone_s: f64,
 }
@@ -121,7 +122,7 @@ pub fn make(
     Ok(Parts { source: Box::new(fused), worker: parts.worker })
 }
 
-/// A source with the odometry of its robots.
+/// Source whose readings are fused with its robots' odometry.
 struct Fused {
     inner: Box<dyn Source>,
     filters: BTreeMap<RobotId, Filter>,
@@ -175,7 +176,7 @@ struct State {
     covariance: [[f64; 3]; 3],
 }
 
-/// Filter of one robot.
+/// Kalman filter of one robot.
 #[derive(Debug)]
 struct Filter {
     config: Config,
@@ -186,7 +187,7 @@ struct Filter {
     past: VecDeque<(Time, [f64; 3])>,
     /// Arrival of the last reading of the source that was used.
     corrected: Time,
-    /// Outliers in a row.
+    /// Number of consecutive outliers.
     outliers: u32,
 }
 
@@ -365,7 +366,7 @@ mod tests {
         drive_with(config, off, (config.delay_s * 1e3).round() as u64)
     }
 
-    /// Likewise, with readings that are so late [ms].
+    /// Drives as `drive`, with readings that arrive this late [ms].
     fn drive_with(config: Config, off: f64, late: u64) -> (f64, f64, f64) {
         let (mut filter, mut stream) = (Filter::new(config), Seed::of_run(4).stream("fix"));
         let (mut truth, mut wheels) = ([3.0, -2.0, 0.7 + off], [0.0_f64; 3]);

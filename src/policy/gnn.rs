@@ -51,7 +51,7 @@ enum OwnLatent {
     Parts {
         /// The first message layer; `None` if that is also the last, which is folded as a whole.
         message: Option<FirstLayer>,
-        /// Its part of the first update layer.
+        /// Part of the first update layer that takes the robot's own latent.
         update: Layer,
     },
 }

@@ -145,7 +145,7 @@ impl Command {
     }
 }
 
-/// How a command ended, if not with an error.
+/// End of a command that did not fail.
 pub enum Ended {
     /// Done as requested.
     Done,

@@ -16,7 +16,7 @@ use crate::safety::guard::SafetyCounts;
 use crate::scenario::judge::Verdict;
 use crate::time::Span;
 
-/// Which hosts the counts of a summary cover.
+/// Hosts that the counts of a summary cover.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Counts {
@@ -46,7 +46,7 @@ pub struct Summary {
     former: FormerNames,
     /// Data from which episodes were judged.
     pub judged: Judged,
-    /// Which hosts' messages, links and safety are counted.
+    /// Hosts whose messages, links and safety events are counted.
     pub counts: Counts,
     /// Simulated time of all trials together \[s\].
     pub virtual_s: f64,
@@ -81,7 +81,7 @@ pub struct Summary {
     pub trace_hash: Option<String>,
     /// Seed of the run.
     pub seed: u64,
-    /// Whether the run was interrupted.
+    /// Whether a user interrupted the run before its end.
     pub interrupted: bool,
 }
 

@@ -25,15 +25,15 @@ use super::messages::{
 use super::packet::{Outgoing, Plan, Read, TopicState, Written};
 use super::sample::{IntoSample, Sample};
 
-/// Token of the waker; readers have their index.
+/// Event token of the waker. The token of a reader is its index.
 const WAKER: Token = Token(usize::MAX);
 /// Most samples taken from one reader at a time, so that a flood of them delays no command.
 const MOST_SAMPLES: usize = 64;
-/// Samples that a reader keeps until they are taken: 0.1 s of a tracker at 120 Hz.
+/// Number of samples that a reader stores until they are taken: 0.1 s of a tracker at 120 Hz.
 const DEPTH: i32 = 12;
-/// Most endpoints of others that are kept for a topic.
+/// Largest number of remote endpoints that are stored for a topic.
 const MOST_ENDPOINTS: usize = 256;
-/// Most time that a write may wait for the transport \[ms\]. 7.6 ms was the longest to a halted robot.
+/// Longest time that a write may wait for the transport \[ms\]. The longest measured time to a halted robot was 7.6 ms.
 const WRITE_MS: i64 = 10;
 /// Requested kernel buffers \[bytes\]: rustdds asks for 8 MiB for each socket, which small machines count as memory.
 const SOCKET_BUFFER: usize = 1 << 20;
@@ -49,19 +49,20 @@ pub struct Dds {
     readers: Vec<(Box<dyn Inlet>, Link)>,
 }
 
-/// State of a topic, with the endpoints of others.
+/// State of a topic, with the remote endpoints.
 struct Link {
     state: TopicState,
-    /// Matched endpoints. DDS matches by the name of the topic and QoS: those of another type are among them.
+    /// Matched endpoints. DDS matches by the topic's name and QoS, so endpoints with another type are included.
     matched: Vec<GUID>,
-    /// Endpoints that have the topic with another type.
+    /// Remote endpoints that use the topic with another type.
     strangers: Vec<GUID>,
 }
 
 /// Writer of one topic.
 enum Outlet {
     Twist(DataWriterCdr<Twist>),
-    /// Whether it is stamped with the clock of this machine.
+    /// Writer of `TwistStamped`. The flag is true if messages are stamped with the clock of this machine, false for
+    /// stamps of zero.
     TwistStamped(DataWriterCdr<TwistStamped>, bool),
     Odometry(DataWriterCdr<Odometry>),
     Floats(DataWriterCdr<Float32MultiArray>),

@@ -1,7 +1,8 @@
-//! The program `ros2-node`: the DDS process of a host. Packets come on stdin, one a line, and leave on stdout.
+//! The program `ros2-node`: the DDS process of a host. Packets arrive on stdin and leave on stdout, one on each line.
 //!
-//! DDS has no authentication, and forged packets can take all memory: so it runs in a process of its own, with a limit.
-//! It publishes zeros when a command lapses, when its host is silent, and when its input ends; then it exits.
+//! DDS has no authentication, and forged packets can use up all memory. So DDS runs in a process of its own with a
+//! memory limit. The process publishes zero velocities when a command expires, when the host sends nothing, and when
+//! stdin ends; after the end of stdin it exits.
 
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::IpAddr;
@@ -18,19 +19,20 @@ use super::{REFUSED, SUBCOMMAND};
 
 /// Period of heartbeats.
 const BEAT: Duration = Duration::from_millis(50);
-/// Silence of the host after which commands are not trusted.
+/// Time without a packet of the host after which commands are not trusted.
 const SILENCE: Duration = Duration::from_millis(150);
-/// Period of zeros at first, for `URGENT`, and later.
+/// Period of zero velocities during the first `URGENT`, and after that.
 const ZEROS: [Duration; 2] = [Duration::from_millis(20), Duration::from_millis(200)];
-/// Time of fast zeros.
+/// Time for which zero velocities are published at the short period.
 const URGENT: Duration = Duration::from_millis(1000);
-/// Time of zeros after the end of the input. The host waits a second.
+/// Time for which zero velocities are published after the end of stdin. The host waits one second.
 const FAREWELL: Duration = Duration::from_millis(300);
-/// Time that DDS has to sign off; then the process ends without it.
+/// Longest time to leave DDS; after it the process ends at once.
 const SIGN_OFF: Duration = Duration::from_millis(200);
-/// Period at which a spare reports what it hears.
+/// Period at which a spare reports the messages that it receives.
 const SPARE_REPORT: Duration = Duration::from_millis(200);
-/// Packets that wait for a reader of stdout; further ones are dropped. So a halted host delays no zeros.
+/// Largest number of packets that wait for the reader of stdout; further ones are dropped. So a halted host does not
+/// delay zero velocities.
 const ROOM: usize = 64;
 
 /// Runs the DDS process of a host until its input (stdin) ends. The exit code is an error if DDS cannot be opened.
@@ -76,7 +78,7 @@ fn read_line(input: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<()> {
     }
 }
 
-/// Limits the address space to what it is now and `mib` \[MiB\] more.
+/// Limits the address space to its present size plus `mib` \[MiB\].
 fn limit_memory(mib: u32) -> io::Result<()> {
     let now_kib = memory_kib("VmSize:").unwrap_or(0);
     let bytes = (now_kib + u64::from(mib) * 1024) * 1024;
@@ -86,13 +88,13 @@ fn limit_memory(mib: u32) -> io::Result<()> {
     Ok(())
 }
 
-/// One line of `/proc/self/status` \[KiB\].
+/// Reads a line of `/proc/self/status` \[KiB\].
 fn memory_kib(field: &str) -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     status.lines().find_map(|line| line.strip_prefix(field))?.split_whitespace().next()?.parse().ok()
 }
 
-/// Addresses of an interface, given by name or address; none given: no restriction.
+/// Returns the addresses of the network interface with this name or address; empty for no restriction.
 fn networks(interface: Option<&str>) -> Result<Vec<IpAddr>, String> {
     let Some(interface) = interface else { return Ok(Vec::new()) };
     let all = nix::ifaddrs::getifaddrs().map_err(|error| format!("the interfaces cannot be listed: {error}"))?;
@@ -112,7 +114,7 @@ fn networks(interface: Option<&str>) -> Result<Vec<IpAddr>, String> {
     Ok(found)
 }
 
-/// Sender of packets to the host, on a thread of its own.
+/// Sender of packets to the host, with a thread of its own.
 struct Speaker {
     lines: SyncSender<Vec<u8>>,
     written: thread::JoinHandle<()>,
@@ -137,7 +139,7 @@ impl Speaker {
         let _ = self.lines.try_send(packet::encode(packet));
     }
 
-    /// Reports the same problem for all topics, and returns when the host has it.
+    /// Reports the same problem for all topics. Returns once the host has received the report.
     fn refuse(self, plan: &Plan, problem: &str) {
         let topics = plan.writers.iter().map(|writer| (&writer.topic, true));
         for (topic, written) in topics.chain(plan.readers.iter().map(|reader| (&reader.topic, false))) {
@@ -149,12 +151,12 @@ impl Speaker {
     }
 }
 
-/// Watch on the commands of one topic.
+/// Watchdog on the commands of one topic.
 #[derive(Clone, Copy, Debug, Default)]
 struct Motor {
-    /// Expiry of the last command; none: there was none.
+    /// Time at which the last command expires; `None` before the first.
     until: Option<Instant>,
-    /// Time since which it is stopped here, and time of the next zero.
+    /// Time since which zero velocities are published, and time of the next one.
     stopped: Option<(Instant, Instant)>,
 }
 
@@ -190,13 +192,13 @@ struct Node {
     say: Speaker,
     role: Role,
     motors: Vec<Motor>,
-    /// Topics with commands.
+    /// For each topic, whether it carries commands.
     commands: Vec<bool>,
-    /// States as last reported.
+    /// Last reported states of the topics.
     reported: Vec<TopicState>,
     /// Time of the next report of each reader, for a spare.
     report_at: Vec<Instant>,
-    /// Last packet of the host.
+    /// Arrival time of the host's last packet.
     host: Instant,
 }
 
@@ -296,7 +298,7 @@ impl Node {
         open
     }
 
-    /// Reports what was heard; a spare reports a few messages of each topic.
+    /// Reports the received messages. A spare reports only a few messages of each topic.
     fn hear(&mut self, now: Instant) {
         let Node { dds, say, role, report_at, .. } = self;
         dds.take(|topic, sample: Sample| {
@@ -308,7 +310,7 @@ impl Node {
         });
     }
 
-    /// Publishes the zeros that are due. Returns whether this process has ever moved a robot.
+    /// Publishes the zero velocities that are due. Returns whether this process has ever moved a robot.
     fn stand(&mut self, now: Instant, trusted: bool) -> bool {
         for (topic, motor) in self.motors.iter_mut().enumerate() {
             if self.role == Role::Active && motor.zero_due(now, trusted) {
@@ -332,7 +334,7 @@ impl Node {
         self.say.say(&FromNode::Beat(Vitals { resident_mib, matched: self.dds.is_matched() }));
     }
 
-    /// Signs off from DDS, but not for longer than `SIGN_OFF`.
+    /// Leaves DDS, waiting at most `SIGN_OFF`.
     fn close(self) -> ExitCode {
         let (done, closed) = mpsc::channel();
         let dds = self.dds;

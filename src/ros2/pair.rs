@@ -1,7 +1,8 @@
 //! Pair of DDS processes: an active one and a warm spare. Pure; the supervisor carries out its actions.
 //!
-//! The spare is discovered and silent. It takes over at once when the active process ends, is halted, takes too much
-//! memory, or no longer hears what the spare hears. The other is then killed and replaced, with backoff.
+//! The spare has discovered the robots and publishes nothing. It takes over at once when the active process ends, is
+//! halted, uses too much memory, or no longer receives what the spare receives. The former active process is then
+//! killed and replaced, with backoff.
 
 use crate::time::{Span, Time};
 
@@ -18,23 +19,25 @@ pub const BEAT: Span = Span::from_millis(50);
 /// Time without a line from a DDS process after which the process counts as halted: two lost heartbeats and half a
 /// period of jitter.
 pub const SILENCE: Span = Span::from_millis(150);
-/// The same for a process without a spare that is alive: a busy machine delays both, and a restart takes a second.
+/// The same time for a process whose spare is not alive. It is longer because a busy machine delays both, and a restart
+/// takes a second.
 const SILENCE_ALONE: Span = Span::from_millis(600);
-/// Longest start of a process, discovery not counted. A busy machine of two cores takes 0.3 s.
+/// Longest time for the start of a process, without discovery. A busy machine with two cores takes 0.3 s.
 const START: Span = Span::from_millis(5000);
-/// Gap between two ticks that shows that this process itself was halted: the others are not judged by it.
+/// Gap between two ticks that shows that the supervisor's own process was halted; the silence of DDS processes is then
+/// ignored.
 const OWN_HALT: Span = Span::from_millis(250);
 /// Time for which the spare has to be better connected before it takes over.
 const WORSE: Span = Span::from_millis(1000);
-/// Largest age of a message that counts as heard now. A spare reports five a second.
+/// Largest age of a message for which a topic counts as currently received. A spare reports five messages a second.
 const HEARD_NOW: Span = Span::from_millis(450);
 /// Time without any message after which the spare is replaced: forged packets can leave DDS deaf for good.
 const DEAF: Span = Span::from_millis(3000);
-/// Longest such time, reached by doubling while the robots are off.
+/// Longest such time. The time doubles at each replacement while no message arrives, as when the robots are off.
 const DEAF_MOST: Span = Span::from_millis(24_000);
-/// First and longest delay of a restart, doubled at each quick end.
+/// First and longest delay of a restart. The delay doubles at each quick end.
 const BACKOFF: [Span; 2] = [Span::from_millis(100), Span::from_millis(2000)];
-/// Life after which the end of a process is not a quick one.
+/// Lifetime after which the end of a process does not count as a quick end.
 const LIVED: Span = Span::from_millis(10_000);
 
 /// Input of a pair of DDS processes, the active one and its spare.
@@ -74,14 +77,14 @@ pub struct Pair {
     beat_at: Time,
     ticked: Time,
     next: Id,
-    /// Time since which the spare is better connected.
+    /// Time since which the spare is better connected than the active process; `None` if it is not.
     worse: Option<Time>,
     /// Last time at which any process was connected, and patience until the next replacement for want of it.
     linked: Time,
     patience: Span,
 }
 
-/// Place of a process.
+/// Slot of a pair for one DDS process.
 #[derive(Debug, Default)]
 struct Slot {
     process: Option<Process>,
@@ -89,15 +92,15 @@ struct Slot {
     quick_ends: u32,
 }
 
-/// One process.
+/// Running DDS process of a slot.
 #[derive(Debug)]
 struct Process {
     id: Id,
     started: Time,
-    /// Time of its last line; none: it is still starting.
+    /// Time of the last line from the process; `None` while it starts.
     heard: Option<Time>,
     vitals: Vitals,
-    /// Last message of each reader.
+    /// Time of the last message of each reader.
     topics: Vec<Option<Time>>,
 }
 
@@ -221,7 +224,7 @@ impl Pair {
         }
     }
 
-    /// Ends processes that are halted or too large.
+    /// Replaces processes that are halted or use too much memory.
     fn judge(&mut self, now: Time, out: &mut Vec<Action>) {
         for index in 0..self.slots.len() {
             let Some(process) = &self.slots[index].process else { continue };
@@ -255,7 +258,7 @@ impl Pair {
         self.slots.iter().enumerate().find(|(other, _)| *other != index)?.1.process.as_ref()
     }
 
-    /// Forgets a process that has ended or is killed, and plans the next.
+    /// Removes a process that has ended or is killed, and schedules the next start.
     fn end(&mut self, now: Time, index: usize, out: &mut Vec<Action>) {
         let slot = &mut self.slots[index];
         let Some(process) = slot.process.take() else { return };

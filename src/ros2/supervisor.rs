@@ -1,4 +1,5 @@
-//! Supervisor of DDS processes: the worker of a driver or source. `pair` decides, this carries it out.
+//! Supervisor of DDS processes: the worker of a driver or source. `pair` makes the decisions, and the supervisor
+//! carries them out.
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -20,11 +21,13 @@ use super::packet::{LONGEST, Plan};
 use super::pair::{Action, Event, Id, Pair};
 use super::{REFUSED, SUBCOMMAND};
 
-/// Events that wait for the supervisor; a process that sends more is held up, and drops its own packets.
+/// Largest number of events that wait for the supervisor. A process that sends more is blocked, and drops its own
+/// packets.
 const ROOM: usize = 256;
-/// Time that processes have to publish zeros and sign off when the host ends. The host waits a second.
+/// Time given to the processes at the end of the host to publish zero velocities and leave DDS. The host waits one
+/// second.
 const FAREWELL: Duration = Duration::from_millis(700);
-/// Longest line of stderr that is kept \[bytes\].
+/// Longest line of stderr that is kept \[bytes\]; the rest is cut.
 const LONGEST_WORDS: u64 = 400;
 
 /// Worker of a driver or source that starts, watches and replaces DDS processes, each with the topics of a plan.
@@ -43,18 +46,18 @@ enum Happened {
     Line(Id, Vec<u8>),
     Ended(Id),
     Packet(Packet),
-    /// An ended process was collected; how it ended.
+    /// An ended process was collected. The text describes its end.
     Collected(String),
-    /// The control thread is gone.
+    /// The control thread has closed the channel.
     Closed,
 }
 
-/// A process that runs.
+/// A running DDS process.
 struct Process {
     child: Child,
     stdin: UnixStream,
     stderr: Option<thread::JoinHandle<String>>,
-    /// Whether it was killed here, which is logged where it is decided.
+    /// Whether the supervisor killed the process. The reason is then already logged.
     killed: bool,
 }
 
@@ -102,7 +105,7 @@ struct Shell<'a> {
     tx: SyncSender<Happened>,
     processes: BTreeMap<Id, Process>,
     pass: &'a dyn Fn(Packet),
-    /// Number of ends for the same reason, and the reason.
+    /// Reason of the last end of a process, with the number of ends for that reason.
     ends: (u64, String),
 }
 
@@ -196,7 +199,7 @@ impl Shell<'_> {
         Ok(Process { child, stdin, stderr, killed: false })
     }
 
-    /// Collects a process that has closed its output, on a thread of its own.
+    /// Waits for the end of a process that has closed its output, on a thread of its own.
     fn bury(&mut self, id: Id) {
         let Some(mut process) = self.processes.remove(&id) else { return };
         let tx = self.tx.clone();
@@ -213,7 +216,7 @@ impl Shell<'_> {
         });
     }
 
-    /// Logs why processes end: a new reason, and of the same one the numbers 2, 4, 8, ...
+    /// Logs the reason for the end of a process if it is new; for the same reason, only the ends 2, 4, 8, ...
     fn log_end(&mut self, how: String) {
         if self.ends.1 != how {
             self.ends = (0, how);
@@ -225,7 +228,7 @@ impl Shell<'_> {
         }
     }
 
-    /// Lets the processes stop their robots and sign off, and kills those that do not end.
+    /// Gives the processes time to stop their robots and leave DDS, and kills those that do not end.
     fn close(&mut self, happened: &Receiver<Happened>) {
         for process in self.processes.values() {
             let _ = process.stdin.shutdown(Shutdown::Both);
@@ -266,7 +269,7 @@ fn read(stdout: ChildStdout, id: Id, tx: &SyncSender<Happened>) {
     }
 }
 
-/// Reads stderr to its end, and returns the first two lines that are not empty: a panic and its message.
+/// Reads stderr to its end and returns its first two lines that are not empty, such as a panic and its message.
 fn first_words(stderr: ChildStderr) -> String {
     let (mut stderr, mut words) = (BufReader::new(stderr), Vec::new());
     loop {

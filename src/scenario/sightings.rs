@@ -24,7 +24,7 @@ use crate::time::{Span, Time};
 /// second.
 pub const SIGHT: Span = Span::from_millis(1000);
 
-/// How far from its start a robot is seen at the most that was put there \[m\].
+/// Largest distance \[m\] from its start at which a robot counts as seen after the simulated world has put it there.
 const PLACED_M: f32 = 0.25;
 
 /// One step for the judge: the robots that were seen in it, with their measured positions.
@@ -48,28 +48,28 @@ pub struct Spot {
     pub point: Vec2,
 }
 
-/// What is known of one robot.
+/// Last readings of one robot.
 #[derive(Clone, Copy, Debug, Default)]
 struct Known {
-    /// Its newest reading: when it has arrived, its stamp \[ns\], and where the robot was.
+    /// Newest reading: its arrival time, its stamp \[ns\], and the measured position \[m\].
     newest: Option<(Time, u64, Vec2)>,
-    /// When it was last seen in this episode, or the episode began.
+    /// Time at which the robot was last seen in this episode; at first, the start of the episode.
     since: Time,
-    /// Where it was put for this episode, until it has been seen there.
+    /// Start at which the robot was put for this episode \[m\], world frame; `None` once it has been seen there.
     start: Option<Vec2>,
-    /// Where it is in the step that is not over.
+    /// Position of the robot in the unfinished step; `None` if it was not seen in it.
     here: Option<Spot>,
 }
 
 /// Collector of the readings of a team, in the order of their arrival, which groups them into steps for the judge.
 #[derive(Clone, Debug)]
 pub struct Sightings {
-    /// By robot.
+    /// Last readings of each robot.
     team: Vec<Known>,
-    /// How many robots were seen in the step that is not over, and when the last of them was.
+    /// Number of robots that were seen in the unfinished step, and below it the time of the last of these readings.
     here: usize,
     at: Time,
-    /// Whether a robot was out of sight for too long.
+    /// Whether a robot has been without a reading for longer than `SIGHT` in this episode.
     lapsed: bool,
 }
 

@@ -3,29 +3,29 @@
 use crate::edge::Packet;
 use crate::time::Span;
 
-/// Time for which the robot's motion is valid. After it the worker stops the robot by itself.
+/// Validity of a robot's motion after a line. When it ends, the worker stops the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hold {
-    /// As before: the line moves no wheel.
+    /// The validity stays as before, because the line moves no wheel.
     Keep,
-    /// No motion that has to end.
+    /// The robot stands, so the validity has no end.
     Standing,
-    /// So long, from the arrival of the packet.
+    /// The validity is this long, counted from the arrival of the packet at the worker.
     For(Span),
 }
 
-/// Packet to the worker. Connections are numbered by the worker.
+/// Packet to the worker. The worker numbers the connections.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ToWorker<'a> {
-    /// Open a new connection. The old one is closed when the new one stands.
+    /// Open a new connection. The old one is closed once the new one is open.
     Open,
     /// Write a line.
     Write {
-        /// Connection that it is for.
+        /// Number of the connection.
         connection: u32,
-        /// Validity of the motion.
+        /// Validity of the robot's motion after the line.
         hold: Hold,
-        /// Line with its semicolon.
+        /// Text of the line, with the semicolon at its end.
         line: &'a str,
     },
 }
@@ -35,7 +35,7 @@ pub enum ToWorker<'a> {
 pub enum FromWorker<'a> {
     /// A connection was opened.
     Opened(u32),
-    /// A connection was not opened, or has ended, with the reason.
+    /// A connection could not be opened, or has ended. The text is the reason.
     Closed(u32, &'a [u8]),
     /// Bytes of the control connection.
     Control(u32, &'a [u8]),

@@ -10,11 +10,11 @@ use crate::time::{Span, Time};
 pub struct Motion {
     /// Shortest time between two velocities.
     pace: Span,
-    /// Newest velocity, and its expiry; none for standing.
+    /// Newest wanted velocity and the time of its expiry; `None` if the robot is to stand.
     wanted: Option<(ChassisSpeed, Time)>,
     /// Whether the newest velocity has still to be sent.
     fresh: bool,
-    /// Whether the robot was last told to stand.
+    /// Whether the last line that moves wheels told the robot to stand.
     standing: bool,
     /// Time of the last line that moves wheels.
     told: Time,
@@ -32,7 +32,7 @@ impl Motion {
         (self.wanted, self.fresh, self.standing) = (None, false, true);
     }
 
-    /// Wants a velocity until a time.
+    /// Sets the wanted velocity and the time of its expiry.
     pub fn want(&mut self, speed: ChassisSpeed, until: Time) {
         (self.wanted, self.fresh) = (Some((speed, until)), true);
     }

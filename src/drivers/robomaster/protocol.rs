@@ -28,19 +28,20 @@ const LARGEST_ANGLE_DEG: f64 = 3600.0;
 /// Line to the robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Line {
-    /// Enters SDK mode, without which the robot does and answers nothing.
+    /// Enters SDK mode. Outside this mode the robot ignores all other lines.
     Enter,
-    /// Leaves SDK mode; the robot stands.
+    /// Leaves SDK mode, which stops the robot.
     Quit,
-    /// Chassis and gimbal turn independently. In the robot's other modes it ignores yaw rates.
+    /// Lets chassis and gimbal turn independently. In its other modes, the robot ignores yaw rates.
     Free,
-    /// Pushes of position and attitude at one rate \[Hz\], and of the chassis' status at 5 Hz.
+    /// Switches on pushes of position and attitude at this rate \[Hz\], and of the chassis' status at 5 Hz.
     Pushes(u8),
-    /// Reports of hits on the armour.
+    /// Switches on reports of hits on the armour.
     HitEvents,
-    /// Velocity of the chassis.
+    /// Sets the velocity of the chassis.
     Speed(ChassisSpeed),
-    /// All wheels stand. Speed zero instead holds a drifting heading: the robot creeps (RoboMaster-SDK#11).
+    /// Stops all wheels. With speed zero instead, the robot creeps, because it controls a heading that drifts
+    /// (RoboMaster-SDK#11).
     Stand,
     /// Query of the battery's charge \[%\].
     Battery,
@@ -49,9 +50,9 @@ pub enum Line {
 /// Velocity of the chassis in its own frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ChassisSpeed {
-    /// Forward \[m/s\], within +-3.5.
+    /// Forward component \[m/s\], within +-3.5.
     pub x: f32,
-    /// To the right \[m/s\], within +-3.5.
+    /// Component to the right \[m/s\], within +-3.5.
     pub y: f32,
     /// Yaw rate \[degrees/s\], clockwise, within +-600.
     pub z: f32,
@@ -223,11 +224,11 @@ pub fn decode_push(datagram: &[u8]) -> Result<Push, Malformed> {
 /// Kind of a hit on the armour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hit {
-    /// By a gel bead.
+    /// Hit by a gel bead.
     Bead,
-    /// By a collision.
+    /// Hit in a collision.
     Collision,
-    /// By a hand.
+    /// Hit by a hand.
     Hand,
 }
 

@@ -1,8 +1,8 @@
 //! Session with one robot: the pure part of the driver.
 //!
-//! Opening, then the lines of the set-up, then driving. One line is in flight at a time, because the robot queues what
-//! it is sent and carries it out late; only the newest velocity waits. Standing alone does not wait: it is sent at
-//! once, and repeated.
+//! A session consists of opening, the lines of the set-up, and driving. One line at a time waits for its answer,
+//! because the robot queues lines and executes them late; only the newest velocity is kept to be sent next. A stand
+//! command does not wait: it is sent at once and repeated.
 
 use super::super::{Command, Driver, Limits, Out};
 use super::Config;
@@ -21,19 +21,19 @@ use crate::time::{Span, Time};
 /// State of the connection.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum State {
-    /// There is none; the next is opened at this time.
+    /// There is no connection; the next one is opened at this time.
     Closed(Time),
-    /// The worker opens one, until this time.
+    /// The worker is opening a connection, until this time.
     Opening(Time),
-    /// It stands. The set-up begins at this time.
+    /// The connection is open. The set-up begins at this time.
     Opened(Time),
-    /// The line of the set-up with this index is next, or in flight.
+    /// The line of the set-up with this index is to be sent next, or waits for its answer.
     SetUp(usize),
-    /// The robot takes velocities.
+    /// The set-up is complete, and the robot accepts velocities.
     Driving,
 }
 
-/// Line that was not answered yet.
+/// Line that the robot has not answered yet.
 #[derive(Clone, Copy, Debug)]
 struct Flight {
     seq: u32,
@@ -54,20 +54,21 @@ pub struct Session {
     events: Splitter,
     /// Sequence number of the last line.
     seq: u32,
-    /// Whether the robot repeats the numbers.
+    /// Whether the robot's answers repeat the sequence numbers.
     numbers: bool,
     flight: Option<Flight>,
     motion: Motion,
-    /// Time of the last push; at the start of driving, of the time that is left for the first.
+    /// Time of the last state datagram that the robot pushed. At the start of driving, a time that leaves `FIRST_PUSH`
+    /// for the first one.
     heard: Time,
-    /// Whether there was a push on this connection.
+    /// Whether the robot has pushed a state datagram on this connection.
     pushed: bool,
     odometry: Odometry,
     battery: Battery,
     rolled_over: bool,
-    /// Time that the robot is given for a line of the set-up.
+    /// Time given to the robot to answer a line of the set-up.
     setup_patience: Span,
-    /// Connections that were given up since the robot was last ready.
+    /// Number of connections that were given up since the robot was last ready.
     given_up: u64,
     reporter: Reporter,
 }
@@ -105,7 +106,7 @@ impl Session {
         }
     }
 
-    /// Returns a line of the set-up; none after the last.
+    /// Returns the line of the set-up with this index; `None` after the last.
     fn set_up(&self, index: usize) -> Option<Line> {
         let hits = self.config.events.then_some(Line::HitEvents);
         [Some(Line::Enter), Some(Line::Stand), Some(Line::Free), Some(Line::Pushes(self.config.push_hz)), hits]
@@ -119,7 +120,7 @@ impl Session {
         self.state == State::Driving && self.pushed && !self.battery.low && !self.rolled_over
     }
 
-    /// Whether a line waits for its answer for too long.
+    /// Whether a line has waited too long for its answer.
     fn is_late(&self, now: Time) -> bool {
         self.state == State::Driving && self.flight.is_some_and(|flight| now.since(flight.since) >= UNANSWERED)
     }

@@ -12,11 +12,12 @@ pub const UNANSWERED: Span = Span::from_millis(230);
 pub const PATIENCE: Span = Span::from_millis(600);
 /// The same for entering SDK mode: first the robot may have to end an old session, for up to a second (DJI's script).
 pub const ENTRY_PATIENCE: Span = Span::from_millis(1500);
-/// The same for the lines that follow: the robot starts its SDK before it answers them.
+/// The same limit for the later lines of the set-up: the robot starts its SDK before it answers them.
 pub const SETUP_PATIENCE: Span = Span::from_millis(3000);
-/// Time from a connection to its first line. The reset of the former connection ends SDK mode and has to arrive before.
+/// Time from the opening of a connection to its first line. The reset of the former connection ends SDK mode and has to
+/// arrive before that line.
 pub const PAUSE: Span = Span::from_millis(50);
-/// Time from the end of the set-up to the first push.
+/// Longest time from the end of the set-up to the first state datagram that the robot pushes.
 pub const FIRST_PUSH: Span = Span::from_millis(1000);
 /// Time within which the worker reports a new connection or its failure. The worker itself stops trying after 0.4 s.
 pub const OPENING: Span = Span::from_millis(2000);

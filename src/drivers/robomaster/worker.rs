@@ -1,7 +1,7 @@
-//! Worker of the driver: the robot's connections. It waits on all of them in one poll, with a second thread that takes
+//! Worker of the driver: the connections with one robot. It waits on all of them in one poll. A second thread receives
 //! the packets of the control thread.
 //!
-//! It stops the robot by itself when a motion's validity ends without a newer packet, and when the host ends.
+//! The worker itself stops the robot when a motion's validity ends without a newer packet, and when the host ends.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{Ipv4Addr, Shutdown, SocketAddrV4, TcpStream, UdpSocket};
@@ -23,20 +23,20 @@ use crate::messages::ids::RobotId;
 /// Time after which an attempt to connect is given up. The robot is on the same network: a lost first segment is sent
 /// again sooner by a new attempt.
 const CONNECTING: Duration = Duration::from_millis(400);
-/// Time between lines that tell the robot to stand while the control thread is silent.
+/// Period of stand commands while the control thread sends nothing.
 const STAND_PERIOD: Duration = Duration::from_millis(200);
-/// Time that the robot is given to answer the last lines. A worker has a second to end.
+/// Time given to the robot for its answers to the last lines. A worker has one second to end.
 const ENDING: Duration = Duration::from_millis(300);
-/// Longest validity of a motion: that of a command on the wire.
+/// Longest validity of a motion, equal to that of a motor command on a link.
 const LONGEST_HOLD: Duration = Duration::from_millis(1000);
-/// Bytes that are read at once: of a stream, or the longest datagram.
+/// Largest number of bytes read at once, from a stream or as one datagram.
 const BYTES: usize = 2048;
 
 /// Worker of one robot.
 pub struct Tcp {
     /// The robot.
     pub robot: RobotId,
-    /// Its address.
+    /// Network address of the robot.
     pub address: Ipv4Addr,
     /// Whether the robot's event connection is read.
     pub events: bool,
@@ -73,14 +73,14 @@ impl Worker for Tcp {
     }
 }
 
-/// Connection of control and its attempts.
+/// Control connection with the robot, or the attempt to open it.
 #[derive(Debug)]
 enum Control {
-    /// None.
+    /// There is no connection.
     Closed,
-    /// An attempt, until this time.
+    /// A connection is being opened, until this time.
     Opening(Socket, Instant),
-    /// It stands.
+    /// The connection is open.
     Open(TcpStream),
 }
 
@@ -89,15 +89,15 @@ struct Links {
     config: Tcp,
     sender: PacketSender,
     began: Instant,
-    /// Number of the connection, or of the attempt.
+    /// Number of the current connection or attempt.
     number: u32,
     control: Control,
-    /// Connection that is closed once a new one stands.
+    /// Former connection, which is closed once a new one is open.
     old: Option<TcpStream>,
     events: Option<TcpStream>,
     pushes: Option<UdpSocket>,
     announcements: Option<UdpSocket>,
-    /// Time at which the robot is stopped unless a packet comes.
+    /// Time at which the robot is stopped unless a packet arrives before.
     stop_at: Option<Instant>,
     /// Whether the control thread has let a motion expire.
     hangs: bool,
@@ -126,7 +126,7 @@ impl Links {
         }
     }
 
-    /// Runs until the control thread is gone.
+    /// Runs until the control thread closes the channel.
     fn run(mut self, packets: &Receiver<Packet>, wake: &EventFd) {
         loop {
             self.wait(wake);
@@ -145,7 +145,7 @@ impl Links {
         }
     }
 
-    /// Waits until there is something to do.
+    /// Waits until a connection or the control thread has data, or a deadline is reached.
     fn wait(&self, wake: &EventFd) {
         let mut fds = vec![PollFd::new(wake.as_fd(), PollFlags::POLLIN)];
         match &self.control {
@@ -200,7 +200,7 @@ impl Links {
         }
     }
 
-    /// Begins a new connection.
+    /// Begins to open a new connection.
     fn open(&mut self) {
         // If the connection is dead, it takes the line along when it comes back to life; a new one may come later.
         self.write(Line::Stand.encode(0).as_bytes());
@@ -355,7 +355,7 @@ impl Links {
         }
     }
 
-    /// Stops the robot, ends its SDK mode and waits a moment for the answers.
+    /// Stops the robot, ends its SDK mode and waits up to `ENDING` for the answers.
     fn end(mut self) {
         let lines = [Line::Stand.encode(0), Line::Quit.encode(0)].concat();
         let open = if let Control::Open(stream) = std::mem::replace(&mut self.control, Control::Closed) {
@@ -391,14 +391,14 @@ fn listen(port: u16) -> io::Result<UdpSocket> {
     Ok(socket.into())
 }
 
-/// Reads what is there; nothing at the end of the stream.
+/// Reads the available bytes; none at the end of the stream.
 fn read(stream: &mut TcpStream) -> io::Result<Vec<u8>> {
     let mut bytes = [0; BYTES];
     let length = stream.read(&mut bytes)?;
     Ok(bytes[..length].to_vec())
 }
 
-/// Closes a connection so that its peer learns of it at once, and nothing that was written comes late.
+/// Closes a connection with a reset: the peer is notified at once, and no written byte arrives late.
 fn reset(stream: TcpStream) {
     let _ = Socket::from(stream).set_linger(Some(Duration::ZERO));
 }

@@ -27,10 +27,10 @@ use crate::time::{Span, Time};
 /// fewer.
 const DUPLICATES_TO_LOG: u64 = 8;
 
-/// How soon another host needs a report of this host.
+/// Urgency of this host's next report to another host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Urgency {
-    /// In the next regular report.
+    /// Send the report with the next regular reports.
     #[default]
     Regular,
     /// Piggybacked on the next datagram.

@@ -31,7 +31,7 @@ const RUNNING_S: f64 = 2.0;
 /// Loss from which on a warning is given: that at which the mode `repeat` begins to repeat (docs/wire.md).
 const LOSSY: f64 = 2.0 / 64.0;
 
-/// What was received from the team.
+/// Results of listening to the team.
 #[derive(Default)]
 pub struct Heard {
     /// Findings about reception and robots.

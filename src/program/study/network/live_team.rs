@@ -16,7 +16,7 @@ use crate::program::BadInput;
 use crate::program::bad;
 use crate::program::team::{self, TeamArgs};
 
-/// Team whose hosts measure.
+/// Team whose hosts measure the delays of their links.
 pub struct LiveTeam {
     args: TeamArgs,
     file: TeamFile,
