@@ -129,11 +129,10 @@ pub fn team(out: &mut Message, at: u64, stage: &Stage, team: &[Option<Body>]) {
 }
 
 /// Positions of the pairs of robots within a range. Of large teams only the pairs of the first 64 robots are drawn.
-fn pairs(team: &[Option<Body>], range_m: f32) -> impl Iterator<Item = (Vec2, Vec2)> {
+fn pairs(team: &[Option<Body>], range_m: f32) -> Vec<(Vec2, Vec2)> {
     let seen: Vec<Vec2> = team.iter().take(64).flatten().map(|body| body.position).collect();
-    let all = (0..seen.len()).flat_map(move |one| (one + 1..seen.len()).map(move |other| (one, other)));
-    let seen: Vec<Vec2> = team.iter().take(64).flatten().map(|body| body.position).collect();
-    all.map(move |(one, other)| (seen[one], seen[other])).filter(move |(one, other)| (*one - *other).norm() < range_m)
+    let all = seen.iter().enumerate().flat_map(|(at, one)| seen[at + 1..].iter().map(|other| (*one, *other)));
+    all.filter(|(one, other)| (*one - *other).norm() < range_m).collect()
 }
 
 fn disc(entity: &mut Message, at: [f64; 3], size: [f64; 3], colour: Colour) {

@@ -323,10 +323,7 @@ impl Topics {
 
     fn episode(&self, at: u64, episode: &Episode, take: Take) {
         json_to(Topic::Episode, at, episode, take);
-        let verdict = serde_json::to_value(episode.verdict).expect("a verdict is JSON");
-        let makespan = episode.makespan_s.map_or(String::new(), |makespan| format!(" in {makespan:.2} s"));
-        let text = format!("episode {}: {}{makespan}", episode.episode, verdict.as_str().unwrap_or_default());
-        self.say(at, Level::Info, "judge", &text, take);
+        self.say(at, Level::Info, "judge", &format!("episode {}: {}", episode.episode, episode.in_words()), take);
     }
 
     fn guard(&mut self, at: u64, robot: RobotId, counts: SafetyCounts, take: Take) {
@@ -337,11 +334,8 @@ impl Topics {
         let mut said = serde_json::to_value(counts).expect("counts are JSON");
         said["robot"] = robot.0.into();
         json_to(Topic::Guard, at, &said, take);
-        for (count, reason) in counts.reasons() {
-            let old = before.reasons().find(|(_, other)| *other == reason).map_or(0, |(count, _)| count);
-            if count > old {
-                self.say(at, Level::Warning, &format!("guard of robot {}", robot.0), reason, take);
-            }
+        for reason in counts.begun_since(&before) {
+            self.say(at, Level::Warning, &format!("guard of robot {}", robot.0), reason, take);
         }
     }
 

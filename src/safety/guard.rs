@@ -119,6 +119,13 @@ impl SafetyCounts {
         ];
         all.into_iter().filter(|(times, _)| *times > 0)
     }
+
+    /// Returns the short names of the triggers that have acted since `before`, earlier counts of the same guard.
+    pub fn begun_since(&self, before: &SafetyCounts) -> impl Iterator<Item = &'static str> {
+        let before: Vec<_> = before.reasons().collect();
+        let times = move |name: &str| before.iter().find(|(_, other)| *other == name).map_or(0, |(times, _)| *times);
+        self.reasons().filter(move |(now, name)| *now > times(name)).map(|(_, name)| name)
+    }
 }
 
 impl Sum for SafetyCounts {

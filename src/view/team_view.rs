@@ -191,11 +191,8 @@ impl TeamView {
 
     /// Takes the result of an episode.
     pub fn judged(&mut self, now: Time, episode: &Episode) {
-        let verdict = serde_json::to_value(episode.verdict).ok();
-        let verdict = verdict.as_ref().and_then(|value| value.as_str()).unwrap_or("unknown").to_owned();
-        let took = episode.makespan_s.map_or_else(String::new, |makespan| format!(" in {makespan:.2} s"));
-        self.note(now, &format!("episode {}: {verdict}{took}", episode.episode + 1));
-        *self.verdicts.entry(verdict).or_default() += 1;
+        self.note(now, &format!("episode {}: {}", episode.episode + 1, episode.in_words()));
+        *self.verdicts.entry(episode.verdict.word().to_owned()).or_default() += 1;
         self.episodes += 1;
         self.successes += usize::from(episode.verdict == Verdict::Success);
     }
@@ -203,14 +200,7 @@ impl TeamView {
     /// Takes the counts of a robot's guard, and logs what has begun to act.
     pub fn guarded(&mut self, now: Time, id: RobotId, counts: SafetyCounts) {
         let Some(robot) = self.robots.get_mut(id.index()) else { return };
-        let count = |counts: &SafetyCounts, name: &str| {
-            counts.reasons().find(|(_, reason)| *reason == name).map_or(0, |(times, _)| times)
-        };
-        let begun: Vec<&'static str> = counts
-            .reasons()
-            .filter(|(times, name)| *times > count(&robot.safety, name))
-            .map(|(_, name)| name)
-            .collect();
+        let begun: Vec<&'static str> = counts.begun_since(&robot.safety).collect();
         robot.guard = begun.last().copied().or(robot.guard);
         robot.safety = counts;
         // A stop of the team is in the log once.

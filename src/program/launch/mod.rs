@@ -254,10 +254,7 @@ impl Results {
             // A page that has ended shows no more results.
             let _ = page.send(episode);
         }
-        let verdict = serde_json::to_value(episode.verdict).expect("a verdict is JSON");
-        let verdict = verdict.as_str().unwrap_or_default();
-        let makespan = episode.makespan_s.map_or_else(String::new, |makespan| format!(" in {makespan:.2} s"));
-        self.info(&format!("episode {} of {}: {verdict}{makespan}", episode.episode + 1, self.wanted));
+        self.info(&format!("episode {} of {}: {}", episode.episode + 1, self.wanted, episode.in_words()));
     }
 
     fn info(&self, text: &str) {

@@ -186,6 +186,17 @@ impl Files {
         Ok(files)
     }
 
+    /// Name of the team file of a host's record, as the command was given it: the first file that `OfHost` attaches.
+    fn team_file(&self) -> Option<&str> {
+        self.files.first().map(|(name, _)| &**name)
+    }
+
+    /// Path of the policy's file of a host's record, the second file that `OfHost` attaches; `None` if the policy was
+    /// named by its name in the registry.
+    fn policy(&self) -> Option<&Path> {
+        self.files.get(1).map(|(_, path)| &**path)
+    }
+
     /// Returns recorded arguments with the record's files in place of those that they name.
     fn in_place(&self, arguments: &[String]) -> Vec<String> {
         let replaced = |argument: &String| {

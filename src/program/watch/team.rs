@@ -16,12 +16,10 @@ use crate::actors::network;
 use crate::actors::order::OrderKind;
 use crate::deploy::Routes;
 use crate::deploy::team::TeamFile;
-use crate::graph::operator::{self, Operator};
+use crate::graph::operator;
 use crate::graph::process::ProcessEvent;
-use crate::live::links::{self, ProcessIdentity};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{Stop, Wire};
-use crate::net::protocol::key::Key;
 use crate::program::{BadInput, Ended, signals, team};
 use crate::registry::Registry;
 use crate::report::episode::Episode;
@@ -112,22 +110,10 @@ impl Page {
     pub fn run(self, team: &team::TeamArgs, registry: &Registry, over: impl Fn() -> bool) -> Result<()> {
         let Page { view, server, publisher, results } = self;
         let file = team.read(registry)?;
-        let access = file.operator_access().map_err(|error| team.wrong(&error))?;
-        let (deployment, identity) = (file.deployment(), ProcessIdentity::draw()?);
-        let me = identity.operator_of(access.number);
-        let link = &deployment.links[usize::from(access.link.0)];
-        let operator = Operator {
-            me,
-            seed: identity.seed,
-            robots: deployment.robots,
-            publishers: Routes::of(deployment).publishers(),
-            key: team::key_of(access.key_file.as_deref())?.map(Key::new),
-            links: links::of_operator(deployment, links::places_of(&access, deployment)),
-            transports: links::join(&access, link, me.host, team.names_interface())?,
-            stop: Some(access.link),
-        };
+        let operator = team.operator(&file)?;
+        let me = operator.me;
         let view = Rc::new(RefCell::new(view));
-        let orders = Rc::new(RefCell::new(Orders::new(me.host, deployment.robots)));
+        let orders = Rc::new(RefCell::new(Orders::new(me.host, operator.robots)));
         let (feed, ask_at) = (Feed::new(Rc::clone(&view)), Time::ZERO);
         run_real(
             Instant::now(),
