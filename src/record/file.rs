@@ -17,7 +17,8 @@ use mcap::{Attachment, McapError, WriteOptions, Writer};
 use super::Event;
 use super::identity::{Identity, METADATA};
 use super::queue::{Inlet, Outlet, WhenFull, queue};
-use super::topics::{Stage, Topic, Topics};
+use super::stage::{self, Stage};
+use super::topics::{Topic, Topics};
 
 /// Size of a chunk \[bytes\].
 const CHUNK: u64 = 1 << 18;
@@ -75,7 +76,7 @@ pub struct RecordFile {
 
 impl RecordFile {
     /// Creates a file, which must not exist, and writes its beginning.
-    pub fn create(path: &Path, beginning: &Beginning) -> Result<RecordFile, RecordError> {
+    pub fn create(path: &Path, beginning: &Beginning, stage: &Stage) -> Result<RecordFile, RecordError> {
         let failed = |error| RecordError::Create { path: path.to_owned(), error };
         let file = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed)?;
         let wrong = |error: McapError| RecordError::Write { path: path.to_owned(), reason: error.to_string() };
@@ -86,13 +87,15 @@ impl RecordFile {
             .library(concat!("murmurate ", env!("CARGO_PKG_VERSION")));
         let writer = options.create(NoSeek::new(BufWriter::with_capacity(1 << 16, file))).map_err(wrong)?;
         let mut file = RecordFile { writer, channels: BTreeMap::new(), schemas: BTreeMap::new(), sequence: 0 };
-        file.begin(beginning).map_err(wrong)?;
+        file.begin(beginning, stage).map_err(wrong)?;
         Ok(file)
     }
 
-    fn begin(&mut self, beginning: &Beginning) -> Result<(), McapError> {
+    fn begin(&mut self, beginning: &Beginning, stage: &Stage) -> Result<(), McapError> {
         let Beginning { identity, attached } = beginning;
         let metadata = mcap::records::Metadata { name: METADATA.to_owned(), metadata: identity.to_metadata() };
+        self.writer.write_metadata(&metadata)?;
+        let metadata = mcap::records::Metadata { name: stage::METADATA.to_owned(), metadata: stage.to_metadata() };
         self.writer.write_metadata(&metadata)?;
         for Attached { name, media_type, content } in attached {
             self.writer.attach(&Attachment {
@@ -164,7 +167,7 @@ impl Recording {
         topics: Topics,
         when_full: WhenFull,
     ) -> Result<Recording, RecordError> {
-        let file = RecordFile::create(path, beginning)?;
+        let file = RecordFile::create(path, beginning, topics.stage())?;
         let (inlet, outlet) = queue(when_full);
         let failure = Arc::new(Mutex::new(None));
         let failed = Arc::clone(&failure);

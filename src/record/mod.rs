@@ -20,6 +20,7 @@ pub mod queue;
 pub mod reader;
 pub mod repair;
 pub mod share;
+pub mod stage;
 pub mod tape;
 pub mod topics;
 

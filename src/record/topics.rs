@@ -6,12 +6,14 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 use serde_json::json;
 
-pub use super::drawing::{Body, Stage};
+pub use super::drawing::Body;
 use super::foxglove::{self, Level};
 use super::protobuf::{self, Message};
+pub use super::stage::Stage;
 use super::tape::{self, SentDigest};
 use super::{Event, Scope, drawing, schemas};
 use crate::messages::geometry::Vec2;
+use crate::messages::hardware::{Celsius, Hardware, Health, Reason};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::local::Truth;
 use crate::messages::phase::Phase;
@@ -227,7 +229,7 @@ impl Topics {
             Event::Episode(episode) => self.episode(at, episode, take),
             Event::Guard(robot, counts) => self.guard(at, *robot, *counts, take),
             Event::Hardware(robot, hardware) => {
-                json_to(Topic::Hardware, at, &json!({ "robot": robot, "condition": format!("{hardware:?}") }), take);
+                json_to(Topic::Hardware, at, &condition(*robot, hardware), take);
             }
             Event::Counts(host, counts) => {
                 json_to(Topic::Counts, at, &json!({ "host": self.host(*host), "links": counts }), take);
@@ -363,6 +365,20 @@ impl Topics {
             take(topic, at, &out.0);
         }
     }
+}
+
+/// Returns the condition of a robot's hardware as JSON.
+fn condition(robot: RobotId, hardware: &Hardware) -> serde_json::Value {
+    let health = match hardware.health {
+        Health::Ready => "ready",
+        Health::Faulty => "faulty",
+        Health::Silent => "silent",
+    };
+    json!({
+        "robot": robot, "health": health, "battery": hardware.battery,
+        "temperature_c": hardware.temperature.map(Celsius::degrees),
+        "reason": hardware.reason.as_ref().map(Reason::text),
+    })
 }
 
 fn json_to(topic: Topic, at: u64, value: &impl Serialize, take: Take) {

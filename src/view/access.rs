@@ -18,6 +18,8 @@ pub enum Control {
     Team,
     /// Commands to the team, and faults of an emulated team.
     Emulation,
+    /// The time that is shown, of a record. There is no team.
+    Playback,
 }
 
 /// Secret that a browser shows for every command but the emergency stop, as hexadecimal digits.
@@ -64,6 +66,10 @@ impl Access {
     /// Reason why a browser may not give a command; `None` if it may. `holder` is whether it has shown the token.
     pub fn refuses(&self, command: &Command, holder: bool) -> Option<&'static str> {
         match (command.right(), self.control) {
+            (Right::Playback, Control::Playback) if holder => None,
+            (Right::Playback, Control::Playback) => Some("no token: open the address that the program printed"),
+            (_, Control::Playback) => Some("this is a record: there is no team to command"),
+            (Right::Playback, _) => Some("this is a team that runs, and no record"),
             (Right::Anyone, _) => None,
             (_, Control::StopOnly) => Some("this page only watches; start the program with --control"),
             (_, _) if !holder => Some("no token: open the address that the program printed"),
@@ -145,5 +151,10 @@ mod tests {
         assert_eq!(access(Control::Team).refuses(&Command::Rearm, true), None);
         assert!(access(Control::Team).refuses(&link, true).is_some());
         assert_eq!(access(Control::Emulation).refuses(&link, true), None);
+        let seek = Command::Seek { at_s: 1.0 };
+        assert_eq!(access(Control::Playback).refuses(&seek, true), None);
+        assert!(access(Control::Playback).refuses(&seek, false).is_some());
+        assert!(access(Control::Playback).refuses(&Command::Stop, true).is_some(), "nothing would be stopped");
+        assert!(access(Control::Emulation).refuses(&seek, true).is_some());
     }
 }

@@ -135,12 +135,10 @@ impl TeamView {
         }
     }
 
-    /// Notes that a message has arrived at a host of the team.
-    pub fn arrived(&mut self, now: Time, at: HostId, message: &Wire) {
-        if let Wire::Latent(latent) = message
-            && latent.robot.index() < self.robots.len()
-        {
-            self.heard.arrived(now, at, latent.robot);
+    /// Notes that a robot's latent message has arrived at a host of the team.
+    pub fn arrived(&mut self, now: Time, at: HostId, robot: RobotId) {
+        if robot.index() < self.robots.len() {
+            self.heard.arrived(now, at, robot);
         }
     }
 
@@ -217,6 +215,16 @@ impl TeamView {
     /// Adds a line to the log.
     pub fn note(&mut self, now: Time, line: &str) {
         self.log.add(now.as_secs(), line);
+    }
+
+    /// Number of lines that the log has had so far.
+    pub fn log_count(&self) -> u64 {
+        self.log.count()
+    }
+
+    /// The newest line of the log; empty without one.
+    pub fn last_line(&self) -> String {
+        self.log.lines().back().map_or_else(String::new, |(.., line)| line.clone())
     }
 
     /// Emergency stop of the team, as its state server and its robots say.
@@ -376,8 +384,8 @@ mod tests {
             view.hear(at(0), &latent(robot, x));
         }
         assert_eq!(view.snapshot(at(0)).links, [LinkState { one: 0, other: 1, age: None, loss: None }]);
-        view.arrived(at(5), HostId(0), &latent(1, 0.9));
-        view.arrived(at(20), HostId(1), &latent(0, 0.0));
+        view.arrived(at(5), HostId(0), RobotId(1));
+        view.arrived(at(20), HostId(1), RobotId(0));
         let link = view.snapshot(at(30)).links[0];
         assert_eq!((link.age, link.loss), (Some(Span::from_millis(25)), Some(0)));
     }

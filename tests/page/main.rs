@@ -6,5 +6,6 @@ mod pixels;
 #[path = "../program/mod.rs"]
 mod program;
 mod refusals;
+mod replay;
 mod run;
 mod slow;

@@ -2,6 +2,10 @@
 
 mod actions;
 mod of_host;
+#[cfg(feature = "watch")]
+mod page;
+#[cfg(feature = "watch")]
+mod sights;
 
 use std::cell::RefCell;
 use std::fmt;
@@ -11,6 +15,8 @@ use std::rc::Rc;
 use anyhow::{Context, Result};
 use serde::Serialize;
 
+use crate::graph::process::ProcessEvent;
+use crate::messages::ids::HostId;
 use crate::program::output::{print, talk};
 use crate::program::{BadInput, Ended, bad, sim};
 use crate::record::compare::{Compared, Comparison};
@@ -20,6 +26,7 @@ use crate::record::share::ACCEPTED;
 use crate::record::topics::{Stage, Topics};
 use crate::record::{Event, Scope};
 use crate::registry::Registry;
+use crate::time::Time;
 use crate::trial::Proceed;
 
 /// Flags of `murmurate replay`.
@@ -58,6 +65,9 @@ pub struct Args {
     /// Prints one JSON object instead of the table
     #[arg(long)]
     json: bool,
+    #[cfg(feature = "watch")]
+    #[command(flatten)]
+    page: crate::program::watch::RecordPage,
 }
 
 /// Result of the replay of one record.
@@ -83,6 +93,10 @@ struct Table {
 
 /// Replays all records.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
+    #[cfg(feature = "watch")]
+    if args.page.is_on() {
+        return page::watch(args, registry);
+    }
     let mut table = Table { records: Vec::new() };
     for path in files(&args.records)? {
         let opened = reader::open(&path).map_err(|error| BadInput(error.to_string()))?;
@@ -222,6 +236,18 @@ impl Drop for Files {
 
 /// Runs a simulation again from its seed.
 fn rerun(opened: Opened, files: &Files, registry: &Registry) -> Result<Compared> {
+    rerun_observed(opened, files, registry, |_, _| {}, |_| {})
+}
+
+/// Runs a simulation again from its seed, and passes on each event of the run, and the time of each instant after its
+/// events.
+fn rerun_observed(
+    opened: Opened,
+    files: &Files,
+    registry: &Registry,
+    observe: impl Fn(HostId, ProcessEvent) + 'static,
+    mut turned: impl FnMut(Time),
+) -> Result<Compared> {
     let Opened { identity, messages, .. } = opened;
     let trial = sim::of_record(&files.in_place(&identity.arguments), identity.repeat, registry)?;
     let topics = Topics::new(Stage::of(&trial.plan()), Scope::Simulation, 0);
@@ -229,11 +255,13 @@ fn rerun(opened: Opened, files: &Files, registry: &Registry) -> Result<Compared>
     let heard = Rc::clone(&comparison);
     trial.run_observed(
         move |host, event| {
+            observe(host, event);
             if let Some(event) = Event::of(Scope::Simulation, host, event) {
                 heard.borrow_mut().push(event);
             }
         },
         |_, now, _| {
+            turned(now);
             let mut comparison = comparison.borrow_mut();
             comparison.push(Event::Turn(now));
             if comparison.is_over() { Proceed::Stop } else { Proceed::Continue }

@@ -24,7 +24,7 @@ const LOOK: Duration = Duration::from_millis(10);
 type Change = (&'static str, usize, Option<u32>, &'static str);
 
 /// Feed of one page.
-pub(super) struct Feed {
+pub struct Feed {
     view: Rc<RefCell<TeamView>>,
     period: Duration,
     snapshot_at: Instant,

@@ -1,6 +1,6 @@
 //! The live page of a command: its flags, its server, and the feed of what the page shows.
 
-mod feed;
+pub mod feed;
 pub mod team;
 #[cfg(feature = "sim")]
 pub mod trial;
@@ -55,6 +55,36 @@ impl OptionalPage {
     }
 }
 
+/// Flags of a command that shows a record on a page when it is asked to.
+#[cfg(feature = "sim")]
+#[derive(clap::Args)]
+pub struct RecordPage {
+    /// Serves a page that shows the records with a scrubber, and prints its address (docs/watch.md)
+    #[arg(long, conflicts_with_all = ["policy", "rerun", "host", "json", "key_file"])]
+    watch: bool,
+    /// Address at which the page is served; one that other machines reach needs --token-file [default: 127.0.0.1 and a
+    /// free port]
+    #[arg(long, value_name = "ADDRESS:PORT", requires = "watch")]
+    listen: Option<SocketAddr>,
+    /// File with the token of the page, as 'murmurate key new' makes it [default: drawn, and printed with the address]
+    #[arg(long, value_name = "FILE", requires = "watch")]
+    token_file: Option<PathBuf>,
+}
+
+#[cfg(feature = "sim")]
+impl RecordPage {
+    /// Whether there is a page.
+    pub fn is_on(&self) -> bool {
+        self.watch
+    }
+
+    /// Opens the server of the page and prints the page's address.
+    pub fn open(&self, scene: Scene) -> Result<(Server, Publisher)> {
+        let (listen, token_file) = (self.listen, self.token_file.clone());
+        PageFlags { listen, control: true, token_file }.open(scene, Control::Playback)
+    }
+}
+
 impl PageFlags {
     /// Opens the server of a page and prints the page's address. `most` are the commands that the team allows.
     pub fn open(&self, mut scene: Scene, most: Control) -> Result<(Server, Publisher)> {
@@ -79,6 +109,7 @@ impl PageFlags {
             Control::StopOnly => "stop",
             Control::Team => "team",
             Control::Emulation => "emulation",
+            Control::Playback => "playback",
         };
         // A token that is in a file stays there.
         let secret = match &self.token_file {
@@ -94,4 +125,5 @@ impl PageFlags {
 }
 
 /// Number of the page as an operator in a run of one process, where there is no other.
+#[cfg(feature = "sim")]
 const OPERATOR: HostId = HostId::operator(0);

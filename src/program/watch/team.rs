@@ -181,6 +181,8 @@ impl Desk {
             Command::Pause | Command::Kill { .. } | Command::Restart { .. } | Command::Link { .. } => {
                 return self.view.borrow_mut().note(now, "page: refused, that is for simulations");
             }
+            // Refused before, as there is no record.
+            Command::Play { .. } | Command::Seek { .. } | Command::Step { .. } => return,
         };
         if kind == OrderKind::Stop {
             self.view.borrow_mut().note(now, "page: STOP");

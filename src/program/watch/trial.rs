@@ -146,7 +146,7 @@ fn heard(view: &mut TeamView, orders: &mut Orders, now: Time, host: HostId, even
             }
             view.hear(now, &message);
         }
-        ProcessEvent::Message(message) => view.arrived(now, host, message),
+        ProcessEvent::Message(Wire::Latent(latent)) => view.arrived(now, host, latent.robot),
         ProcessEvent::Truth(truth) => view.see(truth),
         ProcessEvent::Recorded(recorder::Out::Episode(episode, _)) => view.judged(now, episode),
         ProcessEvent::Safety(robot, counts) => view.guarded(now, robot, counts),
@@ -313,6 +313,8 @@ impl Desk<'_> {
                     note(&format!("page: {} restarts", name(role, robot)));
                 }
             }
+            // Refused before, as there is no record.
+            Command::Play { .. } | Command::Seek { .. } | Command::Step { .. } => {}
             Command::Link { link, cut, delay_ms, loss } => {
                 let links = &self.trial.deployment.links;
                 let Some(at) = links.iter().position(|other| other.name == link) else {
