@@ -36,6 +36,8 @@ use crate::program::outlets::Outlets;
 use crate::program::recording::{self, OfHost};
 use crate::program::signals;
 use crate::program::team;
+#[cfg(feature = "watch")]
+use crate::program::watch::metrics::{HostMetrics, MetricsFlags};
 
 /// Time from a request to stop until the host ends, in which its last commands and its notice of leaving are sent.
 const STOPPING: Span = Span::from_millis(200);
@@ -70,6 +72,9 @@ pub struct Args {
     trajectories: Option<PathBuf>,
     #[command(flatten)]
     record: recording::RecordFlags,
+    #[cfg(feature = "watch")]
+    #[command(flatten)]
+    metrics: MetricsFlags,
     /// Leaves out warnings that `launch` has printed for all hosts
     #[arg(long, hide = true)]
     launched: bool,
@@ -116,11 +121,16 @@ struct Seen {
     duplicate: Cell<Option<DuplicateId>>,
     /// Record of the run, if there is one.
     record: OnceCell<Option<OfHost>>,
+    /// Metrics of the host, if they are served.
+    #[cfg(feature = "watch")]
+    metrics: OnceCell<Option<HostMetrics>>,
 }
 
 /// Runs the host until the team has finished, or until it is told to stop.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let began = Instant::now();
+    #[cfg(feature = "watch")]
+    args.metrics.check()?;
     let file = args.team.read(registry)?;
     let id = args.host(&file)?;
     let team = args.team.for_host(&file, id)?;
@@ -142,6 +152,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let live = LiveHost::open(&team, &trial, key, registry)?;
     let files = [Some(args.team.file.clone()), team.policy.clone()].into_iter().flatten().collect();
     seen.record.set(OfHost::open(&args.record, (&team, &live), (began, keyed), (files, &digest))?).ok();
+    #[cfg(feature = "watch")]
+    seen.metrics.set(args.metrics.open(&team)?).ok();
     let (signal, wake_reader) = signals::listen()?;
     tracing::info!(host = name, robots = team.deployment.robots, policy = policy.name, digest, "starts");
     let abandoned = Rc::new(Cell::new(false));
@@ -287,7 +299,19 @@ impl Seen {
     fn new(outlets: Outlets) -> Seen {
         let (report, over, messages, counts) = Default::default();
         let (safety, hardware, duplicate) = Default::default();
-        Seen { report, over, messages, counts, safety, hardware, outlets, duplicate, record: OnceCell::new() }
+        Seen {
+            report,
+            over,
+            messages,
+            counts,
+            safety,
+            hardware,
+            outlets,
+            duplicate,
+            record: OnceCell::new(),
+            #[cfg(feature = "watch")]
+            metrics: OnceCell::new(),
+        }
     }
 
     /// Record of the run, if there is one.
@@ -295,13 +319,21 @@ impl Seen {
         self.record.get()?.as_ref()
     }
 
-    /// Ends a turn of the event loop in the record.
+    /// Ends a turn of the event loop in the record and the metrics.
     fn end_turn(&self, now: Time) {
+        #[cfg(feature = "watch")]
+        if let Some(Some(metrics)) = self.metrics.get() {
+            metrics.turn(now, self.record().map(OfHost::dropped));
+        }
         self.record().into_iter().for_each(|record| record.turn(now));
     }
 
     fn hear(&self, host: HostId, heard: ProcessEvent) {
         self.record().into_iter().for_each(|record| record.push(host, heard));
+        #[cfg(feature = "watch")]
+        if let Some(Some(metrics)) = self.metrics.get() {
+            metrics.hear(host, heard);
+        }
         match heard {
             ProcessEvent::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => self.over.set(true),
             ProcessEvent::Message(_)

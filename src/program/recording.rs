@@ -33,9 +33,20 @@ pub struct RecordFlags {
 }
 
 /// Flags with a value that do not change what is run.
-const OUTPUTS: [&str; 5] = ["--record", "--trajectories", "--animate", "--svg", "--jobs"];
+const OUTPUTS: [&str; 10] = [
+    "--record",
+    "--trajectories",
+    "--animate",
+    "--svg",
+    "--jobs",
+    "--listen",
+    "--token-file",
+    "--speed",
+    "--metrics",
+    "--metrics-token-file",
+];
 /// The same without a value.
-const SWITCHES: [&str; 3] = ["--json", "--quiet", "--launched"];
+const SWITCHES: [&str; 5] = ["--json", "--quiet", "--launched", "--watch", "--control"];
 
 /// Returns the arguments of this program's command, from its name on, without those that do not change what is run:
 /// equal runs have equal records.

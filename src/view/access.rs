@@ -37,6 +37,12 @@ impl Token {
         &self.0
     }
 
+    /// Whether the header `Authorization` of a request carries this token, as a bearer token (RFC 6750).
+    pub fn is_borne_by(&self, authorization: &str) -> bool {
+        let token = authorization.split_once(' ').filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer"));
+        token.is_some_and(|(_, token)| same(token.trim().as_bytes(), self.0.as_bytes()))
+    }
+
     /// Whether one of the WebSocket subprotocols that a browser offers carries this token. The comparison takes the
     /// same time wherever the first difference is.
     pub fn is_among(&self, protocols: &str) -> bool {
@@ -58,8 +64,10 @@ pub struct Access {
     pub token: Token,
     /// Commands that the process takes.
     pub control: Control,
-    /// Whether pictures and states need the token as well: for a server that other machines reach.
+    /// Whether pictures, states and metrics need the token as well: for a server that other machines reach.
     pub guarded: bool,
+    /// Whether there is a page. Without one, the server has the metrics alone.
+    pub page: bool,
 }
 
 impl Access {
@@ -143,7 +151,7 @@ mod tests {
 
     #[test]
     fn a_stop_needs_nothing_and_faults_need_an_emulated_team() {
-        let access = |control| Access { token: Token::new(&[1]), control, guarded: false };
+        let access = |control| Access { token: Token::new(&[1]), control, guarded: false, page: true };
         let link = Command::Link { link: "air".to_owned(), cut: true, delay_ms: 0.0, loss: 0.0 };
         assert_eq!(access(Control::StopOnly).refuses(&Command::Stop, false), None);
         assert!(access(Control::StopOnly).refuses(&Command::Rearm, true).is_some());

@@ -15,6 +15,9 @@ const MAX_HEADERS: usize = 64;
 /// Longest time for the whole header, however slowly its bytes come.
 pub const HEADER_TIME: Duration = Duration::from_secs(5);
 
+/// Silence of the thread that drives the team from which the program is not healthy.
+const HEALTHY: Duration = Duration::from_secs(3);
+
 /// Subprotocol of the page's WebSockets.
 const PROTOCOL: &str = "murmurate";
 
@@ -51,6 +54,10 @@ pub enum Socket {
 pub enum Response {
     /// A file or an error: all bytes of the response.
     Whole(Vec<u8>),
+    /// The metrics, which the server has.
+    Metrics,
+    /// Whether the thread that drives the team is alive, which the server knows.
+    Health,
     /// A WebSocket: the bytes of the handshake's end.
     Upgrade(Socket, Vec<u8>),
 }
@@ -120,6 +127,17 @@ pub fn respond(header: &[u8], local: SocketAddr, access: &Access) -> Response {
         return refused("405 Method Not Allowed", "this server answers to GET alone");
     }
     let path = request.0.path.unwrap_or_default();
+    match path {
+        "/healthz" => return Response::Health,
+        "/metrics"
+            if access.guarded && !access.token.is_borne_by(request.header("authorization").unwrap_or_default()) =>
+        {
+            return refused("401 Unauthorized", "the metrics need the token: Authorization: Bearer TOKEN");
+        }
+        "/metrics" => return Response::Metrics,
+        _ if !access.page => return refused("404 Not Found", "there are /metrics and /healthz alone"),
+        _ => {}
+    }
     if let Some((_, kind, content)) = FILES.iter().find(|(name, ..)| *name == path) {
         return Response::Whole(response("200 OK", kind, content));
     }
@@ -173,6 +191,23 @@ impl Request<'_> {
             }
         }
     }
+}
+
+/// Response with the text of metrics, in the format of Prometheus; of none if it is empty.
+pub fn metrics(text: &str) -> Vec<u8> {
+    match text {
+        "" => refusal("404 Not Found", "there are no metrics yet, and none of a record"),
+        text => response("200 OK", "text/plain; version=0.0.4; charset=utf-8", text),
+    }
+}
+
+/// Response on the health of the program, whose driving thread was last heard this long ago.
+pub fn health(silent_for: Duration) -> Vec<u8> {
+    if silent_for < HEALTHY {
+        return response("200 OK", "text/plain; charset=utf-8", "ok\n");
+    }
+    let why = format!("no news from the program for {:.1} s", silent_for.as_secs_f64());
+    refusal("503 Service Unavailable", &why)
 }
 
 fn refused(status: &str, why: &str) -> Response {

@@ -217,6 +217,16 @@ impl TeamView {
         self.log.add(now.as_secs(), line);
     }
 
+    /// Counts of the robots' guards, in the order of robot ids.
+    pub fn safety(&self) -> impl Iterator<Item = (RobotId, SafetyCounts)> {
+        self.robots.iter().enumerate().map(|(at, robot)| (RobotId(at as u16), robot.safety))
+    }
+
+    /// Number of episodes by verdict.
+    pub fn verdicts(&self) -> &BTreeMap<String, u32> {
+        &self.verdicts
+    }
+
     /// Number of lines that the log has had so far.
     pub fn log_count(&self) -> u64 {
         self.log.count()

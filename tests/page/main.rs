@@ -2,6 +2,7 @@
 
 mod browser;
 mod http;
+mod metrics;
 mod pixels;
 #[path = "../program/mod.rs"]
 mod program;

@@ -50,7 +50,7 @@ pub fn watch(args: &Args, registry: &Registry) -> Result<Ended> {
     let (server, publisher) = args.page.open(Scene { record: Some(record), ..scene })?;
     let (view, taken) = timeline.picture(Time::ZERO);
     let view = Rc::new(RefCell::new(view));
-    let feed = Feed::new(Rc::clone(&view));
+    let feed = Feed::new(Rc::clone(&view), None);
     let player = Player { timeline, view, taken, feed, publisher, now: Time::ZERO, playing: true, rate: 1.0 };
     player.run(&stop);
     server.close();

@@ -1,12 +1,13 @@
 //! The live page of a command: its flags, its server, and the feed of what the page shows.
 
 pub mod feed;
+pub mod metrics;
 pub mod team;
 #[cfg(feature = "sim")]
 pub mod trial;
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow};
 
@@ -96,14 +97,7 @@ impl PageFlags {
                  --out page.token' and give --token-file page.token, or keep 127.0.0.1 and use an ssh tunnel"
             ));
         }
-        let token = match &self.token_file {
-            Some(file) => Token::new(&key::read(file)?),
-            None => {
-                let mut bytes = [0; TOKEN_BYTES];
-                getrandom::fill(&mut bytes).map_err(|e| anyhow!("the operating system gives no random bytes: {e}"))?;
-                Token::new(&bytes)
-            }
-        };
+        let token = token(self.token_file.as_deref())?;
         let control = if self.control { most } else { Control::StopOnly };
         scene.control = match control {
             Control::StopOnly => "stop",
@@ -117,11 +111,21 @@ impl PageFlags {
             None if self.control => format!("#{}", token.digits()),
             None => String::new(),
         };
-        let opened = Server::open(listen, Access { token, control, guarded }, scene.to_json());
+        let opened = Server::open(listen, Access { token, control, guarded, page: true }, scene.to_json());
         let (server, publisher) = opened.with_context(|| format!("--listen: cannot serve the page at {listen}"))?;
         talk(&format!("watch: http://{}/{secret}", server.address()));
         Ok((server, publisher))
     }
+}
+
+/// Reads a token from its file; without one, draws it.
+fn token(file: Option<&Path>) -> Result<Token> {
+    if let Some(file) = file {
+        return Ok(Token::new(&key::read(file)?));
+    }
+    let mut bytes = [0; TOKEN_BYTES];
+    getrandom::fill(&mut bytes).map_err(|error| anyhow!("the operating system gives no random bytes: {error}"))?;
+    Ok(Token::new(&bytes))
 }
 
 /// Number of the page as an operator in a run of one process, where there is no other.

@@ -30,6 +30,7 @@ use crate::scenario::Settings;
 use crate::time::{Span, Time};
 use crate::view::access::Control;
 use crate::view::command::Command;
+use crate::view::metrics::Metrics;
 use crate::view::orders::Orders;
 use crate::view::server::{Publisher, Server};
 use crate::view::status::Scene;
@@ -112,14 +113,17 @@ impl Page {
         let file = team.read(registry)?;
         let operator = team.operator(&file)?;
         let me = operator.me;
+        let names = file.deployment().hosts.iter().map(|host| host.name.clone()).collect();
+        let metrics = Rc::new(RefCell::new(Metrics::new(names)));
         let view = Rc::new(RefCell::new(view));
         let orders = Rc::new(RefCell::new(Orders::new(me.host, operator.robots)));
-        let (feed, ask_at) = (Feed::new(Rc::clone(&view)), Time::ZERO);
+        let (feed, ask_at) = (Feed::new(Rc::clone(&view), Some(Rc::clone(&metrics))), Time::ZERO);
         run_real(
             Instant::now(),
             |clock, readers| {
                 let (seen, given, time) = (Rc::clone(&view), Rc::clone(&orders), clock.clone());
                 let network = operator::wire((clock, readers), operator, move |event| {
+                    metrics.borrow_mut().take(me.host, event);
                     let ProcessEvent::Message(message) = event else { return };
                     if let Wire::Status(status) = message {
                         given.borrow_mut().hear(time.now(), status);
