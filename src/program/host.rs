@@ -6,7 +6,7 @@ use std::io::Read;
 use std::path::PathBuf;
 use std::rc::Rc;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use crate::actors::recorder::{Out, Steps};
@@ -157,7 +157,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let (signal, wake_reader) = signals::listen()?;
     tracing::info!(host = name, robots = team.deployment.robots, policy = policy.name, digest, "starts");
     let abandoned = Rc::new(Cell::new(false));
-    let mut watch = Watch::new(&team, Rc::clone(&seen), Arc::clone(&signal), Rc::clone(&abandoned));
+    let mut watch =
+        Watch::new(&team, Rc::clone(&seen), (Arc::clone(&signal), signals::keep_request()?), Rc::clone(&abandoned));
     let (heard, recorded) = (Rc::clone(&seen), Rc::clone(&seen));
     let graph = live.run(
         began,
@@ -197,6 +198,9 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(if interrupted && by_user { Ended::Interrupted } else { Ended::Done })
 }
 
+/// Number of the signal that has ended the host, and the request to keep the last seconds of its record.
+type Signals = (Arc<AtomicUsize>, Arc<AtomicBool>);
+
 /// Checks after every turn of the event loop: prints new events and decides whether the host ends.
 struct Watch {
     seen: Rc<Seen>,
@@ -204,6 +208,8 @@ struct Watch {
     /// Time that the host runs on after the last episode.
     grace: Span,
     signal: Arc<AtomicUsize>,
+    /// Set by a request to keep the last seconds of the record.
+    keep: Arc<AtomicBool>,
     /// True once the reader of its events has closed the pipe.
     abandoned: Rc<Cell<bool>>,
     /// Watchdog timeout of the service manager.
@@ -221,12 +227,13 @@ struct Watch {
 }
 
 impl Watch {
-    fn new(team: &Team, seen: Rc<Seen>, signal: Arc<AtomicUsize>, abandoned: Rc<Cell<bool>>) -> Watch {
+    fn new(team: &Team, seen: Rc<Seen>, (signal, keep): Signals, abandoned: Rc<Cell<bool>>) -> Watch {
         Watch {
             seen,
             id: team.host,
             grace: live::grace(team),
             signal,
+            keep,
             abandoned,
             watchdog: sd_notify::watchdog_enabled(),
             reported: 0,
@@ -267,6 +274,9 @@ impl Watch {
                 // The process that supervised the whole team has died.
                 graph.stop(self.id);
             }
+        }
+        if self.keep.swap(false, Ordering::Relaxed) {
+            seen.record().into_iter().for_each(OfHost::keep);
         }
         seen.end_turn(now);
         self.lost = outlets.failure();

@@ -40,6 +40,11 @@ impl OfHost {
         match *self {}
     }
 
+    /// Keeps the last seconds.
+    pub fn keep(&self) {
+        match *self {}
+    }
+
     /// Ends a turn.
     pub fn turn(&self, _: Time) {
         match *self {}

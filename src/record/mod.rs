@@ -2,7 +2,8 @@
 //! for a replay.
 //!
 //! The thread that runs the actors puts [`Event`]s into a bounded queue ([`queue`]); it never waits for a disk. A
-//! writer's thread makes the messages of the record's topics of them ([`topics`]) and writes the file ([`mod@file`]). A
+//! writer's thread ([`writer`]) makes the messages of the record's topics of them ([`topics`]) and writes its files
+//! ([`series`], [`mod@file`]). A
 //! replay makes the same messages and compares them with the file ([`compare`]). docs/record.md lists the topics.
 
 mod drawing;
@@ -19,10 +20,12 @@ pub mod protobuf_reader;
 pub mod queue;
 pub mod reader;
 pub mod repair;
+pub mod series;
 pub mod share;
 pub mod stage;
 pub mod tape;
 pub mod topics;
+pub mod writer;
 
 use crate::actors::recorder;
 use crate::graph::inputs::Input;
@@ -61,6 +64,8 @@ pub enum Event {
     Counts(HostId, Box<LinkCounts>),
     /// Summaries of the other hosts as a host sees them.
     Peers(HostId, Vec<Peer>),
+    /// Request to keep the last seconds, in a record that keeps them only when something happens.
+    Keep,
     /// Number of events before this one that the queue had no room for.
     Dropped(u64),
     /// End of the events of an instant: a turn of the event loop.

@@ -12,6 +12,7 @@ use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{McapError, parse_record};
 
 use super::identity::{Identity, METADATA, WrongIdentity};
+use super::series::part_of;
 
 /// Longest record that is accepted \[bytes\], so that a damaged length takes no memory.
 const LONGEST: usize = 1 << 27;
@@ -96,13 +97,15 @@ pub struct Reader {
     channels: BTreeMap<u16, Rc<Channel>>,
     complete: bool,
     over: bool,
+    /// Number of the file that is read, if the record may go on in others.
+    part: Option<u32>,
 }
 
 impl Reader {
     /// Opens a file.
     pub fn open(path: &Path) -> Result<Reader, ReadError> {
         let file = File::open(path).map_err(|error| ReadError::Open { path: path.to_owned(), error })?;
-        Ok(Reader::of(path, BufReader::with_capacity(1 << 18, file)))
+        Ok(Reader { part: Some(0), ..Reader::of(path, BufReader::with_capacity(1 << 18, file)) })
     }
 
     /// Reads a file from any source; `path` is its name in errors.
@@ -115,6 +118,7 @@ impl Reader {
             channels: BTreeMap::new(),
             complete: false,
             over: false,
+            part: None,
         }
     }
 
@@ -135,13 +139,22 @@ impl Reader {
                 }
                 Some(Ok(LinearReadEvent::Record { opcode, data })) => {
                     if opcode == op::DATA_END {
+                        if self.goes_on()? {
+                            continue;
+                        }
                         (self.complete, self.over) = (true, true);
                         break;
                     }
                     let damaged = |error| ReadError::Damaged { path: self.path.clone(), error };
                     let record = parse_record(opcode, data).map_err(damaged)?;
-                    if let Some(item) = item(&mut self.channels, record) {
-                        return Ok(Some(item));
+                    match item(&mut self.channels, record) {
+                        // Those of the first file say it all.
+                        Some(Item::Metadata(..) | Item::Attachment(..)) if self.part.is_some_and(|part| part > 0) => {}
+                        Some(item) => {
+                            self.note(&item);
+                            return Ok(Some(item));
+                        }
+                        None => {}
                     }
                 }
                 // A crash cuts the file anywhere, in a record or in a chunk.
@@ -153,6 +166,28 @@ impl Reader {
             }
         }
         Ok(None)
+    }
+
+    /// Goes on with the next file of the record, if there is one.
+    fn goes_on(&mut self) -> Result<bool, ReadError> {
+        let Some(part) = self.part.map(|part| part + 1) else { return Ok(false) };
+        let path = part_of(&self.path, part);
+        if !path.exists() {
+            return Ok(false);
+        }
+        let first = std::mem::take(&mut self.path);
+        *self = Reader { path: first, part: Some(part), ..Reader::open(&path)? };
+        Ok(true)
+    }
+
+    /// Learns from the identity whether the record may go on in other files.
+    fn note(&mut self, item: &Item) {
+        if let Item::Metadata(name, metadata) = item
+            && name == METADATA
+        {
+            let is = |field: &str, value: &str| metadata.get(field).is_none_or(|found| found == value);
+            self.part = self.part.filter(|_| is("excerpt", "false") && is("part", "0"));
+        }
     }
 
     /// Returns the next message; `None` at the end of the file.

@@ -182,13 +182,22 @@ impl Topics {
         &self.stage
     }
 
+    /// Time of a message \[ns\] since 1970, or since the start of a simulation, for a time of the run.
+    pub fn time_of(&self, now: Time) -> u64 {
+        self.anchor_ns + now.as_nanos()
+    }
+
     /// Passes the messages of one instant on to `take`: of all its events, without the `Event::Turn` that ends them.
     pub fn instant(&mut self, now: Time, events: &[Event], take: Take) {
-        let at = self.anchor_ns + now.as_nanos();
+        let at = self.time_of(now);
+        // Before the turn, which may lack inputs: a replay goes up to here.
+        for event in events.iter().filter(|event| matches!(event, Event::Dropped(_))) {
+            self.event(now, at, event, take);
+        }
         if self.scope == Scope::Host {
             self.write_turn(now, at, events, take);
         }
-        for event in events {
+        for event in events.iter().filter(|event| !matches!(event, Event::Dropped(_))) {
             self.event(now, at, event, take);
         }
         if self.moved && self.drawn.is_none_or(|drawn| now.since(drawn) >= DRAWING_PERIOD) {
@@ -241,7 +250,7 @@ impl Topics {
                 json_to(Topic::Counts, at, &json!({ "host": "", "recording_dropped": count }), take);
                 self.say(at, Level::Warning, "record", &format!("{count} events were dropped before this one"), take);
             }
-            Event::Sent(..) | Event::Input(_) | Event::Turn(_) => {}
+            Event::Sent(..) | Event::Input(_) | Event::Keep | Event::Turn(_) => {}
         }
     }
 

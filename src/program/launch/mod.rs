@@ -65,7 +65,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let processes = file.deployment().hosts.iter().map(|host| {
         let (program, mut flags) = (program.clone(), team_arguments(&args.team));
         flags.extend(["--host".into(), host.name.clone().into(), "--json".into(), "--launched".into()]);
-        flags.extend(args.record.record.iter().flat_map(|folder| ["--record".into(), folder.clone().into()]));
+        flags.extend(args.record.arguments());
         let command = move || {
             let mut command = Command::new(&program);
             command.arg("host").args(&flags);

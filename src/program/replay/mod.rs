@@ -22,6 +22,7 @@ use crate::program::{BadInput, Ended, bad, sim};
 use crate::record::compare::{Compared, Comparison};
 use crate::record::identity::{BUILD, Identity};
 use crate::record::reader::{self, Opened};
+use crate::record::series;
 use crate::record::share::ACCEPTED;
 use crate::record::topics::{Stage, Topics};
 use crate::record::{Event, Scope};
@@ -144,6 +145,8 @@ pub fn files(named: &[PathBuf]) -> Result<Vec<PathBuf>> {
         let entries = std::fs::read_dir(path).map_err(wrong)?;
         let found = entries.filter_map(|entry| Some(entry.ok()?.path()));
         let mut found: Vec<PathBuf> = found.filter(|path| path.extension().is_some_and(|e| e == "mcap")).collect();
+        // Further files of a record are read with its first one.
+        found.retain(|path| series::first_of(path).is_none_or(|first| !first.exists()));
         found.sort();
         if found.is_empty() {
             return bad(format!("the folder '{}' has no record (*.mcap)", path.display()));
@@ -161,6 +164,16 @@ fn check(args: &Args, path: &Path, identity: &Identity) -> Result<()> {
     }
     if args.host && !of_host {
         return bad(format!("--host: '{}' is the record of a simulation; use --rerun", path.display()));
+    }
+    if identity.excerpt {
+        return bad(format!(
+            "'{}' has only the seconds around what happened (--record-last), and a replay needs a run from its \
+             beginning; look at it with --watch",
+            path.display()
+        ));
+    }
+    if identity.part > 0 {
+        return bad(format!("'{}' goes on from another file of its record: name the first one", path.display()));
     }
     if identity.build != BUILD {
         let (theirs, at) = (&identity.build, path.display());
