@@ -4,7 +4,8 @@ use std::io::{self, Read};
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
-use tungstenite::handshake::derive_accept_key;
+use data_encoding::BASE64;
+use sha1_smol::Sha1;
 
 use super::access::{self, Access};
 
@@ -178,7 +179,7 @@ impl Request<'_> {
         match self.header("sec-websocket-key").filter(|_| upgrades) {
             None => refused("400 Bad Request", "this path is a WebSocket"),
             Some(key) => {
-                let accept = derive_accept_key(key.as_bytes());
+                let accept = accept_key(key);
                 let chosen = match self.lists("sec-websocket-protocol", PROTOCOL) {
                     true => format!("Sec-WebSocket-Protocol: {PROTOCOL}\r\n"),
                     false => String::new(),
@@ -191,6 +192,13 @@ impl Request<'_> {
             }
         }
     }
+}
+
+/// Returns the answer to the key of a WebSocket's handshake (RFC 6455, section 4.2.2).
+fn accept_key(key: &str) -> String {
+    let mut digest = Sha1::from(key);
+    digest.update(b"258EAFA5-E914-47DA-95CA-C5AB0DC85B11");
+    BASE64.encode(&digest.digest().bytes())
 }
 
 /// Response with the text of metrics, in the format of Prometheus; of none if it is empty.
@@ -225,4 +233,15 @@ fn response(status: &str, kind: &str, body: &str) -> Vec<u8> {
          Connection: close\r\n\r\n{body}"
     )
     .into_bytes()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_answer_to_a_handshake_is_that_of_the_standard() {
+        // The example of RFC 6455, section 1.3.
+        assert_eq!(accept_key("dGhlIHNhbXBsZSBub25jZQ=="), "s3pPLMBiTxaQ9kYGzzhZRbK+xOo=");
+    }
 }
