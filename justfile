@@ -60,3 +60,8 @@ ci:
 full-record python="python3":
     cargo build --release
     bash tests/peers/record/full.sh {{python}} target/release/murmurate
+
+# Metrics against a real Prometheus, with every query of the Grafana dashboard (a minute, apt: prometheus curl)
+full-metrics:
+    cargo build --release
+    bash tests/peers/metrics/full.sh target/release/murmurate

@@ -7,10 +7,12 @@ use std::time::{Duration, Instant};
 
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::codec::Frame;
-use murmurate::record::file::{Beginning, Recording};
+use murmurate::record::file::Beginning;
 use murmurate::record::identity::Identity;
 use murmurate::record::queue::WhenFull;
+use murmurate::record::series::Retention;
 use murmurate::record::topics::{Stage, Topics};
+use murmurate::record::writer::Recording;
 use murmurate::record::{Event, Scope};
 use murmurate::time::Time;
 use murmurate::trial::Trial;
@@ -25,7 +27,8 @@ fn main() {
     let beginning = Beginning { identity: Identity::here(Vec::new(), ""), attached: Vec::new() };
     let topics = Topics::new(stage, Scope::Host, 0);
     let path = folder.path().join("host.mcap");
-    let recording = Recording::start(&path, &beginning, topics, WhenFull::Drop).expect("a record");
+    let recording =
+        Recording::start(&path, &beginning, topics, (WhenFull::Drop, Retention::default())).expect("a record");
     let (inlet, frame) = (recording.inlet(), Frame::from([7; 171]));
     let (began, mut took) = (Instant::now(), Vec::new());
     for step in 0..count {

@@ -192,7 +192,7 @@ fn access_to_the_machine_is_confined_to_its_files() {
                 "src/runtime/real.rs",
                 "src/view/",
                 "src/live/",
-                "src/record/file.rs",
+                "src/record/writer.rs",
                 "src/program/",
             ],
         ),

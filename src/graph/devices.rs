@@ -95,43 +95,17 @@ pub enum DeviceError {
 
 /// Creates the drivers and the source of one host of a checked deployment without their workers, for a replay.
 pub fn closed(host: &Host, registry: &Registry) -> Result<Devices, DeviceError> {
-    let mut devices = Devices::default();
-    for &robot in &host.actuates {
-        let settings = host.driver.as_ref().expect("a checked host that actuates has a driver");
-        let parts = registry.driver(settings, RobotId(robot)).map_err(|error| error.within("host"))?;
-        devices.drivers.insert(RobotId(robot), Device { make: Rc::from(parts.driver), gate: None });
-    }
-    if !host.localizes.is_empty() {
-        let settings = host.source.as_ref().expect("a checked host that localizes has a source");
-        let robots: Vec<RobotId> = host.localizes.iter().copied().map(RobotId).collect();
-        let parts = registry.source(settings, &robots).map_err(|error| error.within("host"))?;
-        devices.source = Some(Device { make: Rc::from(parts.source), gate: None });
-    }
-    Ok(devices)
+    make(host, registry, |_, _, _| Ok(None))
 }
 
 /// Creates the drivers and the source of one host of a checked deployment, and starts their workers (I/O threads).
 /// `robots` is the number of robots of the team.
 pub fn open(host: &Host, robots: usize, registry: &Registry) -> Result<(Devices, Workers), DeviceError> {
-    let (mut devices, mut workers) = (Devices::default(), Workers(Vec::new()));
-    for &robot in &host.actuates {
-        let settings = host.driver.as_ref().expect("a checked host that actuates has a driver");
-        let parts = registry.driver(settings, RobotId(robot)).map_err(|error| error.within("host"))?;
-        if let Some(worker) = &parts.worker {
-            worker.check().map_err(|error| error.within("driver").within("host"))?;
-        }
-        let gate =
-            parts.worker.map(|worker| start_worker(worker, format!("driver {robot}"), &mut workers)).transpose()?;
-        devices.drivers.insert(RobotId(robot), Device { make: Rc::from(parts.driver), gate });
-    }
-    if !host.localizes.is_empty() {
-        let settings = host.source.as_ref().expect("a checked host that localizes has a source");
-        let robots: Vec<RobotId> = host.localizes.iter().copied().map(RobotId).collect();
-        let parts = registry.source(settings, &robots).map_err(|error| error.within("host"))?;
-        parts.worker.check().map_err(|error| error.within("source").within("host"))?;
-        let gate = Some(start_worker(parts.worker, "source".to_owned(), &mut workers)?);
-        devices.source = Some(Device { make: Rc::from(parts.source), gate });
-    }
+    let mut workers = Workers(Vec::new());
+    let mut devices = make(host, registry, |worker, field, name| {
+        worker.check().map_err(|error| error.within(field).within("host"))?;
+        Ok(Some(start_worker(worker, name, &mut workers)?))
+    })?;
     if let Some(settings) = &host.observe {
         let team: Vec<RobotId> = RobotId::team(robots).collect();
         let made = observe::make(settings, &team).map_err(|error| error.within("observe").within("host"));
@@ -141,6 +115,33 @@ pub fn open(host: &Host, robots: usize, registry: &Registry) -> Result<(Devices,
         devices.observation = Some((Rc::new(observation), gate));
     }
     Ok((devices, workers))
+}
+
+/// Makes the drivers and the source of one host. `start` gets each worker with the field of the deployment that it
+/// belongs to and a name for its thread, and returns the channel to the worker if it runs.
+fn make(
+    host: &Host,
+    registry: &Registry,
+    mut start: impl FnMut(Box<dyn Worker>, &'static str, String) -> Result<Option<Rc<RefCell<Gate>>>, DeviceError>,
+) -> Result<Devices, DeviceError> {
+    let mut devices = Devices::default();
+    for &robot in &host.actuates {
+        let settings = host.driver.as_ref().expect("a checked host that actuates has a driver");
+        let parts = registry.driver(settings, RobotId(robot)).map_err(|error| error.within("host"))?;
+        let gate = match parts.worker {
+            Some(worker) => start(worker, "driver", format!("driver {robot}"))?,
+            None => None,
+        };
+        devices.drivers.insert(RobotId(robot), Device { make: Rc::from(parts.driver), gate });
+    }
+    if !host.localizes.is_empty() {
+        let settings = host.source.as_ref().expect("a checked host that localizes has a source");
+        let robots: Vec<RobotId> = host.localizes.iter().copied().map(RobotId).collect();
+        let parts = registry.source(settings, &robots).map_err(|error| error.within("host"))?;
+        let gate = start(parts.worker, "source", "source".to_owned())?;
+        devices.source = Some(Device { make: Rc::from(parts.source), gate });
+    }
+    Ok(devices)
 }
 
 /// Starts a worker on a thread of its own.

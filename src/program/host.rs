@@ -6,7 +6,7 @@ use std::io::Read;
 use std::path::PathBuf;
 use std::rc::Rc;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use crate::actors::recorder::{Out, Steps};
@@ -36,6 +36,8 @@ use crate::program::outlets::Outlets;
 use crate::program::recording::{self, OfHost};
 use crate::program::signals;
 use crate::program::team;
+#[cfg(feature = "watch")]
+use crate::program::watch::metrics::{HostMetrics, MetricsFlags};
 
 /// Time from a request to stop until the host ends, in which its last commands and its notice of shutdown are sent.
 const STOPPING: Span = Span::from_millis(200);
@@ -70,6 +72,9 @@ pub struct Args {
     trajectories: Option<PathBuf>,
     #[command(flatten)]
     record: recording::RecordFlags,
+    #[cfg(feature = "watch")]
+    #[command(flatten)]
+    metrics: MetricsFlags,
     /// Leaves out warnings that `launch` has printed for all hosts
     #[arg(long, hide = true)]
     launched: bool,
@@ -116,11 +121,16 @@ struct Seen {
     duplicate: Cell<Option<DuplicateId>>,
     /// Record of the run; `None` if nothing is recorded.
     record: OnceCell<Option<OfHost>>,
+    /// Metrics of the host, if they are served.
+    #[cfg(feature = "watch")]
+    metrics: OnceCell<Option<HostMetrics>>,
 }
 
 /// Runs `host` until the team has finished or a stop is requested.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let began = Instant::now();
+    #[cfg(feature = "watch")]
+    args.metrics.check()?;
     let file = args.team.read(registry)?;
     let id = args.host(&file)?;
     let team = args.team.for_host(&file, id)?;
@@ -142,10 +152,13 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let live = LiveHost::open(&team, &trial, key, registry)?;
     let files = [Some(args.team.file.clone()), team.policy.clone()].into_iter().flatten().collect();
     seen.record.set(OfHost::open(&args.record, (&team, &live), (began, keyed), (files, &digest))?).ok();
+    #[cfg(feature = "watch")]
+    seen.metrics.set(args.metrics.open(&team)?).ok();
     let (signal, wake_reader) = signals::listen()?;
     tracing::info!(host = name, robots = team.deployment.robots, policy = policy.name, digest, "starts");
     let abandoned = Rc::new(Cell::new(false));
-    let mut watch = Watch::new(&team, Rc::clone(&seen), Arc::clone(&signal), Rc::clone(&abandoned));
+    let mut watch =
+        Watch::new(&team, Rc::clone(&seen), (Arc::clone(&signal), signals::keep_request()?), Rc::clone(&abandoned));
     let (heard, recorded) = (Rc::clone(&seen), Rc::clone(&seen));
     let graph = live.run(
         began,
@@ -185,6 +198,9 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(if interrupted && by_user { Ended::Interrupted } else { Ended::Done })
 }
 
+/// Number of the signal that has ended the host, and the request to keep the last seconds of its record.
+type Signals = (Arc<AtomicUsize>, Arc<AtomicBool>);
+
 /// Checks that are made after every turn of the event loop. Prints new events, and decides whether the host ends.
 struct Watch {
     seen: Rc<Seen>,
@@ -192,6 +208,8 @@ struct Watch {
     /// Time that the host runs on after the last episode.
     grace: Span,
     signal: Arc<AtomicUsize>,
+    /// Set by a request to keep the last seconds of the record.
+    keep: Arc<AtomicBool>,
     /// Whether the reader of the host's events has closed the pipe.
     abandoned: Rc<Cell<bool>>,
     /// Watchdog timeout of the service manager; `None` without one.
@@ -209,12 +227,13 @@ struct Watch {
 }
 
 impl Watch {
-    fn new(team: &Team, seen: Rc<Seen>, signal: Arc<AtomicUsize>, abandoned: Rc<Cell<bool>>) -> Watch {
+    fn new(team: &Team, seen: Rc<Seen>, (signal, keep): Signals, abandoned: Rc<Cell<bool>>) -> Watch {
         Watch {
             seen,
             id: team.host,
             grace: live::grace(team),
             signal,
+            keep,
             abandoned,
             watchdog: sd_notify::watchdog_enabled(),
             reported: 0,
@@ -256,6 +275,9 @@ impl Watch {
                 graph.stop(self.id);
             }
         }
+        if self.keep.swap(false, Ordering::Relaxed) {
+            seen.record().into_iter().for_each(OfHost::keep);
+        }
         seen.end_turn(now);
         self.lost = outlets.failure();
         self.lost.is_some()
@@ -287,7 +309,19 @@ impl Seen {
     fn new(outlets: Outlets) -> Seen {
         let (report, over, messages, counts) = Default::default();
         let (safety, hardware, duplicate) = Default::default();
-        Seen { report, over, messages, counts, safety, hardware, outlets, duplicate, record: OnceCell::new() }
+        Seen {
+            report,
+            over,
+            messages,
+            counts,
+            safety,
+            hardware,
+            outlets,
+            duplicate,
+            record: OnceCell::new(),
+            #[cfg(feature = "watch")]
+            metrics: OnceCell::new(),
+        }
     }
 
     /// Record of the run; `None` if nothing is recorded.
@@ -295,13 +329,21 @@ impl Seen {
         self.record.get()?.as_ref()
     }
 
-    /// Marks the end of a turn of the event loop in the record.
+    /// Ends a turn of the event loop in the record and the metrics.
     fn end_turn(&self, now: Time) {
+        #[cfg(feature = "watch")]
+        if let Some(Some(metrics)) = self.metrics.get() {
+            metrics.turn(now, self.record().map(OfHost::dropped));
+        }
         self.record().into_iter().for_each(|record| record.turn(now));
     }
 
     fn hear(&self, host: HostId, heard: ProcessEvent) {
         self.record().into_iter().for_each(|record| record.push(host, heard));
+        #[cfg(feature = "watch")]
+        if let Some(Some(metrics)) = self.metrics.get() {
+            metrics.hear(host, heard);
+        }
         match heard {
             ProcessEvent::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => self.over.set(true),
             ProcessEvent::Message(_)

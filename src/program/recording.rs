@@ -1,6 +1,7 @@
 //! Recording of runs: the flag `--record`, names of record files, and their identity and attachments.
 
 use std::cell::Cell;
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::Mutex;
@@ -12,14 +13,16 @@ use crate::deploy::team::Team;
 use crate::graph::process::{Graph, ProcessEvent};
 use crate::live::LiveHost;
 use crate::messages::ids::HostId;
-use crate::program::BadInput;
 use crate::program::output::read_bytes;
-use crate::record::file::{Attached, Beginning, Recording};
+use crate::program::{BadInput, bad};
+use crate::record::file::{Attached, Beginning};
 use crate::record::identity::{HostIdentity, Identity};
 use crate::record::queue::{Inlet, WhenFull};
+use crate::record::series::Retention;
 use crate::record::topics::{Stage, Topics};
+use crate::record::writer::Recording;
 use crate::record::{Event, Scope};
-use crate::time::Time;
+use crate::time::{Span, Time};
 
 /// Time that the end of a host waits for the writer of its record.
 const FINISH_TIMEOUT: Duration = Duration::from_millis(1500);
@@ -30,12 +33,68 @@ pub struct RecordFlags {
     /// Folder for records of the run (MCAP): to look at, to replay, to hand on (docs/record.md)
     #[arg(long, value_name = "DIR")]
     pub record: Option<PathBuf>,
+    /// Keeps only this time before and after an emergency stop, an aborted episode, or the signal USR1 to the host
+    #[arg(long, value_name = "SECONDS")]
+    pub record_last: Option<f64>,
+    /// Begins another file of the record after this size
+    #[arg(long, value_name = "MB")]
+    pub record_size: Option<f64>,
+}
+
+impl RecordFlags {
+    /// Returns what of a run is recorded, by the flags or else by fields of the team file: seconds, and megabytes. An
+    /// error names the flag.
+    fn retention(&self, last_s: Option<f64>, size_mb: Option<f64>) -> Result<Retention> {
+        let (last_s, size_mb) = (self.record_last.or(last_s), self.record_size.or(size_mb));
+        match (last_s, size_mb) {
+            (Some(last_s), _) if !(1.0..=3600.0).contains(&last_s) => {
+                bad(format!("--record-last: {last_s} s is not 1 to 3600 s"))
+            }
+            (_, Some(size_mb)) if !(1.0..=1e6).contains(&size_mb) => {
+                bad(format!("--record-size: {size_mb} MB is not 1 to 1000000 MB"))
+            }
+            _ => Ok(Retention {
+                last: last_s.map(Span::from_secs),
+                most_bytes: size_mb.map(|size_mb| (size_mb * 1e6) as u64),
+            }),
+        }
+    }
+
+    /// Refuses flags of a record without a folder for it.
+    fn refuse_without_folder(&self) -> Result<()> {
+        let given = [("--record-last", self.record_last.is_some()), ("--record-size", self.record_size.is_some())];
+        match given.iter().find(|(_, given)| *given) {
+            Some((flag, _)) => bad(format!("{flag}: there is no record; add --record DIR")),
+            None => Ok(()),
+        }
+    }
+
+    /// Returns the flags as arguments for another process.
+    pub fn arguments(&self) -> Vec<OsString> {
+        let last = self.record_last.map(|last_s| ("--record-last", OsString::from(last_s.to_string())));
+        let size = self.record_size.map(|size_mb| ("--record-size", OsString::from(size_mb.to_string())));
+        let folder = self.record.clone().map(|folder| ("--record", OsString::from(folder)));
+        [folder, last, size].into_iter().flatten().flat_map(|(flag, value)| [flag.into(), value]).collect()
+    }
 }
 
 /// Flags with a value that do not affect the run.
-const OUTPUTS: [&str; 5] = ["--record", "--trajectories", "--animate", "--svg", "--jobs"];
+const OUTPUTS: [&str; 12] = [
+    "--record",
+    "--record-last",
+    "--record-size",
+    "--trajectories",
+    "--animate",
+    "--svg",
+    "--jobs",
+    "--listen",
+    "--token-file",
+    "--speed",
+    "--metrics",
+    "--metrics-token-file",
+];
 /// Flags without a value that do not affect the run.
-const SWITCHES: [&str; 3] = ["--json", "--quiet", "--launched"];
+const SWITCHES: [&str; 5] = ["--json", "--quiet", "--launched", "--watch", "--control"];
 
 /// Returns the arguments of this command without those that do not affect the run, so that equal runs have equal
 /// records.
@@ -76,14 +135,17 @@ fn attach(names: impl IntoIterator<Item = PathBuf>) -> Result<Vec<Attached>> {
 pub struct Simulated {
     folder: PathBuf,
     beginning: Beginning,
+    retention: Retention,
     failure: Mutex<Option<anyhow::Error>>,
 }
 
 #[cfg(feature = "sim")]
 impl Simulated {
-    /// Creates the folder. `files` are the input files of the run, `policy` is the digest of the policy's file. Fails
-    /// if the folder already contains a record of one of the repeats.
-    pub fn open(folder: &Path, files: Vec<PathBuf>, policy: &str, repeats: u32) -> Result<Simulated> {
+    /// Prepares the folder; `None` without one. `files` are those that the flags name, `policy` is the digest of the
+    /// policy's file. A folder with a record of another run is refused.
+    pub fn open(flags: &RecordFlags, files: Vec<PathBuf>, policy: &str, repeats: u32) -> Result<Option<Simulated>> {
+        let Some(folder) = &flags.record else { return flags.refuse_without_folder().map(|()| None) };
+        let retention = flags.retention(None, None)?;
         make(folder)?;
         let taken = (0..repeats).map(|repeat| Simulated::path(folder, repeat)).find(|path| path.exists());
         if let Some(path) = taken {
@@ -91,7 +153,7 @@ impl Simulated {
             return Err(BadInput(why).into());
         }
         let beginning = Beginning { identity: Identity::here(arguments(), policy), attached: attach(files)? };
-        Ok(Simulated { folder: folder.to_owned(), beginning, failure: Mutex::default() })
+        Ok(Some(Simulated { folder: folder.to_owned(), beginning, retention, failure: Mutex::default() }))
     }
 
     fn path(folder: &Path, repeat: u32) -> PathBuf {
@@ -118,7 +180,7 @@ impl Simulated {
         beginning.identity.repeat = trial.repeat;
         let topics = Topics::new(Stage::of(&trial.plan()), Scope::Simulation, 0);
         let path = Simulated::path(&self.folder, trial.repeat);
-        let recording = match Recording::start(&path, &beginning, topics, WhenFull::Wait) {
+        let recording = match Recording::start(&path, &beginning, topics, (WhenFull::Wait, self.retention)) {
             Ok(recording) => recording,
             Err(error) => {
                 self.fail(error.into());
@@ -171,7 +233,10 @@ impl OfHost {
         (began, keyed): (Instant, bool),
         (files, policy): (Vec<PathBuf>, &str),
     ) -> Result<Option<OfHost>> {
-        let Some(folder) = flags.record.as_ref().or(team.record.as_ref()) else { return Ok(None) };
+        let Some(folder) = flags.record.as_ref().or(team.record.as_ref()) else {
+            return flags.refuse_without_folder().map(|()| None);
+        };
+        let retention = flags.retention(team.record_last_s, team.record_size_mb)?;
         make(folder)?;
         let name = team.deployment.hosts[usize::from(team.host.0)].name.clone();
         let mut identity = Identity::here(arguments(), policy);
@@ -186,7 +251,7 @@ impl OfHost {
         identity.variables = variables.filter(|(name, _)| name.starts_with("MURMURATE_")).collect();
         let topics = Topics::new(Stage::of(live.plan()), Scope::Host, identity.anchor_ns);
         let beginning = Beginning { identity, attached: attach(files)? };
-        let recording = Recording::start(&path, &beginning, topics, WhenFull::Drop)?;
+        let recording = Recording::start(&path, &beginning, topics, (WhenFull::Drop, retention))?;
         let inlet = recording.inlet();
         Ok(Some(OfHost { recording: Cell::new(Some(recording)), inlet, failed: Cell::new(false) }))
     }
@@ -196,6 +261,11 @@ impl OfHost {
         if let Some(event) = Event::of(Scope::Host, host, event) {
             self.inlet.push(event);
         }
+    }
+
+    /// Keeps the last seconds and the next ones, in a record that keeps them only when something happens.
+    pub fn keep(&self) {
+        self.inlet.push(Event::Keep);
     }
 
     /// Marks the end of a turn of the event loop, at time `now`.

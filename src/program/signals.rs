@@ -3,10 +3,17 @@
 use std::os::unix::net::UnixStream;
 use std::rc::Rc;
 use std::sync::Arc;
-use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::{AtomicBool, AtomicUsize};
 
 use anyhow::{Context, Result};
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1};
+
+/// Returns a flag that the signal USR1 sets: a request to keep the last seconds of a record.
+pub fn keep_request() -> Result<Arc<AtomicBool>> {
+    let asked = Arc::new(AtomicBool::new(false));
+    signal_hook::flag::register(SIGUSR1, Arc::clone(&asked)).context("cannot listen for signals")?;
+    Ok(asked)
+}
 
 /// Starts listening for Ctrl-C and SIGTERM. Returns the number of the signal received (0 for none), and a socket that
 /// is readable after a signal.

@@ -284,11 +284,11 @@ fn run_all(
 
 /// Prepares the records of the repeats; `None` if nothing is recorded.
 fn records(args: &Args, trials: &[(Trial, String)]) -> Result<Option<recording::Simulated>> {
-    let (Some(folder), [(trial, _), ..]) = (&args.record.record, trials) else { return Ok(None) };
+    let [(trial, _), ..] = trials else { return Ok(None) };
     let named = [&args.deployment, &args.episodes_file].into_iter().flatten().chain(&args.policy).cloned();
     let texts = args.faults.iter().chain([&args.radio]).map(PathBuf::from);
     let files = named.chain(texts).collect();
-    recording::Simulated::open(folder, files, trial.model.digest(), args.repeats()).map(Some)
+    recording::Simulated::open(&args.record, files, trial.model.digest(), args.repeats())
 }
 
 /// Returns the trial of a record, from the arguments of the command that made it.

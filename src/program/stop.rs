@@ -6,18 +6,14 @@ use std::rc::Rc;
 use std::time::Instant;
 
 use crate::actors::order::{Order, OrderKind, PERIOD, Unconfirmed};
-use crate::deploy::Routes;
-use crate::graph::operator::{self, Operator};
+use crate::graph::operator;
 use crate::messages::ids::RobotId;
 use crate::messages::wire::Hindrance;
-use crate::net::protocol::key::Key;
 use crate::registry::Registry;
 use crate::runtime::real::run_real;
 use crate::time::{Span, Time};
 use anyhow::{Result, anyhow};
 
-use crate::live::links;
-use crate::live::links::ProcessIdentity;
 use crate::program::Ended;
 use crate::program::output::print;
 use crate::program::team;
@@ -78,22 +74,9 @@ struct Asked<'a> {
 impl Asked<'_> {
     fn run(&self, registry: &Registry) -> Result<Ended> {
         let file = self.team.read(registry)?;
-        let access = file.operator_access().map_err(|error| self.team.wrong(&error))?;
-        let (deployment, identity) = (file.deployment(), ProcessIdentity::draw()?);
-        let key = team::key_of(access.key_file.as_deref())?.map(Key::new);
-        let me = identity.operator_of(access.number);
-        let link = &deployment.links[usize::from(access.link.0)];
-        let operator = Operator {
-            me,
-            seed: identity.seed,
-            robots: deployment.robots,
-            publishers: Routes::of(deployment).publishers(),
-            key,
-            links: links::of_operator(deployment, links::places_of(&access, deployment)),
-            transports: links::join(&access, link, me.host, self.team.names_interface())?,
-            stop: Some(access.link),
-        };
-        let order = Rc::new(RefCell::new(Order::new(me.host, self.kind, deployment.robots)));
+        let operator = self.team.operator(&file)?;
+        let robots = operator.robots;
+        let order = Rc::new(RefCell::new(Order::new(operator.me.host, self.kind, robots)));
         run_real(
             Instant::now(),
             |clock, readers| {
@@ -109,7 +92,7 @@ impl Asked<'_> {
             },
         );
         let order = order.borrow();
-        self.tell(&order, deployment.robots)
+        self.tell(&order, robots)
     }
 
     /// Prints the result of the order.

@@ -4,8 +4,12 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::config::ConfigError;
+use crate::deploy::Routes;
 use crate::deploy::team::{Flag, Team, TeamFile};
+use crate::graph::operator::Operator;
+use crate::live::links::{self, ProcessIdentity};
 use crate::messages::ids::{HostId, RobotId};
+use crate::net::protocol::key::Key;
 use crate::registry::Registry;
 use crate::scenario::Settings;
 use anyhow::Result;
@@ -53,11 +57,6 @@ impl TeamArgs {
         TeamArgs { file, set, interface: None, key_file: None }
     }
 
-    /// Whether a flag names the network interface.
-    pub fn names_interface(&self) -> bool {
-        self.interface.is_some()
-    }
-
     /// Returns the path of the team file.
     pub fn path(&self) -> &Path {
         &self.file
@@ -103,6 +102,26 @@ impl TeamArgs {
     /// Returns the error with the path of the team file added.
     pub fn wrong(&self, error: &ConfigError) -> anyhow::Error {
         BadInput(format!("the team file '{}': {error}", self.file.display())).into()
+    }
+
+    /// Joins the team as an operator: a host without robots on the link that carries the emergency stop, which is the
+    /// only link that is opened.
+    pub fn operator(&self, file: &TeamFile) -> Result<Operator> {
+        let access = file.operator_access().map_err(|error| self.wrong(&error))?;
+        let (deployment, identity) = (file.deployment(), ProcessIdentity::draw()?);
+        let key = key_of(access.key_file.as_deref())?.map(Key::new);
+        let me = identity.operator_of(access.number);
+        let link = &deployment.links[usize::from(access.link.0)];
+        Ok(Operator {
+            me,
+            seed: identity.seed,
+            robots: deployment.robots,
+            publishers: Routes::of(deployment).publishers(),
+            key,
+            links: links::of_operator(deployment, links::places_of(&access, deployment)),
+            transports: links::join(&access, link, me.host, self.interface.is_some())?,
+            stop: Some(access.link),
+        })
     }
 
     /// Returns the configuration of one host of the team. An error names file and field.

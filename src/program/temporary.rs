@@ -33,6 +33,12 @@ impl Temporary {
         Err(taken.expect("names were drawn"))
     }
 
+    /// Path of the temporary file.
+    #[cfg(all(feature = "sim", feature = "watch"))]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// Returns the open file, for a writer that seeks.
     #[cfg(feature = "record")]
     pub fn seekable(&mut self) -> &mut File {

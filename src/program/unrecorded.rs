@@ -40,6 +40,11 @@ impl OfHost {
         match *self {}
     }
 
+    /// Keeps the last seconds.
+    pub fn keep(&self) {
+        match *self {}
+    }
+
     /// Never called, because the type has no values.
     pub fn turn(&self, _: Time) {
         match *self {}

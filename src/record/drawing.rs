@@ -3,37 +3,8 @@
 
 use super::foxglove::{self, Colour, MAP};
 use super::protobuf::Message;
-use crate::graph::Plan;
+use super::stage::Stage;
 use crate::messages::geometry::Vec2;
-use crate::scenario::Arena;
-
-/// Constant properties of a run that its drawings need.
-#[derive(Clone, Debug)]
-pub struct Stage {
-    /// Names of the hosts, in the order of the deployment.
-    pub hosts: Vec<String>,
-    /// Number of robots.
-    pub robots: usize,
-    /// Ground and keep-outs of the scenario.
-    pub arena: Arena,
-    /// Radius of a robot's hull \[m\].
-    pub hull_m: f32,
-    /// Range within which robots use each other's messages \[m\]; may be infinite.
-    pub range_m: f32,
-}
-
-impl Stage {
-    /// Returns the properties of a run with this plan.
-    pub fn of(plan: &Plan) -> Stage {
-        Stage {
-            hosts: plan.deployment.hosts.iter().map(|host| host.name.clone()).collect(),
-            robots: plan.deployment.robots,
-            arena: plan.scenario.arena().clone(),
-            hull_m: plan.physics.wall_radius_m,
-            range_m: plan.range.mean_m,
-        }
-    }
-}
 
 /// Pose of a robot as it is drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -70,8 +41,9 @@ fn point(at: Vec2, height_m: f64) -> [f64; 3] {
 /// Writes a scene update with the walls, and the goals of an episode.
 pub fn walls_and_goals(out: &mut Message, at: u64, stage: &Stage, goals: &[Vec2]) {
     foxglove::entity(out, at, "walls", |entity| {
-        for block in &stage.arena.keep_outs {
-            let (middle, size) = ((block.min + block.max) * 0.5, block.max - block.min);
+        for [x, y, far_x, far_y] in &stage.walls {
+            let (min, max) = (Vec2::new(*x, *y), Vec2::new(*far_x, *far_y));
+            let (middle, size) = ((min + max) * 0.5, max - min);
             entity.message(8, |cube| {
                 foxglove::pose(cube, 1, point(middle, WALL_HEIGHT_M / 2.0), 0.0);
                 foxglove::vector(cube, 2, point(size, WALL_HEIGHT_M));
@@ -119,7 +91,7 @@ pub fn team(out: &mut Message, at: u64, stage: &Stage, team: &[Option<Body>]) {
             line.uint(1, LINE_LIST);
             foxglove::pose(line, 2, [0.0, 0.0, HEIGHT_M / 2.0], 0.0);
             line.double(3, 0.02);
-            for (one, other) in pairs(team, stage.range_m) {
+            for (one, other) in pairs(team, stage.range_m.unwrap_or(f32::INFINITY)) {
                 foxglove::vector(line, 5, point(one, 0.0));
                 foxglove::vector(line, 5, point(other, 0.0));
             }
@@ -129,11 +101,10 @@ pub fn team(out: &mut Message, at: u64, stage: &Stage, team: &[Option<Body>]) {
 }
 
 /// Returns the positions of the pairs of robots within a range \[m\], among the first 64 robots of the team.
-fn pairs(team: &[Option<Body>], range_m: f32) -> impl Iterator<Item = (Vec2, Vec2)> {
+fn pairs(team: &[Option<Body>], range_m: f32) -> Vec<(Vec2, Vec2)> {
     let seen: Vec<Vec2> = team.iter().take(64).flatten().map(|body| body.position).collect();
-    let all = (0..seen.len()).flat_map(move |one| (one + 1..seen.len()).map(move |other| (one, other)));
-    let seen: Vec<Vec2> = team.iter().take(64).flatten().map(|body| body.position).collect();
-    all.map(move |(one, other)| (seen[one], seen[other])).filter(move |(one, other)| (*one - *other).norm() < range_m)
+    let all = seen.iter().enumerate().flat_map(|(at, one)| seen[at + 1..].iter().map(|other| (*one, *other)));
+    all.filter(|(one, other)| (*one - *other).norm() < range_m).collect()
 }
 
 fn disc(entity: &mut Message, at: [f64; 3], size: [f64; 3], colour: Colour) {

@@ -1,30 +1,23 @@
-//! The writer of record files, with a thread of its own. A record is MCAP in uncompressed chunks, each written whole,
-//! so that all flushed data can be read after a crash.
+//! The file of a record: MCAP in chunks without compression, each written whole, so that what was flushed before a
+//! crash can be read.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::rc::Rc;
-use std::sync::{Arc, Mutex};
-use std::thread::{self, JoinHandle};
-use std::time::{Duration, Instant};
 
 use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
 use mcap::{Attachment, McapError, WriteOptions, Writer};
 
-use super::Event;
 use super::identity::{Identity, METADATA};
-use super::queue::{Inlet, Outlet, WhenFull, queue};
-use super::topics::{Stage, Topic, Topics};
+use super::stage::{self, Stage};
+use super::topics::Topic;
 
+/// Bytes of a message in a file beside its data: opcode, length, channel, sequence and two times.
+const MESSAGE_BYTES: u64 = 31;
 /// Size of a chunk \[bytes\].
 const CHUNK: u64 = 1 << 18;
-/// Period of flushes in real time. A crash loses up to this, one pause of the writer, and the events still in the
-/// queue.
-const FLUSH: Duration = Duration::from_millis(100);
-
 /// Error while a record is written.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
@@ -72,11 +65,12 @@ pub struct RecordFile {
     channels: BTreeMap<Topic, u16>,
     schemas: BTreeMap<String, u16>,
     sequence: u32,
+    bytes: u64,
 }
 
 impl RecordFile {
     /// Creates the file and writes its beginning. Fails if the file exists.
-    pub fn create(path: &Path, beginning: &Beginning) -> Result<RecordFile, RecordError> {
+    pub fn create(path: &Path, beginning: &Beginning, stage: &Stage) -> Result<RecordFile, RecordError> {
         let failed = |error| RecordError::Create { path: path.to_owned(), error };
         let file = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed)?;
         let wrong = |error: McapError| RecordError::Write { path: path.to_owned(), reason: error.to_string() };
@@ -86,14 +80,17 @@ impl RecordFile {
             .disable_seeking(true)
             .library(concat!("murmurate ", env!("CARGO_PKG_VERSION")));
         let writer = options.create(NoSeek::new(BufWriter::with_capacity(1 << 16, file))).map_err(wrong)?;
-        let mut file = RecordFile { writer, channels: BTreeMap::new(), schemas: BTreeMap::new(), sequence: 0 };
-        file.begin(beginning).map_err(wrong)?;
+        let mut file =
+            RecordFile { writer, channels: BTreeMap::new(), schemas: BTreeMap::new(), sequence: 0, bytes: 0 };
+        file.begin(beginning, stage).map_err(wrong)?;
         Ok(file)
     }
 
-    fn begin(&mut self, beginning: &Beginning) -> Result<(), McapError> {
+    fn begin(&mut self, beginning: &Beginning, stage: &Stage) -> Result<(), McapError> {
         let Beginning { identity, attached } = beginning;
         let metadata = mcap::records::Metadata { name: METADATA.to_owned(), metadata: identity.to_metadata() };
+        self.writer.write_metadata(&metadata)?;
+        let metadata = mcap::records::Metadata { name: stage::METADATA.to_owned(), metadata: stage.to_metadata() };
         self.writer.write_metadata(&metadata)?;
         for Attached { name, media_type, content } in attached {
             self.writer.attach(&Attachment {
@@ -115,6 +112,7 @@ impl RecordFile {
         };
         let header = MessageHeader { channel_id, sequence: self.sequence, log_time: at, publish_time: at };
         self.sequence = self.sequence.wrapping_add(1);
+        self.bytes += MESSAGE_BYTES + data.len() as u64;
         self.writer.write_to_known_channel(&header, data)
     }
 
@@ -134,6 +132,11 @@ impl RecordFile {
         Ok(channel)
     }
 
+    /// Bytes of the messages so far.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
     /// Ends the current chunk and passes everything to the operating system.
     pub fn flush(&mut self) -> Result<(), McapError> {
         self.writer.flush()
@@ -149,102 +152,7 @@ impl RecordFile {
     }
 }
 
-/// Recording in progress: its event queue, and the thread that writes its file.
-pub struct Recording {
-    inlet: Rc<Inlet>,
-    thread: JoinHandle<()>,
-    path: PathBuf,
-    failure: Arc<Mutex<Option<String>>>,
-}
-
-impl Recording {
-    /// Creates the file and starts the writer thread.
-    pub fn start(
-        path: &Path,
-        beginning: &Beginning,
-        topics: Topics,
-        when_full: WhenFull,
-    ) -> Result<Recording, RecordError> {
-        let file = RecordFile::create(path, beginning)?;
-        let (inlet, outlet) = queue(when_full);
-        let failure = Arc::new(Mutex::new(None));
-        let failed = Arc::clone(&failure);
-        let flush = (when_full == WhenFull::Drop).then_some(FLUSH);
-        let thread = thread::Builder::new()
-            .name("record".to_owned())
-            .spawn(move || {
-                if let Err(error) = serve(file, &outlet, topics, flush) {
-                    *failed.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = Some(reason(&error));
-                }
-            })
-            .map_err(|error| RecordError::Create { path: path.to_owned(), error })?;
-        Ok(Recording { inlet: Rc::new(inlet), thread, path: path.to_owned(), failure })
-    }
-
-    /// Returns the sending end of the event queue, for the thread that runs the actors.
-    pub fn inlet(&self) -> Rc<Inlet> {
-        Rc::clone(&self.inlet)
-    }
-
-    /// Returns the reason why writing has failed, the first time it is called after the failure; `None` otherwise.
-    pub fn failure(&self) -> Option<RecordError> {
-        let reason = self.failure.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take()?;
-        Some(RecordError::Write { path: self.path.clone(), reason })
-    }
-
-    /// Ends the record and waits for the writer: at most for `most`, or without limit if it is `None`. Returns the
-    /// number of dropped events.
-    pub fn finish(self, most: Option<Duration>) -> Result<u64, RecordError> {
-        self.inlet.close();
-        let until = most.map(|most| (most, Instant::now() + most));
-        while !self.thread.is_finished() && until.is_none_or(|(_, until)| Instant::now() < until) {
-            thread::park_timeout(Duration::from_millis(2));
-        }
-        if let (false, Some((most, _))) = (self.thread.is_finished(), until) {
-            let reason = format!("its disk has taken more than {} s", most.as_secs_f64());
-            return Err(RecordError::Write { path: self.path, reason });
-        }
-        match self.failure() {
-            Some(error) => Err(error),
-            None => Ok(self.inlet.dropped()),
-        }
-    }
-}
-
-/// Returns the text of an error; of an I/O error, that of the operating system.
-fn reason(error: &McapError) -> String {
-    match error {
-        McapError::Io(error) => error.to_string(),
-        other => other.to_string(),
-    }
-}
-
-/// Loop of the writer thread: writes the events of the queue until its sending end is closed. `flush` is the period of
-/// flushes.
-fn serve(mut file: RecordFile, outlet: &Outlet, mut topics: Topics, flush: Option<Duration>) -> Result<(), McapError> {
-    let (mut taken, mut instant) = (Vec::new(), Vec::new());
-    let (mut flushed, mut written) = (Instant::now(), false);
-    let stage = topics.stage().clone();
-    while outlet.take(&mut taken) {
-        for event in taken.drain(..) {
-            let Event::Turn(now) = event else {
-                instant.push(event);
-                continue;
-            };
-            let mut result = Ok(());
-            topics.instant(now, &instant, &mut |topic, at, data| {
-                if result.is_ok() {
-                    result = file.write(&stage, topic, at, data);
-                }
-            });
-            result?;
-            instant.clear();
-            written = true;
-        }
-        if flush.is_some_and(|period| written && flushed.elapsed() >= period) {
-            file.flush()?;
-            (flushed, written) = (Instant::now(), false);
-        }
-    }
-    file.finish()
+/// Returns the error of a further file as one of writing.
+pub(super) fn broken(error: RecordError) -> McapError {
+    McapError::Io(std::io::Error::other(error.to_string()))
 }

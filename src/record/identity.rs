@@ -35,6 +35,12 @@ pub struct Identity {
     pub repeat: u32,
     /// The recorded host; `None` in a record of a simulation.
     pub host: Option<HostIdentity>,
+    /// Number of this file among those of its record, from 0.
+    #[serde(default)]
+    pub part: u32,
+    /// Whether the record has only the seconds around what happened, and so cannot be replayed.
+    #[serde(default)]
+    pub excerpt: bool,
 }
 
 /// Identity of a recorded host process.
@@ -72,6 +78,8 @@ impl Identity {
             policy: policy.to_owned(),
             repeat: 0,
             host: None,
+            part: 0,
+            excerpt: false,
         }
     }
 

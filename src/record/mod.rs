@@ -1,8 +1,9 @@
-//! Records of runs as MCAP files. They hold what a host or a simulation did, for inspection, for other programs, and
-//! for a bit-exact replay.
+//! Records of runs, as MCAP files: what a host or a simulation did, for people, for programs of others, and to the bit
+//! for a replay.
 //!
-//! The thread that runs the actors puts [`Event`]s into a bounded queue ([`queue`]) and never waits for the disk. The
-//! writer thread turns them into messages of the record's topics ([`topics`]) and writes the file ([`mod@file`]). A
+//! The thread that runs the actors puts [`Event`]s into a bounded queue ([`queue`]); it never waits for a disk. A
+//! writer's thread ([`writer`]) makes the messages of the record's topics of them ([`topics`]) and writes its files
+//! ([`series`], [`mod@file`]). A
 //! replay makes the same messages and compares them with the file ([`compare`]). docs/record.md lists the topics.
 
 mod drawing;
@@ -19,9 +20,12 @@ pub mod protobuf_reader;
 pub mod queue;
 pub mod reader;
 pub mod repair;
+pub mod series;
 pub mod share;
+pub mod stage;
 pub mod tape;
 pub mod topics;
+pub mod writer;
 
 use crate::actors::recorder;
 use crate::graph::inputs::Input;
@@ -61,6 +65,8 @@ pub enum Event {
     Counts(HostId, Box<LinkCounts>),
     /// State of the other hosts as the link layer of a host sees them.
     Peers(HostId, Vec<Peer>),
+    /// Request to keep the last seconds, in a record that keeps them only when something happens.
+    Keep,
     /// Number of events before this one that were dropped because the queue was full.
     Dropped(u64),
     /// End of a turn of the event loop, at this time.

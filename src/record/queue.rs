@@ -8,12 +8,17 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, TryLockError};
 use std::time::Duration;
 
 use super::Event;
-use crate::time::Time;
+use crate::graph::inputs::Input;
+use crate::time::{Span, Time};
 
 /// Capacity of the queue \[events\]: about ten seconds of a host of a team of five, some 2 MB.
 const CAPACITY: usize = 16_384;
 /// Number of events that a simulation collects before it passes them to the writer.
 const BATCH: usize = 2048;
+/// Most bytes of inputs in a second of a record in real time: a flood of junk fills no disk.
+const INPUT_BYTES: usize = 1_000_000;
+/// Shortest time between two counts of dropped events in a record.
+const COUNT_PERIOD: Span = Span::from_millis(1000);
 /// Longest time that the writer waits for events before it checks the queue again.
 pub const POLL: Duration = Duration::from_millis(20);
 
@@ -33,7 +38,12 @@ pub struct Inlet {
     events: RefCell<Vec<Event>>,
     /// Dropped events that are not yet reported by an `Event::Dropped` in the queue.
     missing: Cell<u64>,
+    /// When the last `Event::Dropped` was put into the queue.
+    counted: Cell<Option<Time>>,
     dropped: Cell<u64>,
+    /// Bytes of inputs since the second began that is being counted.
+    input_bytes: Cell<usize>,
+    second_began: Cell<Time>,
     /// Whether the writer is known to have ended.
     abandoned: Cell<bool>,
 }
@@ -68,6 +78,9 @@ pub fn queue(when_full: WhenFull) -> (Inlet, Outlet) {
         shared: Arc::clone(&shared),
         events,
         missing: Cell::new(0),
+        counted: Cell::new(None),
+        input_bytes: Cell::new(0),
+        second_began: Cell::new(Time::ZERO),
         dropped: Cell::new(0),
         abandoned: Cell::new(false),
     };
@@ -78,7 +91,7 @@ impl Inlet {
     /// Adds an event of the current turn of the event loop.
     pub fn push(&self, event: Event) {
         let mut events = self.events.borrow_mut();
-        if self.when_full == WhenFull::Drop && events.len() >= CAPACITY {
+        if self.when_full == WhenFull::Drop && (events.len() >= CAPACITY || self.is_beyond(&event)) {
             self.missing.set(self.missing.get() + 1);
             self.dropped.set(self.dropped.get() + 1);
             return;
@@ -86,10 +99,26 @@ impl Inlet {
         events.push(event);
     }
 
+    /// Counts an input's bytes, and returns whether there are too many in this second.
+    fn is_beyond(&self, event: &Event) -> bool {
+        let bytes = match event {
+            Event::Input(Input::Frame(_, frame, _)) => frame.len(),
+            Event::Input(Input::Packet(_, packet)) => packet.len(),
+            _ => return false,
+        };
+        self.input_bytes.set(self.input_bytes.get() + bytes);
+        self.input_bytes.get() > INPUT_BYTES
+    }
+
     /// Ends the current turn at time `now` and passes the collected events to the writer.
     pub fn turn(&self, now: Time) {
-        if self.missing.get() > 0 && self.events.borrow().len() + 1 < CAPACITY {
+        let due = self.counted.get().is_none_or(|at| now.since(at) >= COUNT_PERIOD);
+        if self.missing.get() > 0 && due && self.events.borrow().len() + 1 < CAPACITY {
+            self.counted.set(Some(now));
             self.events.borrow_mut().push(Event::Dropped(self.missing.replace(0)));
+        }
+        if now.since(self.second_began.get()) >= Span::from_millis(1000) {
+            (self.second_began.set(now), self.input_bytes.set(0));
         }
         // A simulation's record has no use for a turn without events.
         let idle = |events: &[Event]| matches!(events.last(), None | Some(Event::Turn(_)));
@@ -199,6 +228,7 @@ impl Shared {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::messages::ids::LinkId;
 
     fn stamps(events: &[Event]) -> Vec<u64> {
         let stamp = |event: &Event| match event {
@@ -229,6 +259,28 @@ mod tests {
         assert_eq!(stamps(&events), [1_000_008, 900_001]);
         events.clear();
         assert!(!outlet.take(&mut events));
+    }
+
+    #[test]
+    fn a_flood_of_inputs_is_cut_to_a_megabyte_a_second_and_counted_once_a_second() {
+        let (inlet, outlet) = queue(WhenFull::Drop);
+        let (mut bytes, mut counted, mut marks, mut events) = (0, 0, 0, Vec::new());
+        for turn in 0..2500u64 {
+            for _ in 0..10 {
+                inlet.push(Event::Input(Input::Frame(LinkId(0), vec![7; 1000].into(), None)));
+            }
+            inlet.turn(Time::from_nanos(turn * 1_000_000));
+            assert!(outlet.take(&mut events));
+            for event in events.drain(..) {
+                match event {
+                    Event::Input(Input::Frame(_, frame, _)) => bytes += frame.len(),
+                    Event::Dropped(count) => (counted, marks) = (counted + count, marks + 1),
+                    _ => {}
+                }
+            }
+        }
+        assert_eq!((bytes, marks), (3_000_000, 3), "of 25 MB in 2.5 s");
+        assert!(counted > 20_000 && inlet.dropped() == 22_000, "{counted}");
     }
 
     #[test]

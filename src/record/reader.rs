@@ -11,6 +11,7 @@ use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{McapError, parse_record};
 
 use super::identity::{Identity, METADATA, WrongIdentity};
+use super::series::part_of;
 
 /// Longest MCAP record that is accepted \[bytes\]. It bounds the memory that a damaged length can claim.
 const LONGEST: usize = 1 << 27;
@@ -95,13 +96,15 @@ pub struct Reader {
     channels: BTreeMap<u16, Rc<Channel>>,
     complete: bool,
     over: bool,
+    /// Number of the file that is read, if the record may go on in others.
+    part: Option<u32>,
 }
 
 impl Reader {
     /// Opens a file.
     pub fn open(path: &Path) -> Result<Reader, ReadError> {
         let file = File::open(path).map_err(|error| ReadError::Open { path: path.to_owned(), error })?;
-        Ok(Reader::of(path, BufReader::with_capacity(1 << 18, file)))
+        Ok(Reader { part: Some(0), ..Reader::of(path, BufReader::with_capacity(1 << 18, file)) })
     }
 
     /// Reads from any source. `path` is the name of the file in errors.
@@ -114,6 +117,7 @@ impl Reader {
             channels: BTreeMap::new(),
             complete: false,
             over: false,
+            part: None,
         }
     }
 
@@ -134,13 +138,22 @@ impl Reader {
                 }
                 Some(Ok(LinearReadEvent::Record { opcode, data })) => {
                     if opcode == op::DATA_END {
+                        if self.goes_on()? {
+                            continue;
+                        }
                         (self.complete, self.over) = (true, true);
                         break;
                     }
                     let damaged = |error| ReadError::Damaged { path: self.path.clone(), error };
                     let record = parse_record(opcode, data).map_err(damaged)?;
-                    if let Some(item) = item(&mut self.channels, record) {
-                        return Ok(Some(item));
+                    match item(&mut self.channels, record) {
+                        // Those of the first file say it all.
+                        Some(Item::Metadata(..) | Item::Attachment(..)) if self.part.is_some_and(|part| part > 0) => {}
+                        Some(item) => {
+                            self.note(&item);
+                            return Ok(Some(item));
+                        }
+                        None => {}
                     }
                 }
                 // A crash can cut the file anywhere, even inside an MCAP record or a chunk.
@@ -152,6 +165,28 @@ impl Reader {
             }
         }
         Ok(None)
+    }
+
+    /// Goes on with the next file of the record, if there is one.
+    fn goes_on(&mut self) -> Result<bool, ReadError> {
+        let Some(part) = self.part.map(|part| part + 1) else { return Ok(false) };
+        let path = part_of(&self.path, part);
+        if !path.exists() {
+            return Ok(false);
+        }
+        let first = std::mem::take(&mut self.path);
+        *self = Reader { path: first, part: Some(part), ..Reader::open(&path)? };
+        Ok(true)
+    }
+
+    /// Learns from the identity whether the record may go on in other files.
+    fn note(&mut self, item: &Item) {
+        if let Item::Metadata(name, metadata) = item
+            && name == METADATA
+        {
+            let is = |field: &str, value: &str| metadata.get(field).is_none_or(|found| found == value);
+            self.part = self.part.filter(|_| is("excerpt", "false") && is("part", "0"));
+        }
     }
 
     /// Returns the next message; `None` at the end of the file.

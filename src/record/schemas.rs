@@ -59,4 +59,7 @@ pub const COUNTS: &str = r#"{"title":"murmurate.Counts","type":"object","propert
 
 /// JSON schema of the condition of a real robot's hardware.
 pub const HARDWARE: &str = r#"{"title":"murmurate.Hardware","type":"object","properties":{
-"robot":{"type":"integer"},"condition":{"type":"object"}},"required":["robot"]}"#;
+"robot":{"type":"integer"},"health":{"type":"string","description":"ready, faulty or silent"},
+"battery":{"type":["integer","null"],"description":"charge in percent"},
+"temperature_c":{"type":["integer","null"]},"reason":{"type":["string","null"],"description":"of a fault"}},
+"required":["robot","health"]}"#;

@@ -6,12 +6,14 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 use serde_json::json;
 
-pub use super::drawing::{Body, Stage};
+pub use super::drawing::Body;
 use super::foxglove::{self, Level};
 use super::protobuf::{self, Message};
+pub use super::stage::Stage;
 use super::tape::{self, SentDigest};
 use super::{Event, Scope, drawing, schemas};
 use crate::messages::geometry::Vec2;
+use crate::messages::hardware::{Celsius, Hardware, Health, Reason};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::local::Truth;
 use crate::messages::phase::Phase;
@@ -180,14 +182,23 @@ impl Topics {
         &self.stage
     }
 
+    /// Time of a message \[ns\] since 1970, or since the start of a simulation, for a time of the run.
+    pub fn time_of(&self, now: Time) -> u64 {
+        self.anchor_ns + now.as_nanos()
+    }
+
     /// Passes the messages of one turn at time `now` to `take`. `events` are all of its events except the final
     /// `Event::Turn`.
     pub fn instant(&mut self, now: Time, events: &[Event], take: Take) {
-        let at = self.anchor_ns + now.as_nanos();
+        let at = self.time_of(now);
+        // Before the turn, which may lack inputs: a replay goes up to here.
+        for event in events.iter().filter(|event| matches!(event, Event::Dropped(_))) {
+            self.event(now, at, event, take);
+        }
         if self.scope == Scope::Host {
             self.write_turn(now, at, events, take);
         }
-        for event in events {
+        for event in events.iter().filter(|event| !matches!(event, Event::Dropped(_))) {
             self.event(now, at, event, take);
         }
         if self.moved && self.drawn.is_none_or(|drawn| now.since(drawn) >= DRAWING_PERIOD) {
@@ -228,7 +239,7 @@ impl Topics {
             Event::Episode(episode) => self.episode(at, episode, take),
             Event::Guard(robot, counts) => self.guard(at, *robot, *counts, take),
             Event::Hardware(robot, hardware) => {
-                json_to(Topic::Hardware, at, &json!({ "robot": robot, "condition": format!("{hardware:?}") }), take);
+                json_to(Topic::Hardware, at, &condition(*robot, hardware), take);
             }
             Event::Counts(host, counts) => {
                 json_to(Topic::Counts, at, &json!({ "host": self.host(*host), "links": counts }), take);
@@ -240,7 +251,7 @@ impl Topics {
                 json_to(Topic::Counts, at, &json!({ "host": "", "recording_dropped": count }), take);
                 self.say(at, Level::Warning, "record", &format!("{count} events were dropped before this one"), take);
             }
-            Event::Sent(..) | Event::Input(_) | Event::Turn(_) => {}
+            Event::Sent(..) | Event::Input(_) | Event::Keep | Event::Turn(_) => {}
         }
     }
 
@@ -324,10 +335,7 @@ impl Topics {
 
     fn episode(&self, at: u64, episode: &Episode, take: Take) {
         json_to(Topic::Episode, at, episode, take);
-        let verdict = serde_json::to_value(episode.verdict).expect("a verdict is JSON");
-        let makespan = episode.makespan_s.map_or(String::new(), |makespan| format!(" in {makespan:.2} s"));
-        let text = format!("episode {}: {}{makespan}", episode.episode, verdict.as_str().unwrap_or_default());
-        self.say(at, Level::Info, "judge", &text, take);
+        self.say(at, Level::Info, "judge", &format!("episode {}: {}", episode.episode, episode.in_words()), take);
     }
 
     fn guard(&mut self, at: u64, robot: RobotId, counts: SafetyCounts, take: Take) {
@@ -338,11 +346,8 @@ impl Topics {
         let mut said = serde_json::to_value(counts).expect("counts are JSON");
         said["robot"] = robot.0.into();
         json_to(Topic::Guard, at, &said, take);
-        for (count, reason) in counts.reasons() {
-            let old = before.reasons().find(|(_, other)| *other == reason).map_or(0, |(count, _)| count);
-            if count > old {
-                self.say(at, Level::Warning, &format!("guard of robot {}", robot.0), reason, take);
-            }
+        for reason in counts.begun_since(&before) {
+            self.say(at, Level::Warning, &format!("guard of robot {}", robot.0), reason, take);
         }
     }
 
@@ -370,6 +375,20 @@ impl Topics {
             take(topic, at, &out.0);
         }
     }
+}
+
+/// Returns the condition of a robot's hardware as JSON.
+fn condition(robot: RobotId, hardware: &Hardware) -> serde_json::Value {
+    let health = match hardware.health {
+        Health::Ready => "ready",
+        Health::Faulty => "faulty",
+        Health::Silent => "silent",
+    };
+    json!({
+        "robot": robot, "health": health, "battery": hardware.battery,
+        "temperature_c": hardware.temperature.map(Celsius::degrees),
+        "reason": hardware.reason.as_ref().map(Reason::text),
+    })
 }
 
 fn json_to(topic: Topic, at: u64, value: &impl Serialize, take: Take) {

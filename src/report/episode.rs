@@ -37,6 +37,14 @@ pub struct Episode {
     pub judged: Judged,
 }
 
+impl Episode {
+    /// Returns the verdict, and for a success the makespan, in words.
+    pub fn in_words(&self) -> String {
+        let makespan = self.makespan_s.map_or_else(String::new, |makespan| format!(" in {makespan:.2} s"));
+        format!("{}{makespan}", self.verdict.word())
+    }
+}
+
 /// Reads null as infinity, which JSON cannot express.
 fn infinite_if_null<'de, D: Deserializer<'de>>(from: D) -> Result<f32, D::Error> {
     Ok(Option::deserialize(from)?.unwrap_or(f32::INFINITY))

@@ -6,10 +6,8 @@
 //! the actor of the motors, expires the last command by itself, even if the guard has died.
 
 use std::collections::BTreeMap;
-use std::iter::Sum;
 
-use serde::{Deserialize, Serialize};
-
+pub use super::counts::SafetyCounts;
 use super::filter::{self, Limit};
 use super::hardware::Permit;
 use super::{Safety, Switch};
@@ -63,77 +61,18 @@ impl Trigger {
     }
 }
 
-/// Number of activations of each safety trigger, for one robot or summed over robots.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct SafetyCounts {
-    /// Number of times that the emergency stop became active.
-    pub stop: u64,
-    /// Number of times that the state server fell silent.
-    pub silence: u64,
-    /// Number of times that a policy's output became not finite.
-    pub output: u64,
-    /// Number of times that control ticks began to be late or missing.
-    pub late_tick: u64,
-    /// Number of times that a robot's own state became too old.
-    pub own_state: u64,
-    /// Number of times that a robot's battery or temperature went beyond its limit.
-    pub hardware: u64,
-    /// Number of times that a robot came far outside its ground.
-    pub outside: u64,
-    /// Number of times that the geofence began to limit commands.
-    pub fence: u64,
-    /// Number of times that the minimum distance to neighbours began to limit commands.
-    pub distance: u64,
-}
-
-impl SafetyCounts {
-    fn of(&mut self, trigger: Trigger) -> &mut u64 {
-        match trigger {
-            Trigger::Stop => &mut self.stop,
-            Trigger::Silence => &mut self.silence,
-            Trigger::Output => &mut self.output,
-            Trigger::LateTick => &mut self.late_tick,
-            Trigger::OwnState => &mut self.own_state,
-            Trigger::Hardware => &mut self.hardware,
-            Trigger::Outside => &mut self.outside,
-            Trigger::Fence => &mut self.fence,
-            Trigger::Distance => &mut self.distance,
-        }
-    }
-}
-
-impl SafetyCounts {
-    /// Returns the counts above zero, each with a short name of its trigger for reports.
-    pub fn reasons(&self) -> impl Iterator<Item = (u64, &'static str)> {
-        let all = [
-            (self.stop, "emergency stops"),
-            (self.silence, "server silent"),
-            (self.output, "invalid outputs"),
-            (self.late_tick, "late ticks"),
-            (self.own_state, "own state too old"),
-            (self.hardware, "battery or temperature"),
-            (self.outside, "far outside"),
-            (self.fence, "geofence"),
-            (self.distance, "minimum distance"),
-        ];
-        all.into_iter().filter(|(times, _)| *times > 0)
-    }
-}
-
-impl Sum for SafetyCounts {
-    fn sum<I: Iterator<Item = SafetyCounts>>(all: I) -> SafetyCounts {
-        all.fold(SafetyCounts::default(), |sum, one| SafetyCounts {
-            stop: sum.stop + one.stop,
-            silence: sum.silence + one.silence,
-            output: sum.output + one.output,
-            late_tick: sum.late_tick + one.late_tick,
-            own_state: sum.own_state + one.own_state,
-            hardware: sum.hardware + one.hardware,
-            outside: sum.outside + one.outside,
-            fence: sum.fence + one.fence,
-            distance: sum.distance + one.distance,
-        })
+/// Returns the count of a trigger.
+fn count_of(counts: &mut SafetyCounts, trigger: Trigger) -> &mut u64 {
+    match trigger {
+        Trigger::Stop => &mut counts.stop,
+        Trigger::Silence => &mut counts.silence,
+        Trigger::Output => &mut counts.output,
+        Trigger::LateTick => &mut counts.late_tick,
+        Trigger::OwnState => &mut counts.own_state,
+        Trigger::Hardware => &mut counts.hardware,
+        Trigger::Outside => &mut counts.outside,
+        Trigger::Fence => &mut counts.fence,
+        Trigger::Distance => &mut counts.distance,
     }
 }
 
@@ -362,7 +301,7 @@ impl Guard {
             return;
         }
         self.acting.push(trigger);
-        *self.counts.of(trigger) += 1;
+        *count_of(&mut self.counts, trigger) += 1;
         match trigger {
             Trigger::Stop => tracing::error!(number = self.latch().number(), "emergency stop: it holds until a resume"),
             Trigger::Silence => tracing::warn!("the state server has fallen silent; the robot stops"),

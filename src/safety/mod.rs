@@ -1,9 +1,11 @@
 //! Safety on the robot's side: stopping and slowing a robot, independently of policy and operator.
 //!
-//! `guard` is the state machine between policy and motors, and `filter` limits its commands. `hardware` has the limits
-//! of battery and temperature; this file has the configuration. `docs/safety.md` has every trigger in one table. There
-//! is no actor and no clock here: the Controller, an actor, owns a guard.
+//! `guard` is the state machine between policy and motors, and `filter` limits its commands. `counts` has how often its
+//! triggers have acted, `hardware` the limits of battery and temperature; this file has the configuration.
+//! `docs/safety.md` has every trigger in one table. There is no actor and no clock here: the Controller, an actor, owns a
+//! guard.
 
+pub mod counts;
 pub mod filter;
 pub mod guard;
 pub mod hardware;

@@ -36,6 +36,20 @@ pub enum Verdict {
     Unseen,
 }
 
+impl Verdict {
+    /// Returns the verdict's word in reports, JSON and CSV.
+    pub fn word(self) -> &'static str {
+        match self {
+            Verdict::Success => "success",
+            Verdict::RobotCollision => "robot-collision",
+            Verdict::WallCollision => "wall-collision",
+            Verdict::Timeout => "timeout",
+            Verdict::Aborted => "aborted",
+            Verdict::Unseen => "unseen",
+        }
+    }
+}
+
 /// State of one robot in one step, as input to the judge of an episode.
 #[derive(Clone, Copy, Debug)]
 pub struct JudgedRobot {
@@ -165,6 +179,21 @@ mod tests {
 
     fn judge() -> Judge {
         Judge::new(RULES, vec![Vec2::new(0.0, 0.0), Vec2::new(5.0, 0.0)])
+    }
+
+    #[test]
+    fn words_of_verdicts_are_those_of_json() {
+        let all = [
+            Verdict::Success,
+            Verdict::RobotCollision,
+            Verdict::WallCollision,
+            Verdict::Timeout,
+            Verdict::Aborted,
+            Verdict::Unseen,
+        ];
+        for verdict in all {
+            assert_eq!(serde_json::to_value(verdict).expect("a verdict is JSON"), verdict.word());
+        }
     }
 
     #[test]

@@ -3,8 +3,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Digest of the sources that the program was built from (`build.rs`).
-pub const BUILD: &str = env!("SOURCE_DIGEST");
+pub use crate::record::identity::BUILD;
+
 /// Version of the program.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");
 

@@ -18,6 +18,8 @@ pub enum Control {
     Team,
     /// Orders to the team, and faults of an emulated team.
     Emulation,
+    /// The time that is shown, of a record. There is no team.
+    Playback,
 }
 
 /// Secret of one run, as hexadecimal digits. A browser has to send it for every command except the emergency stop.
@@ -33,6 +35,12 @@ impl Token {
     /// Hexadecimal digits of the token, for the address of the page. They must not be logged.
     pub fn digits(&self) -> &str {
         &self.0
+    }
+
+    /// Whether the header `Authorization` of a request carries this token, as a bearer token (RFC 6750).
+    pub fn is_borne_by(&self, authorization: &str) -> bool {
+        let token = authorization.split_once(' ').filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer"));
+        token.is_some_and(|(_, token)| same(token.trim().as_bytes(), self.0.as_bytes()))
     }
 
     /// Whether the token is in a list of WebSocket subprotocols that a browser offers, separated by commas. The
@@ -56,14 +64,20 @@ pub struct Access {
     pub token: Token,
     /// Commands that the process accepts.
     pub control: Control,
-    /// Whether snapshots and states need the token as well; for a server that other machines can reach.
+    /// Whether pictures, states and metrics need the token as well: for a server that other machines reach.
     pub guarded: bool,
+    /// Whether there is a page. Without one, the server has the metrics alone.
+    pub page: bool,
 }
 
 impl Access {
     /// Returns the reason why a command is refused; `None` if it is allowed. `holder`: the browser has sent the token.
     pub fn refuses(&self, command: &Command, holder: bool) -> Option<&'static str> {
         match (command.right(), self.control) {
+            (Right::Playback, Control::Playback) if holder => None,
+            (Right::Playback, Control::Playback) => Some("no token: open the address that the program printed"),
+            (_, Control::Playback) => Some("this is a record: there is no team to command"),
+            (Right::Playback, _) => Some("this is a team that runs, and no record"),
             (Right::Anyone, _) => None,
             (_, Control::StopOnly) => Some("this page only watches; start the program with --control"),
             (_, _) if !holder => Some("no token: open the address that the program printed"),
@@ -139,7 +153,7 @@ mod tests {
 
     #[test]
     fn a_stop_needs_nothing_and_faults_need_an_emulated_team() {
-        let access = |control| Access { token: Token::new(&[1]), control, guarded: false };
+        let access = |control| Access { token: Token::new(&[1]), control, guarded: false, page: true };
         let link = Command::Link { link: "air".to_owned(), cut: true, delay_ms: 0.0, loss: 0.0 };
         assert_eq!(access(Control::StopOnly).refuses(&Command::Stop, false), None);
         assert!(access(Control::StopOnly).refuses(&Command::Rearm, true).is_some());
@@ -147,5 +161,10 @@ mod tests {
         assert_eq!(access(Control::Team).refuses(&Command::Rearm, true), None);
         assert!(access(Control::Team).refuses(&link, true).is_some());
         assert_eq!(access(Control::Emulation).refuses(&link, true), None);
+        let seek = Command::Seek { at_s: 1.0 };
+        assert_eq!(access(Control::Playback).refuses(&seek, true), None);
+        assert!(access(Control::Playback).refuses(&seek, false).is_some());
+        assert!(access(Control::Playback).refuses(&Command::Stop, true).is_some(), "nothing would be stopped");
+        assert!(access(Control::Emulation).refuses(&seek, true).is_some());
     }
 }

@@ -9,6 +9,8 @@ use crate::messages::ids::RobotId;
 pub const MAX_BYTES: usize = 4096;
 /// Largest delay that a page may set on a link \[ms\].
 pub const MAX_DELAY_MS: f64 = 5000.0;
+/// Largest time in a record that a page may ask for \[s\]: a year.
+const MAX_SEEK_S: f64 = 366.0 * 86_400.0;
 /// Largest length of a link's name in a command \[bytes\].
 const MAX_NAME: usize = 64;
 
@@ -49,6 +51,23 @@ pub enum Command {
         /// Probability, 0 to 1, that a frame is lost.
         loss: f64,
     },
+    /// Let the time of a record go on, or halt it.
+    Play {
+        /// Whether it goes on.
+        on: bool,
+        /// Seconds of the record a second, 0.01 to 100.
+        rate: f64,
+    },
+    /// Show a record at another time.
+    Seek {
+        /// The time \[s\].
+        at_s: f64,
+    },
+    /// Halt a record at the next change of robots' states.
+    Step {
+        /// Whether to take the change before.
+        back: bool,
+    },
 }
 
 /// Permission that a command needs.
@@ -60,6 +79,8 @@ pub enum Right {
     Control,
     /// As `Control`, and the team is emulated.
     Emulation,
+    /// The token of the page, and a process that plays a record.
+    Playback,
 }
 
 impl Command {
@@ -74,7 +95,15 @@ impl Command {
                 return Err(format!("no command: delay is 0 to {MAX_DELAY_MS} ms, loss 0 to 1"));
             }
         }
-        Ok(command)
+        match command {
+            Command::Play { rate, .. } if !(0.01..=100.0).contains(&rate) => {
+                Err("no command: the rate is 0.01 to 100".to_owned())
+            }
+            Command::Seek { at_s } if !(0.0..=MAX_SEEK_S).contains(&at_s) => {
+                Err("no command: this time is in no record".to_owned())
+            }
+            command => Ok(command),
+        }
     }
 
     /// Permission that the command needs.
@@ -83,6 +112,7 @@ impl Command {
             Command::Stop => Right::Anyone,
             Command::Rearm | Command::Resume | Command::Pause => Right::Control,
             Command::Kill { .. } | Command::Restart { .. } | Command::Link { .. } => Right::Emulation,
+            Command::Play { .. } | Command::Seek { .. } | Command::Step { .. } => Right::Playback,
         }
     }
 }
@@ -107,6 +137,9 @@ mod tests {
             r#"{"do":"kill","role":"cache","robot":-1}"#,
             r#"{"do":"link","link":"air","cut":true,"delay_ms":1e9,"loss":0.5}"#,
             r#"{"do":"link","link":"air","cut":true,"delay_ms":0,"loss":null}"#,
+            r#"{"do":"play","on":true,"rate":0}"#,
+            r#"{"do":"seek","at_s":-1}"#,
+            r#"{"do":"seek","at_s":null}"#,
         ] {
             assert!(Command::parse(wrong).is_err(), "{wrong}");
         }

@@ -4,7 +4,8 @@ use std::io::{self, Read};
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
-use tungstenite::handshake::derive_accept_key;
+use data_encoding::BASE64;
+use sha1_smol::Sha1;
 
 use super::access::{self, Access};
 
@@ -14,6 +15,9 @@ pub const MAX_HEADER_BYTES: usize = 8192;
 const MAX_HEADERS: usize = 64;
 /// Longest time to receive the whole header.
 pub const HEADER_TIME: Duration = Duration::from_secs(5);
+
+/// Silence of the thread that drives the team from which the program is not healthy.
+const HEALTHY: Duration = Duration::from_secs(3);
 
 /// WebSocket subprotocol of the page.
 const PROTOCOL: &str = "murmurate";
@@ -53,6 +57,10 @@ pub enum Socket {
 pub enum Response {
     /// The whole response: a file or an error.
     Whole(Vec<u8>),
+    /// The metrics, which the server has.
+    Metrics,
+    /// Whether the thread that drives the team is alive, which the server knows.
+    Health,
     /// An accepted WebSocket: its kind, and the bytes of the handshake's response.
     Upgrade(Socket, Vec<u8>),
 }
@@ -122,6 +130,17 @@ pub fn respond(header: &[u8], local: SocketAddr, access: &Access) -> Response {
         return refused("405 Method Not Allowed", "this server answers to GET alone");
     }
     let path = request.0.path.unwrap_or_default();
+    match path {
+        "/healthz" => return Response::Health,
+        "/metrics"
+            if access.guarded && !access.token.is_borne_by(request.header("authorization").unwrap_or_default()) =>
+        {
+            return refused("401 Unauthorized", "the metrics need the token: Authorization: Bearer TOKEN");
+        }
+        "/metrics" => return Response::Metrics,
+        _ if !access.page => return refused("404 Not Found", "there are /metrics and /healthz alone"),
+        _ => {}
+    }
     if let Some((_, kind, content)) = FILES.iter().find(|(name, ..)| *name == path) {
         return Response::Whole(response("200 OK", kind, content));
     }
@@ -163,7 +182,7 @@ impl Request<'_> {
         match self.header("sec-websocket-key").filter(|_| upgrades) {
             None => refused("400 Bad Request", "this path is a WebSocket"),
             Some(key) => {
-                let accept = derive_accept_key(key.as_bytes());
+                let accept = accept_key(key);
                 let chosen = match self.lists("sec-websocket-protocol", PROTOCOL) {
                     true => format!("Sec-WebSocket-Protocol: {PROTOCOL}\r\n"),
                     false => String::new(),
@@ -176,6 +195,30 @@ impl Request<'_> {
             }
         }
     }
+}
+
+/// Returns the answer to the key of a WebSocket's handshake (RFC 6455, section 4.2.2).
+fn accept_key(key: &str) -> String {
+    let mut digest = Sha1::from(key);
+    digest.update(b"258EAFA5-E914-47DA-95CA-C5AB0DC85B11");
+    BASE64.encode(&digest.digest().bytes())
+}
+
+/// Response with the text of metrics, in the format of Prometheus; of none if it is empty.
+pub fn metrics(text: &str) -> Vec<u8> {
+    match text {
+        "" => refusal("404 Not Found", "there are no metrics yet, and none of a record"),
+        text => response("200 OK", "text/plain; version=0.0.4; charset=utf-8", text),
+    }
+}
+
+/// Response on the health of the program, whose driving thread was last heard this long ago.
+pub fn health(silent_for: Duration) -> Vec<u8> {
+    if silent_for < HEALTHY {
+        return response("200 OK", "text/plain; charset=utf-8", "ok\n");
+    }
+    let why = format!("no news from the program for {:.1} s", silent_for.as_secs_f64());
+    refusal("503 Service Unavailable", &why)
 }
 
 fn refused(status: &str, why: &str) -> Response {
@@ -193,4 +236,15 @@ fn response(status: &str, kind: &str, body: &str) -> Vec<u8> {
          Connection: close\r\n\r\n{body}"
     )
     .into_bytes()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_answer_to_a_handshake_is_that_of_the_standard() {
+        // The example of RFC 6455, section 1.3.
+        assert_eq!(accept_key("dGhlIHNhbXBsZSBub25jZQ=="), "s3pPLMBiTxaQ9kYGzzhZRbK+xOo=");
+    }
 }

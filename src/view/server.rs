@@ -54,6 +54,9 @@ impl Server {
             snapshot: Slot::new(Bytes::new()),
             goals: Slot::new(Utf8Bytes::default()),
             status: Slot::new(Utf8Bytes::default()),
+            metrics: Slot::new(String::new()),
+            news_ms: AtomicU64::new(0),
+            began: Instant::now(),
             stop: AtomicBool::new(false),
             commands: sender,
             closing: AtomicBool::new(false),
@@ -107,7 +110,14 @@ impl Publisher {
 
     /// Publishes the newest status as JSON. Returns `false` as [`Publisher::snapshot`] does.
     pub fn status(&self, json: String) -> bool {
+        self.shared.note_news();
         self.shared.status.offer(json.into())
+    }
+
+    /// Leaves the newest text of the metrics; `false` as for snapshots.
+    pub fn metrics(&self, text: String) -> bool {
+        self.shared.note_news();
+        self.shared.metrics.offer(text)
     }
 
     /// Returns the next command without waiting; a stop comes before all others.
@@ -195,6 +205,8 @@ fn serve(mut stream: TcpStream, shared: &Shared) {
             }
             finish(&mut stream, &bytes);
         }
+        Response::Metrics => finish(&mut stream, &request::metrics(&shared.metrics.get())),
+        Response::Health => finish(&mut stream, &request::health(shared.silent_for())),
         Response::Upgrade(socket, bytes) => {
             if stream.write_all(&bytes).is_ok() {
                 session::run(stream, header.rest, socket, shared);

@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::sync::{Mutex, PoisonError, TryLockError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tungstenite::{Bytes, Utf8Bytes};
 
@@ -36,6 +36,11 @@ impl<T: Clone> Slot<T> {
         true
     }
 
+    /// Returns the value.
+    pub fn get(&self) -> T {
+        self.value.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
     /// Returns the value if its version is not `seen`, and updates `seen`.
     pub fn newer(&self, seen: &mut u64) -> Option<T> {
         let number = self.number.load(Ordering::Acquire);
@@ -43,7 +48,7 @@ impl<T: Clone> Slot<T> {
             return None;
         }
         *seen = number;
-        Some(self.value.lock().unwrap_or_else(PoisonError::into_inner).clone())
+        Some(self.get())
     }
 }
 
@@ -54,6 +59,11 @@ pub(super) struct Shared {
     pub snapshot: Slot<Bytes>,
     pub goals: Slot<Utf8Bytes>,
     pub status: Slot<Utf8Bytes>,
+    /// Text of the metrics; empty without any.
+    pub metrics: Slot<String>,
+    /// Time of the last news from the thread that drives the team, in milliseconds since `began`.
+    pub news_ms: AtomicU64,
+    pub began: Instant,
     /// A requested stop. It is a flag and not in the queue, because the queue can be full.
     pub stop: AtomicBool,
     pub commands: SyncSender<Command>,
@@ -63,6 +73,16 @@ pub(super) struct Shared {
 }
 
 impl Shared {
+    /// Notes that the thread that drives the team is alive.
+    pub fn note_news(&self) {
+        self.news_ms.store(self.began.elapsed().as_millis() as u64, Ordering::Relaxed);
+    }
+
+    /// Time since the last news from the thread that drives the team.
+    pub fn silent_for(&self) -> Duration {
+        self.began.elapsed().saturating_sub(Duration::from_millis(self.news_ms.load(Ordering::Relaxed)))
+    }
+
     /// Counts a refused request or command.
     pub fn refuse(&self) {
         self.refused.fetch_add(1, Ordering::Relaxed);

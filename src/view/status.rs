@@ -42,6 +42,53 @@ pub struct Scene {
     pub hears_links: bool,
     /// Whether this process knows the results of episodes.
     pub hears_results: bool,
+    /// The record that is played; null for a team that runs.
+    pub record: Option<Record>,
+}
+
+/// What a page needs to know of a record for its scrubber.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Record {
+    /// Name of its file or folder.
+    pub name: String,
+    /// Its length \[s\].
+    pub duration_s: f64,
+    /// What happened in it, in the order of time.
+    pub marks: Vec<Mark>,
+}
+
+/// Kind of a mark.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MarkKind {
+    /// A successful episode has ended.
+    Success,
+    /// An episode has ended without success.
+    Failure,
+    /// The team's emergency stop has changed.
+    Stop,
+    /// A robot's guard has begun to stop or slow it.
+    Guard,
+}
+
+/// Mark on the timeline.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Mark {
+    /// Time of the record \[s\].
+    pub at_s: f64,
+    /// Its kind.
+    pub kind: MarkKind,
+    /// What has happened, in words.
+    pub text: String,
+}
+
+/// State of the playing of a record.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Playback {
+    /// Whether its time goes on.
+    pub playing: bool,
+    /// Seconds of the record a second.
+    pub rate: f64,
 }
 
 impl Scene {
@@ -143,6 +190,8 @@ pub struct Status {
     pub log: VecDeque<(u64, f64, String)>,
     /// Whether the run is over.
     pub over: bool,
+    /// State of the playing of a record; null for a team that runs.
+    pub playback: Option<Playback>,
 }
 
 impl Status {
@@ -167,6 +216,11 @@ impl Log {
         if self.lines.len() > LOG_LINES {
             self.lines.pop_front();
         }
+    }
+
+    /// Number of lines that were added.
+    pub fn count(&self) -> u64 {
+        self.count
     }
 
     /// The newest lines: number, time of the run \[s\], text.

@@ -135,12 +135,10 @@ impl TeamView {
         }
     }
 
-    /// Counts the arrival of a message at a host of the team, for age and loss of its link.
-    pub fn arrived(&mut self, now: Time, at: HostId, message: &Wire) {
-        if let Wire::Latent(latent) = message
-            && latent.robot.index() < self.robots.len()
-        {
-            self.heard.arrived(now, at, latent.robot);
+    /// Notes that a robot's latent message has arrived at a host of the team.
+    pub fn arrived(&mut self, now: Time, at: HostId, robot: RobotId) {
+        if robot.index() < self.robots.len() {
+            self.heard.arrived(now, at, robot);
         }
     }
 
@@ -191,11 +189,8 @@ impl TeamView {
 
     /// Counts and logs the result of an episode.
     pub fn judged(&mut self, now: Time, episode: &Episode) {
-        let verdict = serde_json::to_value(episode.verdict).ok();
-        let verdict = verdict.as_ref().and_then(|value| value.as_str()).unwrap_or("unknown").to_owned();
-        let took = episode.makespan_s.map_or_else(String::new, |makespan| format!(" in {makespan:.2} s"));
-        self.note(now, &format!("episode {}: {verdict}{took}", episode.episode + 1));
-        *self.verdicts.entry(verdict).or_default() += 1;
+        self.note(now, &format!("episode {}: {}", episode.episode + 1, episode.in_words()));
+        *self.verdicts.entry(episode.verdict.word().to_owned()).or_default() += 1;
         self.episodes += 1;
         self.successes += usize::from(episode.verdict == Verdict::Success);
     }
@@ -203,14 +198,7 @@ impl TeamView {
     /// Updates the counts of a robot's guard, and logs the reasons whose counts have grown.
     pub fn guarded(&mut self, now: Time, id: RobotId, counts: SafetyCounts) {
         let Some(robot) = self.robots.get_mut(id.index()) else { return };
-        let count = |counts: &SafetyCounts, name: &str| {
-            counts.reasons().find(|(_, reason)| *reason == name).map_or(0, |(times, _)| times)
-        };
-        let begun: Vec<&'static str> = counts
-            .reasons()
-            .filter(|(times, name)| *times > count(&robot.safety, name))
-            .map(|(_, name)| name)
-            .collect();
+        let begun: Vec<&'static str> = counts.begun_since(&robot.safety).collect();
         robot.guard = begun.last().copied().or(robot.guard);
         robot.safety = counts;
         // An emergency stop of the team is logged once, not for each robot.
@@ -227,6 +215,26 @@ impl TeamView {
     /// Adds a line to the log, at the time `now`.
     pub fn note(&mut self, now: Time, line: &str) {
         self.log.add(now.as_secs(), line);
+    }
+
+    /// Counts of the robots' guards, in the order of robot ids.
+    pub fn safety(&self) -> impl Iterator<Item = (RobotId, SafetyCounts)> {
+        self.robots.iter().enumerate().map(|(at, robot)| (RobotId(at as u16), robot.safety))
+    }
+
+    /// Number of episodes by verdict.
+    pub fn verdicts(&self) -> &BTreeMap<String, u32> {
+        &self.verdicts
+    }
+
+    /// Number of lines that the log has had so far.
+    pub fn log_count(&self) -> u64 {
+        self.log.count()
+    }
+
+    /// The newest line of the log; empty without one.
+    pub fn last_line(&self) -> String {
+        self.log.lines().back().map_or_else(String::new, |(.., line)| line.clone())
     }
 
     /// Newest state of the emergency stop that the state server or a robot has reported.
@@ -389,8 +397,8 @@ mod tests {
             view.hear(at(0), &latent(robot, x));
         }
         assert_eq!(view.snapshot(at(0)).links, [LinkState { one: 0, other: 1, age: None, loss: None }]);
-        view.arrived(at(5), HostId(0), &latent(1, 0.9));
-        view.arrived(at(20), HostId(1), &latent(0, 0.0));
+        view.arrived(at(5), HostId(0), RobotId(1));
+        view.arrived(at(20), HostId(1), RobotId(0));
         let link = view.snapshot(at(30)).links[0];
         assert_eq!((link.age, link.loss), (Some(Span::from_millis(25)), Some(0)));
     }

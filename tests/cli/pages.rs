@@ -35,6 +35,7 @@ const NOT_RUN: &[(&str, &str)] = &[
         "a fit takes minutes; tests/cli/study_network.rs has one",
     ),
     ("murmurate replay runs/team", "needs the records of a team in real time; tests/record has some"),
+    ("murmurate replay runs/watched --watch", "serves its page until Ctrl-C; tests/page/replay.rs has one"),
     ("murmurate record merge runs/team -o runs/team.mcap", "needs the records of a team in real time"),
 ];
 

@@ -17,7 +17,7 @@ pub fn token() -> String {
 
 /// Starts a server at a free port of the loopback interface.
 pub fn server(control: Control, guarded: bool, scene: &Scene) -> (Server, Publisher) {
-    let access = Access { token: Token::new(&[0x5a; 16]), control, guarded };
+    let access = Access { token: Token::new(&[0x5a; 16]), control, guarded, page: true };
     Server::open("127.0.0.1:0".parse().unwrap(), access, scene.to_json()).unwrap()
 }
 

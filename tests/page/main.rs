@@ -2,9 +2,11 @@
 
 mod browser;
 mod http;
+mod metrics;
 mod pixels;
 #[path = "../program/mod.rs"]
 mod program;
 mod refusals;
+mod replay;
 mod run;
 mod slow;

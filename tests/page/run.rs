@@ -11,9 +11,9 @@ use crate::browser::Browser;
 use crate::program::{murmurate, run, text};
 
 /// A running `sim --watch`, and the address of its page.
-struct Watched {
+pub struct Watched {
     child: Child,
-    url: String,
+    pub url: String,
 }
 
 impl Watched {
@@ -21,7 +21,7 @@ impl Watched {
         Watched::of(murmurate(&[&["sim", "--watch", "--control", "--quiet"], flags].concat()))
     }
 
-    fn of(mut command: std::process::Command) -> Watched {
+    pub fn of(mut command: std::process::Command) -> Watched {
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let mut lines = BufReader::new(child.stderr.take().unwrap());
         let mut said = String::new();
@@ -40,7 +40,7 @@ impl Watched {
         kill(Pid::from_raw(self.child.id().cast_signed()), signal).unwrap();
     }
 
-    fn end(mut self) -> Option<i32> {
+    pub fn end(mut self) -> Option<i32> {
         self.signal(Signal::SIGINT);
         self.child.wait().unwrap().code()
     }
@@ -104,7 +104,7 @@ fn the_space_bar_stops_the_team_and_a_halted_program_is_grey_within_a_second() {
 }
 
 /// Writes pictures of the page to the folder that PAGE_PICTURES names, or to a temporary one.
-fn pictures(browser: &mut Browser, name: &str) {
+pub fn pictures(browser: &mut Browser, name: &str) {
     let temporary = tempfile::tempdir().unwrap();
     let folder = std::env::var_os("PAGE_PICTURES").map_or(temporary.path().to_owned(), std::path::PathBuf::from);
     for (look, width, height, scheme) in

@@ -6,6 +6,7 @@ mod program;
 mod crashes;
 mod edited;
 mod hosts;
+mod kept;
 mod readers;
 mod simulated;
 

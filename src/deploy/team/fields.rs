@@ -26,7 +26,7 @@ const SENSORS: [&str; 3] = {
 };
 
 /// Fields of the whole team, in the order in which they are shown.
-const TEAM: [Field; 18] = [
+const TEAM: [Field; 20] = [
     ("team", FieldType::Whole(0, 65_535), None),
     ("key_file", FieldType::Text, None),
     ("mode", FieldType::Choice(&MODES), None),
@@ -45,10 +45,12 @@ const TEAM: [Field; 18] = [
     ("estimator", FieldType::Text, Some("none")),
     ("sensor_delay_s", FieldType::Number(0.0, 2.0), None),
     ("record", FieldType::Text, None),
+    ("record_last_s", FieldType::Number(1.0, 3600.0), None),
+    ("record_size_mb", FieldType::Number(1.0, 1e6), None),
 ];
 
 /// Fields of the team that can be overridden for a robot or a host, in addition to those of its links.
-const OVERRIDES: [&str; 3] = ["key_file", "policy", "record"];
+const OVERRIDES: [&str; 5] = ["key_file", "policy", "record", "record_last_s", "record_size_mb"];
 
 /// Names of the fields of the whole team.
 pub fn team_fields() -> impl Iterator<Item = &'static str> {

@@ -65,6 +65,10 @@ pub struct Team {
     pub safety: Safety,
     /// Folder for the host's records; `None` if nothing is recorded.
     pub record: Option<PathBuf>,
+    /// Time before and after what happens that the record is kept for \[s\]; `None` for all of the run.
+    pub record_last_s: Option<f64>,
+    /// Size of a file of the record after which another one begins \[MB\]; `None` for one file.
+    pub record_size_mb: Option<f64>,
     /// Place of this host on each link of the deployment; `None` for a link on which it neither sends nor receives.
     pub links: Vec<Option<Place>>,
 }
@@ -214,6 +218,8 @@ impl TeamFile {
             sensor_delay: find("sensor_delay_s").map(|entry| Span::from_secs(entry.value.number())),
             safety: self.safety,
             record: find("record").map(|entry| self.path(&entry)),
+            record_last_s: find("record_last_s").map(|entry| entry.value.number()),
+            record_size_mb: find("record_size_mb").map(|entry| entry.value.number()),
             links,
         })
     }

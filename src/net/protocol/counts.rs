@@ -77,8 +77,28 @@ counts! {
 impl LinkCounts {
     /// Number of datagrams and messages that were refused or dropped on arrival, for any cause.
     pub fn refused(&self) -> u64 {
-        let forged = self.own + self.auth + self.replay + self.unproven + self.duplicate_id + self.team + self.version;
-        let late = self.duplicate + self.stale + self.late + self.rate + self.crowd + self.queue;
-        forged + late + self.range + self.malformed + self.misrouted
+        self.refusals().iter().map(|(_, count)| count).sum()
+    }
+
+    /// Everything refused or dropped on arrival, each cause with its name.
+    pub fn refusals(&self) -> [(&'static str, u64); 16] {
+        [
+            ("own", self.own),
+            ("auth", self.auth),
+            ("replay", self.replay),
+            ("late", self.late),
+            ("unproven", self.unproven),
+            ("duplicate-id", self.duplicate_id),
+            ("team", self.team),
+            ("version", self.version),
+            ("range", self.range),
+            ("duplicate", self.duplicate),
+            ("stale", self.stale),
+            ("rate", self.rate),
+            ("crowd", self.crowd),
+            ("queue", self.queue),
+            ("malformed", self.malformed),
+            ("misrouted", self.misrouted),
+        ]
     }
 }

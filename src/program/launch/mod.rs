@@ -65,7 +65,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let processes = file.deployment().hosts.iter().map(|host| {
         let (program, mut flags) = (program.clone(), team_arguments(&args.team));
         flags.extend(["--host".into(), host.name.clone().into(), "--json".into(), "--launched".into()]);
-        flags.extend(args.record.record.iter().flat_map(|folder| ["--record".into(), folder.clone().into()]));
+        flags.extend(args.record.arguments());
         let command = move || {
             let mut command = Command::new(&program);
             command.arg("host").args(&flags);
@@ -254,10 +254,7 @@ impl Results {
             // Sending fails if the page has ended, which does not matter.
             let _ = page.send(episode);
         }
-        let verdict = serde_json::to_value(episode.verdict).expect("a verdict is JSON");
-        let verdict = verdict.as_str().unwrap_or_default();
-        let makespan = episode.makespan_s.map_or_else(String::new, |makespan| format!(" in {makespan:.2} s"));
-        self.info(&format!("episode {} of {}: {verdict}{makespan}", episode.episode + 1, self.wanted));
+        self.info(&format!("episode {} of {}: {}", episode.episode + 1, self.wanted, episode.in_words()));
     }
 
     fn info(&self, text: &str) {

@@ -1,6 +1,7 @@
 //! The command `murmurate record merge`: merges the records of a team's hosts into one, on a common clock.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
@@ -13,8 +14,9 @@ use crate::program::replay::files;
 use crate::program::temporary::Temporary;
 use crate::program::{BadInput, Ended, bad};
 use crate::record::identity::METADATA;
-use crate::record::merge::{Part, Traffic, align};
+use crate::record::merge::{Alignment, Part, Traffic, align};
 use crate::record::reader::{self, Item, Reader};
+use crate::record::stage;
 
 /// Flags of `murmurate record merge`.
 #[derive(clap::Args)]
@@ -33,31 +35,10 @@ const DRAWN: [&str; 4] = ["/scene", "/robots", "/tf", "/episode"];
 /// Runs `record merge`: merges records, and prints the clock offsets that were found.
 pub fn run(args: &Args) -> Result<Ended> {
     let paths = files(&args.records)?;
-    let wrong = |error: reader::ReadError| BadInput(error.to_string());
-    let mut hosts = Vec::new();
-    for path in &paths {
-        let identity = reader::open(path).map_err(wrong)?.identity;
-        let Some(host) = identity.host else {
-            return bad(format!("'{}' is the record of a simulation, which has one time already", path.display()));
-        };
-        hosts.push(format!("{}-{:08x}", host.name, host.incarnation));
-    }
-    let traffic: Vec<Traffic> = paths.iter().map(|path| Traffic::read(path)).collect::<Result<_, _>>()?;
-    let alignment = align(&traffic);
-    drop(traffic);
-    let mut parts = Vec::new();
-    for ((path, host), clock) in paths.into_iter().zip(hosts).zip(alignment.clocks) {
-        match clock {
-            Some(clock) => parts.push(Part { path, host, clock }),
-            None => {
-                talk(&format!("warning: '{host}' is left out: no datagrams join it with the others in both directions"))
-            }
-        }
-    }
     let folder = args.output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let no_room = || format!("cannot write '{}'", args.output.display());
     let mut fresh = Temporary::new_in(folder, 0o666).with_context(no_room)?;
-    write(&parts, Writer::with_options(BufWriter::new(fresh.seekable()), options())?)?;
+    let (parts, alignment) = merge(paths, fresh.seekable())?;
     fresh.sync().with_context(no_room)?;
     fresh.replace(&args.output).with_context(no_room)?;
     for part in &parts {
@@ -71,6 +52,35 @@ pub fn run(args: &Args) -> Result<Ended> {
         alignment.matched
     ))?;
     Ok(Ended::Done)
+}
+
+/// Merges the records of the hosts of one run into a file. Returns the merged records with their clocks, and how the
+/// clocks were found.
+pub fn merge(paths: Vec<PathBuf>, output: &mut File) -> Result<(Vec<Part>, Alignment)> {
+    let wrong = |error: reader::ReadError| BadInput(error.to_string());
+    let mut hosts = Vec::new();
+    for path in &paths {
+        let identity = reader::open(path).map_err(wrong)?.identity;
+        let Some(host) = identity.host else {
+            return bad(format!("'{}' is the record of a simulation, which has one time already", path.display()));
+        };
+        hosts.push(format!("{}-{:08x}", host.name, host.incarnation));
+    }
+    let traffic: Vec<Traffic> = paths.iter().map(|path| Traffic::read(path)).collect::<Result<_, _>>()?;
+    let mut alignment = align(&traffic);
+    drop(traffic);
+    let mut parts = Vec::new();
+    for ((path, host), clock) in paths.into_iter().zip(hosts).zip(std::mem::take(&mut alignment.clocks)) {
+        match clock {
+            Some(clock) => parts.push(Part { path, host, clock }),
+            None => {
+                talk(&format!("warning: '{host}' is left out: no datagrams join it with the others in both directions"))
+            }
+        }
+    }
+    write(&parts, Writer::with_options(BufWriter::new(output), options())?)
+        .context("cannot write the merged record")?;
+    Ok((parts, alignment))
 }
 
 fn options() -> WriteOptions {
@@ -87,7 +97,7 @@ struct Source<'a> {
     draws: bool,
 }
 
-type Merged<'a> = Writer<BufWriter<&'a mut std::fs::File>>;
+type Merged<'a> = Writer<BufWriter<&'a mut File>>;
 
 /// Writes the messages of all records in the order of their times on the common clock.
 fn write(parts: &[Part], mut writer: Merged<'_>) -> Result<()> {
@@ -148,6 +158,9 @@ impl Source<'_> {
             match item {
                 Item::Metadata(name, metadata) if name == METADATA => {
                     let name = format!("{METADATA}.{}", self.part.host);
+                    writer.write_metadata(&Metadata { name, metadata })?;
+                }
+                Item::Metadata(name, metadata) if name == stage::METADATA && self.draws => {
                     writer.write_metadata(&Metadata { name, metadata })?;
                 }
                 Item::Schema(header, data) => {

@@ -2,7 +2,7 @@
 
 mod export;
 mod info;
-mod merge;
+pub mod merge;
 mod repair;
 mod share;
 

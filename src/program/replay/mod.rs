@@ -2,6 +2,10 @@
 
 mod actions;
 mod of_host;
+#[cfg(feature = "watch")]
+mod page;
+#[cfg(feature = "watch")]
+mod sights;
 
 use std::cell::RefCell;
 use std::fmt;
@@ -11,15 +15,19 @@ use std::rc::Rc;
 use anyhow::{Context, Result};
 use serde::Serialize;
 
+use crate::graph::process::ProcessEvent;
+use crate::messages::ids::HostId;
 use crate::program::output::{print, talk};
 use crate::program::{BadInput, Ended, bad, sim};
 use crate::record::compare::{Compared, Comparison};
 use crate::record::identity::{BUILD, Identity};
 use crate::record::reader::{self, Opened};
+use crate::record::series;
 use crate::record::share::ACCEPTED;
 use crate::record::topics::{Stage, Topics};
 use crate::record::{Event, Scope};
 use crate::registry::Registry;
+use crate::time::Time;
 use crate::trial::Proceed;
 
 /// Flags of `murmurate replay`.
@@ -58,6 +66,9 @@ pub struct Args {
     /// Prints one JSON object instead of the table
     #[arg(long)]
     json: bool,
+    #[cfg(feature = "watch")]
+    #[command(flatten)]
+    page: crate::program::watch::RecordPage,
 }
 
 /// Result of the replay of one record.
@@ -83,6 +94,10 @@ struct Table {
 
 /// Runs `replay`: replays all records.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
+    #[cfg(feature = "watch")]
+    if args.page.is_on() {
+        return page::watch(args, registry);
+    }
     let mut table = Table { records: Vec::new() };
     for path in files(&args.records)? {
         let opened = reader::open(&path).map_err(|error| BadInput(error.to_string()))?;
@@ -130,6 +145,8 @@ pub fn files(named: &[PathBuf]) -> Result<Vec<PathBuf>> {
         let entries = std::fs::read_dir(path).map_err(wrong)?;
         let found = entries.filter_map(|entry| Some(entry.ok()?.path()));
         let mut found: Vec<PathBuf> = found.filter(|path| path.extension().is_some_and(|e| e == "mcap")).collect();
+        // Further files of a record are read with its first one.
+        found.retain(|path| series::first_of(path).is_none_or(|first| !first.exists()));
         found.sort();
         if found.is_empty() {
             return bad(format!("the folder '{}' has no record (*.mcap)", path.display()));
@@ -147,6 +164,16 @@ fn check(args: &Args, path: &Path, identity: &Identity) -> Result<()> {
     }
     if args.host && !of_host {
         return bad(format!("--host: '{}' is the record of a simulation; use --rerun", path.display()));
+    }
+    if identity.excerpt {
+        return bad(format!(
+            "'{}' has only the seconds around what happened (--record-last), and a replay needs a run from its \
+             beginning; look at it with --watch",
+            path.display()
+        ));
+    }
+    if identity.part > 0 {
+        return bad(format!("'{}' goes on from another file of its record: name the first one", path.display()));
     }
     if identity.build != BUILD {
         let (theirs, at) = (&identity.build, path.display());
@@ -186,6 +213,17 @@ impl Files {
         Ok(files)
     }
 
+    /// Name of the team file of a host's record, as the command was given it: the first file that `OfHost` attaches.
+    fn team_file(&self) -> Option<&str> {
+        self.files.first().map(|(name, _)| &**name)
+    }
+
+    /// Path of the policy's file of a host's record, the second file that `OfHost` attaches; `None` if the policy was
+    /// named by its name in the registry.
+    fn policy(&self) -> Option<&Path> {
+        self.files.get(1).map(|(_, path)| &**path)
+    }
+
     /// Returns the recorded arguments, with the names of attached files replaced by their paths.
     fn in_place(&self, arguments: &[String]) -> Vec<String> {
         let replaced = |argument: &String| {
@@ -211,6 +249,18 @@ impl Drop for Files {
 
 /// Repeats a simulation from its seed and compares it with its record.
 fn rerun(opened: Opened, files: &Files, registry: &Registry) -> Result<Compared> {
+    rerun_observed(opened, files, registry, |_, _| {}, |_| {})
+}
+
+/// Runs a simulation again from its seed, and passes on each event of the run, and the time of each instant after its
+/// events.
+fn rerun_observed(
+    opened: Opened,
+    files: &Files,
+    registry: &Registry,
+    observe: impl Fn(HostId, ProcessEvent) + 'static,
+    mut turned: impl FnMut(Time),
+) -> Result<Compared> {
     let Opened { identity, messages, .. } = opened;
     let trial = sim::of_record(&files.in_place(&identity.arguments), identity.repeat, registry)?;
     let topics = Topics::new(Stage::of(&trial.plan()), Scope::Simulation, 0);
@@ -218,11 +268,13 @@ fn rerun(opened: Opened, files: &Files, registry: &Registry) -> Result<Compared>
     let heard = Rc::clone(&comparison);
     trial.run_observed(
         move |host, event| {
+            observe(host, event);
             if let Some(event) = Event::of(Scope::Simulation, host, event) {
                 heard.borrow_mut().push(event);
             }
         },
         |_, now, _| {
+            turned(now);
             let mut comparison = comparison.borrow_mut();
             comparison.push(Event::Turn(now));
             if comparison.is_over() { Proceed::Stop } else { Proceed::Continue }

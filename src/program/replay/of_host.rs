@@ -46,13 +46,13 @@ pub fn prepare(args: &Args, (path, opened): (&Path, Opened), files: &Files, regi
     let Opened { identity, messages, attached } = opened;
     let of = identity.host.clone().expect("the caller has seen a host");
     let mut team_args = host::of_record(&files.in_place(&identity.arguments))?;
-    let policy = args.policy.as_deref().or(files.files.get(1).map(|(_, policy)| &**policy));
+    let policy = args.policy.as_deref().or(files.policy());
     team_args.set.extend(policy.map(|policy| format!("policy={}", policy.display())));
     if args.key_file.is_some() {
         team_args.key_file.clone_from(&args.key_file);
     }
     let folder = identity.arguments.iter().find_map(|argument| {
-        let named = files.files.first().is_some_and(|(name, _)| name == argument);
+        let named = files.team_file().is_some_and(|name| name == argument);
         named.then(|| Path::new(argument).parent().unwrap_or(Path::new("")).to_owned())
     });
     let file = team_args.read_as_of(registry, folder.as_deref(), &identity.variables)?;

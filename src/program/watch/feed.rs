@@ -6,6 +6,7 @@ use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use crate::time::Time;
+use crate::view::metrics::Metrics;
 use crate::view::server::Publisher;
 use crate::view::status::Status;
 use crate::view::team_view::TeamView;
@@ -18,6 +19,8 @@ const SNAPSHOT_LARGE: Duration = Duration::from_millis(100);
 const LARGE: usize = 400;
 /// Period of the status without changes.
 const STATUS: Duration = Duration::from_millis(500);
+/// Period of the metrics.
+const METRICS: Duration = Duration::from_secs(1);
 /// Period at which changes are detected.
 const LOOK: Duration = Duration::from_millis(10);
 
@@ -26,8 +29,10 @@ const LOOK: Duration = Duration::from_millis(10);
 type Change = (&'static str, usize, Option<u32>, &'static str);
 
 /// Publishes the state of a team to the live page.
-pub(super) struct Feed {
+pub struct Feed {
     view: Rc<RefCell<TeamView>>,
+    metrics: Option<Rc<RefCell<Metrics>>>,
+    metrics_at: Instant,
     period: Duration,
     snapshot_at: Instant,
     status_at: Instant,
@@ -37,11 +42,21 @@ pub(super) struct Feed {
 }
 
 impl Feed {
-    /// Creates a feed of this view that has published nothing yet.
-    pub fn new(view: Rc<RefCell<TeamView>>) -> Feed {
+    /// Makes a feed of this view that has told nothing; without `metrics` it tells none.
+    pub fn new(view: Rc<RefCell<TeamView>>, metrics: Option<Rc<RefCell<Metrics>>>) -> Feed {
         let now = Instant::now();
         let period = if view.borrow().scene().robots >= LARGE { SNAPSHOT_LARGE } else { SNAPSHOT };
-        Feed { view, period, snapshot_at: now, status_at: now, look_at: now, told: None, goals_told: 0 }
+        Feed {
+            view,
+            metrics,
+            metrics_at: now,
+            period,
+            snapshot_at: now,
+            status_at: now,
+            look_at: now,
+            told: None,
+            goals_told: 0,
+        }
     }
 
     /// Makes the next call of [`Feed::tell`] publish without waiting for its period.
@@ -59,10 +74,17 @@ impl Feed {
         self.look_at = present + LOOK;
         let mut view = self.view.borrow_mut();
         if present >= self.snapshot_at {
-            let bytes = view.snapshot(now).encode(view.scene().scale_m);
+            let snapshot = view.snapshot(now);
+            self.metrics.iter().for_each(|metrics| metrics.borrow_mut().sample(&snapshot));
+            let bytes = snapshot.encode(view.scene().scale_m);
             if publisher.snapshot(bytes) {
                 self.snapshot_at = (self.snapshot_at + self.period).max(present);
             }
+        }
+        if let Some(metrics) = self.metrics.as_ref().filter(|_| present >= self.metrics_at)
+            && publisher.metrics(metrics.borrow().text(&view))
+        {
+            self.metrics_at = present + METRICS;
         }
         if view.goals_changed() != self.goals_told {
             let (number, goals) = view.goals();

@@ -1,12 +1,13 @@
 //! The live page of a command: its flags, its server and its feed.
 
-mod feed;
+pub mod feed;
+pub mod metrics;
 pub mod team;
 #[cfg(feature = "sim")]
 pub mod trial;
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow};
 
@@ -55,6 +56,36 @@ impl OptionalPage {
     }
 }
 
+/// Flags of a command that shows a record on a page when it is asked to.
+#[cfg(feature = "sim")]
+#[derive(clap::Args)]
+pub struct RecordPage {
+    /// Serves a page that shows the records with a scrubber, and prints its address (docs/watch.md)
+    #[arg(long, conflicts_with_all = ["policy", "rerun", "host", "json", "key_file"])]
+    watch: bool,
+    /// Address at which the page is served; one that other machines reach needs --token-file [default: 127.0.0.1 and a
+    /// free port]
+    #[arg(long, value_name = "ADDRESS:PORT", requires = "watch")]
+    listen: Option<SocketAddr>,
+    /// File with the token of the page, as 'murmurate key new' makes it [default: drawn, and printed with the address]
+    #[arg(long, value_name = "FILE", requires = "watch")]
+    token_file: Option<PathBuf>,
+}
+
+#[cfg(feature = "sim")]
+impl RecordPage {
+    /// Whether there is a page.
+    pub fn is_on(&self) -> bool {
+        self.watch
+    }
+
+    /// Opens the server of the page and prints the page's address.
+    pub fn open(&self, scene: Scene) -> Result<(Server, Publisher)> {
+        let (listen, token_file) = (self.listen, self.token_file.clone());
+        PageFlags { listen, control: true, token_file }.open(scene, Control::Playback)
+    }
+}
+
 impl PageFlags {
     /// Opens the server of the page and prints its address. `most` are the commands that the process can execute.
     pub fn open(&self, mut scene: Scene, most: Control) -> Result<(Server, Publisher)> {
@@ -66,19 +97,13 @@ impl PageFlags {
                  --out page.token' and give --token-file page.token, or keep 127.0.0.1 and use an ssh tunnel"
             ));
         }
-        let token = match &self.token_file {
-            Some(file) => Token::new(&key::read(file)?),
-            None => {
-                let mut bytes = [0; TOKEN_BYTES];
-                getrandom::fill(&mut bytes).map_err(|e| anyhow!("the operating system gives no random bytes: {e}"))?;
-                Token::new(&bytes)
-            }
-        };
+        let token = token(self.token_file.as_deref())?;
         let control = if self.control { most } else { Control::StopOnly };
         scene.control = match control {
             Control::StopOnly => "stop",
             Control::Team => "team",
             Control::Emulation => "emulation",
+            Control::Playback => "playback",
         };
         // A token from a file is not printed.
         let secret = match &self.token_file {
@@ -86,12 +111,23 @@ impl PageFlags {
             None if self.control => format!("#{}", token.digits()),
             None => String::new(),
         };
-        let opened = Server::open(listen, Access { token, control, guarded }, scene.to_json());
+        let opened = Server::open(listen, Access { token, control, guarded, page: true }, scene.to_json());
         let (server, publisher) = opened.with_context(|| format!("--listen: cannot serve the page at {listen}"))?;
         talk(&format!("watch: http://{}/{secret}", server.address()));
         Ok((server, publisher))
     }
 }
 
+/// Reads a token from its file; without one, draws it.
+fn token(file: Option<&Path>) -> Result<Token> {
+    if let Some(file) = file {
+        return Ok(Token::new(&key::read(file)?));
+    }
+    let mut bytes = [0; TOKEN_BYTES];
+    getrandom::fill(&mut bytes).map_err(|error| anyhow!("the operating system gives no random bytes: {error}"))?;
+    Ok(Token::new(&bytes))
+}
+
 /// Operator id of the page in a run of one process, which has no other operator.
+#[cfg(feature = "sim")]
 const OPERATOR: HostId = HostId::operator(0);

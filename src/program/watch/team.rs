@@ -16,12 +16,10 @@ use crate::actors::network;
 use crate::actors::order::OrderKind;
 use crate::deploy::Routes;
 use crate::deploy::team::TeamFile;
-use crate::graph::operator::{self, Operator};
+use crate::graph::operator;
 use crate::graph::process::ProcessEvent;
-use crate::live::links::{self, ProcessIdentity};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{Stop, Wire};
-use crate::net::protocol::key::Key;
 use crate::program::{BadInput, Ended, signals, team};
 use crate::registry::Registry;
 use crate::report::episode::Episode;
@@ -32,6 +30,7 @@ use crate::scenario::Settings;
 use crate::time::{Span, Time};
 use crate::view::access::Control;
 use crate::view::command::Command;
+use crate::view::metrics::Metrics;
 use crate::view::orders::Orders;
 use crate::view::server::{Publisher, Server};
 use crate::view::status::Scene;
@@ -113,28 +112,19 @@ impl Page {
     pub fn run(self, team: &team::TeamArgs, registry: &Registry, over: impl Fn() -> bool) -> Result<()> {
         let Page { view, server, publisher, results } = self;
         let file = team.read(registry)?;
-        let access = file.operator_access().map_err(|error| team.wrong(&error))?;
-        let (deployment, identity) = (file.deployment(), ProcessIdentity::draw()?);
-        let me = identity.operator_of(access.number);
-        let link = &deployment.links[usize::from(access.link.0)];
-        let operator = Operator {
-            me,
-            seed: identity.seed,
-            robots: deployment.robots,
-            publishers: Routes::of(deployment).publishers(),
-            key: team::key_of(access.key_file.as_deref())?.map(Key::new),
-            links: links::of_operator(deployment, links::places_of(&access, deployment)),
-            transports: links::join(&access, link, me.host, team.names_interface())?,
-            stop: Some(access.link),
-        };
+        let operator = team.operator(&file)?;
+        let me = operator.me;
+        let names = file.deployment().hosts.iter().map(|host| host.name.clone()).collect();
+        let metrics = Rc::new(RefCell::new(Metrics::new(names)));
         let view = Rc::new(RefCell::new(view));
-        let orders = Rc::new(RefCell::new(Orders::new(me.host, deployment.robots)));
-        let (feed, ask_at) = (Feed::new(Rc::clone(&view)), Time::ZERO);
+        let orders = Rc::new(RefCell::new(Orders::new(me.host, operator.robots)));
+        let (feed, ask_at) = (Feed::new(Rc::clone(&view), Some(Rc::clone(&metrics))), Time::ZERO);
         run_real(
             Instant::now(),
             |clock, readers| {
                 let (seen, given, time) = (Rc::clone(&view), Rc::clone(&orders), clock.clone());
                 let network = operator::wire((clock, readers), operator, move |event| {
+                    metrics.borrow_mut().take(me.host, event);
                     let ProcessEvent::Message(message) = event else { return };
                     if let Wire::Status(status) = message {
                         given.borrow_mut().hear(time.now(), status);
@@ -196,6 +186,8 @@ impl Desk {
             Command::Pause | Command::Kill { .. } | Command::Restart { .. } | Command::Link { .. } => {
                 return self.view.borrow_mut().note(now, "page: refused, that is for simulations");
             }
+            // Refused before, as there is no record.
+            Command::Play { .. } | Command::Seek { .. } | Command::Step { .. } => return,
         };
         if kind == OrderKind::Stop {
             self.view.borrow_mut().note(now, "page: STOP");

@@ -26,6 +26,7 @@ use crate::time::{Span, Time};
 use crate::trial::{Proceed, Trial, TrialReport};
 use crate::view::access::Control;
 use crate::view::command::Command;
+use crate::view::metrics::Metrics;
 use crate::view::orders::Orders;
 use crate::view::server::Publisher;
 use crate::view::status::{LinkImpairment, Scene, Status};
@@ -85,12 +86,14 @@ pub fn run(
     let scene = scene(trial, policy);
     let (server, publisher) = flags.page.page.open(scene.clone(), Control::Emulation)?;
     let view = Rc::new(RefCell::new(TeamView::new(scene, homes, trial.deployment.hosts.len())));
+    let names = trial.deployment.hosts.iter().map(|host| host.name.clone()).collect();
+    let metrics = Rc::new(RefCell::new(Metrics::new(names)));
     let clock = Rc::new(Cell::new(Time::ZERO));
     let mut desk = Desk {
         trial,
         leader: routes.server_host(),
         publisher,
-        feed: Feed::new(Rc::clone(&view)),
+        feed: Feed::new(Rc::clone(&view), Some(Rc::clone(&metrics))),
         view: Rc::clone(&view),
         orders: Rc::new(RefCell::new(Orders::new(OPERATOR, robots))),
         pause: Pause::No,
@@ -102,6 +105,7 @@ pub fn run(
     let orders = Rc::clone(&desk.orders);
     let time = Rc::clone(&clock);
     let hear = move |host: HostId, event: ProcessEvent| {
+        metrics.borrow_mut().take(host, event);
         heard(&mut view.borrow_mut(), &mut orders.borrow_mut(), time.get(), host, event);
     };
     let turn = |graph: &Graph, now: Time, episodes: &[Episode]| {
@@ -146,7 +150,7 @@ fn heard(view: &mut TeamView, orders: &mut Orders, now: Time, host: HostId, even
             }
             view.hear(now, &message);
         }
-        ProcessEvent::Message(message) => view.arrived(now, host, message),
+        ProcessEvent::Message(Wire::Latent(latent)) => view.arrived(now, host, latent.robot),
         ProcessEvent::Truth(truth) => view.see(truth),
         ProcessEvent::Recorded(recorder::Out::Episode(episode, _)) => view.judged(now, episode),
         ProcessEvent::Safety(robot, counts) => view.guarded(now, robot, counts),
@@ -313,6 +317,8 @@ impl Desk<'_> {
                     note(&format!("page: {} restarts", name(role, robot)));
                 }
             }
+            // Refused before, as there is no record.
+            Command::Play { .. } | Command::Seek { .. } | Command::Step { .. } => {}
             Command::Link { link, cut, delay_ms, loss } => {
                 let links = &self.trial.deployment.links;
                 let Some(at) = links.iter().position(|other| other.name == link) else {

@@ -7,6 +7,8 @@ const STALE_MS = 700;      // Snapshot age [ms] at which the page turns grey; ch
 const TRAIL_MS = 150, TRAIL_LENGTH = 30;
 const MANY = 500;          // Number of links above which they are drawn thin and without dashes.
 const BINS = 20, BIN_MS = 25;
+const RATES = [0.1, 0.25, 0.5, 1, 2, 5, 10];
+const JUMP_MS = 1500;      // Of the record: a longer step in its time is a jump, after which trails begin anew.
 const $ = id => document.getElementById(id);
 const canvas = $("canvas"), pen = canvas.getContext("2d");
 
@@ -14,6 +16,7 @@ let scene = null, goals = [], status = null, holder = false;
 let world = null, links = null, heardAt = -Infinity, dirty = true, stale = true;
 let chosen = null, colours = {}, trails = [], trailAt = 0, view = { k: 1, x: 0, y: 0 };
 let histogram = new Float32Array(BINS + 1);
+let dragging = false;
 const counts = { bytes: 0, snapshots: 0, drawn: 0, drawMs: 0 };
 
 // ---- WebSockets
@@ -36,7 +39,11 @@ function connect(path, open, message) {
 connect("view", () => {}, data => {
   counts.bytes += data.byteLength;
   if (data.byteLength < HEADER) return;
+  const before = world && world.getUint32(4, true);
   world = new DataView(data);
+  const passed = world.getUint32(4, true) - before;
+  if (passed < 0 || scene && scene.record && passed > JUMP_MS) { trails = []; histogram.fill(0); }
+  showTime();
   links = readLinks(world);
   heardAt = performance.now();
   counts.snapshots++;
@@ -77,6 +84,7 @@ function setUp() {
   world = null; trails = []; goals = [];
   $("rows").replaceChildren(...Array.from({ length: scene.robots }, (_, robot) => row(robot)));
   $("faults").hidden = scene.control !== "emulation";
+  setUpRecord();
   $("link").replaceChildren(...scene.links.map(name => new Option(name)));
   const names = Array.from({ length: scene.robots }, (_, robot) => new Option(`robot ${robot}`, robot));
   $("robot").replaceChildren(...names);
@@ -86,6 +94,26 @@ function setUp() {
   const margin = scene.hull_m + 0.15, half = scene.half_extent;
   canvas.style.setProperty("--aspect", `${half[0] + margin} / ${half[1] + margin}`);
   dirty = true;
+}
+
+// A record has no team to stop: the scrubber takes the place of the orders.
+function setUpRecord() {
+  const record = scene.record;
+  for (const id of ["stop", "confirmed-of"]) $(id).hidden = !!record;
+  document.querySelector(".orders").hidden = !!record;
+  $("scrubber").hidden = !record;
+  if (!record) return;
+  $("seek").max = record.duration_s;
+  $("rate").replaceChildren(...RATES.map(rate => new Option(`${rate}×`, rate, rate === 1, rate === 1)));
+  $("marks").replaceChildren(...record.marks.map(mark => {
+    const button = document.createElement("button");
+    button.className = mark.kind;
+    button.tabIndex = -1;
+    button.title = `${mark.at_s.toFixed(2)} s: ${mark.text}`;
+    button.style.left = `${100 * mark.at_s / Math.max(record.duration_s, 1e-9)}%`;
+    button.onclick = () => seek(mark.at_s);
+    return button;
+  }));
 }
 
 function row(robot) {
@@ -114,6 +142,12 @@ function showStatus() {
   const s = status;
   const standing = s.pause === "yes" && s.latch === "clear";
   const words = { clear: standing ? "paused" : "running", held: "HELD", stopped: "STOPPED" };
+  if (s.playback) {
+    words.clear = s.playback.playing ? "playing" : "halted";
+    set($("play"), s.playback.playing ? "Halt" : "Play");
+    if (document.activeElement !== $("rate")) $("rate").value = s.playback.rate;
+    for (const id of ["play", "step", "step-back", "mark-on", "mark-back", "seek", "rate"]) $(id).disabled = !holder;
+  }
   if (s.latch === "stopped") stopWanted = false;
   if (!stale) {
     set($("state"), s.over ? "over" : words[s.latch]);
@@ -138,6 +172,15 @@ function showStatus() {
   showLog();
   showLinks();
   showAges();
+}
+
+function recordTime() { return world ? world.getUint32(4, true) / 1000 : 0; }
+
+function showTime() {
+  if (!scene || !scene.record) return;
+  const now = recordTime();
+  if (!dragging) $("seek").value = now;
+  set($("seek-text"), `${now.toFixed(2)} of ${scene.record.duration_s.toFixed(2)} s`);
 }
 
 function showRows() {
@@ -233,8 +276,9 @@ function showAges() {
 
 let logged = 0;
 function showLog() {
+  const last = status.log.length ? status.log[status.log.length - 1][0] : 0;
+  if (last < logged) { logged = 0; $("log").replaceChildren(); }
   const news = status.log.filter(([number]) => number > logged);
-  if (status.log.length && status.log[status.log.length - 1][0] < logged) logged = 0;
   for (const [number, time, text] of news) {
     const line = document.createElement("li"), at = document.createElement("time");
     at.textContent = `${time.toFixed(1)} s`;
@@ -480,9 +524,14 @@ setInterval(checkStale, 100);
 $("stop").onclick = stop;
 for (const name of ["rearm", "resume", "pause"]) $(name).onclick = () => send({ do: name });
 document.addEventListener("keydown", event => {
-  if (event.code !== "Space" || event.repeat || event.ctrlKey || event.altKey || event.metaKey) return;
+  if (event.ctrlKey || event.altKey || event.metaKey) return;
+  const record = scene && scene.record;
+  const keys = record ? { ArrowRight: () => step(false), ArrowLeft: () => step(true), BracketLeft: () => toMark(true),
+    BracketRight: () => toMark(false) } : {};
+  if (keys[event.code]) { event.preventDefault(); keys[event.code](); return; }
+  if (event.code !== "Space" || event.repeat) return;
   event.preventDefault();
-  stop();
+  if (record) play(); else stop();
 });
 // Without this, releasing the space bar would press the button that has the focus.
 document.addEventListener("keyup", event => { if (event.code === "Space") event.preventDefault(); });
@@ -492,6 +541,27 @@ $("colour").onchange = () => {
   words.forEach((text, at) => set($(`legend-${at}`), text));
   dirty = true;
 };
+
+function seek(at_s) { send({ do: "seek", at_s: Math.min(Math.max(at_s, 0), scene.record.duration_s) }); }
+function step(back) { send({ do: "step", back }); }
+function play() { send({ do: "play", on: !(status && status.playback && status.playback.playing), rate: rate() }); }
+function rate() { return +$("rate").value || 1; }
+
+function toMark(back) {
+  const now = recordTime(), marks = scene.record.marks.filter(mark => mark.kind !== "guard").map(mark => mark.at_s);
+  const next = back ? marks.filter(at => at < now - 0.05).pop() : marks.find(at => at > now + 0.005);
+  seek(next === undefined ? back ? 0 : scene.record.duration_s : next);
+}
+
+$("play").onclick = play;
+$("step").onclick = () => step(false);
+$("step-back").onclick = () => step(true);
+$("mark-back").onclick = () => toMark(true);
+$("mark-on").onclick = () => toMark(false);
+$("rate").onchange = () => send({ do: "play", on: !!(status && status.playback && status.playback.playing),
+  rate: rate() });
+$("seek").oninput = () => { dragging = true; seek(+$("seek").value); };
+$("seek").onchange = () => { dragging = false; };
 
 const onLink = () => {
   set($("delay-text"), `${$("delay").value} ms`);

@@ -1,0 +1,187 @@
+//! `murmurate replay --watch`: the page with a scrubber, for a record.
+
+use std::cell::RefCell;
+use std::path::PathBuf;
+use std::rc::Rc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+
+use super::sights::{self, Shown};
+use super::{Args, Files, files, rerun_observed};
+use crate::graph::process::ProcessEvent;
+use crate::messages::wire::Wire;
+use crate::program::output::talk;
+use crate::program::record::merge::merge;
+use crate::program::temporary::Temporary;
+use crate::program::watch::feed::Feed;
+use crate::program::{BadInput, Ended, bad, signals};
+use crate::record::identity::BUILD;
+use crate::record::reader::{self, Opened};
+use crate::registry::Registry;
+use crate::time::{Span, Time};
+use crate::view::command::Command;
+use crate::view::server::Publisher;
+use crate::view::snapshot;
+use crate::view::status::{Playback, Record, Scene, Status};
+use crate::view::team_view::TeamView;
+use crate::view::timeline::{Sight, Timeline};
+
+/// Longest wait for a command, after which pages get their news.
+const TURN: Duration = Duration::from_millis(10);
+
+/// Serves the page of a record until Ctrl-C.
+pub fn watch(args: &Args, registry: &Registry) -> Result<Ended> {
+    let name = match &args.records[..] {
+        [only] => only.display().to_string(),
+        several => format!("{} records", several.len()),
+    };
+    let shown = read(&args.records, registry)?;
+    if shown.sights.is_empty() {
+        return bad(format!("'{name}' has nothing to show: no messages and no states of robots"));
+    }
+    let (stop, _) = signals::listen()?;
+    let scene = scene(&shown, &name);
+    let homes = shown.stage.homes.clone();
+    let blank = TeamView::new(scene.clone(), homes, shown.stage.hosts.len());
+    let timeline = Timeline::new(blank, shown.sights);
+    let record = Record { name, duration_s: timeline.end().as_secs(), marks: timeline.marks().to_vec() };
+    let (server, publisher) = args.page.open(Scene { record: Some(record), ..scene })?;
+    let (view, taken) = timeline.picture(Time::ZERO);
+    let view = Rc::new(RefCell::new(view));
+    let feed = Feed::new(Rc::clone(&view), None);
+    let player = Player { timeline, view, taken, feed, publisher, now: Time::ZERO, playing: true, rate: 1.0 };
+    player.run(&stop);
+    server.close();
+    Ok(Ended::Done)
+}
+
+/// Reads what the named records show: of a simulation with its links, of several hosts on one time.
+fn read(named: &[PathBuf], registry: &Registry) -> Result<Shown> {
+    let mut paths = files(named)?;
+    if paths.len() > 1 {
+        talk(&format!("reads the records of {} hosts as one", paths.len()));
+        let mut merged = Temporary::new_in(&std::env::temp_dir(), 0o600).context("cannot write a temporary file")?;
+        merge(paths, merged.seekable())?;
+        return sights::read(merged.path());
+    }
+    let path = paths.remove(0);
+    let mut shown = sights::read(&path)?;
+    let (identity, attached, messages) = reader::open_any(&path).map_err(|error| BadInput(error.to_string()))?;
+    let Some(identity) = identity.filter(|identity| identity.host.is_none()) else { return Ok(shown) };
+    if identity.build != BUILD {
+        talk("links between robots are not shown: the record was made by another build of this program");
+        return Ok(shown);
+    }
+    let opened = Opened { identity, attached, messages };
+    let (files, mut arrivals) = (Files::extract(&opened)?, Vec::new());
+    let instant = Rc::new(RefCell::new(Vec::new()));
+    let arrived = Rc::clone(&instant);
+    let compared = rerun_observed(
+        opened,
+        &files,
+        registry,
+        move |host, event| {
+            if let ProcessEvent::Message(Wire::Latent(latent)) = event {
+                arrived.borrow_mut().push(Sight::Arrived(host, latent.robot));
+            }
+        },
+        |now| arrivals.extend(instant.borrow_mut().drain(..).map(|sight| (now, sight))),
+    )?;
+    if let Some(difference) = compared.difference {
+        talk(&format!(
+            "links between robots are not shown: the simulation that is run again for them differs from the record at \
+             {:.3} s, as after commands of a page",
+            difference.at_s
+        ));
+        return Ok(shown);
+    }
+    shown.sights.append(&mut arrivals);
+    shown.hears_links = true;
+    Ok(shown)
+}
+
+fn scene(shown: &Shown, name: &str) -> Scene {
+    let Shown { stage, hears_links, hears_results, .. } = shown;
+    let [x, y] = stage.half_extent;
+    Scene {
+        scenario: stage.scenario.clone(),
+        mode: stage.mode.clone(),
+        policy: name.to_owned(),
+        robots: stage.robots,
+        half_extent: stage.half_extent,
+        walls: stage.walls.clone(),
+        hull_m: stage.hull_m,
+        range_m: stage.range_m,
+        scale_m: snapshot::scale_m(x.max(y) + 2.0),
+        hears_links: *hears_links,
+        hears_results: *hears_results,
+        ..Scene::default()
+    }
+}
+
+/// Player of a record: its time, and the picture of that time.
+struct Player {
+    timeline: Timeline,
+    view: Rc<RefCell<TeamView>>,
+    /// Number of events in the picture.
+    taken: usize,
+    feed: Feed,
+    publisher: Publisher,
+    now: Time,
+    playing: bool,
+    /// Seconds of the record a second.
+    rate: f64,
+}
+
+impl Player {
+    fn run(mut self, stop: &AtomicUsize) {
+        let mut before = Instant::now();
+        while stop.load(Ordering::Relaxed) == 0 {
+            let mut command = self.publisher.wait(TURN);
+            while let Some(given) = command {
+                self.obey(&given);
+                command = self.publisher.command();
+            }
+            let present = Instant::now();
+            if self.playing {
+                let passed = (present - before).as_secs_f64() * self.rate;
+                let to = (self.now + Span::from_secs(passed)).min(self.timeline.end());
+                self.timeline.advance(&mut self.view.borrow_mut(), &mut self.taken, to);
+                self.playing = to < self.timeline.end();
+                self.now = to;
+            }
+            before = present;
+            let (playing, rate) = (self.playing, self.rate);
+            let fill = |status: &mut Status| status.playback = Some(Playback { playing, rate });
+            self.feed.tell(&self.publisher, self.now, if playing { "playing" } else { "paused" }, fill);
+        }
+    }
+
+    fn obey(&mut self, command: &Command) {
+        match command {
+            Command::Play { on, rate } => {
+                if *on && !self.playing && self.now >= self.timeline.end() {
+                    self.show(Time::ZERO);
+                }
+                (self.playing, self.rate) = (*on, *rate);
+            }
+            Command::Seek { at_s } => self.show(Time::ZERO + Span::from_secs(*at_s)),
+            Command::Step { back } => {
+                self.playing = false;
+                self.show(self.timeline.step(self.now, *back));
+            }
+            // Refused before, as there is no team.
+            _ => {}
+        }
+    }
+
+    /// Shows the picture of a time.
+    fn show(&mut self, at: Time) {
+        self.now = at.min(self.timeline.end());
+        let (view, taken) = self.timeline.picture(self.now);
+        (*self.view.borrow_mut(), self.taken) = (view, taken);
+        self.feed.at_once();
+    }
+}

@@ -1,0 +1,204 @@
+//! From the messages of a record to the events that its pictures are made of.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use anyhow::Result;
+use serde_json::Value as Json;
+
+use crate::graph::inputs::Input;
+use crate::messages::geometry::{Motion, Vec2};
+use crate::messages::ids::{HostId, RobotId};
+use crate::messages::local::{Contacts, Sample, Truth};
+use crate::messages::wire::{Features, Wire};
+use crate::net::protocol::codec;
+use crate::program::BadInput;
+use crate::record::identity::{self, Identity};
+use crate::record::protobuf_reader::{Fields, Value};
+use crate::record::reader::{Item, Message, ReadError, Reader};
+use crate::record::stage::{self, Stage};
+use crate::record::tape;
+use crate::report::episode::Episode;
+use crate::safety::guard::SafetyCounts;
+use crate::time::Time;
+use crate::view::timeline::Sight;
+
+/// What a record shows.
+pub struct Shown {
+    /// Hosts and ground.
+    pub stage: Stage,
+    /// Its events, with the time since the record's beginning.
+    pub sights: Vec<(Time, Sight)>,
+    /// Whether the record has what arrived at each robot.
+    pub hears_links: bool,
+    /// Whether the record has results of episodes.
+    pub hears_results: bool,
+}
+
+/// State of the reading.
+struct Reading {
+    stage: Option<Stage>,
+    /// The host of a record of one.
+    host: Option<HostId>,
+    /// Time zero of the record \[ns\], as its messages count.
+    zero: Option<u64>,
+    sights: Vec<(Time, Sight)>,
+    /// Hosts whose published messages are in the record.
+    published: BTreeSet<HostId>,
+    /// Hosts whose turns are in the record.
+    taped: BTreeSet<HostId>,
+    /// By receiving and sending host: incarnation and number of the newest datagram.
+    newest: BTreeMap<(HostId, HostId), (u32, u32)>,
+    results: bool,
+}
+
+/// Reads all that a record shows.
+pub fn read(path: &Path) -> Result<Shown> {
+    let wrong = |error: ReadError| BadInput(error.to_string());
+    let mut reader = Reader::open(path).map_err(wrong)?;
+    let mut reading = Reading {
+        stage: None,
+        host: None,
+        zero: None,
+        sights: Vec::new(),
+        published: BTreeSet::new(),
+        taped: BTreeSet::new(),
+        newest: BTreeMap::new(),
+        results: false,
+    };
+    while let Some(item) = reader.next_item().map_err(wrong)? {
+        match item {
+            Item::Metadata(name, metadata) if name == identity::METADATA => {
+                let identity = Identity::of_metadata(&metadata)
+                    .map_err(|error| BadInput(format!("'{}' is no record of this program: {error}", path.display())))?;
+                reading.zero = Some(identity.anchor_ns);
+                reading.host = identity.host.map(|host| host.id);
+            }
+            Item::Metadata(name, metadata) if name == stage::METADATA => {
+                reading.stage = Stage::of_metadata(&metadata);
+            }
+            Item::Message(message) => reading.take(&message),
+            _ => {}
+        }
+    }
+    let Some(stage) = reading.stage else {
+        let why = format!(
+            "'{}' cannot be shown: it has no metadata '{}'; records of this version have them",
+            path.display(),
+            stage::METADATA
+        );
+        return Err(BadInput(why).into());
+    };
+    let hears_links = stage.homes.iter().all(|home| reading.taped.contains(home));
+    Ok(Shown { stage, sights: reading.sights, hears_links, hears_results: reading.results })
+}
+
+/// Returns a latent message without its features, which no picture shows; other messages as they are.
+pub fn slim(message: Wire) -> Wire {
+    match message {
+        Wire::Latent(mut latent) => {
+            latent.features = Features(Vec::new().into());
+            Wire::Latent(latent)
+        }
+        other => other,
+    }
+}
+
+impl Reading {
+    fn take(&mut self, message: &Message) {
+        let zero = *self.zero.get_or_insert(message.at);
+        let now = Time::from_nanos(message.at.saturating_sub(zero));
+        match &*message.channel.topic {
+            "/truth" => self.sights.extend(truth(now, &message.data).map(|truth| (now, Sight::Truth(truth)))),
+            "/episode" => {
+                if let Ok(episode) = serde_json::from_slice::<Episode>(&message.data) {
+                    self.results = true;
+                    self.sights.push((now, Sight::Judged(episode)));
+                }
+            }
+            "/guard" => {
+                let robot = robot_of(&message.data);
+                let counts = serde_json::from_slice::<SafetyCounts>(&message.data).ok();
+                self.sights.extend(robot.zip(counts).map(|(robot, counts)| (now, Sight::Guard(robot, counts))));
+            }
+            "/hardware" => {
+                let said: Json = serde_json::from_slice(&message.data).unwrap_or_default();
+                let percent = said["battery"].as_u64().and_then(|percent| u8::try_from(percent).ok());
+                let robot = robot_of(&message.data);
+                self.sights.extend(robot.zip(percent).map(|(robot, percent)| (now, Sight::Battery(robot, percent))));
+            }
+            topic => {
+                if let Some(host) = topic.strip_prefix("/wire/").and_then(|name| self.host_named(name)) {
+                    self.published.insert(host);
+                    let decoded = codec::decode(&message.data).ok();
+                    self.sights.extend(decoded.map(|(_, message)| (now, Sight::Message(slim(message)))));
+                } else if let Some(host) = topic.strip_prefix("/tape/").and_then(|name| self.taped_host(name)) {
+                    self.taped.insert(host);
+                    self.turn(now, host, &message.data);
+                }
+            }
+        }
+    }
+
+    fn host_named(&self, name: &str) -> Option<HostId> {
+        let at = self.stage.as_ref()?.hosts.iter().position(|host| host == name)?;
+        u16::try_from(at).ok().map(HostId)
+    }
+
+    /// Host of a topic of turns: `turn` in the record of a host, name and incarnation in a merged one.
+    fn taped_host(&self, name: &str) -> Option<HostId> {
+        match name {
+            "turn" => self.host,
+            _ => self.host_named(name.rsplit_once('-')?.0),
+        }
+    }
+
+    /// Takes the datagrams that came into a host in a turn, each once.
+    fn turn(&mut self, now: Time, host: HostId, data: &[u8]) {
+        for input in tape::read(data).into_iter().flat_map(|turn| turn.inputs) {
+            let Input::Frame(_, frame, _) = input else { continue };
+            let Ok((header, message)) = codec::decode(&frame) else { continue };
+            let number = (header.incarnation, header.sequence);
+            let newest = self.newest.insert((host, header.sender), number);
+            if newest.is_some_and(|(incarnation, sequence)| incarnation == number.0 && sequence >= number.1) {
+                self.newest.extend(newest.map(|newest| ((host, header.sender), newest)));
+                continue;
+            }
+            let latent_of = if let Wire::Latent(latent) = &message { Some(latent.robot) } else { None };
+            if !self.published.contains(&header.sender) {
+                self.sights.push((now, Sight::Message(slim(message))));
+            }
+            self.sights.extend(latent_of.map(|robot| (now, Sight::Arrived(host, robot))));
+        }
+    }
+}
+
+/// Robot that a JSON message is about.
+fn robot_of(data: &[u8]) -> Option<RobotId> {
+    let said: Json = serde_json::from_slice(data).ok()?;
+    u16::try_from(said["robot"].as_u64()?).ok().map(RobotId)
+}
+
+/// Reads true states of simulated robots.
+fn truth(time: Time, data: &[u8]) -> Option<Truth> {
+    let mut samples = Vec::new();
+    for (_, robot) in Fields(data).filter(|(field, _)| *field == 2) {
+        let mut fields = [0.0; 12];
+        for (field, value) in Fields(robot.bytes()?) {
+            if let (Some(place), Some(number)) = (fields.get_mut(field as usize), Value::number(value)) {
+                *place = number as f32;
+            }
+        }
+        let [_, robot, x, y, vx, vy, heading, yaw_rate, command_x, command_y, robots, walls] = fields;
+        samples.push(Sample {
+            robot: RobotId(robot as u16),
+            time,
+            motion: Motion { position: Vec2::new(x, y), velocity: Vec2::new(vx, vy) },
+            heading,
+            yaw_rate,
+            command: Vec2::new(command_x, command_y),
+            contacts: Contacts { robot: robots != 0.0, wall: walls != 0.0 },
+        });
+    }
+    Some(Truth { time, samples: samples.into() })
+}

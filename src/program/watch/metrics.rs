@@ -1,0 +1,114 @@
+//! Metrics of one host: `murmurate host --metrics`. Its server has no page, and takes no commands.
+
+use std::cell::{Cell, RefCell};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+
+use super::token;
+use crate::deploy::Routes;
+use crate::deploy::team::Team;
+use crate::graph::process::ProcessEvent;
+use crate::messages::ids::{HostId, RobotId};
+use crate::program::bad;
+use crate::program::output::talk;
+use crate::time::{Span, Time};
+use crate::view::access::{Access, Control};
+use crate::view::metrics::Metrics;
+use crate::view::server::{Publisher, Server};
+use crate::view::status::Scene;
+use crate::view::team_view::TeamView;
+
+/// Period at which ages are sampled.
+const SAMPLE: Span = Span::from_millis(50);
+/// Period at which the text is made.
+const TEXT: Span = Span::from_millis(1000);
+
+/// Flags of a host's metrics.
+#[derive(clap::Args)]
+pub struct MetricsFlags {
+    /// Address at which /metrics and /healthz are served for Prometheus; one that other machines reach needs
+    /// --metrics-token-file
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    metrics: Option<SocketAddr>,
+    /// File with the token that a reader of the metrics has to show, as 'murmurate key new' makes it
+    #[arg(long, value_name = "FILE", requires = "metrics")]
+    metrics_token_file: Option<PathBuf>,
+}
+
+/// Metrics of a host that runs.
+pub struct HostMetrics {
+    view: RefCell<TeamView>,
+    metrics: RefCell<Metrics>,
+    publisher: Publisher,
+    _server: Server,
+    now: Cell<Time>,
+    sampled: Cell<Time>,
+    told: Cell<Time>,
+}
+
+impl MetricsFlags {
+    /// Refuses an address that other machines reach without a token.
+    pub fn check(&self) -> Result<()> {
+        match self.metrics {
+            Some(listen) if is_guarded(listen) && self.metrics_token_file.is_none() => bad(format!(
+                "--metrics: other machines reach {listen}, so a reader needs a token: make one with 'murmurate key \
+                 new --out metrics.token' and give --metrics-token-file metrics.token"
+            )),
+            _ => Ok(()),
+        }
+    }
+
+    /// Opens the server of a host's metrics; `None` without the flag.
+    pub fn open(&self, team: &Team) -> Result<Option<HostMetrics>> {
+        let Some(listen) = self.metrics else { return Ok(None) };
+        let guarded = is_guarded(listen);
+        let token = token(self.metrics_token_file.as_deref())?;
+        let access = Access { token, control: Control::StopOnly, guarded, page: false };
+        let opened = Server::open(listen, access, String::new());
+        let (server, publisher) = opened.with_context(|| format!("--metrics: cannot serve at {listen}"))?;
+        talk(&format!("metrics: http://{}/metrics", server.address()));
+        let (deployment, robots) = (&team.deployment, team.deployment.robots);
+        let routes = Routes::of(deployment);
+        let homes = RobotId::team(robots).map(|robot| routes.agent_host(robot)).collect();
+        let view = TeamView::new(Scene { robots, ..Scene::default() }, homes, deployment.hosts.len());
+        let names = deployment.hosts.iter().map(|host| host.name.clone()).collect();
+        let (now, sampled, told) = Default::default();
+        let (view, metrics) = (RefCell::new(view), RefCell::new(Metrics::new(names)));
+        Ok(Some(HostMetrics { view, metrics, publisher, _server: server, now, sampled, told }))
+    }
+}
+
+/// Whether other machines reach this address.
+fn is_guarded(listen: SocketAddr) -> bool {
+    !listen.ip().to_canonical().is_loopback()
+}
+
+impl HostMetrics {
+    /// Takes an event of the host.
+    pub fn hear(&self, host: HostId, event: ProcessEvent) {
+        self.metrics.borrow_mut().take(host, event);
+        let mut view = self.view.borrow_mut();
+        match event {
+            ProcessEvent::Message(message) => view.hear(self.now.get(), message),
+            ProcessEvent::Safety(robot, counts) => view.guarded(self.now.get(), robot, counts),
+            _ => {}
+        }
+    }
+
+    /// Ends a turn of the event loop. `dropped` is the number of events that the host's record lacks, if it has one.
+    pub fn turn(&self, now: Time, dropped: Option<u64>) {
+        self.now.set(now);
+        if now.since(self.sampled.get()) >= SAMPLE {
+            self.sampled.set(now);
+            self.metrics.borrow_mut().sample(&self.view.borrow().snapshot(now));
+        }
+        if now.since(self.told.get()) >= TEXT || self.told.get() == Time::ZERO {
+            dropped.into_iter().for_each(|events| self.metrics.borrow_mut().dropped(events));
+            if self.publisher.metrics(self.metrics.borrow().text(&self.view.borrow())) {
+                self.told.set(now);
+            }
+        }
+    }
+}

@@ -1,0 +1,183 @@
+//! The files of one record: one, or one after the other by their size, or only the seconds around what has happened.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::path::{Path, PathBuf};
+
+use mcap::McapError;
+
+use super::Event;
+use super::file::{Beginning, RecordError, RecordFile, broken};
+use super::stage::Stage;
+use super::topics::Topic;
+use crate::messages::ids::RobotId;
+use crate::messages::wire::{Kind, Wire};
+use crate::net::protocol::codec::{self, Content};
+use crate::scenario::judge::Verdict;
+use crate::time::Span;
+
+/// Most bytes that are held in memory until something happens.
+const RING_BYTES: usize = 256 << 20;
+
+/// What of a run goes into files.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Retention {
+    /// Only this time before and after what happens: an emergency stop, an aborted episode, a request. `None` for all.
+    pub last: Option<Span>,
+    /// Size of a file \[bytes\] after which another one begins; `None` for one file.
+    pub most_bytes: Option<u64>,
+}
+
+/// Files of one record that is being written.
+pub struct Series {
+    path: PathBuf,
+    beginning: Beginning,
+    stage: Stage,
+    retention: Retention,
+    file: Option<RecordFile>,
+    /// Messages that are held until something happens.
+    ring: VecDeque<(Topic, u64, Vec<u8>)>,
+    ring_bytes: usize,
+    /// Time of the messages \[ns\] at which a file ends that was begun because something has happened.
+    until: u64,
+}
+
+impl Series {
+    /// Begins a record: with its file, unless files are made only when something happens.
+    pub fn begin(
+        path: &Path,
+        mut beginning: Beginning,
+        stage: &Stage,
+        retention: Retention,
+    ) -> Result<Series, RecordError> {
+        let (excerpts, mut file) = (retention.last.is_some(), None);
+        beginning.identity.excerpt = excerpts;
+        if !excerpts {
+            file = Some(RecordFile::create(path, &beginning, stage)?);
+        }
+        let (path, stage, ring) = (path.to_owned(), stage.clone(), VecDeque::new());
+        Ok(Series { path, beginning, stage, retention, file, ring, ring_bytes: 0, until: 0 })
+    }
+
+    /// Takes a message.
+    pub fn write(&mut self, topic: Topic, at: u64, data: &[u8]) -> Result<(), McapError> {
+        if let Some(file) = &mut self.file {
+            return file.write(&self.stage, topic, at, data);
+        }
+        self.ring.push_back((topic, at, data.to_vec()));
+        self.ring_bytes += data.len();
+        let oldest = at.saturating_sub(self.retention.last.map_or(0, Span::as_nanos));
+        while self.ring.front().is_some_and(|(_, at, _)| *at < oldest || self.ring_bytes > RING_BYTES) {
+            self.ring_bytes -= self.ring.pop_front().map_or(0, |(.., data)| data.len());
+        }
+        Ok(())
+    }
+
+    /// Notes that something has happened now: what is held goes into a file, and what follows.
+    pub fn keep(&mut self, at: u64) -> Result<(), McapError> {
+        let Some(last) = self.retention.last else { return Ok(()) };
+        self.until = at + last.as_nanos();
+        if self.file.is_some() {
+            return Ok(());
+        }
+        let mut file = self.next_file()?;
+        for (topic, at, data) in self.ring.drain(..) {
+            file.write(&self.stage, topic, at, &data)?;
+        }
+        self.ring_bytes = 0;
+        file.flush()?;
+        self.file = Some(file);
+        Ok(())
+    }
+
+    /// Ends an instant: begins another file if this one is full, or ends it if nothing happens any more.
+    pub fn end_instant(&mut self, at: u64) -> Result<(), McapError> {
+        let Some(file) = &self.file else { return Ok(()) };
+        let over = self.retention.last.is_some() && at >= self.until;
+        let full = self.retention.most_bytes.is_some_and(|most| file.bytes() >= most);
+        if !over && !full {
+            return Ok(());
+        }
+        self.file.take().expect("it was there").finish()?;
+        if !over {
+            self.file = Some(self.next_file()?);
+        }
+        Ok(())
+    }
+
+    fn next_file(&mut self) -> Result<RecordFile, McapError> {
+        self.beginning.identity.part += 1;
+        let path = part_of(&self.path, self.beginning.identity.part);
+        RecordFile::create(&path, &self.beginning, &self.stage).map_err(broken)
+    }
+
+    /// Hands everything to the operating system.
+    pub fn flush(&mut self) -> Result<(), McapError> {
+        self.file.as_mut().map_or(Ok(()), RecordFile::flush)
+    }
+
+    /// Ends the record.
+    pub fn finish(self) -> Result<(), McapError> {
+        self.file.map_or(Ok(()), RecordFile::finish)
+    }
+}
+
+/// Returns the path of a further file of a record: `NAME.1.mcap` after `NAME.mcap`.
+pub fn part_of(path: &Path, part: u32) -> PathBuf {
+    match part {
+        0 => path.to_owned(),
+        _ => path.with_extension(format!("{part}.mcap")),
+    }
+}
+
+/// Returns the path of the first file of a record that goes on in this one; `None` if this is a first file.
+pub fn first_of(path: &Path) -> Option<PathBuf> {
+    let stem = path.file_stem()?.to_str()?;
+    let (name, part) = stem.rsplit_once('.')?;
+    part.parse::<u32>().ok().filter(|part| *part > 0).map(|_| path.with_file_name(format!("{name}.mcap")))
+}
+
+/// Detector of what a record's last seconds are kept for.
+#[derive(Default)]
+pub struct Triggers {
+    stops: BTreeMap<RobotId, u64>,
+    engaged: bool,
+}
+
+impl Triggers {
+    /// Whether something happens with this event: an emergency stop, an aborted episode, or a request.
+    pub fn sees(&mut self, event: &Event) -> bool {
+        match event {
+            Event::Keep => true,
+            Event::Episode(episode) => episode.verdict == Verdict::Aborted,
+            Event::Guard(robot, counts) => self.stops.insert(*robot, counts.stop).unwrap_or(0) < counts.stop,
+            Event::Delivered(message) => self.hears(message),
+            Event::Published(_, frame) if codec::first(frame) == Ok(Content::Message(Kind::Mode)) => {
+                codec::decode(frame).is_ok_and(|(_, message)| self.hears(&message))
+            }
+            _ => false,
+        }
+    }
+
+    fn hears(&mut self, message: &Wire) -> bool {
+        let Wire::Mode(mode) = message else { return false };
+        let before = std::mem::replace(&mut self.engaged, mode.latch.is_engaged());
+        self.engaged && !before
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_are_named_by_their_number() {
+        let first = Path::new("runs/agent-0-00c0ffee.mcap");
+        assert_eq!(part_of(first, 0), first);
+        let third = part_of(first, 3);
+        assert_eq!(third, Path::new("runs/agent-0-00c0ffee.3.mcap"));
+        assert_eq!(first_of(&third).as_deref(), Some(first));
+        assert_eq!(part_of(first, 12), part_of(first, 12));
+        assert_eq!(first_of(first), None);
+        assert_eq!(first_of(Path::new("runs/v1.0.mcap")), None);
+    }
+}

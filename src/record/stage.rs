@@ -1,0 +1,73 @@
+//! Stage of a record: hosts, ground and walls, all that a picture needs beside the robots' states. It is the metadata
+//! `murmurate.stage` of the file, so that a record can be shown without the program and the files that made it.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::deploy::Routes;
+use crate::graph::Plan;
+use crate::messages::ids::{HostId, RobotId};
+use crate::scenario::arena::KeepOut;
+
+/// Name of the metadata in a file.
+pub const METADATA: &str = "murmurate.stage";
+/// Name of its one entry.
+const ENTRY: &str = "stage";
+
+/// What a picture needs to know of a run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Stage {
+    /// Name of the scenario, the team's task.
+    pub scenario: String,
+    /// Name of the deployment's mode.
+    pub mode: String,
+    /// Names of the hosts, in the order of the deployment.
+    pub hosts: Vec<String>,
+    /// Host of each robot's agent, in the order of robot ids.
+    pub homes: Vec<HostId>,
+    /// Number of robots.
+    pub robots: usize,
+    /// Half the size of the ground along x and y \[m\].
+    pub half_extent: [f32; 2],
+    /// Solid blocks: smallest x and y, then largest x and y \[m\], world frame.
+    pub walls: Vec<[f32; 4]>,
+    /// Radius of a robot's hull \[m\].
+    pub hull_m: f32,
+    /// Range within which robots use each other's messages \[m\]; `None` if it is unlimited.
+    pub range_m: Option<f32>,
+}
+
+impl Stage {
+    /// Returns the stage of a run with this plan.
+    pub fn of(plan: &Plan) -> Stage {
+        let (deployment, arena) = (&plan.deployment, plan.scenario.arena());
+        let routes = Routes::of(deployment);
+        let wall = |block: &KeepOut| {
+            let ([x, y], [far_x, far_y]) = (block.min.to_array(), block.max.to_array());
+            [x, y, far_x, far_y]
+        };
+        Stage {
+            scenario: plan.scenario.name().to_owned(),
+            mode: deployment.mode.clone(),
+            hosts: deployment.hosts.iter().map(|host| host.name.clone()).collect(),
+            homes: RobotId::team(deployment.robots).map(|robot| routes.agent_host(robot)).collect(),
+            robots: deployment.robots,
+            half_extent: arena.half_extent.to_array(),
+            walls: arena.keep_outs.iter().map(wall).collect(),
+            hull_m: plan.physics.wall_radius_m,
+            range_m: Some(plan.range.mean_m).filter(|range_m| range_m.is_finite()),
+        }
+    }
+
+    /// Returns the metadata of a file.
+    pub fn to_metadata(&self) -> BTreeMap<String, String> {
+        let text = serde_json::to_string(self).expect("a stage is JSON");
+        BTreeMap::from([(ENTRY.to_owned(), text)])
+    }
+
+    /// Reads the metadata of a file; `None` if they are not those of a stage.
+    pub fn of_metadata(metadata: &BTreeMap<String, String>) -> Option<Stage> {
+        serde_json::from_str(metadata.get(ENTRY)?).ok()
+    }
+}

@@ -1,0 +1,123 @@
+//! Writer of a record: the queue of events, and the thread that makes the record's files of them.
+
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+use std::sync::{Arc, Mutex};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use mcap::McapError;
+
+use super::Event;
+use super::file::{Beginning, RecordError};
+use super::queue::{Inlet, Outlet, WhenFull, queue};
+use super::series::{Retention, Series, Triggers};
+use super::topics::Topics;
+
+/// Time after which a file in real time is flushed. A crash loses this, the writer's pause, and what has just happened.
+const FLUSH: Duration = Duration::from_millis(100);
+
+/// Record that is being made: its queue, and the thread that writes its file.
+pub struct Recording {
+    inlet: Rc<Inlet>,
+    thread: JoinHandle<()>,
+    path: PathBuf,
+    failure: Arc<Mutex<Option<String>>>,
+}
+
+impl Recording {
+    /// Creates the file and starts the writer's thread.
+    pub fn start(
+        path: &Path,
+        beginning: &Beginning,
+        topics: Topics,
+        (when_full, retention): (WhenFull, Retention),
+    ) -> Result<Recording, RecordError> {
+        let series = Series::begin(path, beginning.clone(), topics.stage(), retention)?;
+        let (inlet, outlet) = queue(when_full);
+        let failure = Arc::new(Mutex::new(None));
+        let failed = Arc::clone(&failure);
+        let flush = (when_full == WhenFull::Drop).then_some(FLUSH);
+        let thread = thread::Builder::new()
+            .name("record".to_owned())
+            .spawn(move || {
+                if let Err(error) = serve(series, &outlet, topics, flush) {
+                    *failed.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = Some(reason(&error));
+                }
+            })
+            .map_err(|error| RecordError::Create { path: path.to_owned(), error })?;
+        Ok(Recording { inlet: Rc::new(inlet), thread, path: path.to_owned(), failure })
+    }
+
+    /// Returns the end of the queue at the thread that runs actors.
+    pub fn inlet(&self) -> Rc<Inlet> {
+        Rc::clone(&self.inlet)
+    }
+
+    /// Reason why the file could not be written on, once.
+    pub fn failure(&self) -> Option<RecordError> {
+        let reason = self.failure.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take()?;
+        Some(RecordError::Write { path: self.path.clone(), reason })
+    }
+
+    /// Ends the record and waits for the writer: at most for `most`, or as long as it takes. Returns the number of
+    /// events that the record lacks.
+    pub fn finish(self, most: Option<Duration>) -> Result<u64, RecordError> {
+        self.inlet.close();
+        let until = most.map(|most| (most, Instant::now() + most));
+        while !self.thread.is_finished() && until.is_none_or(|(_, until)| Instant::now() < until) {
+            thread::park_timeout(Duration::from_millis(2));
+        }
+        if let (false, Some((most, _))) = (self.thread.is_finished(), until) {
+            let reason = format!("its disk has taken more than {} s", most.as_secs_f64());
+            return Err(RecordError::Write { path: self.path, reason });
+        }
+        match self.failure() {
+            Some(error) => Err(error),
+            None => Ok(self.inlet.dropped()),
+        }
+    }
+}
+
+/// Returns the reason of an error: what the operating system said, where it said something.
+fn reason(error: &McapError) -> String {
+    match error {
+        McapError::Io(error) => error.to_string(),
+        other => other.to_string(),
+    }
+}
+
+/// Writes what comes through the queue until its other end is closed.
+fn serve(mut series: Series, outlet: &Outlet, mut topics: Topics, flush: Option<Duration>) -> Result<(), McapError> {
+    let (mut taken, mut instant) = (Vec::new(), Vec::new());
+    let (mut flushed, mut written) = (Instant::now(), false);
+    let (mut triggers, mut happens) = (Triggers::default(), false);
+    while outlet.take(&mut taken) {
+        for event in taken.drain(..) {
+            let Event::Turn(now) = event else {
+                happens |= triggers.sees(&event);
+                instant.push(event);
+                continue;
+            };
+            let at = topics.time_of(now);
+            if std::mem::take(&mut happens) {
+                series.keep(at)?;
+            }
+            let mut result = Ok(());
+            topics.instant(now, &instant, &mut |topic, at, data| {
+                if result.is_ok() {
+                    result = series.write(topic, at, data);
+                }
+            });
+            result?;
+            instant.clear();
+            series.end_instant(at)?;
+            written = true;
+        }
+        if flush.is_some_and(|period| written && flushed.elapsed() >= period) {
+            series.flush()?;
+            (flushed, written) = (Instant::now(), false);
+        }
+    }
+    series.finish()
+}

@@ -1,0 +1,194 @@
+//! Timeline of a record: what was heard and seen in a run, in the order of time, from which the picture of any time is
+//! made. Pure.
+
+use super::status::{Mark, MarkKind};
+use super::team_view::TeamView;
+use crate::messages::ids::{HostId, RobotId};
+use crate::messages::local::Truth;
+use crate::messages::wire::Wire;
+use crate::report::episode::Episode;
+use crate::safety::guard::SafetyCounts;
+use crate::scenario::judge::Verdict;
+use crate::time::{Span, Time};
+
+/// Number of stored pictures between the beginning and the end of a record. A jump begins at the one before it.
+const PICTURES: u64 = 64;
+/// Largest number of marks of one kind; those beyond it are left out.
+const MARKS: usize = 400;
+
+/// Event of a run that changes the picture of the team.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Sight {
+    /// A message that a host has published, or that has arrived where its sender's own record is missing.
+    Message(Wire),
+    /// A robot's latent message has arrived at a host.
+    Arrived(HostId, RobotId),
+    /// True states of simulated robots.
+    Truth(Truth),
+    /// Result of an episode.
+    Judged(Episode),
+    /// Number of times that a robot's guard has stopped or slowed it.
+    Guard(RobotId, SafetyCounts),
+    /// Battery charge of a robot \[%\].
+    Battery(RobotId, u8),
+}
+
+/// All of a record that its pictures are made of.
+#[derive(Debug)]
+pub struct Timeline {
+    sights: Vec<(Time, Sight)>,
+    /// Number of sights in a picture, and the picture.
+    pictures: Vec<(usize, TeamView)>,
+    marks: Vec<Mark>,
+}
+
+impl TeamView {
+    /// Takes an event of a record.
+    pub fn take(&mut self, now: Time, sight: &Sight) {
+        match sight {
+            Sight::Message(message) => self.hear(now, message),
+            Sight::Arrived(host, robot) => self.arrived(now, *host, *robot),
+            Sight::Truth(truth) => self.see(truth),
+            Sight::Judged(episode) => self.judged(now, episode),
+            Sight::Guard(robot, counts) => self.guarded(now, *robot, *counts),
+            Sight::Battery(robot, percent) => self.charged(*robot, *percent),
+        }
+    }
+}
+
+impl Timeline {
+    /// Makes the timeline of these events. `view` is the picture before the first one. The order of events at equal
+    /// times is kept.
+    pub fn new(view: TeamView, mut sights: Vec<(Time, Sight)>) -> Timeline {
+        sights.sort_by_key(|(at, _)| *at);
+        let end = sights.last().map_or(Time::ZERO, |(at, _)| *at);
+        let period = Span::from_nanos((end.as_nanos() / PICTURES).max(1));
+        let mut timeline = Timeline { sights, pictures: vec![(0, view.clone())], marks: Vec::new() };
+        let (mut view, mut due, mut latch) = (view, Time::ZERO + period, "clear");
+        for (taken, (at, sight)) in timeline.sights.iter().enumerate() {
+            if *at >= due {
+                timeline.pictures.push((taken, view.clone()));
+                due = *at + period;
+            }
+            let lines = view.log_count();
+            view.take(*at, sight);
+            let kind = match sight {
+                Sight::Judged(episode) if episode.verdict == Verdict::Success => Some(MarkKind::Success),
+                Sight::Judged(_) => Some(MarkKind::Failure),
+                Sight::Guard(..) if view.log_count() > lines => Some(MarkKind::Guard),
+                Sight::Message(Wire::Mode(_) | Wire::Heartbeat(_)) if view.latch().word() != latch => {
+                    latch = view.latch().word();
+                    Some(MarkKind::Stop)
+                }
+                _ => None,
+            };
+            let Some(kind) = kind.filter(|kind| timeline.marks.iter().filter(|m| m.kind == *kind).count() < MARKS)
+            else {
+                continue;
+            };
+            let text = if kind == MarkKind::Stop { format!("emergency stop: {latch}") } else { view.last_line() };
+            timeline.marks.push(Mark { at_s: at.as_secs(), kind, text });
+        }
+        timeline
+    }
+
+    /// Time of the last event.
+    pub fn end(&self) -> Time {
+        self.sights.last().map_or(Time::ZERO, |(at, _)| *at)
+    }
+
+    /// The marks, in the order of time.
+    pub fn marks(&self) -> &[Mark] {
+        &self.marks
+    }
+
+    /// Returns the picture at a time, and the number of events in it.
+    pub fn picture(&self, at: Time) -> (TeamView, usize) {
+        let wanted = self.sights.partition_point(|(time, _)| *time <= at);
+        let before = self.pictures.partition_point(|(taken, _)| *taken <= wanted) - 1;
+        let (mut taken, mut view) = self.pictures[before].clone();
+        self.advance(&mut view, &mut taken, at);
+        (view, taken)
+    }
+
+    /// Brings a picture forward to a later time. `taken` is the number of events in it.
+    pub fn advance(&self, view: &mut TeamView, taken: &mut usize, to: Time) {
+        while let Some((at, sight)) = self.sights.get(*taken).filter(|(at, _)| *at <= to) {
+            view.take(*at, sight);
+            *taken += 1;
+        }
+    }
+
+    /// Returns the time of the next change of robots' states after `now`; of the last one before it with `back`.
+    /// Without one, the end or the beginning.
+    pub fn step(&self, now: Time, back: bool) -> Time {
+        let moves = |(_, sight): &&(Time, Sight)| match sight {
+            Sight::Truth(_) => true,
+            Sight::Message(message) => matches!(message, Wire::Latent(_) | Wire::Reading(_) | Wire::Telemetry(_)),
+            _ => false,
+        };
+        if back {
+            let before = self.sights.partition_point(|(at, _)| *at < now);
+            self.sights[..before].iter().rev().find(moves).map_or(Time::ZERO, |(at, _)| *at)
+        } else {
+            let after = self.sights.partition_point(|(at, _)| *at <= now);
+            self.sights[after..].iter().find(moves).map_or(self.end(), |(at, _)| *at)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::geometry::{Motion, Vec2};
+    use crate::messages::wire::{Features, Latent, Phase, Round};
+    use crate::view::status::Scene;
+
+    fn latent(robot: u16, x: f32) -> Sight {
+        let motion = Motion::at_rest(Vec2::new(x, 0.0));
+        let (round, phase) = (Round::default(), Phase::Running);
+        let features = Features(Vec::new().into());
+        Sight::Message(Wire::Latent(Latent { robot: RobotId(robot), round, phase, motion, features }))
+    }
+
+    fn at(ms: u64) -> Time {
+        Time::ZERO + Span::from_millis(ms)
+    }
+
+    fn timeline() -> Timeline {
+        let scene = Scene { robots: 2, hears_links: true, ..Scene::default() };
+        let view = TeamView::new(scene, vec![HostId(0), HostId(1)], 2);
+        let mut sights = Vec::new();
+        for step in 0..400 {
+            let robot = (step % 2) as u16;
+            sights.push((at(50 * step), latent(robot, step as f32 / 100.0)));
+            sights.push((at(50 * step + 20), Sight::Arrived(HostId(1 - robot), RobotId(robot))));
+        }
+        let counts = SafetyCounts { fence: 1, ..SafetyCounts::default() };
+        sights.push((at(7000), Sight::Guard(RobotId(1), counts)));
+        Timeline::new(view, sights)
+    }
+
+    #[test]
+    fn a_jump_shows_what_playing_to_there_shows() {
+        let timeline = timeline();
+        let (mut view, mut taken) = timeline.picture(Time::ZERO);
+        for ms in (0..=20_500).step_by(130) {
+            timeline.advance(&mut view, &mut taken, at(ms));
+            let (jumped, count) = timeline.picture(at(ms));
+            assert_eq!((jumped.snapshot(at(ms)), count), (view.snapshot(at(ms)), taken), "at {ms} ms");
+        }
+        assert_eq!(taken, 801);
+        assert_eq!(timeline.marks().len(), 1);
+        assert_eq!((timeline.marks()[0].at_s, &*timeline.marks()[0].text), (7.0, "robot 1: geofence"));
+    }
+
+    #[test]
+    fn a_step_goes_to_the_next_state_and_back() {
+        let timeline = timeline();
+        assert_eq!(timeline.step(at(120), false), at(150));
+        assert_eq!(timeline.step(at(150), true), at(100));
+        assert_eq!(timeline.step(at(0), true), Time::ZERO);
+        assert_eq!(timeline.step(at(19_960), false), timeline.end());
+    }
+}
