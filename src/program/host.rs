@@ -121,7 +121,7 @@ struct Seen {
     duplicate: Cell<Option<DuplicateId>>,
     /// Record of the run; `None` if nothing is recorded.
     record: OnceCell<Option<OfHost>>,
-    /// Metrics of the host, if they are served.
+    /// Metrics of the host; `None` if they are not served.
     #[cfg(feature = "watch")]
     metrics: OnceCell<Option<HostMetrics>>,
 }
@@ -198,7 +198,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(if interrupted && by_user { Ended::Interrupted } else { Ended::Done })
 }
 
-/// Number of the signal that has ended the host, and the request to keep the last seconds of its record.
+/// Number of the signal that ended the host, and the flag that requests to keep the last seconds of its record.
 type Signals = (Arc<AtomicUsize>, Arc<AtomicBool>);
 
 /// Checks that are made after every turn of the event loop. Prints new events, and decides whether the host ends.
@@ -208,7 +208,7 @@ struct Watch {
     /// Time that the host runs on after the last episode.
     grace: Span,
     signal: Arc<AtomicUsize>,
-    /// Set by a request to keep the last seconds of the record.
+    /// Flag that a signal sets to request that the last seconds of the record are kept.
     keep: Arc<AtomicBool>,
     /// Whether the reader of the host's events has closed the pipe.
     abandoned: Rc<Cell<bool>>,
@@ -329,7 +329,7 @@ impl Seen {
         self.record.get()?.as_ref()
     }
 
-    /// Ends a turn of the event loop in the record and the metrics.
+    /// Marks the end of a turn of the event loop in the record and the metrics.
     fn end_turn(&self, now: Time) {
         #[cfg(feature = "watch")]
         if let Some(Some(metrics)) = self.metrics.get() {

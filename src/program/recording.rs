@@ -42,8 +42,8 @@ pub struct RecordFlags {
 }
 
 impl RecordFlags {
-    /// Returns what of a run is recorded, by the flags or else by fields of the team file: seconds, and megabytes. An
-    /// error names the flag.
+    /// Returns how much of a run is recorded: the time around events, and the size of a file, from the flags or else
+    /// from `last_s` \[s\] and `size_mb` \[MB\], which are fields of the team file. An error names the flag.
     fn retention(&self, last_s: Option<f64>, size_mb: Option<f64>) -> Result<Retention> {
         let (last_s, size_mb) = (self.record_last.or(last_s), self.record_size.or(size_mb));
         match (last_s, size_mb) {
@@ -60,7 +60,7 @@ impl RecordFlags {
         }
     }
 
-    /// Refuses flags of a record without a folder for it.
+    /// Fails if a flag of a record is given without a folder for it.
     fn refuse_without_folder(&self) -> Result<()> {
         let given = [("--record-last", self.record_last.is_some()), ("--record-size", self.record_size.is_some())];
         match given.iter().find(|(_, given)| *given) {
@@ -69,7 +69,7 @@ impl RecordFlags {
         }
     }
 
-    /// Returns the flags as arguments for another process.
+    /// Returns the flags of records as arguments for another process.
     pub fn arguments(&self) -> Vec<OsString> {
         let last = self.record_last.map(|last_s| ("--record-last", OsString::from(last_s.to_string())));
         let size = self.record_size.map(|size_mb| ("--record-size", OsString::from(size_mb.to_string())));
@@ -141,8 +141,8 @@ pub struct Simulated {
 
 #[cfg(feature = "sim")]
 impl Simulated {
-    /// Prepares the folder; `None` without one. `files` are those that the flags name, `policy` is the digest of the
-    /// policy's file. A folder with a record of another run is refused.
+    /// Prepares the folder of the records; `None` if no folder is given. `files` are the files named by flags, and
+    /// `policy` is the digest of the policy's file. A folder with a record of another run is an error.
     pub fn open(flags: &RecordFlags, files: Vec<PathBuf>, policy: &str, repeats: u32) -> Result<Option<Simulated>> {
         let Some(folder) = &flags.record else { return flags.refuse_without_folder().map(|()| None) };
         let retention = flags.retention(None, None)?;
@@ -263,7 +263,7 @@ impl OfHost {
         }
     }
 
-    /// Keeps the last seconds and the next ones, in a record that keeps them only when something happens.
+    /// Keeps the events of the last seconds and the next ones, if the record keeps events only on request.
     pub fn keep(&self) {
         self.inlet.push(Event::Keep);
     }

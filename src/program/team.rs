@@ -104,8 +104,7 @@ impl TeamArgs {
         BadInput(format!("the team file '{}': {error}", self.file.display())).into()
     }
 
-    /// Joins the team as an operator: a host without robots on the link that carries the emergency stop, which is the
-    /// only link that is opened.
+    /// Joins the team as an operator, a host without robots. Only the link that carries the emergency stop is opened.
     pub fn operator(&self, file: &TeamFile) -> Result<Operator> {
         let access = file.operator_access().map_err(|error| self.wrong(&error))?;
         let (deployment, identity) = (file.deployment(), ProcessIdentity::draw()?);

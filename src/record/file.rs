@@ -1,5 +1,5 @@
-//! The file of a record: MCAP in chunks without compression, each written whole, so that what was flushed before a
-//! crash can be read.
+//! File of a record: MCAP in uncompressed chunks, each written as a whole, so that the chunks flushed before a crash
+//! can be read.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -14,7 +14,7 @@ use super::identity::{Identity, METADATA};
 use super::stage::{self, Stage};
 use super::topics::Topic;
 
-/// Bytes of a message in a file beside its data: opcode, length, channel, sequence and two times.
+/// Size of a message in a file without its data \[bytes\]: opcode, length, channel, sequence and two times.
 const MESSAGE_BYTES: u64 = 31;
 /// Size of a chunk \[bytes\].
 const CHUNK: u64 = 1 << 18;
@@ -24,17 +24,17 @@ pub enum RecordError {
     /// The file cannot be created.
     #[error("cannot write the record '{}': {error}", path.display())]
     Create {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The reason.
+        /// Error of the operating system.
         error: std::io::Error,
     },
     /// A write has failed after the file was created.
     #[error("the record '{}' ends early: {reason}; what was written before can be read", path.display())]
     Write {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The reason.
+        /// Description of the error.
         reason: String,
     },
 }
@@ -44,16 +44,16 @@ pub enum RecordError {
 pub struct Attached {
     /// Name of the attachment: the path as given on the command line.
     pub name: String,
-    /// Its media type.
+    /// Media type of the file.
     pub media_type: &'static str,
-    /// Its content.
+    /// Content of the file.
     pub content: Vec<u8>,
 }
 
 /// First part of a record: its identity, and the input files of the run.
 #[derive(Clone, Debug)]
 pub struct Beginning {
-    /// The identity.
+    /// Identity of the recorded run.
     pub identity: Identity,
     /// The input files of the run.
     pub attached: Vec<Attached>,
@@ -132,7 +132,7 @@ impl RecordFile {
         Ok(channel)
     }
 
-    /// Bytes of the messages so far.
+    /// Size of the messages so far \[bytes\].
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
@@ -152,7 +152,7 @@ impl RecordFile {
     }
 }
 
-/// Returns the error of a further file as one of writing.
+/// Converts the error of creating a further file to an error of writing.
 pub(super) fn broken(error: RecordError) -> McapError {
     McapError::Io(std::io::Error::other(error.to_string()))
 }

@@ -1,10 +1,10 @@
-//! Records of runs, as MCAP files: what a host or a simulation did, for people, for programs of others, and to the bit
+//! Records of runs as MCAP files: the events of a host or a simulation, for people and other programs, and exact enough
 //! for a replay.
 //!
-//! The thread that runs the actors puts [`Event`]s into a bounded queue ([`queue`]); it never waits for a disk. A
-//! writer's thread ([`writer`]) makes the messages of the record's topics of them ([`topics`]) and writes its files
-//! ([`series`], [`mod@file`]). A
-//! replay makes the same messages and compares them with the file ([`compare`]). docs/record.md lists the topics.
+//! The thread that runs the actors puts [`Event`]s into a bounded queue ([`queue`]), and never waits for a disk. The
+//! writer thread ([`writer`]) converts the events to the messages of the record's topics ([`topics`]) and writes them
+//! to files ([`series`], [`mod@file`]). A replay makes the same messages and compares them with the file ([`compare`]).
+//! docs/record.md lists the topics.
 
 mod drawing;
 mod foxglove;
@@ -65,7 +65,7 @@ pub enum Event {
     Counts(HostId, Box<LinkCounts>),
     /// State of the other hosts as the link layer of a host sees them.
     Peers(HostId, Vec<Peer>),
-    /// Request to keep the last seconds, in a record that keeps them only when something happens.
+    /// Request to keep the last seconds, in a record that keeps events only around such requests.
     Keep,
     /// Number of events before this one that were dropped because the queue was full.
     Dropped(u64),

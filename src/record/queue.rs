@@ -15,9 +15,10 @@ use crate::time::{Span, Time};
 const CAPACITY: usize = 16_384;
 /// Number of events that a simulation collects before it passes them to the writer.
 const BATCH: usize = 2048;
-/// Most bytes of inputs in a second of a record in real time: a flood of junk fills no disk.
+/// Largest amount of inputs recorded per second in real time \[bytes\], so that a flood of datagrams does not fill the
+/// disk.
 const INPUT_BYTES: usize = 1_000_000;
-/// Shortest time between two counts of dropped events in a record.
+/// Shortest time between two `Event::Dropped` in a record.
 const COUNT_PERIOD: Span = Span::from_millis(1000);
 /// Longest time that the writer waits for events before it checks the queue again.
 pub const POLL: Duration = Duration::from_millis(20);
@@ -38,10 +39,10 @@ pub struct Inlet {
     events: RefCell<Vec<Event>>,
     /// Dropped events that are not yet reported by an `Event::Dropped` in the queue.
     missing: Cell<u64>,
-    /// When the last `Event::Dropped` was put into the queue.
+    /// Time of the last `Event::Dropped` that was put into the queue; `None` before the first.
     counted: Cell<Option<Time>>,
     dropped: Cell<u64>,
-    /// Bytes of inputs since the second began that is being counted.
+    /// Size of the inputs in the current second \[bytes\].
     input_bytes: Cell<usize>,
     second_began: Cell<Time>,
     /// Whether the writer is known to have ended.
@@ -99,7 +100,7 @@ impl Inlet {
         events.push(event);
     }
 
-    /// Counts an input's bytes, and returns whether there are too many in this second.
+    /// Counts the size of an input. Returns whether the inputs of this second are too large.
     fn is_beyond(&self, event: &Event) -> bool {
         let bytes = match event {
             Event::Input(Input::Frame(_, frame, _)) => frame.len(),

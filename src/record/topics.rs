@@ -182,7 +182,7 @@ impl Topics {
         &self.stage
     }
 
-    /// Time of a message \[ns\] since 1970, or since the start of a simulation, for a time of the run.
+    /// Converts a time of the run to the time of a message \[ns\]: since 1970, or since the start of a simulation.
     pub fn time_of(&self, now: Time) -> u64 {
         self.anchor_ns + now.as_nanos()
     }
@@ -191,7 +191,7 @@ impl Topics {
     /// `Event::Turn`.
     pub fn instant(&mut self, now: Time, events: &[Event], take: Take) {
         let at = self.time_of(now);
-        // Before the turn, which may lack inputs: a replay goes up to here.
+        // Written before the turn, whose inputs may be incomplete: a replay ends here.
         for event in events.iter().filter(|event| matches!(event, Event::Dropped(_))) {
             self.event(now, at, event, take);
         }

@@ -1,4 +1,4 @@
-//! Counts of what a guard has done.
+//! Counts of the activations of a guard.
 
 use std::iter::Sum;
 

@@ -18,7 +18,7 @@ pub enum Control {
     Team,
     /// Orders to the team, and faults of an emulated team.
     Emulation,
-    /// The time that is shown, of a record. There is no team.
+    /// The playback of a record: time and speed. There is no team.
     Playback,
 }
 
@@ -37,7 +37,7 @@ impl Token {
         &self.0
     }
 
-    /// Whether the header `Authorization` of a request carries this token, as a bearer token (RFC 6750).
+    /// Whether a request's header `Authorization` carries this token as a bearer token (RFC 6750).
     pub fn is_borne_by(&self, authorization: &str) -> bool {
         let token = authorization.split_once(' ').filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer"));
         token.is_some_and(|(_, token)| same(token.trim().as_bytes(), self.0.as_bytes()))
@@ -64,9 +64,9 @@ pub struct Access {
     pub token: Token,
     /// Commands that the process accepts.
     pub control: Control,
-    /// Whether pictures, states and metrics need the token as well: for a server that other machines reach.
+    /// Whether snapshots, states and metrics need the token as well, because other machines can reach the server.
     pub guarded: bool,
-    /// Whether there is a page. Without one, the server has the metrics alone.
+    /// Whether the server has the page. If not, it serves the metrics only.
     pub page: bool,
 }
 

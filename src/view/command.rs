@@ -9,7 +9,7 @@ use crate::messages::ids::RobotId;
 pub const MAX_BYTES: usize = 4096;
 /// Largest delay that a page may set on a link \[ms\].
 pub const MAX_DELAY_MS: f64 = 5000.0;
-/// Largest time in a record that a page may ask for \[s\]: a year.
+/// Largest time in a record to which a page may jump \[s\]: a year.
 const MAX_SEEK_S: f64 = 366.0 * 86_400.0;
 /// Largest length of a link's name in a command \[bytes\].
 const MAX_NAME: usize = 64;
@@ -51,21 +51,21 @@ pub enum Command {
         /// Probability, 0 to 1, that a frame is lost.
         loss: f64,
     },
-    /// Let the time of a record go on, or halt it.
+    /// Runs or halts the playback of a record.
     Play {
-        /// Whether it goes on.
+        /// Whether the playback runs.
         on: bool,
-        /// Seconds of the record a second, 0.01 to 100.
+        /// Playback speed: seconds of the record for each second of real time, 0.01 to 100.
         rate: f64,
     },
-    /// Show a record at another time.
+    /// Jumps to another time of a record.
     Seek {
-        /// The time \[s\].
+        /// Time since the start of the record \[s\].
         at_s: f64,
     },
-    /// Halt a record at the next change of robots' states.
+    /// Jumps to the next change of the robots' states in a record and halts there.
     Step {
-        /// Whether to take the change before.
+        /// Whether to jump to the previous change instead.
         back: bool,
     },
 }
@@ -79,7 +79,7 @@ pub enum Right {
     Control,
     /// As `Control`, and the team is emulated.
     Emulation,
-    /// The token of the page, and a process that plays a record.
+    /// The browser has sent the token, and the process plays a record.
     Playback,
 }
 

@@ -1,5 +1,5 @@
-//! Metrics of a process in the text format of Prometheus: counters of messages and refusals, ages of messages, late
-//! ticks, guards, verdicts and the emergency stop. Pure.
+//! Metrics of a process in the text format of Prometheus: counts of messages and refusals, ages of messages, late
+//! ticks, activations of guards, verdicts, and the emergency stop. The code is pure.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -14,34 +14,34 @@ use crate::net::protocol::counts::LinkCounts;
 use crate::net::protocol::sender::Peer;
 use crate::time::Span;
 
-/// Upper edges of the histogram of ages \[s\].
+/// Upper edges of the bins in the histogram of message ages \[s\].
 const EDGES_S: [f64; 11] = [0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 5.0];
 
 /// Counts of a process since its start.
 #[derive(Clone, Debug, Default)]
 pub struct Metrics {
-    /// Names of the hosts, in the order of the deployment.
+    /// Names of the hosts, in the order of host ids.
     hosts: Vec<String>,
-    /// Messages that actors of this process have published, by kind.
+    /// Number of messages that actors of this process have published, by kind.
     published: BTreeMap<Kind, u64>,
-    /// Messages that have arrived at hosts of this process, by kind.
+    /// Number of messages that have arrived at hosts of this process, by kind.
     received: BTreeMap<Kind, u64>,
     links: BTreeMap<HostId, LinkCounts>,
     peers: BTreeMap<HostId, Vec<Peer>>,
-    /// Number of ages up to each edge and above the last one that were not above the edge before.
+    /// Number of ages in each bin of the histogram; the last bin is above all edges.
     ages: [u64; EDGES_S.len() + 1],
     age_sum_s: f64,
-    /// Events that the record of this process lacks; `None` without a record.
+    /// Number of events missing in this process's record; `None` without a record.
     recording_dropped: Option<u64>,
 }
 
 impl Metrics {
-    /// Makes the metrics of a process that has done nothing yet. `hosts` are the names of the team's hosts.
+    /// Makes the metrics of a process with all counts at zero. `hosts` are the names of the team's hosts.
     pub fn new(hosts: Vec<String>) -> Metrics {
         Metrics { hosts, ..Metrics::default() }
     }
 
-    /// Takes an event of the process.
+    /// Updates the counts from an event of the process.
     pub fn take(&mut self, host: HostId, event: ProcessEvent) {
         match event {
             ProcessEvent::Published(frame) => {
@@ -56,7 +56,8 @@ impl Metrics {
         }
     }
 
-    /// Samples the ages of messages in a picture: of its links, or else of the robots' newest messages.
+    /// Adds the ages of messages in a snapshot to the histogram: those of its links, or, without links, those of the
+    /// robots' newest messages.
     pub fn sample(&mut self, picture: &Snapshot) {
         let links = picture.links.iter().filter_map(|link| link.age);
         let robots = picture.robots.iter().filter(|_| picture.links.is_empty()).filter_map(|robot| robot.age);
@@ -66,12 +67,12 @@ impl Metrics {
         }
     }
 
-    /// Takes the number of events that the process's record lacks.
+    /// Sets the number of events missing in the process's record.
     pub fn dropped(&mut self, events: u64) {
         self.recording_dropped = Some(events);
     }
 
-    /// Returns all metrics as text. `view` is the picture that the process has of its team.
+    /// Returns all metrics as text. `view` is the state of the team as known to the process.
     pub fn text(&self, view: &TeamView) -> String {
         let mut out = Text(String::new());
         out.about("build_info", "gauge", "1, with the version of the program");
@@ -149,13 +150,13 @@ impl Metrics {
         out.one("message_age_seconds_count", &[], total as f64);
     }
 
-    /// Name of a host; an operator, which has none, is called so.
+    /// Returns the name of a host; `operator` for an operator, who has none.
     fn name(&self, host: HostId) -> String {
         self.hosts.get(usize::from(host.0)).cloned().unwrap_or_else(|| "operator".to_owned())
     }
 }
 
-/// Text that is being made.
+/// Text of the metrics under construction.
 struct Text(String);
 
 impl Text {

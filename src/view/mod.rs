@@ -1,11 +1,10 @@
-//! The live page: a picture of a running team in a browser, with the emergency stop. `team_view` makes the picture from
-//! what a process hears; `server` sends it to browsers and takes their commands.
+//! Live page: the state of a running team in a browser, with the emergency stop. `team_view` builds the state from the
+//! messages that a process receives. `server` sends it to browsers and receives their commands.
 //!
-//! `snapshot`, `status`, `heard`, `team_view`, `timeline`, `metrics`, `orders` and
-//! `command` are pure. `server`, `request` and `session` are
-//! the I/O, on threads of their own: the thread that drives the team publishes without waiting and takes commands from
-//! a bounded queue. [The page on threats](https://github.com/murmurate/murmurate/blob/main/docs/watch.md) says what is
-//! refused and why.
+//! `snapshot`, `status`, `heard`, `team_view`, `timeline`, `metrics`, `orders` and `command` are pure. `server`,
+//! `request` and `session` do I/O on their own threads: the thread that drives the team publishes without waiting, and
+//! takes commands from a bounded queue. [The page on
+//! threats](https://github.com/murmurate/murmurate/blob/main/docs/watch.md) lists the refused requests and the reasons.
 
 pub mod access;
 pub mod command;

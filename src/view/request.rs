@@ -16,7 +16,7 @@ const MAX_HEADERS: usize = 64;
 /// Longest time to receive the whole header.
 pub const HEADER_TIME: Duration = Duration::from_secs(5);
 
-/// Silence of the thread that drives the team from which the program is not healthy.
+/// Time without a sign of life of the thread that drives the team after which the program counts as unhealthy.
 const HEALTHY: Duration = Duration::from_secs(3);
 
 /// WebSocket subprotocol of the page.
@@ -57,9 +57,9 @@ pub enum Socket {
 pub enum Response {
     /// The whole response: a file or an error.
     Whole(Vec<u8>),
-    /// The metrics, which the server has.
+    /// A request for the metrics; the server makes the response.
     Metrics,
-    /// Whether the thread that drives the team is alive, which the server knows.
+    /// A request for the health of the thread that drives the team; the server makes the response.
     Health,
     /// An accepted WebSocket: its kind, and the bytes of the handshake's response.
     Upgrade(Socket, Vec<u8>),
@@ -197,14 +197,14 @@ impl Request<'_> {
     }
 }
 
-/// Returns the answer to the key of a WebSocket's handshake (RFC 6455, section 4.2.2).
+/// Returns the value of `Sec-WebSocket-Accept` that answers the key of a WebSocket handshake (RFC 6455, section 4.2.2).
 fn accept_key(key: &str) -> String {
     let mut digest = Sha1::from(key);
     digest.update(b"258EAFA5-E914-47DA-95CA-C5AB0DC85B11");
     BASE64.encode(&digest.digest().bytes())
 }
 
-/// Response with the text of metrics, in the format of Prometheus; of none if it is empty.
+/// Returns the response with these metrics in the text format of Prometheus. An empty text gives an error response.
 pub fn metrics(text: &str) -> Vec<u8> {
     match text {
         "" => refusal("404 Not Found", "there are no metrics yet, and none of a record"),
@@ -212,7 +212,8 @@ pub fn metrics(text: &str) -> Vec<u8> {
     }
 }
 
-/// Response on the health of the program, whose driving thread was last heard this long ago.
+/// Returns the response about the program's health. `silent_for` is the time since the last sign of life of the thread
+/// that drives the team.
 pub fn health(silent_for: Duration) -> Vec<u8> {
     if silent_for < HEALTHY {
         return response("200 OK", "text/plain; charset=utf-8", "ok\n");

@@ -36,7 +36,7 @@ impl<T: Clone> Slot<T> {
         true
     }
 
-    /// Returns the value.
+    /// Returns the newest value.
     pub fn get(&self) -> T {
         self.value.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -59,9 +59,9 @@ pub(super) struct Shared {
     pub snapshot: Slot<Bytes>,
     pub goals: Slot<Utf8Bytes>,
     pub status: Slot<Utf8Bytes>,
-    /// Text of the metrics; empty without any.
+    /// Metrics in the text format of Prometheus; empty if there are none.
     pub metrics: Slot<String>,
-    /// Time of the last news from the thread that drives the team, in milliseconds since `began`.
+    /// Time of the last sign of life of the thread that drives the team, since `began` \[ms\].
     pub news_ms: AtomicU64,
     pub began: Instant,
     /// A requested stop. It is a flag and not in the queue, because the queue can be full.
@@ -73,12 +73,12 @@ pub(super) struct Shared {
 }
 
 impl Shared {
-    /// Notes that the thread that drives the team is alive.
+    /// Records a sign of life of the thread that drives the team.
     pub fn note_news(&self) {
         self.news_ms.store(self.began.elapsed().as_millis() as u64, Ordering::Relaxed);
     }
 
-    /// Time since the last news from the thread that drives the team.
+    /// Time since the last sign of life of the thread that drives the team.
     pub fn silent_for(&self) -> Duration {
         self.began.elapsed().saturating_sub(Duration::from_millis(self.news_ms.load(Ordering::Relaxed)))
     }

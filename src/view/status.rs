@@ -42,22 +42,22 @@ pub struct Scene {
     pub hears_links: bool,
     /// Whether this process knows the results of episodes.
     pub hears_results: bool,
-    /// The record that is played; null for a team that runs.
+    /// Record that is played; null for a running team.
     pub record: Option<Record>,
 }
 
-/// What a page needs to know of a record for its scrubber.
+/// Properties of a record that the page's scrubber needs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Record {
-    /// Name of its file or folder.
+    /// Name of the record's file or folder.
     pub name: String,
-    /// Its length \[s\].
+    /// Duration of the record \[s\].
     pub duration_s: f64,
-    /// What happened in it, in the order of time.
+    /// Marks of the record, in the order of time.
     pub marks: Vec<Mark>,
 }
 
-/// Kind of a mark.
+/// Kind of a mark on the timeline of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MarkKind {
@@ -65,29 +65,29 @@ pub enum MarkKind {
     Success,
     /// An episode has ended without success.
     Failure,
-    /// The team's emergency stop has changed.
+    /// The emergency stop state of the team has changed.
     Stop,
-    /// A robot's guard has begun to stop or slow it.
+    /// The guard of a robot has begun to stop or slow it.
     Guard,
 }
 
 /// Mark on the timeline.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Mark {
-    /// Time of the record \[s\].
+    /// Time of the event since the start of the record \[s\].
     pub at_s: f64,
-    /// Its kind.
+    /// Kind of the event.
     pub kind: MarkKind,
-    /// What has happened, in words.
+    /// Description of the event, as text.
     pub text: String,
 }
 
-/// State of the playing of a record.
+/// State of the playback of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Playback {
-    /// Whether its time goes on.
+    /// Whether the playback runs; false while it is halted.
     pub playing: bool,
-    /// Seconds of the record a second.
+    /// Playback speed: seconds of the record for each second of real time.
     pub rate: f64,
 }
 
@@ -190,7 +190,7 @@ pub struct Status {
     pub log: VecDeque<(u64, f64, String)>,
     /// Whether the run is over.
     pub over: bool,
-    /// State of the playing of a record; null for a team that runs.
+    /// State of the playback of a record; null for a running team.
     pub playback: Option<Playback>,
 }
 
@@ -218,7 +218,7 @@ impl Log {
         }
     }
 
-    /// Number of lines that were added.
+    /// Number of lines added since the start of the run.
     pub fn count(&self) -> u64 {
         self.count
     }

@@ -135,7 +135,7 @@ impl TeamView {
         }
     }
 
-    /// Notes that a robot's latent message has arrived at a host of the team.
+    /// Updates the arrival time of a robot's latent message at the host `at`.
     pub fn arrived(&mut self, now: Time, at: HostId, robot: RobotId) {
         if robot.index() < self.robots.len() {
             self.heard.arrived(now, at, robot);
@@ -217,7 +217,7 @@ impl TeamView {
         self.log.add(now.as_secs(), line);
     }
 
-    /// Counts of the robots' guards, in the order of robot ids.
+    /// Counts of the robots' guards, each with its robot, in the order of robot ids.
     pub fn safety(&self) -> impl Iterator<Item = (RobotId, SafetyCounts)> {
         self.robots.iter().enumerate().map(|(at, robot)| (RobotId(at as u16), robot.safety))
     }
@@ -227,12 +227,12 @@ impl TeamView {
         &self.verdicts
     }
 
-    /// Number of lines that the log has had so far.
+    /// Number of lines added to the log so far.
     pub fn log_count(&self) -> u64 {
         self.log.count()
     }
 
-    /// The newest line of the log; empty without one.
+    /// Newest line of the log; empty if there is none.
     pub fn last_line(&self) -> String {
         self.log.lines().back().map_or_else(String::new, |(.., line)| line.clone())
     }

@@ -1,5 +1,5 @@
-//! Timeline of a record: what was heard and seen in a run, in the order of time, from which the picture of any time is
-//! made. Pure.
+//! Timeline of a record: its events in the order of time, from which the state of the team at any time is computed. The
+//! code is pure.
 
 use super::status::{Mark, MarkKind};
 use super::team_view::TeamView;
@@ -11,15 +11,16 @@ use crate::safety::guard::SafetyCounts;
 use crate::scenario::judge::Verdict;
 use crate::time::{Span, Time};
 
-/// Number of stored pictures between the beginning and the end of a record. A jump begins at the one before it.
+/// Number of states stored between the start and the end of a record. A jump starts from the last stored state before
+/// its target.
 const PICTURES: u64 = 64;
-/// Largest number of marks of one kind; those beyond it are left out.
+/// Largest number of marks of one kind; later ones are left out.
 const MARKS: usize = 400;
 
-/// Event of a run that changes the picture of the team.
+/// Event of a run that changes the state of the team on the page.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Sight {
-    /// A message that a host has published, or that has arrived where its sender's own record is missing.
+    /// A message that a host has published, or, if the sender's own record is missing, one that has arrived at a host.
     Message(Wire),
     /// A robot's latent message has arrived at a host.
     Arrived(HostId, RobotId),
@@ -27,23 +28,23 @@ pub enum Sight {
     Truth(Truth),
     /// Result of an episode.
     Judged(Episode),
-    /// Number of times that a robot's guard has stopped or slowed it.
+    /// Counts of a robot's guard: how often it has stopped or slowed the robot, by cause.
     Guard(RobotId, SafetyCounts),
     /// Battery charge of a robot \[%\].
     Battery(RobotId, u8),
 }
 
-/// All of a record that its pictures are made of.
+/// Events, stored states and marks of a record.
 #[derive(Debug)]
 pub struct Timeline {
     sights: Vec<(Time, Sight)>,
-    /// Number of sights in a picture, and the picture.
+    /// Number of preceding events and the state after them, for each stored state.
     pictures: Vec<(usize, TeamView)>,
     marks: Vec<Mark>,
 }
 
 impl TeamView {
-    /// Takes an event of a record.
+    /// Applies an event of a record to the view.
     pub fn take(&mut self, now: Time, sight: &Sight) {
         match sight {
             Sight::Message(message) => self.hear(now, message),
@@ -57,8 +58,8 @@ impl TeamView {
 }
 
 impl Timeline {
-    /// Makes the timeline of these events. `view` is the picture before the first one. The order of events at equal
-    /// times is kept.
+    /// Makes the timeline of these events. `view` is the state before the first one. Events at equal times keep their
+    /// order.
     pub fn new(view: TeamView, mut sights: Vec<(Time, Sight)>) -> Timeline {
         sights.sort_by_key(|(at, _)| *at);
         let end = sights.last().map_or(Time::ZERO, |(at, _)| *at);
@@ -102,7 +103,7 @@ impl Timeline {
         &self.marks
     }
 
-    /// Returns the picture at a time, and the number of events in it.
+    /// Returns the state at a time, and the number of events up to it.
     pub fn picture(&self, at: Time) -> (TeamView, usize) {
         let wanted = self.sights.partition_point(|(time, _)| *time <= at);
         let before = self.pictures.partition_point(|(taken, _)| *taken <= wanted) - 1;
@@ -111,7 +112,7 @@ impl Timeline {
         (view, taken)
     }
 
-    /// Brings a picture forward to a later time. `taken` is the number of events in it.
+    /// Advances a state to a later time. `taken` is the number of events in the state, and is updated.
     pub fn advance(&self, view: &mut TeamView, taken: &mut usize, to: Time) {
         while let Some((at, sight)) = self.sights.get(*taken).filter(|(at, _)| *at <= to) {
             view.take(*at, sight);
@@ -119,8 +120,8 @@ impl Timeline {
         }
     }
 
-    /// Returns the time of the next change of robots' states after `now`; of the last one before it with `back`.
-    /// Without one, the end or the beginning.
+    /// Returns the time of the next change of the robots' states after `now`, or, with `back`, of the last change
+    /// before it. If there is none, returns the end or the start of the record.
     pub fn step(&self, now: Time, back: bool) -> Time {
         let moves = |(_, sight): &&(Time, Sight)| match sight {
             Sight::Truth(_) => true,

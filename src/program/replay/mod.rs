@@ -145,7 +145,7 @@ pub fn files(named: &[PathBuf]) -> Result<Vec<PathBuf>> {
         let entries = std::fs::read_dir(path).map_err(wrong)?;
         let found = entries.filter_map(|entry| Some(entry.ok()?.path()));
         let mut found: Vec<PathBuf> = found.filter(|path| path.extension().is_some_and(|e| e == "mcap")).collect();
-        // Further files of a record are read with its first one.
+        // The further files of a record are read together with its first one.
         found.retain(|path| series::first_of(path).is_none_or(|first| !first.exists()));
         found.sort();
         if found.is_empty() {
@@ -213,13 +213,14 @@ impl Files {
         Ok(files)
     }
 
-    /// Name of the team file of a host's record, as the command was given it: the first file that `OfHost` attaches.
+    /// Name of the team file of a host's record, as given on the command line. It is the first file that `OfHost`
+    /// attaches.
     fn team_file(&self) -> Option<&str> {
         self.files.first().map(|(name, _)| &**name)
     }
 
-    /// Path of the policy's file of a host's record, the second file that `OfHost` attaches; `None` if the policy was
-    /// named by its name in the registry.
+    /// Path of the policy file of a host's record, the second file that `OfHost` attaches; `None` if the policy was
+    /// given as a name in the registry.
     fn policy(&self) -> Option<&Path> {
         self.files.get(1).map(|(_, path)| &**path)
     }
@@ -252,8 +253,8 @@ fn rerun(opened: Opened, files: &Files, registry: &Registry) -> Result<Compared>
     rerun_observed(opened, files, registry, |_, _| {}, |_| {})
 }
 
-/// Runs a simulation again from its seed, and passes on each event of the run, and the time of each instant after its
-/// events.
+/// Runs a simulation again from its seed. Passes on each event of the run, and after the events of each instant its
+/// time.
 fn rerun_observed(
     opened: Opened,
     files: &Files,

@@ -19,7 +19,7 @@ const SNAPSHOT_LARGE: Duration = Duration::from_millis(100);
 const LARGE: usize = 400;
 /// Period of the status without changes.
 const STATUS: Duration = Duration::from_millis(500);
-/// Period of the metrics.
+/// Period at which the metrics are published.
 const METRICS: Duration = Duration::from_secs(1);
 /// Period at which changes are detected.
 const LOOK: Duration = Duration::from_millis(10);
@@ -42,7 +42,7 @@ pub struct Feed {
 }
 
 impl Feed {
-    /// Makes a feed of this view that has told nothing; without `metrics` it tells none.
+    /// Makes a feed of this view that has published nothing yet. It publishes metrics only if `metrics` is given.
     pub fn new(view: Rc<RefCell<TeamView>>, metrics: Option<Rc<RefCell<Metrics>>>) -> Feed {
         let now = Instant::now();
         let period = if view.borrow().scene().robots >= LARGE { SNAPSHOT_LARGE } else { SNAPSHOT };

@@ -74,7 +74,7 @@ pub struct RecordPage {
 
 #[cfg(feature = "sim")]
 impl RecordPage {
-    /// Whether there is a page.
+    /// Whether the page was requested.
     pub fn is_on(&self) -> bool {
         self.watch
     }
