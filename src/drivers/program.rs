@@ -17,10 +17,10 @@ use crate::messages::ids::RobotId;
 use crate::messages::wire::{Celsius, Hardware, Health, Reason};
 use crate::time::Time;
 
-/// Description in one line.
+/// Description of the driver in one line, for lists of all drivers.
 pub const ABOUT: &str = "a program of yours: JSON lines on its stdin and stdout";
 
-/// Settings in the team file.
+/// Settings of the driver in the team file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Config {

@@ -8,7 +8,7 @@ use crate::time::Time;
 #[derive(Debug, Default)]
 struct Last(Option<Motion>);
 
-/// Makes one without readings.
+/// Makes an estimator without readings.
 pub fn make(_: &Settings) -> Box<dyn Estimator> {
     Box::<Last>::default()
 }

@@ -19,7 +19,7 @@ use crate::time::{Span, Time};
 /// Description of the source `program` in one line, for lists of all sources.
 pub const ABOUT: &str = "a program of yours: JSON lines on its stdout";
 
-/// Settings in the team file.
+/// Settings of the source in the team file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Config {

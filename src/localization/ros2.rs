@@ -26,7 +26,7 @@ const LONGEST_S: f64 = 0.5;
 /// Shortest one \[s\]: below, noise of 0.2 mm alone is a velocity of 0.1 m/s.
 const SHORTEST_S: f64 = 0.002;
 
-/// Settings in the team file.
+/// Settings of the source in the team file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Config {
@@ -47,10 +47,10 @@ struct Config {
     /// Origin of the messages' frame in the world \[m\].
     #[serde(default)]
     origin_m: [f64; 2],
-    /// Memory of each DDS process \[MiB\].
+    /// Limit on the memory of each DDS process \[MiB\].
     #[serde(default = "settings::memory_mib")]
     memory_mib: u32,
-    /// Whether there is a warm spare of the DDS process.
+    /// Whether a warm spare of the DDS process runs.
     #[serde(default = "settings::yes")]
     spare: bool,
 }

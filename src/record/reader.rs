@@ -96,7 +96,7 @@ pub struct Reader {
     channels: BTreeMap<u16, Rc<Channel>>,
     complete: bool,
     over: bool,
-    /// Number of the file that is read, if the record may go on in others.
+    /// Index of the current file, from 0; `None` if no further file belongs to it.
     part: Option<u32>,
 }
 

@@ -1,4 +1,4 @@
-//! The files of one record: one, or one after the other by their size, or only the seconds around what has happened.
+//! Files of one record: a single file, several files limited in size, or excerpts of the seconds around triggers.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
@@ -15,34 +15,36 @@ use crate::net::protocol::codec::{self, Content};
 use crate::scenario::judge::Verdict;
 use crate::time::Span;
 
-/// Most bytes that are held in memory until something happens.
+/// Largest size of the messages held in memory until a trigger \[bytes\].
 const RING_BYTES: usize = 256 << 20;
 
-/// What of a run goes into files.
+/// Parts of a run that are stored in files, and the size of these files.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Retention {
-    /// Only this time before and after what happens: an emergency stop, an aborted episode, a request. `None` for all.
+    /// Time before and after a trigger that is stored; a trigger is an emergency stop, an aborted episode or a request.
+    /// `None` stores the whole run.
     pub last: Option<Span>,
-    /// Size of a file \[bytes\] after which another one begins; `None` for one file.
+    /// Size of a file after which another file begins \[bytes\]; `None` for a single file.
     pub most_bytes: Option<u64>,
 }
 
-/// Files of one record that is being written.
+/// Files of a record that is being written.
 pub struct Series {
     path: PathBuf,
     beginning: Beginning,
     stage: Stage,
     retention: Retention,
     file: Option<RecordFile>,
-    /// Messages that are held until something happens.
+    /// Messages of the last seconds, held until a trigger.
     ring: VecDeque<(Topic, u64, Vec<u8>)>,
     ring_bytes: usize,
-    /// Time of the messages \[ns\] at which a file ends that was begun because something has happened.
+    /// Time at which the current excerpt ends \[ns\], on the time axis of the messages. It is used only if
+    /// `retention.last` is set.
     until: u64,
 }
 
 impl Series {
-    /// Begins a record: with its file, unless files are made only when something happens.
+    /// Begins a record. Creates its file, unless only excerpts are stored.
     pub fn begin(
         path: &Path,
         mut beginning: Beginning,
@@ -58,7 +60,7 @@ impl Series {
         Ok(Series { path, beginning, stage, retention, file, ring, ring_bytes: 0, until: 0 })
     }
 
-    /// Takes a message.
+    /// Adds a message to the current file, or, without one, to the messages held in memory.
     pub fn write(&mut self, topic: Topic, at: u64, data: &[u8]) -> Result<(), McapError> {
         if let Some(file) = &mut self.file {
             return file.write(&self.stage, topic, at, data);
@@ -72,7 +74,8 @@ impl Series {
         Ok(())
     }
 
-    /// Notes that something has happened now: what is held goes into a file, and what follows.
+    /// Handles a trigger at time `at` \[ns\]: stores the held messages in a new file, and the following ones until the
+    /// excerpt ends.
     pub fn keep(&mut self, at: u64) -> Result<(), McapError> {
         let Some(last) = self.retention.last else { return Ok(()) };
         self.until = at + last.as_nanos();
@@ -89,7 +92,8 @@ impl Series {
         Ok(())
     }
 
-    /// Ends an instant: begins another file if this one is full, or ends it if nothing happens any more.
+    /// Ends an instant at time `at` \[ns\]: closes the file if its excerpt is over, or begins another one if the file
+    /// is full.
     pub fn end_instant(&mut self, at: u64) -> Result<(), McapError> {
         let Some(file) = &self.file else { return Ok(()) };
         let over = self.retention.last.is_some() && at >= self.until;
@@ -110,18 +114,18 @@ impl Series {
         RecordFile::create(&path, &self.beginning, &self.stage).map_err(broken)
     }
 
-    /// Hands everything to the operating system.
+    /// Passes all data to the operating system.
     pub fn flush(&mut self) -> Result<(), McapError> {
         self.file.as_mut().map_or(Ok(()), RecordFile::flush)
     }
 
-    /// Ends the record.
+    /// Ends the record and closes its file.
     pub fn finish(self) -> Result<(), McapError> {
         self.file.map_or(Ok(()), RecordFile::finish)
     }
 }
 
-/// Returns the path of a further file of a record: `NAME.1.mcap` after `NAME.mcap`.
+/// Returns the path of a further file of a record, such as `NAME.1.mcap` after `NAME.mcap`.
 pub fn part_of(path: &Path, part: u32) -> PathBuf {
     match part {
         0 => path.to_owned(),
@@ -129,14 +133,14 @@ pub fn part_of(path: &Path, part: u32) -> PathBuf {
     }
 }
 
-/// Returns the path of the first file of a record that goes on in this one; `None` if this is a first file.
+/// Returns the path of the first file of the record that the file `path` continues; `None` if `path` is a first file.
 pub fn first_of(path: &Path) -> Option<PathBuf> {
     let stem = path.file_stem()?.to_str()?;
     let (name, part) = stem.rsplit_once('.')?;
     part.parse::<u32>().ok().filter(|part| *part > 0).map(|_| path.with_file_name(format!("{name}.mcap")))
 }
 
-/// Detector of what a record's last seconds are kept for.
+/// Detector of triggers, which are the reasons to store an excerpt.
 #[derive(Default)]
 pub struct Triggers {
     stops: BTreeMap<RobotId, u64>,
@@ -144,7 +148,7 @@ pub struct Triggers {
 }
 
 impl Triggers {
-    /// Whether something happens with this event: an emergency stop, an aborted episode, or a request.
+    /// Whether an event is a trigger: an emergency stop, an aborted episode, or a request.
     pub fn sees(&mut self, event: &Event) -> bool {
         match event {
             Event::Keep => true,

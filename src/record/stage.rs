@@ -1,5 +1,5 @@
-//! Stage of a record: hosts, ground and walls, all that a picture needs beside the robots' states. It is the metadata
-//! `murmurate.stage` of the file, so that a record can be shown without the program and the files that made it.
+//! Stage of a record: hosts, ground and walls, which a picture needs in addition to the robots' states. It is the
+//! metadata `murmurate.stage` of the file, so a record can be shown without the program and the files that made it.
 
 use std::collections::BTreeMap;
 
@@ -10,25 +10,25 @@ use crate::graph::Plan;
 use crate::messages::ids::{HostId, RobotId};
 use crate::scenario::arena::KeepOut;
 
-/// Name of the metadata in a file.
+/// Name of the stage's metadata in a record.
 pub const METADATA: &str = "murmurate.stage";
-/// Name of its one entry.
+/// Name of the only entry in the metadata.
 const ENTRY: &str = "stage";
 
-/// What a picture needs to know of a run.
+/// Constant properties of a run that are needed to show it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Stage {
-    /// Name of the scenario, the team's task.
+    /// Name of the scenario.
     pub scenario: String,
     /// Name of the deployment's mode.
     pub mode: String,
-    /// Names of the hosts, in the order of the deployment.
+    /// Names of the hosts, in the order of host ids.
     pub hosts: Vec<String>,
     /// Host of each robot's agent, in the order of robot ids.
     pub homes: Vec<HostId>,
     /// Number of robots.
     pub robots: usize,
-    /// Half the size of the ground along x and y \[m\].
+    /// Half the size of the ground along x and y \[m\]; its middle is the origin.
     pub half_extent: [f32; 2],
     /// Solid blocks: smallest x and y, then largest x and y \[m\], world frame.
     pub walls: Vec<[f32; 4]>,
@@ -60,13 +60,13 @@ impl Stage {
         }
     }
 
-    /// Returns the metadata of a file.
+    /// Returns the stage as metadata for a file.
     pub fn to_metadata(&self) -> BTreeMap<String, String> {
         let text = serde_json::to_string(self).expect("a stage is JSON");
         BTreeMap::from([(ENTRY.to_owned(), text)])
     }
 
-    /// Reads the metadata of a file; `None` if they are not those of a stage.
+    /// Reads the stage from the metadata of a file; `None` if the metadata is not a stage.
     pub fn of_metadata(metadata: &BTreeMap<String, String>) -> Option<Stage> {
         serde_json::from_str(metadata.get(ENTRY)?).ok()
     }

@@ -1,4 +1,4 @@
-//! Writer of a record: the queue of events, and the thread that makes the record's files of them.
+//! Writer of a record: the event queue, and the thread that converts the events and writes them to files.
 
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -14,10 +14,11 @@ use super::queue::{Inlet, Outlet, WhenFull, queue};
 use super::series::{Retention, Series, Triggers};
 use super::topics::Topics;
 
-/// Time after which a file in real time is flushed. A crash loses this, the writer's pause, and what has just happened.
+/// Period of flushes in real time. A crash loses up to this, one pause of the writer, and the events still in the
+/// queue.
 const FLUSH: Duration = Duration::from_millis(100);
 
-/// Record that is being made: its queue, and the thread that writes its file.
+/// Recording in progress: its event queue, and the thread that writes its file.
 pub struct Recording {
     inlet: Rc<Inlet>,
     thread: JoinHandle<()>,
@@ -26,7 +27,7 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Creates the file and starts the writer's thread.
+    /// Creates the file and starts the writer thread.
     pub fn start(
         path: &Path,
         beginning: &Beginning,
@@ -49,19 +50,19 @@ impl Recording {
         Ok(Recording { inlet: Rc::new(inlet), thread, path: path.to_owned(), failure })
     }
 
-    /// Returns the end of the queue at the thread that runs actors.
+    /// Returns the sending end of the event queue, for the thread that runs the actors.
     pub fn inlet(&self) -> Rc<Inlet> {
         Rc::clone(&self.inlet)
     }
 
-    /// Reason why the file could not be written on, once.
+    /// Returns the reason why writing has failed, the first time it is called after the failure; `None` otherwise.
     pub fn failure(&self) -> Option<RecordError> {
         let reason = self.failure.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take()?;
         Some(RecordError::Write { path: self.path.clone(), reason })
     }
 
-    /// Ends the record and waits for the writer: at most for `most`, or as long as it takes. Returns the number of
-    /// events that the record lacks.
+    /// Ends the record and waits for the writer: at most for `most`, or without limit if it is `None`. Returns the
+    /// number of dropped events.
     pub fn finish(self, most: Option<Duration>) -> Result<u64, RecordError> {
         self.inlet.close();
         let until = most.map(|most| (most, Instant::now() + most));
@@ -79,7 +80,7 @@ impl Recording {
     }
 }
 
-/// Returns the reason of an error: what the operating system said, where it said something.
+/// Returns the text of an error; of an I/O error, that of the operating system.
 fn reason(error: &McapError) -> String {
     match error {
         McapError::Io(error) => error.to_string(),
@@ -87,7 +88,7 @@ fn reason(error: &McapError) -> String {
     }
 }
 
-/// Writes what comes through the queue until its other end is closed.
+/// Writes the events from the queue until its other end is closed.
 fn serve(mut series: Series, outlet: &Outlet, mut topics: Topics, flush: Option<Duration>) -> Result<(), McapError> {
     let (mut taken, mut instant) = (Vec::new(), Vec::new());
     let (mut flushed, mut written) = (Instant::now(), false);

@@ -56,7 +56,7 @@ enum Connection {
     Router,
 }
 
-/// Settings in the team file.
+/// Settings of the driver in the team file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Config {

@@ -1,4 +1,4 @@
-//! `murmurate replay --watch`: the page with a scrubber, for a record.
+//! The command `murmurate replay --watch`: serves a page that plays a record, with a scrubber.
 
 use std::cell::RefCell;
 use std::path::PathBuf;
@@ -28,10 +28,10 @@ use crate::view::status::{Playback, Record, Scene, Status};
 use crate::view::team_view::TeamView;
 use crate::view::timeline::{Sight, Timeline};
 
-/// Longest wait for a command, after which pages get their news.
+/// Longest wait for a command, and so the longest delay of news for pages.
 const TURN: Duration = Duration::from_millis(10);
 
-/// Serves the page of a record until Ctrl-C.
+/// Serves the page of the records until Ctrl-C.
 pub fn watch(args: &Args, registry: &Registry) -> Result<Ended> {
     let name = match &args.records[..] {
         [only] => only.display().to_string(),
@@ -57,7 +57,8 @@ pub fn watch(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
-/// Reads what the named records show: of a simulation with its links, of several hosts on one time.
+/// Reads the events of the named records. A simulation is run again to get the links between robots; several records of
+/// hosts are merged on one time axis.
 fn read(named: &[PathBuf], registry: &Registry) -> Result<Shown> {
     let mut paths = files(named)?;
     if paths.len() > 1 {
@@ -121,17 +122,17 @@ fn scene(shown: &Shown, name: &str) -> Scene {
     }
 }
 
-/// Player of a record: its time, and the picture of that time.
+/// Player of a record: the current time, and the state of the team at that time.
 struct Player {
     timeline: Timeline,
     view: Rc<RefCell<TeamView>>,
-    /// Number of events in the picture.
+    /// Number of events included in the current state.
     taken: usize,
     feed: Feed,
     publisher: Publisher,
     now: Time,
     playing: bool,
-    /// Seconds of the record a second.
+    /// Playback speed: seconds of the record for each second of real time.
     rate: f64,
 }
 
@@ -172,12 +173,12 @@ impl Player {
                 self.playing = false;
                 self.show(self.timeline.step(self.now, *back));
             }
-            // Refused before, as there is no team.
+            // Not reached: these commands are refused before, because there is no team.
             _ => {}
         }
     }
 
-    /// Shows the picture of a time.
+    /// Jumps to a time and shows the state at that time.
     fn show(&mut self, at: Time) {
         self.now = at.min(self.timeline.end());
         let (view, taken) = self.timeline.picture(self.now);

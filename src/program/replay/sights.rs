@@ -1,4 +1,4 @@
-//! From the messages of a record to the events that its pictures are made of.
+//! Conversion of a record's messages to the events from which the page's states are computed.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -23,36 +23,36 @@ use crate::safety::guard::SafetyCounts;
 use crate::time::Time;
 use crate::view::timeline::Sight;
 
-/// What a record shows.
+/// Content of a record that a page can show.
 pub struct Shown {
-    /// Hosts and ground.
+    /// Hosts, robots, ground and walls of the run.
     pub stage: Stage,
-    /// Its events, with the time since the record's beginning.
+    /// Events of the record, each with its time since the start of the record.
     pub sights: Vec<(Time, Sight)>,
-    /// Whether the record has what arrived at each robot.
+    /// Whether the record contains the messages that arrived at each robot.
     pub hears_links: bool,
-    /// Whether the record has results of episodes.
+    /// Whether the record contains the results of episodes.
     pub hears_results: bool,
 }
 
-/// State of the reading.
+/// State of reading a record.
 struct Reading {
     stage: Option<Stage>,
-    /// The host of a record of one.
+    /// Host of the record; `None` for a record of several hosts.
     host: Option<HostId>,
-    /// Time zero of the record \[ns\], as its messages count.
+    /// Time of the first message \[ns\], on the time axis of the record; `None` before it.
     zero: Option<u64>,
     sights: Vec<(Time, Sight)>,
     /// Hosts whose published messages are in the record.
     published: BTreeSet<HostId>,
     /// Hosts whose turns are in the record.
     taped: BTreeSet<HostId>,
-    /// By receiving and sending host: incarnation and number of the newest datagram.
+    /// Incarnation and number of the newest datagram, by receiving host and sending host.
     newest: BTreeMap<(HostId, HostId), (u32, u32)>,
     results: bool,
 }
 
-/// Reads all that a record shows.
+/// Reads the content of a record that a page can show.
 pub fn read(path: &Path) -> Result<Shown> {
     let wrong = |error: ReadError| BadInput(error.to_string());
     let mut reader = Reader::open(path).map_err(wrong)?;
@@ -93,7 +93,7 @@ pub fn read(path: &Path) -> Result<Shown> {
     Ok(Shown { stage, sights: reading.sights, hears_links, hears_results: reading.results })
 }
 
-/// Returns a latent message without its features, which no picture shows; other messages as they are.
+/// Returns a latent message without its features, which the page does not show; other messages unchanged.
 pub fn slim(message: Wire) -> Wire {
     match message {
         Wire::Latent(mut latent) => {
@@ -145,7 +145,8 @@ impl Reading {
         u16::try_from(at).ok().map(HostId)
     }
 
-    /// Host of a topic of turns: `turn` in the record of a host, name and incarnation in a merged one.
+    /// Host of a topic with turns. The name is `turn` in the record of one host, and name and incarnation of the host
+    /// in a merged record.
     fn taped_host(&self, name: &str) -> Option<HostId> {
         match name {
             "turn" => self.host,
@@ -153,7 +154,7 @@ impl Reading {
         }
     }
 
-    /// Takes the datagrams that came into a host in a turn, each once.
+    /// Adds the datagrams that a host received in a turn; repeated ones are added once.
     fn turn(&mut self, now: Time, host: HostId, data: &[u8]) {
         for input in tape::read(data).into_iter().flat_map(|turn| turn.inputs) {
             let Input::Frame(_, frame, _) = input else { continue };
@@ -173,13 +174,13 @@ impl Reading {
     }
 }
 
-/// Robot that a JSON message is about.
+/// Returns the robot that a JSON message refers to.
 fn robot_of(data: &[u8]) -> Option<RobotId> {
     let said: Json = serde_json::from_slice(data).ok()?;
     u16::try_from(said["robot"].as_u64()?).ok().map(RobotId)
 }
 
-/// Reads true states of simulated robots.
+/// Decodes the true states of simulated robots.
 fn truth(time: Time, data: &[u8]) -> Option<Truth> {
     let mut samples = Vec::new();
     for (_, robot) in Fields(data).filter(|(field, _)| *field == 2) {

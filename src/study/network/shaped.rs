@@ -70,7 +70,7 @@ impl Shaped {
     }
 }
 
-/// State of one station's link.
+/// Traffic shaper of one station's outgoing link.
 #[derive(Clone, Debug)]
 struct Sender {
     /// Tokens at the time `at` of the last departure \[bytes\].
