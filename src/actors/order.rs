@@ -1,7 +1,7 @@
-//! Order: one operator's stop, re-arm or resume, from its first message to the last confirmation.
+//! Order: one operator's stop, re-arm, hold or resume, from its first message to the last confirmation.
 //!
-//! It repeats its message, handles the answers of hosts, and tracks which robots have confirmed. Before a re-arm or a
-//! resume it asks for the state of the latch; a stop is sent at once.
+//! It repeats its message, takes the answers of hosts, and tracks which robots have confirmed. A re-arm or a resume
+//! first asks for the state of the latch; a stop does not wait.
 
 use std::collections::BTreeMap;
 
@@ -24,6 +24,8 @@ pub enum OrderKind {
     Stop,
     /// Re-arm: the stop ends, and the team stays held.
     Rearm,
+    /// The team is held without a stop before it. During an episode, this aborts the episode.
+    Hold,
     /// Resume: the hold ends, and the next episode begins.
     Resume,
 }
@@ -34,6 +36,7 @@ impl OrderKind {
         match self {
             OrderKind::Stop => latch.is_engaged(),
             OrderKind::Rearm => !latch.is_engaged(),
+            OrderKind::Hold => latch.is_held(),
             OrderKind::Resume => latch.is_clear(),
         }
     }
@@ -85,6 +88,11 @@ impl Order {
             next: Time::ZERO,
             confirmed_at: None,
         }
+    }
+
+    /// Makes an order that means this latch, so that it is sent at once and not after a question.
+    pub fn meaning(me: HostId, kind: OrderKind, robots: usize, target: Latch) -> Order {
+        Order { target: Some(target), ..Order::new(me, kind, robots) }
     }
 
     /// Time at which all robots had confirmed; `None` before that.
@@ -166,6 +174,7 @@ impl Order {
                 known => Stop::engage(me, known.unwrap_or_default()),
             },
             (OrderKind::Rearm, Some(stop)) if stop.is_engaged() => Stop::rearm(me, stop),
+            (OrderKind::Hold, Some(clear)) if clear.is_clear() => Stop::rearm(me, clear),
             (OrderKind::Resume, Some(hold)) if hold.is_held() => Stop::resume(me, hold),
             _ => Stop::ask(me),
         }

@@ -270,6 +270,8 @@ impl StateServer {
     /// Stops the team. The next episode begins once the latch is clear and the team is ready.
     fn hold(&mut self, now: Time) {
         match self.phase {
+            // A hold between two episodes: the next one is reset anew after the resume, and none is lost.
+            Phase::Resetting if self.latch.is_held() => self.enter(now, Phase::Waiting),
             Phase::Resetting | Phase::Running => self.enter(now, Phase::AbortRunning),
             _ => self.since = Some(now),
         }
@@ -604,6 +606,25 @@ mod tests {
         assert_eq!(say(&mut server, 40_010, Latch::clear(5)), Latch::clear(5));
         assert_eq!(tick(&mut server, at_ms(40_050)), (round(1, 1), Phase::Resetting), "the next episode");
         assert_eq!(say(&mut server, 40_060, Latch::clear(5)), Latch::clear(5), "a resume counts once");
+    }
+
+    #[test]
+    fn a_hold_between_two_episodes_loses_neither() {
+        let mut server = server();
+        tick(&mut server, at_ms(0));
+        beat(&mut server, at_ms(10), round(0, 0), [Phase::NeedReset; 2]);
+        assert_eq!(tick(&mut server, at_ms(50)), (round(1, 0), Phase::Resetting));
+        let hold = Stop::rearm(HostId::operator(1), Latch::clear(0));
+        server.handle(at_ms(60), In::Stop(hold), &mut Vec::new());
+        assert_eq!(tick(&mut server, at_ms(100)).1, Phase::Waiting);
+        for ms in (150..20_000).step_by(50) {
+            follow(&mut server, at_ms(ms), Latch::held(1), Phase::Waiting);
+            assert_eq!(tick(&mut server, at_ms(ms)).1, Phase::Waiting, "until the resume");
+        }
+        assert_eq!(resume(&mut server, 20_000).latch, Latch::clear(2));
+        follow(&mut server, at_ms(20_020), Latch::clear(2), Phase::Waiting);
+        let (round, phase) = tick(&mut server, at_ms(20_050));
+        assert_eq!((round.episode, phase), (0, Phase::Resetting), "the same episode, anew");
     }
 
     /// Both robots follow the current round with this latch and phase.

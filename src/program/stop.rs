@@ -110,6 +110,7 @@ impl Asked<'_> {
             let what = match self.kind {
                 OrderKind::Stop => "stand",
                 OrderKind::Rearm => "are re-armed",
+                OrderKind::Hold => "are held",
                 OrderKind::Resume => "may move",
             };
             let took = took_s.map_or_else(String::new, |s| format!(", confirmed after {s:.3} s"));

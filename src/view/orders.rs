@@ -4,6 +4,7 @@
 use crate::actor::Core;
 use crate::actors::order::{Order, OrderKind};
 use crate::messages::ids::HostId;
+use crate::messages::latch::Latch;
 use crate::messages::wire::{Status, Stop};
 use crate::time::{Span, Time};
 
@@ -40,6 +41,14 @@ impl Orders {
                 self.running = Some((Order::new(self.me, kind, self.robots), kind, now));
                 Ok(())
             }
+        }
+    }
+
+    /// Begins to hold a team whose latch this is, unless a stop is in progress.
+    pub fn hold(&mut self, now: Time, latch: Latch) {
+        if !matches!(self.running, Some((_, OrderKind::Stop, _))) {
+            let order = Order::meaning(self.me, OrderKind::Hold, self.robots, latch);
+            self.running = Some((order, OrderKind::Hold, now));
         }
     }
 
@@ -96,6 +105,7 @@ fn word(kind: OrderKind) -> &'static str {
     match kind {
         OrderKind::Stop => "stop",
         OrderKind::Rearm => "re-arm",
+        OrderKind::Hold => "hold",
         OrderKind::Resume => "resume",
     }
 }
@@ -104,7 +114,6 @@ fn word(kind: OrderKind) -> &'static str {
 mod tests {
     use super::*;
     use crate::messages::ids::RobotId;
-    use crate::messages::latch::Latch;
     use crate::messages::wire::Following;
 
     #[test]

@@ -1,9 +1,12 @@
 //! `sim --watch` and `launch --watch` with a real browser: the emergency stop, a halted program, other pages; and the
 //! same report as without a page.
 
+use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};
+use std::path::Path;
 use std::process::{Child, Stdio};
 
+use murmurate::record::reader;
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
@@ -144,7 +147,9 @@ fn the_page_of_a_real_team_stops_it_and_so_does_a_page_that_joins_later() {
     let team = concat!(env!("CARGO_MANIFEST_DIR"), "/teams/offboard.toml");
     // No other run of this test has the number.
     let number = format!("team={}", 1000 + std::process::id() % 60_000);
-    let own = ["--set", &number, "--set", "episodes=100", "--control"];
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let records = folder.path().to_str().expect("a path in UTF-8");
+    let own = ["--set", &number, "--set", "episodes=100", "--control", "--record", records];
     let launched = Watched::of(murmurate(&[&["launch", team, "--watch"], &own[..]].concat()));
     let joined = Watched::of(murmurate(&["watch", team, "--set", &number, "--control"]));
     browser.open(&launched.url);
@@ -152,9 +157,14 @@ fn the_page_of_a_real_team_stops_it_and_so_does_a_page_that_joins_later() {
     let note = "document.getElementById('note').textContent.includes('position')";
     browser.until(&format!("!{note}"));
     pictures(&mut browser, "launch-");
+    pause_and_resume(&mut browser);
+    let from_a_shell = stop_from_a_shell(&mut browser, team, &number);
     browser.press_space();
     let stopped = browser.until(&format!("{STATE} === 'STOPPED' && {CONFIRMED} === '5/5'"));
-    eprintln!("launch: stop seen and confirmed on the page after {stopped:.0} ms");
+    eprintln!(
+        "launch: stop seen and confirmed on the page after {stopped:.0} ms, 'murmurate stop': {from_a_shell:.0} ms"
+    );
+    assert!(stopped <= from_a_shell + 1000.0, "with other tests beside it");
     // A stop is repeated for half a second; a re-arm from elsewhere would be overtaken by it.
     browser.until("!status.ordering && !document.getElementById('rearm').disabled");
     browser.open(&joined.url);
@@ -166,6 +176,55 @@ fn the_page_of_a_real_team_stops_it_and_so_does_a_page_that_joins_later() {
     browser.until(&format!("{STATE} === 'running'"));
     assert_eq!(joined.end(), Some(0));
     assert_eq!(launched.end(), Some(130));
+    assert_eq!(stops_in(folder.path()), BTreeMap::from_iter((0..5).map(|robot| (robot, 2))), "both stops, by robot");
+}
+
+/// Stops the team by `murmurate stop`, and lets it go on. Returns the time until all had confirmed \[ms\].
+fn stop_from_a_shell(browser: &mut Browser, team: &str, number: &str) -> f64 {
+    let shell = |command: &[&str]| {
+        let output = run(&[command, &[team, "--set", number, "--json"]].concat());
+        assert!(output.status.success(), "{command:?}: {}", text(&output.stderr));
+        serde_json::from_slice::<serde_json::Value>(&output.stdout).expect("JSON")
+    };
+    let stopped = shell(&["stop"]);
+    browser.until(&format!("{STATE} === 'STOPPED' && {CONFIRMED} === '5/5'"));
+    shell(&["stop", "--rearm"]);
+    shell(&["resume"]);
+    browser.until(&format!("{STATE} === 'running' && {CONFIRMED} === '5/5'"));
+    1000.0 * stopped["took_s"].as_f64().expect("all have confirmed")
+}
+
+/// Number of emergency stops of each robot's guard in the records of a folder.
+fn stops_in(folder: &Path) -> BTreeMap<u64, u64> {
+    let mut stops = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).expect("the folder") {
+        let mut opened = reader::open(&entry.expect("an entry").path()).expect("a record");
+        while let Some(message) = opened.messages.next_message().expect("a whole record") {
+            if message.channel.topic == "/guard" {
+                let said: serde_json::Value = serde_json::from_slice(&message.data).expect("JSON");
+                let stop = said["stop"].as_u64().expect("a count");
+                if stop > 0 {
+                    stops.insert(said["robot"].as_u64().expect("a robot"), stop);
+                }
+            }
+        }
+    }
+    stops
+}
+
+/// Pauses a real team after its episode, and lets it go on: no episode is aborted or left out.
+fn pause_and_resume(browser: &mut Browser) {
+    browser.until("!document.getElementById('pause').disabled");
+    let episode = browser.eval("status.episode").as_u64().expect("an episode");
+    browser.eval("document.getElementById('pause').click()");
+    browser.until(&format!("{STATE} === 'HELD' && {CONFIRMED} === '5/5' && !status.ordering"));
+    let next = episode + 1;
+    assert_eq!(browser.eval("status.episode").as_u64(), Some(next));
+    assert_eq!(browser.eval(&format!("status.success.episodes === {episode}")), true, "it ran to its end");
+    browser.eval("document.getElementById('resume').click()");
+    browser.until(&format!("{STATE} === 'running' && status.phase === 3 && !status.ordering"));
+    assert_eq!(browser.eval("status.episode").as_u64(), Some(next), "the next one is not lost");
+    assert_eq!(browser.eval("status.verdicts.aborted === undefined"), true);
 }
 
 #[test]

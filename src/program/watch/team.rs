@@ -19,7 +19,7 @@ use crate::deploy::team::TeamFile;
 use crate::graph::operator;
 use crate::graph::process::ProcessEvent;
 use crate::messages::ids::{HostId, RobotId};
-use crate::messages::wire::{Stop, Wire};
+use crate::messages::wire::{Phase, Stop, Wire};
 use crate::program::{BadInput, Ended, signals, team};
 use crate::registry::Registry;
 use crate::report::episode::Episode;
@@ -132,7 +132,8 @@ impl Page {
                     seen.borrow_mut().hear(time.now(), message);
                 });
                 operator::observe(clock, &network, me.host);
-                Desk { me: me.host, network, view, orders, publisher, results, feed, ask_at }.beat(clock);
+                let pause_after = None;
+                Desk { me: me.host, network, view, orders, publisher, results, feed, pause_after, ask_at }.beat(clock);
             },
             |(), _| over(),
         );
@@ -150,6 +151,8 @@ struct Desk {
     publisher: Publisher,
     results: Option<Receiver<Episode>>,
     feed: Feed,
+    /// Episode after which the team is to be held, if a page has asked for a pause.
+    pause_after: Option<u32>,
     /// Time at which hosts are asked for their latches next.
     ask_at: Time,
 }
@@ -163,6 +166,7 @@ impl Desk {
         while let Some(episode) = self.results.as_ref().and_then(|results| results.try_recv().ok()) {
             self.view.borrow_mut().judged(now, &episode);
         }
+        self.take_pause(now);
         let mut message = self.orders.borrow_mut().turn(now);
         if let Some(result) = self.orders.borrow_mut().take_result() {
             self.view.borrow_mut().note(now, &result);
@@ -172,24 +176,52 @@ impl Desk {
         }
         message.into_iter().for_each(|stop| self.network.send(network::In::Publish(Wire::Stop(stop))));
         let ordering = self.orders.borrow().is_running();
-        let own = if ordering { "ordering" } else { "" };
-        self.feed.tell(&self.publisher, now, own, |status| status.ordering = ordering);
+        let pause = if self.pause_after.is_some() { "asked" } else { "no" };
+        let own = if ordering { "ordering" } else { pause };
+        self.feed.tell(&self.publisher, now, own, |status| (status.ordering, status.pause) = (ordering, pause));
         let again = clock.clone();
         clock.call(now + BEAT, Box::new(move || self.beat(&again)));
     }
 
-    fn obey(&self, now: Time, command: Command) {
+    /// Holds the team once the episode is over after which a page has asked for a pause. The next episode begins anew
+    /// after the resume.
+    fn take_pause(&mut self, now: Time) {
+        let (Some(after), Some((phase, episode))) = (self.pause_after, self.view.borrow().phase()) else { return };
+        match phase {
+            Phase::Running | Phase::FinishedRunning | Phase::AbortRunning if episode == after => {}
+            // The instruction between the episodes was lost: this one is not aborted for it.
+            Phase::Running | Phase::FinishedRunning => self.pause_after = Some(episode),
+            _ => {
+                self.pause_after = None;
+                let latch = self.view.borrow().latch();
+                self.orders.borrow_mut().hold(now, latch);
+            }
+        }
+    }
+
+    fn obey(&mut self, now: Time, command: Command) {
         let kind = match command {
             Command::Stop => OrderKind::Stop,
             Command::Rearm => OrderKind::Rearm,
+            Command::Resume if self.pause_after.take().is_some() => {
+                return self.view.borrow_mut().note(now, "page: goes on");
+            }
             Command::Resume => OrderKind::Resume,
-            Command::Pause | Command::Kill { .. } | Command::Restart { .. } | Command::Link { .. } => {
+            Command::Pause => {
+                let Some((_, episode)) = self.view.borrow().phase() else {
+                    return self.view.borrow_mut().note(now, "page: refused, the state server was not heard yet");
+                };
+                self.pause_after = Some(episode);
+                return self.view.borrow_mut().note(now, "page: pause after this episode");
+            }
+            Command::Kill { .. } | Command::Restart { .. } | Command::Link { .. } => {
                 return self.view.borrow_mut().note(now, "page: refused, that is for simulations");
             }
             // Refused before, as there is no record.
             Command::Play { .. } | Command::Seek { .. } | Command::Step { .. } => return,
         };
         if kind == OrderKind::Stop {
+            self.pause_after = None;
             self.view.borrow_mut().note(now, "page: STOP");
         }
         if let Err(why) = self.orders.borrow_mut().give(now, kind) {

@@ -166,7 +166,7 @@ function showStatus() {
   const may = holder && scene && scene.control !== "stop";
   $("rearm").disabled = !may || s.latch !== "stopped" || s.ordering;
   $("resume").disabled = !may || !(s.latch === "held" || s.pause !== "no");
-  $("pause").disabled = !may || scene.control !== "emulation" || s.latch !== "clear" || s.pause !== "no";
+  $("pause").disabled = !may || s.latch !== "clear" || s.pause !== "no";
   set($("killed"), s.killed.length ? `down: ${s.killed.join(", ")}` : "");
   showRows();
   showLog();
