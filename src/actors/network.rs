@@ -71,7 +71,7 @@ pub struct Config {
     pub router: Router,
 }
 
-/// Network of one host.
+/// Network actor of one host: sends and receives the host's messages on its links.
 #[derive(Debug)]
 pub struct Network {
     router: Router,

@@ -1,7 +1,7 @@
 //! Order: one operator's stop, re-arm, hold or resume, from its first message to the last confirmation.
 //!
-//! It repeats its message, takes the answers of hosts, and tracks which robots have confirmed. A re-arm or a resume
-//! first asks for the state of the latch; a stop does not wait.
+//! It repeats its message, handles the answers of hosts, and tracks which robots have confirmed. Before a re-arm or a
+//! resume it asks for the state of the latch; a stop is sent at once, and a hold with the latch that is passed in.
 
 use std::collections::BTreeMap;
 
@@ -24,7 +24,7 @@ pub enum OrderKind {
     Stop,
     /// Re-arm: the stop ends, and the team stays held.
     Rearm,
-    /// The team is held without a stop before it. During an episode, this aborts the episode.
+    /// Hold: the team is held without a stop before it. A hold during an episode aborts the episode.
     Hold,
     /// Resume: the hold ends, and the next episode begins.
     Resume,
@@ -90,7 +90,7 @@ impl Order {
         }
     }
 
-    /// Makes an order that means this latch, so that it is sent at once and not after a question.
+    /// Makes an order that sets this latch. It is sent at once, without first asking for the state of the latch.
     pub fn meaning(me: HostId, kind: OrderKind, robots: usize, target: Latch) -> Order {
         Order { target: Some(target), ..Order::new(me, kind, robots) }
     }

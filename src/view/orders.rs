@@ -44,7 +44,7 @@ impl Orders {
         }
     }
 
-    /// Begins to hold a team whose latch this is, unless a stop is in progress.
+    /// Begins to hold a team whose present latch is `latch`, unless a stop is in progress.
     pub fn hold(&mut self, now: Time, latch: Latch) {
         if !matches!(self.running, Some((_, OrderKind::Stop, _))) {
             let order = Order::meaning(self.me, OrderKind::Hold, self.robots, latch);

@@ -357,7 +357,7 @@ fn only_robot(agents: &[Vec<u16>]) -> Option<u16> {
     if let [only] = robots[..] { Some(only) } else { None }
 }
 
-/// Returns the name of a kind of message in files.
+/// Returns the name of a kind of message as it is written in files.
 fn kebab(kind: Kind) -> String {
     match kind {
         Kind::Reading => "reading",

@@ -27,7 +27,7 @@ impl Battery {
         Battery { least, period: Span::from_secs(period_s), charge: None, due: Time::ZERO, low: false }
     }
 
-    /// Puts the next question off by a period.
+    /// Postpones the next query of the charge by one period.
     pub fn asked(&mut self, now: Time) {
         self.due = now + self.period;
     }

@@ -151,7 +151,7 @@ struct Desk {
     publisher: Publisher,
     results: Option<Receiver<Episode>>,
     feed: Feed,
-    /// Episode after which the team is to be held, if a page has asked for a pause.
+    /// Episode after which the team is to be held, because a page has asked for a pause; `None` without such a request.
     pause_after: Option<u32>,
     /// Time at which hosts are asked for their latches next.
     ask_at: Time,
@@ -183,13 +183,13 @@ impl Desk {
         clock.call(now + BEAT, Box::new(move || self.beat(&again)));
     }
 
-    /// Holds the team once the episode is over after which a page has asked for a pause. The next episode begins anew
-    /// after the resume.
+    /// Holds the team once the episode `pause_after` is over. The next episode begins after the resume.
     fn take_pause(&mut self, now: Time) {
         let (Some(after), Some((phase, episode))) = (self.pause_after, self.view.borrow().phase()) else { return };
         match phase {
             Phase::Running | Phase::FinishedRunning | Phase::AbortRunning if episode == after => {}
-            // The instruction between the episodes was lost: this one is not aborted for it.
+            // The state server's instruction between the episodes was not received. The new episode is not aborted; the
+            // pause follows it.
             Phase::Running | Phase::FinishedRunning => self.pause_after = Some(episode),
             _ => {
                 self.pause_after = None;
