@@ -358,7 +358,8 @@ impl Trial {
         self.faults.check_episodes(self.layouts.len())
     }
 
-    /// The deployment as used by the trial. If layouts do not chain, robots are placed at their starts.
+    /// Returns the deployment as used by the trial. Robots are placed at their starts if these are not the goals of the
+    /// episode before.
     fn placed(&self) -> Deployment {
         let mut deployment = self.deployment.clone();
         if !self.layouts.chained() {

@@ -28,7 +28,7 @@ const STEPS: f32 = 32_000.0;
 const NO_NUMBER: i16 = i16::MIN;
 /// Code of an unknown age, phase or loss.
 const NO_BYTE: u8 = 255;
-/// Largest encoded age \[units\]; older is encoded as this.
+/// Largest encoded age, in units of `ROBOT_AGE` or the unit of a link's age. A larger age is encoded as this one.
 const OLDEST: u64 = 250;
 /// Unit of a robot's encoded age.
 const ROBOT_AGE: Span = Span::from_millis(20);
