@@ -176,7 +176,7 @@ fn the_page_of_a_real_team_stops_it_and_so_does_a_page_that_joins_later() {
     browser.until(&format!("{STATE} === 'running'"));
     assert_eq!(joined.end(), Some(0));
     assert_eq!(launched.end(), Some(130));
-    assert_eq!(stops_in(folder.path()), BTreeMap::from_iter((0..5).map(|robot| (robot, 2))), "both stops, by robot");
+    assert_eq!(stops_in(folder.path()), BTreeMap::from_iter((0..5).map(|robot| (robot, 3))), "a hold, two stops");
 }
 
 /// Stops the team by `murmurate stop`, and lets it go on. Returns the time until all had confirmed \[ms\].
