@@ -119,7 +119,8 @@ impl Inlet {
             self.events.borrow_mut().push(Event::Dropped(self.missing.replace(0)));
         }
         if now.since(self.second_began.get()) >= Span::from_millis(1000) {
-            (self.second_began.set(now), self.input_bytes.set(0));
+            self.second_began.set(now);
+            self.input_bytes.set(0);
         }
         // A simulation's record has no use for a turn without events.
         let idle = |events: &[Event]| matches!(events.last(), None | Some(Event::Turn(_)));

@@ -2,8 +2,8 @@
 //!
 //! `guard` is the state machine between policy and motors, and `filter` limits its commands. `counts` has how often its
 //! triggers have acted, `hardware` the limits of battery and temperature; this file has the configuration.
-//! `docs/safety.md` has every trigger in one table. There is no actor and no clock here: the Controller, an actor, owns a
-//! guard.
+//! `docs/safety.md` has every trigger in one table. There is no actor and no clock here: the Controller, an actor, owns
+//! a guard.
 
 pub mod counts;
 pub mod filter;

@@ -1,7 +1,8 @@
 //! The command `murmurate host`: runs one host of a team in real time on its sockets. This runs on robots.
 
-use std::cell::{Cell, OnceCell, RefCell};
-use std::collections::BTreeMap;
+mod seen;
+
+use std::cell::Cell;
 use std::io::Read;
 use std::path::PathBuf;
 use std::rc::Rc;
@@ -9,19 +10,16 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::actors::recorder::{Out, Steps};
+use self::seen::Seen;
+use crate::actors::recorder::Steps;
 use crate::deploy::team::{Team, TeamFile};
-use crate::graph::process::{Graph, ProcessEvent};
-use crate::messages::ids::{HostId, RobotId};
-use crate::messages::wire::{Phase, Wire};
+use crate::graph::process::Graph;
+use crate::messages::ids::HostId;
 use crate::net::protocol::key::Key;
-use crate::net::protocol::link::{DuplicateId, LinkCounts};
+use crate::net::protocol::link::DuplicateId;
 use crate::registry::Registry;
-use crate::report::event::{Counted, HostEvent, RobotSafety, Unwritten};
-use crate::report::hardware::RobotHardware;
+use crate::report::event::HostEvent;
 use crate::report::summary::{Counts, Run, Summary};
-use crate::report::trial::TrialReport;
-use crate::safety::guard::SafetyCounts;
 use crate::time::{Span, Time};
 use crate::trial::Trial;
 use anyhow::{Result, anyhow};
@@ -37,7 +35,7 @@ use crate::program::recording::{self, OfHost};
 use crate::program::signals;
 use crate::program::team;
 #[cfg(feature = "watch")]
-use crate::program::watch::metrics::{HostMetrics, MetricsFlags};
+use crate::program::watch::metrics::MetricsFlags;
 
 /// Time from a request to stop until the host ends, in which its last commands and its notice of shutdown are sent.
 const STOPPING: Span = Span::from_millis(200);
@@ -106,24 +104,6 @@ pub fn of_record(arguments: &[String]) -> Result<team::TeamArgs> {
     let wrong = |error: clap::Error| BadInput(format!("the record's arguments are not understood: {error}"));
     let found = Args::augment_args(clap::Command::new("host")).try_get_matches_from(arguments).map_err(wrong)?;
     Ok(Args::from_arg_matches(&found).map_err(wrong)?.team)
-}
-
-/// State that is collected while the host runs.
-struct Seen {
-    report: RefCell<TrialReport>,
-    over: Cell<bool>,
-    messages: Cell<u64>,
-    counts: Cell<LinkCounts>,
-    safety: RefCell<BTreeMap<RobotId, SafetyCounts>>,
-    hardware: RefCell<BTreeMap<RobotId, RobotHardware>>,
-    outlets: Outlets,
-    /// Report of another live host with the id of this one.
-    duplicate: Cell<Option<DuplicateId>>,
-    /// Record of the run; `None` if nothing is recorded.
-    record: OnceCell<Option<OfHost>>,
-    /// Metrics of the host; `None` if they are not served.
-    #[cfg(feature = "watch")]
-    metrics: OnceCell<Option<HostMetrics>>,
 }
 
 /// Runs `host` until the team has finished or a stop is requested.
@@ -302,99 +282,6 @@ impl Watch {
             return Err(anyhow!("the reader of this host's events has closed the pipe; the host has stopped"));
         }
         Ok(())
-    }
-}
-
-impl Seen {
-    fn new(outlets: Outlets) -> Seen {
-        let (report, over, messages, counts) = Default::default();
-        let (safety, hardware, duplicate) = Default::default();
-        Seen {
-            report,
-            over,
-            messages,
-            counts,
-            safety,
-            hardware,
-            outlets,
-            duplicate,
-            record: OnceCell::new(),
-            #[cfg(feature = "watch")]
-            metrics: OnceCell::new(),
-        }
-    }
-
-    /// Record of the run; `None` if nothing is recorded.
-    fn record(&self) -> Option<&OfHost> {
-        self.record.get()?.as_ref()
-    }
-
-    /// Marks the end of a turn of the event loop in the record and the metrics.
-    fn end_turn(&self, now: Time) {
-        #[cfg(feature = "watch")]
-        if let Some(Some(metrics)) = self.metrics.get() {
-            metrics.turn(now, self.record().map(OfHost::dropped));
-        }
-        self.record().into_iter().for_each(|record| record.turn(now));
-    }
-
-    fn hear(&self, host: HostId, heard: ProcessEvent) {
-        self.record().into_iter().for_each(|record| record.push(host, heard));
-        #[cfg(feature = "watch")]
-        if let Some(Some(metrics)) = self.metrics.get() {
-            metrics.hear(host, heard);
-        }
-        match heard {
-            ProcessEvent::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => self.over.set(true),
-            ProcessEvent::Message(_)
-            | ProcessEvent::Peers(_)
-            | ProcessEvent::Sent(..)
-            | ProcessEvent::Input(_)
-            | ProcessEvent::Truth(_)
-            | ProcessEvent::Recorded(_) => {}
-            ProcessEvent::Counts(counts) => self.counts.set(*counts),
-            ProcessEvent::Safety(robot, counts) => drop(self.safety.borrow_mut().insert(robot, counts)),
-            ProcessEvent::Hardware(robot, hardware) => {
-                let mut all = self.hardware.borrow_mut();
-                all.entry(robot).or_insert_with(|| RobotHardware::new(robot)).note(hardware);
-            }
-            ProcessEvent::Published(_) => self.messages.set(self.messages.get() + 1),
-            ProcessEvent::Duplicate(duplicate) => self.duplicate.set(Some(duplicate)),
-        }
-    }
-
-    fn note(&self, out: Out) {
-        let mut report = self.report.borrow_mut();
-        match out {
-            Out::Step(step) => self.outlets.step(&step),
-            other => report.note(other),
-        }
-        report.simulated = report.totals.end.since(Time::ZERO);
-    }
-
-    /// Returns the counts so far.
-    fn counted(&self, graph: &Graph) -> Counted {
-        let (refused, lost) = graph.undelivered();
-        let robot = |(&robot, &counts): (&RobotId, &SafetyCounts)| RobotSafety { robot, counts };
-        Counted {
-            messages: self.messages.get(),
-            refused,
-            lost,
-            links: Box::new(self.counts.get()),
-            oldest_command_s: self.report.borrow().totals.oldest_command.map(Span::as_secs),
-            safety: self
-                .safety
-                .borrow()
-                .iter()
-                .filter(|(_, counts)| counts.reasons().next().is_some())
-                .map(robot)
-                .collect(),
-            hardware: self.hardware.borrow().values().cloned().collect(),
-            unwritten: Unwritten {
-                record_events: self.record().map_or(0, OfHost::dropped),
-                ..self.outlets.unwritten()
-            },
-        }
     }
 }
 

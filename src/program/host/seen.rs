@@ -1,0 +1,133 @@
+//! State of a host that runs, for its outputs: results, counts, its record and its metrics.
+
+use std::cell::{Cell, OnceCell, RefCell};
+use std::collections::BTreeMap;
+
+use crate::actors::recorder::Out;
+use crate::graph::process::{Graph, ProcessEvent};
+use crate::messages::ids::{HostId, RobotId};
+use crate::messages::wire::{Phase, Wire};
+use crate::net::protocol::link::{DuplicateId, LinkCounts};
+use crate::program::outlets::Outlets;
+use crate::program::recording::OfHost;
+#[cfg(feature = "watch")]
+use crate::program::watch::metrics::HostMetrics;
+use crate::report::event::{Counted, RobotSafety, Unwritten};
+use crate::report::hardware::RobotHardware;
+use crate::report::trial::TrialReport;
+use crate::safety::guard::SafetyCounts;
+use crate::time::{Span, Time};
+
+/// State that is collected while the host runs.
+pub struct Seen {
+    pub report: RefCell<TrialReport>,
+    pub over: Cell<bool>,
+    pub messages: Cell<u64>,
+    pub counts: Cell<LinkCounts>,
+    pub safety: RefCell<BTreeMap<RobotId, SafetyCounts>>,
+    pub hardware: RefCell<BTreeMap<RobotId, RobotHardware>>,
+    pub outlets: Outlets,
+    /// Report of another live host with the id of this one.
+    pub duplicate: Cell<Option<DuplicateId>>,
+    /// Record of the run; `None` if nothing is recorded.
+    pub record: OnceCell<Option<OfHost>>,
+    /// Metrics of the host; `None` if they are not served.
+    #[cfg(feature = "watch")]
+    pub metrics: OnceCell<Option<HostMetrics>>,
+}
+
+impl Seen {
+    /// Makes the state of a host that has not begun.
+    pub fn new(outlets: Outlets) -> Seen {
+        let (report, over, messages, counts) = Default::default();
+        let (safety, hardware, duplicate) = Default::default();
+        Seen {
+            report,
+            over,
+            messages,
+            counts,
+            safety,
+            hardware,
+            outlets,
+            duplicate,
+            record: OnceCell::new(),
+            #[cfg(feature = "watch")]
+            metrics: OnceCell::new(),
+        }
+    }
+
+    /// Record of the run; `None` if nothing is recorded.
+    pub fn record(&self) -> Option<&OfHost> {
+        self.record.get()?.as_ref()
+    }
+
+    /// Marks the end of a turn of the event loop in the record and the metrics.
+    pub fn end_turn(&self, now: Time) {
+        #[cfg(feature = "watch")]
+        if let Some(Some(metrics)) = self.metrics.get() {
+            metrics.turn(now, self.record().map(OfHost::dropped));
+        }
+        self.record().into_iter().for_each(|record| record.turn(now));
+    }
+
+    /// Takes an event of the host.
+    pub fn hear(&self, host: HostId, heard: ProcessEvent) {
+        self.record().into_iter().for_each(|record| record.push(host, heard));
+        #[cfg(feature = "watch")]
+        if let Some(Some(metrics)) = self.metrics.get() {
+            metrics.hear(host, heard);
+        }
+        match heard {
+            ProcessEvent::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => self.over.set(true),
+            ProcessEvent::Message(_)
+            | ProcessEvent::Peers(_)
+            | ProcessEvent::Sent(..)
+            | ProcessEvent::Input(_)
+            | ProcessEvent::Truth(_)
+            | ProcessEvent::Recorded(_) => {}
+            ProcessEvent::Counts(counts) => self.counts.set(*counts),
+            ProcessEvent::Safety(robot, counts) => drop(self.safety.borrow_mut().insert(robot, counts)),
+            ProcessEvent::Hardware(robot, hardware) => {
+                let mut all = self.hardware.borrow_mut();
+                all.entry(robot).or_insert_with(|| RobotHardware::new(robot)).note(hardware);
+            }
+            ProcessEvent::Published(_) => self.messages.set(self.messages.get() + 1),
+            ProcessEvent::Duplicate(duplicate) => self.duplicate.set(Some(duplicate)),
+        }
+    }
+
+    /// Takes an output of the Recorder.
+    pub fn note(&self, out: Out) {
+        let mut report = self.report.borrow_mut();
+        match out {
+            Out::Step(step) => self.outlets.step(&step),
+            other => report.note(other),
+        }
+        report.simulated = report.totals.end.since(Time::ZERO);
+    }
+
+    /// Returns the counts so far.
+    pub fn counted(&self, graph: &Graph) -> Counted {
+        let (refused, lost) = graph.undelivered();
+        let robot = |(&robot, &counts): (&RobotId, &SafetyCounts)| RobotSafety { robot, counts };
+        Counted {
+            messages: self.messages.get(),
+            refused,
+            lost,
+            links: Box::new(self.counts.get()),
+            oldest_command_s: self.report.borrow().totals.oldest_command.map(Span::as_secs),
+            safety: self
+                .safety
+                .borrow()
+                .iter()
+                .filter(|(_, counts)| counts.reasons().next().is_some())
+                .map(robot)
+                .collect(),
+            hardware: self.hardware.borrow().values().cloned().collect(),
+            unwritten: Unwritten {
+                record_events: self.record().map_or(0, OfHost::dropped),
+                ..self.outlets.unwritten()
+            },
+        }
+    }
+}
