@@ -162,8 +162,9 @@ impl Stop {
         Stop { by, latch: Latch::engaged(seen.number() + 1) }
     }
 
-    /// Makes a message that takes an emergency stop back, or holds a team that runs; the team stays held until a resume.
-    /// `by` is the sender, `seen` the latest state that the sender knows of. A stop later than `seen` stays engaged.
+    /// Makes a message that takes an emergency stop back, or holds a team that runs; the team stays held until a
+    /// resume. `by` is the sender, `seen` the latest state that the sender knows of. A stop later than `seen` stays
+    /// engaged.
     pub fn rearm(by: HostId, seen: Latch) -> Stop {
         Stop { by, latch: Latch::held(seen.number() + 1) }
     }

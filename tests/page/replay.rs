@@ -89,8 +89,9 @@ fn the_records_of_a_real_team_are_shown_as_one() {
     assert_eq!(page.end(), Some(0));
 
     // One host alone: what it has heard, and no links.
-    let entries = std::fs::read_dir(folder.path()).expect("the folder").map(|entry| entry.expect("an entry").path());
-    let one = entries.filter(|path| path.to_string_lossy().contains("robot-0")).next().expect("the record of robot 0");
+    let mut entries =
+        std::fs::read_dir(folder.path()).expect("the folder").map(|entry| entry.expect("an entry").path());
+    let one = entries.find(|path| path.to_string_lossy().contains("robot-0")).expect("the record of robot 0");
     let page = watched(&one);
     browser.open(&page.url);
     browser.until("scene && scene.record && world && !scene.hears_links");
