@@ -1,7 +1,8 @@
 //! One participant of a messaging benchmark: the Network actor, link, codec, authentication and UDP transport of
 //! `murmurate host`, without robots. It sends what robots send: latents at a given rate, heartbeats and modes.
 //!
-//! Environment variables configure it (`NP_ID`, `NP_N`, `NP_RATE`, ...), and it writes its results to files in
+//! Environment variables configure it (`NP_ID`, `NP_N`, `NP_RATE`, ...; `NP_RECORD` names a folder for records as a host
+//! makes them), and it writes its results to files in
 //! `NP_DIR`. The harness that starts it measures other middleware in the same way. A message of 152 bytes (sender,
 //! sequence number, timestamp, two floats of position, 32 floats) is sent as a latent. The sequence number is in its
 //! episode, the timestamp in its term and velocity, the position in its position.
@@ -334,11 +335,13 @@ fn main() {
         endpoint.open(HostId(id), Filter::Team { number: 1, tagged: true }).unwrap_or_else(|error| panic!("{error}"));
     let (origin, zero_ns) = (Instant::now(), monotonic_ns());
     let peer = Rc::new(RefCell::new(Peer::new(id, participants, zero_ns)));
+    let record = Record::open(id, participants);
     let (mut ready, mut told) = (false, false);
     run_real(
         origin,
-        |clock, readers| wire(clock, readers, open, &peer, (id, participants)),
+        |clock, readers| wire(clock, readers, open, (&peer, &record), (id, participants)),
         |mailbox, now| {
+            record.turn(now);
             let (mesh_ns, going, over) = {
                 let peer = peer.borrow();
                 (peer.mesh_ns, peer.window.is_some(), peer.is_over(now))
@@ -360,6 +363,68 @@ fn main() {
     put(&folder, id, "out", &peer.borrow().result());
 }
 
+/// Record of a participant, as a host makes it; none unless `NP_RECORD` names a folder.
+#[derive(Clone)]
+struct Record(Option<Rc<murmurate::record::queue::Inlet>>);
+
+#[cfg(feature = "record")]
+impl Record {
+    fn open(id: u16, participants: usize) -> Record {
+        use murmurate::record::Scope;
+        use murmurate::record::file::Beginning;
+        use murmurate::record::identity::Identity;
+        use murmurate::record::queue::WhenFull;
+        use murmurate::record::series::Retention;
+        use murmurate::record::stage::Stage;
+        use murmurate::record::topics::Topics;
+        use murmurate::record::writer::Recording;
+        let Some(folder) = std::env::var_os("NP_RECORD").map(PathBuf::from) else { return Record(None) };
+        let stage = Stage {
+            scenario: String::new(),
+            mode: String::new(),
+            hosts: (0..participants).map(|host| format!("peer-{host}")).collect(),
+            homes: (0..participants as u16).map(HostId).collect(),
+            robots: participants,
+            half_extent: [1.0; 2],
+            walls: Vec::new(),
+            hull_m: 0.2,
+            range_m: None,
+        };
+        let beginning = Beginning { identity: Identity::here(Vec::new(), ""), attached: Vec::new() };
+        let path = folder.join(format!("peer-{id}-{:016x}.mcap", monotonic_ns()));
+        let topics = Topics::new(stage, Scope::Host, 0);
+        let kept = (WhenFull::Drop, Retention::default());
+        let recording = Recording::start(&path, &beginning, topics, kept).unwrap_or_else(|error| panic!("{error}"));
+        Record(Some(recording.inlet()))
+    }
+
+    /// Notes what the Network says, with what its host would record of it.
+    fn note(&self, said: &attachment::Out) {
+        use murmurate::graph::inputs::Input;
+        use murmurate::record::Event;
+        let Some(inlet) = &self.0 else { return };
+        match said {
+            attachment::Out::Tap(frame) => inlet.push(Event::Published(HostId(0), frame.clone())),
+            attachment::Out::Sent(link, frame) => inlet.push(Event::Sent(*link, frame.clone())),
+            attachment::Out::Deliver(message) => {
+                // The datagram that has brought it: as many bytes.
+                inlet.push(Event::Input(Input::Frame(LINK, ARRIVED.with(Clone::clone), None)));
+                inlet.push(Event::Delivered(message.clone()));
+            }
+            _ => {}
+        }
+    }
+
+    fn turn(&self, now: Time) {
+        self.0.iter().for_each(|inlet| inlet.turn(now));
+    }
+}
+
+thread_local! {
+    /// Bytes of a datagram with a latent and a tag.
+    static ARRIVED: murmurate::net::protocol::codec::Frame = vec![0u8; 195].into();
+}
+
 /// Replaces a file atomically.
 fn put(folder: &std::path::Path, id: u16, name: &str, text: &str) {
     let temporary = folder.join(format!(".tmp.{id}"));
@@ -372,7 +437,7 @@ fn wire(
     clock: &Clock,
     readers: &mut Readers,
     open: Box<dyn Transport>,
-    peer: &Rc<RefCell<Peer>>,
+    (peer, record): (&Rc<RefCell<Peer>>, &Record),
     (id, participants): (u16, usize),
 ) -> Mailbox<In> {
     let to_peer = Mailbox::<In>::new("peer");
@@ -397,7 +462,9 @@ fn wire(
         span: info_span!("network"),
     };
     let inward = to_peer.clone();
+    let record = record.clone();
     let network = attachment.open((clock, readers), vec![(LINK, open)], move |said| {
+        record.note(&said);
         if let attachment::Out::Deliver(Wire::Latent(latent)) = said {
             inward.send(In::Arrived(latent));
         }

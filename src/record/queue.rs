@@ -1,6 +1,6 @@
 //! The bounded event queue between the thread that runs the actors and the writer thread of a record.
 //!
-//! In real time the control thread never waits and never wakes the writer, which polls every 20 ms. Events that do not
+//! In real time the control thread never waits and never wakes the writer, which polls every 100 ms. Events that do not
 //! fit are dropped and counted. A simulation waits for the writer instead and drops nothing.
 
 use std::cell::{Cell, RefCell};
@@ -21,7 +21,7 @@ const INPUT_BYTES: usize = 1_000_000;
 /// Shortest time between two `Event::Dropped` in a record.
 const COUNT_PERIOD: Span = Span::from_millis(1000);
 /// Longest time that the writer waits for events before it checks the queue again.
-pub const POLL: Duration = Duration::from_millis(20);
+pub const POLL: Duration = Duration::from_millis(100);
 
 /// Behaviour when the queue is full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

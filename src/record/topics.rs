@@ -26,6 +26,8 @@ use crate::time::{Span, Time};
 
 /// Shortest time between two drawings of the team.
 const DRAWING_PERIOD: Span = Span::from_millis(50);
+/// Shortest time between two poses of a robot.
+const POSE_PERIOD: Span = Span::from_millis(20);
 /// Period with which walls and goals are drawn again, for viewers that start in the middle of a record.
 const STANDING_PERIOD: Span = Span::from_millis(5000);
 
@@ -155,6 +157,8 @@ pub struct Topics {
     goals: BTreeMap<RobotId, Vec2>,
     followed: Option<(Round, Phase)>,
     guards: BTreeMap<RobotId, SafetyCounts>,
+    /// Time of the last pose message of each robot.
+    posed: BTreeMap<RobotId, Time>,
 }
 
 impl Topics {
@@ -174,6 +178,7 @@ impl Topics {
             goals: BTreeMap::new(),
             followed: None,
             guards: BTreeMap::new(),
+            posed: BTreeMap::new(),
         }
     }
 
@@ -272,9 +277,13 @@ impl Topics {
                 if before.is_none() {
                     self.place(latent.robot, body);
                 }
-                let mut out = Message::default();
-                drawing::pose(&mut out, at, body);
-                take(Topic::Pose(latent.robot), at, &out.0);
+                let last = self.posed.get(&latent.robot);
+                if last.is_none_or(|last| now.since(*last) >= POSE_PERIOD) {
+                    self.posed.insert(latent.robot, now);
+                    let mut out = Message::default();
+                    drawing::pose(&mut out, at, body);
+                    take(Topic::Pose(latent.robot), at, &out.0);
+                }
             }
             _ => {}
         }
