@@ -15,6 +15,7 @@ pub mod published;
 pub mod record;
 pub mod results;
 pub mod table;
+pub mod twin;
 
 use std::sync::Arc;
 

@@ -1,7 +1,7 @@
 //! `murmurate replay`: runs again what a record is of, and compares message by message.
 
 mod actions;
-mod of_host;
+pub mod of_host;
 
 use std::cell::RefCell;
 use std::fmt;
@@ -163,14 +163,15 @@ fn check(args: &Args, path: &Path, identity: &Identity) -> Result<()> {
 }
 
 /// Files of a record, written to a temporary folder, which is removed at the end.
-struct Files {
+pub struct Files {
     folder: PathBuf,
     /// Name in the record, and path.
-    files: Vec<(String, PathBuf)>,
+    pub files: Vec<(String, PathBuf)>,
 }
 
 impl Files {
-    fn extract(opened: &Opened) -> Result<Files> {
+    /// Writes the files of a record.
+    pub fn extract(opened: &Opened) -> Result<Files> {
         let mut number = [0; 8];
         getrandom::fill(&mut number).map_err(|error| anyhow::anyhow!("no random bytes: {error}"))?;
         let folder = std::env::temp_dir().join(format!("murmurate-replay-{:016x}", u64::from_le_bytes(number)));
