@@ -60,3 +60,8 @@ ci:
 full-record python="python3":
     cargo build --release
     bash tests/peers/record/full.sh {{python}} target/release/murmurate
+
+# The twin of a real run behind a relay between network namespaces: 64 episodes, fitted and predicted (12 minutes, root, ip)
+full-twin:
+    cargo build --release
+    bash tests/peers/twin/full.sh target/release/murmurate

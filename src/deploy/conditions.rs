@@ -56,10 +56,10 @@ impl Conditions {
         toml::to_string(self).expect("conditions are TOML")
     }
 
-    /// Returns physics with these conditions in place of their own.
-    pub fn physics(&self, physics: Physics) -> Physics {
+    /// Returns physics with these conditions in place of their own; a lag \[s\] that a flag gives counts before theirs.
+    pub fn physics(&self, physics: Physics, lag_s: Option<f32>) -> Physics {
         Physics {
-            lag_s: self.lag_s.unwrap_or(physics.lag_s),
+            lag_s: lag_s.or(self.lag_s).unwrap_or(physics.lag_s),
             slip: self.slip.unwrap_or(physics.slip),
             slip_s: self.slip_s.unwrap_or(physics.slip_s),
             ..physics

@@ -8,6 +8,8 @@ mod edited;
 mod hosts;
 mod readers;
 mod simulated;
+#[cfg(feature = "study")]
+mod twin;
 
 use std::path::{Path, PathBuf};
 

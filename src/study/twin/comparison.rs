@@ -70,7 +70,7 @@ impl Row {
 
 /// Returns the rows of a comparison. `run` has the whole run, of which the episodes from `first` on were predicted;
 /// `fitted` is what the prediction was made with, `later` what the same fit finds on the predicted episodes; `links` are
-/// the names of the links.
+/// the names of the links. Without predictions there are the rows of the model alone.
 pub fn rows(
     run: &Run,
     first: usize,
@@ -80,7 +80,10 @@ pub fn rows(
 ) -> Vec<Row> {
     let seed = Seed::of_run(seed).child("twin");
     let (episodes, decisions) = (&run.episodes[first..], &run.decisions[first..]);
-    let mut rows = vec![success(episodes, predicted)];
+    let mut rows = Vec::new();
+    if !predicted.is_empty() {
+        rows.push(success(episodes, predicted));
+    }
     let mut stream = seed.stream("makespan");
     let makespan = |episodes: &[&Episode]| {
         let all: Vec<f64> = episodes.iter().filter_map(|episode| episode.makespan_s).collect();

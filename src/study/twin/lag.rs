@@ -6,7 +6,7 @@
 //! that the fitted model leaves in single steps: its standard deviation over the commanded speed, and its correlation
 //! time.
 
-use super::estimate::{Estimate, bootstrap};
+use super::estimate::{Estimate, bootstrap, quantile_of};
 use crate::random::Stream;
 
 /// State of a robot after a step of its World, and the command that drove it in that step.
@@ -47,6 +47,10 @@ pub struct Slip {
 const MOST_S: f64 = 3.0;
 const COARSE_S: f64 = 0.05;
 const FINE_S: f64 = 0.0025;
+/// Standard deviation of a normal distribution over the median of its sizes.
+const MEDIAN_TO_DEVIATION: f64 = 1.4826;
+/// Most ticks until a command shows in a robot's estimates.
+const MOST_TICKS: usize = 8;
 /// Least commanded speed of a step from which slip is taken \[m/s\].
 const SLOW_M_S: f64 = 0.1;
 
@@ -91,11 +95,7 @@ pub fn fit(episodes: &[Vec<Series>], limits: &Limits, stream: &mut Stream) -> Op
     let of_episode =
         |series: &Vec<Series>, lag_s: f64| series.iter().map(|series| squares(series, lag_s, limits)).sum();
     let sum = |lag_s: f64| episodes.iter().map(|series| -> f64 { of_episode(series, lag_s) }).sum::<f64>();
-    let coarse: Vec<(f64, f64)> = (0..=(MOST_S / COARSE_S).round() as u32)
-        .map(|at| f64::from(at) * COARSE_S)
-        .map(|lag_s| (lag_s, sum(lag_s)))
-        .collect();
-    let (near, _) = coarse.into_iter().min_by(|one, other| one.1.total_cmp(&other.1))?;
+    let (near, _) = nearest(&sum)?;
     let reach = (2.0 * COARSE_S / FINE_S).round() as i32;
     let lags: Vec<f64> =
         (-reach..=reach).map(|at| near + f64::from(at) * FINE_S).filter(|lag_s| *lag_s >= 0.0).collect();
@@ -105,6 +105,33 @@ pub fn fit(episodes: &[Vec<Series>], limits: &Limits, stream: &mut Stream) -> Op
         let sums: Vec<f64> = (0..lags.len()).map(|at| drawn.iter().map(|episode| table[*episode][at]).sum()).collect();
         Some(lowest(&lags, &sums))
     })
+}
+
+/// Returns the lag of the coarse grid with the least error \[s\], and that error.
+fn nearest(error: &impl Fn(f64) -> f64) -> Option<(f64, f64)> {
+    let lags = (0..=(MOST_S / COARSE_S).round() as u32).map(|at| f64::from(at) * COARSE_S);
+    lags.map(|lag_s| (lag_s, error(lag_s))).min_by(|one, other| one.1.total_cmp(&other.1))
+}
+
+/// Finds the lag \[s\] from what robots estimated and commanded at their ticks, and the time \[s\] until a command
+/// shows in their estimates, in whole ticks. `None` if nothing moved.
+pub fn fit_estimates(episodes: &[Vec<Series>], limits: &Limits, stream: &mut Stream) -> Option<(Estimate, f64)> {
+    let shifted = |ticks: usize| -> Vec<Vec<Series>> {
+        let one = |series: &Series| -> Series {
+            let moved = |at: usize| Moved { command: series[at - 1 - ticks].command, ..series[at] };
+            // All shifts leave the same steps to compare.
+            (MOST_TICKS + 1..series.len()).map(moved).collect()
+        };
+        episodes.iter().map(|episode| episode.iter().map(one).filter(|series| series.len() > 1).collect()).collect()
+    };
+    let error = |ticks: usize| {
+        let series = shifted(ticks);
+        let sum = |lag_s: f64| series.iter().flatten().map(|series| squares(series, lag_s, limits)).sum::<f64>();
+        Some((ticks, nearest(&sum)?.1))
+    };
+    let best = (0..=MOST_TICKS).filter_map(error).min_by(|one, other| one.1.total_cmp(&other.1));
+    let (ticks, _) = best?;
+    Some((fit(&shifted(ticks), limits, stream)?, ticks as f64 * limits.step_s))
 }
 
 /// Returns the place of the minimum: of the parabola through the smallest value and its neighbours.
@@ -119,48 +146,41 @@ fn lowest(places: &[f64], values: &[f64]) -> f64 {
     places[least] + shift * (places[least + 1] - places[least])
 }
 
-/// Finds the slip that a lag leaves, with an interval over episodes; `None` without fast steps, or without a lag that
-/// can be told from the limits.
+/// Finds the slip that a lag leaves, with an interval over episodes; `None` without fast steps. Pushes of other robots
+/// and of rails are no slip: the standard deviation is taken from the median size, and steps beyond five of it are left
+/// out.
 pub fn slip(episodes: &[Vec<Series>], lag_s: f64, limits: &Limits, stream: &mut Stream) -> Option<Slip> {
     let gain = gain(lag_s, limits.step_s);
-    // By episode: number of values, sum of squares, number of pairs of consecutive ones, sum of their products.
-    let sums: Vec<[f64; 4]> = episodes
-        .iter()
-        .map(|series| {
-            let mut sums = [0.0; 4];
-            series.iter().for_each(|series| add_slips(&mut sums, series, gain, limits));
-            sums
-        })
-        .collect();
-    let total = |drawn: &[usize]| drawn.iter().fold([0.0; 4], |sum, at| [0, 1, 2, 3].map(|of| sum[of] + sums[*at][of]));
+    let all: Vec<Vec<Vec<Option<[f64; 2]>>>> =
+        episodes.iter().map(|series| series.iter().map(|series| slips(series, gain, limits)).collect()).collect();
+    let sizes = |episode: &usize| all[*episode].iter().flatten().flatten().flatten().map(|slip| slip.abs());
     let share = bootstrap(episodes.len(), stream, |drawn| {
-        let [count, squares, ..] = total(drawn);
-        (count > 0.0).then(|| (squares / count).sqrt())
+        Some(MEDIAN_TO_DEVIATION * quantile_of(drawn.iter().flat_map(sizes).collect(), 0.5)?)
     })?;
-    let [count, squares, pairs, products] = total(&(0..episodes.len()).collect::<Vec<_>>());
-    let together = (products / pairs.max(1.0)) / (squares / count).max(f64::MIN_POSITIVE);
+    let (mut squares, mut products, mut pairs) = (0.0, 0.0, 0.0f64);
+    let most = 5.0 * share.value;
+    for pair in all.iter().flatten().flat_map(|slips| slips.windows(2)) {
+        let (Some(one), Some(other)) = (pair[0], pair[1]) else { continue };
+        for axis in (0..2).filter(|axis| one[*axis].abs().max(other[*axis].abs()) <= most) {
+            pairs += 1.0;
+            squares += (one[axis] * one[axis] + other[axis] * other[axis]) / 2.0;
+            products += one[axis] * other[axis];
+        }
+    }
+    let together = if pairs > 0.0 && squares > 0.0 { products / squares } else { 0.0 };
     let time_s = if together > 0.0 && together < 1.0 { -limits.step_s / together.ln() } else { 0.0 };
     Some(Slip { share, time_s })
 }
 
-fn add_slips(sums: &mut [f64; 4], series: &Series, gain: f64, limits: &Limits) {
-    let mut before: Option<[f64; 2]> = None;
-    for pair in series.windows(2) {
+/// Returns the slip of each step, as a share of the commanded speed; `None` for slow steps, and where a limit acted.
+fn slips(series: &Series, gain: f64, limits: &Limits) -> Vec<Option<[f64; 2]>> {
+    let of = |pair: &[Moved]| {
         let (velocity, command) = (pair[0].velocity, pair[1].command);
         let (expected, free) = next(velocity, command, gain, limits);
         let speed = norm(command);
-        let slip = (free && speed > SLOW_M_S)
-            .then(|| [0, 1].map(|axis| (pair[1].velocity[axis] - expected[axis]) / gain / speed));
-        if let Some(slip) = slip {
-            sums[0] += 2.0;
-            sums[1] += slip[0] * slip[0] + slip[1] * slip[1];
-            if let Some(before) = before {
-                sums[2] += 2.0;
-                sums[3] += slip[0] * before[0] + slip[1] * before[1];
-            }
-        }
-        before = slip;
-    }
+        (free && speed > SLOW_M_S).then(|| [0, 1].map(|axis| (pair[1].velocity[axis] - expected[axis]) / gain / speed))
+    };
+    series.windows(2).map(of).collect()
 }
 
 #[cfg(test)]
@@ -200,6 +220,22 @@ mod tests {
             let slip = slip(&episodes, found.value, &LIMITS, &mut Seed::of_run(1).stream("slip")).unwrap();
             assert!((slip.share.value - 0.02).abs() < 0.003, "{lag_s}: {slip:?}");
             assert!((slip.time_s - 0.5).abs() < 0.15, "{lag_s}: {slip:?}");
+        }
+    }
+
+    #[test]
+    fn estimates_at_ticks_tell_the_lag_and_how_late_commands_show() {
+        let late = |series: &Series, ticks: usize| -> Series {
+            let command = |at: usize| series.get(at + 1 + ticks).map_or([0.0; 2], |step| step.command);
+            series.iter().enumerate().map(|(at, step)| Moved { command: command(at), ..*step }).collect()
+        };
+        for ticks in [0, 2, 5] {
+            let episodes = driven(0.5, 0.02, 0.5);
+            let told: Vec<Vec<Series>> =
+                episodes.iter().map(|all| all.iter().map(|series| late(series, ticks)).collect()).collect();
+            let (lag_s, late_s) = fit_estimates(&told, &LIMITS, &mut Seed::of_run(1).stream("lag")).unwrap();
+            assert!((lag_s.value - 0.5).abs() < 0.03, "{ticks}: {lag_s:?}");
+            assert!((late_s - ticks as f64 * 0.05).abs() < 1e-9, "{ticks}: {late_s}");
         }
     }
 

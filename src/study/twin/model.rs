@@ -17,6 +17,8 @@ use crate::trial::Trial;
 pub struct Fitted {
     /// Lag of the drivetrain \[s\].
     pub lag_s: Option<Estimate>,
+    /// Time until a command shows in the robots' own estimates \[s\], if the lag was found from these.
+    pub late_s: Option<f64>,
     /// Slip of the wheels.
     pub slip: Option<Slip>,
     /// Each link of the deployment, by its number.
@@ -97,9 +99,17 @@ pub fn fit(run: &Run, trial: &Trial, episodes: Range<u32>) -> Fitted {
     let seed = Seed::of_run(trial.seed).child("twin");
     let within = episodes.start as usize..episodes.end as usize;
     let (motion, limits) = (&run.motion[within.clone()], limits(trial, period_ns));
-    let lag_s = lag::fit(motion, &limits, &mut seed.stream("lag"));
+    let mut stream = seed.stream("lag");
+    let of_truth = lag::fit(motion, &limits, &mut stream);
+    let of_estimates = if of_truth.is_none() {
+        lag::fit_estimates(&run.estimates[within.clone()], &limits, &mut stream)
+    } else {
+        None
+    };
+    let lag_s = of_truth.or(of_estimates.map(|(lag_s, _)| lag_s));
+    let late_s = of_estimates.map(|(_, late_s)| late_s);
     let slips = trial.registry.plant(&trial.deployment.plant).is_ok_and(|plant| plant.name != crate::world::KINEMATIC);
-    let slip = lag_s.filter(|_| slips);
+    let slip = of_truth.filter(|_| slips);
     let slip = slip.and_then(|lag_s| lag::slip(motion, lag_s.value, &limits, &mut seed.stream("slip")));
     let link = |link: Option<LinkId>, name: &str| {
         links::fit(&run.crossings, link, episodes.clone(), &mut seed.stream(&format!("link/{name}")))
@@ -116,7 +126,7 @@ pub fn fit(run: &Run, trial: &Trial, episodes: Range<u32>) -> Fitted {
         if run.steps_ns.iter().any(|steps| !steps.is_empty()) { offsets::steady(steps, period_ns) } else { ticks(0) };
     let offset = |robot: usize| Some(offsets::between(ticks(robot)?, step?, period_ns));
     let offsets_s = (0..trial.deployment.robots).map(offset).collect();
-    Fitted { lag_s, slip, links, all_links: link(None, "all"), offsets_s }
+    Fitted { lag_s, late_s, slip, links, all_links: link(None, "all"), offsets_s }
 }
 
 /// Puts the fitted links and ticks into a deployment.

@@ -34,6 +34,8 @@ struct Sent {
     robot: RobotId,
     /// The message, if it is a latent.
     latent: Option<Latent>,
+    /// The commanded velocity \[m/s\], if it is a motor command.
+    command: Option<[f64; 2]>,
 }
 
 /// True state of a robot.
@@ -95,8 +97,13 @@ impl Log {
         let Some(key) = merge::key(datagram).filter(|_| PROMPT.contains(&kind)) else { return };
         let Ok((_, message)) = codec::decode(datagram) else { return };
         let robot = message.robot();
-        let latent = if let Wire::Latent(latent) = message { Some(latent) } else { None };
-        self.sent.push(Sent { at_ns, key, kind, robot, latent });
+        let (mut latent, mut command) = (None, None);
+        match message {
+            Wire::Latent(message) => latent = Some(message),
+            Wire::MotorCommand(message) => command = Some([message.velocity.x, message.velocity.y].map(f64::from)),
+            _ => {}
+        }
+        self.sent.push(Sent { at_ns, key, kind, robot, latent, command });
     }
 
     fn turn(&mut self, at_ns: i64, bytes: &[u8]) {
@@ -153,6 +160,9 @@ pub struct Run {
     pub decisions: Vec<Decisions>,
     /// True motion in each episode and in the reset before it.
     pub motion: Vec<Vec<Series>>,
+    /// Where there are no true states: in each episode the velocity that each robot estimated at its ticks, with the
+    /// command that it then gave.
+    pub estimates: Vec<Vec<Series>>,
     /// Times of the World's steps by episode \[ns\].
     pub steps_ns: Vec<Vec<i64>>,
     /// Times of each robot's decisions, by robot, with the episode \[ns\].
@@ -181,10 +191,14 @@ impl Run {
             steps_ns: vec![Vec::new(); episodes.len()],
             motion: vec![Vec::new(); episodes.len()],
             decisions: Vec::new(),
+            estimates: vec![Vec::new(); episodes.len()],
             episodes,
         };
         run.follow(logs, &common, &episode_at, team);
         run.move_robots(logs, &common, &episode_at, team);
+        if logs.iter().all(|log| log.states.is_empty()) {
+            run.estimate(logs, &common, &episode_at, team);
+        }
         run
     }
 
@@ -221,6 +235,48 @@ impl Run {
         let mut decisions = follower.into_decisions();
         self.decisions =
             (0..self.episodes.len() as u32).map(|episode| decisions.remove(&episode).unwrap_or_default()).collect();
+    }
+
+    /// Takes the robots' motion from their own estimates, which their latents have.
+    fn estimate(
+        &mut self,
+        logs: &[Log],
+        common: &impl Fn(usize, i64) -> Option<i64>,
+        episode_at: &impl Fn(i64) -> u32,
+        team: &Team,
+    ) {
+        let gap_ns = (GAP * team.period_ns as f64) as i64;
+        // By robot: episode and time of its last step, and its series.
+        let mut open: BTreeMap<RobotId, (usize, i64, Series)> = BTreeMap::new();
+        for (at, log) in logs.iter().enumerate() {
+            let commands = log.sent.iter().filter_map(|sent| Some((sent, sent.command?)));
+            let latents = log.sent.iter().filter_map(|sent| Some((sent, sent.latent.as_ref()?)));
+            let told: BTreeMap<(RobotId, i64), [f64; 2]> = latents
+                .map(|(sent, latent)| {
+                    let velocity = latent.motion.velocity;
+                    ((sent.robot, sent.at_ns), [velocity.x, velocity.y].map(f64::from))
+                })
+                .collect();
+            for (sent, command) in commands {
+                let Some(ns) = common(at, sent.at_ns) else { break };
+                let (episode, robot) = (episode_at(ns) as usize, sent.robot);
+                let Some(velocity) = told.get(&(robot, sent.at_ns)).filter(|_| episode < self.episodes.len()) else {
+                    continue;
+                };
+                let step = Moved { velocity: *velocity, command };
+                match open.get_mut(&robot) {
+                    Some((of, last, series)) if *of == episode && ns - *last < gap_ns => {
+                        *last = ns;
+                        series.push(step);
+                    }
+                    _ => {
+                        let ended = open.insert(robot, (episode, ns, vec![step]));
+                        ended.into_iter().for_each(|(of, _, series)| self.estimates[of].push(series));
+                    }
+                }
+            }
+        }
+        open.into_values().for_each(|(of, _, series)| self.estimates[of].push(series));
     }
 
     /// Cuts the true states into series of consecutive steps.

@@ -23,8 +23,11 @@ pub struct Words {
     pub notes: Vec<String>,
 }
 
-/// Draws the figures: makespans, and ages of messages. `first` is the first episode that was predicted.
+/// Draws the figures of a prediction: makespans, and ages of messages. `first` is the first episode that was predicted.
 pub fn figures(run: &Run, first: usize, predicted: &[Predicted]) -> Result<Vec<Figure>, FigureError> {
+    if predicted.is_empty() {
+        return Ok(Vec::new());
+    }
     let simulated = predicted.iter().flat_map(|one| &one.episodes);
     let measured = run.episodes[first..].iter();
     let rows = [
@@ -80,11 +83,18 @@ pub fn page(words: &Words, rows: &[Row], figures: &[Figure]) -> String {
         1 => "One measurement lies outside its bar.".to_owned(),
         more => format!("{more} measurements lie outside their bars."),
     };
-    let told = format!(
-        "The model was fitted to the first {fitted} episodes. It was then run {} times with the layouts of the other \
+    let told = if words.repeats == 0 {
+        format!(
+            "The model was fitted to the first {fitted} episodes. Beside it stands the same fit to the other {predicted}. \
+             {verdict}"
+        )
+    } else {
+        format!(
+            "The model was fitted to the first {fitted} episodes. It was then run {} times with the layouts of the other \
          {predicted}, and its results stand beside what was measured in those. {verdict}",
-        words.repeats
-    );
+            words.repeats
+        )
+    };
     let mut parts = vec![
         Part::Text(told),
         Part::Table(Row::HEADS.to_vec(), rows.iter().map(|row| row.cells().to_vec()).collect()),

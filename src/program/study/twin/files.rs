@@ -55,7 +55,9 @@ pub fn write(
     folder.write_json("rows.json", &rows)?;
     folder.write("table.txt", format!("{text}\n").as_bytes())?;
     let head = format!("# Fitted by '{}'.\n", words.command);
-    folder.write("deployment.toml", (head.clone() + &twin.deployment.to_toml()).as_bytes())?;
+    if !predicted.is_empty() {
+        folder.write("deployment.toml", (head.clone() + &twin.deployment.to_toml()).as_bytes())?;
+    }
     folder.write("conditions.toml", (head + &conditions(fitted, twin).to_toml()).as_bytes())?;
     let figures = pages::figures(run, first, predicted)?;
     folder.write_page(&figures, &pages::page(words, rows, &figures))

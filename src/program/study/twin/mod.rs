@@ -80,9 +80,11 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let mut twin = model::simulation(&fitted, &trial, half);
     twin.seed = args.run.seed;
     twin.layouts = twin.layouts.first(end - half);
+    let simulated = trial.deployment.check_simulated().is_ok();
+    let repeats = if simulated { args.repeats } else { 0 };
     twin.check().map_err(|error| BadInput(format!("the model of this run cannot be simulated: {error}")))?;
     let folder = args.run.out.as_deref().map(|path| files::open(path, &digests, &command(args))).transpose()?;
-    let Some(predicted) = predict(args, &twin)? else { return Ok(Ended::Interrupted) };
+    let Some(predicted) = predict(args, &twin, repeats)? else { return Ok(Ended::Interrupted) };
     let names: Vec<String> = trial.deployment.links.iter().map(|link| link.name.clone()).collect();
     let rows = comparison::rows(&run, first, &predicted, (&fitted, &later), (&names, args.run.seed));
     let agrees = rows.iter().all(|row| row.agrees);
@@ -91,7 +93,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         scenario: trial.scenario.name(),
         robots: trial.scenario.robots(),
         episodes: [first, count - first],
-        repeats: args.repeats,
+        repeats,
         given: &args.given,
         rows: &rows,
         agrees,
@@ -101,11 +103,11 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         "Twin of a run: {} robots, scenario {}, mode {}, policy {policy}",
         report.robots, report.scenario, trial.deployment.mode
     );
-    let head = format!(
-        "{title}\nfitted to {first} episodes; the other {} predicted in {} repeats",
-        count - first,
-        args.repeats
-    );
+    let predicting = match repeats {
+        0 => "compared with the other".to_owned(),
+        repeats => format!("the other {} predicted in {repeats} repeats", count - first),
+    };
+    let head = format!("{title}\nfitted to {first} episodes; {predicting}");
     let text = format!("{head}\n\n{}\n", comparison::text(&rows))
         + &notes.iter().map(|note| format!("\nnote: {note}")).collect::<String>();
     if let Some(folder) = &folder {
@@ -113,7 +115,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
             title,
             command: command(args),
             episodes: report.episodes,
-            repeats: args.repeats as usize,
+            repeats: repeats as usize,
             notes: notes.clone(),
         };
         files::write(folder, &words, (&run, first, &predicted), (&rows, &text), (&fitted, &twin))?;
@@ -151,10 +153,23 @@ fn command(args: &Args) -> String {
 /// Says what the records do not tell of the model.
 fn missing(found: &Fitted, trial: &Trial) -> Vec<String> {
     let mut notes = Vec::new();
-    if found.lag_s.is_none() {
+    if trial.deployment.check_simulated().is_err() {
+        notes.push(
+            "the robots are real, and a simulation has no part for their drivers and trackers: the model was fitted, and \
+             nothing was predicted with it"
+                .to_owned(),
+        );
+    }
+    if let Some(late_s) = found.late_s {
         notes.push(format!(
-            "the records have no true states of moving robots: lag and slip were not fitted and are those of the team \
-             file ({} s)",
+            "the records have no true states: the lag was fitted to the robots' own estimates, in which a command shows \
+             after {:.0} ms; slip was not fitted",
+            1e3 * late_s
+        ));
+    } else if found.lag_s.is_none() {
+        notes.push(format!(
+            "nothing moved without contact: lag and slip were not fitted, and the lag is that of the team file \
+             ({} s)",
             trial.physics.lag_s
         ));
     }
@@ -172,12 +187,12 @@ fn missing(found: &Fitted, trial: &Trial) -> Vec<String> {
 }
 
 /// Runs all repeats of the prediction; `None` after Ctrl-C.
-fn predict(args: &Args, twin: &Trial) -> Result<Option<Vec<Predicted>>> {
+fn predict(args: &Args, twin: &Trial, repeats: u32) -> Result<Option<Vec<Predicted>>> {
     let stop = Arc::new(AtomicBool::new(false));
     let signal = Arc::clone(&stop);
     ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
-    let repeats = args.repeats as usize;
-    let bar = progress(u64::from(twin.layouts.len()) * u64::from(args.repeats), args.run.quiet);
+    let bar = progress(u64::from(twin.layouts.len()) * u64::from(repeats), args.run.quiet);
+    let repeats = repeats as usize;
     let work = |at: usize| {
         // The run itself was the repeat 0 of its seed.
         let repeat = u32::try_from(at).expect("repeats were counted in u32") + 1;

@@ -108,10 +108,6 @@ fn trial(paths: &[PathBuf], identities: &[Identity], logs: &[Log], registry: &Re
         ));
     }
     let trial = Trial::of_host(registry, &team, loaded.model).map_err(|error| BadInput(error.to_string()))?;
-    trial
-        .deployment
-        .check_simulated()
-        .map_err(|error| BadInput(format!("the team of '{}' cannot be simulated: {error}", path.display())))?;
     Ok((trial, loaded.name))
 }
 
