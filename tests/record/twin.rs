@@ -134,7 +134,7 @@ fn rows(report: &str) -> serde_json::Value {
 
 #[test]
 fn what_a_run_was_like_is_found_again_and_a_model_without_lag_is_refuted() {
-    let (folder, to) = recorded(12);
+    let (folder, to) = recorded(28);
     let (to, out) = (to.to_str().unwrap(), folder.path().join("twin"));
     let twin = |out: &Path, more: &[&str]| {
         let basic = ["study", "twin", to, "--repeats", "4", "--json", "--quiet", "--out", out.to_str().unwrap()];
@@ -149,7 +149,7 @@ fn what_a_run_was_like_is_found_again_and_a_model_without_lag_is_refuted() {
     };
     let predicted = |name: &str| row(name)["predicted"]["value"].as_f64().unwrap();
     assert_eq!(status, 0, "{said}");
-    assert_eq!(report["episodes"], serde_json::json!([6, 6]));
+    assert_eq!(report["episodes"], serde_json::json!([14, 14]));
     assert!((predicted("drivetrain lag") - 0.5).abs() < 0.02, "{said}");
     assert!((predicted("slip") - 2.0).abs() < 0.5, "{said}");
     for link in ["link ad-hoc", "link infra", "link wires", "all links"] {
