@@ -39,12 +39,14 @@ fn every_flag_that_takes_a_file_recognises_a_key_and_does_not_show_it() {
     let place = Place(TempDir::new().expect("a temporary folder"));
     let key = place.file("team.key", &format!("{KEY}\n"));
     let out = place.0.path().join("out").to_string_lossy().into_owned();
-    let commands: [&[&str]; 20] = [
+    let commands: [&[&str]; 22] = [
         &["sim", "--deployment", &key],
         &["sim", "--mode", "offboard", "--radio", &key],
         &["sim", "--mode", "offboard", "--faults", &key],
         &["sim", "--episodes-file", &key],
         &["sim", "--policy", &key],
+        &["sim", "--mode", "offboard", "--conditions", &key],
+        &["train", "passage", "--minutes", "1", "--conditions", &key, "--out", &out],
         &["deployment", "offboard", "--radio", &key],
         &["study", "modes", "--policy", &key],
         &["study", "delay", "--episodes-file", &key],

@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::ages::Decisions;
 use super::estimate::{Estimate, binomial_95, bootstrap, quantile_of};
+use super::links::FittedLink;
 use super::model::Fitted;
 use super::observed::Run;
 use super::predict::Predicted;
@@ -183,6 +184,10 @@ fn model(fitted: &Fitted, later: &Fitted, links: &[String]) -> Vec<Row> {
         let loss = (one.loss.scaled(100.0), other.loss.scaled(100.0));
         rows.push(Row::new(&format!("{name}, loss"), "%", loss, Bar::Difference(LOSS_POINTS)));
     }
+    // Emulated links have one delay: what varies about it is not in the prediction.
+    let slowest = |link: FittedLink| Estimate::exact(1e3 * link.spread_s[1]);
+    let both = fitted.all_links.zip(later.all_links).map(|(one, other)| (slowest(one), slowest(other)));
+    rows.extend(both.map(|pair| Row::new("all links, delay, 95 %", "ms", pair, Bar::Free)));
     rows
 }
 
@@ -236,4 +241,48 @@ pub fn text(rows: &[Row]) -> String {
         format!("{line}  {}", row[5]).trim_end().to_owned()
     };
     cells.iter().map(line).collect::<Vec<_>>().join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::episode::Judged;
+
+    fn episodes(makespan_s: f64, failures: usize) -> Vec<Episode> {
+        let episode = |episode: u32| {
+            let failed = (episode as usize) < failures;
+            let verdict = if failed { Verdict::Timeout } else { Verdict::Success };
+            let makespan_s = (!failed).then_some(makespan_s + f64::from(episode) * 0.01);
+            let judged = Judged::Truth;
+            Episode { repeat: 0, episode, verdict, makespan_s, reset_s: 0.0, min_separation_m: 1.0, judged }
+        };
+        (0..16).map(episode).collect()
+    }
+
+    fn decisions(age_s: f64) -> Vec<Decisions> {
+        vec![Decisions { count: 10, ages_s: vec![age_s; 20] }; 16]
+    }
+
+    fn outside(makespan_s: f64, failures: usize, age_s: f64, lag_s: f64) -> Vec<String> {
+        let both = |one: Vec<Episode>, other: Vec<Episode>| one.into_iter().chain(other).collect();
+        let run = Run {
+            episodes: both(episodes(9.0, 8), episodes(7.0, 1)),
+            decisions: [decisions(0.5), decisions(0.05)].concat(),
+            ..Run::default()
+        };
+        let one = Predicted { episodes: episodes(makespan_s, failures), decisions: decisions(age_s) };
+        let lag = |lag_s| Fitted { lag_s: Some(Estimate::exact(lag_s)), ..Fitted::default() };
+        let rows = rows(&run, 16, &[one.clone(), one], (&lag(lag_s), &lag(0.5)), (&[], 0));
+        assert_eq!(text(&rows).lines().count(), rows.len() + 1);
+        rows.into_iter().filter(|row| !row.agrees).map(|row| row.name).collect()
+    }
+
+    #[test]
+    fn a_prediction_within_its_bars_agrees_and_each_that_is_not_is_named() {
+        assert_eq!(outside(7.2, 1, 0.052, 0.52), Vec::<String>::new());
+        assert_eq!(outside(8.0, 1, 0.052, 0.52), ["makespan, median"]);
+        assert_eq!(outside(7.0, 12, 0.052, 0.52), ["success"]);
+        assert_eq!(outside(7.0, 1, 0.06, 0.52), ["message age, median", "message age, 90 %"]);
+        assert_eq!(outside(7.0, 1, 0.05, 0.0), ["drivetrain lag"]);
+    }
 }

@@ -107,7 +107,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         0 => "compared with the other".to_owned(),
         repeats => format!("the other {} predicted in {repeats} repeats", count - first),
     };
-    let head = format!("{title}\nfitted to {first} episodes; {predicting}");
+    let replaced = if args.given.is_empty() { String::new() } else { format!("; given: {}", args.given.join(", ")) };
+    let head = format!("{title}\nfitted to {first} episodes; {predicting}{replaced}");
     let text = format!("{head}\n\n{}\n", comparison::text(&rows))
         + &notes.iter().map(|note| format!("\nnote: {note}")).collect::<String>();
     if let Some(folder) = &folder {
