@@ -21,6 +21,7 @@ use murmurate::time::Time;
 use murmurate::trial::{Proceed, Trial};
 use tempfile::TempDir;
 
+use crate::edited::copy;
 use crate::program::{refuses, run, text};
 use crate::records;
 
@@ -182,8 +183,27 @@ fn what_a_run_was_like_is_found_again_and_a_model_without_lag_is_refuted() {
     assert!(outside.contains(&"drivetrain lag") && outside.contains(&"makespan, median"), "{outside:?}");
     let (status, said) = twin(&out, &["--given", "loss=0"]);
     assert!(status == 2 && said.contains("its flags differ"), "{said}");
+    without_true_states(folder.path(), to);
+    is_taken(&out);
+}
 
-    // The fitted model is what other commands take.
+/// Checks the fit to records without true states.
+fn without_true_states(folder: &Path, to: &str) {
+    // Without true states the lag comes from what the robots estimated of themselves.
+    let blind = folder.join("blind");
+    std::fs::create_dir(&blind).unwrap();
+    for record in records(to.as_ref()) {
+        copy(&record, &blind.join(record.file_name().unwrap()), |message| message.channel.topic != "/truth");
+    }
+    let blind = ["study", "twin", blind.to_str().unwrap(), "--repeats", "2", "--json", "--quiet"];
+    let report = text(&run(&blind).stdout);
+    let lag = rows(&report)["rows"].as_array().unwrap().iter().find(|row| row["name"] == "drivetrain lag").cloned();
+    let lag = lag.unwrap()["predicted"]["value"].as_f64().unwrap();
+    assert!((lag - 0.5).abs() < 0.05 && report.contains("a command shows after"), "{report}");
+}
+
+/// Checks that other commands take the fitted model.
+fn is_taken(out: &Path) {
     let [conditions, deployment] = ["conditions.toml", "deployment.toml"].map(|file| out.join(file));
     let [conditions, deployment] = [conditions.to_str().unwrap(), deployment.to_str().unwrap()];
     let short = ["--episodes", "1", "--repeats", "1", "--quiet", "--json", "--policy", "orca"];

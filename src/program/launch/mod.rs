@@ -38,8 +38,8 @@ use supervisor::{Limits, Outcome, Output, Process, Response, Supervisor};
 pub struct Args {
     #[command(flatten)]
     team: team::TeamArgs,
-    /// Command that starts each process, with {host} for its host's name, such as 'ip netns exec lab-{host}' for network
-    /// namespaces; its words are separated by spaces
+    /// Command that starts each process, with {host} for its host's name, such as 'ip netns exec lab-{host}' for
+    /// network namespaces; its words are separated by spaces
     #[arg(long, value_name = "COMMAND")]
     through: Option<String>,
     #[command(flatten)]

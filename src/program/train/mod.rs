@@ -61,8 +61,8 @@ pub struct Args {
     /// wifi-slow) or a radio file, such as 'study network --fit' writes
     #[arg(long, value_name = "NAME|FILE.toml", conflicts_with = "resume")]
     radio: Option<String>,
-    /// Trains with the lag, and the delay and loss of messages between robots, of a file, such as 'study twin' fits them
-    /// (docs/twin.md)
+    /// Trains with the lag, and the delay and loss of messages between robots, of a file, such as 'study twin' fits
+    /// them (docs/twin.md)
     #[arg(long, value_name = "FILE.toml", conflicts_with = "resume")]
     conditions: Option<PathBuf>,
     #[command(flatten)]

@@ -70,8 +70,8 @@ impl Row {
 }
 
 /// Returns the rows of a comparison. `run` has the whole run, of which the episodes from `first` on were predicted;
-/// `fitted` is what the prediction was made with, `later` what the same fit finds on the predicted episodes; `links` are
-/// the names of the links. Without predictions there are the rows of the model alone.
+/// `fitted` is what the prediction was made with, `later` what the same fit finds on the predicted episodes; `links`
+/// are the names of the links. Without predictions there are the rows of the model alone.
 pub fn rows(
     run: &Run,
     first: usize,

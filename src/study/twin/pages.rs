@@ -85,13 +85,13 @@ pub fn page(words: &Words, rows: &[Row], figures: &[Figure]) -> String {
     };
     let told = if words.repeats == 0 {
         format!(
-            "The model was fitted to the first {fitted} episodes. Beside it stands the same fit to the other {predicted}. \
-             {verdict}"
+            "The model was fitted to the first {fitted} episodes. Beside it stands the same fit to the other \
+             {predicted}. {verdict}"
         )
     } else {
         format!(
-            "The model was fitted to the first {fitted} episodes. It was then run {} times with the layouts of the other \
-         {predicted}, and its results stand beside what was measured in those. {verdict}",
+            "The model was fitted to the first {fitted} episodes. It was then run {} times with the layouts of the \
+         other {predicted}, and its results stand beside what was measured in those. {verdict}",
             words.repeats
         )
     };
@@ -99,10 +99,10 @@ pub fn page(words: &Words, rows: &[Row], figures: &[Figure]) -> String {
         Part::Text(told),
         Part::Table(Row::HEADS.to_vec(), rows.iter().map(|row| row.cells().to_vec()).collect()),
         Part::Text(
-            "Intervals of predictions: of success, that of the binomial distribution for as many episodes; of makespans \
-             and ages, that of single repeats; of lag and links, the bootstrap over the fitted episodes. Intervals of \
-             measurements: Wilson's for success, else the bootstrap over the predicted episodes. Lag and links were \
-             measured by the same fit on the predicted episodes."
+            "Intervals of predictions: of success, that of the binomial distribution for as many episodes; of \
+             makespans and ages, that of single repeats; of lag and links, the bootstrap over the fitted episodes. \
+             Intervals of measurements: Wilson's for success, else the bootstrap over the predicted episodes. Lag and \
+             links were measured by the same fit on the predicted episodes."
                 .to_owned(),
         ),
     ];

@@ -68,8 +68,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let count = run.episodes.len();
     if count < LEAST {
         return bad(format!(
-            "the records have {count} episodes with a result, from the first on; a twin needs at least {LEAST}: half to \
-             fit and half to compare"
+            "the records have {count} episodes with a result, from the first on; a twin needs at least {LEAST}: half \
+             to fit and half to compare"
         ));
     }
     let first = count / 2;
@@ -156,15 +156,15 @@ fn missing(found: &Fitted, trial: &Trial) -> Vec<String> {
     let mut notes = Vec::new();
     if trial.deployment.check_simulated().is_err() {
         notes.push(
-            "the robots are real, and a simulation has no part for their drivers and trackers: the model was fitted, and \
-             nothing was predicted with it"
+            "the robots are real, and a simulation has no part for their drivers and trackers: the model was fitted, \
+             and nothing was predicted with it"
                 .to_owned(),
         );
     }
     if let Some(late_s) = found.late_s {
         notes.push(format!(
-            "the records have no true states: the lag was fitted to the robots' own estimates, in which a command shows \
-             after {:.0} ms; slip was not fitted",
+            "the records have no true states: the lag was fitted to the robots' own estimates, in which a command \
+             shows after {:.0} ms; slip was not fitted",
             1e3 * late_s
         ));
     } else if found.lag_s.is_none() {

@@ -68,8 +68,8 @@ pub fn read(named: &[PathBuf], registry: &Registry) -> Result<Recorded> {
     }
     let uncertainty = alignment.clocks.iter().flatten().filter_map(|clock| clock.uncertainty_ns()).max().unwrap_or(0);
     notes.push(format!(
-        "clocks of the hosts are known to {:.1} ms: a one-way delay may be off by as much, the mean over both directions \
-         of a link is not",
+        "clocks of the hosts are known to {:.1} ms: a one-way delay may be off by as much, the mean over both \
+         directions of a link is not",
         uncertainty as f64 / 1e6
     ));
     let routes = Routes::of(&trial.deployment);
