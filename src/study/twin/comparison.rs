@@ -107,8 +107,9 @@ pub fn rows(
         rows.extend(pair.map(|(one, other)| Row::new(name, "ms", (one.scaled(1e3), other.scaled(1e3)), bar)));
     }
     let used = |of: &[&Decisions]| {
+        let messages: usize = of.iter().map(|one| one.ages_s.len()).sum();
         let steps: usize = of.iter().map(|one| one.count).sum();
-        (steps > 0).then(|| of.iter().map(|one| one.ages_s.len()).sum::<usize>() as f64 / steps as f64)
+        (messages > 0).then(|| messages as f64 / steps as f64)
     };
     let pair = ages(predicted, decisions, &mut seed.stream("used"), used);
     rows.extend(pair.map(|pair| Row::new("messages in use", "", pair, Bar::Free)));
