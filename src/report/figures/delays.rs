@@ -46,7 +46,8 @@ pub fn delays(title: &str, columns: &[Heard]) -> Result<String, FigureError> {
 
 /// Draws the ages of messages at control steps; returns the SVG.
 pub fn ages(title: &str, columns: &[Heard]) -> Result<String, FigureError> {
-    let columns: Vec<(usize, &Heard)> = columns.iter().enumerate().collect();
+    // Lines that coincide differ in width, and their colours are far from each other.
+    let columns: Vec<(usize, &Heard)> = columns.iter().enumerate().map(|(at, column)| (3 * at, column)).collect();
     svg(HEIGHT + 46, |area| {
         area.draw(&Text::new(title.to_owned(), (20, 14), style(TEXT + 3, BLACK, HPos::Left, VPos::Top)))?;
         let below = area.clone().shrink((0, HEAD), (WIDTH, HEIGHT - HEAD as u32));
