@@ -5,7 +5,7 @@ use std::fmt;
 use serde::Serialize;
 
 use super::ages::Decisions;
-use super::estimate::{Estimate, binomial_95, bootstrap, quantile_of};
+use super::estimate::{Estimate, binomial_95, bootstrap, smooth_quantile_of};
 use super::links::FittedLink;
 use super::model::Fitted;
 use super::observed::Run;
@@ -102,7 +102,9 @@ pub fn rows(
         ("message age, median", 0.5, Bar::Share(AGE)),
         ("message age, 90 %", 0.9, Bar::Share(AGE)),
     ] {
-        let age = |of: &[&Decisions]| quantile_of(of.iter().flat_map(|one| one.ages_s.iter().copied()).collect(), q);
+        let all = |of: &[&Decisions]| of.iter().flat_map(|one| one.ages_s.iter().copied()).collect();
+        // Where ticks keep their offsets, ages lie at few values.
+        let age = |of: &[&Decisions]| smooth_quantile_of(all(of), q);
         let pair = ages(predicted, decisions, &mut seed.stream(name), age);
         rows.extend(pair.map(|(one, other)| Row::new(name, "ms", (one.scaled(1e3), other.scaled(1e3)), bar)));
     }

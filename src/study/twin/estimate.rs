@@ -9,6 +9,9 @@ use crate::report::statistics::quantile;
 /// Resamples of a bootstrap.
 const RESAMPLES: usize = 200;
 
+/// Reach of a smooth quantile to both sides, as a share of all values.
+const REACH: f64 = 0.025;
+
 /// A number with its 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Estimate {
@@ -57,6 +60,20 @@ pub fn quantile_of(mut values: Vec<f64>, q: f64) -> Option<f64> {
     Some(*values.select_nth_unstable_by(at, f64::total_cmp).1)
 }
 
+/// Returns the quantile `q` of values that lie at few places, where a quantile would jump from one to the next: the
+/// mean of the values whose ranks are within 2.5 points of it. `None` without values.
+pub fn smooth_quantile_of(mut values: Vec<f64>, q: f64) -> Option<f64> {
+    let rank = |q: f64| ((q * values.len() as f64).round() as usize).min(values.len());
+    let (low, high) = (rank(q - REACH), rank(q + REACH));
+    if low + 1 >= high {
+        return quantile_of(values, q);
+    }
+    values.select_nth_unstable_by(low, f64::total_cmp);
+    let above = &mut values[low..];
+    above.select_nth_unstable_by(high - low - 1, f64::total_cmp);
+    Some(above[..high - low].iter().sum::<f64>() / (high - low) as f64)
+}
+
 /// Returns the 95 % interval of the number of successes of `trials` that each succeed with probability `p`.
 pub fn binomial_95(trials: usize, p: f64) -> [usize; 2] {
     let (mut terms, mut term) = (Vec::with_capacity(trials + 1), (1.0 - p).powi(trials as i32));
@@ -98,6 +115,12 @@ mod tests {
         assert!(width(400) < 0.5 * width(40));
         assert_eq!(quantile_of(vec![3.0, 1.0, 2.0, 4.0], 0.5), Some(2.0));
         assert_eq!(quantile_of(Vec::new(), 0.5), None);
+        let even: Vec<f64> = (0..1000).rev().map(f64::from).collect();
+        assert!((smooth_quantile_of(even, 0.9).unwrap() - 900.0).abs() < 1.0);
+        let lumps = |low: usize| (0..1000).map(|at| if at < low { 1.0 } else { 2.0 }).collect();
+        let [one, other] = [495, 505].map(|low| smooth_quantile_of(lumps(low), 0.5).unwrap());
+        assert!((one - 1.6).abs() < 1e-9 && (other - 1.4).abs() < 1e-9, "and not 2 and 1: {one} {other}");
+        assert_eq!((smooth_quantile_of(vec![3.0], 0.9), smooth_quantile_of(Vec::new(), 0.5)), (Some(3.0), None));
     }
 
     #[test]
