@@ -65,3 +65,8 @@ full-record python="python3":
 full-metrics:
     cargo build --release
     bash tests/peers/metrics/full.sh target/release/murmurate
+
+# The twin of a real run behind a relay between network namespaces: 64 episodes, fitted and predicted (12 minutes, root, ip)
+full-twin:
+    cargo build --release
+    bash tests/peers/twin/full.sh target/release/murmurate

@@ -4,10 +4,12 @@
 //! Deployments are read from and written as TOML. `presets` has the paper's modes, `routes` the route of every message.
 
 mod bodies;
+pub mod conditions;
 mod judging;
 mod presets;
 mod routes;
 pub mod team;
+mod ticks;
 
 pub use presets::MODES;
 pub use routes::Routes;
@@ -68,6 +70,10 @@ pub struct Host {
     /// Whether this host runs the team's state server.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub state_server: bool,
+    /// Time of each agent's ticks within their period \[s\], in the order of `agents`, in simulations whose agents step
+    /// at times of their own; drawn from the seed if it is empty.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub tick_offsets_s: Vec<f64>,
 }
 
 /// Medium of a link. It determines which effects are simulated on the link's frames. Real sockets are set in the team
@@ -222,6 +228,7 @@ impl Deployment {
             return wrong("host.agents", format!("host '{}' has an agent without robots", host.name));
         }
         self.hosts.iter().try_for_each(Host::check_devices)?;
+        self.hosts.iter().try_for_each(Host::check_offsets)?;
         self.check_bodies()?;
         self.check_placement()?;
         let servers = self.hosts.iter().filter(|host| host.state_server).count();

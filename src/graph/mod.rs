@@ -218,8 +218,8 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, cha
     let config = cache::Config {
         robot,
         period: interface.period,
-        // All robots of an Agent tick at the same time, for a synchronous joint step.
-        phase: phase(plan, "agent", first, interface.period),
+        // All robots of an agent tick at the same time, for a synchronous joint step.
+        phase: plan.deployment.tick_offset(first).unwrap_or_else(|| phase(plan, "agent", first, interface.period)),
         range: plan.range,
         hold: plan.hold,
         handling: plan.handling,
@@ -380,13 +380,14 @@ fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
             let reach = range_m.map(|range_m| Reach::new(range_m, &robots_of));
             Ether::new(emulator, radio_link, reach, |kind| routes.listeners(kind))
         };
-        let (networks, record) = (graph.networks.clone(), graph.record());
+        let (networks, record, report) = (graph.networks.clone(), graph.record(), Rc::clone(&graph.report));
         let observed = plan.steps.kept() && link.carries.contains(&Kind::Latent);
         start(clock, &graph.transports[index], info_span!("ether", link = link.name), make, move |out| match out {
             ether::Out::Arrive(Arrive { to, from, frame }) => {
                 if observed {
                     record(recorder::In::Arrived(to, Frame::clone(&frame)));
                 }
+                report(to, ProcessEvent::Arrived(id, &frame));
                 networks[usize::from(to.0)].send(network::In::Frame(id, frame, from));
             }
             ether::Out::Counts(counts) => record(recorder::In::Radio(id, counts)),

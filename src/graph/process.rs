@@ -61,6 +61,8 @@ pub enum ProcessEvent<'a> {
     Published(&'a Frame),
     /// A datagram leaves on a link, with its tag if the team has a key.
     Sent(LinkId, &'a Frame),
+    /// A datagram arrives over an emulated link.
+    Arrived(LinkId, &'a Frame),
     /// Input from outside the graph. Does not occur if all hosts run in one process with emulated links.
     Input(&'a Input),
     /// True states of simulated robots after a step of their World.

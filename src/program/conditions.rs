@@ -1,15 +1,23 @@
-//! Reads the conditions of a simulation that flags set: a deployment file, a communication range, a fault plan.
+//! Reads the conditions of a simulation that flags name or set: a conditions file, a deployment file, a communication
+//! range, a fault plan.
 
 use std::path::Path;
 
 use anyhow::Result;
 
 use crate::deploy::Deployment;
+use crate::deploy::conditions::Conditions;
 use crate::faults::FaultPlan;
 use crate::hearing::CommRange;
 use crate::program::BadInput;
 use crate::program::output::read_text;
 use crate::trial::Trial;
+
+/// Reads a conditions file.
+pub fn file(path: &Path) -> Result<Conditions> {
+    let text = read_text(path, "conditions file")?;
+    Conditions::from_toml(&text).map_err(|e| BadInput(format!("the conditions file '{}': {e}", path.display())).into())
+}
 
 /// Reads a deployment file, in which all robots must be simulated.
 pub fn deployment(path: &Path) -> Result<Deployment> {

@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use crate::actors::recorder::Steps;
+use crate::deploy::conditions::Conditions;
 use crate::deploy::{Deployment, Impair};
 use crate::hearing::Handling;
 use crate::policy::Draw;
@@ -130,6 +131,10 @@ pub struct Args {
     /// or a radio file (docs/radio.md)
     #[arg(long, value_name = "NAME|FILE.toml", default_value = "none")]
     radio: String,
+    /// World, and delay and loss of messages between robots, such as 'study twin' fits them (docs/twin.md); other flags
+    /// count before it
+    #[arg(long, value_name = "FILE.toml")]
+    conditions: Option<PathBuf>,
     /// Transmission range of the links that carry latents [m]: with one, a large team is simulated much faster;
     /// docs/simulate.md says by how much it should exceed the communication range [default: unlimited]
     #[arg(long)]
@@ -285,7 +290,8 @@ fn run_all(
 /// Prepares the records of the repeats; `None` if nothing is recorded.
 fn records(args: &Args, trials: &[(Trial, String)]) -> Result<Option<recording::Simulated>> {
     let [(trial, _), ..] = trials else { return Ok(None) };
-    let named = [&args.deployment, &args.episodes_file].into_iter().flatten().chain(&args.policy).cloned();
+    let named =
+        [&args.deployment, &args.episodes_file, &args.conditions].into_iter().flatten().chain(&args.policy).cloned();
     let texts = args.faults.iter().chain([&args.radio]).map(PathBuf::from);
     let files = named.chain(texts).collect();
     recording::Simulated::open(&args.record, files, trial.model.digest(), args.repeats())
@@ -299,6 +305,11 @@ pub fn of_record(arguments: &[String], repeat: u32, registry: &Registry) -> Resu
     let args = Args::from_arg_matches(&found).map_err(wrong)?;
     let (trial, _) = trial(&args, args.policy.first().map(|policy| &**policy), registry)?;
     Ok(Trial { repeat, ..trial })
+}
+
+/// Returns the conditions of the file that a flag names; none without one.
+fn given(args: &Args) -> Result<Conditions> {
+    Ok(args.conditions.as_deref().map(conditions::file).transpose()?.unwrap_or_default())
 }
 
 /// Returns the deployment with the delay, loss, range and radio that the flags set for its links.
@@ -318,6 +329,10 @@ fn network(args: &Args, mut deployment: Deployment) -> Result<Deployment> {
         deployment = deployment
             .impaired(given(args.delay_ms / 1000.0), given(args.loss), impair)
             .map_err(|e| BadInput(format!("{flag}: {e}")))?;
+    }
+    let fitted = given(args)?;
+    if args.delay_ms == 0.0 && args.loss == 0.0 && fitted.impair() {
+        deployment = fitted.links(deployment).map_err(|e| BadInput(format!("--conditions: {e}")))?;
     }
     if let Some(range_m) = args.link_range_m {
         deployment = deployment.ranged(range_m).map_err(|e| BadInput(format!("--link-range-m: {e}")))?;
@@ -341,8 +356,8 @@ fn trial(args: &Args, policy: Option<&Path>, registry: &Registry) -> Result<(Tri
     };
     deployment = network(args, deployment)?;
     deployment.placement = args.placement.unwrap_or(deployment.placement);
-    if let Some(plant) = &args.plant {
-        deployment.plant.clone_from(plant);
+    if let Some(plant) = args.plant.clone().or(given(args)?.plant) {
+        deployment.plant = plant;
     }
     deployment.body = args.drive.over(&deployment.body)?;
     deployment.check().map_err(|e| BadInput(format!("--drive: {e}")))?;
@@ -398,6 +413,7 @@ fn physics(args: &Args, mut trial: Trial) -> Result<Trial> {
         trial.physics = overrides
             .physics(entry, trial.scenario.arena())
             .map_err(|error| BadInput(format!("{}: {error}", flag(error.field))))?;
+        trial.physics = given(args)?.physics(trial.physics, lag_s);
     }
     Ok(trial)
 }

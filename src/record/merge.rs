@@ -21,7 +21,7 @@ use crate::net::protocol::codec;
 const WINDOW_NS: i64 = 10_000_000_000;
 
 /// Identity of a datagram: sender, incarnation, sequence number, digest of its message.
-type DatagramKey = (u16, u32, u32, u64);
+pub type DatagramKey = (u16, u32, u32, u64);
 
 /// Times of a record's datagrams on the clock of its host \[ns\] since 1970.
 #[derive(Default)]
@@ -50,13 +50,15 @@ impl Traffic {
         Ok(traffic)
     }
 
-    fn publish(&mut self, at: i64, datagram: &[u8]) {
+    /// Takes a datagram that the host has published at `at` \[ns\].
+    pub fn publish(&mut self, at: i64, datagram: &[u8]) {
         if let Some(key) = key(datagram) {
             self.published.entry(key).or_insert(at);
         }
     }
 
-    fn arrive(&mut self, at: i64, datagram: &[u8]) {
+    /// Takes a datagram that has arrived at the host at `at` \[ns\].
+    pub fn arrive(&mut self, at: i64, datagram: &[u8]) {
         self.arrived.extend(key(datagram).map(|key| (key, at)));
     }
 
@@ -77,7 +79,7 @@ impl Traffic {
 }
 
 /// Returns the identity of a datagram with a message; `None` if it has only link-layer content or is invalid.
-fn key(datagram: &[u8]) -> Option<DatagramKey> {
+pub fn key(datagram: &[u8]) -> Option<DatagramKey> {
     let header = codec::peek(datagram).ok()?;
     let (content, bytes) = codec::blocks(datagram).next()?.ok()?;
     matches!(content, codec::Content::Message(_))

@@ -100,6 +100,7 @@ impl Event {
             ProcessEvent::Counts(counts) => Event::Counts(host, Box::new(*counts)),
             ProcessEvent::Peers(peers) => Event::Peers(host, peers.to_vec()),
             ProcessEvent::Sent(..)
+            | ProcessEvent::Arrived(..)
             | ProcessEvent::Input(_)
             | ProcessEvent::Message(_)
             | ProcessEvent::Recorded(_)

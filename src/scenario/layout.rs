@@ -80,6 +80,16 @@ impl Layouts {
         Ok(Layouts { episodes: episodes? })
     }
 
+    /// Returns the layouts of the episodes from `first` on.
+    pub fn since(&self, first: u32) -> Layouts {
+        Layouts { episodes: self.episodes.iter().skip(first as usize).cloned().collect() }
+    }
+
+    /// Returns the layouts of the first `count` episodes.
+    pub fn first(&self, count: u32) -> Layouts {
+        Layouts { episodes: self.episodes.iter().take(count as usize).cloned().collect() }
+    }
+
     /// Returns the number of episodes for which there are starts and goals.
     pub fn len(&self) -> u32 {
         u32::try_from(self.episodes.len()).expect("episodes were counted in u32")

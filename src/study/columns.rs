@@ -5,7 +5,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::PolicyUnderTest;
-use super::conditions::{self, LinkModel};
+use super::conditions::{self, Deployed, LinkModel};
 use crate::deploy::{Deployment, Stepping};
 use crate::hearing::CommRange;
 use crate::scenario::Scenario;
@@ -122,11 +122,13 @@ impl Column {
     }
 
     /// Returns a trial of one episode of a policy under the conditions of this column.
-    pub fn trial(&self, scenario: Arc<dyn Scenario>, tested: &PolicyUnderTest) -> Trial {
+    pub fn trial(&self, scenario: Arc<dyn Scenario>, tested: &PolicyUnderTest, shared: &Deployed) -> Trial {
         let deployment = Deployment::preset(&self.mode, scenario.robots()).expect("columns name modes");
         match deployment.stepping {
             Stepping::Lockstep => conditions::training(deployment, scenario, tested),
-            Stepping::Seeded => conditions::deployed(deployment, self.medium, self.range.resolved(), scenario, tested),
+            Stepping::Seeded => {
+                conditions::deployed(deployment, self.medium, self.range.resolved(), scenario, tested, shared)
+            }
         }
     }
 }

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::PolicyUnderTest;
+use crate::deploy::conditions::Conditions;
 use crate::deploy::{Deployment, Impair, Stepping};
 use crate::hearing::CommRange;
 use crate::net::media::radio::Radio;
@@ -22,12 +23,21 @@ pub struct Deployed {
     pub plant: String,
     /// Radio of every wireless link, a preset of `net::media::radio` (`docs/radio.md`).
     pub radio: String,
+    /// Conditions in place of these: the world's, and delay and loss of messages between robots instead of the radio.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fitted: Option<Conditions>,
 }
 
 impl Deployed {
     /// Returns the world and the radio of all deployed columns.
     pub fn shared() -> Deployed {
-        Deployed { plant: "rigid".to_owned(), radio: "paper".to_owned() }
+        Deployed { plant: "rigid".to_owned(), radio: "paper".to_owned(), fitted: None }
+    }
+
+    /// Returns the same with the conditions of a file in its place.
+    pub fn with(self, conditions: Conditions) -> Deployed {
+        let plant = conditions.plant.clone().unwrap_or(self.plant);
+        Deployed { plant, fitted: Some(conditions), ..self }
     }
 }
 
@@ -53,9 +63,12 @@ pub fn deployed(
     range: Option<CommRange>,
     scenario: Arc<dyn Scenario>,
     tested: &PolicyUnderTest,
+    shared: &Deployed,
 ) -> Trial {
-    let shared = Deployed::shared();
+    let fitted = shared.fitted.clone().unwrap_or_default();
     match medium {
+        // In a mode in which no message between robots crosses a link, there is nothing to act on.
+        LinkModel::Radio if fitted.impair() => deployment = fitted.links(deployment.clone()).unwrap_or(deployment),
         LinkModel::Radio => deployment = deployment.with_radio(&Radio::preset(&shared.radio).expect("it is a preset")),
         LinkModel::Impaired { delay_s, loss } if delay_s > 0.0 || loss > 0.0 => {
             deployment =
@@ -64,6 +77,7 @@ pub fn deployed(
         LinkModel::Impaired { .. } => {}
     }
     let mut trial = Trial::new(deployment, scenario, tested.model.clone()).plant(&shared.plant);
+    trial.physics = fitted.physics(trial.physics, None);
     trial = trial.clamp(tested.handling.clamp);
     (trial.handling, trial.range) = (tested.handling.messages, range);
     trial

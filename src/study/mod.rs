@@ -15,6 +15,7 @@ pub mod published;
 pub mod record;
 pub mod results;
 pub mod table;
+pub mod twin;
 
 use std::sync::Arc;
 
@@ -62,6 +63,8 @@ pub struct Study {
     pub scenario: Arc<dyn Scenario>,
     /// Width of the scenario's bottleneck \[m\]; `None` for the scenario's default.
     pub gap_m: Option<f32>,
+    /// World and radio of all columns but that of training.
+    pub conditions: conditions::Deployed,
     /// Starts and goals of the episodes of every trial.
     pub layouts: Layouts,
     /// Number of trials of every policy in every column.
@@ -156,7 +159,7 @@ impl Study {
     /// Builds the trial of a job.
     pub fn trial(&self, job: Job) -> Trial {
         let (column, tested) = (&self.columns[job.column], &self.policies[job.policy]);
-        let mut trial = column.trial(Arc::clone(&self.scenario), tested);
+        let mut trial = column.trial(Arc::clone(&self.scenario), tested, &self.conditions);
         (trial.seed, trial.repeat, trial.layouts) = (self.seed, job.repeat, self.layouts.clone());
         trial.keeping_steps()
     }
@@ -182,7 +185,7 @@ impl Study {
             repeats: self.repeats,
             seed: self.seed,
             columns: self.columns.clone(),
-            conditions: conditions::Deployed::shared(),
+            conditions: self.conditions.clone(),
             policies: self.policies.iter().map(tested).collect(),
             command: self.command.clone(),
         }
@@ -192,14 +195,8 @@ impl Study {
     /// number of repeats.
     pub fn origin(&self, job: Job) -> Origin {
         let (column, tested) = (&self.columns[job.column], &self.policies[job.policy]);
-        let conditions = (
-            self.scenario_text(),
-            self.layouts_text(),
-            column,
-            conditions::Deployed::shared(),
-            tested.handling.name,
-            &tested.policy,
-        );
+        let conditions =
+            (self.scenario_text(), self.layouts_text(), column, &self.conditions, tested.handling.name, &tested.policy);
         Origin { build: self.build.clone(), ..Origin::here(self.name, self.seed, &tested.digest, &conditions) }
     }
 

@@ -238,12 +238,17 @@ pub fn page(study: &Study, results: &Results, figures: &[Figure]) -> String {
 
 fn configuration(study: &Study) -> Vec<(String, String)> {
     let identity = study.identity();
-    let Deployed { plant, radio } = Deployed::shared();
-    let radio = if study.columns.iter().all(|column| column.impairment().is_some()) {
+    let Deployed { plant, radio, fitted } = &identity.conditions;
+    let fitted = fitted.as_ref();
+    let radio = if let Some(given) = fitted.filter(|given| given.impair()) {
+        let (delay_ms, loss) = (1e3 * given.delay_s.unwrap_or(0.0), 1e2 * given.loss.unwrap_or(0.0));
+        format!("messages between robots delayed by {delay_ms:.1} ms and lost by {loss:.1} % (--conditions)")
+    } else if study.columns.iter().all(|column| column.impairment().is_some()) {
         "links with the delay and loss of the column".to_owned()
     } else {
         format!("radio '{radio}' (docs/radio.md)")
     };
+    let lag = fitted.and_then(|given| given.lag_s).map_or(String::new(), |lag_s| format!(" with a lag of {lag_s} s"));
     let mut terms = vec![
         ("program".to_owned(), format!("murmurate {}", identity.version)),
         ("scenario".to_owned(), identity.scenario),
@@ -252,7 +257,7 @@ fn configuration(study: &Study) -> Vec<(String, String)> {
         ("column sim".to_owned(), "the training world: lock step, exact placement, perfect messages".to_owned()),
         (
             "all other columns".to_owned(),
-            format!("world '{plant}' (docs/world.md), motion capture, unattended resets; {radio}"),
+            format!("world '{plant}'{lag} (docs/world.md), motion capture, unattended resets; {radio}"),
         ),
     ];
     let used = PRESETS.iter().filter(|preset| study.policies.iter().any(|tested| tested.handling == *preset));

@@ -39,12 +39,13 @@ fn every_flag_that_takes_a_file_recognises_a_key_and_does_not_show_it() {
     let place = Place(TempDir::new().expect("a temporary folder"));
     let key = place.file("team.key", &format!("{KEY}\n"));
     let out = place.0.path().join("out").to_string_lossy().into_owned();
-    let commands: [&[&str]; 20] = [
+    let commands: [&[&str]; 22] = [
         &["sim", "--deployment", &key],
         &["sim", "--mode", "offboard", "--radio", &key],
         &["sim", "--mode", "offboard", "--faults", &key],
         &["sim", "--episodes-file", &key],
         &["sim", "--policy", &key],
+        &["sim", "--mode", "offboard", "--conditions", &key],
         &["deployment", "offboard", "--radio", &key],
         &["study", "modes", "--policy", &key],
         &["study", "delay", "--episodes-file", &key],
@@ -54,6 +55,7 @@ fn every_flag_that_takes_a_file_recognises_a_key_and_does_not_show_it() {
         &["study", "network", "--live", &key, "--host", "robot-0"],
         &["train", "passage", "--minutes", "1", "--config", &key, "--out", &out],
         &["train", "passage", "--minutes", "1", "--radio", &key, "--out", &out],
+        &["train", "passage", "--minutes", "1", "--conditions", &key, "--out", &out],
         &["train", "passage", "--minutes", "1", "--from", &key, "--out", &out],
         &["host", &key, "--robot", "0"],
         &["launch", &key],

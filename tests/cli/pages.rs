@@ -36,6 +36,11 @@ const NOT_RUN: &[(&str, &str)] = &[
     ),
     ("murmurate replay runs/team", "needs the records of a team in real time; tests/record has some"),
     ("murmurate replay runs/watched --watch", "serves its page until Ctrl-C; tests/page/replay.rs has one"),
+    ("murmurate study twin runs/team --out runs/twin", "needs the records of a team; tests/record/twin.rs has some"),
+    (
+        "murmurate sim --deployment runs/twin/deployment.toml --conditions runs/twin/conditions.toml",
+        "needs the files of a twin; tests/record/twin.rs has some",
+    ),
     ("murmurate record merge runs/team -o runs/team.mcap", "needs the records of a team in real time"),
 ];
 

@@ -7,11 +7,25 @@ use std::path::Path;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, WriteOptions, Writer};
 use murmurate::graph::inputs::Input;
-use murmurate::record::reader::{Item, Reader};
+use murmurate::record::reader::{Item, Message, Reader};
 use murmurate::record::tape::{self, Turn};
 
 /// Copies a record with its turns changed.
 pub fn edit(from: &Path, to: &Path, mut change: impl FnMut(&mut Turn)) {
+    copy(from, to, |message| {
+        if message.channel.topic == "/tape/turn" {
+            let mut turn = tape::read(&message.data).expect("a turn");
+            change(&mut turn);
+            message.data.clear();
+            tape::begin(&mut message.data, turn.now, turn.sent);
+            turn.inputs.iter().for_each(|input| tape::add(&mut message.data, input));
+        }
+        true
+    });
+}
+
+/// Copies a record; `keep` may change each message, and says whether it is copied.
+pub fn copy(from: &Path, to: &Path, mut keep: impl FnMut(&mut Message) -> bool) {
     let file = BufWriter::new(std::fs::File::create(to).expect("it can be made"));
     let mut writer = Writer::with_options(file, WriteOptions::new().compression(None)).expect("a writer");
     let (mut reader, mut schemas) = (Reader::open(from).expect("a record"), BTreeMap::new());
@@ -28,12 +42,8 @@ pub fn edit(from: &Path, to: &Path, mut change: impl FnMut(&mut Turn)) {
             }
             Item::Channel(..) => {}
             Item::Message(mut message) => {
-                if message.channel.topic == "/tape/turn" {
-                    let mut turn = tape::read(&message.data).expect("a turn");
-                    change(&mut turn);
-                    message.data.clear();
-                    tape::begin(&mut message.data, turn.now, turn.sent);
-                    turn.inputs.iter().for_each(|input| tape::add(&mut message.data, input));
+                if !keep(&mut message) {
+                    continue;
                 }
                 let schema = schemas.get(&message.channel.schema).copied().unwrap_or(0);
                 let (topic, encoding) = (&message.channel.topic, &message.channel.encoding);

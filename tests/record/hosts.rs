@@ -24,7 +24,16 @@ fn launched(number: u16) -> (TempDir, PathBuf) {
     write(path("team.toml"), team).expect("it can be written");
     assert!(run(&["key", "new", "--out", path("team.key").to_str().unwrap()]).status.success());
     let (team, to) = (path("team.toml"), path("records"));
-    let output = run(&["launch", team.to_str().unwrap(), "--quiet", "--json", "--record", to.to_str().unwrap()]);
+    let output = run(&[
+        "launch",
+        team.to_str().unwrap(),
+        "--quiet",
+        "--json",
+        "--record",
+        to.to_str().unwrap(),
+        "--through",
+        "env HOST={host}",
+    ]);
     assert!(output.status.success(), "{}", text(&output.stderr));
     (folder, to)
 }

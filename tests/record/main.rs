@@ -9,6 +9,8 @@ mod hosts;
 mod kept;
 mod readers;
 mod simulated;
+#[cfg(feature = "study")]
+mod twin;
 
 use std::path::{Path, PathBuf};
 

@@ -181,6 +181,7 @@ fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds
                 }
                 ProcessEvent::Message(_)
                 | ProcessEvent::Published(_)
+                | ProcessEvent::Arrived(..)
                 | ProcessEvent::Sent(..)
                 | ProcessEvent::Input(_)
                 | ProcessEvent::Truth(_)

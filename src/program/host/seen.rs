@@ -81,6 +81,7 @@ impl Seen {
             ProcessEvent::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => self.over.set(true),
             ProcessEvent::Message(_)
             | ProcessEvent::Peers(_)
+            | ProcessEvent::Arrived(..)
             | ProcessEvent::Sent(..)
             | ProcessEvent::Input(_)
             | ProcessEvent::Truth(_)

@@ -38,6 +38,10 @@ use supervisor::{Limits, Outcome, Output, Process, Response, Supervisor};
 pub struct Args {
     #[command(flatten)]
     team: team::TeamArgs,
+    /// Command that starts each process, with {host} for its host's name, such as 'ip netns exec lab-{host}' for
+    /// network namespaces; its words are separated by spaces
+    #[arg(long, value_name = "COMMAND")]
+    through: Option<String>,
     #[command(flatten)]
     record: recording::RecordFlags,
     #[cfg(feature = "watch")]
@@ -66,9 +70,11 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         let (program, mut flags) = (program.clone(), team_arguments(&args.team));
         flags.extend(["--host".into(), host.name.clone().into(), "--json".into(), "--launched".into()]);
         flags.extend(args.record.arguments());
+        let before = through(args, &host.name);
         let command = move || {
-            let mut command = Command::new(&program);
-            command.arg("host").args(&flags);
+            let mut words = before.iter().map(OsString::from).chain([program.clone().into()]);
+            let mut command = Command::new(words.next().expect("the program is one of them"));
+            command.args(words).arg("host").args(&flags);
             command
         };
         Process { name: host.name.clone(), command: Box::new(command) }
@@ -121,6 +127,15 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         }
         _ => Ok(if interrupted { Ended::Interrupted } else { Ended::Done }),
     }
+}
+
+/// Returns the words of the command that starts the process of a host; none without `--through`.
+fn through(args: &Args, host: &str) -> Vec<String> {
+    args.through
+        .iter()
+        .flat_map(|command| command.split_whitespace())
+        .map(|word| word.replace("{host}", host))
+        .collect()
 }
 
 /// Runs the processes until they end, together with the live page if requested.

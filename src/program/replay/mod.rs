@@ -1,7 +1,7 @@
 //! The command `murmurate replay`: replays records and compares them message by message.
 
 mod actions;
-mod of_host;
+pub mod of_host;
 #[cfg(feature = "watch")]
 mod page;
 #[cfg(feature = "watch")]
@@ -190,14 +190,15 @@ fn check(args: &Args, path: &Path, identity: &Identity) -> Result<()> {
 }
 
 /// Attached files of a record, written to a temporary folder, which is removed on drop.
-struct Files {
+pub struct Files {
     folder: PathBuf,
     /// Name of each file in the record, and its path.
-    files: Vec<(String, PathBuf)>,
+    pub files: Vec<(String, PathBuf)>,
 }
 
 impl Files {
-    fn extract(opened: &Opened) -> Result<Files> {
+    /// Writes the files of a record.
+    pub fn extract(opened: &Opened) -> Result<Files> {
         let mut number = [0; 8];
         getrandom::fill(&mut number).map_err(|error| anyhow::anyhow!("no random bytes: {error}"))?;
         let folder = std::env::temp_dir().join(format!("murmurate-replay-{:016x}", u64::from_le_bytes(number)));

@@ -7,6 +7,7 @@ use std::rc::Rc;
 use anyhow::{Context, Result};
 
 use super::{Args, Files, finish};
+use crate::deploy::team::Team;
 use crate::graph::inputs::Input;
 use crate::graph::process::ProcessEvent;
 use crate::live::LiveHost;
@@ -45,19 +46,13 @@ pub struct Prepared {
 pub fn prepare(args: &Args, (path, opened): (&Path, Opened), files: &Files, registry: &Registry) -> Result<Prepared> {
     let Opened { identity, messages, attached } = opened;
     let of = identity.host.clone().expect("the caller has seen a host");
-    let mut team_args = host::of_record(&files.in_place(&identity.arguments))?;
     let policy = args.policy.as_deref().or(files.policy());
-    team_args.set.extend(policy.map(|policy| format!("policy={}", policy.display())));
-    if args.key_file.is_some() {
-        team_args.key_file.clone_from(&args.key_file);
-    }
-    let folder = identity.arguments.iter().find_map(|argument| {
-        let named = files.team_file().is_some_and(|name| name == argument);
-        named.then(|| Path::new(argument).parent().unwrap_or(Path::new("")).to_owned())
-    });
-    let file = team_args.read_as_of(registry, folder.as_deref(), &identity.variables)?;
-    let id = file.host_named(&of.name).map_err(|error| BadInput(error.to_string()))?;
-    let team = team_args.for_host(&file, id)?;
+    let team = team_of(&identity, files, registry, |team_args| {
+        team_args.set.extend(policy.map(|policy| format!("policy={}", policy.display())));
+        if args.key_file.is_some() {
+            team_args.key_file.clone_from(&args.key_file);
+        }
+    })?;
     let list = trusted(&attached).filter(|_| args.key_file.is_none());
     let trusts = list.is_some();
     let key = match list {
@@ -75,6 +70,25 @@ pub fn prepare(args: &Args, (path, opened): (&Path, Opened), files: &Files, regi
     let trial = Trial::of_host(registry, &team, policy.model).map_err(|error| BadInput(error.to_string()))?;
     let live = LiveHost::closed(&team, &trial, key, registry, (&process(path, &of)?, &of.transports))?;
     Ok(Prepared { turns: Turns::open(path)?, identity, messages, policy: policy.name, live, trusts })
+}
+
+/// Returns the team of a host's record, with the record's files; `change` may change its flags.
+pub fn team_of(
+    identity: &Identity,
+    files: &Files,
+    registry: &Registry,
+    change: impl FnOnce(&mut team::TeamArgs),
+) -> Result<Team> {
+    let mut team_args = host::of_record(&files.in_place(&identity.arguments))?;
+    change(&mut team_args);
+    let folder = identity.arguments.iter().find_map(|argument| {
+        let named = files.team_file().is_some_and(|name| name == argument);
+        named.then(|| Path::new(argument).parent().unwrap_or(Path::new("")).to_owned())
+    });
+    let file = team_args.read_as_of(registry, folder.as_deref(), &identity.variables)?;
+    let name = identity.host.as_ref().map_or("", |host| &host.name);
+    let id = file.host_named(name).map_err(|error| BadInput(error.to_string()))?;
+    team_args.for_host(&file, id)
 }
 
 fn process(path: &Path, of: &HostIdentity) -> Result<ProcessIdentity> {

@@ -7,6 +7,7 @@ use crate::registry::Registry;
 use crate::scenario::layout::Layouts;
 use crate::scenario::{Scenario, ScenarioError, Settings};
 use crate::study::columns::{self, Column};
+use crate::study::conditions::Deployed;
 use crate::study::handling::{self, Preset};
 use crate::study::origin;
 use crate::study::{PolicyUnderTest, Study};
@@ -16,6 +17,7 @@ use clap::builder::PossibleValuesParser;
 use super::run::{CommandLine, Run, check_unique};
 use crate::program::BadInput;
 use crate::program::bad;
+use crate::program::conditions;
 use crate::program::output::{read_text, talk};
 use crate::program::policy;
 
@@ -46,6 +48,10 @@ pub struct Shared {
     /// File with layouts, of which the first --layouts are used; without it the scenario draws them from the seed
     #[arg(long, value_name = "FILE.json")]
     episodes_file: Option<PathBuf>,
+    /// World, and delay and loss of messages between robots in place of the radio, such as 'study twin' fits them, for
+    /// all columns but 'sim' (docs/twin.md)
+    #[arg(long, value_name = "FILE.toml")]
+    conditions: Option<PathBuf>,
     /// Number of trials in every column: the same layouts with other random numbers
     #[arg(long, default_value_t = 12, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     repeats: u32,
@@ -163,10 +169,16 @@ impl Shared {
                 })?
             }
         };
+        let mut conditions = Deployed::shared();
+        if let Some(path) = &self.conditions {
+            conditions = conditions.with(conditions::file(path)?);
+            registry.plant(&conditions.plant).map_err(|e| BadInput(format!("--conditions: {e}")))?;
+        }
         let study = Study {
             name,
             columns,
             policies: self.policies_under_test(registry, &*scenario)?,
+            conditions,
             layouts,
             repeats: self.repeats,
             seed: self.run.seed,
@@ -226,6 +238,7 @@ impl Shared {
         add("robots", self.robots.map(|robots| robots.to_string()));
         add("gap-m", self.gap_m.map(|gap_m| gap_m.to_string()));
         add("episodes-file", self.episodes_file.as_ref().map(|path| path.display().to_string()));
+        add("conditions", self.conditions.as_ref().map(|path| path.display().to_string()));
         add("layouts", Some(self.layouts.to_string()));
         add("repeats", Some(self.repeats.to_string()));
         add("seed", Some(self.run.seed.to_string()));

@@ -6,6 +6,7 @@ mod folder;
 mod network;
 mod run;
 mod trials;
+mod twin;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -37,6 +38,8 @@ pub enum Args {
     Range(Box<flags::Range>),
     /// Delivery of a team's messages by addressing, reliability and message rate
     Network(Box<network::Args>),
+    /// A model of a recorded run: fitted to half of its episodes, compared with the other half
+    Twin(Box<twin::Args>),
 }
 
 /// Output of a study with `--json`.
@@ -59,6 +62,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         Args::Delay(flags) => (flags.study(registry)?, &flags.shared),
         Args::Range(flags) => (flags.study(registry)?, &flags.shared),
         Args::Network(flags) => return network::run(flags, registry),
+        Args::Twin(flags) => return twin::run(flags, registry),
     };
     let folder = shared.run.out.as_deref().map(|path| trials::open(path, &study)).transpose()?;
     let stop = Arc::new(AtomicBool::new(false));

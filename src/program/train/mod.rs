@@ -61,6 +61,10 @@ pub struct Args {
     /// wifi-slow) or a radio file, such as 'study network --fit' writes
     #[arg(long, value_name = "NAME|FILE.toml", conflicts_with = "resume")]
     radio: Option<String>,
+    /// Trains with the lag, and the delay and loss of messages between robots, of a file, such as 'study twin' fits
+    /// them (docs/twin.md)
+    #[arg(long, value_name = "FILE.toml", conflicts_with = "resume")]
+    conditions: Option<PathBuf>,
     #[command(flatten)]
     drive: drive::DriveFlags,
     /// Duration of the training [min]; schedules follow the clock, so two such runs differ slightly

@@ -5,12 +5,14 @@ use anyhow::{Context, Result};
 use super::folder::Folder;
 use super::{Args, PRESET};
 use crate::config::unquoted;
+use crate::deploy::conditions::Conditions;
 use crate::program::BadInput;
+use crate::program::conditions;
 use crate::program::output::{read_bytes, read_text};
 use crate::program::study;
 use crate::registry::Registry;
 use crate::scenario::Settings;
-use crate::study::network::conditions;
+use crate::study::network::conditions as of_medium;
 use crate::train::config::Config;
 use crate::train::trainer::{Plan, Trainer};
 
@@ -51,8 +53,15 @@ fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
         let medium = study::medium("--radio", radio)?;
         let settings = Settings { robots: config.robots, gap_m: None };
         let scenario = registry.scenario(&args.scenario, &settings).map_err(|e| BadInput(e.to_string()))?;
-        conditions::apply(&medium, scenario.robots(), &mut config.conditions)
+        of_medium::apply(&medium, scenario.robots(), &mut config.conditions)
             .ok_or_else(|| BadInput(format!("--radio: none of a team's messages arrives on '{radio}'")))?;
+    }
+    if let Some(path) = &args.conditions {
+        let Conditions { lag_s, delay_s, loss, .. } = conditions::file(path)?;
+        let given = &mut config.conditions;
+        given.lag_s = lag_s.map_or(given.lag_s, |lag_s| [lag_s; 2]);
+        given.delay_s = delay_s.map_or(given.delay_s, |delay_s| [delay_s as f32; 2]);
+        given.loss = loss.map_or(given.loss, |loss| [loss as f32; 2]);
     }
     let (scenario, preset) = (args.scenario.clone(), preset.to_owned());
     Ok(Plan { scenario, preset, config, seed: args.seed.unwrap_or(0) })

@@ -28,8 +28,8 @@ const ENDS_S: (f64, f64) = (1e-4, 1.0);
 pub fn delays(title: &str, columns: &[Heard]) -> Result<String, FigureError> {
     let crossing: Vec<(usize, &Heard)> =
         columns.iter().enumerate().filter(|(_, column)| column.listening.due > 0).collect();
-    let legend = 16 + 30 * crossing.len().div_ceil(3) as u32;
-    svg(HEIGHT + legend, |area| {
+    let below = 16 + 30 * crossing.len().div_ceil(3) as u32;
+    svg(HEIGHT + below, |area| {
         area.draw(&Text::new(title.to_owned(), (20, 14), style(TEXT + 3, BLACK, HPos::Left, VPos::Top)))?;
         let half = (WIDTH / 2, HEIGHT - HEAD as u32);
         let left = area.clone().shrink((0, HEAD), half);
@@ -41,14 +41,32 @@ pub fn delays(title: &str, columns: &[Heard]) -> Result<String, FigureError> {
         panel(&left, "publication to arrival", "share of messages due", &crossing, arrival)?;
         let step = |heard: &Listening| heard.age.cumulative();
         panel(&right, "publication to control step", "share of messages in use", &crossing, step)?;
-        for (place, (at, column)) in crossing.iter().enumerate() {
-            let (x, y) = (60 + 370 * (place % 3) as i32, HEIGHT as i32 + 30 * (place / 3) as i32 + 14);
-            area.draw(&PathElement::new(vec![(x, y), (x + 36, y)], colour(*at).stroke_width(4)))?;
-            let text = style(TEXT - 1, BLACK, HPos::Left, VPos::Center);
-            area.draw(&Text::new(column.name.to_owned(), (x + 46, y), text))?;
-        }
-        Ok(())
+        legend(area, &crossing)
     })
+}
+
+/// Draws the ages of messages at control steps; returns the SVG.
+pub fn ages(title: &str, columns: &[Heard]) -> Result<String, FigureError> {
+    // Lines that coincide differ in width, and their colours are far from each other.
+    let columns: Vec<(usize, &Heard)> = columns.iter().enumerate().map(|(at, column)| (3 * at, column)).collect();
+    svg(HEIGHT + 46, |area| {
+        area.draw(&Text::new(title.to_owned(), (20, 14), style(TEXT + 3, BLACK, HPos::Left, VPos::Top)))?;
+        let below = area.clone().shrink((0, HEAD), (WIDTH, HEIGHT - HEAD as u32));
+        panel(&below, "publication to control step", "share of messages in use", &columns, |heard| {
+            heard.age.cumulative()
+        })?;
+        legend(area, &columns)
+    })
+}
+
+fn legend(area: &Area, columns: &[(usize, &Heard)]) -> Drawn {
+    for (place, (at, column)) in columns.iter().enumerate() {
+        let (x, y) = (60 + 370 * (place % 3) as i32, HEIGHT as i32 + 30 * (place / 3) as i32 + 14);
+        area.draw(&PathElement::new(vec![(x, y), (x + 36, y)], colour(*at).stroke_width(4)))?;
+        let text = style(TEXT - 1, BLACK, HPos::Left, VPos::Center);
+        area.draw(&Text::new(column.name.to_owned(), (x + 46, y), text))?;
+    }
+    Ok(())
 }
 
 fn panel(

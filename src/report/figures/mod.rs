@@ -10,7 +10,7 @@ mod success;
 mod sweep;
 
 pub use actions::actions;
-pub use delays::{Heard, delays};
+pub use delays::{Heard, ages, delays};
 pub use makespans::{Makespans, makespans};
 pub use positions::{Positions, positions};
 pub use separation::separation;

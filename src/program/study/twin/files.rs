@@ -1,0 +1,81 @@
+//! The folder of a twin: report, table, rows, and the fitted model as files that other commands take.
+
+use std::path::Path;
+
+use anyhow::Result;
+use serde::{Deserialize, Serialize};
+
+use super::super::folder::Folder;
+use crate::deploy::conditions::Conditions;
+use crate::study::origin;
+use crate::study::twin::comparison::Row;
+use crate::study::twin::model::Fitted;
+use crate::study::twin::observed::Run;
+use crate::study::twin::pages::{self, Words};
+use crate::study::twin::predict::Predicted;
+use crate::trial::Trial;
+
+/// What makes a folder that of one twin.
+#[derive(PartialEq, Serialize, Deserialize)]
+struct Identity {
+    study: String,
+    version: String,
+    build: String,
+    command: String,
+    /// Names and digests of the records.
+    records: Vec<String>,
+}
+
+/// Opens the folder; an error if it is of another twin.
+pub fn open(path: &Path, digests: &[String], command: &str) -> Result<Folder> {
+    let identity = Identity {
+        study: "twin".to_owned(),
+        version: origin::VERSION.to_owned(),
+        build: origin::BUILD.to_owned(),
+        command: command.to_owned(),
+        records: digests.to_vec(),
+    };
+    Folder::open(path, "figures", &identity, |theirs: &Identity| {
+        let differs = |same: bool, what: &str| (!same).then(|| format!("its {what} differ"));
+        differs(identity.study == theirs.study, "studies")
+            .or(differs(identity.records == theirs.records, "records"))
+            .or(differs(identity.command == theirs.command, "flags"))
+            .or(differs(identity == *theirs, "version or build"))
+    })
+}
+
+/// Writes everything.
+pub fn write(
+    folder: &Folder,
+    words: &Words,
+    (run, first, predicted): (&Run, usize, &[Predicted]),
+    (rows, text): (&[Row], &str),
+    (fitted, twin): (&Fitted, &Trial),
+) -> Result<()> {
+    folder.write_json("rows.json", &rows)?;
+    folder.write("table.txt", format!("{text}\n").as_bytes())?;
+    let head = format!("# Fitted by '{}'.\n", words.command);
+    if !predicted.is_empty() {
+        folder.write("deployment.toml", (head.clone() + &twin.deployment.to_toml()).as_bytes())?;
+    }
+    folder.write("conditions.toml", (head + &conditions(fitted, twin).to_toml()).as_bytes())?;
+    let figures = pages::figures(run, first, predicted)?;
+    folder.write_page(&figures, &pages::page(words, rows, &figures))
+}
+
+/// The fitted world, and the link between robots, or all links if no latent crosses one.
+fn conditions(fitted: &Fitted, twin: &Trial) -> Conditions {
+    use crate::messages::wire::Kind;
+    let carries = |kind: &Kind| *kind == Kind::Latent;
+    let link = twin.deployment.links.iter().position(|link| link.carries.iter().any(carries));
+    let link = link.map(|at| &twin.deployment.links[at]);
+    let slips = fitted.slip.is_some();
+    Conditions {
+        plant: Some(twin.deployment.plant.clone()),
+        lag_s: Some(twin.physics.lag_s),
+        slip: slips.then_some(twin.physics.slip),
+        slip_s: slips.then_some(twin.physics.slip_s),
+        delay_s: link.map(|link| link.delay_s),
+        loss: link.map(|link| link.loss),
+    }
+}

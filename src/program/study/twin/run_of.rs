@@ -1,0 +1,124 @@
+//! The records of a run, put together, and the trial that the run was.
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+
+use crate::deploy::Routes;
+use crate::program::output::read_bytes;
+use crate::program::replay::{Files, files, of_host};
+use crate::program::{BadInput, bad, team};
+use crate::record::identity::Identity;
+use crate::record::merge::{Traffic, align};
+use crate::record::reader::{self, ReadError};
+use crate::registry::Registry;
+use crate::study::twin::observed::{Log, Run, Team};
+use crate::study::twin::predict;
+use crate::trial::Trial;
+
+/// A recorded run.
+pub struct Recorded {
+    /// What its records tell.
+    pub run: Run,
+    /// The run as a trial, in ideal conditions.
+    pub trial: Trial,
+    /// Name of its policy.
+    pub policy: String,
+    /// What a reader of the results has to know of the records.
+    pub notes: Vec<String>,
+    /// Names and digests of the records.
+    pub digests: Vec<String>,
+}
+
+/// Reads the records of a run.
+pub fn read(named: &[PathBuf], registry: &Registry) -> Result<Recorded> {
+    let paths = files(named)?;
+    let wrong = |error: ReadError| BadInput(error.to_string());
+    let (mut logs, mut identities, mut notes, mut digests) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    for path in &paths {
+        let identity = reader::open(path).map_err(wrong)?.identity;
+        let Some(host) = &identity.host else {
+            return bad(format!(
+                "'{}' is the record of a simulation, which has no arrivals of messages: a twin is of a run of hosts, \
+                 recorded with 'launch --record DIR' or 'host --record DIR'",
+                path.display()
+            ));
+        };
+        if identity.excerpt {
+            return bad(format!(
+                "'{}' has only the seconds around what happened (--record-last): a twin is of whole episodes",
+                path.display()
+            ));
+        }
+        let log = Log::read(path, host.id).map_err(wrong)?;
+        if !log.complete {
+            notes.push(format!("'{}' was cut: its data count up to there", path.display()));
+        }
+        let name = path.file_name().map_or(String::new(), |name| name.to_string_lossy().into_owned());
+        digests.push(format!("{name} {}", blake3::hash(&read_bytes(path, "record")?).to_hex()));
+        logs.push(log);
+        identities.push(identity);
+    }
+    let (trial, policy) = trial(&paths, &identities, &logs, registry)?;
+    if let Some(host) = absent(&trial, &logs) {
+        return bad(format!(
+            "there is no record of the host '{host}': a twin needs those of all hosts of the run, in one folder or \
+             named one after the other"
+        ));
+    }
+    let traffic: Vec<Traffic> = logs.iter_mut().map(|log| std::mem::take(&mut log.traffic)).collect();
+    let alignment = align(&traffic);
+    for (identity, _) in identities.iter().zip(&alignment.clocks).filter(|(_, clock)| clock.is_none()) {
+        let name = identity.host.as_ref().map_or("", |host| &host.name);
+        notes.push(format!("a record of '{name}' is left out: no datagrams join its clock with the others'"));
+    }
+    let uncertainty = alignment.clocks.iter().flatten().filter_map(|clock| clock.uncertainty_ns()).max().unwrap_or(0);
+    notes.push(format!(
+        "clocks of the hosts are known to {:.1} ms: a one-way delay may be off by as much, the mean over both \
+         directions of a link is not",
+        uncertainty as f64 / 1e6
+    ));
+    let routes = Routes::of(&trial.deployment);
+    let team = Team {
+        routes: &routes,
+        hosts: trial.deployment.hosts.len(),
+        robots: trial.deployment.robots,
+        rules: predict::rules(&trial),
+        period_ns: trial.model.interface().period.as_nanos() as i64,
+    };
+    Ok(Recorded { run: Run::of(&logs, &alignment, &team), trial, policy, notes, digests })
+}
+
+/// Makes the trial that the hosts ran, from the team file in the record of the host that judged.
+fn trial(paths: &[PathBuf], identities: &[Identity], logs: &[Log], registry: &Registry) -> Result<(Trial, String)> {
+    let wrong = |error: ReadError| BadInput(error.to_string());
+    let Some(judge) = logs.iter().position(Log::has_results) else {
+        return bad(
+            "no record has the result of an episode: the record of the host that judges is missing, or the run \
+                    ended before its first result"
+                .to_owned(),
+        );
+    };
+    let (path, identity) = (&paths[judge], &identities[judge]);
+    let files = Files::extract(&reader::open(path).map_err(wrong)?)?;
+    let policy = files.files.get(1).map(|(_, policy)| policy);
+    let team = of_host::team_of(identity, &files, registry, |flags| {
+        flags.set.extend(policy.map(|policy| format!("policy={}", policy.display())));
+    })?;
+    let loaded = team::policy(&team, registry)?;
+    if loaded.model.digest() != identity.policy {
+        return bad(format!(
+            "'{}' is of another policy than '{}' is in this program: use the program that made the record",
+            path.display(),
+            loaded.name
+        ));
+    }
+    let trial = Trial::of_host(registry, &team, loaded.model).map_err(|error| BadInput(error.to_string()))?;
+    Ok((trial, loaded.name))
+}
+
+/// Returns a host of the run of which there is no record.
+fn absent(trial: &Trial, logs: &[Log]) -> Option<String> {
+    let has = |number: usize| logs.iter().any(|log| usize::from(log.host.0) == number);
+    trial.deployment.hosts.iter().enumerate().find(|(at, _)| !has(*at)).map(|(_, host)| host.name.clone())
+}

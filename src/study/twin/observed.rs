@@ -1,0 +1,368 @@
+//! A run as its records have it: what each host sent, and when it arrived where; how robots moved; how episodes ended.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::ages::{Decisions, Follower, Rules};
+use super::lag::{Moved, Series};
+use super::links::Crossing;
+use crate::deploy::Routes;
+use crate::graph::inputs::Input;
+use crate::messages::ids::{HostId, RobotId};
+use crate::messages::wire::{Kind, Latent, Wire};
+use crate::net::protocol::codec::{self, Content, Flags};
+use crate::net::protocol::router::Audience;
+use crate::record::merge::{self, Alignment, ClockDifference, DatagramKey, Traffic};
+use crate::record::protobuf_reader::Fields;
+use crate::record::reader::{self, ReadError};
+use crate::record::tape;
+use crate::report::episode::Episode;
+
+/// Kinds of messages that leave as soon as they are published, in a datagram of their own.
+const PROMPT: [Kind; 3] = [Kind::Latent, Kind::Reading, Kind::MotorCommand];
+/// Time before the end of a record in which messages for its host no longer count: they may be under way \[ns\].
+const MARGIN_NS: i64 = 1_000_000_000;
+/// Longest time between two states of a series, in periods.
+const GAP: f64 = 1.5;
+
+/// Message that a host published.
+#[derive(Clone, Debug)]
+struct Sent {
+    at_ns: i64,
+    key: DatagramKey,
+    kind: Kind,
+    robot: RobotId,
+    /// The message, if it is a latent.
+    latent: Option<Latent>,
+    /// The commanded velocity \[m/s\], if it is a motor command.
+    command: Option<[f64; 2]>,
+}
+
+/// True state of a robot.
+#[derive(Clone, Copy, Debug)]
+struct State {
+    at_ns: i64,
+    robot: usize,
+    moved: Moved,
+    touches: bool,
+}
+
+/// Record of one incarnation of a host, on its own clock.
+pub struct Log {
+    /// The host.
+    pub host: HostId,
+    /// What joins its clock with those of the others.
+    pub traffic: Traffic,
+    sent: Vec<Sent>,
+    arrived: Vec<(i64, DatagramKey)>,
+    states: Vec<State>,
+    results: Vec<(i64, Episode)>,
+    /// Times of its first and its last turn \[ns\].
+    span: Option<[i64; 2]>,
+    /// Whether it was finished and not cut.
+    pub complete: bool,
+}
+
+impl Log {
+    /// Reads the record of a host.
+    pub fn read(path: &Path, host: HostId) -> Result<Log, ReadError> {
+        let mut messages = reader::open(path)?.messages;
+        let (sent, arrived, states, results) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let (traffic, span, complete) = (Traffic::default(), None, false);
+        let mut log = Log { host, traffic, sent, arrived, states, results, span, complete };
+        while let Some(message) = messages.next_message()? {
+            let at_ns = message.at as i64;
+            match &*message.channel.topic {
+                "/tape/turn" => log.turn(at_ns, &message.data),
+                "/truth" => log.truth(at_ns, &message.data),
+                "/episode" => {
+                    log.results.extend(serde_json::from_slice(&message.data).ok().map(|episode| (at_ns, episode)));
+                }
+                topic if topic.starts_with("/wire/") => log.publish(at_ns, &message.data),
+                _ => {}
+            }
+        }
+        log.complete = messages.is_complete();
+        Ok(log)
+    }
+
+    /// Whether it has the result of an episode.
+    pub fn has_results(&self) -> bool {
+        !self.results.is_empty()
+    }
+
+    fn publish(&mut self, at_ns: i64, datagram: &[u8]) {
+        self.traffic.publish(at_ns, datagram);
+        let Ok(Content::Message(kind)) = codec::first(datagram) else { return };
+        let Some(key) = merge::key(datagram).filter(|_| PROMPT.contains(&kind)) else { return };
+        let Ok((_, message)) = codec::decode(datagram) else { return };
+        let robot = message.robot();
+        let (mut latent, mut command) = (None, None);
+        match message {
+            Wire::Latent(message) => latent = Some(message),
+            Wire::MotorCommand(message) => command = Some([message.velocity.x, message.velocity.y].map(f64::from)),
+            _ => {}
+        }
+        self.sent.push(Sent { at_ns, key, kind, robot, latent, command });
+    }
+
+    fn turn(&mut self, at_ns: i64, bytes: &[u8]) {
+        let [first, _] = self.span.unwrap_or([at_ns; 2]);
+        self.span = Some([first, at_ns]);
+        for input in tape::read(bytes).into_iter().flat_map(|turn| turn.inputs) {
+            let Input::Frame(_, frame, _) = input else { continue };
+            self.traffic.arrive(at_ns, &frame);
+            let first = codec::peek(&frame).is_ok_and(|header| !header.flags.has(Flags::COPY));
+            if first && matches!(codec::first(&frame), Ok(Content::Message(kind)) if PROMPT.contains(&kind)) {
+                self.arrived.extend(merge::key(&frame).map(|key| (at_ns, key)));
+            }
+        }
+    }
+
+    fn truth(&mut self, at_ns: i64, bytes: &[u8]) {
+        for (_, robot) in Fields(bytes).filter(|(field, _)| *field == 2) {
+            let mut numbers = [0.0; 12];
+            for (field, value) in Fields(robot.bytes().unwrap_or_default()) {
+                if let (Some(place), Some(number)) = (numbers.get_mut(field as usize), value.number()) {
+                    *place = number;
+                }
+            }
+            let [_, robot, _, _, vx, vy, _, _, command_x, command_y, by_robot, by_wall] = numbers;
+            let moved = Moved { velocity: [vx, vy], command: [command_x, command_y] };
+            let touches = by_robot + by_wall > 0.0;
+            self.states.push(State { at_ns, robot: robot as usize, moved, touches });
+        }
+    }
+}
+
+/// What a team's run needs to be known of, beside its records.
+pub struct Team<'a> {
+    /// Routes of its messages.
+    pub routes: &'a Routes,
+    /// Number of its hosts.
+    pub hosts: usize,
+    /// Number of its robots.
+    pub robots: usize,
+    /// Rules by which robots use messages.
+    pub rules: Rules,
+    /// Period of the states \[ns\].
+    pub period_ns: i64,
+}
+
+/// A run on one time.
+#[derive(Debug, Default)]
+pub struct Run {
+    /// Results, by the number of the episode; only those from the first on without a gap.
+    pub episodes: Vec<Episode>,
+    /// Messages between hosts.
+    pub crossings: Vec<Crossing>,
+    /// Decisions of each episode.
+    pub decisions: Vec<Decisions>,
+    /// True motion in each episode and in the reset before it.
+    pub motion: Vec<Vec<Series>>,
+    /// Where there are no true states: in each episode the velocity that each robot estimated at its ticks, with the
+    /// command that it then gave.
+    pub estimates: Vec<Vec<Series>>,
+    /// Times of the World's steps by episode \[ns\].
+    pub steps_ns: Vec<Vec<i64>>,
+    /// Times of each robot's decisions, by robot, with the episode \[ns\].
+    pub ticks_ns: Vec<Vec<(u32, i64)>>,
+}
+
+impl Run {
+    /// Puts the records of a run together.
+    pub fn of(logs: &[Log], alignment: &Alignment, team: &Team) -> Run {
+        let clocks: Vec<Option<&ClockDifference>> = alignment.clocks.iter().map(Option::as_ref).collect();
+        let common = |at: usize, ns: i64| clocks[at].map(|clock| ns - clock.ahead_ns(ns));
+        let mut ends: BTreeMap<u32, (i64, Episode)> = BTreeMap::new();
+        for (at, log) in logs.iter().enumerate() {
+            for (ns, episode) in &log.results {
+                let Some(ns) = common(at, *ns) else { continue };
+                // A host that was started again tells the episodes before as aborted: the first result counts.
+                ends.entry(episode.episode).or_insert((ns, *episode));
+            }
+        }
+        let complete = ends.iter().zip(0..).take_while(|((episode, _), at)| **episode == *at);
+        let (ends_ns, episodes): (Vec<i64>, Vec<Episode>) = complete.map(|((_, end), _)| *end).unzip();
+        let episode_at = |ns: i64| ends_ns.partition_point(|end| *end < ns) as u32;
+        let mut run = Run {
+            crossings: crossings(logs, &common, &episode_at, team),
+            ticks_ns: vec![Vec::new(); team.robots],
+            steps_ns: vec![Vec::new(); episodes.len()],
+            motion: vec![Vec::new(); episodes.len()],
+            decisions: Vec::new(),
+            estimates: vec![Vec::new(); episodes.len()],
+            episodes,
+        };
+        run.follow(logs, &common, &episode_at, team);
+        run.move_robots(logs, &common, &episode_at, team);
+        if logs.iter().all(|log| log.states.is_empty()) {
+            run.estimate(logs, &common, &episode_at, team);
+        }
+        run
+    }
+
+    /// Follows latents from publication to the decisions that used them.
+    fn follow(
+        &mut self,
+        logs: &[Log],
+        common: &impl Fn(usize, i64) -> Option<i64>,
+        episode_at: &impl Fn(i64) -> u32,
+        team: &Team,
+    ) {
+        // Ticks of one instant come before arrivals, as on a host.
+        let mut events: Vec<(i64, bool, usize, usize)> = Vec::new();
+        for (at, log) in logs.iter().enumerate() {
+            let sent = log.sent.iter().enumerate().filter(|(_, sent)| sent.latent.is_some());
+            events.extend(sent.filter_map(|(place, sent)| Some((common(at, sent.at_ns)?, false, at, place))));
+            let arrived = log.arrived.iter().enumerate();
+            events.extend(arrived.filter_map(|(place, (ns, _))| Some((common(at, *ns)?, true, at, place))));
+        }
+        events.sort_unstable();
+        let hosts = RobotId::team(team.robots).map(|robot| team.routes.agent_host(robot)).collect();
+        let mut follower = Follower::new(team.rules, hosts);
+        for (ns, arrives, at, place) in events {
+            let log = &logs[at];
+            if arrives {
+                follower.arrive(ns, log.host, &log.arrived[place].1);
+            } else if let Sent { key, latent: Some(latent), .. } = &log.sent[place] {
+                follower.publish(ns, *key, latent);
+                if let Some(ticks) = self.ticks_ns.get_mut(latent.robot.index()) {
+                    ticks.push((episode_at(ns), ns));
+                }
+            }
+        }
+        let mut decisions = follower.into_decisions();
+        self.decisions =
+            (0..self.episodes.len() as u32).map(|episode| decisions.remove(&episode).unwrap_or_default()).collect();
+    }
+
+    /// Takes the robots' motion from their own estimates, which their latents have.
+    fn estimate(
+        &mut self,
+        logs: &[Log],
+        common: &impl Fn(usize, i64) -> Option<i64>,
+        episode_at: &impl Fn(i64) -> u32,
+        team: &Team,
+    ) {
+        let gap_ns = (GAP * team.period_ns as f64) as i64;
+        // By robot: episode and time of its last step, and its series.
+        let mut open: BTreeMap<RobotId, (usize, i64, Series)> = BTreeMap::new();
+        for (at, log) in logs.iter().enumerate() {
+            let commands = log.sent.iter().filter_map(|sent| Some((sent, sent.command?)));
+            let latents = log.sent.iter().filter_map(|sent| Some((sent, sent.latent.as_ref()?)));
+            let told: BTreeMap<(RobotId, i64), [f64; 2]> = latents
+                .map(|(sent, latent)| {
+                    let velocity = latent.motion.velocity;
+                    ((sent.robot, sent.at_ns), [velocity.x, velocity.y].map(f64::from))
+                })
+                .collect();
+            for (sent, command) in commands {
+                let Some(ns) = common(at, sent.at_ns) else { break };
+                let (episode, robot) = (episode_at(ns) as usize, sent.robot);
+                let Some(velocity) = told.get(&(robot, sent.at_ns)).filter(|_| episode < self.episodes.len()) else {
+                    continue;
+                };
+                let step = Moved { velocity: *velocity, command };
+                match open.get_mut(&robot) {
+                    Some((of, last, series)) if *of == episode && ns - *last < gap_ns => {
+                        *last = ns;
+                        series.push(step);
+                    }
+                    _ => {
+                        let ended = open.insert(robot, (episode, ns, vec![step]));
+                        ended.into_iter().for_each(|(of, _, series)| self.estimates[of].push(series));
+                    }
+                }
+            }
+        }
+        open.into_values().for_each(|(of, _, series)| self.estimates[of].push(series));
+    }
+
+    /// Cuts the true states into series of consecutive steps.
+    fn move_robots(
+        &mut self,
+        logs: &[Log],
+        common: &impl Fn(usize, i64) -> Option<i64>,
+        episode_at: &impl Fn(i64) -> u32,
+        team: &Team,
+    ) {
+        let gap_ns = (GAP * team.period_ns as f64) as i64;
+        for (at, log) in logs.iter().enumerate() {
+            // By robot: time and episode of its last state.
+            let mut last: BTreeMap<usize, (i64, usize)> = BTreeMap::new();
+            let mut open: BTreeMap<usize, Series> = BTreeMap::new();
+            for state in &log.states {
+                let Some(ns) = common(at, state.at_ns) else { break };
+                let episode = episode_at(ns) as usize;
+                if episode >= self.episodes.len() {
+                    break;
+                }
+                if self.steps_ns[episode].last() != Some(&ns) {
+                    self.steps_ns[episode].push(ns);
+                }
+                let goes_on = last.get(&state.robot).is_some_and(|(before, of)| ns - before < gap_ns && *of == episode);
+                if !goes_on || state.touches {
+                    let ended = open.remove(&state.robot).unwrap_or_default();
+                    let of = last.get(&state.robot).map_or(episode, |(_, of)| *of);
+                    self.motion[of].push(ended);
+                }
+                last.insert(state.robot, (ns, episode));
+                if !state.touches {
+                    open.entry(state.robot).or_default().push(state.moved);
+                }
+            }
+            for (robot, series) in open {
+                self.motion[last[&robot].1].push(series);
+            }
+        }
+        self.motion.iter_mut().for_each(|series| series.retain(|series| series.len() > 1));
+    }
+}
+
+/// Finds what became of every message at every host that it was for.
+fn crossings(
+    logs: &[Log],
+    common: &impl Fn(usize, i64) -> Option<i64>,
+    episode_at: &impl Fn(i64) -> u32,
+    team: &Team,
+) -> Vec<Crossing> {
+    let arrivals = |at: usize| -> BTreeMap<DatagramKey, i64> {
+        let mut first = BTreeMap::new();
+        for (ns, key) in &logs[at].arrived {
+            if let Some(ns) = common(at, *ns) {
+                first.entry(*key).or_insert(ns);
+            }
+        }
+        first
+    };
+    let listeners: Vec<Vec<HostId>> = PROMPT.iter().map(|kind| team.routes.listeners(*kind)).collect();
+    let routers: Vec<_> = (0..team.hosts as u16).map(|host| team.routes.router(HostId(host))).collect();
+    let mut found = Vec::new();
+    for (there, receiver) in logs.iter().enumerate() {
+        let Some([begins, ends]) =
+            receiver.span.and_then(|[first, last]| Some([common(there, first)?, common(there, last - MARGIN_NS)?]))
+        else {
+            continue;
+        };
+        let arrived = arrivals(there);
+        for (here, sender) in logs.iter().enumerate().filter(|(_, sender)| sender.host != receiver.host) {
+            for sent in &sender.sent {
+                let route = routers[usize::from(sender.host.0)].route(sent.kind, sent.robot);
+                let Some((link, audience)) = route.leaves else { continue };
+                let kind = PROMPT.iter().position(|kind| *kind == sent.kind).expect("only these are kept");
+                let due = match audience {
+                    Audience::Host(only) => only == receiver.host,
+                    Audience::All => listeners[kind].contains(&receiver.host),
+                };
+                let Some(at_ns) = common(here, sent.at_ns).filter(|at| due && (begins..ends).contains(at)) else {
+                    continue;
+                };
+                let took_ns = arrived.get(&sent.key).map(|arrived| arrived - at_ns);
+                let (from, to) = (sender.host, receiver.host);
+                found.push(Crossing { episode: episode_at(at_ns), link, from, to, took_ns });
+            }
+        }
+    }
+    found
+}

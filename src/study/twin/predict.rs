@@ -1,0 +1,79 @@
+//! Prediction: one repeat of the twin's simulation, followed as a record is.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use super::ages::{Decisions, Follower, Rules};
+use crate::graph::process::ProcessEvent;
+use crate::messages::ids::{HostId, RobotId};
+use crate::messages::wire::{Kind, Wire};
+use crate::net::protocol::codec::{self, Content, Frame};
+use crate::record::merge;
+use crate::report::episode::Episode;
+use crate::trial::{Proceed, Trial};
+
+/// One repeat of a prediction.
+#[derive(Clone, Debug)]
+pub struct Predicted {
+    /// Results of its episodes.
+    pub episodes: Vec<Episode>,
+    /// Decisions of each episode.
+    pub decisions: Vec<Decisions>,
+}
+
+/// What happens to a latent's datagram at one instant.
+enum Event {
+    Published(Frame),
+    Arrived(HostId, Frame),
+}
+
+/// Rules by which the robots of a trial use messages.
+pub fn rules(trial: &Trial) -> Rules {
+    let plan = trial.plan();
+    Rules { range_m: plan.range.mean_m, hold_ns: plan.hold.as_nanos() as i64, handling: plan.handling }
+}
+
+/// Hosts of the robots' agents, by robot.
+pub fn hosts(trial: &Trial) -> Vec<HostId> {
+    let routes = crate::deploy::Routes::of(&trial.deployment);
+    RobotId::team(trial.deployment.robots).map(|robot| routes.agent_host(robot)).collect()
+}
+
+/// Runs a trial until its end or until `proceed` says otherwise.
+pub fn run(trial: &Trial, mut proceed: impl FnMut(&[Episode]) -> Proceed) -> Option<Predicted> {
+    let mut follower = Follower::new(rules(trial), hosts(trial));
+    let events: Rc<RefCell<Vec<Event>>> = Rc::default();
+    let heard = Rc::clone(&events);
+    let is_latent = |frame: &Frame| matches!(codec::first(frame), Ok(Content::Message(Kind::Latent)));
+    let report = trial.run_observed(
+        move |host, event| match event {
+            ProcessEvent::Published(frame) if is_latent(frame) => {
+                heard.borrow_mut().push(Event::Published(Frame::clone(frame)));
+            }
+            ProcessEvent::Arrived(_, frame) if is_latent(frame) => {
+                heard.borrow_mut().push(Event::Arrived(host, Frame::clone(frame)));
+            }
+            _ => {}
+        },
+        |_, now, episodes| {
+            let now_ns = now.as_nanos() as i64;
+            for event in events.borrow_mut().drain(..) {
+                match event {
+                    Event::Published(frame) => {
+                        if let (Some(key), Ok((_, Wire::Latent(latent)))) = (merge::key(&frame), codec::decode(&frame))
+                        {
+                            follower.publish(now_ns, key, &latent);
+                        }
+                    }
+                    Event::Arrived(host, frame) => {
+                        merge::key(&frame).iter().for_each(|key| follower.arrive(now_ns, host, key));
+                    }
+                }
+            }
+            proceed(episodes)
+        },
+    );
+    let mut decisions = follower.into_decisions();
+    let decisions = (0..trial.layouts.len()).map(|episode| decisions.remove(&episode).unwrap_or_default()).collect();
+    report.finished.then_some(Predicted { episodes: report.episodes, decisions })
+}
