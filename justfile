@@ -56,7 +56,8 @@ full-robots python="python3":
 ci:
     bash .ci/run
 
-# Records of real teams, replayed host by host: four modes, kills, stops. PYTHON has mcap and mcap-protobuf-support (10 minutes)
+# Records of real teams, replayed host by host: four modes, kills, stops, clocks in namespaces. PYTHON has mcap and
+# mcap-protobuf-support (10 minutes, root, apt: faketime)
 full-record python="python3":
     cargo build --release
     bash tests/peers/record/full.sh {{python}} target/release/murmurate
