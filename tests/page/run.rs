@@ -146,7 +146,7 @@ fn the_page_of_a_real_team_stops_it_and_so_does_a_page_that_joins_later() {
     let Some(mut browser) = Browser::start() else { return };
     let team = concat!(env!("CARGO_MANIFEST_DIR"), "/teams/offboard.toml");
     // No other run of this test has the number.
-    let number = format!("team={}", 1000 + std::process::id() % 60_000);
+    let number = format!("team={}", 1000 + 4 * std::process::id() % 60_000);
     let folder = tempfile::tempdir().expect("a temporary folder");
     let records = folder.path().to_str().expect("a path in UTF-8");
     let own = ["--set", &number, "--set", "episodes=100", "--control", "--record", records];
