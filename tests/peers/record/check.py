@@ -29,7 +29,7 @@ def main(record, trajectories):
     with open(record, "rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         names = [metadata.name for metadata in reader.iter_metadata()]
-        assert names == ["murmurate.run"], names
+        assert names == ["murmurate.run", "murmurate.stage"], names
         for _, channel, message in reader.iter_messages():
             counts[channel.topic] += 1
             if channel.topic == "/episode":
