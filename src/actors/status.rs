@@ -10,7 +10,10 @@ use crate::actor::Core;
 use crate::messages::geometry::Pose;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::Latch;
-use crate::messages::wire::{self, Condition, Following, Hardware, Leading, MAX_BLOCK, Phase, Seen, Stop, Telemetry};
+use crate::messages::trigger::Trigger;
+use crate::messages::wire::{self, Condition, Following, GuardReport, Hardware, Leading};
+use crate::messages::wire::{MAX_BLOCK, Phase, Seen, Stop, Telemetry};
+use crate::safety::counts::SafetyCounts;
 use crate::time::{Span, Time};
 
 /// Wait before an answer, so that the host's actors have handled the operator's message.
@@ -28,7 +31,9 @@ const STALE: Span = Span::from_millis(500);
 const OBSERVER_TIMEOUT: Span = Span::from_millis(2500);
 /// Period of telemetry messages of a host with one robot, and with several. They take less than 330 bytes a second with
 /// tags: what the budget of soft state leaves in a team of 50 (docs/wire.md).
-const TELEMETRY_PERIODS: [Span; 2] = [Span::from_millis(250), Span::from_millis(300)];
+const TELEMETRY_PERIODS: [Span; 2] = [Span::from_millis(250), Span::from_millis(330)];
+/// Time without a message of a robot after which its link does not count in the age of the oldest link.
+const LINK_TIMEOUT: Span = Span::from_millis(1500);
 /// Largest number of robots in one telemetry message. More robots take turns.
 const ROBOTS_PER_MESSAGE: usize = 2;
 /// Shortest interval between two reasons of faults, over all robots of a host. The pause after one is doubled, for the
@@ -54,6 +59,10 @@ pub enum In {
     Mode(Phase),
     /// Condition of the hardware of a robot whose Body runs on this host.
     Condition(RobotId, Hardware),
+    /// Counts of the guard of a robot whose agent runs on this host.
+    Guard(RobotId, SafetyCounts),
+    /// Robot of which a message for agents has arrived.
+    Latent(RobotId),
     /// Message of an observer, which asks for telemetry.
     Observe,
     /// The Status's host is shutting down.
@@ -80,6 +89,7 @@ struct RobotTelemetry {
     seen: Option<Stamped<Pose>>,
     phase: Option<Phase>,
     hardware: Option<Hardware>,
+    guard: Option<(SafetyCounts, Option<Trigger>)>,
     /// Time at which the reason of its fault was last sent; `None` if never.
     reason_sent: Option<Time>,
 }
@@ -108,6 +118,8 @@ pub struct Status {
     due: Option<Time>,
     /// Telemetry by index in `robots`.
     telemetry: Vec<RobotTelemetry>,
+    /// Time of the newest message of each robot for agents.
+    latents: BTreeMap<RobotId, Time>,
     /// Time until which an observer counts as present.
     observed_until: Option<Time>,
     /// Time of the next telemetry message, and its first robot.
@@ -132,6 +144,7 @@ impl Status {
             waits: false,
             sent_at: None,
             due: None,
+            latents: BTreeMap::new(),
             observed_until: None,
             next_telemetry: Time::ZERO,
             next_robot: 0,
@@ -153,17 +166,24 @@ impl Status {
         let places = (0..count.min(ROBOTS_PER_MESSAGE)).map(move |nth| (first + nth) % count);
         let explained = self.explain(now, places.clone());
         let condition = |place: usize| {
-            let RobotTelemetry { seen, phase, ref hardware, .. } = self.telemetry[place];
-            let hardware = hardware.as_ref();
+            let RobotTelemetry { seen, phase, ref hardware, guard, .. } = self.telemetry[place];
+            let (robot, hardware) = (self.robots[place], hardware.as_ref());
+            let (decides, (counts, last)) = (self.controllers.contains_key(&robot), guard.unwrap_or_default());
             let age_ms = |at: Time| u32::try_from(now.since(at).as_nanos() / 1_000_000).unwrap_or(u32::MAX);
             Condition {
-                robot: self.robots[place],
+                robot,
                 phase,
                 seen: seen.map(|(at, pose)| Seen { pose, age_ms: age_ms(at) }),
                 health: hardware.map(|hardware| hardware.health),
                 battery: hardware.and_then(|hardware| hardware.battery),
                 temperature: hardware.and_then(|hardware| hardware.temperature),
                 reason: hardware.filter(|_| explained == Some(place)).and_then(|hardware| hardware.reason.clone()),
+                guard: decides.then(|| GuardReport {
+                    acted: u16::try_from(counts.total()).unwrap_or(u16::MAX),
+                    late_ticks: u16::try_from(counts.late_tick).unwrap_or(u16::MAX),
+                    last,
+                }),
+                link_age_ms: self.link_age_ms(now, robot).filter(|_| decides),
             }
         };
         let robots: Vec<Condition> = places.map(condition).collect();
@@ -173,6 +193,13 @@ impl Status {
         self.next_robot = (self.next_robot + ROBOTS_PER_MESSAGE.min(count)) % count.max(1);
         let period = TELEMETRY_PERIODS[usize::from(count > 1)];
         self.next_telemetry = if explained.is_some() { now + period + period } else { now + period };
+    }
+
+    /// Returns the largest age of the newest messages from other robots than `robot` \[ms\]; `None` if none is recent.
+    fn link_age_ms(&self, now: Time, robot: RobotId) -> Option<u16> {
+        let ages = self.latents.iter().filter(|(from, _)| **from != robot).map(|(_, at)| now.since(*at));
+        let oldest = ages.filter(|age| *age < LINK_TIMEOUT).max()?;
+        u16::try_from(oldest.as_nanos() / 1_000_000).ok()
     }
 
     /// Returns the robot at `places` whose fault reason is sent in this message: the one that has waited longest.
@@ -241,6 +268,13 @@ impl Core for Status {
             In::Seen(robot, pose) => self.update(robot, |telemetry| telemetry.seen = Some((now, pose))),
             In::Phase(robot, phase) => self.update(robot, |telemetry| telemetry.phase = Some(phase)),
             In::Condition(robot, hardware) => self.update(robot, |telemetry| telemetry.hardware = Some(hardware)),
+            In::Guard(robot, counts) => self.update(robot, |telemetry| {
+                let (before, last) = telemetry.guard.unwrap_or_default();
+                telemetry.guard = Some((counts, counts.begun_since(&before).last().or(last)));
+            }),
+            In::Latent(robot) => {
+                self.latents.insert(robot, now);
+            }
             In::Observe => {
                 if self.observed_until.is_none() {
                     self.next_telemetry = now.max(self.next_telemetry);
@@ -307,6 +341,13 @@ mod tests {
         let faulty = Hardware { battery: Some(12), ..Hardware::of(Health::Faulty) };
         handle(&mut status, 900, In::Condition(RobotId(2), faulty));
         handle(&mut status, 900, In::Seen(RobotId(9), pose(1.0)));
+        (0..2).for_each(|robot| handle(&mut status, 900, In::Controller(RobotId(robot), Latch::default())));
+        let counts = SafetyCounts { late_tick: 60_000, stop: 9000, ..SafetyCounts::default() };
+        handle(&mut status, 900, In::Guard(RobotId(1), counts));
+        handle(&mut status, 900, In::Guard(RobotId(1), SafetyCounts { fence: 1, ..counts }));
+        for (ms, robot) in [(600, 7), (700, 0), (900, 1)] {
+            handle(&mut status, ms, In::Latent(RobotId(robot)));
+        }
         assert_eq!(status.wake_at(), None, "there is no observer");
         handle(&mut status, 1000, In::Observe);
         let mut told = Vec::new();
@@ -320,13 +361,18 @@ mod tests {
         let order: Vec<u16> = told.iter().take(3).flat_map(|(_, robots)| robots.iter().map(|r| r.robot.0)).collect();
         assert_eq!(order, [0, 1, 2, 0, 1, 2]);
         let (last, _) = told.last().unwrap();
-        assert_eq!((told[0].0, told[1].0, *last), (at_ms(1000), at_ms(1300), at_ms(3700)));
+        assert_eq!((told[0].0, told[1].0, *last), (at_ms(1000), at_ms(1330), at_ms(3640)));
         let header = Header { flags: Flags(0), team: 7, sender: HostId(4), incarnation: u32::MAX, sequence: u32::MAX };
         let message = Wire::Telemetry(Telemetry { host: HostId(4), robots: told[0].1.clone() });
         let bytes = codec::encode(&header, &message).unwrap().len() + codec::TAG_BYTES;
-        assert!(bytes * 10 / 3 < 330, "{bytes} bytes a telling");
+        assert!(bytes * 100 / 33 < 330, "{bytes} bytes a message");
         let one = &told[0].1[1];
         assert_eq!((one.phase, one.seen), (Some(Phase::Running), Some(Seen { pose: pose(7.0), age_ms: 100 })));
+        let acted = GuardReport { acted: u16::MAX, late_ticks: 60_000, last: Some(Trigger::Fence) };
+        assert_eq!((one.guard, one.link_age_ms), (Some(acted), Some(400)), "not its own message");
+        assert_eq!((told[1].1[0].guard, told[1].1[0].link_age_ms), (None, None), "its agent runs elsewhere");
+        let later = told.iter().find(|(due, _)| *due > at_ms(2400)).map(|(_, robots)| robots[0].link_age_ms);
+        assert_eq!(later, Some(None), "nobody was heard for a while");
         let unknown = &told[0].1[0];
         assert_eq!((unknown.phase, unknown.seen, unknown.health), (None, None, None), "unknown values stay unknown");
         assert_eq!((told[1].1[0].health, told[1].1[0].battery), (Some(Health::Faulty), Some(12)));
@@ -342,11 +388,15 @@ mod tests {
                 let hardware = Hardware { temperature: wire::Celsius::of(99.0), ..hardware };
                 handle(&mut status, 0, In::Condition(RobotId(robot), hardware));
                 handle(&mut status, 0, In::Seen(RobotId(robot), Pose { heading: Some(1.0), ..Pose::default() }));
+                handle(&mut status, 0, In::Controller(RobotId(robot), Latch::default()));
+                let counts = SafetyCounts { late_tick: 70_000, stop: 70_000, ..SafetyCounts::default() };
+                handle(&mut status, 0, In::Guard(RobotId(robot), counts));
             }
             let header = Header { flags: Flags(0), team: 7, sender: HostId(4), incarnation: 1, sequence: u32::MAX };
             let (mut bytes, mut reasons) = (0, std::collections::BTreeMap::new());
             for second in 0..10 {
                 handle(&mut status, 1000 * second, In::Observe);
+                handle(&mut status, 1000 * second, In::Latent(RobotId(9)));
                 while let Some(due) = status.wake_at().filter(|due| *due < at_ms(1000 * second + 1000)) {
                     let mut out = Vec::new();
                     status.wake(due, &mut out);

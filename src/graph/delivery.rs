@@ -71,7 +71,7 @@ pub(super) fn deliveries(
         world: simulated.first().map(|robot| graph.worlds[robot.index()].clone()),
         status: graph.status_of(host),
     };
-    // Readings are many, so the Status gets them only after an observer's first message.
+    // Readings and latents are many, so the Status gets them only after an observer's first message.
     let observed = Cell::new(false);
     move |message| match message {
         Wire::Reading(m) => {
@@ -91,6 +91,9 @@ pub(super) fn deliveries(
         Wire::MotorCommand(m) => by_robot.1[m.robot.index()].send(body::In::MotorCommand(m)),
         Wire::Heartbeat(m) => by_robot.2.send(state_server::In::Heartbeat(m)),
         Wire::Latent(m) => {
+            if observed.get() && !decided.is_empty() {
+                team.status.send(status::In::Latent(m.robot));
+            }
             for (_, caches) in caches.iter().filter(|(robots, _)| robots.binary_search(&m.robot).is_err()) {
                 caches.iter().for_each(|cache| cache.send(cache::In::Latent(m.clone())));
             }

@@ -266,6 +266,7 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, cha
         }
         controller::Out::Follows(latch) => status.send(status::In::Controller(robot, latch)),
         controller::Out::Counts(counts) => {
+            status.send(status::In::Guard(robot, counts));
             report(host, ProcessEvent::Safety(robot, counts));
             record(recorder::In::Safety(robot, counts));
         }

@@ -16,4 +16,5 @@ pub mod phase;
 pub mod round;
 pub mod status;
 pub mod telemetry;
+pub mod trigger;
 pub mod wire;

@@ -6,6 +6,7 @@ use super::geometry::Pose;
 use super::hardware::{Celsius, Health, Reason};
 use super::ids::{HostId, RobotId};
 use super::phase::Phase;
+use super::trigger::Trigger;
 
 /// Request of an observer (a process that watches the team) for telemetry, sent to every host once a second. The
 /// request has no other effect.
@@ -22,6 +23,17 @@ pub struct Seen {
     pub pose: Pose,
     /// Time since the measurement arrived at the reporting host \[ms\].
     pub age_ms: u32,
+}
+
+/// What a robot's guard has done since its Controller was started.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct GuardReport {
+    /// Number of times that the guard has begun to stop or slow the robot; 65 535 or more is 65 535.
+    pub acted: u16,
+    /// Number of times that control ticks began to be late or missing; 65 535 or more is 65 535.
+    pub late_ticks: u16,
+    /// Trigger for which the guard has acted last; `None` if it has never acted.
+    pub last: Option<Trigger>,
 }
 
 /// Condition of one robot, as far as one host knows it. A field is `None` if the host does not know the value.
@@ -44,6 +56,13 @@ pub struct Condition {
     /// Reason of a hardware fault that lasts, from the host that drives the robot's motors. Each message gives at most
     /// one robot's reason, about once a second; otherwise the field is `None`.
     pub reason: Option<Reason>,
+    /// Actions of the robot's guard, from the host that runs the robot's agent; `None` from other hosts.
+    #[serde(default)]
+    pub guard: Option<GuardReport>,
+    /// Largest of the ages of the newest messages from other robots \[ms\], from the host that runs the robot's agent.
+    /// Robots that were not heard for 1.5 s do not count; `None` if no robot was heard since.
+    #[serde(default)]
+    pub link_age_ms: Option<u16>,
 }
 
 /// Conditions of some robots of one host. A host broadcasts them while an observer (a process that watches the team)
@@ -56,5 +75,5 @@ pub struct Telemetry {
     pub robots: Vec<Condition>,
 }
 
-/// Largest number of robots in one [`Telemetry`] message: 32 x 31 bytes and one reason fit into one datagram.
-pub const MAX_CONDITIONS: usize = 32;
+/// Largest number of robots in one [`Telemetry`] message: 24 x 41 bytes and one reason fit into one datagram.
+pub const MAX_CONDITIONS: usize = 24;

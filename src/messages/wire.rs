@@ -17,7 +17,7 @@ pub use super::phase::Phase;
 use super::round::MAX_TERM;
 pub use super::round::Round;
 pub use super::status::{Following, Hindrance, Leading, MAX_HINDRANCES, Status};
-pub use super::telemetry::{Condition, MAX_CONDITIONS, Observe, Seen, Telemetry};
+pub use super::telemetry::{Condition, GuardReport, MAX_CONDITIONS, Observe, Seen, Telemetry};
 use crate::time::Span;
 
 /// Largest absolute value of a number in the features that a policy sends. A policy that exceeds it counts as diverged.

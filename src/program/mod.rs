@@ -182,6 +182,8 @@ fn log(wanted: &str, notes: bool) -> Result<(), String> {
     } else {
         // A single filter for all is the cheapest.
         let lines = tracing_subscriber::fmt::layer().with_writer(|| output::LogLines).with_ansi(coloured);
+        #[cfg(feature = "record")]
+        let registry = registry.with(recording::log::Lines);
         registry.with(targets).with(lines).init();
     }
     Ok(())

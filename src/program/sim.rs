@@ -38,7 +38,7 @@ use crate::program::picture;
 use crate::program::picture::Pictures;
 use crate::program::policy;
 use crate::program::progress::{progress, watched};
-use crate::program::recording;
+use crate::program::recording::{RecordFlags, Recorded, Simulated};
 #[cfg(feature = "watch")]
 use crate::program::watch;
 use crate::program::whole_file::WholeFile;
@@ -155,7 +155,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE.csv")]
     trajectories: Option<PathBuf>,
     #[command(flatten)]
-    record: recording::RecordFlags,
+    record: RecordFlags,
     #[command(flatten)]
     drive: drive::DriveFlags,
     #[command(flatten)]
@@ -262,13 +262,13 @@ fn run_all(
     (trial, _policy): (&Trial, &str),
     pictures: &Pictures,
     stop: &AtomicBool,
-    records: Option<&recording::Simulated>,
+    records: Option<&Simulated>,
 ) -> Result<Vec<TrialReport>> {
     #[cfg(feature = "watch")]
     if args.page.is_on() {
         let trial = Trial { steps: pictures.steps(0, trial.steps), ..trial.clone() };
         let report = watch::trial::run(&trial, _policy, &args.page, stop, records)?;
-        return records.map_or(Ok(()), recording::Simulated::finish).map(|()| vec![report]);
+        return records.map_or(Ok(()), Simulated::finish).map(|()| vec![report]);
     }
     let bar = progress(u64::from(args.episodes) * u64::from(args.repeats()), args.quiet);
     let repeats = args.repeats() as usize;
@@ -277,24 +277,25 @@ fn run_all(
         let steps = pictures.steps(repeat, trial.steps);
         let trial = Trial { repeat, steps, ..trial.clone() };
         match records {
-            Some(records) => records.run(&trial, watched(&bar, stop)),
+            Some(records) => records.run((&Recorded::repeat(&trial), &trial), watched(&bar, stop)),
             None => trial.run_while(watched(&bar, stop)),
         }
     };
     let reports = jobs::run(repeats, jobs::threads(args.jobs, repeats), stop, work);
     bar.finish_and_clear();
-    records.map_or(Ok(()), recording::Simulated::finish)?;
+    records.map_or(Ok(()), Simulated::finish)?;
     Ok(reports.into_iter().map(|(_, report)| report).collect())
 }
 
 /// Prepares the records of the repeats; `None` if nothing is recorded.
-fn records(args: &Args, trials: &[(Trial, String)]) -> Result<Option<recording::Simulated>> {
+fn records(args: &Args, trials: &[(Trial, String)]) -> Result<Option<Simulated>> {
     let [(trial, _), ..] = trials else { return Ok(None) };
+    let repeats = (0..args.repeats()).map(|repeat| Recorded::repeat(&Trial { repeat, ..trial.clone() }).name);
     let named =
         [&args.deployment, &args.episodes_file, &args.conditions].into_iter().flatten().chain(&args.policy).cloned();
     let texts = args.faults.iter().chain([&args.radio]).map(PathBuf::from);
     let files = named.chain(texts).collect();
-    recording::Simulated::open(&args.record, files, trial.model.digest(), args.repeats())
+    Simulated::open(&args.record, files, repeats)
 }
 
 /// Returns the trial of a record, from the arguments of the command that made it.

@@ -106,8 +106,13 @@ impl TeamArgs {
 
     /// Joins the team as an operator, a host without robots. Only the link that carries the emergency stop is opened.
     pub fn operator(&self, file: &TeamFile) -> Result<Operator> {
+        self.operator_as(file, ProcessIdentity::draw()?)
+    }
+
+    /// Joins the team as the operator with this identity. Only the link that carries the emergency stop is opened.
+    pub fn operator_as(&self, file: &TeamFile, identity: ProcessIdentity) -> Result<Operator> {
         let access = file.operator_access().map_err(|error| self.wrong(&error))?;
-        let (deployment, identity) = (file.deployment(), ProcessIdentity::draw()?);
+        let deployment = file.deployment();
         let key = key_of(access.key_file.as_deref())?.map(Key::new);
         let me = identity.operator_of(access.number);
         let link = &deployment.links[usize::from(access.link.0)];

@@ -16,17 +16,17 @@ use crate::time::Time;
 #[derive(clap::Args, Clone, Default)]
 pub struct RecordFlags {}
 
-/// Replacement for the recording of a host; has no values.
-pub enum OfHost {}
+/// Replacement for the recording of a process in real time; has no values.
+pub enum LiveRecord {}
 
-impl OfHost {
+impl LiveRecord {
     /// Fails if the team file has the field `record`; otherwise returns `None`.
-    pub fn open(
+    pub fn of_host(
         _: &RecordFlags,
         (team, _): (&Team, &LiveHost),
         _: (Instant, bool),
         _: (Vec<PathBuf>, &str),
-    ) -> Result<Option<OfHost>> {
+    ) -> Result<Option<LiveRecord>> {
         match &team.record {
             None => Ok(None),
             Some(_) => {

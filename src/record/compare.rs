@@ -5,7 +5,7 @@ use std::fmt;
 use super::Event;
 use super::reader::{Message, Messages, ReadError};
 use super::tape;
-use super::topics::{Topic, Topics};
+use super::topics::{PROGRAM, Topic, Topics};
 use crate::messages::wire::Wire;
 use crate::net::protocol::codec;
 
@@ -97,7 +97,7 @@ impl Comparison {
                 return;
             }
             let at_s = (at - anchor_ns) as f64 / 1e9;
-            match recorded.next_message() {
+            match next(recorded) {
                 Ok(Some(mut message)) => {
                     if tagless && topic == Topic::Turn && message.data.len() >= 16 && data.len() >= 16 {
                         message.data[8..16].copy_from_slice(&data[8..16]);
@@ -147,7 +147,7 @@ impl Comparison {
         if self.difference.is_none()
             && !self.cut
             && self.gap_s.is_none()
-            && let Some(message) = self.recorded.next_message()?
+            && let Some(message) = next(&mut self.recorded)?
         {
             let at_s = message.at.saturating_sub(self.anchor_ns) as f64 / 1e9;
             self.difference = Some(Difference {
@@ -160,6 +160,16 @@ impl Comparison {
         self.cut |= self.difference.is_none() && !self.recorded.is_complete();
         let Comparison { messages, difference, cut, gap_s, .. } = self;
         Ok(Compared { messages, difference, cut, gap_s })
+    }
+}
+
+/// Returns the next message that a replay repeats; `None` at the end of the record.
+fn next(recorded: &mut Messages) -> Result<Option<Message>, ReadError> {
+    loop {
+        match recorded.next_message()? {
+            Some(message) if message.channel.topic == PROGRAM => {}
+            other => return Ok(other),
+        }
     }
 }
 

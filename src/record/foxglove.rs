@@ -131,12 +131,16 @@ pub const ENUMS: &[EnumType] = &[
 ];
 
 /// Severity of a log message, with Foxglove's numbers.
-#[derive(Clone, Copy)]
-pub enum Level {
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Severity {
+    /// Detail for people who look for a cause.
+    Debug = 1,
     /// Normal event.
     Info = 2,
     /// Event that needs attention.
     Warning = 3,
+    /// Event that has ended or prevented something.
+    Error = 4,
 }
 
 /// Writes a time \[ns\] since 1970, or a duration \[ns\], as field `field`.
@@ -193,7 +197,7 @@ pub fn entity(update: &mut Message, at: u64, id: &str, write: impl FnOnce(&mut M
 }
 
 /// Writes a log message.
-pub fn log(out: &mut Message, at: u64, level: Level, name: &str, text: &str) {
+pub fn log(out: &mut Message, at: u64, level: Severity, name: &str, text: &str) {
     time(out, 1, at);
     out.uint(2, level as u64);
     out.text(3, text);

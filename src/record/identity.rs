@@ -35,12 +35,27 @@ pub struct Identity {
     pub repeat: u32,
     /// The recorded host; `None` in a record of a simulation.
     pub host: Option<HostIdentity>,
+    /// Column and policy of the trial, in a record of a study.
+    #[serde(default)]
+    pub job: Option<StudyJob>,
+    /// Whether an operator has recorded what it received. Nothing of such a record can be run again.
+    #[serde(default)]
+    pub operator: bool,
     /// Number of this file among those of its record, from 0.
     #[serde(default)]
     pub part: u32,
     /// Whether the record has only the seconds around what happened, and so cannot be replayed.
     #[serde(default)]
     pub excerpt: bool,
+}
+
+/// Place of a trial in its study.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StudyJob {
+    /// Index of the column.
+    pub column: usize,
+    /// Index of the policy under test.
+    pub policy: usize,
 }
 
 /// Identity of a recorded host process.
@@ -78,9 +93,16 @@ impl Identity {
             policy: policy.to_owned(),
             repeat: 0,
             host: None,
+            job: None,
+            operator: false,
             part: 0,
             excerpt: false,
         }
+    }
+
+    /// Whether the record is that of a simulation, which can be run again from its seed.
+    pub fn is_of_simulation(&self) -> bool {
+        self.host.is_none() && !self.operator
     }
 
     /// Returns the identity as metadata: each field as JSON, strings without quotes.

@@ -27,6 +27,7 @@ pub mod tape;
 pub mod topics;
 pub mod writer;
 
+pub use self::foxglove::Severity;
 use crate::actors::recorder;
 use crate::graph::inputs::Input;
 use crate::graph::process::ProcessEvent;
@@ -65,12 +66,25 @@ pub enum Event {
     Counts(HostId, Box<LinkCounts>),
     /// State of the other hosts as the link layer of a host sees them.
     Peers(HostId, Vec<Peer>),
+    /// Line that the program has logged. Only in records in real time.
+    Logged(Logged),
     /// Request to keep the last seconds, in a record that keeps events only around such requests.
     Keep,
     /// Number of events before this one that were dropped because the queue was full.
     Dropped(u64),
     /// End of a turn of the event loop, at this time.
     Turn(Time),
+}
+
+/// Line that the program has logged.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Logged {
+    /// Severity of the line.
+    pub severity: Severity,
+    /// Actor or thread that has logged it.
+    pub from: String,
+    /// Text of the line.
+    pub text: String,
 }
 
 /// Kind of run that is recorded; it determines which events are stored.
@@ -80,12 +94,22 @@ pub enum Scope {
     Host,
     /// A simulation of the whole team: a replay repeats it from its seed, so inputs are not stored.
     Simulation,
+    /// An operator, which has no robots: the messages that it receives.
+    Operator,
 }
 
 impl Event {
     /// Converts an event of a process; `None` if records of this scope do not store it.
     pub fn of(scope: Scope, host: HostId, event: ProcessEvent) -> Option<Event> {
         let of_host = scope == Scope::Host;
+        if scope == Scope::Operator {
+            return match event {
+                ProcessEvent::Message(message) => Some(Event::Delivered(message.clone())),
+                ProcessEvent::Peers(peers) => Some(Event::Peers(host, peers.to_vec())),
+                ProcessEvent::Counts(counts) => Some(Event::Counts(host, Box::new(*counts))),
+                _ => None,
+            };
+        }
         Some(match event {
             ProcessEvent::Published(frame) => Event::Published(host, Frame::clone(frame)),
             ProcessEvent::Sent(link, frame) if of_host => Event::Sent(link, Frame::clone(frame)),

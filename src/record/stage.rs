@@ -5,9 +5,10 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::deploy::Routes;
+use crate::deploy::{Deployment, Routes};
 use crate::graph::Plan;
 use crate::messages::ids::{HostId, RobotId};
+use crate::scenario::Scenario;
 use crate::scenario::arena::KeepOut;
 
 /// Name of the stage's metadata in a record.
@@ -41,22 +42,28 @@ pub struct Stage {
 impl Stage {
     /// Returns the stage of a run with this plan.
     pub fn of(plan: &Plan) -> Stage {
-        let (deployment, arena) = (&plan.deployment, plan.scenario.arena());
+        Stage::of_team((&plan.deployment, &*plan.scenario), plan.physics.wall_radius_m, plan.range.mean_m)
+    }
+
+    /// Returns the stage of a team. `hull_m` is the radius of a robot's hull \[m\], and `range_m` the range within which
+    /// robots use each other's messages \[m\], infinite if it is unlimited or unknown.
+    pub fn of_team((deployment, scenario): (&Deployment, &dyn Scenario), hull_m: f32, range_m: f32) -> Stage {
+        let arena = scenario.arena();
         let routes = Routes::of(deployment);
         let wall = |block: &KeepOut| {
             let ([x, y], [far_x, far_y]) = (block.min.to_array(), block.max.to_array());
             [x, y, far_x, far_y]
         };
         Stage {
-            scenario: plan.scenario.name().to_owned(),
+            scenario: scenario.name().to_owned(),
             mode: deployment.mode.clone(),
             hosts: deployment.hosts.iter().map(|host| host.name.clone()).collect(),
             homes: RobotId::team(deployment.robots).map(|robot| routes.agent_host(robot)).collect(),
             robots: deployment.robots,
             half_extent: arena.half_extent.to_array(),
             walls: arena.keep_outs.iter().map(wall).collect(),
-            hull_m: plan.physics.wall_radius_m,
-            range_m: Some(plan.range.mean_m).filter(|range_m| range_m.is_finite()),
+            hull_m,
+            range_m: Some(range_m).filter(|range_m| range_m.is_finite()),
         }
     }
 

@@ -7,11 +7,11 @@ use serde::Serialize;
 use serde_json::json;
 
 pub use super::drawing::Body;
-use super::foxglove::{self, Level};
+use super::foxglove::{self, Severity};
 use super::protobuf::{self, Message};
 pub use super::stage::Stage;
 use super::tape::{self, SentDigest};
-use super::{Event, Scope, drawing, schemas};
+use super::{Event, Logged, Scope, drawing, schemas};
 use crate::messages::geometry::Vec2;
 use crate::messages::hardware::{Celsius, Hardware, Health, Reason};
 use crate::messages::ids::{HostId, RobotId};
@@ -19,7 +19,7 @@ use crate::messages::local::Truth;
 use crate::messages::phase::Phase;
 use crate::messages::round::Round;
 use crate::messages::wire::{Kind, Mode, Wire};
-use crate::net::protocol::codec::{self, Content};
+use crate::net::protocol::codec::{self, Content, Flags, Header};
 use crate::report::episode::Episode;
 use crate::safety::guard::SafetyCounts;
 use crate::time::{Span, Time};
@@ -30,6 +30,11 @@ const DRAWING_PERIOD: Span = Span::from_millis(50);
 const POSE_PERIOD: Span = Span::from_millis(20);
 /// Period with which walls and goals are drawn again, for viewers that start in the middle of a record.
 const STANDING_PERIOD: Span = Span::from_millis(5000);
+
+/// Name of the topic with the lines that the program has logged.
+pub const PROGRAM: &str = "/log/program";
+/// Name of the topic with the messages that an operator has received.
+pub const RECEIVED: &str = "/received";
 
 /// Topic of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -50,6 +55,10 @@ pub enum Topic {
     Pose(RobotId),
     /// Log: phases, verdicts and stops as text.
     Log,
+    /// Lines that the program has logged. A replay does not repeat them.
+    Program,
+    /// Messages that an operator has received, as datagrams of the operator.
+    Received,
     /// Phases and results of episodes.
     Episode,
     /// State of the host's links to other hosts.
@@ -84,6 +93,8 @@ impl Topic {
             Topic::Transforms => "/tf".to_owned(),
             Topic::Pose(robot) => format!("/robot/{}/pose", robot.0),
             Topic::Log => "/log".to_owned(),
+            Topic::Program => PROGRAM.to_owned(),
+            Topic::Received => RECEIVED.to_owned(),
             Topic::Episode => "/episode".to_owned(),
             Topic::Links => "/links".to_owned(),
             Topic::Guard => "/guard".to_owned(),
@@ -96,7 +107,7 @@ impl Topic {
     pub fn encoding(self) -> &'static str {
         match self {
             Topic::Turn => "murmurate-turn-1",
-            Topic::Wire(_) => "murmurate-datagram",
+            Topic::Wire(_) | Topic::Received => "murmurate-datagram",
             Topic::Episode | Topic::Links | Topic::Guard | Topic::Counts | Topic::Hardware => "json",
             _ => "protobuf",
         }
@@ -115,7 +126,7 @@ impl Topic {
             data: text.as_bytes().to_vec(),
         };
         Some(match self {
-            Topic::Turn | Topic::Wire(_) => return None,
+            Topic::Turn | Topic::Wire(_) | Topic::Received => return None,
             Topic::Truth => Schema {
                 name: "murmurate.Truth".to_owned(),
                 encoding: "protobuf",
@@ -125,7 +136,7 @@ impl Topic {
             Topic::Robots => foxglove("PointCloud"),
             Topic::Transforms => foxglove("FrameTransforms"),
             Topic::Pose(_) => foxglove("PoseInFrame"),
-            Topic::Log => foxglove("Log"),
+            Topic::Log | Topic::Program => foxglove("Log"),
             Topic::Episode => json("Episode", schemas::EPISODE),
             Topic::Links => json("Links", schemas::LINKS),
             Topic::Guard => json("Guard", schemas::GUARD),
@@ -146,6 +157,8 @@ pub struct Topics {
     anchor_ns: u64,
     sent: SentDigest,
     turn: Vec<u8>,
+    /// Number of messages that an operator has received.
+    received: u32,
     team: Vec<Option<Body>>,
     /// Whether `team` holds true states and not reported ones.
     true_states: bool,
@@ -171,6 +184,7 @@ impl Topics {
             anchor_ns,
             sent: SentDigest::default(),
             turn: Vec::new(),
+            received: 0,
             true_states: false,
             moved: false,
             drawn: None,
@@ -239,7 +253,17 @@ impl Topics {
                     self.hear(now, at, &message, take);
                 }
             }
-            Event::Delivered(message) => self.hear(now, at, message, take),
+            Event::Delivered(message) => {
+                if self.scope == Scope::Operator {
+                    self.received(at, message, take);
+                }
+                self.hear(now, at, message, take);
+            }
+            Event::Logged(Logged { severity, from, text }) => {
+                let mut out = Message::default();
+                foxglove::log(&mut out, at, *severity, from, text);
+                take(Topic::Program, at, &out.0);
+            }
             Event::Truth(truth) => self.truth(at, truth, take),
             Event::Episode(episode) => self.episode(at, episode, take),
             Event::Guard(robot, counts) => self.guard(at, *robot, *counts, take),
@@ -254,14 +278,32 @@ impl Topics {
             }
             Event::Dropped(count) => {
                 json_to(Topic::Counts, at, &json!({ "host": "", "recording_dropped": count }), take);
-                self.say(at, Level::Warning, "record", &format!("{count} events were dropped before this one"), take);
+                self.say(
+                    at,
+                    Severity::Warning,
+                    "record",
+                    &format!("{count} events were dropped before this one"),
+                    take,
+                );
             }
             Event::Sent(..) | Event::Input(_) | Event::Keep | Event::Turn(_) => {}
         }
     }
 
+    /// Returns the name of a host; that of an operator, which is outside the deployment, is `operator`.
     fn host(&self, host: HostId) -> &str {
-        &self.stage.hosts[usize::from(host.0)]
+        self.stage.hosts.get(usize::from(host.0)).map_or("operator", |name| name)
+    }
+
+    /// Records a message that an operator has received.
+    fn received(&mut self, at: u64, message: &Wire, take: Take) {
+        let sequence = self.received;
+        self.received = sequence.wrapping_add(1);
+        let header = Header { flags: Flags(0), team: 0, sender: HostId::operator(0), incarnation: 0, sequence };
+        // Every message that was received fits into a datagram.
+        if let Ok(frame) = codec::encode(&header, message) {
+            take(Topic::Received, at, &frame);
+        }
     }
 
     fn hear(&mut self, now: Time, at: u64, message: &Wire, take: Take) {
@@ -283,6 +325,14 @@ impl Topics {
                     let mut out = Message::default();
                     drawing::pose(&mut out, at, body);
                     take(Topic::Pose(latent.robot), at, &out.0);
+                }
+            }
+            Wire::Telemetry(telemetry) => {
+                for condition in &telemetry.robots {
+                    if let Some(seen) = condition.seen {
+                        let body = Body { position: seen.pose.position, heading: seen.pose.heading };
+                        self.place(condition.robot, body);
+                    }
                 }
             }
             _ => {}
@@ -339,12 +389,12 @@ impl Topics {
         let (episode, phase) = (mode.round.episode, name_of(mode.phase));
         let said = json!({ "repeat": mode.repeat, "episode": episode, "phase": phase });
         json_to(Topic::Episode, at, &said, take);
-        self.say(at, Level::Info, "state server", &format!("episode {episode}: {phase}"), take);
+        self.say(at, Severity::Info, "state server", &format!("episode {episode}: {phase}"), take);
     }
 
     fn episode(&self, at: u64, episode: &Episode, take: Take) {
         json_to(Topic::Episode, at, episode, take);
-        self.say(at, Level::Info, "judge", &format!("episode {}: {}", episode.episode, episode.in_words()), take);
+        self.say(at, Severity::Info, "judge", &format!("episode {}: {}", episode.episode, episode.in_words()), take);
     }
 
     fn guard(&mut self, at: u64, robot: RobotId, counts: SafetyCounts, take: Take) {
@@ -356,11 +406,11 @@ impl Topics {
         said["robot"] = robot.0.into();
         json_to(Topic::Guard, at, &said, take);
         for reason in counts.begun_since(&before) {
-            self.say(at, Level::Warning, &format!("guard of robot {}", robot.0), reason, take);
+            self.say(at, Severity::Warning, &format!("guard of robot {}", robot.0), reason.name(), take);
         }
     }
 
-    fn say(&self, at: u64, level: Level, name: &str, text: &str, take: Take) {
+    fn say(&self, at: u64, level: Severity, name: &str, text: &str, take: Take) {
         let mut out = Message::default();
         foxglove::log(&mut out, at, level, name, text);
         take(Topic::Log, at, &out.0);

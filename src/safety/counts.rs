@@ -4,6 +4,8 @@ use std::iter::Sum;
 
 use serde::{Deserialize, Serialize};
 
+use crate::messages::trigger::Trigger;
+
 /// Number of activations of each safety trigger, for one robot or summed over robots.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
@@ -29,27 +31,51 @@ pub struct SafetyCounts {
 }
 
 impl SafetyCounts {
-    /// Returns the counts above zero, each with a short name of its trigger for reports.
+    /// Returns the count of a trigger.
+    pub fn of(&self, trigger: Trigger) -> u64 {
+        match trigger {
+            Trigger::Stop => self.stop,
+            Trigger::Silence => self.silence,
+            Trigger::Output => self.output,
+            Trigger::LateTick => self.late_tick,
+            Trigger::OwnState => self.own_state,
+            Trigger::Hardware => self.hardware,
+            Trigger::Outside => self.outside,
+            Trigger::Fence => self.fence,
+            Trigger::Distance => self.distance,
+        }
+    }
+
+    /// Returns the count of a trigger, to change it.
+    pub fn of_mut(&mut self, trigger: Trigger) -> &mut u64 {
+        match trigger {
+            Trigger::Stop => &mut self.stop,
+            Trigger::Silence => &mut self.silence,
+            Trigger::Output => &mut self.output,
+            Trigger::LateTick => &mut self.late_tick,
+            Trigger::OwnState => &mut self.own_state,
+            Trigger::Hardware => &mut self.hardware,
+            Trigger::Outside => &mut self.outside,
+            Trigger::Fence => &mut self.fence,
+            Trigger::Distance => &mut self.distance,
+        }
+    }
+
+    /// Returns the sum of the counts of all triggers.
+    pub fn total(&self) -> u64 {
+        Trigger::ALL.into_iter().map(|trigger| self.of(trigger)).sum()
+    }
+
+    /// Returns the counts above zero, each with the short name of its trigger for reports.
     pub fn reasons(&self) -> impl Iterator<Item = (u64, &'static str)> {
-        let all = [
-            (self.stop, "emergency stops"),
-            (self.silence, "server silent"),
-            (self.output, "invalid outputs"),
-            (self.late_tick, "late ticks"),
-            (self.own_state, "own state too old"),
-            (self.hardware, "battery or temperature"),
-            (self.outside, "far outside"),
-            (self.fence, "geofence"),
-            (self.distance, "minimum distance"),
-        ];
+        let all = Trigger::ALL.map(|trigger| (self.of(trigger), trigger.name()));
         all.into_iter().filter(|(times, _)| *times > 0)
     }
 
-    /// Returns the short names of the triggers that have acted since `before`, earlier counts of the same guard.
-    pub fn begun_since(&self, before: &SafetyCounts) -> impl Iterator<Item = &'static str> {
-        let before: Vec<_> = before.reasons().collect();
-        let times = move |name: &str| before.iter().find(|(_, other)| *other == name).map_or(0, |(times, _)| *times);
-        self.reasons().filter(move |(now, name)| *now > times(name)).map(|(_, name)| name)
+    /// Returns the triggers that have acted since `before`, earlier counts of the same guard.
+    pub fn begun_since(&self, before: &SafetyCounts) -> impl Iterator<Item = Trigger> {
+        let (now, before) = (*self, *before);
+        Trigger::ALL.into_iter().filter(move |trigger| now.of(*trigger) > before.of(*trigger))
     }
 }
 

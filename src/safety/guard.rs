@@ -15,39 +15,10 @@ use crate::messages::geometry::{Motion, Vec2, is_finite};
 use crate::messages::ids::RobotId;
 use crate::messages::latch::{Latch, LatchFollower};
 use crate::messages::local::Action;
+pub use crate::messages::trigger::Trigger;
 use crate::messages::wire::Stop;
 use crate::time::{Span, Time};
 use crate::world::Clamp;
-
-/// Condition for which a guard stops or slows its robot.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Trigger {
-    /// The emergency stop is engaged, or the team is held after it. The guard stops the robot until an operator's
-    /// resume and aborts a running episode.
-    Stop,
-    /// The state server, which leads the episodes, is silent. The guard stops the robot until the next message and
-    /// aborts a running episode.
-    Silence,
-    /// The policy's output was not finite. The guard stops the robot until the state server's next instruction and
-    /// aborts a running episode.
-    Output,
-    /// A control tick (periodic step of the policy) is late or missing. The guard stops the robot until a tick is in
-    /// time.
-    LateTick,
-    /// The newest reading of the robot's own state is too old. The guard stops the robot until a new reading has led to
-    /// an action.
-    OwnState,
-    /// Battery or temperature is beyond its limit. The guard stops the robot while that lasts and aborts a running
-    /// episode.
-    Hardware,
-    /// The robot is far outside its ground. The guard stops the robot while that lasts and aborts a running episode.
-    Outside,
-    /// The command would cross the geofence. The guard removes the outward component of the velocity.
-    Fence,
-    /// The command would violate the minimum distance to a neighbour. The guard removes the component of the velocity
-    /// toward it.
-    Distance,
-}
 
 impl Trigger {
     /// Returns the decision while this trigger acts.
@@ -58,21 +29,6 @@ impl Trigger {
             }
             Trigger::LateTick | Trigger::OwnState | Trigger::Fence | Trigger::Distance => Decision::Stop,
         }
-    }
-}
-
-/// Returns the count of a trigger.
-fn count_of(counts: &mut SafetyCounts, trigger: Trigger) -> &mut u64 {
-    match trigger {
-        Trigger::Stop => &mut counts.stop,
-        Trigger::Silence => &mut counts.silence,
-        Trigger::Output => &mut counts.output,
-        Trigger::LateTick => &mut counts.late_tick,
-        Trigger::OwnState => &mut counts.own_state,
-        Trigger::Hardware => &mut counts.hardware,
-        Trigger::Outside => &mut counts.outside,
-        Trigger::Fence => &mut counts.fence,
-        Trigger::Distance => &mut counts.distance,
     }
 }
 
@@ -301,7 +257,7 @@ impl Guard {
             return;
         }
         self.acting.push(trigger);
-        *count_of(&mut self.counts, trigger) += 1;
+        *self.counts.of_mut(trigger) += 1;
         match trigger {
             Trigger::Stop => tracing::error!(number = self.latch().number(), "emergency stop: it holds until a resume"),
             Trigger::Silence => tracing::warn!("the state server has fallen silent; the robot stops"),

@@ -176,8 +176,10 @@ pub struct Status {
     pub verdicts: BTreeMap<String, u32>,
     /// Successful episodes so far; null if this process does not know results.
     pub success: Option<Success>,
-    /// Robots with late control ticks: robot and number of late ticks.
+    /// Number of times that control ticks became late, by robot, where it is known.
     pub late: Vec<(u16, u64)>,
+    /// Age of the oldest link of a robot \[ms\], as its host reports it, where links themselves are not known.
+    pub link: Vec<(u16, u32)>,
     /// Last reason why a robot's guard has stopped or slowed it, by robot.
     pub guard: Vec<(u16, &'static str)>,
     /// Battery charge by robot \[%\], where it is known.

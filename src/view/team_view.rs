@@ -10,6 +10,8 @@ use crate::messages::geometry::{Pose, Vec2};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::{self, Latch};
 use crate::messages::local::Truth;
+use crate::messages::telemetry::GuardReport;
+use crate::messages::trigger::Trigger;
 use crate::messages::wire::{Mode, Phase, Wire};
 use crate::report::episode::Episode;
 use crate::report::statistics::wilson_95;
@@ -37,8 +39,23 @@ struct RobotView {
     controller: Option<Latch>,
     body: Option<Latch>,
     battery: Option<u8>,
+    /// Age of the oldest link, as the robot's host has reported it, and the time of the report.
+    oldest_link: Option<(Time, Span)>,
     safety: SafetyCounts,
-    guard: Option<&'static str>,
+    guard: Option<Trigger>,
+    /// Whether counts of the guard are known.
+    guarded: bool,
+    /// Number of times that the guard has acted, from telemetry.
+    acted: u16,
+}
+
+impl RobotView {
+    /// Returns the age of the robot's oldest link \[ms\] at the time `now`, from a report of its host; `None` without a
+    /// recent one.
+    fn link_age_ms(&self, now: Time) -> Option<u32> {
+        let (at, age) = self.oldest_link.filter(|(at, _)| now.since(*at) < SILENT)?;
+        Some(((age + now.since(at)).as_nanos() / 1_000_000) as u32)
+    }
 }
 
 /// State of a team, built from messages, true states of simulated robots, and results.
@@ -128,7 +145,12 @@ impl TeamView {
                         robot.heard = Some(now);
                         robot.phase = condition.phase.or(robot.phase);
                         robot.battery = condition.battery.or(robot.battery);
+                        let age = condition.link_age_ms.map(|age_ms| Span::from_millis(age_ms.into()));
+                        robot.oldest_link = age.map(|age| (now, age)).or(robot.oldest_link);
                     });
+                    if let Some(report) = condition.guard {
+                        self.reported(now, condition.robot, report);
+                    }
                 }
             }
             Wire::Latent(_) | Wire::MotorCommand(_) | Wire::Stop(_) | Wire::Observe(_) => {}
@@ -198,13 +220,27 @@ impl TeamView {
     /// Updates the counts of a robot's guard, and logs the reasons whose counts have grown.
     pub fn guarded(&mut self, now: Time, id: RobotId, counts: SafetyCounts) {
         let Some(robot) = self.robots.get_mut(id.index()) else { return };
-        let begun: Vec<&'static str> = counts.begun_since(&robot.safety).collect();
-        robot.guard = begun.last().copied().or(robot.guard);
+        let begun: Vec<Trigger> = counts.begun_since(&robot.safety).collect();
+        (robot.guard, robot.guarded) = (begun.last().copied().or(robot.guard), true);
         robot.safety = counts;
-        // An emergency stop of the team is logged once, not for each robot.
-        for name in begun.into_iter().filter(|name| *name != "emergency stops") {
-            self.note(now, &format!("{id}: {name}"));
+        begun.into_iter().for_each(|trigger| self.note_trigger(now, id, trigger));
+    }
+
+    /// Logs that a robot's guard has acted. An emergency stop of the team is logged once, not for each robot.
+    fn note_trigger(&mut self, now: Time, id: RobotId, trigger: Trigger) {
+        if trigger != Trigger::Stop {
+            self.note(now, &format!("{id}: {}", trigger.name()));
         }
+    }
+
+    /// Updates what is known of a robot's guard from telemetry. The triggers between two messages are not known, but
+    /// the last one is.
+    fn reported(&mut self, now: Time, id: RobotId, report: GuardReport) {
+        let Some(robot) = self.robots.get_mut(id.index()) else { return };
+        let news = report.last.filter(|_| robot.guarded && report.acted != robot.acted);
+        (robot.acted, robot.guarded, robot.guard) = (report.acted, true, report.last.or(robot.guard));
+        robot.safety.late_tick = report.late_ticks.into();
+        news.into_iter().for_each(|trigger| self.note_trigger(now, id, trigger));
     }
 
     /// Sets the battery charge \[%\] of a robot.
@@ -333,8 +369,9 @@ impl TeamView {
                 episodes: self.episodes,
                 interval: wilson_95(self.successes, self.episodes),
             }),
-            late: numbered().map(|(at, robot)| (at, robot.safety.late_tick)).filter(|(_, ticks)| *ticks > 0).collect(),
-            guard: numbered().filter_map(|(at, robot)| Some((at, robot.guard?))).collect(),
+            late: numbered().filter(|(_, robot)| robot.guarded).map(|(at, r)| (at, r.safety.late_tick)).collect(),
+            guard: numbered().filter_map(|(at, robot)| Some((at, robot.guard?.name()))).collect(),
+            link: numbered().filter_map(|(at, robot)| Some((at, robot.link_age_ms(now)?))).collect(),
             battery: numbered().filter_map(|(at, robot)| Some((at, robot.battery?))).collect(),
             log: self.log.lines().clone(),
             ..Status::default()

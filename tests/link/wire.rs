@@ -5,10 +5,11 @@ use std::sync::Arc;
 use murmurate::messages::geometry::{Deviation, Motion, Pose, Task, Twist, Vec2};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::latch::Latch;
+use murmurate::messages::trigger::Trigger;
 use murmurate::messages::wire::{
-    Celsius, Condition, Features, Following, Health, Heartbeat, Hindrance, Latent, Leading, MAX_BLOCK, MAX_CONDITIONS,
-    MAX_FEATURES, MAX_HINDRANCES, MAX_VALIDITY, Mode, MotorCommand, Observe, Phase, Reading, Reason, Round, Seen,
-    Status, Stop, Telemetry, Wire,
+    Celsius, Condition, Features, Following, GuardReport, Health, Heartbeat, Hindrance, Latent, Leading, MAX_BLOCK,
+    MAX_CONDITIONS, MAX_FEATURES, MAX_HINDRANCES, MAX_VALIDITY, Mode, MotorCommand, Observe, Phase, Reading, Reason,
+    Round, Seen, Status, Stop, Telemetry, Wire,
 };
 use murmurate::net::protocol::codec::{
     BLOCK_BYTES, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES, MAX_PLAIN_BYTES,
@@ -97,11 +98,15 @@ fn message() -> impl Strategy<Value = Wire> {
     let health = (0u8..3).prop_map(|n| Health::try_from(n).expect("there are three"));
     let temperature = prop::option::of((-40.0f32..215.0).prop_map(|c| Celsius::of(c).expect("it is in range")));
     let body = prop::option::of((health, any::<u8>()));
-    let condition = (robot(), prop::option::of((phase(), seen)), body, temperature);
-    let condition = condition.prop_map(|(robot, mind, body, temperature)| {
+    let trigger = prop::option::of((0u8..9).prop_map(|n| Trigger::try_from(n).expect("there are nine")));
+    let guard = (any::<u16>(), any::<u16>(), trigger);
+    let guard = guard.prop_map(|(acted, late_ticks, last)| GuardReport { acted, late_ticks, last });
+    let links = (prop::option::of(guard), prop::option::of(any::<u16>()));
+    let condition = (robot(), prop::option::of((phase(), seen)), body, temperature, links);
+    let condition = condition.prop_map(|(robot, mind, body, temperature, (guard, link_age_ms))| {
         let (phase, seen) = mind.unzip();
         let (health, battery) = body.unzip();
-        Condition { robot, phase, seen, health, battery, temperature, reason: None }
+        Condition { robot, phase, seen, health, battery, temperature, reason: None, guard, link_age_ms }
     });
     let conditions = prop::collection::vec(condition, 0..=MAX_CONDITIONS);
     let telemetry = (any::<u16>(), conditions, "[a-z ]{0,90}").prop_map(|(host, mut robots, text)| {

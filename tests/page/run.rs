@@ -11,7 +11,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
 use crate::browser::Browser;
-use crate::program::{murmurate, run, text};
+use crate::program::{murmurate, refuses, run, text};
 
 /// A running `sim --watch`, and the address of its page.
 pub struct Watched {
@@ -151,11 +151,18 @@ fn the_page_of_a_real_team_stops_it_and_so_does_a_page_that_joins_later() {
     let records = folder.path().to_str().expect("a path in UTF-8");
     let own = ["--set", &number, "--set", "episodes=100", "--control", "--record", records];
     let launched = Watched::of(murmurate(&[&["launch", team, "--watch"], &own[..]].concat()));
-    let joined = Watched::of(murmurate(&["watch", team, "--set", &number, "--control"]));
+    let heard = tempfile::tempdir().expect("a temporary folder");
+    let heard = heard.path().to_str().expect("a path in UTF-8");
+    let joined = Watched::of(murmurate(&["watch", team, "--set", &number, "--control", "--record", heard]));
     browser.open(&launched.url);
     browser.until(&format!("{STATE} === 'running' && {CONFIRMED} === '5/5' && murmurate.counts.drawn > 40"));
     let note = "document.getElementById('note').textContent.includes('position')";
     browser.until(&format!("!{note}"));
+    // What hosts report of their guards and links stands in the rows.
+    let cells =
+        |at: usize| format!("[...document.getElementById('rows').rows].map(row => row.cells[{at}].textContent)");
+    browser.until(&format!("{}.every(late => /^[0-9]+$/.test(late))", cells(4)));
+    browser.until(&format!("{}.every(age => /^0\\.[0-9]+ s$/.test(age))", cells(3)));
     pictures(&mut browser, "launch-");
     pause_and_resume(&mut browser);
     let from_a_shell = stop_from_a_shell(&mut browser, team, &number);
@@ -174,8 +181,17 @@ fn the_page_of_a_real_team_stops_it_and_so_does_a_page_that_joins_later() {
     browser.until(&format!("{STATE} === 'HELD' && !document.getElementById('resume').disabled"));
     browser.eval("document.getElementById('resume').click()");
     browser.until(&format!("{STATE} === 'running'"));
+    browser.until(&format!("{}.every(guard => guard !== '–')", cells(6)));
     assert_eq!(joined.end(), Some(0));
     assert_eq!(launched.end(), Some(130));
+    // What the operator has received is shown again, and cannot be run again.
+    let again = Watched::of(murmurate(&["replay", heard, "--watch"]));
+    browser.open(&again.url);
+    browser.until("scene && scene.record && world && !scene.hears_links");
+    browser.eval("seek(scene.record.duration_s / 2)");
+    browser.until("positions(world, 5).every(coordinate => coordinate === coordinate)");
+    assert_eq!(again.end(), Some(0));
+    refuses(&["replay", heard], &["operator", "--watch"]);
     assert_eq!(stops_in(folder.path()), BTreeMap::from_iter((0..5).map(|robot| (robot, 3))), "a hold, two stops");
 }
 

@@ -4,6 +4,7 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
+use murmurate::record::reader;
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
@@ -94,6 +95,50 @@ fn a_host_keeps_its_last_seconds_when_it_is_asked_to() {
     host.wait().expect("a child");
     let info = printed(&["record", "info"], folder.path());
     assert!(info.contains("/tape/turn"), "{info}");
+}
+
+#[cfg(feature = "study")]
+#[test]
+fn trials_of_a_study_are_recorded_and_run_again() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let runs = folder.path().join("runs");
+    let (to, out) = (runs.to_str().expect("a path in UTF-8"), folder.path().join("out"));
+    let study = ["study", "delay", "--delays-ms", "0,50", "--losses", "0.3", "--layouts", "1", "--repeats", "2"];
+    let policies = ["--policy", "orca", "--policy", "shipped@as-published", "--quiet", "--out"];
+    let kept = [&study[..], &policies, &[out.to_str().expect("a path in UTF-8")]].concat();
+    let output = run(&[&kept[..], &["--record", to]].concat());
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let found = names(&runs);
+    assert_eq!((found.len(), &*found[0]), (8, "0ms-30-1-0000.mcap"), "{found:?}");
+    let equal = printed(&["replay"], &runs);
+    assert_eq!(equal.lines().filter(|line| line.contains("equal")).count(), 8, "{equal}");
+    // The study is complete, so the same command runs and records nothing more.
+    let output = run(&[&kept[..], &["--record", to]].concat());
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    refuses(&[&study[..], &["--record", to]].concat(), &["--record", "0ms-30-1-0000.mcap"]);
+}
+
+#[test]
+fn lines_that_a_host_has_logged_are_in_its_record_and_do_not_disturb_a_replay() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let team = concat!(env!("CARGO_MANIFEST_DIR"), "/teams/offboard.toml");
+    let number = format!("team={}", 1000 + (4 * std::process::id() + 3) % 60_000);
+    let to = folder.path().to_str().expect("a path in UTF-8");
+    let mut command = murmurate(&["host", team, "--host", "world", "--set", &number, "--json", "--record", to]);
+    let mut host = command.env("MURMURATE_LOG", "info").stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+    let mut lines = BufReader::new(host.stdout.take().expect("its stdout")).lines();
+    while !lines.next().expect("the host runs on").expect("text").contains("counted") {}
+    kill(Pid::from_raw(host.id().cast_signed()), Signal::SIGINT).expect("a child");
+    host.wait().expect("a child");
+    let mut opened = reader::open(&folder.path().join(&names(folder.path())[0])).expect("a record");
+    let mut logged = Vec::new();
+    while let Some(message) = opened.messages.next_message().expect("a whole record") {
+        if message.channel.topic == "/log/program" {
+            logged.push(String::from_utf8_lossy(&message.data).into_owned());
+        }
+    }
+    assert!(logged.iter().any(|line| line.contains("starts host=\"world\"")), "{logged:?}");
+    assert!(printed(&["replay"], folder.path()).contains("equal"));
 }
 
 #[test]

@@ -31,7 +31,7 @@ use crate::live::{self, LiveHost};
 use crate::program::BadInput;
 use crate::program::Ended;
 use crate::program::outlets::Outlets;
-use crate::program::recording::{self, OfHost};
+use crate::program::recording::{self, LiveRecord};
 use crate::program::signals;
 use crate::program::team;
 #[cfg(feature = "watch")]
@@ -131,7 +131,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let keyed = key.is_some();
     let live = LiveHost::open(&team, &trial, key, registry)?;
     let files = [Some(args.team.file.clone()), team.policy.clone()].into_iter().flatten().collect();
-    seen.record.set(OfHost::open(&args.record, (&team, &live), (began, keyed), (files, &digest))?).ok();
+    seen.record.set(LiveRecord::of_host(&args.record, (&team, &live), (began, keyed), (files, &digest))?).ok();
     #[cfg(feature = "watch")]
     seen.metrics.set(args.metrics.open(&team)?).ok();
     let (signal, wake_reader) = signals::listen()?;
@@ -160,7 +160,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         },
         |graph: &Rc<Graph>, now| watch.turn(graph, now),
     );
-    let written = seen.record().map_or(Ok(()), OfHost::finish);
+    let written = seen.record().map_or(Ok(()), LiveRecord::finish);
     let counted = seen.counted(&graph);
     drop(graph);
     watch.failure(&name)?;
@@ -256,7 +256,7 @@ impl Watch {
             }
         }
         if self.keep.swap(false, Ordering::Relaxed) {
-            seen.record().into_iter().for_each(OfHost::keep);
+            seen.record().into_iter().for_each(LiveRecord::keep);
         }
         seen.end_turn(now);
         self.lost = outlets.failure();

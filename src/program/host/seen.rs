@@ -9,7 +9,7 @@ use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{Phase, Wire};
 use crate::net::protocol::link::{DuplicateId, LinkCounts};
 use crate::program::outlets::Outlets;
-use crate::program::recording::OfHost;
+use crate::program::recording::LiveRecord;
 #[cfg(feature = "watch")]
 use crate::program::watch::metrics::HostMetrics;
 use crate::report::event::{Counted, RobotSafety, Unwritten};
@@ -30,7 +30,7 @@ pub struct Seen {
     /// Report of another live host with the id of this one.
     pub duplicate: Cell<Option<DuplicateId>>,
     /// Record of the run; `None` if nothing is recorded.
-    pub record: OnceCell<Option<OfHost>>,
+    pub record: OnceCell<Option<LiveRecord>>,
     /// Metrics of the host; `None` if they are not served.
     #[cfg(feature = "watch")]
     pub metrics: OnceCell<Option<HostMetrics>>,
@@ -57,7 +57,7 @@ impl Seen {
     }
 
     /// Record of the run; `None` if nothing is recorded.
-    pub fn record(&self) -> Option<&OfHost> {
+    pub fn record(&self) -> Option<&LiveRecord> {
         self.record.get()?.as_ref()
     }
 
@@ -65,7 +65,7 @@ impl Seen {
     pub fn end_turn(&self, now: Time) {
         #[cfg(feature = "watch")]
         if let Some(Some(metrics)) = self.metrics.get() {
-            metrics.turn(now, self.record().map(OfHost::dropped));
+            metrics.turn(now, self.record().map(LiveRecord::dropped));
         }
         self.record().into_iter().for_each(|record| record.turn(now));
     }
@@ -126,7 +126,7 @@ impl Seen {
                 .collect(),
             hardware: self.hardware.borrow().values().cloned().collect(),
             unwritten: Unwritten {
-                record_events: self.record().map_or(0, OfHost::dropped),
+                record_events: self.record().map_or(0, LiveRecord::dropped),
                 ..self.outlets.unwritten()
             },
         }

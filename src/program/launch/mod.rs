@@ -154,7 +154,7 @@ fn supervise(
         let over = AtomicBool::new(false);
         return Ok(std::thread::scope(|scope| {
             scope.spawn(|| {
-                if let Err(error) = page.run(&args.team, _registry, || over.load(Ordering::Relaxed)) {
+                if let Err(error) = page.run(&args.team, _registry, None, || over.load(Ordering::Relaxed)) {
                     talk(&format!("warning: the page has ended: {error:#}"));
                 }
             });

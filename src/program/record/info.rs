@@ -67,6 +67,7 @@ fn look(path: PathBuf) -> Result<Info> {
     let wrong = |error: ReadError| BadInput(error.to_string());
     let (identity, attached, mut messages) = reader::open_any(&path).map_err(wrong)?;
     let of = match identity.as_ref().map(|identity| (&identity.host, identity.repeat)) {
+        _ if identity.as_ref().is_some_and(|identity| identity.operator) => "what an operator received".to_owned(),
         Some((Some(host), _)) => format!("host {}, incarnation {:08x}", host.name, host.incarnation),
         Some((None, repeat)) => format!("simulation, repeat {repeat}"),
         None => "a merged record, or another program's file".to_owned(),

@@ -58,14 +58,20 @@ pub fn run(args: &Args) -> Result<Ended> {
 /// clocks were found.
 pub fn merge(paths: Vec<PathBuf>, output: &mut File) -> Result<(Vec<Part>, Alignment)> {
     let wrong = |error: reader::ReadError| BadInput(error.to_string());
-    let mut hosts = Vec::new();
-    for path in &paths {
-        let identity = reader::open(path).map_err(wrong)?.identity;
+    let (mut hosts, mut of_hosts) = (Vec::new(), Vec::new());
+    for path in paths {
+        let identity = reader::open(&path).map_err(wrong)?.identity;
+        if identity.operator {
+            talk(&format!("'{}' is left out: an operator has recorded what it received", path.display()));
+            continue;
+        }
         let Some(host) = identity.host else {
             return bad(format!("'{}' is the record of a simulation, which has one time already", path.display()));
         };
         hosts.push(format!("{}-{:08x}", host.name, host.incarnation));
+        of_hosts.push(path);
     }
+    let paths = of_hosts;
     let traffic: Vec<Traffic> = paths.iter().map(|path| Traffic::read(path)).collect::<Result<_, _>>()?;
     let mut alignment = align(&traffic);
     drop(traffic);

@@ -18,6 +18,8 @@ use serde::Serialize;
 use crate::graph::process::ProcessEvent;
 use crate::messages::ids::HostId;
 use crate::program::output::{print, talk};
+#[cfg(feature = "study")]
+use crate::program::study;
 use crate::program::{BadInput, Ended, bad, sim};
 use crate::record::compare::{Compared, Comparison};
 use crate::record::identity::{BUILD, Identity};
@@ -104,6 +106,10 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         check(args, &path, &opened.identity)?;
         let of = match &opened.identity.host {
             Some(host) => format!("host {}", host.name),
+            // A record of a study is named by its column, its policy and its repeat.
+            None if opened.identity.job.is_some() => {
+                path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned())
+            }
             None => format!("repeat {}", opened.identity.repeat),
         };
         let files = Files::extract(&opened)?;
@@ -159,6 +165,12 @@ pub fn files(named: &[PathBuf]) -> Result<Vec<PathBuf>> {
 /// Fails if a record cannot be replayed with these flags.
 fn check(args: &Args, path: &Path, identity: &Identity) -> Result<()> {
     let of_host = identity.host.is_some();
+    if identity.operator {
+        return bad(format!(
+            "'{}' has what an operator received, and nothing that could run again; look at it with --watch",
+            path.display()
+        ));
+    }
     if args.rerun && of_host {
         return bad(format!("--rerun: '{}' is the record of a host; use --host", path.display()));
     }
@@ -214,13 +226,13 @@ impl Files {
         Ok(files)
     }
 
-    /// Name of the team file of a host's record, as given on the command line. It is the first file that `OfHost`
+    /// Name of the team file of a host's record, as given on the command line. It is the first file that `LiveRecord`
     /// attaches.
     fn team_file(&self) -> Option<&str> {
         self.files.first().map(|(name, _)| &**name)
     }
 
-    /// Path of the policy file of a host's record, the second file that `OfHost` attaches; `None` if the policy was
+    /// Path of the policy file of a host's record, the second file that `LiveRecord` attaches; `None` if the policy was
     /// given as a name in the registry.
     fn policy(&self) -> Option<&Path> {
         self.files.get(1).map(|(_, path)| &**path)
@@ -235,6 +247,10 @@ impl Files {
                 }
                 if let Some(flag) = argument.strip_suffix(name).filter(|flag| flag.ends_with('=')) {
                     return format!("{flag}{}", path.display());
+                }
+                // A policy file of a study may have a handling of its own.
+                if let Some(handling) = argument.strip_prefix(name).filter(|rest| rest.starts_with('@')) {
+                    return format!("{}{handling}", path.display());
                 }
             }
             argument.clone()
@@ -264,7 +280,14 @@ fn rerun_observed(
     mut turned: impl FnMut(Time),
 ) -> Result<Compared> {
     let Opened { identity, messages, .. } = opened;
-    let trial = sim::of_record(&files.in_place(&identity.arguments), identity.repeat, registry)?;
+    let arguments = files.in_place(&identity.arguments);
+    let trial = match identity.job {
+        #[cfg(feature = "study")]
+        Some(job) => study::of_record(&arguments, (job, identity.repeat), registry)?,
+        #[cfg(not(feature = "study"))]
+        Some(_) => return bad("the record of a study needs a program with the feature 'study'".to_owned()),
+        None => sim::of_record(&arguments, identity.repeat, registry)?,
+    };
     let topics = Topics::new(Stage::of(&trial.plan()), Scope::Simulation, 0);
     let comparison = Rc::new(RefCell::new(Comparison::new(messages, topics, 0)));
     let heard = Rc::clone(&comparison);

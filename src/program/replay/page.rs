@@ -17,7 +17,7 @@ use crate::program::record::merge::merge;
 use crate::program::temporary::Temporary;
 use crate::program::watch::feed::Feed;
 use crate::program::{BadInput, Ended, bad, signals};
-use crate::record::identity::BUILD;
+use crate::record::identity::{BUILD, Identity};
 use crate::record::reader::{self, Opened};
 use crate::registry::Registry;
 use crate::time::{Span, Time};
@@ -70,7 +70,7 @@ fn read(named: &[PathBuf], registry: &Registry) -> Result<Shown> {
     let path = paths.remove(0);
     let mut shown = sights::read(&path)?;
     let (identity, attached, messages) = reader::open_any(&path).map_err(|error| BadInput(error.to_string()))?;
-    let Some(identity) = identity.filter(|identity| identity.host.is_none()) else { return Ok(shown) };
+    let Some(identity) = identity.filter(Identity::is_of_simulation) else { return Ok(shown) };
     if identity.build != BUILD {
         talk("links between robots are not shown: the record was made by another build of this program");
         return Ok(shown);

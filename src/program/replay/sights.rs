@@ -18,6 +18,7 @@ use crate::record::protobuf_reader::{Fields, Value};
 use crate::record::reader::{Item, Message, ReadError, Reader};
 use crate::record::stage::{self, Stage};
 use crate::record::tape;
+use crate::record::topics::RECEIVED;
 use crate::report::episode::Episode;
 use crate::safety::guard::SafetyCounts;
 use crate::time::Time;
@@ -128,7 +129,10 @@ impl Reading {
                 self.sights.extend(robot.zip(percent).map(|(robot, percent)| (now, Sight::Battery(robot, percent))));
             }
             topic => {
-                if let Some(host) = topic.strip_prefix("/wire/").and_then(|name| self.host_named(name)) {
+                if topic == RECEIVED {
+                    let decoded = codec::decode(&message.data).ok();
+                    self.sights.extend(decoded.map(|(_, message)| (now, Sight::Message(slim(message)))));
+                } else if let Some(host) = topic.strip_prefix("/wire/").and_then(|name| self.host_named(name)) {
                     self.published.insert(host);
                     let decoded = codec::decode(&message.data).ok();
                     self.sights.extend(decoded.map(|(_, message)| (now, Sight::Message(slim(message)))));

@@ -20,6 +20,7 @@ use crate::program::bad;
 use crate::program::conditions;
 use crate::program::output::{read_text, talk};
 use crate::program::policy;
+use crate::program::recording::RecordFlags;
 
 /// Flags of every study.
 #[derive(clap::Args)]
@@ -55,6 +56,8 @@ pub struct Shared {
     /// Number of trials in every column: the same layouts with other random numbers
     #[arg(long, default_value_t = 12, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     repeats: u32,
+    #[command(flatten)]
+    pub record: RecordFlags,
     #[command(flatten)]
     pub run: Run,
 }
@@ -243,6 +246,14 @@ impl Shared {
         add("repeats", Some(self.repeats.to_string()));
         add("seed", Some(self.run.seed.to_string()));
         command.0
+    }
+}
+
+impl Shared {
+    /// Files that the flags name.
+    pub fn files(&self) -> Vec<PathBuf> {
+        let policies = self.policies.iter().map(|given| PathBuf::from(split(given).map_or(&**given, |(file, _)| file)));
+        policies.chain([&self.episodes_file, &self.conditions].into_iter().flatten().cloned()).collect()
     }
 }
 

@@ -12,17 +12,22 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
+use crate::record::identity::StudyJob;
 use crate::registry::Registry;
 use crate::study::record::Record;
 use crate::study::results::{Results, Row};
 use crate::study::{Job, Study, table};
+use crate::trial::Trial;
 use anyhow::{Context, Result};
+use clap::{FromArgMatches, Subcommand};
 use serde::Serialize;
 
+use crate::program::BadInput;
 use crate::program::Ended;
 use crate::program::jobs;
 use crate::program::output::{print, talk};
 use crate::program::progress::{progress, watched};
+use crate::program::recording::Simulated;
 use folder::Folder;
 #[cfg(feature = "train")]
 pub use network::medium;
@@ -70,7 +75,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
 
     let began = Instant::now();
-    let records = run_all(&study, folder.as_ref(), &stop, (shared.run.jobs, shared.run.quiet))?;
+    let records = run_all(&study, folder.as_ref(), &stop, shared)?;
     let trials = [records.len(), study.jobs().len()];
     let interrupted = trials[0] < trials[1];
     let results = Results::of(&study, &records);
@@ -96,26 +101,52 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
 }
 
+/// Returns the trial of a record, from the arguments of the command that made it.
+pub fn of_record(arguments: &[String], (job, repeat): (StudyJob, u32), registry: &Registry) -> Result<Trial> {
+    let wrong = |why: String| BadInput(format!("the record's arguments are not understood: {why}"));
+    let command = Args::augment_subcommands(clap::Command::new("study"));
+    let found = command.try_get_matches_from(arguments).map_err(|error| wrong(error.to_string()))?;
+    let study = match Args::from_arg_matches(&found).map_err(|error| wrong(error.to_string()))? {
+        Args::Modes(flags) => flags.study(registry)?,
+        Args::Delay(flags) => flags.study(registry)?,
+        Args::Range(flags) => flags.study(registry)?,
+        Args::Network(_) | Args::Twin(_) => return Err(wrong("this study records nothing".to_owned()).into()),
+    };
+    let StudyJob { column, policy } = job;
+    if column >= study.columns.len() || policy >= study.policies.len() {
+        return Err(wrong(format!("the study has no column {column} with policy {policy}")).into());
+    }
+    Ok(study.trial(Job { column, policy, repeat }))
+}
+
 /// Returns the records of all trials, in order. Reads finished ones from the folder and runs the others. After Ctrl-C
 /// some are missing.
 fn run_all(
     study: &Study,
     folder: Option<&Folder>,
     stop: &AtomicBool,
-    (threads, quiet): (Option<u16>, bool),
+    shared: &flags::Shared,
 ) -> Result<Vec<(Job, Record)>> {
-    let all = study.jobs();
+    let (all, threads, quiet) = (study.jobs(), shared.run.jobs, shared.run.quiet);
     let found: Vec<Option<Record>> =
         all.iter().map(|job| folder.and_then(|folder| trials::read(folder, study, *job))).collect();
     let there = found.iter().flatten().count();
+    let left = all.iter().zip(&found).filter(|(_, found)| found.is_none());
+    let names = left.map(|(job, _)| trials::recorded(study, *job).name);
+    let recording = Simulated::open(&shared.record, shared.files(), names)?;
     let bar = progress(u64::from(study.layouts.len()) * (all.len() - there) as u64, quiet);
     if there > 0 && !quiet {
         talk(&format!("{there} of {} trials are finished already", all.len()));
     }
     let work = |at: usize| -> Result<Option<Record>> {
         let job = all[at];
-        let report = study.trial(job).run_while(watched(&bar, stop));
+        let (trial, recorded) = (study.trial(job), trials::recorded(study, job));
+        let report = match &recording {
+            Some(recording) => recording.run((&recorded, &trial), watched(&bar, stop)),
+            None => trial.run_while(watched(&bar, stop)),
+        };
         if !report.finished {
+            recording.iter().for_each(|recording| recording.discard(&recorded));
             return Ok(None);
         }
         let record = Record::of(study, job, &report);
@@ -127,5 +158,6 @@ fn run_all(
     };
     let records = jobs::finish(found, threads, stop, work)?;
     bar.finish_and_clear();
+    recording.map_or(Ok(()), |recording| recording.finish())?;
     Ok(all.into_iter().zip(records).filter_map(|(job, record)| Some((job, record?))).collect())
 }

@@ -1,5 +1,7 @@
 //! Files of a study in columns: records of finished trials, and rows, figures, table and page of the report.
 
+use crate::program::recording::Recorded;
+use crate::record::identity::StudyJob;
 use crate::scenario::judge::Verdict;
 use crate::study::record::Record;
 use crate::study::results::{Results, Row};
@@ -35,9 +37,21 @@ pub fn open(path: &std::path::Path, study: &Study) -> Result<Folder> {
     })
 }
 
+/// Returns the name of a column for file names.
+fn column(study: &Study, job: Job) -> String {
+    study.columns[job.column].name.replace(['/', '%'], "")
+}
+
+/// Returns the name of a trial for its record (MCAP), and its place in the study.
+pub fn recorded(study: &Study, job: Job) -> Recorded {
+    let name = format!("{}-{}-{:04}", column(study, job), job.policy + 1, job.repeat);
+    let place = StudyJob { column: job.column, policy: job.policy };
+    Recorded { name, policy: study.policies[job.policy].digest.clone(), job: Some(place) }
+}
+
 /// Returns the file name of a trial's record.
 fn name(study: &Study, job: Job) -> String {
-    let column = study.columns[job.column].name.replace(['/', '%'], "");
+    let column = column(study, job);
     format!("{TRIALS}/{column}.{}.{:03}.json", job.policy + 1, job.repeat)
 }
 

@@ -3,6 +3,8 @@
 
 use std::cell::RefCell;
 use std::io::Read;
+#[cfg(feature = "record")]
+use std::path::Path;
 use std::rc::Rc;
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::Receiver;
@@ -18,9 +20,15 @@ use crate::deploy::Routes;
 use crate::deploy::team::TeamFile;
 use crate::graph::operator;
 use crate::graph::process::ProcessEvent;
+use crate::live::links::ProcessIdentity;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{Phase, Stop, Wire};
+use crate::program::recording::LiveRecord;
+#[cfg(feature = "record")]
+use crate::program::recording::RecordFlags;
 use crate::program::{BadInput, Ended, signals, team};
+#[cfg(feature = "record")]
+use crate::record::stage::Stage;
 use crate::registry::Registry;
 use crate::report::episode::Episode;
 use crate::runtime::clock::Clock;
@@ -51,6 +59,10 @@ pub struct Args {
     team: team::TeamArgs,
     #[command(flatten)]
     page: PageFlags,
+    /// Record of what the page's operator receives.
+    #[cfg(feature = "record")]
+    #[command(flatten)]
+    record: RecordFlags,
 }
 
 /// Runs `watch`: serves the page until Ctrl-C.
@@ -58,7 +70,11 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let (signal, waker) = signals::listen()?;
     let file = args.team.read(registry)?;
     let page = Page::open(&file, &args.team, &args.page, registry, None)?;
-    page.run(&args.team, registry, || {
+    #[cfg(feature = "record")]
+    let record = page.record(&args.record, &args.team.file)?;
+    #[cfg(not(feature = "record"))]
+    let record = None;
+    page.run(&args.team, registry, record, || {
         // Empties the pipe whose byte has woken this thread.
         let _ = (&*waker).read(&mut [0; 16]);
         signal.load(Ordering::Relaxed) != 0
@@ -72,6 +88,12 @@ pub struct Page {
     server: Server,
     publisher: Publisher,
     results: Option<Receiver<Episode>>,
+    /// Incarnation of the page's operator.
+    identity: ProcessIdentity,
+    /// Time zero of the run.
+    began: Instant,
+    #[cfg(feature = "record")]
+    stage: Stage,
 }
 
 impl Page {
@@ -105,26 +127,55 @@ impl Page {
         };
         let homes = RobotId::team(deployment.robots).map(|robot| routes.agent_host(robot)).collect();
         let (server, publisher) = flags.open(scene.clone(), Control::Team)?;
-        Ok(Page { view: TeamView::new(scene, homes, deployment.hosts.len()), server, publisher, results })
+        Ok(Page {
+            view: TeamView::new(scene, homes, deployment.hosts.len()),
+            server,
+            publisher,
+            results,
+            identity: ProcessIdentity::draw()?,
+            began: Instant::now(),
+            #[cfg(feature = "record")]
+            stage: {
+                let range_m = range_m.unwrap_or(f32::INFINITY);
+                Stage::of_team((deployment, &*scenario), scenario.arena().robot_radius_m, range_m)
+            },
+        })
     }
 
-    /// Joins the team as an operator, and serves the page on this thread until `over` returns `true`.
-    pub fn run(self, team: &team::TeamArgs, registry: &Registry, over: impl Fn() -> bool) -> Result<()> {
-        let Page { view, server, publisher, results } = self;
+    /// Creates the record of what the page's operator receives; `None` if the flags name no folder.
+    #[cfg(feature = "record")]
+    fn record(&self, flags: &RecordFlags, team: &Path) -> Result<Option<LiveRecord>> {
+        let run = (self.identity.incarnation, self.stage.clone());
+        LiveRecord::of_operator(flags, run, self.began, vec![team.to_owned()])
+    }
+
+    /// Joins the team as an operator, and serves the page on this thread until `over` returns `true`. What the operator
+    /// receives goes into `record`.
+    pub fn run(
+        self,
+        team: &team::TeamArgs,
+        registry: &Registry,
+        record: Option<LiveRecord>,
+        over: impl Fn() -> bool,
+    ) -> Result<()> {
+        let Page { view, server, publisher, results, identity, began, .. } = self;
         let file = team.read(registry)?;
-        let operator = team.operator(&file)?;
+        let operator = team.operator_as(&file, identity)?;
         let me = operator.me;
         let names = file.deployment().hosts.iter().map(|host| host.name.clone()).collect();
         let metrics = Rc::new(RefCell::new(Metrics::new(names)));
         let view = Rc::new(RefCell::new(view));
         let orders = Rc::new(RefCell::new(Orders::new(me.host, operator.robots)));
         let (feed, ask_at) = (Feed::new(Rc::clone(&view), Some(Rc::clone(&metrics))), Time::ZERO);
+        let record = record.map(Rc::new);
+        let (taken, turned) = (record.clone(), record.clone());
         run_real(
-            Instant::now(),
+            began,
             |clock, readers| {
                 let (seen, given, time) = (Rc::clone(&view), Rc::clone(&orders), clock.clone());
                 let network = operator::wire((clock, readers), operator, move |event| {
                     metrics.borrow_mut().take(me.host, event);
+                    taken.iter().for_each(|record| record.push(me.host, event));
                     let ProcessEvent::Message(message) = event else { return };
                     if let Wire::Status(status) = message {
                         given.borrow_mut().hear(time.now(), status);
@@ -135,10 +186,13 @@ impl Page {
                 let pause_after = None;
                 Desk { me: me.host, network, view, orders, publisher, results, feed, pause_after, ask_at }.beat(clock);
             },
-            |(), _| over(),
+            |(), now| {
+                turned.iter().for_each(|record| record.turn(now));
+                over()
+            },
         );
         server.close();
-        Ok(())
+        record.map_or(Ok(()), |record| record.finish())
     }
 }
 

@@ -20,7 +20,7 @@ use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{Kind, Phase, Wire};
 use crate::net::protocol::codec::{self, Content, Frame};
 use crate::program::bad;
-use crate::program::recording::Simulated;
+use crate::program::recording::{Recorded, Simulated};
 use crate::report::episode::Episode;
 use crate::time::{Span, Time};
 use crate::trial::{Proceed, Trial, TrialReport};
@@ -113,7 +113,7 @@ pub fn run(
         desk.turn(graph, now, episodes, stop)
     };
     let report = match records {
-        Some(records) => records.run_observed(trial, hear, turn),
+        Some(records) => records.run_observed((&Recorded::repeat(trial), trial), hear, turn),
         None => trial.run_observed(hear, turn),
     };
     desk.feed.at_once();

@@ -187,6 +187,7 @@ function showRows() {
   if (!scene || !world) return;
   const n = world.getUint16(2, true), s = status, table = $("rows").rows;
   const late = new Map(s.late), guard = new Map(s.guard), battery = new Map(s.battery), worst = worstAges(n);
+  const oldest = new Map(s.link);
   const noBattery = battery.size === 0;
   $("battery-head").hidden = noBattery;
   for (let robot = 0; robot < Math.min(n, table.length); robot++) {
@@ -196,11 +197,13 @@ function showRows() {
     set(cells[2], age === 255 ? "never" : age === 250 ? "> 5 s" : `${(age / 50).toFixed(2)} s`);
     cells[2].className = age > 75 ? "bad" : "";
     const link = worst[robot];
-    set(cells[3], !scene.hears_links || link < 0 ? "–" : link === 255 ? "never" : link === 250 ? "> 2.5 s" :
-      `${(link / 100).toFixed(2)} s`);
-    cells[3].className = link > 50 ? "bad" : "";
+    // Where links are not known, a robot's own host may have reported the age of its oldest one [ms].
+    const told = scene.hears_links ? undefined : oldest.get(robot);
+    set(cells[3], told !== undefined ? `${(told / 1000).toFixed(2)} s` : !scene.hears_links || link < 0 ? "–" :
+      link === 255 ? "never" : link === 250 ? "> 2.5 s" : `${(link / 100).toFixed(2)} s`);
+    cells[3].className = (told === undefined ? link > 50 : told > 500) ? "bad" : "";
     // A process that does not receive the guards' counts shows a dash and not 0.
-    set(cells[4], scene.hears_links ? String(late.get(robot) || 0) : "–");
+    set(cells[4], late.has(robot) ? String(late.get(robot)) : scene.hears_links ? "0" : "–");
     cells[5].hidden = noBattery;
     set(cells[5], battery.has(robot) ? `${battery.get(robot)} %` : "–");
     set(cells[6], guard.get(robot) || "–");

@@ -1,0 +1,136 @@
+//! Recording in real time: of a host, and of what an operator receives.
+
+use std::cell::Cell;
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use anyhow::Result;
+
+use super::{RecordFlags, arguments, attach, log, make};
+use crate::deploy::team::Team;
+use crate::graph::process::ProcessEvent;
+use crate::live::LiveHost;
+use crate::messages::ids::HostId;
+use crate::record::file::Beginning;
+use crate::record::identity::{HostIdentity, Identity};
+use crate::record::queue::{Inlet, WhenFull};
+use crate::record::series::Retention;
+use crate::record::topics::{Stage, Topics};
+use crate::record::writer::Recording;
+use crate::record::{Event, Scope};
+use crate::time::Time;
+
+/// Time that the end of a process waits for the writer of its record.
+const FINISH_TIMEOUT: Duration = Duration::from_millis(1500);
+
+/// Recording of a process in real time.
+pub struct LiveRecord {
+    scope: Scope,
+    recording: Cell<Option<Recording>>,
+    inlet: Rc<Inlet>,
+    failed: Cell<bool>,
+}
+
+impl LiveRecord {
+    /// Creates the record `NAME-INCARNATION.mcap` of a host, in the folder of the flag or else of the team file; `None`
+    /// if neither names one. `began` is the run's time zero; `files` are the team file and the policy's file, `policy`
+    /// is the digest of the latter.
+    pub fn of_host(
+        flags: &RecordFlags,
+        (team, live): (&Team, &LiveHost),
+        (began, keyed): (Instant, bool),
+        (files, policy): (Vec<PathBuf>, &str),
+    ) -> Result<Option<LiveRecord>> {
+        let Some(folder) = flags.record.as_ref().or(team.record.as_ref()) else {
+            return flags.refuse_without_folder().map(|()| None);
+        };
+        let retention = flags.retention(team.record_last_s, team.record_size_mb)?;
+        let name = team.deployment.hosts[usize::from(team.host.0)].name.clone();
+        let mut identity = here(began, policy);
+        let (incarnation, seed, transports) = live.process();
+        let file = format!("{name}-{incarnation:08x}");
+        let seed = seed.iter().map(|byte| format!("{byte:02x}")).collect();
+        identity.host = Some(HostIdentity { name, id: team.host, incarnation, seed, transports, keyed });
+        let beginning = Beginning { identity, attached: attach(files)? };
+        LiveRecord::start((folder, &file), Scope::Host, (beginning, Stage::of(live.plan())), retention).map(Some)
+    }
+
+    /// Creates the record `operator-INCARNATION.mcap` of an operator, in the folder of the flag; `None` without one.
+    /// `began` is the run's time zero, `files` is the team file.
+    #[cfg(feature = "watch")]
+    pub fn of_operator(
+        flags: &RecordFlags,
+        (incarnation, stage): (u32, Stage),
+        began: Instant,
+        files: Vec<PathBuf>,
+    ) -> Result<Option<LiveRecord>> {
+        let Some(folder) = &flags.record else { return flags.refuse_without_folder().map(|()| None) };
+        let retention = flags.retention(None, None)?;
+        let mut identity = here(began, "");
+        identity.operator = true;
+        let beginning = Beginning { identity, attached: attach(files)? };
+        let file = format!("operator-{incarnation:08x}");
+        LiveRecord::start((folder, &file), Scope::Operator, (beginning, stage), retention).map(Some)
+    }
+
+    fn start(
+        (folder, file): (&Path, &str),
+        scope: Scope,
+        (beginning, stage): (Beginning, Stage),
+        retention: Retention,
+    ) -> Result<LiveRecord> {
+        make(folder)?;
+        let topics = Topics::new(stage, scope, beginning.identity.anchor_ns);
+        let path = folder.join(format!("{file}.mcap"));
+        let recording = Recording::start(&path, &beginning, topics, (WhenFull::Drop, retention))?;
+        let inlet = recording.inlet();
+        log::collect(true);
+        Ok(LiveRecord { scope, recording: Cell::new(Some(recording)), inlet, failed: Cell::new(false) })
+    }
+
+    /// Adds an event of the current turn.
+    pub fn push(&self, host: HostId, event: ProcessEvent) {
+        if let Some(event) = Event::of(self.scope, host, event) {
+            self.inlet.push(event);
+        }
+    }
+
+    /// Keeps the events of the last seconds and the next ones, if the record keeps events only on request.
+    pub fn keep(&self) {
+        self.inlet.push(Event::Keep);
+    }
+
+    /// Marks the end of a turn of the event loop, at time `now`. Adds the lines that the program has logged.
+    pub fn turn(&self, now: Time) {
+        log::take(|line| self.inlet.push(Event::Logged(line)));
+        self.inlet.turn(now);
+        if self.inlet.is_abandoned() && !self.failed.replace(true) {
+            tracing::error!("the record can no longer be written; this goes on without it");
+        }
+    }
+
+    /// Number of events dropped so far.
+    pub fn dropped(&self) -> u64 {
+        self.inlet.dropped()
+    }
+
+    /// Ends the record. Later calls do nothing.
+    pub fn finish(&self) -> Result<()> {
+        let Some(recording) = self.recording.take() else { return Ok(()) };
+        log::collect(false);
+        recording.finish(Some(FINISH_TIMEOUT))?;
+        Ok(())
+    }
+}
+
+/// Returns the identity of a run of this process that began at `began`. `policy` is the digest of the policy's file.
+fn here(began: Instant, policy: &str) -> Identity {
+    let mut identity = Identity::here(arguments(), policy);
+    let wall = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    identity.anchor_ns = wall.saturating_sub(began.elapsed()).as_nanos() as u64;
+    let variables = std::env::vars_os().map(|(name, value)| (name, value.to_string_lossy().into_owned()));
+    let variables = variables.filter_map(|(name, value)| Some((name.into_string().ok()?, value)));
+    identity.variables = variables.filter(|(name, _)| name.starts_with("MURMURATE_")).collect();
+    identity
+}

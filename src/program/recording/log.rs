@@ -1,0 +1,91 @@
+//! Lines that the program logs while it records, for the topic `/log/program` of its record.
+
+use std::fmt::{self, Write};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use tracing::field::{Field, Visit};
+use tracing::{Level, Subscriber};
+use tracing_subscriber::Layer;
+use tracing_subscriber::layer::Context;
+use tracing_subscriber::registry::LookupSpan;
+
+use crate::config::redacted;
+use crate::record::{Logged, Severity};
+
+/// Largest number of lines between two turns of the event loop. Further lines are counted in one line.
+const MOST: usize = 64;
+/// Longest line \[bytes\].
+const LINE: usize = 400;
+
+/// Lines since the last turn, and the number of lines without room.
+static LINES: Mutex<(Vec<Logged>, u64)> = Mutex::new((Vec::new(), 0));
+/// Whether lines are collected.
+static OPEN: AtomicBool = AtomicBool::new(false);
+/// Whether there are lines to take.
+static FILLED: AtomicBool = AtomicBool::new(false);
+
+/// Log layer that collects the lines. It sees what is logged to stderr.
+pub struct Lines;
+
+/// Visitor that writes the message of a log event, and its other fields as `name=value`.
+#[derive(Default)]
+struct Text {
+    message: String,
+    fields: String,
+}
+
+impl Visit for Text {
+    fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
+        let written = match field.name() {
+            "message" => write!(self.message, "{value:?}"),
+            name => write!(self.fields, " {name}={value:?}"),
+        };
+        written.expect("a string takes all");
+    }
+}
+
+impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for Lines {
+    fn on_event(&self, event: &tracing::Event<'_>, context: Context<'_, S>) {
+        if !OPEN.load(Ordering::Relaxed) {
+            return;
+        }
+        let mut text = Text::default();
+        event.record(&mut text);
+        let actor = context.event_span(event).map(|span| span.name().to_owned());
+        let thread = || std::thread::current().name().unwrap_or_default().to_owned();
+        let mut line = redacted(&(text.message + &text.fields)).into_owned();
+        line.truncate(line.floor_char_boundary(LINE));
+        let severity = match *event.metadata().level() {
+            Level::ERROR => Severity::Error,
+            Level::WARN => Severity::Warning,
+            Level::INFO => Severity::Info,
+            Level::DEBUG | Level::TRACE => Severity::Debug,
+        };
+        let (lines, beyond) = &mut *LINES.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        if lines.len() < MOST {
+            lines.push(Logged { severity, from: actor.unwrap_or_else(thread), text: line });
+        } else {
+            *beyond += 1;
+        }
+        FILLED.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Starts or ends the collection of lines.
+pub fn collect(open: bool) {
+    OPEN.store(open, Ordering::Relaxed);
+}
+
+/// Passes the lines since the last call to `each`. Takes no lock if there are none.
+pub fn take(mut each: impl FnMut(Logged)) {
+    if !FILLED.swap(false, Ordering::Relaxed) {
+        return;
+    }
+    let (lines, beyond) = std::mem::take(&mut *LINES.lock().unwrap_or_else(|poisoned| poisoned.into_inner()));
+    lines.into_iter().for_each(&mut each);
+    if beyond > 0 {
+        let text = format!("{beyond} lines were logged here for which there was no room");
+        each(Logged { severity: Severity::Warning, from: "record".to_owned(), text });
+    }
+}

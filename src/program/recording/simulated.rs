@@ -1,0 +1,135 @@
+//! Recording of simulations: one record for each trial.
+
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use anyhow::Result;
+
+use super::{RecordFlags, arguments, attach, make};
+use crate::graph::process::{Graph, ProcessEvent};
+use crate::messages::ids::HostId;
+use crate::program::BadInput;
+use crate::record::file::Beginning;
+use crate::record::identity::{Identity, StudyJob};
+use crate::record::queue::WhenFull;
+use crate::record::series::{self, Retention};
+use crate::record::topics::{Stage, Topics};
+use crate::record::writer::Recording;
+use crate::record::{Event, Scope};
+use crate::report::episode::Episode;
+use crate::time::Time;
+use crate::trial::{Proceed, Trial, TrialReport};
+
+/// Recording of the trials of a command, one record each.
+pub struct Simulated {
+    folder: PathBuf,
+    beginning: Beginning,
+    retention: Retention,
+    failure: Mutex<Option<anyhow::Error>>,
+}
+
+/// Name and place in its command of a trial that is recorded.
+#[derive(Clone)]
+pub struct Recorded {
+    /// Name of the record's file, without `.mcap`.
+    pub name: String,
+    /// Digest of the policy's file; empty for scripted navigation.
+    pub policy: String,
+    /// Column and policy of the trial in a study; `None` in `sim`.
+    pub job: Option<StudyJob>,
+}
+
+impl Recorded {
+    /// Returns the name of a repeat of `sim`.
+    pub fn repeat(trial: &Trial) -> Recorded {
+        let name = format!("repeat-{:04}", trial.repeat);
+        Recorded { name, policy: trial.model.digest().to_owned(), job: None }
+    }
+}
+
+impl Simulated {
+    /// Prepares the folder of the records; `None` if no folder is given. `files` are the files named by flags. A folder
+    /// with a record of one of the trials is an error.
+    pub fn open(
+        flags: &RecordFlags,
+        files: Vec<PathBuf>,
+        names: impl IntoIterator<Item = String>,
+    ) -> Result<Option<Simulated>> {
+        let Some(folder) = &flags.record else { return flags.refuse_without_folder().map(|()| None) };
+        let retention = flags.retention(None, None)?;
+        make(folder)?;
+        let taken = names.into_iter().map(|name| Simulated::path(folder, &name)).find(|path| path.exists());
+        if let Some(path) = taken {
+            let why = format!("--record: '{}' is there already; name another folder", path.display());
+            return Err(BadInput(why).into());
+        }
+        let beginning = Beginning { identity: Identity::here(arguments(), ""), attached: attach(files)? };
+        Ok(Some(Simulated { folder: folder.to_owned(), beginning, retention, failure: Mutex::default() }))
+    }
+
+    fn path(folder: &Path, name: &str) -> PathBuf {
+        folder.join(format!("{name}.mcap"))
+    }
+
+    /// Runs a trial and records it.
+    pub fn run(
+        &self,
+        (recorded, trial): (&Recorded, &Trial),
+        mut proceed: impl FnMut(&[Episode]) -> Proceed,
+    ) -> TrialReport {
+        self.run_observed((recorded, trial), |_, _| {}, |_, _, episodes| proceed(episodes))
+    }
+
+    /// Runs a trial and records it, with callbacks as `Trial::run_observed` has.
+    pub fn run_observed(
+        &self,
+        (recorded, trial): (&Recorded, &Trial),
+        report: impl Fn(HostId, ProcessEvent) + 'static,
+        mut proceed: impl FnMut(&Graph, Time, &[Episode]) -> Proceed,
+    ) -> TrialReport {
+        let mut beginning = self.beginning.clone();
+        let identity = &mut beginning.identity;
+        (identity.repeat, identity.policy, identity.job) = (trial.repeat, recorded.policy.clone(), recorded.job);
+        let topics = Topics::new(Stage::of(&trial.plan()), Scope::Simulation, 0);
+        let path = Simulated::path(&self.folder, &recorded.name);
+        let recording = match Recording::start(&path, &beginning, topics, (WhenFull::Wait, self.retention)) {
+            Ok(recording) => recording,
+            Err(error) => {
+                self.fail(error.into());
+                return TrialReport::default();
+            }
+        };
+        let (events, turns) = (recording.inlet(), recording.inlet());
+        let report = trial.run_observed(
+            move |host, observed| {
+                if let Some(event) = Event::of(Scope::Simulation, host, observed) {
+                    events.push(event);
+                }
+                report(host, observed);
+            },
+            |graph, now, episodes| {
+                turns.turn(now);
+                proceed(graph, now, episodes)
+            },
+        );
+        if let Err(error) = recording.finish(None) {
+            self.fail(error.into());
+        }
+        report
+    }
+
+    /// Deletes the record of a trial that was not finished, because the command runs that trial again from its
+    /// beginning.
+    pub fn discard(&self, recorded: &Recorded) {
+        series::remove(&Simulated::path(&self.folder, &recorded.name));
+    }
+
+    fn fail(&self, error: anyhow::Error) {
+        self.failure.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).get_or_insert(error);
+    }
+
+    /// Returns the first error of any recording.
+    pub fn finish(&self) -> Result<()> {
+        self.failure.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take().map_or(Ok(()), Err)
+    }
+}
