@@ -125,7 +125,8 @@ pub struct Status {
     /// Time of the next telemetry message, and its first robot.
     next_telemetry: Time,
     next_robot: usize,
-    /// Earliest time of the next reason of a fault.
+    /// Earliest time at which telemetry may again contain the reason of a robot's fault. Reasons are at least
+    /// `REASON_PERIOD` apart, over all robots of the host.
     next_reason: Time,
 }
 

@@ -117,7 +117,8 @@ fn plan(config: &Config, robots: &[RobotId]) -> Result<Plan, ConfigError> {
     })
 }
 
-/// Source of some robots.
+/// Source of readings from ROS 2: converts pose messages, one topic for each robot, to poses in the world frame and
+/// velocities.
 struct Poses {
     yaw_rad: f64,
     origin_m: [f64; 2],

@@ -19,7 +19,7 @@ const NAMES: [&str; 3] = ["encoder", "message", "update"];
 /// Tensor name prefixes of the three networks in the published file.
 const PUBLISHED_NAMES: [&str; 3] = ["encoder", "gnn", "post"];
 
-/// Beginning of the names of a probe's tensors.
+/// Prefix of the names of the tensors in a policy file that hold its test data ([`Probe`]: inputs and correct outputs).
 const PROBE: &str = "probe.";
 /// Tensors of a probe, in the order of [`Probe`]'s fields; each has one row per robot.
 const PROBE_TENSORS: [&str; 6] =

@@ -24,6 +24,7 @@ pub mod series;
 pub mod share;
 pub mod stage;
 pub mod tape;
+pub mod topic;
 pub mod topics;
 pub mod writer;
 

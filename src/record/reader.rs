@@ -43,7 +43,8 @@ pub enum ReadError {
         /// The reason.
         error: WrongIdentity,
     },
-    /// The file has no identity.
+    /// The file has no metadata `murmurate.run` before its first message. Without them it is not a record of this
+    /// program.
     #[error("'{}' is no record of this program: it has no metadata '{METADATA}'", path.display())]
     Nameless {
         /// The file.
@@ -228,7 +229,7 @@ pub struct Opened {
     pub identity: Identity,
     /// Attached files: name and content.
     pub attached: Vec<(String, Vec<u8>)>,
-    /// Messages of the record, from the first on.
+    /// Reader of the record's messages, which begins at the first one.
     pub messages: Messages,
 }
 

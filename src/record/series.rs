@@ -140,14 +140,6 @@ pub fn first_of(path: &Path) -> Option<PathBuf> {
     part.parse::<u32>().ok().filter(|part| *part > 0).map(|_| path.with_file_name(format!("{name}.mcap")))
 }
 
-/// Deletes all files of a record. A file that cannot be deleted stays.
-pub fn remove(path: &Path) {
-    let parts = (0..).map(|part| part_of(path, part));
-    for file in parts.take_while(|file| file.exists()) {
-        let _ = std::fs::remove_file(file);
-    }
-}
-
 /// Detector of triggers, which are the reasons to store an excerpt.
 #[derive(Default)]
 pub struct Triggers {

@@ -45,8 +45,8 @@ impl Stage {
         Stage::of_team((&plan.deployment, &*plan.scenario), plan.physics.wall_radius_m, plan.range.mean_m)
     }
 
-    /// Returns the stage of a team. `hull_m` is the radius of a robot's hull \[m\], and `range_m` the range within which
-    /// robots use each other's messages \[m\], infinite if it is unlimited or unknown.
+    /// Returns the stage of a team. `hull_m` is the radius of a robot's hull \[m\], and `range_m` the range within
+    /// which robots use each other's messages \[m\], infinite if it is unlimited or unknown.
     pub fn of_team((deployment, scenario): (&Deployment, &dyn Scenario), hull_m: f32, range_m: f32) -> Stage {
         let arena = scenario.arena();
         let routes = Routes::of(deployment);

@@ -121,7 +121,10 @@ impl Simulated {
     /// Deletes the record of a trial that was not finished, because the command runs that trial again from its
     /// beginning.
     pub fn discard(&self, recorded: &Recorded) {
-        series::remove(&Simulated::path(&self.folder, &recorded.name));
+        let path = Simulated::path(&self.folder, &recorded.name);
+        // A file that cannot be deleted stays, and the next run names it.
+        let parts = (0..).map(|part| series::part_of(&path, part)).take_while(|file| file.exists());
+        parts.for_each(|file| drop(std::fs::remove_file(file)));
     }
 
     fn fail(&self, error: anyhow::Error) {

@@ -13,7 +13,8 @@ use crate::net::media::radio::bianchi::{Lengths, Saturation};
 pub const SIZES: [usize; 8] = [5, 10, 20, 50, 100, 200, 500, 1000];
 /// Message rate of a robot: one message per control step \[1/s\].
 pub const RATE: f64 = 20.0;
-/// Number of receivers of a unicast message, at constant density: as many as in a team of five.
+/// Number of neighbours to which a robot sends each message by unicast, one frame to each. It is the same for all team
+/// sizes, as if larger teams covered more ground at the same density; a robot in a team of five has this many.
 pub const NEIGHBOURS: u32 = 4;
 
 /// Load of one channel by a team.

@@ -136,7 +136,9 @@ fn success(episodes: &[Episode], predicted: &[Predicted]) -> Row {
     Row::new("success", "%", (Estimate { value, ci95: ends }, measured), Bar::Interval)
 }
 
-/// A statistic over the decisions of the repeats, and of the measured episodes.
+/// Estimates a statistic of the messages in use at decisions, such as a quantile of their ages: over the decisions of
+/// all simulated repeats, and over those of the measured episodes, each with its 95 % interval. `None` if either side
+/// has no data. `stream` gives the random numbers of the bootstrap.
 fn ages(
     predicted: &[Predicted],
     measured: &[Decisions],
