@@ -9,15 +9,15 @@ pub fn threads(asked: Option<u16>, pieces: usize) -> usize {
 }
 
 #[cfg(feature = "study")]
-/// Runs the jobs whose entry in `found` is `None`, until all are done or `stop` is set. Returns the results by job;
-/// `None` for a job that was not started or gave no result. The first error stops all jobs.
+/// Runs the jobs with the indices `open`, until all are done or `stop` is set, and adds their results to those that are
+/// `found`. Returns the results by job; `None` for a job that was not run or gave no result. The first error stops all
+/// jobs.
 pub fn finish<T: Send>(
-    mut found: Vec<Option<T>>,
+    (mut found, open): (Vec<Option<T>>, Vec<usize>),
     asked: Option<u16>,
     stop: &AtomicBool,
     work: impl Fn(usize) -> anyhow::Result<Option<T>> + Sync,
 ) -> anyhow::Result<Vec<Option<T>>> {
-    let open: Vec<usize> = (0..found.len()).filter(|at| found[*at].is_none()).collect();
     // An error, such as a full disk, ends the study. Files already written are kept.
     let work = |at: usize| work(open[at]).inspect_err(|_| stop.store(true, Ordering::Relaxed));
     for (at, done) in run(open.len(), threads(asked, open.len()), stop, work) {

@@ -292,3 +292,22 @@ fn losses_are_measured_and_do_not_raise_success_much() {
     assert!(of("0ms-90%", "neighbours") < 0.2 * of("0ms-0%", "neighbours"));
     assert!(of("0ms-90%", "success_rate") <= of("0ms-0%", "success_rate") + 0.1);
 }
+
+#[test]
+fn parts_of_a_study_in_one_folder_are_the_study_of_one_machine() {
+    let place = Place::new();
+    let (whole, parts) = (place.at("whole"), place.at("parts"));
+    done(&SMALL, &["--quiet", "--out", &whole]);
+    for (shard, missing) in [("2/3", "3 trials"), ("1/3", "1 trials"), ("3/3", "without --shard")] {
+        let output = done(&SMALL, &["--json", "--out", &parts, "--shard", shard]);
+        let part: Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
+        assert_eq!((&part["shard"], &part["interrupted"]), (&Value::from(shard), &Value::from(false)), "{part}");
+        assert_eq!(part["trials"][0], part["trials"][1], "{part}");
+        assert!(text(&output.stderr).contains(missing), "{}", text(&output.stderr));
+        assert!(!Path::new(&parts).join("report.html").exists(), "a part writes trials alone");
+    }
+    done(&SMALL, &["--quiet", "--out", &parts]);
+    same(&whole, &parts);
+    refuses(&[&SMALL[..], &["--shard", "1/3"]].concat(), &["--out"]);
+    refuses(&[&SMALL[..], &["--out", &parts, "--shard", "4/3"]].concat(), &["--shard", "K/N"]);
+}

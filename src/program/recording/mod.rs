@@ -72,8 +72,9 @@ impl RecordFlags {
 }
 
 /// Flags with a value that do not affect the run.
-const OUTPUTS: [&str; 13] = [
+const OUTPUTS: [&str; 14] = [
     "--out",
+    "--shard",
     "--record",
     "--record-last",
     "--record-size",

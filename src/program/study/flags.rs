@@ -15,6 +15,7 @@ use anyhow::{Context, Result};
 use clap::builder::PossibleValuesParser;
 
 use super::run::{CommandLine, Run, check_unique};
+use super::shard::Shard;
 use crate::program::BadInput;
 use crate::program::bad;
 use crate::program::conditions;
@@ -56,6 +57,10 @@ pub struct Shared {
     /// Number of trials in every column: the same layouts with other random numbers
     #[arg(long, default_value_t = 12, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     repeats: u32,
+    /// Runs the K-th of N parts of the trials, each part on a machine of its own, into the folder of --out. The same
+    /// command without this flag then writes the report (docs/study.md)
+    #[arg(long, value_name = "K/N", requires = "out")]
+    pub shard: Option<Shard>,
     #[command(flatten)]
     pub record: RecordFlags,
     #[command(flatten)]

@@ -5,9 +5,11 @@ mod flags;
 mod folder;
 mod network;
 mod run;
+mod shard;
 mod trials;
 mod twin;
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -31,6 +33,7 @@ use crate::program::recording::Simulated;
 use folder::Folder;
 #[cfg(feature = "train")]
 pub use network::medium;
+use shard::Shard;
 
 /// Subcommands of `murmurate study`.
 #[derive(clap::Subcommand)]
@@ -77,6 +80,9 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let began = Instant::now();
     let records = run_all(&study, folder.as_ref(), &stop, shared)?;
     let trials = [records.len(), study.jobs().len()];
+    if let (Some(shard), Some(folder)) = (shared.shard, &folder) {
+        return part_is_done(&study, shard, &records, (folder, &shared.run));
+    }
     let interrupted = trials[0] < trials[1];
     let results = Results::of(&study, &records);
     if let (Some(folder), false) = (&folder, interrupted) {
@@ -98,6 +104,47 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         format!("{}\n\n{done} of {all} trials; {wall_s:.1} s", table::text(&study, &results))
     })?;
     shared.run.print_location(folder.as_ref(), "trials", done, all);
+    Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
+}
+
+/// Output of a part of a study with `--json`.
+#[derive(Serialize)]
+struct Part<'a> {
+    study: &'a str,
+    shard: String,
+    /// Number of finished trials of this part, and number of all its trials.
+    trials: [usize; 2],
+    interrupted: bool,
+}
+
+/// Prints what became of a part of the trials. Without `--json` nothing goes to stdout.
+fn part_is_done(
+    study: &Study,
+    shard: Shard,
+    records: &[(Job, Record)],
+    (folder, run): (&Folder, &run::Run),
+) -> Result<Ended> {
+    let mine: BTreeSet<Job> =
+        study.jobs().into_iter().enumerate().filter(|(at, _)| shard.has(*at)).map(|(_, job)| job).collect();
+    let done = records.iter().filter(|(job, _)| mine.contains(job)).count();
+    let interrupted = done < mine.len();
+    if run.json {
+        let part = Part { study: study.name, shard: shard.to_string(), trials: [done, mine.len()], interrupted };
+        print(&serde_json::to_string(&part).context("a report is JSON")?)?;
+    }
+    if interrupted || !run.quiet {
+        let left = study.jobs().len() - records.len();
+        let next = match (interrupted, left) {
+            (true, _) => "interrupted; the same command goes on from there".to_owned(),
+            (false, 0) => "all trials are there: the same command without --shard writes the report".to_owned(),
+            (false, left) => format!("{left} trials of other shards are missing here"),
+        };
+        talk(&format!(
+            "shard {shard}: {done} of {} trials are kept in '{}'; {next}",
+            mine.len(),
+            folder.path().display()
+        ));
+    }
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
 }
 
@@ -131,10 +178,11 @@ fn run_all(
     let found: Vec<Option<Record>> =
         all.iter().map(|job| folder.and_then(|folder| trials::read(folder, study, *job))).collect();
     let there = found.iter().flatten().count();
-    let left = all.iter().zip(&found).filter(|(_, found)| found.is_none());
-    let names = left.map(|(job, _)| trials::recorded(study, *job).name);
+    let mine = |at: usize| shared.shard.is_none_or(|shard| shard.has(at));
+    let left: Vec<usize> = (0..all.len()).filter(|at| found[*at].is_none() && mine(*at)).collect();
+    let names = left.iter().map(|at| trials::recorded(study, all[*at]).name);
     let recording = Simulated::open(&shared.record, shared.files(), names)?;
-    let bar = progress(u64::from(study.layouts.len()) * (all.len() - there) as u64, quiet);
+    let bar = progress(u64::from(study.layouts.len()) * left.len() as u64, quiet);
     if there > 0 && !quiet {
         talk(&format!("{there} of {} trials are finished already", all.len()));
     }
@@ -156,7 +204,7 @@ fn run_all(
         }
         Ok(Some(record))
     };
-    let records = jobs::finish(found, threads, stop, work)?;
+    let records = jobs::finish((found, left), threads, stop, work)?;
     bar.finish_and_clear();
     recording.map_or(Ok(()), |recording| recording.finish())?;
     Ok(all.into_iter().zip(records).filter_map(|(job, record)| Some((job, record?))).collect())

@@ -68,6 +68,12 @@ else
     echo "skipped: clocks of namespaces need root and Debian's faketime"
 fi
 
+if [ "$(id -u)" = 0 ] && command -v fsfreeze mkfs.ext4 >/dev/null; then
+    bash tests/peers/record/disks.sh "$program" || missed=1
+else
+    echo "skipped: disks that stall or are full need root, fsfreeze and mkfs.ext4"
+fi
+
 number=$((number + 1))
 "$python" tests/peers/record/kills.py "$program" "$(team teams/offboard.toml $number)" "$work/killed" "$kills" || missed=1
 exit $missed

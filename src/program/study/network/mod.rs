@@ -159,14 +159,15 @@ impl Study<'_> {
         let Study { args, journal, stop, .. } = self;
         let (source, sweep, cases) = (Source::Emulated, &journal.sweep, journal.sweep.cases());
         let found = journal.kept(source, &cases);
-        let bar = progress(found.iter().filter(|found| found.is_none()).count() as u64, args.run.quiet);
+        let open: Vec<usize> = (0..found.len()).filter(|at| found[*at].is_none()).collect();
+        let bar = progress(open.len() as u64, args.run.quiet);
         let work = |at: usize| -> Result<Option<cases::Record>> {
             let case = &cases[at];
             let Some(outcome) = emulate::run(sweep, case, &|| !stop.load(Ordering::Relaxed)) else { return Ok(None) };
             bar.inc(1);
             journal.keep(source, (at, case), outcome, 0.0).map(Some)
         };
-        let found = jobs::finish(found, args.run.jobs, stop, work)?;
+        let found = jobs::finish((found, open), args.run.jobs, stop, work)?;
         bar.finish_and_clear();
         Ok(cases.into_iter().zip(found).filter_map(|(case, found)| Some((source, case, found?.outcome))).collect())
     }
