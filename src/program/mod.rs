@@ -53,7 +53,10 @@ mod watch;
 #[cfg(any(feature = "completions", feature = "sim"))]
 mod whole_file;
 
+use std::ffi::OsString;
 use std::process::ExitCode;
+#[cfg(feature = "sim")]
+use std::sync::atomic::AtomicBool;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use tracing_subscriber::Layer;
@@ -189,14 +192,27 @@ fn log(wanted: &str, notes: bool) -> Result<(), String> {
     Ok(())
 }
 
+/// Runs `sim` with these arguments, without the program's name, and returns its results as JSON. Prints nothing. Ends
+/// early once `stop` is set. An error about a wrong flag or file is a `BadInput`.
+#[cfg(feature = "sim")]
+pub fn sim_results(arguments: &[String], registry: &Registry, stop: &AtomicBool) -> anyhow::Result<String> {
+    sim::results_of(arguments, registry, stop)
+}
+
 /// Runs the command in this process's arguments, with the parts of the registry. Returns the exit code.
 pub fn main(registry: &Registry) -> ExitCode {
+    main_with(registry, &std::env::args_os().collect::<Vec<_>>())
+}
+
+/// Runs the command in `arguments`, of which the first is the program's name, with the parts of the registry. Returns
+/// the exit code. For a program within another one, such as a Python interpreter; it is called at most once.
+pub fn main_with(registry: &Registry, arguments: &[OsString]) -> ExitCode {
     // The DDS process of a ROS 2 driver or source, which this program starts itself.
     #[cfg(feature = "ros2")]
-    if std::env::args_os().nth(1).is_some_and(|word| word == crate::ros2::SUBCOMMAND) {
+    if arguments.get(1).is_some_and(|word| word == crate::ros2::SUBCOMMAND) {
         return crate::ros2::node::run();
     }
-    let cli = match parse(registry) {
+    let cli = match parse(registry, arguments) {
         Ok(cli) => cli,
         Err(error) => return refuse(&error),
     };
@@ -228,9 +244,9 @@ fn command(registry: &Registry) -> clap::Command {
     names::add(Cli::command(), registry)
 }
 
-fn parse(registry: &Registry) -> Result<Cli, clap::Error> {
+fn parse(registry: &Registry, arguments: &[OsString]) -> Result<Cli, clap::Error> {
     let mut command = command(registry);
-    let found = command.try_get_matches_from_mut(std::env::args_os())?;
+    let found = command.try_get_matches_from_mut(arguments)?;
     Cli::from_arg_matches(&found).map_err(|error| error.format(&mut command))
 }
 

@@ -235,6 +235,32 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
 }
 
+/// Runs `sim` with these arguments, without the program's name, and returns its results as JSON. Prints no progress and
+/// no table. Ends early once `stop` is set.
+pub fn results_of(arguments: &[String], registry: &Registry, stop: &AtomicBool) -> Result<String> {
+    let words = ["sim", "--quiet", "--json"].into_iter().map(str::to_owned).chain(arguments.iter().cloned());
+    let found = Args::augment_args(clap::Command::new("sim")).try_get_matches_from(words);
+    let args = found.and_then(|found| Args::from_arg_matches(&found)).map_err(|error| BadInput(error.to_string()))?;
+    let ([] | [_]) = &args.policy[..] else { return bad("--policy: name one policy".to_owned()) };
+    #[cfg(feature = "watch")]
+    args.page.check(1, args.repeats)?;
+    let (trial, policy) = trial(&args, args.policy.first().map(|policy| &**policy), registry)?;
+    let pictures = Pictures::open(&args.pictures, args.episodes)?;
+    let mut paths = args.trajectories.as_deref().map(WholeFile::create).transpose()?;
+    let trials = [(trial, policy)];
+    let records = records(&args, &trials)?;
+    let [(trial, policy)] = trials;
+    let began = Instant::now();
+    let reports = run_all(&args, (&trial, &policy), &pictures, stop, records.as_ref())?;
+    let summary = summary(&args, &trial, &policy, &reports, began.elapsed());
+    if let Some(mut file) = paths.take() {
+        paths::write_all(&mut file, &reports)?;
+        file.keep()?;
+    }
+    pictures.draw(&trial, &policy, &reports)?;
+    serde_json::to_string(&summary).context("a result is JSON")
+}
+
 /// Prints a result, as a table or as one JSON object.
 fn show(args: &Args, result: &(impl Serialize + Display)) -> Result<()> {
     print(&if args.json { serde_json::to_string(result).context("a result is JSON")? } else { result.to_string() })

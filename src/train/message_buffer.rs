@@ -64,12 +64,13 @@ impl MessageBuffer {
     }
 
     /// Draws the arrivals of messages at robot `receiver` up to the receiver's action in `step`. Then calls `each` with
-    /// every message that the receiver uses, in the order of the senders.
+    /// every message that the receiver uses, in the order of the senders. `radius_m` is the range of communication \[m\].
+    /// The newest message that may be used was sent `behind` steps before: 0 if messages are made from observations, 1
+    /// if policies put them out with their actions.
     pub fn receive(
         &mut self,
-        episode: &Episode,
-        radius_m: f32,
-        step: u32,
+        (episode, radius_m): (&Episode, f32),
+        (step, behind): (u32, u32),
         receiver: usize,
         stream: &mut Stream,
         mut each: impl FnMut(&MessageBuffer, HeldMessage),
@@ -81,8 +82,9 @@ impl MessageBuffer {
         };
         for sender in (0..self.robots).filter(|&sender| sender != receiver) {
             if episode.lockstep {
+                let Some(sent) = step.checked_sub(behind) else { continue };
                 if self.in_range(&range, (step, receiver), (step, sender), stream) {
-                    each(self, HeldMessage { sender, step, age_s: 0.0 });
+                    each(self, HeldMessage { sender, step: sent, age_s: behind as f32 * period });
                 }
                 continue;
             }
@@ -91,7 +93,7 @@ impl MessageBuffer {
             // Times \[s\] of the message's arrival and of the receiver's action, each from the start of the step in
             // which it was sent or acts.
             let (arrival_s, now_s) = (episode.phase_s[sender] + delay_s, episode.phase_s[receiver]);
-            let newest = i64::from(step) - ((arrival_s - now_s) / period).ceil() as i64;
+            let newest = i64::from(step) - (((arrival_s - now_s) / period).ceil() as i64).max(behind.into());
             let oldest = i64::from(step) - ((episode.hold_s + arrival_s - now_s) / period).floor() as i64;
             let held = self.held[edge].map_or(-1, i64::from);
             for sent in (oldest.max(held + 1).max(0)..=newest).rev() {

@@ -26,3 +26,4 @@ pub mod rollout;
 mod scale;
 pub mod trainer;
 pub mod update;
+pub mod vector;

@@ -196,7 +196,8 @@ impl Chunk {
         for receiver in 0..range.len() {
             let (tasks, graphs, sources) = (&environments.tasks, &mut record.actor, &mut self.sources);
             let episode = &environments.teams[team].episode;
-            messages.receive(episode, settings.config.policy.radius_m, step, receiver, stream, |messages, message| {
+            let reach = (episode, settings.config.policy.radius_m);
+            messages.receive(reach, (step, 0), receiver, stream, |messages, message| {
                 let sent = messages.estimate(message.step, message.sender);
                 let source = if message.step == step {
                     (offset + message.sender) as u16

@@ -1,0 +1,73 @@
+"""Many teams as an environment of TorchRL (``pip install torchrl``), with resets of single teams by a mask."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from ._murmurate import VecEnv
+
+
+class Env(EnvBase):
+    """Batch of N teams; the group ``agents`` has the R robots of each.
+
+    Keys are ``("agents", "observation")`` (N, R, F), ``("agents", "action")`` (N, R, 2), ``("agents", "reward")``
+    (N, R, 1), and with messages ``("agents", "heard")``, ``("agents", "age")`` (N, R, R), ``("agents", "said")``
+    (N, R, R, M), by receiver and then by sender. With ``message="action"`` the policy also writes
+    ``("agents", "message")`` (N, R, M). Arguments are those of :class:`murmurate.VecEnv`, without ``autoreset``.
+    """
+
+    batch_locked = True
+    _has_dynamic_specs = False
+
+    def __init__(self, scenario: str = "passage", num_envs: int = 1, *, seed: int = 0, **options: Any) -> None:
+        super().__init__(device="cpu", batch_size=torch.Size([num_envs]))
+        core = self._core = VecEnv(scenario, num_envs, autoreset="disabled", seed=seed, **options)
+        n, r, f = core.obs.shape
+        self._message = options.get("message")
+        self.group_map = {"agents": [f"robot_{robot}" for robot in range(r)]}
+        observed: dict[str, Any] = {"observation": Unbounded((n, r, f))}
+        acted: dict[str, Any] = {"action": Bounded(-core.limit_m_s, core.limit_m_s, (n, r, 2))}
+        if self._message:
+            m = core.said.shape[3]
+            observed["heard"] = Binary(n=r, shape=(n, r, r), dtype=torch.bool)
+            observed["age"] = Unbounded((n, r, r))
+            observed["said"] = Unbounded((n, r, r, m))
+        if self._message == "action":
+            acted["message"] = Unbounded((n, r, core.said.shape[3]))
+        group = lambda entries: Composite({"agents": Composite(entries, shape=(n, r))}, shape=(n,))
+        self.observation_spec = group(observed)
+        self.action_spec = group(acted)
+        self.reward_spec = group({"reward": Unbounded((n, r, 1))})
+        flag = lambda: Categorical(2, shape=(n, 1), dtype=torch.bool)
+        self.done_spec = Composite({"done": flag(), "terminated": flag(), "truncated": flag()}, shape=(n,))
+
+    def _set_seed(self, seed: int | None) -> None:
+        self._core.reset(seed=int(seed or 0))
+
+    def _seen(self) -> dict[str, torch.Tensor]:
+        names = {"observation": "obs"} | ({name: name for name in ("heard", "age", "said")} if self._message else {})
+        return {key: torch.from_numpy(getattr(self._core, name)).clone() for key, name in names.items()}
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
+        mask = tensordict.get("_reset", None) if tensordict is not None else None
+        self._core.reset(None if mask is None else np.ascontiguousarray(mask.squeeze(-1).numpy()))
+        n, r = self._core.num_envs, self._core.num_robots
+        ended = {key: torch.zeros(n, 1, dtype=torch.bool) for key in ("done", "terminated", "truncated")}
+        return TensorDict({"agents": TensorDict(self._seen(), (n, r)), **ended}, (n,))
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        core, agents = self._core, tensordict["agents"]
+        said = agents["message"].contiguous().numpy() if self._message == "action" else None
+        core.step(agents["action"].contiguous().numpy(), said)
+        n, r = core.num_envs, core.num_robots
+        reward = torch.from_numpy(core.reward).clone().unsqueeze(-1)
+        terminated = torch.from_numpy(core.terminated).clone().unsqueeze(-1)
+        truncated = torch.from_numpy(core.truncated).clone().unsqueeze(-1)
+        ended = {"done": terminated | truncated, "terminated": terminated, "truncated": truncated}
+        return TensorDict({"agents": TensorDict(self._seen() | {"reward": reward}, (n, r)), **ended}, (n,))

@@ -1,0 +1,52 @@
+//! The program and its simulations, called from Python.
+
+use std::ffi::OsString;
+use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use murmurate::program::{self, BadInput};
+use murmurate::registry::Registry;
+use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+
+/// Time between two checks for a signal such as Ctrl-C.
+const SIGNALS: Duration = Duration::from_millis(50);
+
+/// Runs `murmurate sim` with these arguments and returns its results as JSON. Ctrl-C ends it early, with an exception.
+#[pyfunction]
+pub fn sim_json(py: Python<'_>, arguments: Vec<String>) -> PyResult<String> {
+    let stop = AtomicBool::new(false);
+    let interrupted = std::cell::RefCell::new(None);
+    let ended = std::thread::scope(|scope| {
+        let work = || program::sim_results(&arguments, &Registry::builtin(), &stop);
+        let worker = std::thread::Builder::new().name("sim".to_owned()).spawn_scoped(scope, work)?;
+        while !worker.is_finished() {
+            py.detach(|| {
+                std::thread::park_timeout(SIGNALS.min(if worker.is_finished() { Duration::ZERO } else { SIGNALS }))
+            });
+            if let Err(error) = py.check_signals() {
+                stop.store(true, Ordering::Relaxed);
+                interrupted.borrow_mut().get_or_insert(error);
+            }
+        }
+        Ok::<_, std::io::Error>(py.detach(|| worker.join()))
+    })?;
+    if let Some(error) = interrupted.into_inner() {
+        return Err(error);
+    }
+    let results = ended.map_err(|_| PyRuntimeError::new_err("a simulation has panicked: a defect of murmurate"))?;
+    results.map_err(|error| match error.downcast_ref::<BadInput>() {
+        Some(bad) => PyValueError::new_err(bad.0.clone()),
+        None => PyRuntimeError::new_err(format!("{error:#}")),
+    })
+}
+
+/// Runs the program with these arguments, of which the first is its name, and returns whether it has succeeded (0) or its
+/// exit code.
+#[pyfunction]
+pub fn run_program(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
+    let code = py.detach(|| program::main_with(&Registry::builtin(), &arguments));
+    // An exit code shows its number only to the operating system and in its text.
+    (0..=u8::MAX).find(|number| ExitCode::from(*number) == code).unwrap_or(1)
+}

@@ -1,0 +1,499 @@
+//! Vectorised environment for trainings outside this crate: many teams behind flat buffers.
+//!
+//! An environment is one team with its own random stream. So its data depends neither on the number of threads, nor on
+//! that of the environments, nor on resets of others.
+
+use std::sync::Arc;
+
+use super::conditions::Episode;
+use super::config::{Conditions, Reward};
+use super::environments::Environments;
+use super::message_buffer::{HISTORY_STEPS, HeldMessage};
+use super::observe;
+use super::parallel::in_parallel;
+use crate::chassis::Chassis;
+use crate::messages::geometry::Vec2;
+use crate::policy::manifest::Field;
+use crate::random::{Seed, Stream};
+use crate::scenario::Scenario;
+
+/// Number of environments that a thread takes at a time.
+const CHUNK: usize = 32;
+
+/// What becomes of an environment whose episode has ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Autoreset {
+    /// The next episode starts in the same step.
+    SameStep,
+    /// The environment waits for a reset.
+    Disabled,
+}
+
+/// Content of the messages between robots.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Content {
+    /// No message is delivered.
+    Nothing,
+    /// The observation that the sender had when it sent. So the sender's encoder can be trained through it.
+    Observations,
+    /// This number of floats, which the sender's policy has put out with its action.
+    Actions(usize),
+}
+
+/// Settings of a vectorised environment.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Task of every team.
+    pub scenario: Arc<dyn Scenario>,
+    /// Number of environments.
+    pub environments: usize,
+    /// Number of threads.
+    pub threads: usize,
+    /// Distributions from which each episode's conditions are drawn.
+    pub conditions: Conditions,
+    /// Weights of the reward's terms.
+    pub reward: Reward,
+    /// Chassis of all robots.
+    pub chassis: Chassis,
+    /// Fields of a robot's observation.
+    pub observation: Vec<Field>,
+    /// Largest distance between two robots that receive each other's messages \[m\].
+    pub radius_m: f32,
+    /// Largest commanded velocity along each axis \[m/s\].
+    pub limit_m_s: f32,
+    /// Longest duration of an episode \[s\]; an episode that reaches it is truncated.
+    pub episode_s: f32,
+    /// Content of the messages between robots.
+    pub content: Content,
+    /// What becomes of an environment whose episode has ended.
+    pub autoreset: Autoreset,
+    /// Seed of all random numbers.
+    pub seed: u64,
+}
+
+/// Buffers that a step fills, in row-major order. N is the number of environments, R that of robots in each, F that of
+/// floats of an observation, and M that of floats of a message.
+#[derive(Debug)]
+pub struct Buffers<'a> {
+    /// Observations \[N, R, F\], after a reset where there was one.
+    pub observation: &'a mut [f32],
+    /// Observations \[N, R, F\] before a reset: where an episode has ended, its last ones.
+    pub last_observation: &'a mut [f32],
+    /// Rewards \[N, R\].
+    pub reward: &'a mut [f32],
+    /// Whether the episode has ended because all robots have arrived \[N\].
+    pub terminated: &'a mut [bool],
+    /// Whether the episode has ended because its time is over \[N\].
+    pub truncated: &'a mut [bool],
+    /// Whether each robot has arrived \[N, R\], before a reset.
+    pub arrived: &'a mut [bool],
+    /// Whether a receiver uses a message of a sender \[N, R, R\], by receiver and then by sender; empty without
+    /// messages.
+    pub heard: &'a mut [bool],
+    /// Time since the arrival of that message \[s\] \[N, R, R\]; empty without messages.
+    pub age_s: &'a mut [f32],
+    /// Content of that message \[N, R, R, M\], zeros where there is none; empty without messages.
+    pub message: &'a mut [f32],
+}
+
+/// Lengths of one environment's part of each buffer.
+#[derive(Clone, Copy, Debug)]
+pub struct Lengths {
+    /// Number of robots R.
+    pub robots: usize,
+    /// Number of floats of an observation F.
+    pub observation: usize,
+    /// Number of floats of a message M; 0 without messages.
+    pub message: usize,
+}
+
+impl Lengths {
+    fn edges(self) -> usize {
+        if self.message > 0 { self.robots * self.robots } else { 0 }
+    }
+}
+
+impl<'a> Buffers<'a> {
+    /// Splits off the parts of the first `environments`.
+    fn take(&mut self, environments: usize, lengths: Lengths) -> Buffers<'a> {
+        fn cut<'a, T>(rest: &mut &'a mut [T], length: usize) -> &'a mut [T] {
+            let (first, others) = std::mem::take(rest).split_at_mut(length);
+            *rest = others;
+            first
+        }
+        let Lengths { robots, observation, message } = lengths;
+        let (rows, edges) = (environments * robots, environments * lengths.edges());
+        Buffers {
+            observation: cut(&mut self.observation, rows * observation),
+            last_observation: cut(&mut self.last_observation, rows * observation),
+            reward: cut(&mut self.reward, rows),
+            terminated: cut(&mut self.terminated, environments),
+            truncated: cut(&mut self.truncated, environments),
+            arrived: cut(&mut self.arrived, rows),
+            heard: cut(&mut self.heard, edges),
+            age_s: cut(&mut self.age_s, edges),
+            message: cut(&mut self.message, edges * message),
+        }
+    }
+}
+
+/// Environments that one thread advances.
+#[derive(Debug)]
+struct Chunk {
+    environments: Environments,
+    /// Random stream of each environment.
+    streams: Vec<Stream>,
+    /// Commanded velocities of the current step \[m/s\], world frame.
+    velocities: Vec<Vec2>,
+    /// Floats that policies have put out for messages: by environment, then by step modulo `HISTORY_STEPS`, then by
+    /// robot. Empty unless `Content::Actions`.
+    outputs: Vec<f32>,
+}
+
+/// Vectorised environment.
+#[derive(Debug)]
+pub struct VectorEnvironment {
+    options: Options,
+    lengths: Lengths,
+    chunks: Vec<Chunk>,
+}
+
+impl VectorEnvironment {
+    /// Makes the environments and starts an episode in each of them.
+    pub fn new(options: Options) -> VectorEnvironment {
+        let robots = options.scenario.robots();
+        let observation = 2 * options.observation.len();
+        let message = match options.content {
+            Content::Nothing => 0,
+            Content::Observations => observation,
+            Content::Actions(floats) => floats,
+        };
+        let lengths = Lengths { robots, observation, message };
+        let seed = Seed::of_run(options.seed);
+        let outputs = if matches!(options.content, Content::Actions(_)) { HISTORY_STEPS * robots * message } else { 0 };
+        let chunk = |first: usize| {
+            let rows = CHUNK.min(options.environments - first);
+            let scenarios = std::slice::from_ref(&options.scenario);
+            let environments = Environments::new(rows, &[vec![robots]], scenarios).equipped(&options.chassis);
+            let stream = |row: usize| seed.stream(&format!("environment {}", first + row));
+            let mut chunk = Chunk {
+                environments,
+                streams: (0..rows).map(stream).collect(),
+                velocities: vec![Vec2::zeros(); rows * robots],
+                outputs: vec![0.0; rows * outputs],
+            };
+            (0..rows).for_each(|row| chunk.start(&options.conditions, row));
+            chunk
+        };
+        let chunks = (0..options.environments).step_by(CHUNK).map(chunk).collect();
+        VectorEnvironment { options, lengths, chunks }
+    }
+
+    /// Lengths of one environment's part of each buffer.
+    pub fn lengths(&self) -> Lengths {
+        self.lengths
+    }
+
+    /// Settings of the environments.
+    pub fn options(&self) -> &Options {
+        &self.options
+    }
+
+    /// Replaces the seed, and starts a new episode in every environment.
+    pub fn reseed(&mut self, seed: u64, buffers: Buffers) {
+        let options = Options { seed, ..self.options.clone() };
+        *self = VectorEnvironment::new(options);
+        self.look(buffers, |_| true);
+    }
+
+    /// Advances every environment by one step of 50 ms. `actions` are the robots' velocities \[m/s\], policy frame,
+    /// \[N, R, 2\]; `outputs` the floats of their messages, \[N, R, M\], empty unless the content is `Actions`. All must
+    /// be finite; lengths that do not fit panic.
+    pub fn step(&mut self, actions: &[f32], outputs: &[f32], mut buffers: Buffers) {
+        let VectorEnvironment { options, lengths, chunks } = self;
+        let lengths = *lengths;
+        let (width, floats) = (2 * lengths.robots, lengths.robots * lengths.message);
+        let said = if matches!(options.content, Content::Actions(_)) { floats } else { 0 };
+        assert_eq!((actions.len(), outputs.len()), (options.environments * width, options.environments * said));
+        let mut first = 0;
+        let jobs: Vec<_> = chunks
+            .iter_mut()
+            .map(|chunk| {
+                let rows = first..first + chunk.streams.len();
+                first = rows.end;
+                let mine =
+                    (&actions[rows.start * width..rows.end * width], &outputs[rows.start * said..rows.end * said]);
+                (buffers.take(rows.len(), lengths), mine, chunk)
+            })
+            .collect();
+        in_parallel(options.threads, jobs.into_iter(), |(buffers, (actions, outputs), chunk)| {
+            chunk.step(options, lengths, (actions, outputs), buffers);
+        });
+    }
+
+    /// Starts a new episode in the environments that `mask` selects, and fills their observations and messages. Other
+    /// environments and their parts of the buffers do not change.
+    pub fn reset(&mut self, mask: impl Fn(usize) -> bool, buffers: Buffers) {
+        let mut first = 0;
+        for chunk in &mut self.chunks {
+            for row in (0..chunk.streams.len()).filter(|row| mask(first + row)) {
+                chunk.start(&self.options.conditions, row);
+            }
+            first += chunk.streams.len();
+        }
+        self.look(buffers, mask);
+    }
+
+    /// Fills observations and messages of the environments that `mask` selects.
+    fn look(&mut self, mut buffers: Buffers, mask: impl Fn(usize) -> bool) {
+        let VectorEnvironment { options, lengths, chunks } = self;
+        let mut environment = 0;
+        for chunk in chunks {
+            for row in 0..chunk.streams.len() {
+                let mut one = buffers.take(1, *lengths);
+                if mask(environment) {
+                    chunk.observe(options, row, one.observation);
+                    one.last_observation.copy_from_slice(one.observation);
+                    one.reward.fill(0.0);
+                    one.terminated.fill(false);
+                    one.truncated.fill(false);
+                    one.arrived.fill(false);
+                    chunk.receive(options, *lengths, row, &mut one);
+                }
+                environment += 1;
+            }
+        }
+    }
+
+    /// Returns the conditions of the running episode of an environment.
+    pub fn episode(&self, environment: usize) -> &Episode {
+        &self.chunks[environment / CHUNK].environments.teams[environment % CHUNK].episode
+    }
+}
+
+impl Chunk {
+    fn start(&mut self, conditions: &Conditions, row: usize) {
+        self.environments.start(row, conditions, &mut self.streams[row]);
+    }
+
+    fn step(
+        &mut self,
+        options: &Options,
+        lengths: Lengths,
+        (actions, outputs): (&[f32], &[f32]),
+        mut buffers: Buffers,
+    ) {
+        for row in 0..self.streams.len() {
+            let mut one = buffers.take(1, lengths);
+            let range = self.environments.teams[row].range();
+            for robot in range.clone() {
+                let wanted = Vec2::new(actions[2 * robot], actions[2 * robot + 1]);
+                let task = &self.environments.tasks[robot];
+                self.velocities[robot] = self.environments.scenario(row).steer(task, wanted);
+            }
+            if !self.outputs.is_empty() {
+                let (size, at) = (lengths.robots * lengths.message, self.environments.teams[row].step as usize);
+                let to = (row * HISTORY_STEPS + at % HISTORY_STEPS) * size;
+                self.outputs[to..to + size].copy_from_slice(&outputs[row * size..][..size]);
+            }
+            let Chunk { environments, streams, velocities, .. } = self;
+            environments.step(row, velocities, &options.reward, options.limit_m_s, &mut streams[row]);
+            one.reward.copy_from_slice(&environments.reward[range.clone()]);
+            one.arrived.copy_from_slice(&environments.arrived[range]);
+            let (done, over) = (environments.all_arrived(row), environments.elapsed_s(row) >= options.episode_s);
+            (one.terminated[0], one.truncated[0]) = (done, over && !done);
+            self.observe(options, row, one.last_observation);
+            if (done || over) && options.autoreset == Autoreset::SameStep {
+                self.start(&options.conditions, row);
+                self.observe(options, row, one.observation);
+            } else {
+                one.observation.copy_from_slice(one.last_observation);
+            }
+            self.receive(options, lengths, row, &mut one);
+        }
+    }
+
+    /// Writes the observations of an environment's robots.
+    fn observe(&mut self, options: &Options, row: usize, to: &mut [f32]) {
+        let Chunk { environments, streams, .. } = self;
+        if environments.teams[row].episode.lockstep {
+            environments.measure(row, &mut streams[row]);
+        }
+        let width = 2 * options.observation.len();
+        for (robot, to) in environments.teams[row].range().zip(to.chunks_exact_mut(width)) {
+            let (task, estimate) = (&environments.tasks[robot], environments.estimate(row, robot));
+            observe::own(&options.observation, environments.scenario(row), task, &estimate, to);
+        }
+    }
+
+    /// Writes the messages that an environment's robots use in their next decision.
+    fn receive(&mut self, options: &Options, lengths: Lengths, row: usize, to: &mut Buffers) {
+        if options.content == Content::Nothing {
+            return;
+        }
+        to.heard.fill(false);
+        to.age_s.fill(0.0);
+        to.message.fill(0.0);
+        let Chunk { environments, streams, outputs, .. } = self;
+        let (team, robots) = (&mut environments.teams[row], lengths.robots);
+        let (step, first) = (team.step, team.first);
+        let mut messages = std::mem::take(&mut team.messages);
+        // What a policy puts out with its action is sent after the decision: the step before is the newest there is.
+        let behind = u32::from(matches!(options.content, Content::Actions(_)));
+        for receiver in 0..robots {
+            let episode = &environments.teams[row].episode;
+            let each = |messages: &super::message_buffer::MessageBuffer, message: HeldMessage| {
+                let HeldMessage { sender, step: sent, age_s } = message;
+                let edge = receiver * robots + sender;
+                (to.heard[edge], to.age_s[edge]) = (true, age_s);
+                let content = &mut to.message[edge * lengths.message..][..lengths.message];
+                if behind > 0 {
+                    let at = (row * HISTORY_STEPS + sent as usize % HISTORY_STEPS) * robots + sender;
+                    content.copy_from_slice(&outputs[at * lengths.message..][..lengths.message]);
+                } else {
+                    let (task, estimate) = (&environments.tasks[first + sender], messages.estimate(sent, sender));
+                    observe::own(&options.observation, environments.scenario(row), task, &estimate, content);
+                }
+            };
+            messages.receive((episode, options.radius_m), (step, behind), receiver, &mut streams[row], each);
+        }
+        environments.teams[row].messages = messages;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::{self, Settings};
+    use crate::train::config::Config;
+
+    fn options(environments: usize, threads: usize, content: Content) -> Options {
+        let config = Config::preset("robust").expect("it is there");
+        Options {
+            scenario: scenario::build("passage", &Settings { robots: Some(3), gap_m: None }).expect("it is there"),
+            environments,
+            threads,
+            conditions: config.conditions.clone(),
+            reward: config.reward,
+            chassis: Chassis::default(),
+            observation: config.policy.observation.clone(),
+            radius_m: 2.0,
+            limit_m_s: 1.5,
+            episode_s: 1.0,
+            content,
+            autoreset: Autoreset::SameStep,
+            seed: 7,
+        }
+    }
+
+    /// Buffers of a vectorised environment.
+    struct Memory {
+        floats: Vec<Vec<f32>>,
+        flags: Vec<Vec<bool>>,
+    }
+
+    impl Memory {
+        fn of(environments: usize, lengths: Lengths) -> Memory {
+            let Lengths { robots, observation, message } = lengths;
+            let edges = lengths.edges();
+            let floats = [robots * observation, robots * observation, robots, edges, edges * message];
+            let flags = [1, 1, robots, edges];
+            Memory {
+                floats: floats.map(|length| vec![0.0; environments * length]).to_vec(),
+                flags: flags.map(|length| vec![false; environments * length]).to_vec(),
+            }
+        }
+
+        fn buffers(&mut self) -> Buffers<'_> {
+            let [observation, last_observation, reward, age_s, message] = &mut self.floats[..] else { unreachable!() };
+            let [terminated, truncated, arrived, heard] = &mut self.flags[..] else { unreachable!() };
+            Buffers { observation, last_observation, reward, terminated, truncated, arrived, heard, age_s, message }
+        }
+    }
+
+    /// Steps the environments by actions that depend on the observations; returns all that the buffers held, for the
+    /// first `first` environments.
+    fn rolled(options: Options, steps: u32, first: usize, reset: Option<(u32, usize)>) -> Vec<u32> {
+        let (count, mut seen) = (options.environments, Vec::new());
+        let mut environments = VectorEnvironment::new(options);
+        let lengths = environments.lengths();
+        let mut memory = Memory::of(count, lengths);
+        environments.reset(|_| true, memory.buffers());
+        for step in 0..steps {
+            let observed = memory.floats[0].chunks_exact(lengths.observation);
+            let actions: Vec<f32> = observed.flat_map(|of| [of[0].clamp(-1.0, 1.0), of[1].clamp(-1.0, 1.0)]).collect();
+            environments.step(&actions, &[], memory.buffers());
+            if let Some((_, which)) = reset.filter(|(at, _)| *at == step) {
+                environments.reset(|environment| environment == which, memory.buffers());
+            }
+            for floats in &memory.floats {
+                seen.extend(floats[..floats.len() / count * first].iter().map(|float| float.to_bits()));
+            }
+            for flags in &memory.flags {
+                seen.extend(flags[..flags.len() / count * first].iter().map(|flag| u32::from(*flag)));
+            }
+        }
+        seen
+    }
+
+    #[test]
+    fn data_do_not_depend_on_threads_on_other_environments_nor_on_their_resets() {
+        let content = Content::Observations;
+        let alone = rolled(options(3, 1, content), 60, 3, None);
+        assert_eq!(alone, rolled(options(70, 1, content), 60, 3, None));
+        assert_eq!(alone, rolled(options(70, 3, content), 60, 3, None));
+        assert_eq!(alone, rolled(options(70, 2, content), 60, 3, Some((20, 5))), "another one is reset");
+        assert_ne!(alone, rolled(options(3, 1, content), 60, 3, Some((20, 1))), "one of them is reset");
+        assert_ne!(alone, rolled(Options { seed: 8, ..options(3, 1, content) }, 60, 3, None));
+    }
+
+    #[test]
+    fn an_episode_that_ends_is_truncated_and_the_next_one_begins_unless_it_waits_for_a_reset() {
+        for autoreset in [Autoreset::SameStep, Autoreset::Disabled] {
+            let mut environments = VectorEnvironment::new(Options { autoreset, ..options(2, 1, Content::Nothing) });
+            let mut memory = Memory::of(2, environments.lengths());
+            let actions = [0.0; 2 * 3 * 2];
+            for step in 1..=20 {
+                environments.step(&actions, &[], memory.buffers());
+                assert_eq!(memory.flags[1], [step == 20; 2], "an episode has 1 s");
+            }
+            let same = memory.floats[0] == memory.floats[1];
+            assert_eq!(same, autoreset == Autoreset::Disabled, "the last observations are those of the episode");
+            assert_eq!(memory.flags[0], [false; 2]);
+        }
+    }
+
+    #[test]
+    fn floats_of_a_policy_arrive_a_step_later_or_later_still_and_from_neighbours_alone() {
+        for (delay_s, least) in [(0.0, 1), (0.1, 2)] {
+            let mut options = options(4, 1, Content::Actions(1));
+            options.conditions = Conditions {
+                clean: if delay_s > 0.0 { 0.0 } else { 1.0 },
+                loss: [0.0; 2],
+                delay_s: [delay_s; 2],
+                everyone: 1.0,
+                hold_s: [0.2; 2],
+                ..options.conditions
+            };
+            let mut environments = VectorEnvironment::new(options);
+            let mut memory = Memory::of(4, environments.lengths());
+            environments.reset(|_| true, memory.buffers());
+            assert!(memory.flags[3].iter().all(|heard| !heard), "nobody has said anything");
+            for step in 0..12 {
+                let said: Vec<f32> = (0..12).map(|robot| (100 * step + robot) as f32).collect();
+                environments.step(&[0.0; 24], &said, memory.buffers());
+                for edge in (0..36).filter(|edge| memory.flags[3][*edge]) {
+                    let (row, receiver, sender) = (edge / 9, edge / 3 % 3, edge % 3);
+                    let content = memory.floats[4][edge];
+                    assert_ne!(receiver, sender);
+                    assert_eq!(content as usize % 100, 3 * row + sender);
+                    let behind = step + 1 - content as usize / 100;
+                    assert!((least..=6).contains(&behind), "{content} in step {step}");
+                    assert!(delay_s > 0.0 || (behind, memory.floats[3][edge]) == (1, 0.05));
+                }
+                let heard = memory.flags[3].iter().filter(|heard| **heard).count();
+                assert!(step < 4 || heard == 24, "all hear the two others: {heard}");
+            }
+        }
+    }
+}
