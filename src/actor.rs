@@ -14,12 +14,13 @@ pub trait Core {
     /// sends the messages that the actor appends to `out`.
     fn handle(&mut self, now: Time, input: Self::In, out: &mut Vec<Self::Out>);
 
-    /// Time at which the runtime has to call `wake` next; `None` if the actor only reacts to messages. An actor that
-    /// needs a wake-up before its first message returns a past instant.
+    /// Returns the time at which the runtime has to call `wake` next; `None` if the actor only reacts to messages. An
+    /// actor that needs a wake-up before its first message returns a past instant.
     fn wake_at(&self) -> Option<Time>;
 
-    /// Largest acceptable delay, in real time, of a wake-up that is due in `ahead`. A delay lets the runtime serve
-    /// several wake-ups at once. The default zero is for control ticks; in virtual time no wake-up is delayed.
+    /// Returns the largest acceptable delay, in real time, of a wake-up that is due in `ahead`. A delay lets the
+    /// runtime serve several wake-ups at once. The default zero is for control ticks; in virtual time no wake-up is
+    /// delayed.
     fn tolerance(&self, ahead: Span) -> Span {
         let _ = ahead;
         Span::ZERO

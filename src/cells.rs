@@ -11,10 +11,10 @@ pub const LINEAR_SEARCH_MAX: usize = 32;
 
 /// Smallest side of a cell \[m\].
 const MIN_CELL_M: f64 = 1e-3;
-/// Side of a cell divided by the query radius: above 1 by more than rounding errors.
+/// Ratio of a cell's side to the query radius: above 1 by more than rounding errors.
 const SLACK: f64 = 1.001;
 
-/// A point with its cell and its index.
+/// Point of the grid: its cell (column, row), its position \[m\], and its index in the order given.
 #[derive(Clone, Copy, Debug)]
 struct Entry {
     cell: (i32, i32),
@@ -82,15 +82,15 @@ impl Cells {
     }
 }
 
-/// Column and row of the cell that contains a point.
+/// Returns the column and row of the cell that contains the point `at` \[m\], for cells of side `cell_m` \[m\].
 fn cell(at: Vec2, cell_m: f64) -> (i32, i32) {
     let along = |axis: f32| (f64::from(axis) / cell_m).floor() as i32;
     (along(at.x), along(at.y))
 }
 
-/// The bucket of a cell; `buckets` is a power of two. Adjacent cells of a row have adjacent buckets, so the entries of
-/// a neighbourhood lie together in memory. Rows begin an odd number of buckets apart, so no two rows begin at the same
-/// bucket until all have been used.
+/// Returns the index of the hash bucket of a cell (column, row); `buckets` is a power of two. Adjacent cells of a row
+/// have adjacent buckets, so nearby points lie together in memory. Rows begin an odd number of buckets apart, so no two
+/// rows begin at the same bucket until all have been used.
 fn bucket((x, y): (i32, i32), buckets: usize) -> usize {
     let row = (buckets.isqrt() | 1) as u32;
     (x as u32).wrapping_add((y as u32).wrapping_mul(row)) as usize & (buckets - 1)

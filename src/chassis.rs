@@ -104,8 +104,8 @@ pub struct Chassis {
 }
 
 impl Default for Chassis {
-    /// A holonomic chassis that does not control its heading and has no limits of speed. A measured heading may be up
-    /// to 100 ms old.
+    /// Returns a holonomic chassis that does not control its heading and has no limits of speed. A measured heading may
+    /// be up to 100 ms old.
     fn default() -> Chassis {
         Chassis {
             drive: DriveKind::Holonomic,
@@ -125,7 +125,7 @@ impl Settings {
         *self == Settings::default()
     }
 
-    /// These settings of one robot, with the values that are left out taken from `all`, the settings for all robots.
+    /// Returns the settings of one robot (`self`), with left-out values taken from `all`, the settings for all robots.
     pub fn or(&self, all: &Settings) -> Settings {
         Settings {
             drive: self.drive.or(all.drive),
@@ -142,7 +142,7 @@ impl Settings {
         }
     }
 
-    /// Makes the chassis with these settings, after a check. The error names the setting that is wrong or missing.
+    /// Checks the settings and makes a [`Chassis`] from them. The error names the setting that is wrong or missing.
     pub fn chassis(&self) -> Result<Chassis, ConfigError> {
         let wrong = |field: &str, why: &str| Err(ConfigError::field(field, why.to_owned()));
         for (field, value) in [
@@ -211,9 +211,9 @@ impl Settings {
 }
 
 impl Chassis {
-    /// Motion command in the robot's own frame, within the limits of the chassis. `velocity` \[m/s\] is that of the
-    /// commanded point in the world frame, `heading` the robot's heading \[rad\]. Returns `None` if the heading is
-    /// unknown and the velocity is not zero; then the robot has to stand.
+    /// Returns the motion in the robot's own frame, within the limits of the chassis, that carries out `velocity`
+    /// \[m/s\]: that of the commanded point in the world frame. `heading` is the robot's heading \[rad\]. Returns
+    /// `None` if the heading is unknown and the velocity is not zero; then the robot has to stand.
     pub fn twist(&self, velocity: Vec2, heading: Option<f32>) -> Option<BodyTwist> {
         if velocity == Vec2::zeros() {
             return Some(BodyTwist::default());
@@ -229,7 +229,8 @@ impl Chassis {
         }))
     }
 
-    /// Reduces a motion to the limits. A differential drive keeps its curve: both parts are reduced alike.
+    /// Returns a motion reduced to the limits of the chassis. On a differential drive, forward speed and yaw rate are
+    /// reduced by the same factor, so that the robot follows the same curve.
     fn limit(&self, twist: BodyTwist) -> BodyTwist {
         let BodyTwist { forward, left, yaw_rate } = twist;
         match self.drive {
@@ -245,7 +246,8 @@ impl Chassis {
         }
     }
 
-    /// Share of a motion of a differential drive that is within its limits, up to 1.
+    /// Returns the factor, up to 1, that reduces a motion of a differential drive to its limits: `forward` is its speed
+    /// \[m/s\], `yaw_rate` in \[rad/s\].
     fn share(&self, forward: f32, yaw_rate: f32) -> f32 {
         let share = |value: f32, most: f32| if value.abs() > most { most / value.abs() } else { 1.0 };
         let of_wheels =
@@ -253,8 +255,8 @@ impl Chassis {
         share(forward, self.speed_m_s).min(share(yaw_rate, self.yaw_rate_rad_s)).min(of_wheels)
     }
 
-    /// Velocity \[m/s\] of the commanded point that the chassis can carry out at `heading` \[rad\]. The result has the
-    /// direction of the wanted `velocity` and is reduced to the limits; both are in the world frame.
+    /// Returns the velocity \[m/s\] of the commanded point that the chassis can carry out at `heading` \[rad\]. It has
+    /// the direction of the wanted `velocity` and is reduced to the limits; both are in the world frame.
     pub fn limited(&self, velocity: Vec2, heading: f32) -> Vec2 {
         match self.drive {
             DriveKind::Holonomic => velocity.cap_magnitude(self.speed_m_s),
@@ -279,8 +281,8 @@ impl Chassis {
         Some(reading)
     }
 
-    /// Position and velocity of the point that policies command, in the world frame. `centre` is the motion of the
-    /// robot's centre, with `heading` \[rad\] and `yaw_rate` \[rad/s\].
+    /// Returns position and velocity of the point that policies command, in the world frame. `centre` is the motion of
+    /// the robot's centre, with `heading` \[rad\] and `yaw_rate` \[rad/s\].
     pub fn point_motion(&self, centre: &Motion, heading: f32, yaw_rate: f32) -> Motion {
         if self.point_ahead_m == 0.0 {
             return *centre;
@@ -290,14 +292,14 @@ impl Chassis {
         Motion { position: centre.position + ahead, velocity: centre.velocity + turning }
     }
 
-    /// Position \[m\], world frame, of the point that policies command, from the true state `sample` of a simulated
-    /// robot.
+    /// Returns the position \[m\], world frame, of the point that policies command, from the true state `sample` of a
+    /// simulated robot.
     pub fn point_of(&self, sample: &Sample) -> Vec2 {
         self.point_motion(&sample.motion, sample.heading, sample.yaw_rate).position
     }
 
-    /// Position of the robot's centre \[m\], world frame, from a reading of the point that policies command. Without a
-    /// heading, the position of that point is returned.
+    /// Returns the position of the robot's centre \[m\], world frame, from a reading of the point that policies
+    /// command. Without a heading, returns the position of that point.
     pub fn centre(&self, reading: &Reading) -> Vec2 {
         match reading.pose.heading {
             Some(heading) if self.point_ahead_m > 0.0 => reading.pose.position - self.ahead(heading),
@@ -305,8 +307,8 @@ impl Chassis {
         }
     }
 
-    /// Vector \[m\] in the world frame from the robot's centre to the point that policies command, at `heading`
-    /// \[rad\].
+    /// Returns the vector \[m\] in the world frame from the robot's centre to the point that policies command, at
+    /// `heading` \[rad\].
     pub fn ahead(&self, heading: f32) -> Vec2 {
         let (sin, cos) = libm::sincosf(heading);
         Vec2::new(cos, sin) * self.point_ahead_m

@@ -22,8 +22,8 @@ use crate::time::{Span, Time};
 /// Largest distance between a robot and its start at which the robot counts as ready for the episode \[m\].
 pub const START_M: f32 = 0.05;
 
-/// Shortest time from the start of a round until a robot can have arrived. An earlier arrival comes from a reading of
-/// the round before.
+/// Time from the start of a round (reset or episode) during which an Agent reports no robot as arrived. Its percept may
+/// still come from the round before.
 pub const SETTLING: Span = Span::from_millis(300);
 
 /// Input message of an Agent.
@@ -38,15 +38,15 @@ pub enum In {
 /// Output message of an Agent.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// Latent for the neighbours of one of its robots.
+    /// Latent of one of the Agent's robots, for the robot's neighbours.
     Latent(Latent),
-    /// Action for the Controller of one of its robots.
+    /// Action of one of the Agent's robots, for the robot's Controller.
     Action(Action),
 }
 
 /// Policies of one robot and their random streams, given to its Agent.
 pub struct RobotPolicies {
-    /// The robot.
+    /// Robot that the policies control.
     pub robot: RobotId,
     /// Policy under test, used in running episodes.
     pub run: Box<dyn Policy>,
@@ -58,14 +58,15 @@ pub struct RobotPolicies {
     pub ranges: Stream,
 }
 
-/// State of one robot within an Agent.
+/// State of one robot within an Agent: its policies, task, newest percept and latent.
 struct Slot {
     policies: RobotPolicies,
     task: Option<Task>,
     percept: Option<Percept>,
     /// Latent features that the robot broadcasts in the current step.
     features: Vec<f32>,
-    /// Whether the features are a valid latent. If not, the policy has failed and its actions are not used.
+    /// Whether `features` is a valid latent: finite and of the declared length. If not, the policy has failed and its
+    /// actions are not used.
     valid: bool,
     /// Expected lengths of the latent features: of the policy under test, and of the reset policy.
     widths: [usize; 2],
@@ -92,7 +93,7 @@ impl Slot {
     }
 }
 
-/// Agent of one or more robots.
+/// Agent of one or more robots: computes their latents and actions from their percepts, with their policies.
 pub struct Agent {
     scenario: Arc<dyn Scenario>,
     range: CommRange,
@@ -106,9 +107,10 @@ pub struct Agent {
     /// Time at which the Agent began to follow the round.
     began: Time,
     waiting_since: Option<Time>,
-    /// Number of the Agent's robots without a percept for the next step.
+    /// Number of the Agent's robots whose percept for the next step has not arrived yet.
     missing: usize,
-    /// Data shared in the current step for each slot (`None` without a percept), and the features of all robots.
+    /// For each slot, the data that its robot shares with the Agent's other robots in the current step; `None` without
+    /// a percept. `features` has the latent features of all these robots, one after the other.
     shared: Vec<Option<SharedData>>,
     features: Vec<f32>,
     /// Grid of the robots' positions in the current step; `None` for few robots, or if the range is unlimited or
@@ -118,8 +120,8 @@ pub struct Agent {
 }
 
 impl Agent {
-    /// Creates an Agent of these robots, which must be in the order of their ids. `range` is the communication range
-    /// between them, and `max_wait` the longest wait of a joint step for late percepts.
+    /// Creates an Agent of the robots in `robots`, which must be in the order of their ids. `range` is the
+    /// communication range between them, and `max_wait` the longest wait of a joint step for late percepts.
     pub fn new(scenario: Arc<dyn Scenario>, range: CommRange, max_wait: Span, robots: Vec<RobotPolicies>) -> Agent {
         assert!(robots.is_sorted_by_key(|policies| policies.robot), "sums run over robots in the order of their ids");
         Agent {
@@ -157,7 +159,8 @@ impl Agent {
         }
     }
 
-    /// Runs one step for all robots with a percept.
+    /// Runs one step of the policies: computes latents and actions of all robots with a percept, and appends them to
+    /// `out`.
     fn step(&mut self, now: Time, out: &mut Vec<Out>) {
         self.waiting_since = None;
         if matches!(self.phase, Phase::Resetting | Phase::Running) {
@@ -184,7 +187,8 @@ impl Agent {
         Cells::new(self.range.mean_m.max(NEAR_M), self.shared.iter().map(at))
     }
 
-    /// Encodes the latent of a robot, if it broadcasts one, and stores the data that it shares within the Agent.
+    /// Returns the latent of the robot in slot `at`; `None` if it broadcasts none in this step. Also stores the data
+    /// that the Agent's other robots read of this robot.
     fn share(&mut self, at: usize) -> Option<Latent> {
         let latent = self.encode(at);
         let Slot { policies, percept, features, .. } = &self.slots[at];
@@ -295,8 +299,8 @@ impl Agent {
     }
 }
 
-/// Moves a position away from the goal by twice its standard deviation \[m\], so that arrival counts only if it is
-/// certain.
+/// Returns `position` moved away from `goal` by twice the position's standard deviation \[m\], so that arrival counts
+/// only if it is certain.
 fn farther(position: Vec2, goal: Vec2, deviation_m: f32) -> Vec2 {
     match (position - goal).try_normalize(0.0) {
         Some(direction) if deviation_m > 0.0 => position + direction * (2.0 * deviation_m),
@@ -304,13 +308,14 @@ fn farther(position: Vec2, goal: Vec2, deviation_m: f32) -> Vec2 {
     }
 }
 
-/// Returns the task in a phase: in a reset, the goal is the start.
+/// Returns the task that a robot follows in `phase`: `task` itself in a running episode, otherwise the drive to its
+/// start (the goal is the start).
 fn bound_for(phase: Phase, task: &Task) -> Task {
     if phase == Phase::Running { *task } else { Task { start: task.start, goal: task.start } }
 }
 
-/// Limits each component of a velocity to the policy's limit \[m/s\]. A non-finite velocity is returned as it is; the
-/// Controller stops the robot for it.
+/// Returns `velocity` with each component clamped to plus or minus the policy's `limit` \[m/s\]. A non-finite velocity
+/// is returned unchanged; the Controller stops the robot for it.
 fn limited(velocity: Vec2, limit: f32) -> Vec2 {
     if is_finite(velocity) { velocity.map(|axis| axis.clamp(-limit, limit)) } else { velocity }
 }
@@ -341,7 +346,8 @@ impl Core for Agent {
         self.waiting_since.map(|since| since + self.max_wait)
     }
 
-    /// Runs the step without the robots whose percepts are late.
+    /// Runs the joint step without the robots whose percepts are late. It is due when the Agent has waited the longest
+    /// permitted time.
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         self.step(now, out);
     }

@@ -16,11 +16,12 @@ use crate::messages::wire::{Hardware, Health, MotorCommand, Reading, Stop};
 use crate::safety::hardware::{HardwareLimits, HardwareWatch, Permit};
 use crate::time::{Span, Time};
 
-/// Shortest interval between two messages in which a Body reports a stop to a state server that lacks it.
+/// Shortest interval between two messages in which a Body reports its engaged or held emergency stop latch to a state
+/// server that does not know of it.
 const CORRECTION_PERIOD: Span = Span::from_millis(200);
 
-/// Shortest interval between repetitions of a command for a new heading. Without it, a tracker of 100 Hz or more would
-/// flood the robot.
+/// Shortest interval at which a Body converts its command again with a newly measured heading and sends it to the
+/// driver. Without it, a tracker of 100 Hz or more would flood the robot.
 const FOLLOW_PERIOD: Span = Span::from_millis(20);
 
 /// Input message of a Body.
@@ -28,7 +29,7 @@ const FOLLOW_PERIOD: Span = Span::from_millis(20);
 pub enum In {
     /// Velocity command from the robot's Controller.
     MotorCommand(MotorCommand),
-    /// Measured pose of the Body's robot, which is not simulated.
+    /// Reading (measured state) of the Body's robot; sent only if the robot is not simulated.
     Reading(Reading),
     /// Packet from the worker of the robot's driver.
     Packet(Box<[u8]>),
@@ -36,7 +37,7 @@ pub enum In {
     WorkerEnded,
     /// Emergency stop message: engage, re-arm or resume.
     Stop(Stop),
-    /// Emergency stop latch in an instruction of the state server.
+    /// Emergency stop latch that an instruction of the state server contains.
     Latch(Latch),
     /// The Body's host is shutting down.
     Leave,
@@ -55,13 +56,13 @@ pub enum Out {
     Condition(Hardware),
     /// Whether battery and temperature permit motion, sent on a change to the Controller of the same host.
     Permit(Permit),
-    /// Emergency stop latch that the Body follows, for the host's Status.
+    /// State of the emergency stop latch that this Body obeys now, for the Status of its host.
     Follows(Latch),
-    /// Emergency stop for the whole team, because the state server does not know of it.
+    /// The Body's emergency stop latch, for the whole team: sent when the state server's latch is older than it.
     Stop(Stop),
 }
 
-/// Body of one robot.
+/// Body of one robot: passes velocity commands to the robot's driver, or stops the robot.
 pub struct Body {
     robot: RobotId,
     /// Host of the Body.
@@ -71,8 +72,8 @@ pub struct Body {
     chassis: Chassis,
     /// Last measured heading \[rad\] in the world frame, and its arrival time.
     heading: Option<(Time, f32)>,
-    /// Command in force of a robot that moves by its measured heading, and the time at which the driver last received
-    /// it.
+    /// Command in force, if its conversion to the robot's frame uses a measured heading, and the time at which the
+    /// driver last received it. `None` if the robot stands or its heading is unknown.
     driven: Option<(Drive, Time)>,
     hardware: HardwareWatch,
     /// Whether a warning was logged that a hardware value with a limit is unknown.
@@ -82,14 +83,14 @@ pub struct Body {
     /// Time at which the command in force expires; `None` without a command.
     expires: Option<Time>,
     latch: LatchFollower,
-    /// Time at which the Body last reported a stop to the state server.
+    /// Time at which the Body last reported its latch to a state server that did not know of it; `None` if never.
     corrected: Option<Time>,
     /// Whether the host is shutting down.
     leaves: bool,
 }
 
 impl Body {
-    /// Creates a Body at rest with this driver and chassis.
+    /// Creates the Body of a robot on a host, at rest, with the driver that moves the robot and the robot's chassis.
     pub fn new((host, robot): (HostId, RobotId), driver: Box<dyn Driver>, chassis: Chassis) -> Body {
         Body {
             robot,
@@ -109,7 +110,7 @@ impl Body {
         }
     }
 
-    /// Returns the Body with these limits of battery and temperature.
+    /// Returns the Body with its limits of battery and temperature set to `limits`.
     pub fn limited(self, limits: HardwareLimits) -> Body {
         Body { hardware: HardwareWatch::new(limits), ..self }
     }
@@ -216,7 +217,8 @@ impl Body {
         }
     }
 
-    /// Sends the latch to a restarted state server that lacks it. So a hold that only Bodies remember survives.
+    /// Sends the Body's latch to the team if it is engaged or held and newer than `heard`, the state server's. So a
+    /// stop that only Bodies remember survives a restart of the state server.
     fn correct(&mut self, now: Time, heard: Latch, out: &mut Vec<Out>) {
         let own = self.latch.latch();
         let due = self.corrected.is_none_or(|at| now.since(at) >= CORRECTION_PERIOD);

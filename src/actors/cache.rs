@@ -58,13 +58,13 @@ pub enum Out {
     Fresh,
 }
 
-/// Stored messages and estimator of one robot.
+/// Cache of one robot: holds its estimator and the newest latent of each neighbour, and sends percepts to its Agent.
 #[derive(Debug)]
 pub struct Cache {
     config: Config,
     stream: Stream,
     next: Time,
-    /// Arrival time and stamp \[ns\] of the last new reading.
+    /// Arrival time and measurement stamp \[ns\] of the robot's newest reading; `None` before the first.
     own: Option<(Time, u64)>,
     estimator: Box<dyn Estimator>,
     latents: BTreeMap<RobotId, (Time, Latent)>,

@@ -1,4 +1,5 @@
-//! Localizer: publishes readings of robots from one source. It runs on the host of the source.
+//! Localizer: publishes readings of robots from one source, such as a tracker or a GNSS receiver. It runs on the host
+//! of the source.
 
 use std::rc::Rc;
 
@@ -14,7 +15,7 @@ use crate::time::Time;
 pub enum In {
     /// True state of a simulated robot.
     Sample(Sample),
-    /// Packet from the worker of the source.
+    /// Packet from the worker of the source of readings, such as a tracker's datagram.
     Packet(Box<[u8]>),
     /// Pose and velocity from the own sensors of a robot whose Body runs on this host.
     Odometry(Reading),
@@ -25,14 +26,14 @@ pub struct Localizer {
     source: Box<dyn Source>,
     /// Chassis of each robot that is not simulated, indexed by robot id.
     chassis: Rc<[Chassis]>,
-    /// Number of refused packets and readings.
+    /// Number of packets that the source refused, and of readings without the heading that their chassis needs.
     refused: u64,
     outputs: Vec<localization::Out>,
 }
 
 impl Localizer {
-    /// Creates a Localizer without a measurement. The source measures the centres of robots. The Localizer publishes
-    /// the points that policies command; `chassis` has their offset for each robot.
+    /// Creates a Localizer that has received no measurement yet. `source` measures the centres of robots, but readings
+    /// are published of the points that policies command; `chassis`, indexed by robot id, has their offset.
     pub fn new(source: Box<dyn Source>, chassis: Rc<[Chassis]>) -> Localizer {
         Localizer { source, chassis, refused: 0, outputs: Vec::new() }
     }
@@ -53,7 +54,8 @@ impl Localizer {
     }
 }
 
-/// Counts a refused output and logs the counts 1, 2, 4, 8, ...: a faulty tracker may send nothing else.
+/// Adds 1 to `refused`, the number of refused outputs of a source, and logs the reason `why` at the counts 1, 2, 4, 8,
+/// ...: a faulty tracker may send nothing else.
 fn refuse(refused: &mut u64, why: &str) {
     *refused += 1;
     if refused.is_power_of_two() {

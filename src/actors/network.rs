@@ -36,23 +36,24 @@ pub enum In {
 /// Output message of a Network.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// Message for those actors of this host that handle its kind.
+    /// Message for those actors of this host that handle messages of its kind.
     Deliver(Wire),
-    /// Datagram for a link's transport.
+    /// Datagram that the transport of the given link has to send, to all hosts or to one.
     Transmit(LinkId, Audience, Frame),
-    /// Copy of a published datagram for the Recorder, without a tag.
+    /// Copy of a published datagram, without its authentication tag, for the Recorder.
     Tap(Frame),
-    /// Sum of the counts of all links, for the Recorder. Boxed because it is large and rare.
+    /// Counts of datagrams (sent, received, refused and others), summed over all links of the host, for the Recorder.
     Counts(Box<LinkCounts>),
-    /// State of the other hosts, for display. Only of links with link reports.
+    /// Peers of this host (incarnation, delay, loss), for display. Only of links with link reports.
     Peers(Vec<Peer>),
     /// Another live host has the id of this one and was started earlier. Sent once.
     Duplicate(DuplicateId),
-    /// Address of an operator that is in no team file, for a link's transport, which then sends to it.
+    /// Operator that is in no team file, with its address. The link's transport then also sends to that address.
     Admit(LinkId, Guest),
 }
 
-/// Largest delay of a link's timer, by which several timers share a wake-up: a tenth of the report period.
+/// Largest delay that a Network accepts for the timers of its links, so that several timers share one wake-up: a tenth
+/// of the period of link reports.
 const MAX_LATE: Span = Span::from_millis(25);
 /// Period at which a Network sends the counts of its links to the Recorder.
 pub const COUNTS_PERIOD: Span = Span::from_millis(1000);
@@ -60,7 +61,7 @@ pub const COUNTS_PERIOD: Span = Span::from_millis(1000);
 /// Configuration of a Network.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// Identity of this host.
+    /// Identity of this host: its id, team number and incarnation.
     pub me: Identity,
     /// Key of the team; with `None`, every sender is accepted.
     pub key: Option<Key>,
@@ -78,15 +79,16 @@ pub struct Network {
     links: Vec<Option<LinkState>>,
     /// Time at which each link is due. Kept apart from the links, which are large, as it is read after every message.
     due: Vec<Option<Time>>,
-    /// Whether a link's datagrams all reach every host, by link.
+    /// For each link: whether all datagrams on it reach every host.
     shared: Vec<bool>,
-    /// Header of the next datagram that leaves on no link, and the counts of such datagrams.
+    /// Header of the next datagram with a message that leaves on no link (it stays on this host). `local_counts` counts
+    /// such datagrams.
     local_header: Header,
     local_counts: LinkCounts,
     stream: Stream,
     outgoing: Vec<Outbound>,
     next_counts: Time,
-    /// Whether a duplicate id was reported.
+    /// Whether [`Out::Duplicate`] was sent: another live host with this host's id.
     duplicate_reported: bool,
     unauthorized: UnauthorizedPublishers,
 }
@@ -96,10 +98,11 @@ pub struct Network {
 struct UnauthorizedPublishers(BTreeMap<(String, Kind), u64>);
 
 impl UnauthorizedPublishers {
-    /// Largest number of counted pairs of sender and kind.
+    /// Largest number of pairs of sender and kind of message for which unauthorized messages are counted.
     const MAX_ENTRIES: usize = 256;
 
-    /// Counts a message, and logs the counts 1, 2, 4, 8, ...
+    /// Counts a message that host `name` sent without the right to publish it, and logs an error at the counts 1, 2, 4,
+    /// 8, ... of this sender and kind.
     #[cold]
     fn note(&mut self, name: &str, message: &Wire) {
         let (key, full) = ((name.to_owned(), message.kind()), self.0.len() >= UnauthorizedPublishers::MAX_ENTRIES);
@@ -116,8 +119,8 @@ impl UnauthorizedPublishers {
 }
 
 impl Network {
-    /// Creates a Network at the start of its host's incarnation. `stream` is the random stream of the backoffs of
-    /// requests and replies.
+    /// Creates the Network of a host that has just started. `stream` is the random stream for the random delays before
+    /// requests for retransmission and replies to them.
     pub fn new(config: Config, mut stream: Stream) -> Network {
         let Config { me, key, links, router } = config;
         let shared =

@@ -1,7 +1,8 @@
 //! Order: one operator's stop, re-arm, hold or resume, from its first message to the last confirmation.
 //!
 //! It repeats its message, handles the answers of hosts, and tracks which robots have confirmed. Before a re-arm or a
-//! resume it asks for the state of the latch; a stop is sent at once, and a hold with the latch that is passed in.
+//! resume it asks for the state of the emergency stop latch. A stop is sent at once. A hold is sent with the latch that
+//! the caller gives.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +15,8 @@ use crate::time::{Span, Time};
 /// Period at which an order repeats its message.
 pub const PERIOD: Span = Span::from_millis(20);
 
-/// Wait after the first answer for those of other hosts. Then the order fixes which stop or hold it refers to.
+/// Time that an order waits after the first host's answer for the answers of other hosts. Then it fixes which stop or
+/// hold it refers to.
 const SETTLING: Span = Span::from_millis(200);
 
 /// Kind of an operator's order.
@@ -42,7 +44,7 @@ impl OrderKind {
     }
 }
 
-/// Reason why a robot has not confirmed an order.
+/// Which parts of a robot have not confirmed an operator's order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unconfirmed {
     /// Neither the robot's Controller nor its Body has answered.
@@ -55,7 +57,7 @@ pub enum Unconfirmed {
     Both,
 }
 
-/// State of one operator's order.
+/// One order of an operator (stop, re-arm, hold or resume), with its message and the confirmations so far.
 #[derive(Debug)]
 pub struct Order {
     me: HostId,
@@ -66,7 +68,7 @@ pub struct Order {
     leading: Option<Leading>,
     /// The stop to re-arm, or the hold to end. Fixed once, so that the order does not apply to a later stop.
     target: Option<Latch>,
-    /// Time of the first answer of a host; `None` before it.
+    /// Time at which the first answer of a host arrived; `None` before it.
     first_answer: Option<Time>,
     next: Time,
     confirmed_at: Option<Time>,
@@ -90,22 +92,26 @@ impl Order {
         }
     }
 
-    /// Makes an order that sets this latch. It is sent at once, without first asking for the state of the latch.
+    /// Creates an order that refers to the known latch `target`: the stop to re-arm, the hold to end, or the clear
+    /// latch to hold. It is sent at once, without first asking the team for its latch.
     pub fn meaning(me: HostId, kind: OrderKind, robots: usize, target: Latch) -> Order {
         Order { target: Some(target), ..Order::new(me, kind, robots) }
     }
 
-    /// Time at which all robots had confirmed; `None` before that.
+    /// Returns the time at which all robots had confirmed the order; `None` before that. An order other than a stop
+    /// also needs the state server's confirmation.
     pub fn confirmed_at(&self) -> Option<Time> {
         self.confirmed_at
     }
 
-    /// Latch and reasons against a resume in the state server's last answer; `None` before one.
+    /// Returns the state server's last answer: its latch, and the robots that prevent a resume. `None` before the
+    /// first.
     pub fn leading(&self) -> Option<&Leading> {
         self.leading.as_ref()
     }
 
-    /// Newest known latch of the team. Ignores a latch with a number out of reach that only one robot claims.
+    /// Returns the newest emergency stop latch that the state server or a robot has reported; `None` before an answer.
+    /// Ignores a latch whose number is too far ahead of the others to be accepted.
     pub fn latch(&self) -> Option<Latch> {
         let latches = self.controllers.values().chain(self.bodies.values()).copied();
         let known = match &self.leading {
@@ -164,7 +170,8 @@ impl Order {
         }
     }
 
-    /// Returns the message to send now.
+    /// Returns the message that the order sends now: its stop, re-arm, hold or resume, or a question for the latch
+    /// until the latch to refer to is known.
     fn message(&self) -> Stop {
         let me = self.me;
         match (self.kind, self.target) {

@@ -1,7 +1,7 @@
 //! Recorder: receives all published messages and true states, and produces the report of the trial.
 //!
-//! It digests both into the run's trace, follows the state server's instructions, and passes each step of a running
-//! episode to the judge. No actor of the graph receives its results.
+//! It digests messages and states into the run's trace, follows the state server's instructions, and passes each step
+//! of a running episode to the judge. No actor of the graph receives its results.
 //!
 //! If one World simulates the whole team, the judge gets true states. Otherwise it gets the readings of each robot
 //! (`Judged::Readings`; `scenario::sightings` describes their quality). A robot measured within its radius of a wall
@@ -37,17 +37,17 @@ use crate::time::{Span, Time};
 pub enum In {
     /// Datagram that a Network of this process has published.
     Tap(Frame),
-    /// Message that another process has published and this one has received.
+    /// Message that another process has published and this process has received.
     Received(Wire),
     /// True states after a step of a World.
     Truth(Truth),
-    /// Counts of a Network on its links since it was started.
+    /// Counts of datagrams on all links of a host, since its Network was started.
     Counts(HostId, Box<LinkCounts>),
-    /// Counts of a link's radio since the start of the run.
+    /// Counts of the emulated radio of a link, since the start of the run.
     Radio(LinkId, Box<RadioCounts>),
     /// Counts of stops and reduced velocities by a robot's guard, since its Controller was started.
     Safety(RobotId, SafetyCounts),
-    /// The run ends now, even if an episode is running.
+    /// Request for the final totals: the run ends now, even if an episode is running.
     Closing,
     /// Datagram that a host of this process has received.
     Arrived(HostId, Frame),
@@ -60,15 +60,15 @@ pub enum In {
 /// Configuration of a Recorder.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// The episodes, in order.
+    /// Starts and goals of all episodes of the trial, in order.
     pub layouts: Layouts,
     /// Index of this repeat of the experiment.
     pub repeat: u32,
     /// Rules by which an episode is judged.
     pub rules: Rules,
-    /// Whether steps are reported.
+    /// Whether the report contains the states of the team at each step, and the messages in use.
     pub steps: Steps,
-    /// Number of other hosts that each message to neighbours should reach.
+    /// Number of other hosts that each broadcast latent should reach.
     pub receivers: u64,
     /// Whether true states or readings are judged.
     pub judged: Judged,
@@ -83,20 +83,20 @@ pub struct Config {
     pub chassis: Rc<[Chassis]>,
 }
 
-/// Whether the report of a trial contains its steps.
+/// Whether the report of a trial contains its steps: the true states of all robots after each step of the World.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Steps {
-    /// The report contains the steps.
+    /// The report contains the steps, but not the messages that robots use.
     Reported,
-    /// The report contains the steps and, for each, the messages that robots use of each other. Takes several times the
-    /// memory; for pictures.
+    /// The report contains the steps and, for each step, which robot uses whose messages, and their ages. Takes several
+    /// times the memory of `Reported`; for pictures.
     WithHearing,
-    /// Steps are judged, and not in the report.
+    /// The report does not contain the steps. They are judged all the same.
     Discarded,
 }
 
 impl Steps {
-    /// Whether steps are in the report.
+    /// Whether the report contains the steps.
     pub fn kept(self) -> bool {
         self != Steps::Discarded
     }
@@ -105,17 +105,18 @@ impl Steps {
 /// Time since a robot's last control step after which it counts as using no messages.
 const HEARING_TIMEOUT: Span = Span::from_millis(250);
 
-/// Recorder of one trial. Its report has a digest that is equal for equal runs.
+/// Recorder of one trial: judges its episodes and sends their results, totals and steps as [`Out`]. The totals have a
+/// digest (trace) that is equal for equal runs.
 pub struct Recorder {
     config: Config,
     digest: Xxh3,
     messages: u64,
     published: [Said; KINDS.len()],
     team: Vec<Option<Sample>>,
-    /// Whether each robot was seen since the last complete step of the team.
+    /// For each robot: whether its true state has arrived since the last complete step of the team.
     seen: Vec<bool>,
     commanded: Vec<Time>,
-    /// Last counts of each host. Those of a restarted Network begin at zero.
+    /// Last link counts of each host. A restarted Network begins at zero again.
     counts: BTreeMap<HostId, LinkCounts>,
     radio: BTreeMap<LinkId, RadioCounts>,
     /// Last counts of each robot's guard.
@@ -130,7 +131,7 @@ pub struct Recorder {
     since: Time,
     reset: Span,
     judge: Option<Judge>,
-    /// First episode without a verdict.
+    /// Index of the first episode without a verdict.
     open: u32,
     finished: bool,
 }
@@ -182,7 +183,8 @@ impl Recorder {
         self.receive(now, &codec::decode(frame).expect("a Network publishes whole datagrams").1, out);
     }
 
-    /// Whether messages are followed from sender to control step. It takes time, and only kept steps use it.
+    /// Whether each latent is followed from its publication to the control steps that use it: in running episodes, if
+    /// the report contains steps. It takes time, so it is left out otherwise.
     fn follows_messages(&self) -> bool {
         self.config.steps.kept() && self.phase == Phase::Running
     }
@@ -234,7 +236,7 @@ impl Recorder {
         (self.round, self.phase) = (round, phase);
     }
 
-    /// Returns the totals of the trial so far.
+    /// Returns the totals of the trial so far: numbers of messages, trace, and counts of links, radio and guards.
     fn totals(&self, now: Time) -> Totals {
         Totals {
             messages: self.messages,
@@ -294,7 +296,7 @@ impl Recorder {
         }
     }
 
-    /// Judges a step for which the states of all robots are known.
+    /// Judges a step for which the true states of all robots are known, and sends it as [`Out`] if steps are kept.
     fn judge_step(&mut self, now: Time, out: &mut Vec<Out>) {
         let samples: Vec<Sample> = self.team.iter().flatten().copied().collect();
         if self.phase == Phase::Running
@@ -316,7 +318,7 @@ impl Recorder {
         }
     }
 
-    /// Handles a reading, and judges the step that it completes.
+    /// Handles a robot's reading. If it completes a sighting of robots at one instant, passes that to the judge.
     fn take_reading(&mut self, now: Time, reading: &Reading, out: &mut Vec<Out>) {
         let centre = self.config.chassis[reading.robot.index()].centre(reading);
         let Some(Sighting { at, robots, lapsed }) = self.sightings.see(now, reading, centre) else { return };
@@ -335,7 +337,8 @@ impl Recorder {
         }
     }
 
-    /// Returns the messages between robots that are in use at this instant, if they are to be reported.
+    /// Returns for each message that a robot uses at `now` its receiver, sender and age. Empty outside running episodes
+    /// and unless the steps are kept `WithHearing`.
     fn hearing(&self, now: Time) -> Vec<Hearing> {
         if self.config.steps != Steps::WithHearing || self.phase != Phase::Running {
             return Vec::new();
@@ -350,7 +353,8 @@ impl Recorder {
     }
 }
 
-/// Returns the identity of a datagram; copies of it have the same.
+/// Returns the identity of a datagram from its header: sender, incarnation, sequence number, and whether it was sent to
+/// one host. Copies of a datagram have the same identity.
 fn datagram(header: &Header) -> Datagram {
     (header.sender, header.incarnation, header.sequence, header.flags.has(Flags::DIRECT))
 }

@@ -24,26 +24,26 @@ pub const TICK: Span = Span::from_millis(50);
 /// Period at which the StateServer repeats an unchanged instruction. In a team of several blocks of robots, each
 /// repetition has the tasks of one block.
 pub const MODE_PERIOD: Span = Span::from_millis(100);
-/// Number of times that a new instruction is sent for all blocks of robots, so that the loss of all of them is
-/// unlikely. Later repetitions are for one block each.
+/// Number of times that a new instruction is sent with the tasks of all robots, so that the loss of all of them is
+/// unlikely. Later repetitions have the tasks of one block of robots each.
 pub const NEW_MODE_REPEATS: u32 = 3;
 /// Time without a heartbeat after which a robot counts as missing: five heartbeat periods.
 pub const MISSING_AFTER: Span = Span::from_millis(1000);
-/// Longest wait for missing robots. After it, the StateServer continues without them.
+/// Longest wait for missing robots at the start and after an aborted episode. Then the StateServer continues without.
 pub const MUSTER_LIMIT: Span = Span::from_millis(10_000);
 /// Longest duration of a reset; after it, the reset has failed.
 pub const RESET_LIMIT: Span = Span::from_millis(60_000);
-/// Time beyond the rules' limit for which an episode may run on, because heartbeats arrive late.
+/// Time beyond the longest duration of an episode after which it is aborted; heartbeats may arrive late by as much.
 pub const GRACE: Span = Span::from_millis(500);
 
 /// Input message of a StateServer.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Progress and latch of a robot.
+    /// Heartbeat of a robot: its round, its phase of the episode, and the emergency stop latch that it follows.
     Heartbeat(Heartbeat),
     /// Emergency stop message: engage, re-arm or resume.
     Stop(Stop),
-    /// Report of a host that it shuts down or is present.
+    /// Status report of a host, which says whether the host shuts down or is present.
     Status(Status),
     /// The StateServer's host is shutting down.
     Leave,
@@ -54,14 +54,14 @@ pub enum In {
 pub enum Out {
     /// Instruction for the team.
     Mode(Mode),
-    /// Answer to an operator, sent through the Status of its host.
+    /// Latch and reasons against a resume: answer to an operator, sent through the Status of the server's host.
     Leading(Leading),
 }
 
 /// Configuration of a StateServer.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// The episodes, in order.
+    /// Starts and goals of all episodes of the trial, in order.
     pub layouts: Layouts,
     /// Index of this repeat of the experiment.
     pub repeat: u32,
@@ -75,7 +75,7 @@ pub struct Config {
     pub real: Vec<RobotId>,
 }
 
-/// The state server.
+/// State server of a team: decides when episodes and resets begin and end, and sends instructions to all robots.
 #[derive(Debug)]
 pub struct StateServer {
     config: Config,
@@ -85,7 +85,7 @@ pub struct StateServer {
     /// Whether the server started its episodes without a heartbeat.
     started_unheard: bool,
     latch: Latch,
-    /// Hosts that have announced their shutdown and are not back.
+    /// Hosts that have announced their shutdown and have not reported their presence since.
     left: BTreeSet<HostId>,
     /// Whether the server's own host is shutting down.
     leaves: bool,
@@ -93,10 +93,10 @@ pub struct StateServer {
     beyond_reach: u64,
     round: Round,
     phase: Phase,
-    /// Start of the phase; `None` before the first decision.
+    /// Time at which the present phase began; `None` before the first decision.
     since: Option<Time>,
     sent_at: Option<Time>,
-    /// Number of times that the instruction was sent, and the block of robots for the next repetition.
+    /// Number of times that the present instruction was sent. `turn` is the block of robots for the next repetition.
     times_sent: u32,
     turn: usize,
     next: Time,
@@ -151,7 +151,7 @@ impl StateServer {
         self.enter(now, phase);
     }
 
-    /// Starts from the team's state: with the first episode, or where an earlier incarnation of the server stopped.
+    /// Takes the team's state from heartbeats: begins the first episode, or goes on where an earlier server stopped.
     fn take_up(&mut self, now: Time) {
         let beats: Vec<Heartbeat> = self.present(now).flatten().cloned().collect();
         let last = self.latest_round(now);
@@ -277,7 +277,7 @@ impl StateServer {
         }
     }
 
-    /// Follows a new latch, and sends it at once.
+    /// Sets the emergency stop latch. If it is new, the next instruction, which contains it, is sent without delay.
     fn latched(&mut self, latch: Latch) {
         if latch != self.latch {
             tracing::warn!(state = latch.word(), number = latch.number(), "emergency stop");
@@ -303,7 +303,7 @@ impl StateServer {
         self.enter(now, Phase::AbortRunning);
     }
 
-    /// Chooses the next phase of the team.
+    /// Enters the next phase of the team if heartbeats, the latch, absent hosts or time limits require one.
     fn decide(&mut self, now: Time) {
         if self.leaves {
             return self.wait(now);

@@ -18,26 +18,27 @@ use crate::time::{Span, Time};
 
 /// Wait before an answer, so that the host's actors have handled the operator's message.
 const GATHER_TIME: Span = Span::from_millis(1);
-/// Shortest interval of answers to operators: the period of one operator's messages.
+/// Shortest interval between two answers to operators: the period at which one operator repeats its message.
 const ANSWER_PERIOD: Span = Span::from_millis(20);
-/// Period at which a host that shuts down repeats this until it ends.
+/// Period at which a host that shuts down repeats the message that it leaves, until its process ends.
 const LEAVE_PERIOD: Span = Span::from_millis(30);
 /// Period at which a host reports its presence while the team waits for another host.
 const PRESENCE_PERIOD: Span = Span::from_millis(200);
-/// Age after which an actor's latch is not reported: over two heartbeat periods.
+/// Age after which a Status no longer reports the latch of a Controller or Body: over two heartbeat periods.
 const STALE: Span = Span::from_millis(500);
 
 /// Time after an observer's last message for which it counts as present. One message may be lost.
 const OBSERVER_TIMEOUT: Span = Span::from_millis(2500);
-/// Period of telemetry messages of a host with one robot, and with several. They take less than 330 bytes a second with
-/// tags: what the budget of soft state leaves in a team of 50 (docs/wire.md).
+/// Period of telemetry messages: first of a host with one robot, then of a host with several. The messages take less
+/// than 330 bytes a second with tags: what the budget of soft state leaves in a team of 50 (docs/wire.md).
 const TELEMETRY_PERIODS: [Span; 2] = [Span::from_millis(250), Span::from_millis(330)];
-/// Time without a message of a robot after which its link does not count in the age of the oldest link.
+/// Time without a latent from a robot after which telemetry ignores that robot in `link_age_ms`, the largest age of the
+/// other robots' newest latents.
 const LINK_TIMEOUT: Span = Span::from_millis(1500);
-/// Largest number of robots in one telemetry message. More robots take turns.
+/// Largest number of robots in one telemetry message. If a host has more, they take turns.
 const ROBOTS_PER_MESSAGE: usize = 2;
-/// Shortest interval between two reasons of faults, over all robots of a host. The pause after one is doubled, for the
-/// same budget.
+/// Shortest interval between two telemetry messages of a host that contain the reason (text) of a robot's fault. After
+/// such a message the host waits two telemetry periods, which keeps it within its budget of bytes.
 const REASON_PERIOD: Span = Span::from_millis(1000);
 
 /// Input message of a Status.
@@ -51,17 +52,17 @@ pub enum In {
     Body(RobotId, Latch),
     /// Measured pose of a robot, on the host that runs its agent.
     Seen(RobotId, Pose),
-    /// Progress of a robot whose agent runs on this host.
+    /// Phase of the episode that a robot reports, if its agent runs on this host.
     Phase(RobotId, Phase),
     /// Answer of the state server to an operator, if it runs on this host.
     Leading(Leading),
-    /// Phase of the team in an instruction.
+    /// Phase of the team in an instruction of the state server.
     Mode(Phase),
     /// Condition of the hardware of a robot whose Body runs on this host.
     Condition(RobotId, Hardware),
     /// Counts of the guard of a robot whose agent runs on this host.
     Guard(RobotId, SafetyCounts),
-    /// Robot of which a message for agents has arrived.
+    /// A latent of this robot has arrived for the agents of this host.
     Latent(RobotId),
     /// Message of an observer, which asks for telemetry.
     Observe,
@@ -80,10 +81,10 @@ pub struct Config {
     pub bodies: Vec<RobotId>,
 }
 
-/// Value with its arrival time.
+/// Value that a Status has received, with its arrival time.
 type Stamped<T> = (Time, T);
 
-/// Newest values of one robot for telemetry.
+/// Newest pose, phase, hardware condition and guard counts of one robot, from which telemetry is made.
 #[derive(Clone, Debug, Default)]
 struct RobotTelemetry {
     seen: Option<Stamped<Pose>>,
@@ -103,7 +104,7 @@ pub enum Out {
     Telemetry(Telemetry),
 }
 
-/// Status of one host.
+/// Status of one host: answers operators and reports to the state server, and sends telemetry to observers.
 #[derive(Debug)]
 pub struct Status {
     host: HostId,
@@ -118,11 +119,11 @@ pub struct Status {
     due: Option<Time>,
     /// Telemetry by index in `robots`.
     telemetry: Vec<RobotTelemetry>,
-    /// Time of the newest message of each robot for agents.
+    /// Arrival time of each robot's newest latent.
     latents: BTreeMap<RobotId, Time>,
     /// Time until which an observer counts as present.
     observed_until: Option<Time>,
-    /// Time of the next telemetry message, and its first robot.
+    /// Time of the next telemetry message. `next_robot` is the index in `robots` of its first robot.
     next_telemetry: Time,
     next_robot: usize,
     /// Earliest time at which telemetry may again contain the reason of a robot's fault. Reasons are at least
@@ -153,14 +154,14 @@ impl Status {
         }
     }
 
-    /// Changes the telemetry of a robot of this host; ignores other robots.
+    /// Applies `change` to the stored telemetry of `robot`. Does nothing if the robot is not on this host.
     fn update(&mut self, robot: RobotId, change: impl FnOnce(&mut RobotTelemetry)) {
         if let Ok(place) = self.robots.binary_search(&robot) {
             change(&mut self.telemetry[place]);
         }
     }
 
-    /// Sends telemetry of the next robots, which take turns.
+    /// Sends one telemetry message about the next one or two robots of the host; the robots take turns.
     fn send_telemetry(&mut self, now: Time, out: &mut Vec<Out>) {
         let count = self.robots.len();
         let first = self.next_robot;
@@ -196,14 +197,17 @@ impl Status {
         self.next_telemetry = if explained.is_some() { now + period + period } else { now + period };
     }
 
-    /// Returns the largest age of the newest messages from other robots than `robot` \[ms\]; `None` if none is recent.
+    /// Returns the largest age \[ms\] among the newest latents of all robots except `robot`, those older than 1.5 s
+    /// ignored; `None` if none is left.
     fn link_age_ms(&self, now: Time, robot: RobotId) -> Option<u16> {
         let ages = self.latents.iter().filter(|(from, _)| **from != robot).map(|(_, at)| now.since(*at));
         let oldest = ages.filter(|age| *age < LINK_TIMEOUT).max()?;
         u16::try_from(oldest.as_nanos() / 1_000_000).ok()
     }
 
-    /// Returns the robot at `places` whose fault reason is sent in this message: the one that has waited longest.
+    /// Returns the index in `self.robots` of the robot whose fault reason this telemetry message contains: of the
+    /// faulty robots at the indices `places`, the one that has waited longest. `None` if none is faulty or it is too
+    /// early.
     fn explain(&mut self, now: Time, places: impl Iterator<Item = usize>) -> Option<usize> {
         let faulty = |place: &usize| self.telemetry[*place].hardware.as_ref().is_some_and(|h| h.reason.is_some());
         let next = places.filter(faulty).min_by_key(|place| self.telemetry[*place].reason_sent);
@@ -213,7 +217,8 @@ impl Status {
         Some(next)
     }
 
-    /// Schedules a message after `wait`, and no earlier than one `period` after the last message.
+    /// Schedules a status message after `wait`, and no earlier than one `period` after the last one. A message that is
+    /// already scheduled earlier stays.
     fn plan(&mut self, now: Time, wait: Span, period: Span) {
         let due = self.sent_at.map_or(now + wait, |at| (at + period).max(now + wait));
         self.due = Some(self.due.map_or(due, |before| before.min(due)));

@@ -4,23 +4,26 @@ use crate::messages::geometry::{Vec2, wrapped};
 use crate::messages::ids::RobotId;
 use crate::safety::guard::SafetyCounts;
 
-/// Length of a test drive \[m\]: several times the noise of a tracker, and safe on a table.
+/// Commanded length of a test drive \[m\]: several times the noise of a tracker, and safe on a table.
 pub const DISTANCE_M: f32 = 0.1;
-/// Largest displacement of a robot at rest \[m\]. With more noise, a drive of 10 cm cannot be judged.
+/// Largest measured displacement of a robot at rest \[m\] with which it is driven. With more noise, a drive of 10 cm
+/// cannot be judged.
 pub const NOISE_M: f32 = 0.05;
-/// Largest deviation of the direction \[rad\]. Mistakes in the axes give at least 45 degrees; the margin is for noise.
+/// Largest deviation of a test drive's measured direction from the commanded one that counts as correct \[rad\].
+/// Mistakes in the axes give at least 45 degrees; the margin is for noise.
 const DIRECTION_RAD: f32 = 30.0 * std::f32::consts::PI / 180.0;
-/// Largest deviation of the distance, as a share of the commanded distance.
+/// Largest deviation of a test drive's measured distance that counts as correct, as a share of the commanded distance.
 const SHARE: f32 = 0.5;
 /// Smallest displacement that counts as motion \[m\]: three standard deviations of RTK GNSS (1 cm).
 const MOVED_M: f32 = 0.03;
-/// Smallest displacement that counts as motion, in multiples of the robot's measured noise.
+/// Smallest displacement that counts as motion, in multiples of the robot's largest displacement at rest.
 const MOVED_NOISES: f32 = 1.2;
 
 /// Result of a robot's test drive.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Verdict {
-    /// The robot moved correctly: distance \[m\], and deviation to the left \[rad\].
+    /// The robot moved correctly: measured distance \[m\], and deviation from the commanded direction \[rad\], positive
+    /// to the left.
     Right(f32, f32),
     /// No reading of the robot has arrived, or none recently.
     Unseen,
@@ -30,19 +33,21 @@ pub enum Verdict {
     Noisy(f32),
     /// Every direction leads too close to a wall, the edge of the ground or another robot.
     NoRoom,
-    /// The robot did not move; these other robots did.
+    /// The robot did not move. The list has the other robots that moved meanwhile; if it is empty, the robot's guard
+    /// did not stop it either.
     Still(Vec<RobotId>),
-    /// The robot moved, and these other robots did as well.
+    /// The robot moved, and so did the other robots in the list.
     Together(Vec<RobotId>),
-    /// The robot moved in the direction that this mistake in the axes causes; deviation to the left \[rad\].
+    /// The robot moved in a wrong direction: the mistake in the axes that fits best, and the deviation from the
+    /// commanded direction \[rad\], positive to the left.
     Astray(Axes, f32),
-    /// The robot moved this distance \[m\] instead of `DISTANCE_M`.
+    /// The robot moved in the right direction, but the distance given here \[m\] instead of `DISTANCE_M`.
     Distance(f32),
-    /// The robot's guard stopped or slowed it, for these reasons.
+    /// The robot's guard stopped or slowed it, so that it did not drive the distance. The text lists the reasons.
     Held(String),
 }
 
-/// Mistake in the axes of a robot or of its source, as a map of vectors.
+/// Mistake in the axes of a robot or of the source of its readings: a rotation or reflection of vectors in the plane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Axes {
     /// No mistake.
@@ -64,7 +69,7 @@ pub enum Axes {
 }
 
 impl Axes {
-    /// All values.
+    /// All eight values of [`Axes`], with no mistake first.
     pub const ALL: [Axes; 8] = [
         Axes::Right,
         Axes::MirroredX,
@@ -76,7 +81,7 @@ impl Axes {
         Axes::SwappedReversed,
     ];
 
-    /// Applies the mistake to a vector.
+    /// Returns the vector as it appears with this mistake in the axes.
     pub fn apply(self, Vec2 { x, y }: Vec2) -> Vec2 {
         match self {
             Axes::Right => Vec2::new(x, y),
@@ -90,7 +95,7 @@ impl Axes {
         }
     }
 
-    /// Returns the mistake that turns `wanted` closest to the measured direction.
+    /// Returns the mistake that turns `wanted` closest to the direction of `measured`.
     fn of(wanted: Vec2, measured: Vec2) -> Axes {
         let near = |axes: &Axes| axes.apply(wanted).dot(&measured);
         Axes::ALL.into_iter().max_by(|one, other| near(one).total_cmp(&near(other))).expect("there are eight")

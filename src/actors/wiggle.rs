@@ -19,16 +19,16 @@ use crate::safety::guard::{self, Decision, Guard};
 use crate::scenario::arena::Arena;
 use crate::time::{Span, Time};
 
-/// Speed of the test drive \[m/s\], if the robot's limits permit it: two steps of the speeds of a RoboMaster
-/// (`drivers::robomaster`).
+/// Speed of the test drive \[m/s\], if the robot's limits permit it: twice the smallest speed that a RoboMaster can be
+/// commanded (`drivers::robomaster`).
 pub const SPEED_M_S: f32 = 0.2;
 /// Longest time that a robot is driven in one direction \[s\].
 const LONGEST_S: f32 = 5.0;
-/// Period of motor commands: that of policies.
+/// Period at which a Wiggle sends motor commands, equal to the control period of policies.
 const PERIOD: Span = Span::from_millis(50);
 /// Time from the end of a drive until it is judged, for the delay of robot and tracker and for braking.
 const SETTLE: Span = Span::from_millis(400);
-/// Age of its newest reading from which a robot counts as not measured.
+/// Age of a robot's newest reading from which the robot counts as not measured.
 const LOST: Span = Span::from_millis(600);
 
 /// Input message of a Wiggle.
@@ -38,9 +38,9 @@ pub enum In {
     Reading(Reading),
     /// Condition of the hardware of a robot to be driven.
     Hardware(RobotId, Hardware),
-    /// Starts the test drives with the first robot.
+    /// Request to start the test drives, with the first robot.
     Begin,
-    /// Ends the wiggle at once: all robots stop.
+    /// Request to end the wiggle at once: the driven robot stops.
     End,
 }
 
@@ -49,7 +49,7 @@ pub enum In {
 pub enum Out {
     /// Command for a robot's Body.
     Command(MotorCommand),
-    /// This robot's test drive begins.
+    /// Notice that the test drive of the robot begins.
     Begins(RobotId),
     /// Result of a robot's test drive.
     Result(RobotId, Verdict),
@@ -57,7 +57,7 @@ pub enum Out {
     Over,
 }
 
-/// Robot to be tested.
+/// Robot to be driven and judged by a Wiggle.
 #[derive(Clone, Copy, Debug)]
 pub struct Driven {
     /// Id of the robot.
@@ -73,7 +73,7 @@ pub struct Driven {
 pub struct Config {
     /// Robots to be tested, in order.
     pub robots: Vec<Driven>,
-    /// Configuration of each robot's guard.
+    /// Configuration of the guard through which the velocities of each robot pass.
     pub guard: guard::Config,
     /// Arena; robots are not driven toward its walls.
     pub arena: Arena,
@@ -84,7 +84,7 @@ pub struct Config {
 /// Stage of the test drive of the current robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Stage {
-    /// All robots stand still until this time.
+    /// All robots stand still until this time; then the next test drive begins.
     Rest(Time),
     /// The robot drives out: velocity \[m/s\] in the world frame, start time, end time.
     Drive(Vec2, Time, Time),
@@ -97,7 +97,7 @@ enum Stage {
     Over,
 }
 
-/// Measured positions of one robot.
+/// Newest reading of one robot, and its position and noise at rest before the test drives.
 #[derive(Clone, Debug)]
 struct Track {
     last: Reading,
@@ -107,7 +107,7 @@ struct Track {
     noise_m: f32,
 }
 
-/// Test drives of one host's robots.
+/// Actor that drives the robots of one host out and back, one at a time, and judges whether each moved correctly.
 #[derive(Debug)]
 pub struct Wiggle {
     config: Config,
@@ -155,12 +155,12 @@ impl Wiggle {
         }
     }
 
-    /// Returns the track of a robot with a recent reading.
+    /// Returns the measured positions of a robot; `None` without a reading in the last 0.6 s.
     fn seen(&self, now: Time, robot: RobotId) -> Option<&Track> {
         self.tracks.get(&robot).filter(|track| now.since(track.at) < LOST)
     }
 
-    /// Returns the other robots in the form that the guard takes.
+    /// Returns all measured robots except `robot`, as obstacles for the guard: last position, at rest, and its age.
     fn others(&self, now: Time, robot: RobotId) -> Vec<OtherRobot> {
         let other = |(&robot, track): (&RobotId, &Track)| OtherRobot {
             robot,
@@ -189,7 +189,7 @@ impl Wiggle {
         (room(best) > 0.0).then_some(best)
     }
 
-    /// Begins the next robot's test drive, or ends after the last.
+    /// Begins the test drive of the current robot; skips robots that cannot be driven. Ends the wiggle after the last.
     fn begin(&mut self, now: Time, out: &mut Vec<Out>) {
         while let Some(driven) = self.robot() {
             match self.ready(now, driven) {
@@ -234,7 +234,7 @@ impl Wiggle {
         Ok((along * speed, Span::from_secs(f64::from(DISTANCE_M / speed))))
     }
 
-    /// Passes a velocity through the guard to the robot's Body.
+    /// Passes a velocity (world frame) through the guard and sends it to the Body of the current robot.
     fn drive(&mut self, now: Time, velocity: Vec2, out: &mut Vec<Out>) {
         let Some(Driven { robot, .. }) = self.robot() else { return };
         let motion = self.tracks.get(&robot).map(|track| track.last.motion());
@@ -268,7 +268,7 @@ impl Wiggle {
         }
     }
 
-    /// Judges the test drive of a robot along a direction.
+    /// Returns the verdict on the test drive of `robot` in the direction `along` (world frame).
     fn judge(&self, now: Time, robot: RobotId, along: Vec2) -> Verdict {
         let way = |robot: &RobotId, track: &Track| {
             let way = track.last.pose.position - *self.before.get(robot)?;
@@ -282,7 +282,7 @@ impl Wiggle {
         }
     }
 
-    /// Advances to the next stage if it is due.
+    /// Advances the current robot's test drive to its next stage (rest, drive, settle, back) if that is due.
     fn advance(&mut self, now: Time, out: &mut Vec<Out>) {
         match self.stage {
             Stage::Rest(until) if now >= until => self.begin(now, out),

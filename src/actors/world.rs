@@ -19,8 +19,8 @@ use crate::messages::wire::{Mode, Phase, Reading, Round};
 use crate::time::{Span, Time};
 use crate::world::{Placement, Plant, PlantState};
 
-/// Age of a reading up to which a robot that the World does not simulate is extrapolated with its velocity; then it
-/// stands still. It is twice the age at which a robot without own readings stops (`safety`).
+/// Longest time for which a World extrapolates a robot that it does not simulate with the velocity of its newest
+/// reading; then that robot stands still in the plant. It is twice the age of own readings at which a robot stops.
 const MOVED_ON: Span = Span::from_millis(200);
 
 /// Input message of a World.
@@ -37,9 +37,9 @@ pub enum In {
 /// Output message of a World.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// True state for the Body of a simulated robot.
+    /// True state of a simulated robot, for the robot's Body.
     Sample(Sample),
-    /// True states for the Recorder.
+    /// True states of all robots that the World simulates, after one step of the plant, for the Recorder.
     Truth(Truth),
 }
 
@@ -62,7 +62,7 @@ impl PersistentPlant {
     }
 }
 
-/// World that simulates some robots of a team.
+/// World: steps the plant that simulates all or some robots of a team, and publishes their true states.
 pub struct World {
     persistent: Rc<RefCell<PersistentPlant>>,
     period: Span,
@@ -93,7 +93,8 @@ struct Other {
 }
 
 impl Other {
-    /// Returns motion of its centre and heading \[rad\] at `now`, extrapolated from the newest reading.
+    /// Returns the motion of the robot's centre and its heading \[rad\] at `now`, extrapolated from the newest reading;
+    /// `None` before the first reading.
     fn motion(&self, now: Time) -> Option<(Motion, f32)> {
         let (arrived, reading) = self.seen.as_ref()?;
         let age = now.since(*arrived);
@@ -128,7 +129,8 @@ impl World {
         World { persistent, period, placement, bodies, others, next: Time::ZERO, placed_at: None }
     }
 
-    /// Whether robots are placed for this instruction.
+    /// Returns whether the World places robots at their starts for the instruction `mode`, and stores the instruction's
+    /// round and phase.
     fn is_to_place(&mut self, mode: &Mode) -> bool {
         let mut persistent = self.persistent.borrow_mut();
         let (round, phase) = persistent.last_mode;

@@ -85,8 +85,8 @@ pub fn syntax(text: &str, error: &toml::de::Error) -> ConfigError {
     ConfigError::Syntax(format!("line {line}, column {column}{field}: {why}"))
 }
 
-/// The name of the field or table that a line begins with, in parentheses for an error. Empty if there is none or if
-/// it has unusual characters.
+/// Returns the name of the field or table that a line of TOML begins with, in parentheses for an error. Empty if there
+/// is none or if it is long or has unusual characters.
 fn field_of(line: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "_-.".contains(c);
     let table = line.trim().strip_prefix('[').map(|rest| rest.trim_matches(['[', ']']));
@@ -150,11 +150,12 @@ pub fn unquoted(message: &str) -> String {
     redacted(&(kept + rest)).into_owned()
 }
 
-/// Words of serde's messages after which a value of the text follows in backticks.
+/// Words in error messages of serde after which a value of the parsed text follows in backticks.
 const REPEATS: [&str; 6] = [UNKNOWN_FIELD, "unknown variant ", "integer ", "floating point ", "boolean ", "character "];
 const UNKNOWN_FIELD: &str = "unknown field ";
 
-/// Byte index of the closing quotation mark. A mark after a backslash is part of the quotation.
+/// Returns the byte index of the first quotation mark `mark` in `text`; `None` without one. A mark after a backslash
+/// is part of the quotation.
 fn closing(text: &str, mark: &str) -> Option<usize> {
     let mut escaped = false;
     text.char_indices().find_map(|(at, c)| {

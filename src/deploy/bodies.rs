@@ -1,4 +1,4 @@
-//! Real robots of a deployment, chassis of all robots, and limits of their hardware.
+//! Chassis and hardware limits of the robots in a deployment, with their checks, and checks of its real robots.
 
 use std::rc::Rc;
 
@@ -10,7 +10,8 @@ use crate::safety::hardware::HardwareLimits;
 use crate::world::{self, Placement};
 
 impl Deployment {
-    /// Checks that every robot is simulated, as a process under virtual time requires. An error names the field.
+    /// Checks that every robot is simulated, as a simulation under virtual time requires. An error names the field of a
+    /// host with a real robot.
     pub fn check_simulated(&self) -> Result<(), ConfigError> {
         let real = |host: &&Host| !host.actuates.is_empty() || !host.localizes.is_empty();
         self.hosts.iter().find(real).map_or(Ok(()), |host| {

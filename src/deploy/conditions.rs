@@ -1,5 +1,5 @@
-//! Conditions of a simulation as a file: the world, and the links between robots. `study twin` writes what it has
-//! fitted in this form; `sim`, `study` and `train` read it.
+//! Conditions of a simulation as a TOML file: properties of the simulated robots, and delay and loss of messages
+//! between them. `study twin` writes the values that it has fitted in this form; `sim`, `study` and `train` read it.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,14 +7,15 @@ use super::{Deployment, Impair, ImpairError};
 use crate::config::{self, ConfigError};
 use crate::world::Physics;
 
-/// Conditions; a field that is `None` leaves what the command has.
+/// Conditions of a simulation: plant, properties of the robots' motion, and delay and loss of messages. A field that is
+/// `None` leaves the setting of the command unchanged.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Conditions {
-    /// Plant of the simulated robots.
+    /// Name of the plant that simulates the robots.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plant: Option<String>,
-    /// Time constant of the drivetrains \[s\].
+    /// Time constant of the first-order lag from commanded to true velocity of the robots \[s\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lag_s: Option<f32>,
     /// Standard deviation of wheel slip, as a share of the commanded speed.
@@ -56,7 +57,8 @@ impl Conditions {
         toml::to_string(self).expect("conditions are TOML")
     }
 
-    /// Returns physics with these conditions in place of their own; a lag \[s\] that a flag gives counts before theirs.
+    /// Returns `physics` with the lag and wheel slip that these conditions set. A lag \[s\] in `lag_s`, from a command
+    /// line flag, overrides that of the conditions.
     pub fn physics(&self, physics: Physics, lag_s: Option<f32>) -> Physics {
         Physics {
             lag_s: lag_s.or(self.lag_s).unwrap_or(physics.lag_s),
@@ -66,12 +68,13 @@ impl Conditions {
         }
     }
 
-    /// Whether they say something of the links.
+    /// Whether the conditions set a delay or a loss of messages.
     pub fn impair(&self) -> bool {
         self.delay_s.is_some() || self.loss.is_some()
     }
 
-    /// Returns a deployment whose messages between robots have this delay and loss.
+    /// Returns the deployment with the delay and loss of these conditions set for messages between robots (latents).
+    /// Fails if no latent crosses a link, or if a value is out of range.
     pub fn links(&self, deployment: Deployment) -> Result<Deployment, ImpairError> {
         deployment.impaired(self.delay_s, self.loss, Impair::Latent)
     }

@@ -6,7 +6,8 @@ use crate::messages::wire::Kind;
 use crate::report::episode::Judged;
 
 impl Deployment {
-    /// Data from which episodes are judged: true states if one World simulates all robots, otherwise readings.
+    /// Returns the kind of data from which episodes are judged: true states if one World simulates all robots,
+    /// otherwise readings.
     pub fn judged(&self) -> Judged {
         match self.hosts.iter().any(|host| host.simulates.len() == self.robots) {
             true => Judged::Truth,
@@ -14,8 +15,8 @@ impl Deployment {
         }
     }
 
-    /// Host that judges episodes: the one whose World simulates all robots, or else the host of the state server, which
-    /// then receives all readings. Panics without a state server, which [`Deployment::check`] excludes.
+    /// Returns the host that judges episodes: the one whose World simulates all robots, or else the host of the state
+    /// server, which then receives all readings. Panics without a state server, which [`Deployment::check`] excludes.
     pub fn judge(&self) -> HostId {
         let judges = |host: &Host| match self.judged() {
             Judged::Truth => host.simulates.len() == self.robots,
@@ -25,12 +26,14 @@ impl Deployment {
         HostId(u16::try_from(found).expect("a checked deployment has few hosts"))
     }
 
-    /// Host that judges episodes from readings, and so receives those of all robots; `None` if true states are judged.
+    /// Returns the host that judges episodes from readings, and so receives those of all robots; `None` if true states
+    /// are judged.
     pub fn judge_of_readings(&self) -> Option<HostId> {
         (self.judged() == Judged::Readings).then(|| self.judge())
     }
 
-    /// Returns an explanation for errors if messages of this kind must cross hosts only for the judge; empty otherwise.
+    /// Returns the end of an error text, which explains that the judging host needs all readings, if `kind` is readings
+    /// and episodes are judged from them; empty otherwise.
     pub(super) fn needed_by_judge(&self, kind: Kind) -> String {
         match (kind, self.judged()) {
             (Kind::Reading, Judged::Readings) => {

@@ -30,17 +30,17 @@ use crate::net::protocol::reliability::Reliabilities;
 use crate::time::Span;
 use crate::world::{self, Placement};
 
-/// Times at which Agents step.
+/// Rule for the times, within the control period, at which Agents step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Stepping {
-    /// All at the same time, halfway between two World steps, as in training.
+    /// All Agents step at the same time, halfway between two World steps, as in training.
     Lockstep,
-    /// Each with its own offset within the period, drawn from the seed.
+    /// Each Agent steps with an offset of its own within the period, set by the deployment or drawn from the seed.
     Seeded,
 }
 
-/// Process of the team, with the actors that it runs.
+/// Host of a team: a process, with the actors that it runs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Host {
@@ -64,20 +64,21 @@ pub struct Host {
     /// Source of the readings of the robots in `localizes`; `None` if that is empty.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<Settings>,
-    /// Publication of received messages for other programs, such as ROS tools; `None` for none.
+    /// Settings with which the host publishes received messages for other programs, such as ROS tools; `None` if it
+    /// publishes none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub observe: Option<Settings>,
     /// Whether this host runs the team's state server.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub state_server: bool,
-    /// Time of each agent's ticks within their period \[s\], in the order of `agents`, in simulations whose agents step
-    /// at times of their own; drawn from the seed if it is empty.
+    /// Tick offset of each agent \[s\]: time of its ticks within their period, in the order of `agents`. Used only with
+    /// `Stepping::Seeded`. If empty, offsets are drawn from the seed.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub tick_offsets_s: Vec<f64>,
 }
 
-/// Medium of a link. It determines which effects are simulated on the link's frames. Real sockets are set in the team
-/// file.
+/// Medium of a link: cable, loopback or kind of radio. It determines which effects are simulated on the link's frames.
+/// Real sockets are set in the team file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LinkMedium {
@@ -93,7 +94,7 @@ pub enum LinkMedium {
 }
 
 impl LinkMedium {
-    /// Topology of the radio channel; `None` if the medium is not a radio.
+    /// Returns the topology of the medium's radio channel; `None` if the medium is not a radio.
     pub fn topology(self) -> Option<Topology> {
         match self {
             LinkMedium::AccessPoint => Some(Topology::Infrastructure),
@@ -143,9 +144,9 @@ pub struct Deployment {
     pub mode: String,
     /// Number of robots.
     pub robots: usize,
-    /// Whether robots are placed at their starts or drive there.
+    /// Whether robots are placed exactly at their starts or drive there.
     pub placement: Placement,
-    /// Times at which Agents step.
+    /// Rule for the times, within the control period, at which the team's Agents step.
     pub stepping: Stepping,
     /// Name of the plant that simulates robots.
     #[serde(default = "kinematic")]
@@ -168,18 +169,18 @@ fn kinematic() -> String {
     world::KINEMATIC.to_owned()
 }
 
-/// Largest number of hosts, and of links. Their ids have 16 bits.
+/// Largest number of hosts of a deployment, and of its links. Their ids have 16 bits.
 const MAX_NAMES: usize = 10_000;
 
 /// Error when links are given a delay, loss or range.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ImpairError {
-    /// No message would be affected, because none of these kinds crosses a link.
+    /// No message would be affected, because no message of the kinds in question crosses a link.
     #[error("nothing to act on in mode '{mode}': no {kinds} message crosses a link there")]
     NothingCrosses {
         /// Name of the deployment's mode.
         mode: String,
-        /// Kinds of messages to be impaired.
+        /// Word for the kinds of messages to be impaired, for the error text.
         kinds: &'static str,
     },
     /// A delay or a probability is out of range.
@@ -191,9 +192,9 @@ pub enum ImpairError {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Impair {
-    /// Latents, the messages between robots.
+    /// The impairment applies to latents, the messages between robots.
     Latent,
-    /// All messages on every link except cables.
+    /// The impairment applies to all messages on every link except cables.
     All,
 }
 
@@ -210,8 +211,8 @@ impl Deployment {
         toml::to_string(self).expect("a deployment is TOML")
     }
 
-    /// Checks that every robot has one Agent and one Body, and every message a route. An error names the field. The
-    /// plant's name is checked by the registry.
+    /// Checks that every robot has one Agent, one Body and one source of readings, that every message has a route, and
+    /// that all settings are valid. An error names the field. The plant's name is checked by the registry.
     pub fn check(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         if self.robots == 0 || self.robots > usize::from(u16::MAX) {
@@ -303,14 +304,14 @@ impl Deployment {
         }
     }
 
-    /// Returns the actors and links at which faults of a plan can aim.
+    /// Returns the robots, hosts and links of the deployment into which a fault plan can inject faults.
     pub fn targets(&self) -> Targets<'_> {
         let links = self.links.iter().map(|link| (link.name.as_str(), link.carries.as_slice())).collect();
         Targets { robots: self.robots, hosts: self.hosts.len(), links }
     }
 
-    /// Adds the radio to every link whose medium is a radio; each link has a channel of its own. The radio's range
-    /// applies only to ad hoc links, because other frames go through an access point.
+    /// Returns the deployment with the emulated channel `radio` on every link whose medium is a radio; each link has a
+    /// channel of its own. The radio's range applies only to ad hoc links: other frames go through an access point.
     pub fn with_radio(mut self, radio: &Radio) -> Deployment {
         for link in &mut self.links {
             let Some(channel) = link.medium.topology() else { continue };
@@ -365,7 +366,7 @@ impl Deployment {
 }
 
 impl Link {
-    /// Checks the numbers of the link, and that it carries the kinds that it impairs or makes reliable.
+    /// Checks the numbers of the link, and that it carries all kinds of messages in `impairs` and `reliability`.
     fn check(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         if !(0.0..=1.0).contains(&self.loss) {

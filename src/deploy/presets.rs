@@ -1,4 +1,4 @@
-//! Modes of the paper as deployments (section IV). No other module refers to modes and their links by name.
+//! Preset deployments: the modes of the paper (section IV). No other module refers to modes and their links by name.
 
 use super::{Deployment, Host, Link, LinkMedium, Stepping, kinematic};
 use crate::messages::ids::RobotId;

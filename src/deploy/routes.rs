@@ -13,22 +13,23 @@ use crate::net::protocol::router::{Audience, Publishers, Route, Router};
 #[derive(Clone, Debug)]
 pub struct Routes {
     robots: usize,
-    /// For each robot: host of its Agent, and the robots of that Agent in the order of their ids.
+    /// For each robot: host of its Agent. `agent_robots` has the robots of that Agent, in the order of their ids.
     agent_host: Vec<HostId>,
     agent_robots: Vec<Arc<[RobotId]>>,
-    /// For each robot: hosts of its motors, of its measurement and, if it is simulated, of its World.
+    /// For each robot: host that drives its motors. `localizer_host` has the host that measures it, `world_host` that
+    /// of the World that simulates it (`None` for a real robot).
     actuator_host: Vec<HostId>,
     localizer_host: Vec<HostId>,
     world_host: Vec<Option<HostId>>,
-    /// For each robot: hosts that receive its readings, in order.
+    /// For each robot: hosts that receive its readings, sorted by id.
     reading_hosts: Vec<Vec<HostId>>,
     server_host: HostId,
     /// For each host: robots whose Agents it runs, or which it drives or measures.
     robots_of: Vec<Vec<RobotId>>,
     /// For each host: number of robots whose Agents it runs.
     agent_counts: Vec<usize>,
-    /// Hosts with an Agent; all hosts, which receive instructions; hosts with an Agent or a Body, and the state
-    /// server's.
+    /// Hosts with an Agent, sorted. `mode_hosts` has all hosts, which receive instructions; `stop_hosts` has those with
+    /// an Agent or a Body, and that of the state server.
     agent_hosts: Vec<HostId>,
     mode_hosts: Vec<HostId>,
     stop_hosts: Vec<HostId>,
@@ -37,7 +38,7 @@ pub struct Routes {
     links: Vec<Option<LinkId>>,
 }
 
-/// Receivers of a message: all hosts of a sorted list except one.
+/// Receivers of a message: all hosts of a sorted list, except the host `except` if it is not `None`.
 #[derive(Clone, Copy, Debug)]
 struct Receivers<'a> {
     hosts: &'a [HostId],
@@ -54,8 +55,9 @@ impl Receivers<'_> {
     }
 }
 
-/// Returns the hosts that need a robot's readings for control: that of its Agent; that of its driver, for the heading;
-/// and those whose Worlds simulate other robots, which may touch it.
+/// Returns the hosts that need a robot's readings for control: `agent`, that of its Agent; `driver`, that of its
+/// motors, for the heading, if it is real; and the hosts in `worlds`, whose Worlds simulate other robots, which may
+/// touch it.
 fn readers(agent: HostId, driver: HostId, own_world: Option<HostId>, worlds: &[HostId]) -> Vec<HostId> {
     let driver = Some(driver).filter(|_| own_world.is_none());
     let worlds = worlds.iter().copied().filter(|host| own_world != Some(*host));
@@ -160,7 +162,7 @@ impl Routes {
         &self.robots_of[host]
     }
 
-    /// Returns the messages that each host may publish.
+    /// Returns the table of which host may publish which kind of message about which robot.
     pub fn publishers(&self) -> Arc<Publishers> {
         Arc::clone(&self.publishers)
     }
@@ -175,7 +177,7 @@ impl Routes {
         self.actuator_host[robot.index()]
     }
 
-    /// Returns the host that measures the robot.
+    /// Returns the host whose Localizer publishes the robot's readings.
     pub fn localizer_host(&self, robot: RobotId) -> HostId {
         self.localizer_host[robot.index()]
     }
@@ -195,7 +197,7 @@ impl Routes {
         &self.agent_robots[robot.index()]
     }
 
-    /// Returns the host that publishes messages of this kind about this robot; `None` if any host may.
+    /// Returns the host that publishes messages of kind `kind` about `robot`; `None` if any host may.
     fn publisher(&self, kind: Kind, robot: RobotId) -> Option<HostId> {
         match kind {
             Kind::Reading => Some(self.localizer_host(robot)),
@@ -223,7 +225,7 @@ impl Routes {
         })
     }
 
-    /// Returns the hosts that receive messages of this kind.
+    /// Returns all hosts that receive messages of kind `kind`, about any robot.
     pub fn listeners(&self, kind: Kind) -> Vec<HostId> {
         let receivers = |robot| self.receivers(kind, robot);
         // These lists are the same for all robots, except that one host may be left out for a robot.
@@ -239,7 +241,8 @@ impl Routes {
         of_all.into_iter().collect()
     }
 
-    /// Returns the routing table of a host.
+    /// Returns the routing table of a host: for each kind of message and robot, whether the host receives it and on
+    /// which link it sends it.
     pub fn router(&self, host: HostId) -> Router {
         let router = Router::of(self.robots, self.robots_of[usize::from(host.0)].clone(), |kind, robot| {
             let receivers = self.receivers(kind, robot);

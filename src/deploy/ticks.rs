@@ -1,4 +1,4 @@
-//! Times of agents' ticks within their period, where a deployment sets them.
+//! Tick offsets that a deployment sets: times of agents' control ticks within their period.
 
 use super::{Deployment, Host, Stepping};
 use crate::config::ConfigError;
@@ -6,7 +6,9 @@ use crate::messages::ids::RobotId;
 use crate::time::Span;
 
 impl Deployment {
-    /// Returns the offset of the ticks of the agent whose first robot this is, if the deployment sets it.
+    /// Returns the tick offset that the deployment sets for an Agent: the time of its control ticks within their
+    /// period. `first` is the Agent's robot with the smallest id. `None` if it is not set or agents step at the same
+    /// time.
     pub fn tick_offset(&self, first: RobotId) -> Option<Span> {
         let of = |host: &Host| {
             let agent = host.agents.iter().position(|robots| robots.iter().min() == Some(&first.0))?;

@@ -18,9 +18,9 @@ use crate::time::Time;
 /// Output of a driver.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Out {
-    /// Command for the World that simulates the robot.
+    /// Command for the World, if the robot is simulated.
     Drive(Drive),
-    /// Packet for its worker.
+    /// Packet for the driver's worker, the thread that does its input and output.
     Send(Packet),
     /// Pose and velocity that the robot has measured itself, in a frame of its own that drifts: odometry. The host's
     /// source may use it.
@@ -31,14 +31,14 @@ pub enum Out {
     Refused(&'static str),
 }
 
-/// Limits of a robot.
+/// Limits of a robot's motion, as its driver states them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Largest speed \[m/s\]; infinite if the robot limits its own speed.
     pub speed_m_s: f32,
 }
 
-/// Command for a driver.
+/// Velocity command for a driver, in the world frame and in the robot's own frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Command {
     /// Velocity of the robot in the world frame, and the time until which it holds.
@@ -48,40 +48,41 @@ pub struct Command {
     pub body: Option<BodyTwist>,
 }
 
-/// Driver of one robot.
+/// Pure part of the driver of one robot: turns velocities into packets for the driver's worker, and the worker's
+/// packets into the robot's condition.
 pub trait Driver {
-    /// The robot's limits. A Body keeps to them.
+    /// Returns the limits of the robot's motion. A Body caps every commanded speed at them.
     fn limits(&self) -> Limits;
 
-    /// Drives the robot. While it moves, the newest command comes again with each reading, in the robot's own frame by
-    /// its newest heading.
+    /// Carries out a command: appends packets or drive commands to `out`. While the robot moves, the Body calls it
+    /// again with the newest command, converted with the newest measured heading, as readings arrive.
     fn drive(&mut self, now: Time, command: &Command, out: &mut Vec<Out>);
 
-    /// Takes a packet of the worker.
+    /// Handles a packet that the driver's worker has sent, and appends the driver's output to `out`.
     fn receive(&mut self, now: Time, packet: &[u8], out: &mut Vec<Out>);
 
-    /// Time of its next wake-up; none if it needs none.
+    /// Returns the time at which `wake` has to be called next; `None` if the driver needs no wake-up.
     fn wake_at(&self) -> Option<Time> {
         None
     }
 
-    /// Does what is due at `now`.
+    /// Does the driver's work that is due at `now`, such as repeating a stand command, and appends its output to `out`.
     fn wake(&mut self, _now: Time, _out: &mut Vec<Out>) {}
 }
 
-/// Parts of a driver made from settings: a constructor of the pure part, called at each start of its actor, and the
-/// worker.
+/// The two parts of a driver, made from its settings: a constructor of the pure part, which is called at each start of
+/// the robot's Body, and the worker.
 pub struct Parts {
-    /// Makes a new driver.
+    /// Makes a new instance of the driver's pure part.
     pub driver: Box<dyn Fn() -> Box<dyn Driver>>,
     /// Worker that does the driver's I/O; `None` if the driver needs none.
     pub worker: Option<Box<dyn Worker>>,
 }
 
-/// Driver in a registry.
+/// Entry of a kind of driver in the registry: its name, its description, and the function that makes it.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
-    /// Name of the driver in a deployment.
+    /// Name by which a deployment selects the driver.
     pub name: &'static str,
     /// Description in one line, for the help.
     pub about: &'static str,

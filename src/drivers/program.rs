@@ -20,11 +20,11 @@ use crate::time::Time;
 /// Description of the driver in one line, for lists of all drivers.
 pub const ABOUT: &str = "a program of yours: JSON lines on its stdin and stdout";
 
-/// Settings of the driver in the team file.
+/// Settings in the team file of the driver that runs a user's program.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Config {
-    /// The program and its arguments.
+    /// Program file to run, followed by its arguments.
     command: Vec<String>,
     /// Largest speed of the robot \[m/s\].
     #[serde(default = "unlimited")]
@@ -35,7 +35,7 @@ fn unlimited() -> f32 {
     f32::INFINITY
 }
 
-/// Line that the program reads.
+/// Line of JSON that the user's program reads: a command for its robot.
 #[derive(Debug, Serialize)]
 struct Line {
     robot: u16,
@@ -47,7 +47,7 @@ struct Line {
     for_s: f64,
 }
 
-/// Line that the program writes.
+/// Line of JSON that the user's program writes: the condition of its robot's hardware.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Word {
@@ -70,7 +70,7 @@ struct Lines {
     limits: Limits,
 }
 
-/// Makes the driver of `robot` and its worker; an error names the wrong setting.
+/// Makes the driver that controls `robot` through a user's program, and its worker; an error names the wrong setting.
 pub fn make(settings: &Settings, robot: RobotId) -> Result<Parts, ConfigError> {
     let config: Config = settings.read()?;
     if config.command.is_empty() {

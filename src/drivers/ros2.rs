@@ -1,4 +1,4 @@
-//! Driver of robots that take `geometry_msgs/Twist` or `TwistStamped` and report `nav_msgs/Odometry`.
+//! Driver of ROS 2 robots that receive `geometry_msgs/Twist` or `TwistStamped` and report `nav_msgs/Odometry`.
 //!
 //! Pure: the DDS process and its supervisor are in `ros2`. Silence of the odometry is a fault, and the robot is told to
 //! stand. Zeros are repeated at full rate until the odometry says that the robot stands, then five times a second.
@@ -25,14 +25,14 @@ use crate::ros2::supervisor::Supervisor;
 /// Description of the driver in one line, for lists of all drivers.
 pub const ABOUT: &str = "a ROS 2 robot: Twist or TwistStamped out, Odometry in";
 
-/// Period of zero velocities until the robot stands, and after that.
+/// Periods at which zero velocities are sent: first until the robot stands, then while it stands.
 const ZEROS: [Span; 2] = [Span::from_millis(20), Span::from_millis(200)];
 /// Time for which a robot without odometry gets zero velocities at the short period: longer than the watchdogs of known
 /// bases, 0.5 s.
 const BLIND: Span = Span::from_millis(1000);
-/// Time without odometry after which a warning is logged. Discovery takes 1.3 s, at worst 5.7 s.
+/// Time without odometry since the start after which a warning is logged. DDS discovery takes 1.3 s, at worst 5.7 s.
 const DISCOVERY: Span = Span::from_millis(6000);
-/// Validity of a zero velocity \[ms\], longer than the longest period of zero velocities.
+/// Validity of a zero velocity that is sent \[ms\], longer than the longest period of zero velocities.
 const ZERO_FOR_MS: u32 = 300;
 /// Largest speed \[m/s\] and yaw rate \[rad/s\] at which a robot counts as standing. The noise of wheel encoders is
 /// below a tenth of it.
@@ -42,14 +42,14 @@ const STANDS: (f64, f64) = (0.01, 0.02);
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum StampForm {
-    /// Zero, which ros2_control takes for "now": clocks need not agree.
+    /// The stamp is zero, which ros2_control takes for "now": clocks need not agree.
     #[default]
     Zero,
-    /// The clock of this machine.
+    /// The stamp is the time of this machine's clock.
     Now,
 }
 
-/// Settings of the driver in the team file.
+/// Settings of the ROS 2 driver in the team file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Config {
@@ -64,13 +64,13 @@ struct Config {
     /// Whether commands have the type `TwistStamped` instead of `Twist`.
     #[serde(default)]
     stamped: bool,
-    /// Stamp of stamped commands.
+    /// Form of the stamp in commands, if `stamped` is true.
     #[serde(default)]
     stamp: StampForm,
-    /// Axes of commands and odometry.
+    /// Convention of the axes in commands and odometry.
     #[serde(default)]
     axes: Axes,
-    /// Topic of commands.
+    /// Topic to which velocity commands are published.
     #[serde(default = "cmd_vel")]
     cmd_vel: String,
     /// Topic of `nav_msgs/Odometry`; empty for a robot without odometry.
@@ -78,18 +78,18 @@ struct Config {
     odom: String,
     /// Topic of `sensor_msgs/BatteryState`; left out for a robot without it.
     battery: Option<String>,
-    /// Time without odometry after which it is a fault \[s\].
+    /// Time without odometry after which the robot is stopped and reported as faulty \[s\].
     #[serde(default = "silence_s")]
     silence_s: f64,
-    /// Largest speed \[m/s\].
+    /// Largest speed of the robot's commands \[m/s\].
     speed_m_s: f32,
-    /// Largest yaw rate \[rad/s\].
+    /// Largest yaw rate of the robot's commands \[rad/s\].
     #[serde(default = "yaw_rate_rad_s")]
     yaw_rate_rad_s: f32,
     /// Limit on the memory of each DDS process \[MiB\].
     #[serde(default = "settings::memory_mib")]
     memory_mib: u32,
-    /// Whether a warm spare of the DDS process runs.
+    /// Whether a second DDS process runs as a spare, to take over if the first one ends.
     #[serde(default = "settings::yes")]
     spare: bool,
 }
@@ -102,18 +102,18 @@ fn odom() -> String {
     "odom".to_owned()
 }
 
-/// Default time without odometry \[s\]: three messages at 10 Hz.
+/// Returns the default of the setting `silence_s` \[s\]: the time of three odometry messages at 10 Hz.
 fn silence_s() -> f64 {
     0.3
 }
 
-/// Default limit on the yaw rate \[rad/s\], below that of small differential drives: 1.82 rad/s on a TurtleBot3 Waffle
-/// Pi, 1.9 on a Create 3.
+/// Returns the default of the setting `yaw_rate_rad_s` \[rad/s\]. It is below the limits of small differential drives:
+/// 1.82 rad/s on a TurtleBot3 Waffle Pi, 1.9 on a Create 3.
 fn yaw_rate_rad_s() -> f32 {
     1.5
 }
 
-/// Makes the driver of `robot` and its worker; an error names the wrong setting.
+/// Makes the ROS 2 driver of `robot` and its worker; an error names the wrong setting.
 pub fn make(settings: &Settings, robot: RobotId) -> Result<Parts, ConfigError> {
     let config: Config = settings.read()?;
     let plan = plan(&config, robot)?;
@@ -124,7 +124,8 @@ pub fn make(settings: &Settings, robot: RobotId) -> Result<Parts, ConfigError> {
     })
 }
 
-/// Checks the settings and derives the topics.
+/// Checks the settings and returns the plan of the DDS process: domain, interface, and the topics that it writes and
+/// reads.
 fn plan(config: &Config, robot: RobotId) -> Result<Plan, ConfigError> {
     settings::check_participant(config.domain, config.interface.as_deref(), config.memory_mib)?;
     settings::check_namespace(&config.namespace)?;
@@ -156,29 +157,32 @@ fn plan(config: &Config, robot: RobotId) -> Result<Plan, ConfigError> {
     Ok(Plan { name: robot.to_string(), domain, interface, memory_mib, writers, readers })
 }
 
-/// Driver of one robot.
+/// Pure part of the ROS 2 driver of one robot: turns commands into velocities for the DDS process, and watches the
+/// robot's odometry.
 struct Ros2 {
     robot: RobotId,
     limits: Limits,
     yaw_rate_rad_s: f32,
     axes: Axes,
-    /// Time without odometry after which it is a fault; `None` for a robot without odometry.
+    /// Time without odometry after which the robot is stopped and reported as faulty; `None` for a robot without
+    /// odometry.
     silence: Option<Span>,
-    /// Arrival of the last new odometry.
+    /// Arrival time of the last new odometry message; `None` before the first.
     heard: Option<Time>,
-    /// Whether the fault of missing odometry has been handled.
+    /// Whether the robot was stopped because its odometry is missing, and none has arrived since.
     silent: bool,
     stamps: Stamps,
-    /// Whether the odometry has shown a standing robot since zero velocities are sent.
+    /// Whether the odometry has shown that the robot stands, since the driver began to send zero velocities.
     stood: bool,
     /// Time since which zero velocities are sent, and time of the next one. `None` while the robot moves and before the
     /// first command.
     standing: Option<(Time, Time)>,
-    /// Time of the first packet; `None` after the first odometry or the warning that none arrives.
+    /// Arrival time of the first packet of the DDS process, from which the wait for odometry counts; `None` after the
+    /// first odometry or the warning that none arrives.
     waits: Option<Time>,
-    /// States of topics, by name.
+    /// State of each topic (peers and problem) that the DDS process has reported, by the name of the topic.
     topics: BTreeMap<String, TopicState>,
-    /// Number of problems of topics so far.
+    /// Number of new problems and lost peers of topics so far; it limits the log.
     problems: u64,
     battery: Option<u8>,
     /// Last reported condition of the hardware.
@@ -245,7 +249,7 @@ impl Ros2 {
         out.push(Out::Send(packet::encode(&ToNode::Drive(drive)).into()));
     }
 
-    /// Sends a zero velocity if one is due.
+    /// Makes the robot stand: sends a zero velocity if one is due, and schedules the next.
     fn stand(&mut self, now: Time, out: &mut Vec<Out>) {
         if self.standing.is_none() {
             self.stood = false;
@@ -260,7 +264,7 @@ impl Ros2 {
         self.send(BodyTwist { forward: 0.0, left: 0.0, yaw_rate: 0.0 }, ZERO_FOR_MS, out);
     }
 
-    /// Returns a motion within the limits; `None` if it is zero or not finite.
+    /// Returns `body` reduced to the robot's limits of speed and yaw rate; `None` if it is zero or not finite.
     fn within_limits(&self, body: BodyTwist) -> Option<BodyTwist> {
         let linear = Vec2::new(body.forward, body.left).cap_magnitude(self.limits.speed_m_s);
         let yaw_rate = body.yaw_rate.clamp(-self.yaw_rate_rad_s, self.yaw_rate_rad_s);

@@ -3,7 +3,7 @@
 use super::{Command, Driver, Limits, Out};
 use crate::time::Time;
 
-/// Passes commands on to the World.
+/// Driver of a simulated robot: passes each command on to the World that simulates the robot.
 pub struct Simulated;
 
 impl Driver for Simulated {

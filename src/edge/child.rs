@@ -48,7 +48,7 @@ impl Worker for Program {
     }
 }
 
-/// Passes lines on as packets until the program closes its stdout.
+/// Reads lines from the program's stdout and sends each as a packet, until the program closes it.
 fn read(stdout: impl Read, sender: &PacketSender) {
     let mut stdout = BufReader::new(stdout);
     loop {

@@ -22,8 +22,8 @@ use crate::config::ConfigError;
 /// One message between the control thread and a worker (I/O thread), as bytes.
 pub type Packet = Box<[u8]>;
 
-/// Largest number of waiting packets in each direction of a channel: those of three seconds for a robot that gets 20
-/// packets a second.
+/// Largest number of waiting packets in each direction of a channel between the control thread and a worker: three
+/// seconds' packets at 20 a second.
 pub const ROOM: usize = 64;
 
 /// I/O of a driver or of a source of readings. It runs on its own thread, where it may start an asynchronous runtime.
@@ -38,8 +38,8 @@ pub trait Worker: Send {
     /// robot.
     fn run(self: Box<Self>, port: Port);
 
-    /// Description of a resource that only one robot of the host may use, such as a robot's network address. `None` if
-    /// the worker needs no such resource.
+    /// Returns the description of a resource that only one robot of the host may use, such as a robot's network
+    /// address; `None` if the worker needs no such resource.
     fn claim(&self) -> Option<String> {
         None
     }
@@ -75,7 +75,7 @@ pub struct PacketSender {
 /// State of a worker (I/O thread), as seen by the control thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WorkerState {
-    /// The worker runs.
+    /// The worker runs, or some of its packets have not been taken yet.
     Running,
     /// The worker has ended, and all of its packets have been taken.
     Ended,
@@ -84,11 +84,11 @@ pub enum WorkerState {
 /// Control thread's end of the channel between the control thread and a worker (I/O thread).
 #[derive(Debug)]
 pub struct Gate {
-    /// Dropped first, so that the worker finds its sender closed.
+    /// Receiver of the worker's packets. Dropped first, so that the worker finds its sender closed.
     rx: mpsc::Receiver<Packet>,
     tx: mpsc::Sender<Packet>,
     event_fd: Arc<EventFd>,
-    /// Number of dropped packets to the worker.
+    /// Number of packets to the worker that were dropped because the channel was full.
     refused: u64,
     dropped: Arc<AtomicU64>,
 }
@@ -122,7 +122,7 @@ impl Port {
         self.rx.recv().await
     }
 
-    /// Returns another sender of packets to the control thread.
+    /// Returns a further sender of packets from this worker to the control thread.
     pub fn sender(&self) -> PacketSender {
         self.sender.clone()
     }
@@ -179,13 +179,13 @@ impl Gate {
         WorkerState::Running
     }
 
-    /// Numbers of packets that were dropped because the channel was full: first those to the worker, then those from
-    /// the worker.
+    /// Returns the numbers of packets that were dropped because the channel was full: first of those to the worker,
+    /// then of those from the worker.
     pub fn dropped(&self) -> (u64, u64) {
         (self.refused, self.dropped.load(Ordering::Relaxed))
     }
 
-    /// File descriptor that becomes readable when the worker has sent packets or has ended.
+    /// Returns the file descriptor that becomes readable when the worker has sent packets or has ended.
     pub fn event_fd(&self) -> Arc<EventFd> {
         Arc::clone(&self.event_fd)
     }

@@ -21,8 +21,8 @@ pub struct Settings {
 const BY_ROBOT: &str = "robot";
 
 impl Settings {
-    /// Settings for one robot: those of the sub-table `robot.N` (N is the robot's number), completed by the settings
-    /// for all robots. A key `robot` that is no table of numbers is an ordinary setting of the driver.
+    /// Returns the settings for one robot: those of the sub-table `robot.N` (N is the robot's number), completed by the
+    /// settings for all robots. A key `robot` that is no table of numbers is an ordinary setting of the driver.
     pub fn for_robot(&self, robot: RobotId) -> Result<Settings, ConfigError> {
         let by_number = |robots: &toml::Table| robots.keys().all(|number| number.parse::<u16>().is_ok());
         let Some(robots) = self.table.get(BY_ROBOT).and_then(toml::Value::as_table).filter(|robots| by_number(robots))

@@ -1,19 +1,20 @@
 //! Estimator that extrapolates the last reading by its velocity, over the time since its arrival.
 //!
-//! The transit time of the reading is unknown and counts as zero.
+//! The time from measurement to arrival of the reading is unknown and counts as zero.
 
 use super::{Estimator, Settings};
 use crate::messages::geometry::Motion;
 use crate::messages::wire::Reading;
 use crate::time::{Span, Time};
 
-/// Longest extrapolation, so that a missing source does not move the state of a robot through a wall.
+/// Longest time over which a reading is extrapolated, so that a robot without readings is not estimated to go through a
+/// wall.
 const LONGEST: Span = Span::from_millis(200);
 
 #[derive(Debug, Default)]
 struct ConstantVelocity(Option<(Time, Motion)>);
 
-/// Makes an estimator without readings.
+/// Makes a constant-velocity estimator that has received no reading yet. It has no settings.
 pub fn make(_: &Settings) -> Box<dyn Estimator> {
     Box::<ConstantVelocity>::default()
 }

@@ -14,7 +14,8 @@ use crate::messages::geometry::{Motion, Vec2};
 use crate::messages::wire::Reading;
 use crate::time::{Span, Time};
 
-/// Longest prediction from the last measurement, so that a silent source moves no robot through a wall.
+/// Longest time over which the filter predicts from the last measurement, so that a robot without readings is not
+/// estimated to go through a wall.
 const LONGEST: Span = Span::from_millis(500);
 
 /// Standard deviation of the acceleration between two readings \[m/s²\]: a robot that is commanded to change its
@@ -22,53 +23,58 @@ const LONGEST: Span = Span::from_millis(500);
 /// expects less goes on in the old direction for too long: in `passage` its robots touch walls.
 const ACCELERATION: f64 = 3.0;
 
-/// Standard deviation of a position without its own \[m\], and the smallest that is assumed: an exact sensor
-/// must not make the covariance singular.
+/// Standard deviation of a measured position that is assumed if the reading gives none \[m\]. `LEAST_POSITION` \[m\]
+/// and `LEAST_VELOCITY` \[m/s\] are the smallest ones assumed: an exact sensor must not make the covariance singular.
 const POSITION: f64 = 0.01;
 const LEAST_POSITION: f64 = 1e-4;
 const LEAST_VELOCITY: f64 = 1e-3;
 
-/// Standard deviation of the velocity after a first reading without velocity \[m/s\].
+/// Standard deviation of the estimated velocity after a first reading without velocity \[m/s\]. In a manoeuvre, its
+/// square is added to the variance of the velocity.
 const UNKNOWN_VELOCITY: f64 = 1.0;
 
-/// Distance from the prediction, in standard deviations along an axis, beyond which the robot counts as manoeuvring.
+/// Distance of a measured position from the predicted one, in standard deviations along an axis, beyond which the robot
+/// counts as manoeuvring.
 const MANOEUVRE: f64 = 3.0;
 
-/// Speed beyond which a robot cannot have moved between two readings \[m/s\], and the noise that is allowed for, in
-/// standard deviations.
+/// Largest speed at which a robot can have moved between two readings \[m/s\]; a reading beyond it is an outlier.
+/// `GATE` is the position noise that is added to that distance, in standard deviations.
 const FASTEST: f64 = 3.0;
 const GATE: f64 = 6.0;
 
-/// Largest drift of a sensor's clock against this host's: 100 ppm, twice what quartz clocks state.
+/// Largest drift of a sensor's clock against this host's clock, as a share of elapsed time: 100 ppm, twice the
+/// tolerance of quartz clocks.
 const CLOCK_DRIFT: f64 = 1e-4;
 
-/// Change of the clocks' offset from which the sensor counts as restarted \[s\].
+/// Change of the offset between a sensor's clock and this host's from which the sensor counts as restarted \[s\].
 const RESTARTED: f64 = 1.0;
 
-/// Position and velocity along both axes, with the covariance that they share.
+/// State of the filter: position and velocity along both axes, with one covariance for both axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct State {
-    /// Time of measurement \[s\], on this host's clock.
+    /// Time to which the state refers \[s\], on this host's clock: that of the last measurement, or of the prediction.
     at: f64,
     position: [f64; 2],
     velocity: [f64; 2],
-    /// Variance of the position, covariance, variance of the velocity.
+    /// Variance of the position, covariance of position and velocity, and variance of the velocity, for each axis
+    /// alike.
     covariance: [f64; 3],
 }
 
-/// Estimator of one robot.
+/// Kalman filter that estimates the state of one robot.
 #[derive(Debug)]
 struct Kalman {
-    /// Known delay of the source \[s\].
+    /// Known, constant delay from a measurement to the arrival of its reading \[s\].
     delay: f64,
     state: Option<State>,
-    /// Arrival time of the last reading, and the least difference seen between arrival and stamp \[s\].
+    /// Arrival time of the last reading \[s\], and the smallest difference seen between arrival and stamp \[s\], which
+    /// may grow with the clocks' drift; `None` before the first reading.
     offset: Option<(f64, f64)>,
-    /// Last reading that was an outlier: its time and position.
+    /// Time \[s\] and position (x, y) \[m\] of the last reading, if it was an outlier; otherwise `None`.
     outlier: Option<[f64; 3]>,
 }
 
-/// Makes an estimator without readings.
+/// Makes a Kalman filter that has received no reading yet. `settings` has the known delay of readings.
 pub fn make(settings: &Settings) -> Box<dyn Estimator> {
     Box::new(Kalman { delay: settings.delay.as_secs(), state: None, offset: None, outlier: None })
 }
@@ -82,7 +88,7 @@ fn squared(number: f64) -> f64 {
 }
 
 impl State {
-    /// State after a first measurement.
+    /// Returns the state of the filter after a first reading, measured at time `at` \[s\].
     fn first(at: f64, reading: &Reading) -> State {
         let (position_m, velocity_m_s) = deviations(reading);
         let velocity = velocity_m_s.map_or([0.0; 2], |_| axes(reading.twist.velocity));
@@ -90,7 +96,7 @@ impl State {
         State { at, position: axes(reading.pose.position), velocity, covariance }
     }
 
-    /// The state as predicted for a later time.
+    /// Returns the state as predicted for the time `at` \[s\]; unchanged if that is earlier than the state.
     fn predicted(&self, at: f64) -> State {
         let t = (at - self.at).max(0.0);
         let [pp, pv, vv] = self.covariance;
@@ -104,8 +110,8 @@ impl State {
         State { at: self.at.max(at), position, covariance, ..*self }
     }
 
-    /// Makes the velocity uncertain if a position is too far from the prediction over this time \[s\] for a robot that
-    /// goes on as it did.
+    /// Increases the covariance if the position `measured` is too far from the predicted one for a robot that keeps its
+    /// velocity. `over` is the predicted time \[s\], and `variance` that of the measured position \[m²\].
     fn doubt(&mut self, over: f64, measured: [f64; 2], variance: f64) {
         let most = squared(MANOEUVRE) * (self.covariance[0] + variance);
         if (0..2).any(|axis| squared(measured[axis] - self.position[axis]) > most) {
@@ -115,7 +121,8 @@ impl State {
         }
     }
 
-    /// Corrects one of both quantities by a measurement with this variance: 0 the position, 1 the velocity.
+    /// Corrects the state by a measurement with variance `variance` along each axis: of the position if `quantity` is
+    /// 0, of the velocity if it is 1.
     fn correct(&mut self, quantity: usize, measured: [f64; 2], variance: f64) {
         let [pp, pv, vv] = self.covariance;
         let (own, gains) = match quantity {
@@ -134,14 +141,16 @@ impl State {
     }
 }
 
-/// Standard deviations of a reading's position \[m\] and velocity \[m/s\]; none for an unknown velocity.
+/// Returns the standard deviations of a reading's position \[m\] and velocity \[m/s\]. The latter is `None` if the
+/// reading does not give it; its velocity is then not used.
 fn deviations(reading: &Reading) -> (f64, Option<f64>) {
     let position_m = reading.deviation.position_m.map_or(POSITION, f64::from).max(LEAST_POSITION);
     (position_m, reading.deviation.velocity_m_s.map(|deviation| f64::from(deviation).max(LEAST_VELOCITY)))
 }
 
 impl Kalman {
-    /// Time at which a reading was measured \[s\], on this host's clock.
+    /// Returns the time at which a reading was measured \[s\], on this host's clock, and updates the offset of the
+    /// clocks. `now` is its arrival time \[s\], `stamp_ns` its stamp on the sensor's clock \[ns\].
     fn measured_at(&mut self, now: f64, stamp_ns: u64) -> f64 {
         let stamp = stamp_ns as f64 * 1e-9;
         let difference = now - stamp;
@@ -156,8 +165,8 @@ impl Kalman {
         stamp + offset - self.delay
     }
 
-    /// Whether a position measured at `at` is an outlier that no reading has confirmed. Keeps it for the next one, and
-    /// forgets the state if it is confirmed.
+    /// Returns whether a reading, measured at time `at` \[s\], is an outlier: too far from the state for a robot, and
+    /// from the outlier before it. Stores an outlier. If the reading confirms the stored outlier, the state is cleared.
     fn is_outlier(&mut self, at: f64, reading: &Reading) -> bool {
         let Some(state) = self.state else { return false };
         let (position_m, _) = deviations(reading);
@@ -184,7 +193,8 @@ impl Kalman {
 }
 
 impl Kalman {
-    /// The state as predicted for `now`, for a limited time.
+    /// Returns the state as predicted for `now`, or for the latest time to which predictions reach; `None` before the
+    /// first reading.
     fn state_at(&self, now: Time) -> Option<State> {
         let state = self.state?;
         Some(state.predicted(now.as_secs().min(state.at + LONGEST.as_secs() + self.delay)))

@@ -1,5 +1,5 @@
-//! Estimation: from a robot's readings to its state at a tick of its agent. An estimator is one file and one line in
-//! `REGISTRY`.
+//! Estimators: compute a robot's state at a tick of its agent from the robot's readings. An estimator is one file and
+//! one line in `REGISTRY`.
 //!
 //! An estimator is pure. It uses arrival times on this host only, because a sensor's clock is compared with no other.
 
@@ -11,36 +11,38 @@ use crate::messages::geometry::Motion;
 use crate::messages::wire::Reading;
 use crate::time::{Span, Time};
 
-/// Settings of an estimator.
+/// Settings from which an estimator is made.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Settings {
-    /// Time from a measurement to its arrival that is known and constant: a property of the source. Arrival times and
-    /// stamps alone do not show it.
+    /// Known, constant part of the delay from a measurement to the arrival of its reading: a property of the source,
+    /// which cannot be computed from arrival times and stamps.
     pub delay: Span,
 }
 
-/// Estimator of one robot. Its Cache limits the age of readings.
+/// Estimator of one robot: computes the robot's position and velocity at a given time from its readings. The robot's
+/// Cache stops using it when the newest reading is too old.
 pub trait Estimator: std::fmt::Debug {
-    /// Takes a reading that has arrived at `now`.
+    /// Updates the estimate with a reading that has arrived at `now`.
     fn take(&mut self, now: Time, reading: &Reading);
 
-    /// Estimated position and velocity at `now`; none before the first reading.
+    /// Returns the estimated position and velocity at `now`; `None` before the first reading.
     fn at(&self, now: Time) -> Option<Motion>;
 
-    /// Standard deviation of the estimated position along each axis \[m\]; 0 for an estimator that does not know it.
+    /// Returns the standard deviation of the estimated position along each axis at `now` \[m\]; 0 for an estimator that
+    /// does not know it.
     fn deviation_m(&self, _now: Time) -> f32 {
         0.0
     }
 }
 
-/// Estimator in a registry.
+/// Entry of a kind of estimator in the registry: its name, its description, and the function that makes it.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
-    /// Its name in flags and team files.
+    /// Name of the estimator in flags and team files.
     pub name: &'static str,
-    /// Description in one line.
+    /// Description of the estimator in one line, for lists of all estimators.
     pub about: &'static str,
-    /// Makes one without readings.
+    /// Makes an estimator of this kind that has received no reading yet.
     pub make: fn(&Settings) -> Box<dyn Estimator>,
 }
 

@@ -8,7 +8,7 @@ use crate::time::Time;
 #[derive(Debug, Default)]
 struct Last(Option<Motion>);
 
-/// Makes an estimator without readings.
+/// Makes an estimator that returns the last reading unchanged, and has received none yet. It has no settings.
 pub fn make(_: &Settings) -> Box<dyn Estimator> {
     Box::<Last>::default()
 }

@@ -25,7 +25,7 @@ use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::Kind;
 use crate::time::{Span, Time};
 
-/// Latest time that a plan may contain \[s\], and below it the longest delay \[s\].
+/// Latest time that a fault plan may contain \[s\]. `LONGEST_DELAY_S` is its longest additional delay \[s\].
 const LATEST_S: f64 = 1e6;
 const LONGEST_DELAY_S: f64 = 10.0;
 

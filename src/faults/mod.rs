@@ -176,12 +176,12 @@ pub struct FaultPlan {
     pub links: Vec<LinkFault>,
 }
 
-/// Returns the name of an enum's variant as in a plan's file.
+/// Returns the name of an enum's variant as it is written in a fault plan's file.
 fn word(value: &impl Serialize) -> String {
     serde_json::to_value(value).ok().and_then(|value| value.as_str().map(str::to_owned)).unwrap_or_default()
 }
 
-/// Roles and kinds of faults from which a plan is drawn.
+/// Roles of actors from which random fault plans are drawn. `ACTOR_FAULTS` and `LINK_FAULTS` are the kinds of faults.
 const ROLES: [Role; 5] = [Role::Cache, Role::Agent, Role::Controller, Role::Body, Role::StateServer];
 const ACTOR_FAULTS: [ActorFaultKind; 4] =
     [ActorFaultKind::Crash, ActorFaultKind::Stall, ActorFaultKind::Mute, ActorFaultKind::Slow];
@@ -297,7 +297,7 @@ impl FaultPlan {
     }
 
     /// Returns the end of the last fault, or the start of the trial if there are no faults. Times that count from the
-    /// start of an episode are taken as they are.
+    /// start of an episode are treated as if they counted from the start of the trial.
     pub fn over(&self) -> Time {
         let actors = self.actors.iter().map(|fault| fault.at + fault.lasts);
         actors.chain(self.links.iter().map(|fault| fault.until)).max().unwrap_or(Time::ZERO)

@@ -50,7 +50,7 @@ pub enum Out {
     Sent(LinkId, Frame),
     /// Traffic counts of all links of this host together.
     Counts(Box<LinkCounts>),
-    /// State of the other hosts, from links with link reports.
+    /// Other hosts on links with link reports, with what is known of them: incarnation, delay and loss.
     Peers(Vec<Peer>),
     /// Another running host uses the id of this host and was started earlier.
     Duplicate(DuplicateId),

@@ -1,5 +1,5 @@
-//! Bodies and Localizer of one host without a Network or a team, in real time, for checks of its devices. A Wiggle may
-//! drive the robots; otherwise they stand still.
+//! Bench: runs the Bodies and the Localizer of one host without a Network or a team, in real time, for checks of its
+//! devices. A Wiggle may drive the robots; otherwise they stand still.
 
 use std::collections::BTreeMap;
 use std::rc::Rc;
@@ -27,7 +27,7 @@ const STAND_PERIOD: Span = Span::from_millis(100);
 /// Event of a bench, the operation of one host's devices without a team, for checks.
 #[derive(Clone, Debug)]
 pub enum Event {
-    /// Reading of the host's source.
+    /// Reading of a robot from the host's source of readings.
     Reading(Reading),
     /// Odometry, the robot's own measurement of its motion, from a robot's driver.
     Odometry(Reading),
@@ -58,7 +58,7 @@ impl Bench {
         self.send(wiggle::In::Begin);
     }
 
-    /// Ends the check and stops all robots for good.
+    /// Ends the Wiggle (the check that drives each robot a short way), if it runs, and stops all robots for good.
     pub fn leave(&self) {
         self.send(wiggle::In::End);
         self.bodies.values().for_each(|body| body.send(body::In::Leave));
@@ -134,7 +134,8 @@ fn stand(clock: &Clock, bench: &Rc<Bench>) {
     clock.call(clock.now() + STAND_PERIOD, Box::new(move || stand(&again, &bench)));
 }
 
-/// Returns the function that handles the output of a Body.
+/// Returns the function that handles the output of the Body of `robot` on a bench: it reports odometry and hardware
+/// condition, and passes them to the Wiggle.
 fn of_body(bench: &Rc<Bench>, robot: RobotId, report: Rc<dyn Fn(Event)>) -> impl FnMut(body::Out) + use<> {
     let bench = Rc::clone(bench);
     move |out| match out {

@@ -10,22 +10,23 @@ use crate::world::Sensor;
 /// Name, type and default of a field; the default is written as in a file.
 type Field = (&'static str, FieldType, Option<&'static str>);
 
-/// Name of the field in flags and in the environment that sets the interface of every link.
+/// Name of the field that sets the network interface of every link. It exists in flags and environment variables only,
+/// not in files.
 pub const EVERY_INTERFACE: &str = "interface";
 
-/// Names of the reliability modes.
+/// Names of the reliability modes, as written in a team file.
 const RELIABILITIES: [&str; 4] = {
     let [(a, _), (b, _), (c, _), (d, _)] = Reliability::NAMED;
     [a, b, c, d]
 };
 
-/// Names of the simulated sensors.
+/// Names of the simulated sensors, as written in a team file.
 const SENSORS: [&str; 3] = {
     let [(a, _), (b, _), (c, _)] = Sensor::NAMED;
     [a, b, c]
 };
 
-/// Fields of the whole team, in the order in which they are shown.
+/// Fields of the whole team, in the order in which `config show` lists them.
 const TEAM: [Field; 20] = [
     ("team", FieldType::Whole(0, 65_535), None),
     ("key_file", FieldType::Text, None),
@@ -52,7 +53,7 @@ const TEAM: [Field; 20] = [
 /// Fields of the team that can be overridden for a robot or a host, in addition to those of its links.
 const OVERRIDES: [&str; 5] = ["key_file", "policy", "record", "record_last_s", "record_size_mb"];
 
-/// Names of the fields of the whole team.
+/// Returns the names of the fields of a team file that are for the whole team, not for a link.
 pub fn team_fields() -> impl Iterator<Item = &'static str> {
     TEAM.iter().map(|(name, ..)| *name)
 }
@@ -60,12 +61,12 @@ pub fn team_fields() -> impl Iterator<Item = &'static str> {
 /// Permitted fields of a team file.
 #[derive(Clone, Debug)]
 pub struct Fields {
-    /// Fields of links that transports define, each name once.
+    /// Fields of links that the transports define; a name that several transports define occurs once.
     own: Vec<transport::Field>,
 }
 
 impl Fields {
-    /// Returns the permitted fields if links may use these transports.
+    /// Returns the permitted fields of a team file whose links may use the given transports.
     pub fn of(transports: &[transport::Entry]) -> Fields {
         let mut own: Vec<transport::Field> = Vec::new();
         for field in transports.iter().flat_map(|entry| entry.fields) {
@@ -126,7 +127,7 @@ impl Fields {
         format!("there are {}", names.collect::<Vec<_>>().join(", "))
     }
 
-    /// Whether a table with this key contains fields.
+    /// Whether a table with this key, such as `link.radio` or `host.pc`, may occur in a team file, with fields in it.
     pub fn holds_fields(&self, key: &str) -> bool {
         let parts: Vec<&str> = key.split('.').collect();
         match parts[..] {

@@ -15,7 +15,7 @@ use crate::config::fields::{FieldType, Value};
 use crate::config::{ConfigError, syntax};
 use crate::net::transport;
 
-/// Origin of a value.
+/// Origin of the value of a field: command line flag, environment variable, team file or default.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Origin {
     /// Command line flag with this name.
@@ -24,7 +24,7 @@ pub enum Origin {
     Environment(String),
     /// Team file, at this line.
     File(usize),
-    /// Default of the field.
+    /// The value is the default of the field.
     Default,
 }
 
@@ -42,7 +42,7 @@ impl fmt::Display for Origin {
 /// Value of a field with its origin.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LayerValue {
-    /// The value.
+    /// Value of the field.
     pub value: Value,
     /// Origin of the value.
     pub origin: Origin,
@@ -59,7 +59,7 @@ pub struct Flag {
     pub value: String,
 }
 
-/// Environment variables with our prefix that set no field.
+/// Environment variables with the prefix `MURMURATE_` that set no field of a team file.
 const OTHER_VARIABLES: [&str; 1] = ["MURMURATE_LOG"];
 
 /// Returns the name of a field in errors: its key or flag, with the origin of its value.
@@ -71,20 +71,20 @@ pub fn place(key: &str, origin: &Origin) -> String {
     }
 }
 
-/// Values of a team file, of the environment and of flags.
+/// Values of the fields of a team file, from three layers: the file, the environment and command line flags.
 #[derive(Clone, Debug)]
 pub struct Layers {
     fields: Fields,
     flags: BTreeMap<String, LayerValue>,
     environment: BTreeMap<String, LayerValue>,
     file: BTreeMap<String, LayerValue>,
-    /// Line numbers of the tables that are read as a whole, and of their fields.
+    /// Line numbers in the file of the tables that the caller parses as a whole, and of their fields, by key.
     tables: BTreeMap<String, usize>,
 }
 
 impl Layers {
-    /// Reads the file and the flags. An error names the line, the field or the flag. The tables in `whole` are left to
-    /// the caller. The environment is read later, when the links are known.
+    /// Reads the team file `text` and the flags. An error names the line, the field or the flag. The tables named in
+    /// `whole` are left to the caller. The environment is read later, when the links are known.
     pub fn read(
         text: &str,
         flags: &[Flag],
@@ -184,7 +184,7 @@ impl Layers {
         Ok(())
     }
 
-    /// Returns the permitted fields.
+    /// Returns the fields that the team file may contain.
     pub fn fields(&self) -> &Fields {
         &self.fields
     }
@@ -211,7 +211,8 @@ impl Layers {
         Some(LayerValue { value, origin: Origin::Default })
     }
 
-    /// Returns every field with this prefix that is set in any layer.
+    /// Returns key and value of every field that is set and whose key begins with `prefix`, in each layer (flag,
+    /// environment, file) that sets it.
     pub fn below<'a>(&'a self, prefix: &'a str) -> impl Iterator<Item = (&'a str, &'a LayerValue)> {
         let layers = [&self.flags, &self.environment, &self.file];
         layers
@@ -221,14 +222,14 @@ impl Layers {
             .map(|(key, entry)| (key.as_str(), entry))
     }
 
-    /// Returns the line of a table that is read as a whole, or of its field `table.field`; `None` if the file does not
-    /// contain it.
+    /// Returns the line number in the file of the table `name` (one that the caller parses as a whole), or of its field
+    /// if `name` is `table.field`; `None` if the file does not contain it.
     pub fn table(&self, name: &str) -> Option<usize> {
         self.tables.get(name).copied()
     }
 }
 
-/// Returns the name of the environment variable that sets a field.
+/// Returns the name of the environment variable that sets the field `key`, such as `MURMURATE_KEY_FILE`.
 pub fn variable(key: &str) -> String {
     let name = key.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_uppercase() } else { '_' });
     format!("MURMURATE_{}", name.collect::<String>())

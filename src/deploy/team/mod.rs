@@ -65,9 +65,10 @@ pub struct Team {
     pub safety: Safety,
     /// Folder for the host's records; `None` if nothing is recorded.
     pub record: Option<PathBuf>,
-    /// Time before and after what happens that the record is kept for \[s\]; `None` for all of the run.
+    /// Time before and after an event, such as an emergency stop or an aborted episode, that is recorded \[s\]; `None`
+    /// to record the whole run.
     pub record_last_s: Option<f64>,
-    /// Size of a file of the record after which another one begins \[MB\]; `None` for one file.
+    /// Size of a record's file at which the next file begins \[MB\]; `None` for a single file.
     pub record_size_mb: Option<f64>,
     /// Place of this host on each link of the deployment; `None` for a link on which it neither sends nor receives.
     pub links: Vec<Option<Place>>,
@@ -78,7 +79,7 @@ pub struct Team {
 pub struct SimulationSettings {
     /// Properties of simulated robots and their sensors.
     pub physics: Physics,
-    /// Limit of the policy's output in Controllers. Also determines whether the World limits acceleration.
+    /// Form in which Controllers limit the policy's output. Also determines whether the World limits acceleration.
     pub clamp: Clamp,
     /// Whether a neighbour's message is used for the whole hold time or in one control step.
     pub handling: Handling,
@@ -87,7 +88,8 @@ pub struct SimulationSettings {
 /// Tables of a team file that are read as a whole, not field by field.
 const WHOLE_TABLES: [&str; 2] = ["deployment", "safety"];
 
-/// Team file with environment and flags; all that concerns every host is checked.
+/// Team file, with the environment variables and flags that override its fields. The settings common to all hosts are
+/// checked when it is read.
 #[derive(Clone, Debug)]
 pub struct TeamFile {
     registry: Registry,
@@ -138,12 +140,12 @@ impl TeamFile {
         Ok(file)
     }
 
-    /// Registry in which names of the file are looked up.
+    /// Returns the registry in which names of the file (scenarios, policies, drivers and others) are looked up.
     pub fn registry(&self) -> &Registry {
         &self.registry
     }
 
-    /// Deployment of the team.
+    /// Returns the deployment of the team.
     pub fn deployment(&self) -> &Deployment {
         &self.deployment
     }
@@ -153,7 +155,7 @@ impl TeamFile {
         (0..self.deployment.hosts.len()).map(|index| HostId(index as u16))
     }
 
-    /// Returns the host with this name. An error lists all names.
+    /// Returns the id of the host with the name `name`. An error lists the names of all hosts.
     pub fn host_named(&self, name: &str) -> Result<HostId, ConfigError> {
         let names: Vec<&str> = self.deployment.hosts.iter().map(|host| host.name.as_str()).collect();
         let found = names.iter().position(|host| *host == name);
@@ -175,7 +177,7 @@ impl TeamFile {
         self.hosts().try_for_each(|host| self.for_host(host).map(drop))
     }
 
-    /// Returns the configuration for this host. An error names the field.
+    /// Returns the configuration of the host `host`, with all values resolved. An error names the field.
     pub fn for_host(&self, host: HostId) -> Result<Team, ConfigError> {
         let scopes = self.scopes(Some(host));
         let find = |key: &str| self.layers.find(&scopes, key);
@@ -254,14 +256,15 @@ impl TeamFile {
         })
     }
 
-    /// Returns the estimator for this host's robots.
+    /// Returns the estimator that the file chooses for a host, whose prefixes of keys are `scopes`.
     fn estimator(&self, scopes: &[String]) -> Result<estimation::Entry, ConfigError> {
         let entry = self.layers.find(scopes, "estimator").expect("it has a default");
         let found = self.registry.estimator(text(&entry)).copied();
         found.map_err(|error| ConfigError::field(place("estimator", &entry.origin), error.to_string()))
     }
 
-    /// Returns the prefixes under which a host's values are looked up, the narrowest first.
+    /// Returns the prefixes of keys under which a host's values are looked up, such as `robot.2.` and `host.pc.`, the
+    /// narrowest first; for the whole team (`None`), only the empty prefix.
     fn scopes(&self, host: Option<HostId>) -> Vec<String> {
         let host = host.map(|host| &self.deployment.hosts[usize::from(host.0)]);
         let robot = host.and_then(|host| only_robot(&host.agents)).map(|robot| format!("robot.{robot}."));
@@ -269,15 +272,15 @@ impl TeamFile {
         robot.into_iter().chain(host).chain([String::new()]).collect()
     }
 
-    /// Resolves a path: values of the file are relative to its folder, those of flags and environment to the working
-    /// directory.
+    /// Returns the path that a field contains: relative to the folder of the team file if the value is from the file,
+    /// otherwise as it is (relative to the working directory).
     fn path(&self, entry: &LayerValue) -> PathBuf {
         let path = Path::new(text(entry));
         if matches!(entry.origin, Origin::File(_)) { self.folder.join(path) } else { path.to_owned() }
     }
 }
 
-/// Returns the deployment of the file: a preset mode, or the table `deployment`.
+/// Returns the deployment of a team file: the preset of its field `mode`, or the table `deployment` (`inline`).
 fn deployment(registry: &Registry, inline: Option<Deployment>, layers: &Layers) -> Result<Deployment, ConfigError> {
     let find = |key: &str| layers.find(&[String::new()], key);
     let (mode, robots, plant) = (find("mode"), find("robots"), find("plant"));
@@ -323,7 +326,8 @@ fn deployment(registry: &Registry, inline: Option<Deployment>, layers: &Layers) 
     }
 }
 
-/// Checks the settings of drivers and sources by creating them; no worker is started.
+/// Checks the settings of all drivers, sources of readings and publications for observers by creating them; no worker
+/// is started.
 fn check_devices(registry: &Registry, deployment: &Deployment) -> Result<(), ConfigError> {
     let ids = |robots: &[u16]| robots.iter().copied().map(RobotId).collect::<Vec<_>>();
     for host in &deployment.hosts {
@@ -344,14 +348,15 @@ fn check_devices(registry: &Registry, deployment: &Deployment) -> Result<(), Con
     Ok(())
 }
 
-/// Creates the scenario, for a team of `robots` robots or of its default size.
+/// Creates the scenario named in the field `entry`, for a team of `robots` robots; `None` for its default size.
 fn build(registry: &Registry, entry: &LayerValue, robots: Option<usize>) -> Result<Arc<dyn Scenario>, ConfigError> {
     registry
         .scenario(text(entry), &Settings { robots, gap_m: None })
         .map_err(|error| ConfigError::field(place("scenario", &entry.origin), error.to_string()))
 }
 
-/// Returns the robot of a host that runs the Agents of exactly one robot.
+/// Returns the robot of a host whose Agents have exactly one robot together; `None` for any other number. `agents` has
+/// the robots of each Agent.
 fn only_robot(agents: &[Vec<u16>]) -> Option<u16> {
     let robots = agents.concat();
     if let [only] = robots[..] { Some(only) } else { None }

@@ -1,4 +1,4 @@
-//! Check that every host, robot, link and kind named in a team file exists.
+//! Checks that every host, robot, link and kind of message named in a team file exists.
 
 use std::collections::BTreeSet;
 
@@ -8,7 +8,8 @@ use crate::config::ConfigError;
 use crate::messages::ids::RobotId;
 
 impl TeamFile {
-    /// Checks that hosts, robots, links and kinds in the keys of fields exist. An error names the field.
+    /// Checks that the hosts, robots, links and kinds of messages that occur in keys of the team file, such as
+    /// `host.pc.policy`, exist in its deployment. An error names the field.
     pub(super) fn check_names(&self) -> Result<(), ConfigError> {
         let deployment = &self.deployment;
         let hosts: BTreeSet<&str> = deployment.hosts.iter().map(|host| host.name.as_str()).collect();

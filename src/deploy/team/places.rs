@@ -1,4 +1,5 @@
-//! Places of a host on its links, as their transports read them, with the checks that need no open socket.
+//! Resolves the place of a host on each link from a team file: the endpoint (such as an address and interface) that the
+//! link's transport reads, and reliability modes. Includes the checks that need no open socket.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -15,7 +16,7 @@ use crate::net::transport;
 use crate::net::transport::settings::FieldValue;
 use crate::net::transport::{Field, LinkSettings, Place};
 
-/// Settings with which an operator joins the link of the emergency stop, from any machine.
+/// Settings with which an operator joins the link that carries emergency stop messages, from any machine.
 #[derive(Clone, Debug)]
 pub struct OperatorAccess {
     /// Link that carries `Stop`.
@@ -30,13 +31,15 @@ pub struct OperatorAccess {
 }
 
 impl TeamFile {
-    /// Returns the transport of a link in these scopes.
+    /// Returns the transport that the team file chooses for a link. `scopes` are the prefixes of keys for one host, the
+    /// narrowest first.
     pub(super) fn transport(&self, scopes: &[String], link: &Link) -> &transport::Entry {
         let name = self.layers.find(scopes, &format!("link.{}.transport", link.name)).expect("it has a default");
         self.registry.transport(text(&name)).expect("its name was checked when the file was read")
     }
 
-    /// Returns the names of a link's field: one, or one for each host.
+    /// Returns the keys of a link's field within the link: its name, or `name.host` for each host if it has a value for
+    /// each host.
     pub(super) fn names_of(&self, field: &Field) -> Vec<String> {
         let hosts = self.deployment.hosts.iter().filter(|_| field.by_host);
         let names: Vec<String> = hosts.map(|host| format!("{}.{}", field.name, host.name)).collect();
@@ -53,7 +56,8 @@ impl TeamFile {
         })
     }
 
-    /// Returns the place of a host on the link with index `at`.
+    /// Returns the place of a host on the link with index `at`: its endpoint, and the reliability mode of each kind of
+    /// message. An error names the wrong field.
     pub(super) fn place(&self, host: HostId, at: usize) -> Result<Place, ConfigError> {
         let link = &self.deployment.links[at];
         let scopes = self.scopes(Some(host));

@@ -1,4 +1,4 @@
-//! Listing of all values in effect, each with its origin.
+//! Listing of all values in effect of a team file, each with its origin (flag, environment, file or default).
 
 use super::fields::team_fields;
 use super::layers::Origin;
@@ -6,7 +6,7 @@ use super::{TeamFile, kebab};
 use crate::messages::ids::HostId;
 use crate::world::{ContactRule, Sensor};
 
-/// One line of `config show`.
+/// One line of `config show`: a field of a team file with its value in effect and the origin of the value.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shown {
     /// Key of the field.
@@ -18,7 +18,8 @@ pub struct Shown {
 }
 
 impl TeamFile {
-    /// Returns the default of a property of simulated robots, which the plant defines.
+    /// Returns, as text, the default of the field `key` (a property of simulated robots), which the plant defines;
+    /// `None` for other fields.
     fn plant_default(&self, key: &str) -> Option<String> {
         let (plant, scenario) = (self.registry.plant(&self.deployment.plant).ok()?, self.scenario().ok()?);
         let physics = (plant.physics)(scenario.arena());

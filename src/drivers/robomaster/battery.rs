@@ -2,18 +2,19 @@
 
 use crate::time::{Span, Time};
 
-/// Charge above the least at which a robot may move again \[%\]: a battery recovers when the motors stop.
+/// Charge above the stop limit at which a robot that was stopped may move again \[percentage points\]: a battery's
+/// charge appears to rise when the motors stop.
 const RECOVERED: u8 = 3;
 
-/// Battery of one robot.
+/// State of one robot's battery: its charge, whether that is too low to move, and the time of the next query.
 #[derive(Clone, Debug)]
 pub struct Battery {
-    /// Charge at which the robot stops \[%\]; zero for none.
+    /// Charge at which the robot stops \[%\]; zero for no limit.
     least: u8,
     period: Span,
-    /// Charge \[%\]; `None` until the robot has told it.
+    /// Charge \[%\] that the robot reported last; `None` before its first report.
     pub charge: Option<u8>,
-    /// Time of the next question.
+    /// Time at which the charge has to be queried next.
     pub due: Time,
     /// Whether the charge is too low to move.
     pub low: bool,
@@ -27,12 +28,12 @@ impl Battery {
         Battery { least, period: Span::from_secs(period_s), charge: None, due: Time::ZERO, low: false }
     }
 
-    /// Postpones the next query of the charge by one period.
+    /// Stores that the charge was queried at `now`: the next query is due one period later.
     pub fn asked(&mut self, now: Time) {
         self.due = now + self.period;
     }
 
-    /// Takes an answer \[%\].
+    /// Stores a charge \[%\] that the robot has reported, and updates whether it is too low to move.
     pub fn take(&mut self, charge: u8) {
         let recovered = self.least.saturating_add(RECOVERED).min(100);
         self.low = self.least > 0 && (charge <= self.least || (self.low && charge < recovered));

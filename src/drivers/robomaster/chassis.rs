@@ -1,22 +1,22 @@
-//! Velocities that the robot's chassis can follow, from those that are wanted: axes, limits and least speeds.
+//! Conversion of a wanted velocity to one that a RoboMaster's chassis can follow: axes, limits and smallest speeds.
 
 use super::super::BodyTwist;
 use super::protocol::ChassisSpeed;
 use crate::messages::geometry::Vec2;
 
-/// Least speed that the robot follows \[m/s\]; below it turns at random (RoboMaster-SDK#11).
+/// Smallest speed that the robot follows \[m/s\]. At lower commanded speeds it turns at random (RoboMaster-SDK#11).
 const LEAST_M_S: f32 = 0.1;
-/// Least yaw rate that is sent \[degrees/s\]. The robot ignored up to 1 (RoboMaster-SDK#11).
+/// Smallest yaw rate that is sent \[degrees/s\]. The robot ignored yaw rates up to 1 degree/s (RoboMaster-SDK#11).
 const LEAST_YAW_DEG_S: f32 = 1.5;
 
-/// Limits of the velocities of a chassis.
+/// Limits and grid of the velocities that a RoboMaster's chassis is commanded.
 #[derive(Clone, Copy, Debug)]
 pub struct Chassis {
-    /// Largest speed \[m/s\].
+    /// Largest speed that the chassis is commanded \[m/s\].
     pub speed_m_s: f32,
-    /// Largest yaw rate \[rad/s\].
+    /// Largest yaw rate that the chassis is commanded \[rad/s\].
     pub yaw_rate_rad_s: f32,
-    /// Grid of the speed along each axis \[m/s\]; zero for none.
+    /// Step to whose multiples the speed along each axis is rounded \[m/s\]; zero for no rounding.
     pub step_m_s: f32,
 }
 
@@ -48,7 +48,8 @@ impl Chassis {
     }
 }
 
-/// Returns a velocity of at least `LEAST_M_S`, or zero.
+/// Returns `wanted` \[m/s\] with a speed that the robot follows: a speed below `LEAST_M_S` becomes `LEAST_M_S`, or zero
+/// if it is below half of that.
 fn at_least(wanted: Vec2) -> Vec2 {
     let speed = wanted.norm();
     if speed < LEAST_M_S / 2.0 {

@@ -1,27 +1,29 @@
-//! Packets between the driver's pure part and its worker, as bytes: so they can be recorded and replayed.
+//! Packets between the pure part of the RoboMaster driver and its worker, encoded as bytes so that they can be recorded
+//! and replayed.
 
 use crate::edge::Packet;
 use crate::time::Span;
 
-/// Validity of a robot's motion after a line. When it ends, the worker stops the robot.
+/// Time for which a robot's motion stays valid after a line (a command in the text protocol) is sent. When it ends, the
+/// worker stops the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hold {
     /// The validity stays as before, because the line moves no wheel.
     Keep,
-    /// The robot stands, so the validity has no end.
+    /// The line makes the robot stand, so the validity has no end.
     Standing,
     /// The validity is this long, counted from the arrival of the packet at the worker.
     For(Span),
 }
 
-/// Packet to the worker. The worker numbers the connections.
+/// Packet from the driver's pure part to its worker. The worker numbers its connections with the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ToWorker<'a> {
     /// Open a new connection. The old one is closed once the new one is open.
     Open,
-    /// Write a line.
+    /// Write a line to the robot, if the connection is still the current one. An empty line only sets the validity.
     Write {
-        /// Number of the connection.
+        /// Number of the connection to which the line belongs.
         connection: u32,
         /// Validity of the robot's motion after the line.
         hold: Hold,
@@ -30,18 +32,18 @@ pub enum ToWorker<'a> {
     },
 }
 
-/// Packet from the worker.
+/// Packet from the driver's worker to its pure part. Connections with the robot are numbered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FromWorker<'a> {
-    /// A connection was opened.
+    /// The connection with this number was opened.
     Opened(u32),
-    /// A connection could not be opened, or has ended. The text is the reason.
+    /// The connection with this number could not be opened, or has ended. The bytes are the reason as text.
     Closed(u32, &'a [u8]),
-    /// Bytes of the control connection.
+    /// Bytes received on the control connection (answers), with the number of the connection.
     Control(u32, &'a [u8]),
-    /// Bytes of the event connection.
+    /// Bytes received on the event connection, with the number of the connection.
     Event(u32, &'a [u8]),
-    /// Datagram of the push port, and its arrival \[ns\] on the worker's clock.
+    /// Arrival time \[ns\], on the worker's clock, and content of a datagram with the robot's state (a push).
     Push(u64, &'a [u8]),
 }
 

@@ -26,69 +26,71 @@ use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::messages::ids::RobotId;
 
-/// Entry in the registry of drivers.
+/// Entry of the RoboMaster driver in the registry of drivers.
 pub const ENTRY: Entry = Entry { name: "robomaster", about: "RoboMaster EP: plaintext SDK over Wi-Fi or USB", make };
 
 /// Address of the robot on its own Wi-Fi (DJI's guide, "Access Methods").
 const DIRECT: Ipv4Addr = Ipv4Addr::new(192, 168, 2, 1);
-/// Address of the robot on its USB port (the same).
+/// Address of the robot on its USB port (DJI's guide, "Access Methods").
 const USB: Ipv4Addr = Ipv4Addr::new(192, 168, 42, 2);
 /// Largest speed along an axis that the robot takes \[m/s\] (DJI's guide, "chassis speed").
 const FASTEST_M_S: f32 = 3.5;
-/// Largest speed with an arm \[m/s\] (DJI's guide).
+/// Largest speed of a robot with a fitted arm \[m/s\] (DJI's guide).
 const FASTEST_WITH_ARM_M_S: f32 = 0.8;
 /// Largest yaw rate that the robot takes \[rad/s\]: 600 degrees/s (DJI's guide, "chassis speed").
 const FASTEST_YAW_RAD_S: f32 = 600.0 * std::f32::consts::PI / 180.0;
-/// Rates of pushes \[Hz\] that show a dead link in time. The robot also knows 1, 5 and 10 (DJI's guide).
+/// Rates \[Hz\] at which the robot may be told to push its state: at these, a dead link is noticed in time. The robot
+/// also supports 1, 5 and 10 Hz (DJI's guide).
 const PUSH_RATES_HZ: [u8; 3] = [20, 30, 50];
-/// Largest rate of velocities \[Hz\]: that of a Body.
+/// Largest rate at which velocities may be sent to the robot \[Hz\], equal to the largest rate of a Body's commands.
 const MOST_COMMANDS_HZ: u8 = 50;
 
-/// Connection of the host with the robot.
+/// Kind of network connection between the host and the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum Connection {
-    /// The robot's own Wi-Fi.
+    /// The host is on the robot's own Wi-Fi.
     Direct,
-    /// The robot's USB port, a network interface of the host.
+    /// The host is connected to the robot's USB port, which appears as a network interface.
     Usb,
-    /// A router's network.
+    /// Host and robot are on the network of a router.
     Router,
 }
 
-/// Settings of the driver in the team file.
+/// Settings of the RoboMaster driver in the team file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Config {
     /// Connection with the robot; `router` needs an address.
     connection: Connection,
-    /// Address of the robot; without it, the one that the connection implies.
+    /// Address of the robot; `None` for the usual one of the kind of connection.
     address: Option<Ipv4Addr>,
-    /// Whether an arm is fitted: then at most 0.8 m/s.
+    /// Whether an arm is fitted to the robot, which limits its speed to 0.8 m/s.
     #[serde(default)]
     arm: bool,
-    /// Largest speed \[m/s\]; without it, the robot's: 3.5, or 0.8 with an arm.
+    /// Largest speed \[m/s\]; `None` for that of the robot: 3.5, or 0.8 with an arm.
     speed_m_s: Option<f32>,
     /// Largest yaw rate \[rad/s\]; at most 10.4.
     #[serde(default = "default_yaw_rate")]
     yaw_rate_rad_s: f32,
-    /// Grid of the speeds that the robot keeps to along each axis \[m/s\]. Zero sends them as they are, from 0.1 m/s
-    /// on.
+    /// Step to whose multiples speeds along each axis are rounded \[m/s\]. With zero, speeds of 0.1 m/s and more are
+    /// sent without rounding.
     #[serde(default = "default_step")]
     speed_step_m_s: f32,
-    /// Rate of the robot's pushes \[Hz\]: 20, 30 or 50.
+    /// Rate at which the robot sends (pushes) its position and attitude \[Hz\]: 20, 30 or 50.
     #[serde(default = "default_pushes")]
     push_hz: u8,
-    /// Largest rate at which velocities are sent \[Hz\], 1 to 50. Each waits for the answer to the one before.
+    /// Largest rate at which velocities are sent \[Hz\], 1 to 50. Each one is sent only after the robot has answered
+    /// the one before.
     #[serde(default = "default_commands")]
     command_hz: u8,
     /// Charge of the battery at which the robot stops, 0 to 1.
     #[serde(default)]
     battery_least: f32,
-    /// Period of asking for the battery's charge \[s\], 1 to 60.
+    /// Period at which the robot is asked for its battery's charge \[s\], 1 to 60.
     #[serde(default = "default_battery_period")]
     battery_period_s: f64,
-    /// Whether hits on the armour are logged; it takes a third port.
+    /// Whether hits on the robot's armour are logged. This opens one more connection, to the robot's event port.
     #[serde(default)]
     events: bool,
 }
@@ -97,7 +99,8 @@ fn default_yaw_rate() -> f32 {
     std::f32::consts::PI
 }
 
-/// DJI's script for the robot's side cuts each speed to tenths (`rm_ctrl.py`).
+/// Returns the default of `speed_step_m_s` \[m/s\]. DJI's script on the robot truncates each speed to tenths
+/// (`rm_ctrl.py`).
 fn default_step() -> f32 {
     0.1
 }
@@ -115,7 +118,7 @@ fn default_battery_period() -> f64 {
 }
 
 impl Config {
-    /// Returns an error that names the wrong field.
+    /// Checks the ranges of all settings; an error names the wrong field.
     fn check(&self) -> Result<(), ConfigError> {
         let fastest = if self.arm { FASTEST_WITH_ARM_M_S } else { FASTEST_M_S };
         let within = |field: &str, value: f64, least: f64, most: f64| {
@@ -152,7 +155,7 @@ impl Config {
         Ok(())
     }
 
-    /// Address of the robot.
+    /// Returns the address of the robot: the setting, or the usual one of the kind of connection.
     fn address(&self) -> Ipv4Addr {
         self.address.unwrap_or(match self.connection {
             Connection::Usb => USB,
@@ -160,13 +163,13 @@ impl Config {
         })
     }
 
-    /// Largest speed \[m/s\].
+    /// Returns the largest speed of the robot \[m/s\]: the setting, or 3.5, or 0.8 with an arm.
     fn speed_m_s(&self) -> f32 {
         self.speed_m_s.unwrap_or(if self.arm { FASTEST_WITH_ARM_M_S } else { FASTEST_M_S })
     }
 }
 
-/// Makes the driver and its worker.
+/// Makes the RoboMaster driver of `robot` and its worker; an error names the wrong setting.
 fn make(settings: &Settings, robot: RobotId) -> Result<Parts, ConfigError> {
     let config: Config = settings.read()?;
     config.check()?;

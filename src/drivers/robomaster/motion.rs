@@ -1,33 +1,34 @@
-//! Choice of the next line that moves the wheels: the newest velocity, or standing.
+//! Choice of the next line (command in the robot's text protocol) that moves the wheels: the newest velocity, or stand.
 
 use super::link::Hold;
 use super::protocol::{ChassisSpeed, Line};
 use super::times::STAND_PERIOD;
 use crate::time::{Span, Time};
 
-/// Motion of one robot: the newest velocity that is wanted, and the one that the robot was last told.
+/// Motion of one robot: the newest wanted velocity, and whether the last line sent told the robot to move or to stand.
 #[derive(Clone, Debug)]
 pub struct Motion {
-    /// Shortest time between two velocities.
+    /// Shortest time between two velocities that are sent to the robot.
     pace: Span,
     /// Newest wanted velocity and the time of its expiry; `None` if the robot is to stand.
     wanted: Option<(ChassisSpeed, Time)>,
-    /// Whether the newest velocity has still to be sent.
+    /// Whether the newest wanted velocity has not been sent to the robot yet.
     fresh: bool,
     /// Whether the last line that moves wheels told the robot to stand.
     standing: bool,
-    /// Time of the last line that moves wheels.
+    /// Time at which the last line that moves wheels (a velocity or a stand command) was sent.
     told: Time,
 }
 
 impl Motion {
-    /// Makes a standing robot, and the largest rate of velocities \[Hz\].
+    /// Creates the motion of a standing robot. `most_hz` is the largest rate at which velocities are sent \[Hz\].
     pub fn new(most_hz: u8) -> Motion {
         let pace = Span::from_secs(1.0 / f64::from(most_hz));
         Motion { pace, wanted: None, fresh: false, standing: true, told: Time::ZERO }
     }
 
-    /// Stands, without a line: at a new connection, whose set-up has that line.
+    /// Returns to the state of a standing robot without a line to send. For a new connection, whose set-up itself has a
+    /// stand command.
     pub fn reset(&mut self) {
         (self.wanted, self.fresh, self.standing) = (None, false, true);
     }
@@ -37,7 +38,8 @@ impl Motion {
         (self.wanted, self.fresh) = (Some((speed, until)), true);
     }
 
-    /// Wants to stand. Returns whether the robot has to be told at once.
+    /// Discards the wanted velocity, so that the robot is to stand. Returns whether it was last told to move, so that a
+    /// stand command has to be sent at once.
     pub fn stop(&mut self) -> bool {
         (self.wanted, self.fresh) = (None, false);
         !self.standing
@@ -48,12 +50,13 @@ impl Motion {
         self.fresh && !self.standing
     }
 
-    /// Time at which the wanted velocity expires; `None` if the robot is to stand.
+    /// Returns the time at which the wanted velocity expires; `None` if the robot is to stand.
     pub fn expires(&self) -> Option<Time> {
         self.wanted.map(|(_, until)| until)
     }
 
-    /// Time of the next line, once no line is in flight; `None` if the robot already does what is wanted.
+    /// Returns the time at which the next line that moves wheels is to be sent, provided that the robot has answered
+    /// the last line; `None` if the wanted velocity was already sent.
     pub fn due(&self) -> Option<Time> {
         match self.wanted {
             None => Some(self.told + STAND_PERIOD),
@@ -64,7 +67,8 @@ impl Motion {
         }
     }
 
-    /// Returns the next line. A velocity that has expired is standing.
+    /// Returns the next line to send, with the validity of the motion: the wanted velocity, or a stand command if there
+    /// is none or it has expired.
     pub fn next(&mut self, now: Time) -> (Line, Hold) {
         match self.wanted {
             Some((speed, until)) if until > now => {
@@ -78,7 +82,7 @@ impl Motion {
         }
     }
 
-    /// The robot is told a line.
+    /// Stores that `line` was sent to the robot at `now`. Lines that do not move wheels have no effect.
     pub fn tell(&mut self, now: Time, line: &Line) {
         if matches!(line, Line::Speed(_) | Line::Stand) {
             self.told = now;

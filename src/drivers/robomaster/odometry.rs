@@ -1,4 +1,5 @@
-//! Odometry of the robot, from its pushes: positions and headings since power-on, and velocities by differences.
+//! Odometry of the robot from the state datagrams that it sends (pushes): positions and headings since power-on, and
+//! velocities computed from differences of positions.
 
 use super::protocol::Push;
 use crate::messages::geometry::{Deviation, Pose, Twist, Vec2, wrapped};
@@ -6,15 +7,15 @@ use crate::messages::ids::RobotId;
 use crate::messages::wire::Reading;
 use std::collections::VecDeque;
 
-/// Time over which velocities are taken \[ns\]: five pushes at 50 Hz. The robot pushes no velocity, and arrivals jitter
-/// by some milliseconds.
+/// Time span of the positions and headings from whose differences velocities are computed \[ns\]: five pushes at 50 Hz.
+/// The robot reports no velocity, and arrival times jitter by some milliseconds.
 const WINDOW_NS: u64 = 100_000_000;
-/// Age up to which a heading belongs to a position \[ns\]: the limit for headings in this project.
+/// Largest age of a heading, relative to a position, at which both are combined in one reading \[ns\].
 const HEADING_NS: u64 = 100_000_000;
-/// Values that are kept: as many as arrive within the window, twice.
+/// Number of newest positions, and of headings, that are kept: twice as many as arrive within the time `WINDOW_NS`.
 const KEPT: usize = 12;
 
-/// Newest values of one kind, with their arrival \[ns\].
+/// Newest values of one quantity (position or heading), each with its arrival time \[ns\].
 #[derive(Clone, Debug, Default)]
 struct Track<const N: usize>(VecDeque<(u64, [f64; N])>);
 
@@ -30,7 +31,8 @@ impl<const N: usize> Track<N> {
         self.0.back().copied()
     }
 
-    /// Returns the rate of change \[1/s\] over the window, or since the value before if there is none in the window.
+    /// Returns the rate of change per second over the last `WINDOW_NS`, or since the previous value if that is older.
+    /// `None` with fewer than two values, or if they arrived at the same time.
     fn rate(&self) -> Option<[f64; N]> {
         let (stamp, value) = self.newest()?;
         let before = self.0.len().checked_sub(2)?;
@@ -45,9 +47,9 @@ impl<const N: usize> Track<N> {
 #[derive(Clone, Debug)]
 pub struct Odometry {
     robot: RobotId,
-    /// Position \[m\] in REP-103.
+    /// Positions \[m\] in the frame of the pose at power-on: x forward, y left (REP-103).
     positions: Track<2>,
-    /// Heading \[rad\] in REP-103, continuous over turns.
+    /// Headings \[rad\], counter-clockwise (REP-103), continuous beyond half a turn.
     headings: Track<1>,
 }
 
@@ -57,8 +59,8 @@ impl Odometry {
         Odometry { robot, positions: Track::default(), headings: Track::default() }
     }
 
-    /// Takes a push that has arrived at `stamp_ns`. Returns a reading in the frame of the robot's pose at power-on.
-    /// Returns `None` for the first push and for one without a position.
+    /// Handles a state datagram `push` that has arrived at `stamp_ns` \[ns\]. Returns a reading in the frame of the
+    /// robot's pose at power-on; `None` for the first one, for one without a position, and for one older than the last.
     pub fn take(&mut self, stamp_ns: u64, push: &Push) -> Option<Reading> {
         let newest =
             self.positions.newest().map_or(0, |(at, _)| at).max(self.headings.newest().map_or(0, |(at, _)| at));
@@ -91,7 +93,7 @@ impl Odometry {
     }
 }
 
-/// Whether the reading's numbers are in the range of messages.
+/// Whether all numbers of the reading are in the range that messages permit.
 pub fn is_sound(reading: &Reading) -> bool {
     reading.unfit().is_none()
 }

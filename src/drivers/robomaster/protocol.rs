@@ -9,7 +9,7 @@
 use std::fmt::Write;
 use std::net::Ipv4Addr;
 
-/// TCP port of commands and answers.
+/// TCP port of the robot for commands and answers.
 pub const CONTROL_PORT: u16 = 40923;
 /// UDP port to which the robot pushes its state.
 pub const PUSH_PORT: u16 = 40924;
@@ -18,14 +18,14 @@ pub const EVENT_PORT: u16 = 40925;
 /// UDP port to which a robot on a router announces its address, every 2 s until a program connects.
 pub const ANNOUNCEMENT_PORT: u16 = 40926;
 
-/// Longest answer or event \[bytes\]: eight times the longest of the lines that are used here.
+/// Longest statement that is accepted from the robot \[bytes\]: eight times the longest line that is sent.
 const LONGEST: usize = 512;
-/// Largest coordinate \[m\]; what a `Reading` may hold.
+/// Largest coordinate that is accepted from the robot \[m\]: the limit of a `Reading`.
 const FARTHEST_M: f64 = 1e5;
-/// Largest angle \[degrees\]: ten turns. A robot reports -180 to 180.
+/// Largest angle that is accepted from the robot \[degrees\]: ten turns. A robot reports -180 to 180.
 const LARGEST_ANGLE_DEG: f64 = 3600.0;
 
-/// Line to the robot.
+/// Line to the robot: one command or query of its plaintext SDK.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Line {
     /// Enters SDK mode. Outside this mode the robot ignores all other lines.
@@ -34,7 +34,7 @@ pub enum Line {
     Quit,
     /// Lets chassis and gimbal turn independently. In its other modes, the robot ignores yaw rates.
     Free,
-    /// Switches on pushes of position and attitude at this rate \[Hz\], and of the chassis' status at 5 Hz.
+    /// Makes the robot send (push) its position and attitude at this rate \[Hz\], and its chassis' status at 5 Hz.
     Pushes(u8),
     /// Switches on reports of hits on the armour.
     HitEvents,
@@ -43,11 +43,11 @@ pub enum Line {
     /// Stops all wheels. With speed zero instead, the robot creeps, because it controls a heading that drifts
     /// (RoboMaster-SDK#11).
     Stand,
-    /// Query of the battery's charge \[%\].
+    /// Asks for the battery's charge \[%\].
     Battery,
 }
 
-/// Velocity of the chassis in its own frame.
+/// Velocity of a RoboMaster's chassis in its own frame: x forward, y to the right, yaw clockwise.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ChassisSpeed {
     /// Forward component \[m/s\], within +-3.5.
@@ -83,13 +83,13 @@ impl Line {
     }
 }
 
-/// Error of bytes that the robot cannot have sent.
+/// Reason why bytes from the robot are refused: they do not have the form of the plaintext SDK.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Malformed {
     /// Bytes that are not ASCII text.
     #[error("the robot's text has bytes that are not ASCII")]
     Text,
-    /// A statement without an end.
+    /// A statement that is longer than the accepted length without a semicolon at its end.
     #[error("the robot's statement is too long")]
     Length,
     /// Too few words, or words in the wrong place.
@@ -101,7 +101,7 @@ pub enum Malformed {
 }
 
 impl Malformed {
-    /// Returns the reason, for a driver's output.
+    /// Returns the description of the fault as text, for the output of a driver that refuses the bytes.
     pub fn reason(self) -> &'static str {
         match self {
             Malformed::Text => "the robot's text has bytes that are not ASCII",
@@ -112,11 +112,11 @@ impl Malformed {
     }
 }
 
-/// Splitter of a stream into statements, which end with a semicolon.
+/// Splits the byte stream from the robot into statements, which end with a semicolon.
 #[derive(Clone, Debug, Default)]
 pub struct Splitter {
     rest: Vec<u8>,
-    /// Whether the rest was too long; everything up to the next semicolon is dropped.
+    /// Whether the unfinished statement is too long; everything up to the next semicolon is dropped.
     overflowed: bool,
 }
 
@@ -146,7 +146,7 @@ impl Splitter {
     }
 }
 
-/// Answer to a line.
+/// Answer of the robot to a line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Answer<'a> {
     /// Result: `ok`, an error, or values.
@@ -177,7 +177,7 @@ impl Answer<'_> {
     }
 }
 
-/// State of the chassis in one datagram; a value that the datagram lacks is `None`.
+/// State of the chassis in one datagram that the robot sends unasked (a push); a value that it lacks is `None`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Push {
     /// Position since power-on \[m\]: forward and to the right of the pose at that time.
@@ -188,13 +188,13 @@ pub struct Push {
     pub rolled_over: Option<bool>,
 }
 
-/// Number of flags in a status: static, uphill, downhill, on slope, picked up, slips, hit along x, y, z, rolled over,
-/// static on a slope.
+/// Number of flags in a chassis status: static, uphill, downhill, on slope, picked up, slips, hit along x, y, z, rolled
+/// over, static on a slope.
 const FLAGS: usize = 11;
-/// Index of "rolled over" among the flags.
+/// Index of the flag "rolled over" among the flags of a chassis status.
 const ROLLED_OVER: usize = 9;
 
-/// Decodes a datagram of the push port, which names several values after one prefix:
+/// Decodes a state datagram (push), which names several values after one prefix:
 /// `chassis push position 1.000 2.000 ; attitude 0.100 0.200 30.000 ;;`. Pushes of other modules are skipped.
 pub fn decode_push(datagram: &[u8]) -> Result<Push, Malformed> {
     let mut push = Push::default();
@@ -259,7 +259,7 @@ pub fn decode_announcement(datagram: &[u8]) -> Result<Ipv4Addr, Malformed> {
     address.trim_end_matches([';', ' ']).parse().map_err(|_| Malformed::Number)
 }
 
-/// Returns the bytes as text without outer white space.
+/// Returns the bytes as text without white space at both ends; an error if they are too long or not ASCII.
 fn text(bytes: &[u8]) -> Result<&str, Malformed> {
     if bytes.len() > LONGEST {
         return Err(Malformed::Length);
@@ -270,7 +270,8 @@ fn text(bytes: &[u8]) -> Result<&str, Malformed> {
     }
 }
 
-/// Returns exactly `N` numbers of at most this size.
+/// Parses exactly `N` numbers from `words`; an error if their count differs or the absolute value of one exceeds
+/// `most`.
 fn numbers<const N: usize>(words: &[&str], most: f64) -> Result<[f64; N], Malformed> {
     let words: [&str; N] = words.try_into().map_err(|_| Malformed::Words)?;
     let mut numbers = [0.0; N];

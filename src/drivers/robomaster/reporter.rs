@@ -1,13 +1,13 @@
-//! Reporter of the robot's condition: each change once, with the reason of a fault.
+//! Reports the condition of the robot's hardware to its Body: each change once, with the reason of a fault.
 
 use super::super::Out;
 use crate::messages::wire::{Hardware, Health, Reason};
 
-/// Reporter of one robot.
+/// Reporter of the hardware condition of one robot. It suppresses repetitions.
 pub struct Reporter {
     /// Health that was last reported, with its reason.
     told: Option<(Health, Option<Reason>)>,
-    /// Reason for which there is no connection.
+    /// Reason why there is no connection with the robot; `None` if it is not known.
     pub unconnected: Option<Reason>,
 }
 
@@ -18,7 +18,8 @@ impl Default for Reporter {
 }
 
 impl Reporter {
-    /// Reports a condition with the charge of the battery \[%\], if it is new.
+    /// Appends the condition to `out`, with the charge of the battery \[%\], if health or reason differ from the last
+    /// report.
     pub fn report(&mut self, health: Health, reason: Option<Reason>, battery: Option<u8>, out: &mut Vec<Out>) {
         let told = Some((health, reason.clone()));
         if self.told != told {
@@ -27,7 +28,8 @@ impl Reporter {
         }
     }
 
-    /// Reports that there is no connection, if that is new.
+    /// Reports the robot as silent for lack of a connection, with the charge of the battery \[%\], if that was not
+    /// the last report.
     pub fn unconnected(&mut self, battery: Option<u8>, out: &mut Vec<Out>) {
         self.report(Health::Silent, self.unconnected.clone(), battery, out);
     }
@@ -37,7 +39,7 @@ impl Reporter {
         self.told.as_ref().is_some_and(|(health, _)| *health == Health::Silent)
     }
 
-    /// Reports the next condition in any case.
+    /// Forgets the last report, so that the next condition is reported even if it is the same.
     pub fn repeat(&mut self) {
         self.told = None;
     }

@@ -18,7 +18,7 @@ use crate::messages::ids::RobotId;
 use crate::messages::wire::{Health, Reason};
 use crate::time::{Span, Time};
 
-/// State of the connection.
+/// State of a session's connection with the robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum State {
     /// There is no connection; the next one is opened at this time.
@@ -33,26 +33,26 @@ enum State {
     Driving,
 }
 
-/// Line that the robot has not answered yet.
+/// Line that was sent to the robot and that it has not answered yet.
 #[derive(Clone, Copy, Debug)]
 struct Flight {
     seq: u32,
     line: Line,
-    /// Time of the line or of the last answer, whichever is later.
+    /// Time at which the wait for the answer began: when a line was sent, or the last unrelated answer came.
     since: Time,
 }
 
-/// Session with one robot.
+/// Session of the RoboMaster driver with one robot: opens and sets up the connection, and sends velocities.
 pub struct Session {
     robot: RobotId,
     config: Config,
     chassis: Chassis,
     state: State,
-    /// Number of the connection.
+    /// Number of the connection that the worker has opened last.
     connection: u32,
     answers: Splitter,
     events: Splitter,
-    /// Sequence number of the last line.
+    /// Sequence number of the last line that was sent.
     seq: u32,
     /// Whether the robot's answers repeat the sequence numbers.
     numbers: bool,
@@ -66,7 +66,7 @@ pub struct Session {
     odometry: Odometry,
     battery: Battery,
     rolled_over: bool,
-    /// Time given to the robot to answer a line of the set-up.
+    /// Longest wait for the robot's answer to the present line of the set-up.
     setup_patience: Span,
     /// Number of connections that were given up since the robot was last ready.
     given_up: u64,
@@ -74,7 +74,7 @@ pub struct Session {
 }
 
 impl Session {
-    /// Makes a session without a connection.
+    /// Makes a session without a connection, which opens one at its first wake-up.
     pub fn new(robot: RobotId, config: Config) -> Session {
         let chassis = Chassis {
             speed_m_s: config.speed_m_s(),
@@ -106,7 +106,7 @@ impl Session {
         }
     }
 
-    /// Returns the line of the set-up with this index; `None` after the last.
+    /// Returns the line of the connection's set-up with this index, such as entering SDK mode; `None` after the last.
     fn set_up(&self, index: usize) -> Option<Line> {
         let hits = self.config.events.then_some(Line::HitEvents);
         [Some(Line::Enter), Some(Line::Stand), Some(Line::Free), Some(Line::Pushes(self.config.push_hz)), hits]
@@ -115,7 +115,7 @@ impl Session {
             .nth(index)
     }
 
-    /// Whether the robot may move.
+    /// Whether the robot may move: it is connected, set up, sends its state, is upright and has enough charge.
     fn may_move(&self) -> bool {
         self.state == State::Driving && self.pushed && !self.battery.low && !self.rolled_over
     }
@@ -148,7 +148,7 @@ impl Session {
         out.push(Out::Send(ToWorker::Write { connection, hold, line: &line }.encode()));
     }
 
-    /// Sends a line and waits for its answer.
+    /// Sends a line to the robot, and stores it as the line that waits for its answer.
     fn send(&mut self, now: Time, line: Line, hold: Hold, out: &mut Vec<Out>) {
         self.write(line, hold, out);
         // A line that is overtaken by standing is still to be answered: its time counts on.
@@ -157,14 +157,14 @@ impl Session {
         self.motion.tell(now, &line);
     }
 
-    /// Makes the robot stand, at once.
+    /// Makes the robot stand: sends a stand command at once, without waiting for an answer, if the robot moves.
     fn stand(&mut self, now: Time, out: &mut Vec<Out>) {
         if self.motion.stop() && self.state == State::Driving {
             self.send(now, Line::Stand, Hold::Standing, out);
         }
     }
 
-    /// Sends the next line if none is in flight.
+    /// Sends the next line that is due, unless a line still waits for its answer.
     fn advance(&mut self, now: Time, out: &mut Vec<Out>) {
         if self.flight.is_some() {
             return;
@@ -192,7 +192,7 @@ impl Session {
         }
     }
 
-    /// Gives the connection up and opens another.
+    /// Gives the connection up for the reason `why`, and asks the worker to open another.
     fn reopen(&mut self, now: Time, why: &str, out: &mut Vec<Out>) {
         self.given_up += 1;
         if self.given_up.is_power_of_two() {
@@ -209,7 +209,7 @@ impl Session {
         self.reporter.unconnected(self.battery.charge, out);
     }
 
-    /// Takes a new connection.
+    /// Begins anew on the connection with number `connection`, which the worker has opened.
     fn opened(&mut self, now: Time, connection: u32) {
         (self.state, self.connection) = (State::Opened(now + PAUSE), connection);
         (self.answers, self.events) = (Splitter::default(), Splitter::default());
@@ -262,7 +262,7 @@ impl Session {
         self.advance(now, out);
     }
 
-    /// Whether the session goes on after the robot has refused a line.
+    /// Handles the robot's refusal of a line. Returns whether the session goes on; if not, it will be opened again.
     fn survives(&mut self, now: Time, line: Line, result: &str, out: &mut Vec<Out>) -> bool {
         if matches!(line, Line::Free | Line::HitEvents) {
             tracing::warn!("{} answers {result:?} to {line:?}: it has no gimbal or no armour; going on", self.robot);
@@ -328,7 +328,7 @@ impl Session {
         }
     }
 
-    /// Time at which the robot counts as silent, or its connection as lost.
+    /// Returns the time at which the robot counts as silent, or its connection as lost, unless it sends something.
     fn silent_at(&self) -> Time {
         let answer = self.flight.map(|flight| match self.state {
             State::Driving => flight.since + if self.reporter.is_silent() { PATIENCE } else { UNANSWERED },

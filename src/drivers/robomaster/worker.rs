@@ -1,5 +1,5 @@
-//! Worker of the driver: the connections with one robot. It waits on all of them in one poll. A second thread receives
-//! the packets of the control thread.
+//! Worker of the RoboMaster driver: has the connections with one robot, and waits on all of them in one poll. A second
+//! thread receives the packets of the control thread.
 //!
 //! The worker itself stops the robot when a motion's validity ends without a newer packet, and when the host ends.
 
@@ -20,27 +20,28 @@ use super::protocol::{ANNOUNCEMENT_PORT, CONTROL_PORT, EVENT_PORT, Line, PUSH_PO
 use crate::edge::{Packet, PacketSender, Port, Worker};
 use crate::messages::ids::RobotId;
 
-/// Time after which an attempt to connect is given up. The robot is on the same network: a lost first segment is sent
-/// again sooner by a new attempt.
+/// Time after which an attempt to connect is given up. A new attempt then repeats a lost first segment sooner than TCP
+/// would.
 const CONNECTING: Duration = Duration::from_millis(400);
-/// Period of stand commands while the control thread sends nothing.
+/// Period of stand commands that the worker itself sends after a motion has expired without a newer packet.
 const STAND_PERIOD: Duration = Duration::from_millis(200);
-/// Time given to the robot for its answers to the last lines. A worker has one second to end.
+/// Longest wait for the robot's answers to the last lines when the worker ends. A worker has one second to end.
 const ENDING: Duration = Duration::from_millis(300);
 /// Longest validity of a motion, equal to that of a motor command on a link.
 const LONGEST_HOLD: Duration = Duration::from_millis(1000);
 /// Largest number of bytes read at once, from a stream or as one datagram.
 const BYTES: usize = 2048;
 
-/// Worker of one robot.
+/// Worker of the RoboMaster driver for one robot: does its input and output over TCP and UDP.
 pub struct Tcp {
-    /// The robot.
+    /// Robot that the worker connects with.
     pub robot: RobotId,
     /// Network address of the robot.
     pub address: Ipv4Addr,
-    /// Whether the robot's event connection is read.
+    /// Whether the robot's event connection (hits on its armour) is opened and read.
     pub events: bool,
-    /// Whether an error names robots that announce themselves, when this robot does not answer.
+    /// Whether the worker receives the announcements of robots on the network, to name another robot's address in the
+    /// error if this robot does not answer.
     pub announcements: bool,
 }
 
@@ -97,13 +98,13 @@ struct Links {
     events: Option<TcpStream>,
     pushes: Option<UdpSocket>,
     announcements: Option<UdpSocket>,
-    /// Time at which the robot is stopped unless a packet arrives before.
+    /// Time at which the robot is stopped unless a packet extends its motion; `None` if it stands.
     stop_at: Option<Instant>,
-    /// Whether the control thread has let a motion expire.
+    /// Whether a motion has expired without a newer packet of the control thread, which is logged once.
     hangs: bool,
-    /// Last log entry about the connection, so that each change is logged once.
+    /// Text of the last log entry about the connection, so that each change is logged once.
     logged: String,
-    /// Robot that announced itself at another address.
+    /// Address of another robot that has announced itself on the network; `None` if none has.
     announced: Option<Ipv4Addr>,
 }
 
@@ -126,7 +127,7 @@ impl Links {
         }
     }
 
-    /// Runs until the control thread closes the channel.
+    /// Handles packets of the control thread and data of the robot until the control thread closes the channel.
     fn run(mut self, packets: &Receiver<Packet>, wake: &EventFd) {
         loop {
             self.wait(wake);
@@ -192,7 +193,8 @@ impl Links {
         }
     }
 
-    /// Writes to the control connection. A line of some bytes fits into the buffer of a connection that is alive.
+    /// Writes bytes to the control connection, if it is open; closes it if that fails. A line always fits into the
+    /// send buffer of a connection that is alive.
     fn write(&mut self, line: &[u8]) {
         let Control::Open(stream) = &mut self.control else { return };
         if let Err(error) = stream.write_all(line) {
@@ -200,7 +202,7 @@ impl Links {
         }
     }
 
-    /// Begins to open a new connection.
+    /// Begins to open a new connection, after a stand command on the present one.
     fn open(&mut self) {
         // If the connection is dead, it takes the line along when it comes back to life; a new one may come later.
         self.write(Line::Stand.encode(0).as_bytes());
@@ -229,8 +231,8 @@ impl Links {
         }
     }
 
-    /// Binds the port to which all robots push, and connects it to this robot with port 0: the kernel passes on only
-    /// datagrams from its address, whatever other sockets are bound to the port.
+    /// Returns a UDP socket for the state datagrams (pushes) of this robot. It is bound to the port that all robots use
+    /// and connected to this robot's address with port 0, so the kernel passes on only datagrams from that address.
     fn listen_to_pushes(&self) -> io::Result<UdpSocket> {
         let socket = listen(PUSH_PORT)?;
         socket.connect(SocketAddrV4::new(self.config.address, 0))?;
@@ -343,7 +345,8 @@ impl Links {
         }
     }
 
-    /// Stops the robot if its motion has expired: the control thread hangs.
+    /// Sends a stand command if the robot's motion has expired without a newer packet, as when the control thread
+    /// hangs.
     fn keep_time(&mut self) {
         let now = Instant::now();
         if self.stop_at.is_some_and(|at| at <= now) {
@@ -382,7 +385,8 @@ impl Links {
     }
 }
 
-/// Binds a port of all addresses that other programs and workers may bind as well.
+/// Returns a non-blocking UDP socket bound to `port` on all local addresses. Other programs and workers may bind the
+/// port as well.
 fn listen(port: u16) -> io::Result<UdpSocket> {
     let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
     socket.set_reuse_address(true)?;
@@ -391,7 +395,7 @@ fn listen(port: u16) -> io::Result<UdpSocket> {
     Ok(socket.into())
 }
 
-/// Reads the available bytes; none at the end of the stream.
+/// Reads up to `BYTES` available bytes from a stream; returns an empty vector at its end.
 fn read(stream: &mut TcpStream) -> io::Result<Vec<u8>> {
     let mut bytes = [0; BYTES];
     let length = stream.read(&mut bytes)?;

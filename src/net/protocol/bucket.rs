@@ -2,7 +2,7 @@
 
 use crate::time::{Span, Time};
 
-/// Rate limit of one sender.
+/// Rate limit that a receiver applies to the datagrams of one sender: sustained rate and burst size of a token bucket.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rate {
     /// Sustained rate of datagrams \[1/s\].
@@ -11,7 +11,7 @@ pub struct Rate {
     pub burst: f64,
 }
 
-/// Remaining tokens of one sender.
+/// State of a token bucket, which limits the rate of one sender: the remaining tokens, each worth one datagram.
 #[derive(Clone, Copy, Debug)]
 pub struct Bucket {
     tokens: f64,
@@ -19,7 +19,7 @@ pub struct Bucket {
 }
 
 impl Bucket {
-    /// Returns a full bucket.
+    /// Returns a bucket that holds `rate.burst` tokens at `now`.
     pub fn full(now: Time, rate: &Rate) -> Bucket {
         Bucket { tokens: rate.burst, at: now }
     }
@@ -30,7 +30,7 @@ impl Bucket {
         self.at = self.at.max(now);
     }
 
-    /// Number of whole tokens at `now`.
+    /// Returns the number of whole tokens that the bucket holds at `now`.
     pub fn left(&mut self, now: Time, rate: &Rate) -> usize {
         self.fill(now, rate);
         self.tokens as usize

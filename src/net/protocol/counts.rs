@@ -36,7 +36,7 @@ counts! {
     accepted,
     /// Messages accepted from a retransmission, because the first transmission was lost.
     repaired,
-    /// Messages ignored, because they are for other hosts that receive the same datagrams. Not a fault.
+    /// Messages ignored, because they are addressed to another host that receives the same datagrams. Not a fault.
     aside,
     /// Datagrams refused: sent by this process itself.
     own,
@@ -75,12 +75,12 @@ counts! {
 }
 
 impl LinkCounts {
-    /// Number of datagrams and messages that were refused or dropped on arrival, for any cause.
+    /// Returns the number of datagrams and messages that were refused or dropped on arrival, for any cause.
     pub fn refused(&self) -> u64 {
         self.refusals().iter().map(|(_, count)| count).sum()
     }
 
-    /// Everything refused or dropped on arrival, each cause with its name.
+    /// Returns the number of datagrams and messages refused or dropped on arrival, for each cause: (name, number).
     pub fn refusals(&self) -> [(&'static str, u64); 16] {
         [
             ("own", self.own),

@@ -14,14 +14,15 @@ pub const SETTLED: Span = Span::from_millis(10_000);
 /// Difference of uptimes below which the incarnations decide which process ends.
 const TIE_MARGIN: Span = Span::from_millis(50);
 
-/// Report of another live host with the id of this one that started earlier.
+/// Finding that another live process has the same host id as this process and started earlier, so that this process
+/// has to end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DuplicateId {
     /// Link on which the other host was received.
     pub link: LinkId,
     /// Common id of both hosts.
     pub host: HostId,
-    /// Incarnation of the other process.
+    /// Incarnation (random number of one run) of the process that started earlier.
     pub incarnation: u32,
 }
 
@@ -41,7 +42,7 @@ impl DuplicateIds {
         DuplicateIds { me: (link, host, incarnation), began: None, claims: 0, duplicate: None }
     }
 
-    /// Uptime of this process, counted from the first call.
+    /// Returns the time since the first call of `uptime` or `claim`, which counts as the start of this process.
     pub fn uptime(&mut self, now: Time) -> Span {
         now.since(*self.began.get_or_insert(now))
     }
@@ -63,7 +64,8 @@ impl DuplicateIds {
         }
     }
 
-    /// Returns the other process if that started earlier, so that this one has to end; `None` otherwise.
+    /// Returns the process with the same id that started earlier, because of which this process has to end. `None` if
+    /// none was found.
     pub fn duplicate(&self) -> Option<DuplicateId> {
         self.duplicate
     }

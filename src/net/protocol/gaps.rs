@@ -24,7 +24,7 @@ struct Gap {
     asked: u32,
 }
 
-/// Missing datagrams of one link.
+/// Missing datagrams of one link that senders have offered for retransmission, with the times of the requests.
 #[derive(Clone, Debug, Default)]
 pub struct Gaps(BTreeMap<DatagramId, Gap>);
 
@@ -49,12 +49,13 @@ impl Gaps {
         }
     }
 
-    /// Whether no datagram is missing.
+    /// Returns whether no missing datagram is tracked.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Whether the datagram is a retransmission that this host has requested. Such a datagram is accepted at any age.
+    /// Returns whether the datagram is a retransmission of a tracked missing one. Such a datagram is accepted at any
+    /// age.
     pub fn awaits(&self, header: &Header) -> bool {
         header.flags.has(Flags::COPY) && self.0.contains_key(&DatagramId::of(header))
     }
@@ -69,7 +70,7 @@ impl Gaps {
         }
     }
 
-    /// Time of the next request; `None` if no datagram is missing.
+    /// Returns the time at which to call [`Gaps::ask`] next; `None` if no missing datagram is tracked.
     pub fn due(&self) -> Option<Time> {
         self.0.values().map(|gap| gap.due).min()
     }

@@ -44,8 +44,8 @@ impl Lateness {
         }
     }
 
-    /// Whether the datagram with this number is late. `space` is 0 for datagrams to all hosts, 1 for those to this
-    /// host.
+    /// Returns whether the datagram with this number was sent before a report that arrived more than [`LATE`] ago.
+    /// `space` is 0 for datagrams to all hosts, 1 for those to this host.
     pub fn is_late(&mut self, now: Time, space: usize, sequence: u32) -> bool {
         self.advance(now);
         self.least[space].is_some_and(|least| is_before(sequence, least))

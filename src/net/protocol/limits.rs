@@ -2,17 +2,19 @@
 
 use crate::time::Span;
 
-/// Largest age of an echoed stamp that proves liveness. Stamps are echoed for as long.
+/// Largest age at which a stamp of this host, echoed by another host, proves that the other host is live. Hosts echo
+/// a received stamp for the same time.
 pub const FRESH: Span = Span::from_millis(2000);
-/// Validity of a liveness proof. In a team of 200, each report cycle takes 3 s, and at a loss of 30 % some reports that
-/// list this host do not arrive.
+/// Time for which a liveness proof (echo of a recent stamp) is valid. In a team of 200, each report
+/// cycle takes 3 s, and at a loss of 30 % some reports that list this host do not arrive.
 pub const PROOF_VALIDITY: Span = Span::from_millis(15_000);
 /// Time after a sender's last report during which its datagrams are accepted. Reports are sent every 250 ms.
 pub const REPORT_VALIDITY: Span = Span::from_millis(3000);
-/// Time without a report after which a host is silent, so that another incarnation of it may be accepted. With a key.
+/// On a link with a key: time without a link report after which a host is silent, so that another incarnation of it
+/// may be accepted.
 pub const SILENT: Span = Span::from_millis(400);
-/// Time without any datagram after which a host is silent, so that another incarnation of it may be accepted. Without a
-/// key.
+/// On a link without a key: time without any datagram after which a host is silent, so that another incarnation of it
+/// may be accepted.
 pub const SILENT_WITHOUT_KEY: Span = Span::from_millis(300);
 /// Reported loss from which on messages are repeated once \[of 64 datagrams\]: about 3 %.
 pub const LOSS_TO_REPEAT: u8 = 2;

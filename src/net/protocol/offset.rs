@@ -13,14 +13,14 @@ const KEPT: usize = 8;
 /// Largest drift between two clocks \[s/s\] (RFC 5905: 15 ppm for one clock).
 const DRIFT: f64 = 30e-6;
 
-/// Offset of another host's stamps.
+/// Estimated offset between the clock of another host and that of this host, with its error bound.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Offset {
     /// Stamps of the other host minus those of this host \[s\].
     pub ahead_s: f64,
     /// Bound on the error of the offset \[s\]: half of the round trip, and the drift since the measurement.
     pub uncertainty_s: f64,
-    /// Round trip of the measurement \[s\].
+    /// Round-trip time of the link reports from which the offset was measured \[s\].
     pub round_trip_s: f64,
 }
 
@@ -43,8 +43,8 @@ impl Offsets {
         }
     }
 
-    /// Whether a report was certainly in transit for longer than `most`, or was stamped by another clock than the
-    /// measured one. `theirs` is its stamp, `here` this host's stamp at its arrival. `false` without a measurement.
+    /// Returns whether a report was certainly in transit for longer than `most`, or was stamped by another clock than
+    /// the measured one. `theirs` is its stamp, `here` this host's stamp at its arrival. `false` without a measurement.
     pub fn is_off(&self, now: Time, here: Stamp, theirs: Stamp, most: Span) -> bool {
         let Some(offset) = self.estimate(now) else { return false };
         let delay_s = offset.ahead_s - theirs.ahead_us(here) as f64 * 1e-6;

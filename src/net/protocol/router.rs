@@ -88,8 +88,8 @@ pub struct Router {
     robots: usize,
     /// Robots with routes of their own on this host, in order.
     mine: Vec<RobotId>,
-    /// Routes of messages, grouped by kind in the order of `KINDS`. Each kind has `mine.len() + 1` entries: one for each
-    /// robot in `mine`, in that order, then one for all other robots.
+    /// Routes of messages, grouped by kind in the order of `KINDS`. Each kind has `mine.len() + 1` entries: one for
+    /// each robot in `mine`, in that order, then one for all other robots.
     routes: Vec<Route>,
     /// Hosts that may publish each message; `None` if there is no restriction.
     publishers: Option<Arc<Publishers>>,
