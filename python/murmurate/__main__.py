@@ -1,5 +1,6 @@
 """The command line ``murmurate``, as the program of the same name has it."""
 
+import signal
 import sys
 
 from ._murmurate import run_program
@@ -7,7 +8,9 @@ from ._murmurate import run_program
 
 def main() -> int:
     """Runs the program with this process's arguments and returns its exit code."""
-    return run_program(["murmurate", *sys.argv[1:]])
+    # Python leaves Ctrl-C to the program, which saves what it has.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    return run_program([sys.executable, "-m", "murmurate"], sys.argv[1:])
 
 
 if __name__ == "__main__":

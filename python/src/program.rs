@@ -19,12 +19,16 @@ pub fn sim_json(py: Python<'_>, arguments: Vec<String>) -> PyResult<String> {
     let stop = AtomicBool::new(false);
     let interrupted = std::cell::RefCell::new(None);
     let ended = std::thread::scope(|scope| {
-        let work = || program::sim_results(&arguments, &Registry::builtin(), &stop);
+        let caller = std::thread::current();
+        let (arguments, stop) = (&arguments, &stop);
+        let work = move || {
+            let results = program::sim_results(arguments, &Registry::builtin(), stop);
+            caller.unpark();
+            results
+        };
         let worker = std::thread::Builder::new().name("sim".to_owned()).spawn_scoped(scope, work)?;
         while !worker.is_finished() {
-            py.detach(|| {
-                std::thread::park_timeout(SIGNALS.min(if worker.is_finished() { Duration::ZERO } else { SIGNALS }))
-            });
+            py.detach(|| std::thread::park_timeout(SIGNALS));
             if let Err(error) = py.check_signals() {
                 stop.store(true, Ordering::Relaxed);
                 interrupted.borrow_mut().get_or_insert(error);
@@ -42,11 +46,11 @@ pub fn sim_json(py: Python<'_>, arguments: Vec<String>) -> PyResult<String> {
     })
 }
 
-/// Runs the program with these arguments, of which the first is its name, and returns whether it has succeeded (0) or its
-/// exit code.
+/// Runs the program with these arguments, which do not contain its name, and returns its exit code. `started_by` are the
+/// words of the command that starts it, for the processes of `launch`.
 #[pyfunction]
-pub fn run_program(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
-    let code = py.detach(|| program::main_with(&Registry::builtin(), &arguments));
+pub fn run_program(py: Python<'_>, started_by: Vec<OsString>, arguments: Vec<OsString>) -> u8 {
+    let code = py.detach(|| program::main_within(&Registry::builtin(), started_by, arguments));
     // An exit code shows its number only to the operating system and in its text.
     (0..=u8::MAX).find(|number| ExitCode::from(*number) == code).unwrap_or(1)
 }

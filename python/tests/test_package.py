@@ -1,5 +1,6 @@
 """The package on its own: buffers, refusals, bits, simulations and the command line. Runs with numpy and pytest alone."""
 
+import os
 import subprocess
 import sys
 
@@ -127,6 +128,14 @@ def test_a_simulation_is_that_of_the_program():
     assert (results.episodes, results.robots, results.mode) == (4, 5, "offboard")
     said = program("sim", "--mode", "offboard", "--episodes", "2", "--repeats", "2", "--seed", "3", "--json", "--quiet")
     assert said.returncode == 0 and f'"trace_hash":"{results.trace_hash}"' in said.stdout, said.stderr
+
+
+def test_a_launch_starts_its_hosts_with_the_same_interpreter():
+    team = os.path.join(os.path.dirname(__file__), "..", "..", "teams", "offboard.toml")
+    number = 1000 + os.getpid() % 60_000
+    sets = ["--set", f"team={number}", "--set", "episodes=1", "--set", "robots=2"]
+    said = program("launch", team, *sets, "--json", "--quiet")
+    assert said.returncode == 0 and '"episodes":1' in said.stdout, said.stderr
 
 
 def test_wrong_flags_of_a_simulation_are_named():

@@ -55,8 +55,12 @@ mod whole_file;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
+use std::sync::OnceLock;
 #[cfg(feature = "sim")]
 use std::sync::atomic::AtomicBool;
+
+#[cfg(feature = "sim")]
+use anyhow::Context;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use tracing_subscriber::Layer;
@@ -199,14 +203,37 @@ pub fn sim_results(arguments: &[String], registry: &Registry, stop: &AtomicBool)
     sim::results_of(arguments, registry, stop)
 }
 
-/// Runs the command in this process's arguments, with the parts of the registry. Returns the exit code.
-pub fn main(registry: &Registry) -> ExitCode {
-    main_with(registry, &std::env::args_os().collect::<Vec<_>>())
+/// Words of the command that starts this program, if it runs within another one, such as a Python interpreter.
+static STARTED_BY: OnceLock<Vec<OsString>> = OnceLock::new();
+
+/// Returns the words of the command that starts this program again, to which arguments are added.
+#[cfg(feature = "sim")]
+fn this_program() -> anyhow::Result<Vec<OsString>> {
+    match STARTED_BY.get() {
+        Some(words) => Ok(words.clone()),
+        None => {
+            let program = std::env::current_exe().context("cannot find this program to start it again")?;
+            Ok(vec![program.into()])
+        }
+    }
 }
 
-/// Runs the command in `arguments`, of which the first is the program's name, with the parts of the registry. Returns
-/// the exit code. For a program within another one, such as a Python interpreter; it is called at most once.
-pub fn main_with(registry: &Registry, arguments: &[OsString]) -> ExitCode {
+/// Runs the command in this process's arguments, with the parts of the registry. Returns the exit code.
+pub fn main(registry: &Registry) -> ExitCode {
+    run_command(registry, &std::env::args_os().collect::<Vec<_>>())
+}
+
+/// Runs the command in `arguments`, which do not contain the program's name, with the parts of the registry. Returns
+/// the exit code. For a program that runs within another one, such as a Python interpreter: `started_by` are the words
+/// of the command that starts it. Must be called at most once in a process.
+pub fn main_within(registry: &Registry, started_by: Vec<OsString>, arguments: Vec<OsString>) -> ExitCode {
+    // A second call would be an error of its caller; the words are the same then.
+    let _ = STARTED_BY.set(started_by);
+    let name = OsString::from("murmurate");
+    run_command(registry, &[vec![name], arguments].concat())
+}
+
+fn run_command(registry: &Registry, arguments: &[OsString]) -> ExitCode {
     // The DDS process of a ROS 2 driver or source, which this program starts itself.
     #[cfg(feature = "ros2")]
     if arguments.get(1).is_some_and(|word| word == crate::ros2::SUBCOMMAND) {

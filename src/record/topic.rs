@@ -12,7 +12,7 @@ pub const RECEIVED: &str = "/received";
 /// Topic of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Topic {
-    /// Turns of the host's event loop with their inputs ([`tape`]).
+    /// Turns of the host's event loop with their inputs ([`super::tape`]).
     Turn,
     /// Datagrams that a host has published, without tags.
     Wire(HostId),

@@ -64,9 +64,9 @@ impl MessageBuffer {
     }
 
     /// Draws the arrivals of messages at robot `receiver` up to the receiver's action in `step`. Then calls `each` with
-    /// every message that the receiver uses, in the order of the senders. `radius_m` is the range of communication \[m\].
-    /// The newest message that may be used was sent `behind` steps before: 0 if messages are made from observations, 1
-    /// if policies put them out with their actions.
+    /// every message that the receiver uses, in the order of the senders. `radius_m` is the range of communication
+    /// \[m\]. The newest message that may be used was sent `behind` steps before: 0 if messages are made from
+    /// observations, 1 if policies put them out with their actions.
     pub fn receive(
         &mut self,
         (episode, radius_m): (&Episode, f32),

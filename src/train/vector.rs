@@ -207,8 +207,8 @@ impl VectorEnvironment {
     }
 
     /// Advances every environment by one step of 50 ms. `actions` are the robots' velocities \[m/s\], policy frame,
-    /// \[N, R, 2\]; `outputs` the floats of their messages, \[N, R, M\], empty unless the content is `Actions`. All must
-    /// be finite; lengths that do not fit panic.
+    /// \[N, R, 2\]; `outputs` the floats of their messages, \[N, R, M\], empty unless the content is `Actions`. All
+    /// must be finite; lengths that do not fit panic.
     pub fn step(&mut self, actions: &[f32], outputs: &[f32], mut buffers: Buffers) {
         let VectorEnvironment { options, lengths, chunks } = self;
         let lengths = *lengths;
@@ -221,9 +221,9 @@ impl VectorEnvironment {
             .map(|chunk| {
                 let rows = first..first + chunk.streams.len();
                 first = rows.end;
-                let mine =
-                    (&actions[rows.start * width..rows.end * width], &outputs[rows.start * said..rows.end * said]);
-                (buffers.take(rows.len(), lengths), mine, chunk)
+                let actions = &actions[rows.start * width..rows.end * width];
+                let outputs = &outputs[rows.start * said..rows.end * said];
+                (buffers.take(rows.len(), lengths), (actions, outputs), chunk)
             })
             .collect();
         in_parallel(options.threads, jobs.into_iter(), |(buffers, (actions, outputs), chunk)| {

@@ -26,6 +26,7 @@ use crate::program::Ended;
 use crate::program::output::{colour, log_lines_dropped, print, talk};
 use crate::program::recording;
 use crate::program::team;
+use crate::program::this_program;
 #[cfg(feature = "watch")]
 use crate::program::watch;
 use supervisor::{Limits, Outcome, Output, Process, Response, Supervisor};
@@ -65,14 +66,14 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let file = args.team.read(registry)?;
     let teams: Vec<Team> = file.hosts().map(|host| args.team.for_host(&file, host)).collect::<Result<_>>()?;
     let policy = checked(&teams, registry)?;
-    let program = std::env::current_exe().context("cannot find this program to start it again")?;
+    let program = this_program()?;
     let processes = file.deployment().hosts.iter().map(|host| {
         let (program, mut flags) = (program.clone(), team_arguments(&args.team));
         flags.extend(["--host".into(), host.name.clone().into(), "--json".into(), "--launched".into()]);
         flags.extend(args.record.arguments());
         let before = through(args, &host.name);
         let command = move || {
-            let mut words = before.iter().map(OsString::from).chain([program.clone().into()]);
+            let mut words = before.iter().map(OsString::from).chain(program.clone());
             let mut command = Command::new(words.next().expect("the program is one of them"));
             command.args(words).arg("host").args(&flags);
             command
