@@ -26,6 +26,8 @@ pub struct SafetyCounts {
     pub fence: u64,
     /// Number of times that the minimum distance to neighbours began to limit commands.
     pub distance: u64,
+    /// Number of times that the minimum distance to walls began to limit commands.
+    pub walls: u64,
 }
 
 impl SafetyCounts {
@@ -41,6 +43,7 @@ impl SafetyCounts {
             (self.outside, "far outside"),
             (self.fence, "geofence"),
             (self.distance, "minimum distance"),
+            (self.walls, "walls"),
         ];
         all.into_iter().filter(|(times, _)| *times > 0)
     }
@@ -65,6 +68,7 @@ impl Sum for SafetyCounts {
             outside: sum.outside + one.outside,
             fence: sum.fence + one.fence,
             distance: sum.distance + one.distance,
+            walls: sum.walls + one.walls,
         })
     }
 }

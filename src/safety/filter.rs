@@ -1,16 +1,15 @@
-//! The safety filter: limits of a robot's velocity along directions, from the geofence and from neighbours.
+//! The limits of a velocity as half-planes, and the velocity nearest to a wanted one that satisfies them all.
 //!
-//! A limit is never below zero: the filter removes velocity and never adds any, so standing still satisfies all limits.
-//! The filter is a first-order form of the safety barrier certificates of Wang, Ames, Egerstedt, IEEE T-RO 2017.
+//! A bound is never below zero, so zero satisfies all limits, and there always is an answer.
 
-use crate::messages::geometry::{Motion, Vec2};
+use crate::messages::geometry::Vec2;
 
-/// Maximum number of passes over all limits; a velocity that still violates one becomes zero.
-const ROUNDS: usize = 8;
 /// Tolerated violation of a limit \[m/s\].
 const TOLERANCE_M_S: f32 = 1e-4;
+/// Largest number of limits that are considered at once.
+const MOST: usize = 64;
 
-/// Upper bound of the component of a robot's velocity along one direction.
+/// Upper bound of the component of a velocity along one direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limit {
     /// Direction of the bounded component: a unit vector, world frame.
@@ -25,24 +24,80 @@ impl Limit {
     }
 }
 
-/// Returns `velocity` \[m/s\], world frame, reduced until it satisfies all `limits`. The function projects the velocity
-/// onto each limit in turn. If eight passes over all limits do not suffice, it returns zero.
-pub fn limited(velocity: Vec2, limits: &[Limit]) -> Vec2 {
-    let mut result = velocity;
-    for _ in 0..ROUNDS {
-        let mut broken = false;
-        for limit in limits {
-            let excess = limit.excess(result);
-            if excess > TOLERANCE_M_S {
-                result -= limit.along * excess;
-                broken = true;
-            }
-        }
-        if !broken {
-            return result;
+/// Limits of one velocity, in a store of fixed size.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    limits: [Limit; MOST],
+    len: usize,
+    /// Whether a limit was left out for want of room.
+    full: bool,
+}
+
+impl Default for Limits {
+    fn default() -> Limits {
+        Limits { limits: [Limit { along: Vec2::zeros(), most_m_s: 0.0 }; MOST], len: 0, full: false }
+    }
+}
+
+impl Limits {
+    /// Adds a limit. If there is no room for it, the only velocity that satisfies all is zero.
+    pub fn push(&mut self, limit: Limit) {
+        match self.limits.get_mut(self.len) {
+            Some(place) => (*place, self.len) = (limit, self.len + 1),
+            None => self.full = true,
         }
     }
-    Vec2::zeros()
+
+    /// Returns the limits that were added.
+    pub fn as_slice(&self) -> &[Limit] {
+        &self.limits[..self.len]
+    }
+
+    /// Returns the velocity nearest to `wanted` \[m/s\], world frame, that satisfies all limits; `wanted` itself if it
+    /// does.
+    ///
+    /// This is the incremental quadratic program in two dimensions, as in ORCA (van den Berg et al., 2011, section 5.3):
+    /// if the solution so far violates the next limit, the new one is on its boundary.
+    pub fn nearest(&self, wanted: Vec2) -> Vec2 {
+        if self.full {
+            return Vec2::zeros();
+        }
+        let limits = self.as_slice();
+        let mut result = wanted;
+        for (at, limit) in limits.iter().enumerate() {
+            if limit.excess(result) > TOLERANCE_M_S {
+                match on_boundary(*limit, &limits[..at], wanted) {
+                    Some(nearest) => result = nearest,
+                    None => return Vec2::zeros(),
+                }
+            }
+        }
+        result
+    }
+}
+
+/// Returns the velocity on the boundary of `limit` that satisfies `others` and is nearest to `wanted`; `None` if there
+/// is none but for rounding errors.
+fn on_boundary(limit: Limit, others: &[Limit], wanted: Vec2) -> Option<Vec2> {
+    let foot = limit.along * limit.most_m_s;
+    let line = Vec2::new(-limit.along.y, limit.along.x);
+    let (mut low, mut high) = (f32::NEG_INFINITY, f32::INFINITY);
+    for other in others {
+        let (across, room) = (other.along.dot(&line), -other.excess(foot));
+        if across.abs() < 1e-6 {
+            if room < -TOLERANCE_M_S {
+                return None;
+            }
+        } else if across > 0.0 {
+            high = high.min(room / across);
+        } else {
+            low = low.max(room / across);
+        }
+    }
+    if low > high {
+        return (low - high < TOLERANCE_M_S).then(|| foot + line * ((low + high) / 2.0));
+    }
+    Some(foot + line * wanted.dot(&line).clamp(low, high))
 }
 
 /// Returns the distance of `point` beyond a ground centred at the origin, the larger of both axes \[m\]; negative
@@ -51,9 +106,9 @@ pub fn distance_outside(half_extent: Vec2, point: Vec2) -> f32 {
     (point.x.abs() - half_extent.x).max(point.y.abs() - half_extent.y)
 }
 
-/// Returns the limits of velocity that keep a robot from passing a rectangular boundary (geofence) within `horizon_s`
-/// \[s\]. `edge` is the distance of the boundary from the origin along x and y \[m\], and `position` the robot's
-/// position \[m\], world frame. A robot outside may still return.
+/// Returns the limits of velocity that keep a point from passing a rectangular boundary (geofence) within `horizon_s`
+/// \[s\]. `edge` is the distance of the boundary from the origin along x and y \[m\], and `position` the point's
+/// position \[m\], world frame. A point outside may still return.
 pub fn geofence(edge: Vec2, horizon_s: f32, position: Vec2) -> [Limit; 4] {
     [Vec2::x(), -Vec2::x(), Vec2::y(), -Vec2::y()].map(|along| {
         let room = edge.dot(&along.abs()) - position.dot(&along);
@@ -61,59 +116,59 @@ pub fn geofence(edge: Vec2, horizon_s: f32, position: Vec2) -> [Limit; 4] {
     })
 }
 
-/// Returns the limit of a robot's velocity toward a neighbour. `position` is the robot's position \[m\], and
-/// `neighbour` the neighbour's position and velocity \[m, m/s\], world frame.
-///
-/// The bound is the speed at which the neighbour moves away, plus `gain_per_s` \[1/s\] times the distance beyond
-/// `min_m` \[m\]. At or below the distance `min_m` the bound is zero.
-pub fn separation(position: Vec2, neighbour: Motion, min_m: f32, gain_per_s: f32) -> Limit {
-    let offset = neighbour.position - position;
-    // Coincident centres define no direction; any will do.
-    let along = offset.try_normalize(1e-6).unwrap_or_else(Vec2::x);
-    let room = (offset.norm() - min_m).max(0.0);
-    // Below the minimum distance the robot may not follow either.
-    let leaves = if room > 0.0 { neighbour.velocity.dot(&along).max(0.0) } else { 0.0 };
-    Limit { along, most_m_s: leaves + gain_per_s * room }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const AT: Vec2 = Vec2::new(1.0, 0.0);
+    fn limits(all: impl IntoIterator<Item = Limit>) -> Limits {
+        let mut limits = Limits::default();
+        all.into_iter().for_each(|limit| limits.push(limit));
+        limits
+    }
 
-    #[test]
-    fn only_the_part_toward_a_neighbour_is_taken_away() {
-        let limit = |x: f32| separation(AT, Motion::at_rest(Vec2::new(1.0 + x, 0.0)), 0.4, 1.0);
-        assert_eq!(limited(Vec2::new(1.0, 0.5), &[limit(0.3)]), Vec2::new(0.0, 0.5));
-        assert!((limited(Vec2::new(1.0, 0.5), &[limit(0.9)]) - Vec2::new(0.5, 0.5)).norm() < 1e-6);
-        assert_eq!(limited(Vec2::new(1.0, 0.5), &[limit(3.0)]), Vec2::new(1.0, 0.5));
-        assert_eq!(limited(Vec2::new(-1.0, 0.5), &[limit(0.1)]), Vec2::new(-1.0, 0.5), "it may leave");
+    fn towards(angle: f32, most_m_s: f32) -> Limit {
+        let (y, x) = angle.sin_cos();
+        Limit { along: Vec2::new(x, y), most_m_s }
     }
 
     #[test]
-    fn a_neighbour_that_moves_away_may_be_followed() {
-        let ahead = |x: f32| Motion { position: AT + Vec2::new(0.6, 0.0), velocity: Vec2::new(x, 0.0) };
-        assert!((separation(AT, ahead(0.5), 0.4, 1.0).most_m_s - 0.7).abs() < 1e-6);
-        assert!((separation(AT, ahead(-0.5), 0.4, 1.0).most_m_s - 0.2).abs() < 1e-6);
-        assert_eq!(separation(AT, ahead(0.5), 0.7, 1.0).most_m_s, 0.0);
+    fn only_the_part_beyond_a_limit_is_taken_away() {
+        let one = |most| limits([towards(0.0, most)]);
+        assert_eq!(one(0.0).nearest(Vec2::new(1.0, 0.5)), Vec2::new(0.0, 0.5));
+        assert_eq!(one(0.5).nearest(Vec2::new(1.0, 0.5)), Vec2::new(0.5, 0.5));
+        assert_eq!(one(3.0).nearest(Vec2::new(1.0, 0.5)), Vec2::new(1.0, 0.5));
+        assert_eq!(one(0.1).nearest(Vec2::new(-1.0, 0.5)), Vec2::new(-1.0, 0.5));
     }
 
     #[test]
-    fn no_limit_is_violated_among_many_neighbours() {
-        let around = (0..7).map(|k| (k as f32).sin_cos()).map(|(y, x)| Motion::at_rest(AT + Vec2::new(x, y) * 0.35));
-        let limits: Vec<Limit> = around.map(|other| separation(AT, other, 0.4, 1.0)).collect();
-        for k in 0..16 {
-            let (y, x) = (k as f32 * 0.4).sin_cos();
-            let result = limited(Vec2::new(x, y), &limits);
-            assert!(limits.iter().all(|limit| limit.excess(result) <= TOLERANCE_M_S), "{result}");
+    fn the_answer_satisfies_all_limits_and_none_on_a_fine_grid_is_nearer() {
+        for case in 0..400u32 {
+            let number = |k: u32| (case * 7919 + k * 104_729) as f32 * 0.618_034 % 1.0;
+            let all: Vec<Limit> = (0..1 + case % 7).map(|k| towards(number(k) * 6.3, number(k + 50) * 0.6)).collect();
+            let wanted = Vec2::new(number(101) * 3.0 - 1.5, number(102) * 3.0 - 1.5);
+            let result = limits(all.iter().copied()).nearest(wanted);
+            assert!(all.iter().all(|limit| limit.excess(result) <= 2.0 * TOLERANCE_M_S), "{case}: {result}");
+            let away = (result - wanted).norm();
+            for x in -40..=40 {
+                for y in -40..=40 {
+                    let other = Vec2::new(x as f32, y as f32) * 0.04;
+                    let allowed = all.iter().all(|limit| limit.excess(other) <= 0.0);
+                    assert!(!allowed || (other - wanted).norm() >= away - 1e-3, "{case}: {other} is nearer");
+                }
+            }
         }
+    }
+
+    #[test]
+    fn more_limits_than_there_is_room_for_leave_zero_alone() {
+        let many = limits((0..=MOST).map(|k| towards(k as f32, 1.0)));
+        assert_eq!(many.nearest(Vec2::new(0.1, 0.0)), Vec2::zeros());
     }
 
     #[test]
     fn a_geofence_stops_outward_motion_only() {
         let edge = Vec2::new(2.0, 3.0);
-        let filtered = |position, velocity| limited(velocity, &geofence(edge, 0.5, position));
+        let filtered = |position, velocity| limits(geofence(edge, 0.5, position)).nearest(velocity);
         assert_eq!(filtered(Vec2::zeros(), Vec2::new(1.0, 1.0)), Vec2::new(1.0, 1.0));
         assert!((filtered(Vec2::new(1.9, 0.0), Vec2::new(1.0, 1.0)) - Vec2::new(0.2, 1.0)).norm() < 1e-5);
         assert_eq!(filtered(Vec2::new(-2.5, 0.0), Vec2::new(-1.0, -1.0)), Vec2::new(0.0, -1.0));

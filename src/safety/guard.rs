@@ -6,16 +6,20 @@
 //! the actor of the motors, expires the last command by itself, even if the guard has died.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
+use super::barrier::Barrier;
 pub use super::counts::SafetyCounts;
-use super::filter::{self, Limit};
+use super::filter::{self, Limits};
 use super::hardware::Permit;
+use super::stopping::Model;
 use super::{Safety, Switch};
 use crate::messages::geometry::{Motion, Vec2, is_finite};
 use crate::messages::ids::RobotId;
 use crate::messages::latch::{Latch, LatchFollower};
 use crate::messages::local::Action;
 use crate::messages::wire::Stop;
+use crate::scenario::KeepOut;
 use crate::time::{Span, Time};
 use crate::world::Clamp;
 
@@ -47,6 +51,9 @@ pub enum Trigger {
     /// The command would violate the minimum distance to a neighbour. The guard removes the component of the velocity
     /// toward it.
     Distance,
+    /// The command would violate the minimum distance to a wall. The guard removes the component of the velocity
+    /// toward it.
+    Walls,
 }
 
 impl Trigger {
@@ -56,7 +63,9 @@ impl Trigger {
             Trigger::Stop | Trigger::Silence | Trigger::Output | Trigger::Hardware | Trigger::Outside => {
                 Decision::Abort
             }
-            Trigger::LateTick | Trigger::OwnState | Trigger::Fence | Trigger::Distance => Decision::Stop,
+            Trigger::LateTick | Trigger::OwnState | Trigger::Fence | Trigger::Distance | Trigger::Walls => {
+                Decision::Stop
+            }
         }
     }
 }
@@ -73,6 +82,7 @@ fn count_of(counts: &mut SafetyCounts, trigger: Trigger) -> &mut u64 {
         Trigger::Outside => &mut counts.outside,
         Trigger::Fence => &mut counts.fence,
         Trigger::Distance => &mut counts.distance,
+        Trigger::Walls => &mut counts.walls,
     }
 }
 
@@ -99,12 +109,14 @@ pub enum Decision {
 }
 
 /// Configuration of the guard of one robot.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Config {
     /// Thresholds of the triggers that stop or slow the robot.
     pub safety: Safety,
     /// Half the size of the robot's ground along x and y \[m\], world frame; the ground is centred at the origin.
     pub half_extent: Vec2,
+    /// Solid blocks of the arena that the robot must not touch, world frame.
+    pub walls: Arc<[KeepOut]>,
     /// Largest commanded speed along each axis \[m/s\].
     pub limit_m_s: f32,
     /// Limit of the policy's velocity, possibly relative to the measured one, in episodes and in resets.
@@ -234,9 +246,8 @@ impl Guard {
             self.driving = None;
             return trigger.decision();
         }
-        let acting = std::mem::take(&mut self.acting);
-        self.acting = acting.into_iter().filter(|at| matches!(at, Trigger::Fence | Trigger::Distance)).collect();
-        let granted = self.filtered(now, action.estimate.position, wanted);
+        self.acting.retain(|at| matches!(at, Trigger::Fence | Trigger::Distance | Trigger::Walls));
+        let granted = self.filtered(now, &action.estimate, wanted);
         self.driving = (granted != Vec2::zeros()).then_some(action.due);
         Decision::Drive(Granted(granted))
     }
@@ -268,28 +279,58 @@ impl Guard {
         }
     }
 
-    /// Returns the velocity after the geofence and the minimum distances; counts what they have removed.
-    fn filtered(&mut self, now: Time, position: Vec2, wanted: Vec2) -> Vec2 {
-        let Config { safety, half_extent, .. } = self.config;
-        let mut limits: Vec<Limit> = Vec::new();
-        let mut limited = wanted;
-        if safety.geofence == Switch::On {
+    /// Returns the parameters of the barriers toward neighbours and walls.
+    fn barrier(&self) -> Barrier {
+        let Config { safety, clamp, limit_m_s, period, .. } = self.config;
+        let step_m_s = clamp.step_m_s().min(2.0 * limit_m_s);
+        Barrier {
+            model: Model::new(safety.lag_s, safety.acceleration_m_s2, period.as_secs() as f32, step_m_s),
+            distance_min_m: safety.distance_min_m,
+            wall_min_m: safety.walls_min_m,
+            gain_per_s: safety.distance_gain_per_s,
+            delay_s: safety.distance_delay_s,
+        }
+    }
+
+    /// Returns the velocity after the geofence and the minimum distances; counts what they have removed. The limits are
+    /// those of the velocity of the point at which the robot can stop.
+    fn filtered(&mut self, now: Time, own: &Motion, wanted: Vec2) -> Vec2 {
+        let Safety { geofence, distance, walls, .. } = self.config.safety;
+        if [geofence, distance, walls] == [Switch::Off; 3] {
+            return wanted;
+        }
+        let barrier = self.barrier();
+        let aim = barrier.model.advance(own.velocity, wanted);
+        let (mut limits, mut limited) = (Limits::default(), aim);
+        barrier.drive(own.velocity).into_iter().for_each(|limit| limits.push(limit));
+        if geofence == Switch::On {
+            let Config { safety, half_extent, .. } = self.config;
             let edge = half_extent.map(|axis| axis + safety.geofence_margin_m);
-            limits.extend(filter::geofence(edge, safety.geofence_horizon_s, position));
-            limited = filter::limited(wanted, &limits);
-            self.set(Trigger::Fence, limited != wanted);
+            let stopping = own.position + barrier.model.travel(own.velocity);
+            filter::geofence(edge, safety.geofence_horizon_s, stopping).into_iter().for_each(|l| limits.push(l));
+            self.limit(Trigger::Fence, &limits, aim, &mut limited);
         }
-        if safety.distance == Switch::On {
-            let before = limited;
-            limits.extend(self.neighbours.values().map(|(heard, age, motion)| {
-                let age_s = (*age + now.since(*heard)).as_secs() as f32;
-                let moved = Motion { position: motion.position + motion.velocity * age_s, ..*motion };
-                filter::separation(position, moved, safety.distance_min_m, safety.distance_gain_per_s)
-            }));
-            limited = filter::limited(limited, &limits);
-            self.set(Trigger::Distance, limited != before);
+        // A bound above this speed takes nothing away.
+        let fastest_m_s = aim.norm();
+        if walls == Switch::On {
+            barrier.add_walls(own, &self.config.walls, fastest_m_s, &mut limits);
+            self.limit(Trigger::Walls, &limits, aim, &mut limited);
         }
-        limited
+        if distance == Switch::On {
+            let known = self.neighbours.values();
+            let all = known.map(|(heard, age, motion)| {
+                barrier.neighbour(own, motion, (*age + now.since(*heard)).as_secs() as f32)
+            });
+            all.filter(|limit| limit.most_m_s < fastest_m_s).for_each(|limit| limits.push(limit));
+            self.limit(Trigger::Distance, &limits, aim, &mut limited);
+        }
+        if limited == aim { wanted } else { barrier.model.command(own.velocity, limited) }
+    }
+
+    /// Reduces `limited` to the velocity nearest to `aim` within the limits so far; counts whether that took away any.
+    fn limit(&mut self, trigger: Trigger, limits: &Limits, aim: Vec2, limited: &mut Vec2) {
+        let before = std::mem::replace(limited, limits.nearest(aim));
+        self.set(trigger, *limited != before);
     }
 
     fn set(&mut self, trigger: Trigger, acts: bool) {
@@ -313,6 +354,7 @@ impl Guard {
             Trigger::Outside => tracing::error!("the robot is far outside its ground; it stops: carry it back"),
             Trigger::Fence => tracing::info!("the geofence limits the robot's velocity"),
             Trigger::Distance => tracing::info!("the minimum distance to a neighbour limits the robot's velocity"),
+            Trigger::Walls => tracing::info!("the minimum distance to a wall limits the robot's velocity"),
         }
     }
 
@@ -365,7 +407,14 @@ mod tests {
     /// Returns a guard that has just received a message of the state server and a reading.
     fn guard(safety: Safety) -> Guard {
         let (half_extent, period) = (Vec2::new(2.0, 3.0), Span::from_millis(50));
-        let mut guard = Guard::new(Config { safety, half_extent, limit_m_s: 1.5, clamp: Clamp::Training, period });
+        let mut guard = Guard::new(Config {
+            safety,
+            half_extent,
+            walls: Arc::default(),
+            limit_m_s: 1.5,
+            clamp: Clamp::Training,
+            period,
+        });
         guard.server_heard(Time::ZERO);
         guard.own_state(Time::ZERO);
         guard
@@ -389,7 +438,7 @@ mod tests {
 
     #[test]
     fn nothing_moves_before_the_state_server_is_heard_or_after_it_falls_silent() {
-        let mut guard = Guard::new(guard(Safety::emulated()).config);
+        let mut guard = Guard::new(guard(Safety::emulated()).config.clone());
         assert_eq!(guard.decide(at_ms(0), &action(0, EAST)), Decision::Abort);
         guard.server_heard(at_ms(10));
         assert_eq!(guard.decide(at_ms(50), &action(50, EAST)), DRIVE);

@@ -1,14 +1,18 @@
 //! Safety on the robot's side: stopping and slowing a robot, independently of policy and operator.
 //!
-//! `guard` is the state machine between policy and motors, and `filter` limits its commands. `counts` has how often its
-//! triggers have acted, `hardware` the limits of battery and temperature; this file has the configuration.
+//! `guard` is the state machine between policy and motors. The safety filter limits its commands: `stopping` has where a
+//! robot can stop, `barrier` the limits that neighbours and walls set, `filter` the velocity within all limits. `counts`
+//! has how often the triggers have acted, `hardware` the limits of battery and temperature; this file has the
+//! configuration.
 //! `docs/safety.md` has every trigger in one table. There is no actor and no clock here: the Controller, an actor, owns
 //! a guard.
 
+pub mod barrier;
 pub mod counts;
 pub mod filter;
 pub mod guard;
 pub mod hardware;
+pub mod stopping;
 
 use serde::{Deserialize, Serialize};
 
@@ -54,11 +58,26 @@ pub struct Safety {
     pub distance: Switch,
     /// Minimum distance between the centres of two robots \[m\], for the limit of their approach.
     pub distance_min_m: f32,
-    /// Maximum speed of approach to a neighbour for each metre of distance beyond the minimum \[1/s\].
+    /// Maximum speed at which the point where the robot can stop approaches a neighbour, for each metre of distance
+    /// beyond the minimum \[1/s\]; twice that for a wall. Half a control period's inverse is the most that two robots
+    /// can share.
     pub distance_gain_per_s: f32,
     /// Maximum age of a neighbour's last known position \[s\]. An older position is ignored in keeping the minimum
     /// distance.
     pub distance_age_s: f64,
+    /// Longest time from a neighbour's measurement of itself to the arrival of its message \[s\], which the minimum
+    /// distance allows for in addition to the age since the arrival.
+    pub distance_delay_s: f32,
+    /// Whether a minimum distance to the walls of the arena (`walls_min_m`) is enforced.
+    pub walls: Switch,
+    /// Minimum distance of the robot's centre from a wall \[m\].
+    pub walls_min_m: f32,
+    /// Time constant of the first-order lag of a robot's velocity behind its commands \[s\], for the distance in which
+    /// it can stop.
+    pub lag_s: f32,
+    /// Largest acceleration of a robot along each axis of the world frame \[m/s^2\], for the distance in which it can
+    /// stop.
+    pub acceleration_m_s2: f32,
 }
 
 impl Default for Safety {
@@ -82,19 +101,25 @@ impl Safety {
             geofence_stop_m: 1.0,
             distance: Switch::On,
             distance_min_m: 0.4,
-            distance_gain_per_s: 1.0,
-            distance_age_s: 0.5,
+            distance_gain_per_s: 5.0,
+            distance_age_s: 1.0,
+            distance_delay_s: 0.05,
+            walls: Switch::On,
+            walls_min_m: 0.2,
+            lag_s: 0.5,
+            acceleration_m_s2: 1.0,
         }
     }
 
     /// Returns the settings for emulation, in which only the triggers of the experiments in the paper arXiv 2111.01777
-    /// are monitored. Age of the own state, late ticks, geofence and minimum distance are off.
+    /// are monitored. Age of the own state, late ticks, geofence, minimum distance and walls are off.
     pub const fn emulated() -> Safety {
         Safety {
             own_state: Switch::Off,
             late_tick: Switch::Off,
             geofence: Switch::Off,
             distance: Switch::Off,
+            walls: Switch::Off,
             ..Safety::deployed()
         }
     }
@@ -121,6 +146,10 @@ impl Safety {
             ("distance_min_m", self.distance_min_m.into(), 0.0, 2.0, "m"),
             ("distance_gain_per_s", self.distance_gain_per_s.into(), 0.5, 20.0, "1/s"),
             ("distance_age_s", self.distance_age_s, 0.01, 5.0, "s"),
+            ("distance_delay_s", self.distance_delay_s.into(), 0.0, 5.0, "s"),
+            ("walls_min_m", self.walls_min_m.into(), 0.0, 2.0, "m"),
+            ("lag_s", self.lag_s.into(), 0.0, 5.0, "s"),
+            ("acceleration_m_s2", self.acceleration_m_s2.into(), 0.05, 1e3, "m/s^2"),
         ];
         for (field, value, least, most, unit) in ranges {
             if !(least..=most).contains(&value) {
