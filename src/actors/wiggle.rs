@@ -14,8 +14,8 @@ use crate::messages::geometry::{Motion, Vec2};
 use crate::messages::ids::RobotId;
 use crate::messages::local::{Action, OtherRobot, Progress};
 use crate::messages::wire::{Hardware, Health, MotorCommand, Phase, Reading, Round};
-use crate::safety::filter::distance_outside;
 use crate::safety::guard::{self, Decision, Guard};
+use crate::safety::limits::distance_outside;
 use crate::scenario::arena::Arena;
 use crate::time::{Span, Time};
 

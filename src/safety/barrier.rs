@@ -6,7 +6,7 @@
 //! that of their positions to that of their stopping points. While this line stays clear of the disc of the least
 //! distance, both can stop in time. Each robot may use its share of what room is left along the line's nearest point.
 
-use super::filter::{Limit, Limits};
+use super::limits::{Limit, geofence};
 use super::stopping::Model;
 use crate::messages::geometry::{Motion, Vec2};
 use crate::scenario::KeepOut;
@@ -38,10 +38,17 @@ impl Barrier {
             .map(|(along, most_m_s)| Limit { along, most_m_s })
     }
 
-    /// Returns the limit of the velocity of the stopping point of robot `own` that a neighbour sets, of which `other`
-    /// was heard `age_s` \[s\] ago.
-    pub fn neighbour(&self, own: &Motion, other: &Motion, age_s: f32) -> Limit {
-        let known_s = age_s + self.delay_s;
+    /// Returns the limits of the velocity of the stopping point of robot `own` that a neighbour sets, of which `other` was
+    /// heard `age_s` \[s\] ago.
+    ///
+    /// The message took an unknown time to arrive, so there is one limit for none and one for the longest: beside a
+    /// neighbour at speed, a few centimetres along its way turn the direction to it.
+    pub fn neighbour(&self, own: &Motion, other: &Motion, age_s: f32) -> [Limit; 2] {
+        [age_s, age_s + self.delay_s].map(|known_s| self.neighbour_since(own, other, known_s))
+    }
+
+    /// Returns the limit of a neighbour that moved as `other` for `known_s` \[s\].
+    fn neighbour_since(&self, own: &Motion, other: &Motion, known_s: f32) -> Limit {
         let position = other.position + other.velocity * known_s - own.position;
         let stopping = position + self.model.travel(other.velocity) - self.model.travel(own.velocity);
         let nearest = nearest_on(position, stopping, Vec2::zeros());
@@ -70,9 +77,10 @@ impl Barrier {
         Limit { along, most_m_s: 2.0 * self.gain_per_s * room_m.max(0.0) }
     }
 
-    /// Adds the limits of all blocks that matter for a stopping point that moves at `most_m_s` \[m/s\] or slower.
-    pub fn add_walls(&self, own: &Motion, walls: &[KeepOut], most_m_s: f32, limits: &mut Limits) {
-        walls.iter().map(|block| self.wall(own, block)).filter(|l| l.most_m_s < most_m_s).for_each(|l| limits.push(l));
+    /// Returns the limits of the velocity of the stopping point of robot `own` that the edge of its ground sets, which is
+    /// `half_extent` \[m\] from the origin.
+    pub fn edge(&self, own: &Motion, half_extent: Vec2) -> [Limit; 4] {
+        geofence(half_extent, 0.5 / self.gain_per_s, own.position + self.model.travel(own.velocity))
     }
 }
 

@@ -5,14 +5,12 @@
 //! latched until a re-arm. It reads no clock: the time is an argument, and `wake_at` is its next deadline. The Body,
 //! the actor of the motors, expires the last command by itself, even if the guard has died.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::barrier::Barrier;
 pub use super::counts::SafetyCounts;
-use super::filter::{self, Limits};
+use super::filter::{Filter, Filtered, Settings};
 use super::hardware::Permit;
-use super::stopping::Model;
+use super::limits::distance_outside;
 use super::{Safety, Switch};
 use crate::messages::geometry::{Motion, Vec2, is_finite};
 use crate::messages::ids::RobotId;
@@ -22,6 +20,11 @@ use crate::messages::wire::Stop;
 use crate::scenario::KeepOut;
 use crate::time::{Span, Time};
 use crate::world::Clamp;
+
+/// Number of neighbours for which there is room from the start.
+const MOST_NEIGHBOURS: usize = 64;
+/// Number of triggers.
+const TRIGGERS: usize = 10;
 
 /// Condition for which a guard stops or slows its robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -140,8 +143,9 @@ pub struct Guard {
     invalid_output: bool,
     /// True while battery or temperature is beyond its limit.
     unfit: bool,
-    /// By neighbour: time of its last update, the age of its state at that time, and its state.
-    neighbours: BTreeMap<RobotId, (Time, Span, Motion)>,
+    filter: Filter,
+    /// By neighbour, in the order of ids: time of its last update, the age of its state at that time, and its state.
+    neighbours: Vec<(RobotId, Time, Span, Motion)>,
     /// Triggers that act at the moment.
     acting: Vec<Trigger>,
     counts: SafetyCounts,
@@ -150,7 +154,10 @@ pub struct Guard {
 impl Guard {
     /// Returns a guard with this configuration that has received nothing yet, and so stops the robot.
     pub fn new(config: Config) -> Guard {
+        let Config { safety, half_extent, limit_m_s, clamp, period, .. } = config;
+        let walls = Arc::clone(&config.walls);
         Guard {
+            filter: Filter::new(Settings { safety, half_extent, walls, limit_m_s, clamp, period }),
             config,
             latch: LatchFollower::default(),
             server: None,
@@ -158,8 +165,8 @@ impl Guard {
             driving: None,
             invalid_output: false,
             unfit: false,
-            neighbours: BTreeMap::new(),
-            acting: Vec::new(),
+            neighbours: Vec::with_capacity(MOST_NEIGHBOURS),
+            acting: Vec::with_capacity(TRIGGERS),
             counts: SafetyCounts::default(),
         }
     }
@@ -257,7 +264,7 @@ impl Guard {
         let Config { safety, half_extent, .. } = self.config;
         let late = now.since(action.due) > Span::from_secs(safety.late_tick_s);
         let old = self.own.is_none_or(|at| now.since(at) > Span::from_secs(safety.own_state_s));
-        let beyond = filter::distance_outside(half_extent, action.estimate.position) > safety.geofence_stop_m;
+        let beyond = distance_outside(half_extent, action.estimate.position) > safety.geofence_stop_m;
         [
             (Trigger::Stop, !self.latch().is_clear()),
             (Trigger::Silence, self.server.is_none()),
@@ -272,65 +279,29 @@ impl Guard {
     }
 
     fn remember(&mut self, now: Time, action: &Action) {
-        if self.config.safety.distance == Switch::On {
-            self.neighbours.extend(action.others.iter().map(|other| (other.robot, (now, other.age, other.motion))));
-            let longest = Span::from_secs(self.config.safety.distance_age_s);
-            self.neighbours.retain(|_, (heard, age, _)| *age + now.since(*heard) <= longest);
+        if self.config.safety.distance == Switch::Off {
+            return;
         }
+        for other in &action.others {
+            let known = (other.robot, now, other.age, other.motion);
+            match self.neighbours.binary_search_by_key(&other.robot, |known| known.0) {
+                Ok(at) => self.neighbours[at] = known,
+                Err(at) => self.neighbours.insert(at, known),
+            }
+        }
+        let longest = Span::from_secs(self.config.safety.distance_age_s);
+        self.neighbours.retain(|(_, heard, age, _)| *age + now.since(*heard) <= longest);
     }
 
-    /// Returns the parameters of the barriers toward neighbours and walls.
-    fn barrier(&self) -> Barrier {
-        let Config { safety, clamp, limit_m_s, period, .. } = self.config;
-        let step_m_s = clamp.step_m_s().min(2.0 * limit_m_s);
-        Barrier {
-            model: Model::new(safety.lag_s, safety.acceleration_m_s2, period.as_secs() as f32, step_m_s),
-            distance_min_m: safety.distance_min_m,
-            wall_min_m: safety.walls_min_m,
-            gain_per_s: safety.distance_gain_per_s,
-            delay_s: safety.distance_delay_s,
-        }
-    }
-
-    /// Returns the velocity after the geofence and the minimum distances; counts what they have removed. The limits are
-    /// those of the velocity of the point at which the robot can stop.
+    /// Returns the velocity after the safety filter; counts what it has removed.
     fn filtered(&mut self, now: Time, own: &Motion, wanted: Vec2) -> Vec2 {
-        let Safety { geofence, distance, walls, .. } = self.config.safety;
-        if [geofence, distance, walls] == [Switch::Off; 3] {
-            return wanted;
-        }
-        let barrier = self.barrier();
-        let aim = barrier.model.advance(own.velocity, wanted);
-        let (mut limits, mut limited) = (Limits::default(), aim);
-        barrier.drive(own.velocity).into_iter().for_each(|limit| limits.push(limit));
-        if geofence == Switch::On {
-            let Config { safety, half_extent, .. } = self.config;
-            let edge = half_extent.map(|axis| axis + safety.geofence_margin_m);
-            let stopping = own.position + barrier.model.travel(own.velocity);
-            filter::geofence(edge, safety.geofence_horizon_s, stopping).into_iter().for_each(|l| limits.push(l));
-            self.limit(Trigger::Fence, &limits, aim, &mut limited);
-        }
-        // A bound above this speed takes nothing away.
-        let fastest_m_s = aim.norm();
-        if walls == Switch::On {
-            barrier.add_walls(own, &self.config.walls, fastest_m_s, &mut limits);
-            self.limit(Trigger::Walls, &limits, aim, &mut limited);
-        }
-        if distance == Switch::On {
-            let known = self.neighbours.values();
-            let all = known.map(|(heard, age, motion)| {
-                barrier.neighbour(own, motion, (*age + now.since(*heard)).as_secs() as f32)
-            });
-            all.filter(|limit| limit.most_m_s < fastest_m_s).for_each(|limit| limits.push(limit));
-            self.limit(Trigger::Distance, &limits, aim, &mut limited);
-        }
-        if limited == aim { wanted } else { barrier.model.command(own.velocity, limited) }
-    }
-
-    /// Reduces `limited` to the velocity nearest to `aim` within the limits so far; counts whether that took away any.
-    fn limit(&mut self, trigger: Trigger, limits: &Limits, aim: Vec2, limited: &mut Vec2) {
-        let before = std::mem::replace(limited, limits.nearest(aim));
-        self.set(trigger, *limited != before);
+        let known = self.neighbours.iter();
+        let known = known.map(|(_, heard, age, motion)| (*motion, (*age + now.since(*heard)).as_secs() as f32));
+        let Filtered { velocity, fence, walls, distance } = self.filter.apply(own, known, wanted);
+        self.set(Trigger::Fence, fence);
+        self.set(Trigger::Walls, walls);
+        self.set(Trigger::Distance, distance);
+        velocity
     }
 
     fn set(&mut self, trigger: Trigger, acts: bool) {
@@ -530,16 +501,16 @@ mod tests {
     #[test]
     fn the_minimum_distance_holds_after_a_neighbour_is_no_longer_heard() {
         let mut guard = guard(Safety { late_tick: Switch::Off, own_state: Switch::Off, ..Safety::deployed() });
-        let motion = Motion::at_rest(Vec2::new(0.5, 0.0));
+        let motion = Motion::at_rest(Vec2::new(0.55, 0.0));
         let others = vec![OtherRobot { robot: RobotId(1), motion, age: Span::from_millis(100) }];
         let mut speed =
             |ms: u64, others: Vec<OtherRobot>| match guard.decide(at_ms(ms), &Action { others, ..action(0, EAST) }) {
                 Decision::Drive(granted) => granted.velocity().x,
                 decision => panic!("{decision:?}"),
             };
-        assert!((speed(0, others) - 0.1).abs() < 1e-6, "0.1 m are left");
-        assert!((speed(400, Vec::new()) - 0.1).abs() < 1e-6, "500 ms old");
-        assert_eq!(speed(401, Vec::new()), 1.0, "older than 500 ms");
+        assert!((speed(0, others) - 5.0 * (0.15 - 0.2 * 0.5)).abs() < 1e-5, "0.15 m are left, it may have started");
+        assert_eq!(speed(900, Vec::new()), 0.0, "1 s old: it may have come nearer");
+        assert!(speed(901, Vec::new()) > 0.49, "older than 1 s");
         assert_eq!(guard.counts().distance, 1);
     }
 

@@ -82,7 +82,7 @@ mod tests {
             for speed in [-1.5_f32, -0.4, 0.1, 0.6, 1.5] {
                 let end = model.travel(Vec2::new(speed, 0.0)).x;
                 let (p, v) = (0..9000).fold((0.0, speed), |(p, v), _| moved(&model, p, v, 0.0));
-                assert!((p - end).abs() < 3e-3 && v.abs() < 1e-3, "{lag_s} s, {speed} m/s: {p} m, {end} m");
+                assert!((p - end).abs() < 5e-3 && v.abs() < 5e-3, "{lag_s} s, {speed} m/s: {p} m, {end} m");
             }
         }
     }
