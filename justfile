@@ -21,6 +21,10 @@ faults seed mode="onboard-adhoc" *flags:
 full-stop:
     MURMURATE_STOPS=20 cargo test --release --test live stop:: -- --nocapture
 
+# The safety filter under random and hostile policies: a million steps, 1000 episodes of each policy (5 minutes)
+full-safety:
+    MURMURATE_FILTER_STEPS=1000000 MURMURATE_FILTER_EPISODES=1000 cargo test --release --test graph filter:: -- --nocapture
+
 # One policy step, and whole trials (a minute)
 bench:
     cargo bench

@@ -1,15 +1,21 @@
-//! Benchmark of one policy step of one robot with four neighbours.
+//! Benchmarks of one policy step of one robot, and of one tick of its guard, with four neighbours.
 //!
 //! `cargo bench --bench policy`. The allocation columns must read zero.
 
 use divan::{AllocProfiler, Bencher};
 use murmurate::messages::geometry::{Motion, Vec2};
+use murmurate::messages::ids::RobotId;
+use murmurate::messages::local::{Action, OtherRobot, Progress};
+use murmurate::messages::wire::{Phase, Round};
 use murmurate::policy::gnn::Gnn;
 use murmurate::policy::mlp::Instructions;
 use murmurate::policy::{self, Draw, Model, Neighbour, Policy};
 use murmurate::random::Seed;
-use murmurate::scenario::Observation;
-use murmurate::time::Span;
+use murmurate::safety::Safety;
+use murmurate::safety::guard::{Config, Guard};
+use murmurate::scenario::{self, Observation};
+use murmurate::time::{Span, Time};
+use murmurate::world::Clamp;
 
 #[global_allocator]
 static ALLOCATIONS: AllocProfiler = AllocProfiler::system();
@@ -53,4 +59,38 @@ fn full_baseline_instructions(bencher: Bencher) {
 #[divan::bench(sample_size = 1000)]
 fn full_detected_instructions(bencher: Bencher) {
     step(bencher, policy::untrained_full(1), Instructions::Detected);
+}
+
+/// A tick of a guard with everything on: in the gap of the passage, with four neighbours so near that all of them and
+/// both walls limit the velocity.
+#[divan::bench(sample_size = 1000)]
+fn guard_tick(bencher: Bencher) {
+    let passage = scenario::build("passage", &scenario::Settings::default()).expect("the default is sound");
+    let mut guard = Guard::new(Config {
+        safety: Safety::deployed(),
+        half_extent: passage.arena().half_extent,
+        walls: passage.arena().keep_outs.as_slice().into(),
+        limit_m_s: 1.5,
+        clamp: Clamp::Deployed,
+        period: Span::from_millis(50),
+    });
+    guard.server_heard(Time::ZERO);
+    guard.own_state(Time::ZERO);
+    let at = [Vec2::new(0.45, -0.55), Vec2::new(-0.45, -0.55), Vec2::new(0.2, 0.55), Vec2::new(-0.2, 0.55)];
+    let other = |(k, position): (u16, Vec2)| OtherRobot {
+        robot: RobotId(k),
+        motion: Motion { position, velocity: Vec2::new(0.1, 0.2) },
+        age: Span::from_millis(20),
+    };
+    let action = Action {
+        robot: RobotId(0),
+        round: Round::default(),
+        phase: Phase::Running,
+        due: Time::ZERO,
+        velocity: Vec2::new(0.6, 1.2),
+        estimate: Motion { position: Vec2::new(0.0, -0.3), velocity: Vec2::new(0.1, 0.5) },
+        others: (1..5).zip(at).map(other).collect(),
+        progress: Progress::Underway,
+    };
+    bencher.bench_local(|| guard.decide(Time::ZERO, divan::black_box(&action)));
 }

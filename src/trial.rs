@@ -243,6 +243,13 @@ impl Trial {
         self
     }
 
+    /// Sets the stops and limits of motion, which know lag and acceleration of the simulated robots.
+    pub fn safety(mut self, safety: Safety) -> Trial {
+        let Physics { lag_s, acceleration_m_s2, traction_m_s2, .. } = self.physics;
+        self.safety = safety.driving(lag_s, acceleration_m_s2.min(traction_m_s2));
+        self
+    }
+
     /// Sets the faults that are injected during the trial.
     pub fn faults(mut self, faults: FaultPlan) -> Trial {
         self.faults = faults;

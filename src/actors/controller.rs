@@ -48,7 +48,7 @@ pub enum Out {
 }
 
 /// Configuration of a Controller.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Config {
     /// Robot of the Controller.
     pub robot: RobotId,
@@ -80,15 +80,16 @@ pub struct Controller {
 impl Controller {
     /// Creates a Controller that has received nothing yet.
     pub fn new(config: Config) -> Controller {
+        let next_heartbeat = Time::ZERO + config.phase;
         Controller {
-            config,
-            guard: Guard::new(config.guard),
+            guard: Guard::new(config.guard.clone()),
             round: RoundFollower::default(),
             team: Phase::NeedReset,
             own: Phase::NeedReset,
             leaves: false,
             counts_sent: SafetyCounts::default(),
-            next_heartbeat: Time::ZERO + config.phase,
+            next_heartbeat,
+            config,
         }
     }
 
@@ -248,6 +249,7 @@ mod tests {
             guard: guard::Config {
                 safety: Safety::emulated(),
                 half_extent: Vec2::new(2.0, 3.0),
+                walls: Default::default(),
                 limit_m_s: 1.5,
                 clamp,
                 period: Span::from_millis(50),

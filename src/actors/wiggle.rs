@@ -14,8 +14,8 @@ use crate::messages::geometry::{Motion, Vec2};
 use crate::messages::ids::RobotId;
 use crate::messages::local::{Action, OtherRobot, Progress};
 use crate::messages::wire::{Hardware, Health, MotorCommand, Phase, Reading, Round};
-use crate::safety::filter::distance_outside;
 use crate::safety::guard::{self, Decision, Guard};
+use crate::safety::limits::distance_outside;
 use crate::scenario::arena::Arena;
 use crate::time::{Span, Time};
 
@@ -125,7 +125,7 @@ pub struct Wiggle {
 impl Wiggle {
     /// Creates a Wiggle that waits for [`In::Begin`]. Until then all robots must stand still.
     pub fn new(config: Config) -> Wiggle {
-        let guard = Guard::new(config.guard);
+        let guard = Guard::new(config.guard.clone());
         let (tracks, hardware, before) = Default::default();
         Wiggle { config, stage: Stage::Rest(Time::MAX), turn: 0, guard, tracks, hardware, before, next: Time::ZERO }
     }
@@ -227,7 +227,7 @@ impl Wiggle {
             twist.map(|twist| Vec2::new(twist.forward, twist.left + twist.yaw_rate * chassis.point_ahead_m).norm());
         let speed = moves.unwrap_or(most).clamp(DISTANCE_M / LONGEST_S, most.max(DISTANCE_M / LONGEST_S));
         self.before = self.tracks.iter().map(|(robot, track)| (*robot, track.last.pose.position)).collect();
-        self.guard = Guard::new(self.config.guard);
+        self.guard = Guard::new(self.config.guard.clone());
         self.guard.learn_latch(Default::default());
         let fresh = self.tracks.get(&robot).map_or(now, |track| track.at);
         self.guard.own_state(fresh);
@@ -374,6 +374,7 @@ mod tests {
             let guard = guard::Config {
                 safety,
                 half_extent: Vec2::new(2.0, 2.0),
+                walls: Default::default(),
                 limit_m_s: SPEED_M_S,
                 clamp: Clamp::Training,
                 period: PERIOD,

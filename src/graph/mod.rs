@@ -195,10 +195,10 @@ fn guard_config(plan: &Plan, robot: RobotId, chassis: &[Chassis]) -> guard::Conf
     let own = &chassis[robot.index()];
     let others = RobotId::team(chassis.len()).zip(chassis.iter()).filter(|(other, _)| *other != robot);
     let farthest_m = others.map(|(_, other)| other.point_ahead_m).fold(0.0, f32::max);
-    let distance_min_m = plan.safety.distance_min_m + own.point_ahead_m + farthest_m;
     guard::Config {
-        safety: Safety { distance_min_m, ..plan.safety },
+        safety: plan.safety.about_point(own.point_ahead_m, farthest_m),
         half_extent: plan.scenario.arena().half_extent.add_scalar(-own.point_ahead_m),
+        walls: plan.scenario.arena().keep_outs.as_slice().into(),
         // At most the speed of the chassis, so that the guard judges the velocity that is really driven.
         limit_m_s: interface.limit_m_s.min(own.speed_m_s),
         clamp: plan.clamp,
@@ -257,7 +257,7 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, cha
     };
     let (network, status) = (home, graph.status_of(host));
     let (record, report) = (graph.record(), Rc::clone(&process.report));
-    let make = move |_| Controller::new(config);
+    let make = move |_| Controller::new(config.clone());
     start(clock, &graph.controllers[at], info_span!("controller", robot = id), make, move |out| match out {
         controller::Out::MotorCommand(m) => network.send(network::In::Publish(Wire::MotorCommand(m))),
         controller::Out::Heartbeat(m) => {

@@ -31,11 +31,14 @@ pub enum Trigger {
     /// The command would violate the minimum distance to a neighbour. The guard removes the component of the velocity
     /// toward it.
     Distance,
+    /// The command would violate the minimum distance to a wall. The guard removes the component of the velocity
+    /// toward it.
+    Walls,
 }
 
 impl Trigger {
     /// All triggers, in the order of their numbers.
-    pub const ALL: [Trigger; 9] = [
+    pub const ALL: [Trigger; 10] = [
         Trigger::Stop,
         Trigger::Silence,
         Trigger::Output,
@@ -45,6 +48,7 @@ impl Trigger {
         Trigger::Outside,
         Trigger::Fence,
         Trigger::Distance,
+        Trigger::Walls,
     ];
 
     /// Returns the short name of the trigger for reports and pages.
@@ -59,6 +63,7 @@ impl Trigger {
             Trigger::Outside => "far outside",
             Trigger::Fence => "geofence",
             Trigger::Distance => "minimum distance",
+            Trigger::Walls => "walls",
         }
     }
 }
@@ -84,6 +89,6 @@ mod tests {
     #[test]
     fn a_number_means_the_trigger_that_was_converted_to_it() {
         assert!(Trigger::ALL.into_iter().all(|trigger| Trigger::try_from(u8::from(trigger)) == Ok(trigger)));
-        assert!(Trigger::try_from(9).is_err());
+        assert!(Trigger::try_from(10).is_err());
     }
 }

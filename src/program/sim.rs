@@ -395,9 +395,9 @@ fn trial(args: &Args, policy: Option<&Path>, registry: &Registry) -> Result<(Tri
     }
     let mut trial = Trial::with_registry(registry, deployment, Arc::clone(&scenario), model);
     trial = trial.seed(args.seed).episodes(args.episodes);
-    (trial.handling, trial.safety) = (args.handling, args.safety);
+    trial.handling = args.handling;
     trial.estimator = *registry.estimator(&args.estimator).expect("the flag takes names of the registry alone");
-    trial = physics(args, trial)?.clamp(args.clamp);
+    trial = physics(args, trial)?.clamp(args.clamp).safety(args.safety);
     if let Some(path) = &args.episodes_file {
         let text = read_text(path, "episodes file")?;
         trial.layouts = Layouts::from_json(&text, &*scenario, args.episodes)

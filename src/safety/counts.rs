@@ -28,6 +28,8 @@ pub struct SafetyCounts {
     pub fence: u64,
     /// Number of times that the minimum distance to neighbours began to limit commands.
     pub distance: u64,
+    /// Number of times that the minimum distance to walls began to limit commands.
+    pub walls: u64,
 }
 
 impl SafetyCounts {
@@ -43,6 +45,7 @@ impl SafetyCounts {
             Trigger::Outside => self.outside,
             Trigger::Fence => self.fence,
             Trigger::Distance => self.distance,
+            Trigger::Walls => self.walls,
         }
     }
 
@@ -58,6 +61,7 @@ impl SafetyCounts {
             Trigger::Outside => &mut self.outside,
             Trigger::Fence => &mut self.fence,
             Trigger::Distance => &mut self.distance,
+            Trigger::Walls => &mut self.walls,
         }
     }
 
@@ -91,6 +95,7 @@ impl Sum for SafetyCounts {
             outside: sum.outside + one.outside,
             fence: sum.fence + one.fence,
             distance: sum.distance + one.distance,
+            walls: sum.walls + one.walls,
         })
     }
 }

@@ -5,11 +5,12 @@
 //! latched until a re-arm. It reads no clock: the time is an argument, and `wake_at` is its next deadline. The Body,
 //! the actor of the motors, expires the last command by itself, even if the guard has died.
 
-use std::collections::BTreeMap;
+use std::sync::Arc;
 
 pub use super::counts::SafetyCounts;
-use super::filter::{self, Limit};
+use super::filter::{Filter, Filtered, Settings};
 use super::hardware::Permit;
+use super::limits::distance_outside;
 use super::{Safety, Switch};
 use crate::messages::geometry::{Motion, Vec2, is_finite};
 use crate::messages::ids::RobotId;
@@ -17,8 +18,12 @@ use crate::messages::latch::{Latch, LatchFollower};
 use crate::messages::local::Action;
 pub use crate::messages::trigger::Trigger;
 use crate::messages::wire::Stop;
+use crate::scenario::KeepOut;
 use crate::time::{Span, Time};
 use crate::world::Clamp;
+
+/// Number of neighbours for which there is room from the start.
+const MOST_NEIGHBOURS: usize = 64;
 
 impl Trigger {
     /// Returns the decision while this trigger acts.
@@ -27,7 +32,9 @@ impl Trigger {
             Trigger::Stop | Trigger::Silence | Trigger::Output | Trigger::Hardware | Trigger::Outside => {
                 Decision::Abort
             }
-            Trigger::LateTick | Trigger::OwnState | Trigger::Fence | Trigger::Distance => Decision::Stop,
+            Trigger::LateTick | Trigger::OwnState | Trigger::Fence | Trigger::Distance | Trigger::Walls => {
+                Decision::Stop
+            }
         }
     }
 }
@@ -55,12 +62,14 @@ pub enum Decision {
 }
 
 /// Configuration of the guard of one robot.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Config {
     /// Thresholds of the triggers that stop or slow the robot.
     pub safety: Safety,
     /// Half the size of the robot's ground along x and y \[m\], world frame; the ground is centred at the origin.
     pub half_extent: Vec2,
+    /// Solid blocks of the arena that the robot must not touch, world frame.
+    pub walls: Arc<[KeepOut]>,
     /// Largest commanded speed along each axis \[m/s\].
     pub limit_m_s: f32,
     /// Limit of the policy's velocity, possibly relative to the measured one, in episodes and in resets.
@@ -84,8 +93,9 @@ pub struct Guard {
     invalid_output: bool,
     /// True while battery or temperature is beyond its limit.
     unfit: bool,
-    /// By neighbour: time of its last update, the age of its state at that time, and its state.
-    neighbours: BTreeMap<RobotId, (Time, Span, Motion)>,
+    filter: Filter,
+    /// By neighbour, in the order of ids: time of its last update, the age of its state at that time, and its state.
+    neighbours: Vec<(RobotId, Time, Span, Motion)>,
     /// Triggers that act at the moment.
     acting: Vec<Trigger>,
     counts: SafetyCounts,
@@ -94,7 +104,10 @@ pub struct Guard {
 impl Guard {
     /// Returns a guard with this configuration that has received nothing yet, and so stops the robot.
     pub fn new(config: Config) -> Guard {
+        let Config { safety, half_extent, limit_m_s, clamp, period, .. } = config;
+        let walls = Arc::clone(&config.walls);
         Guard {
+            filter: Filter::new(Settings { safety, half_extent, walls, limit_m_s, clamp, period }),
             config,
             latch: LatchFollower::default(),
             server: None,
@@ -102,8 +115,8 @@ impl Guard {
             driving: None,
             invalid_output: false,
             unfit: false,
-            neighbours: BTreeMap::new(),
-            acting: Vec::new(),
+            neighbours: Vec::with_capacity(MOST_NEIGHBOURS),
+            acting: Vec::with_capacity(Trigger::ALL.len()),
             counts: SafetyCounts::default(),
         }
     }
@@ -190,9 +203,8 @@ impl Guard {
             self.driving = None;
             return trigger.decision();
         }
-        let acting = std::mem::take(&mut self.acting);
-        self.acting = acting.into_iter().filter(|at| matches!(at, Trigger::Fence | Trigger::Distance)).collect();
-        let granted = self.filtered(now, action.estimate.position, wanted);
+        self.acting.retain(|at| matches!(at, Trigger::Fence | Trigger::Distance | Trigger::Walls));
+        let granted = self.filtered(now, &action.estimate, wanted);
         self.driving = (granted != Vec2::zeros()).then_some(action.due);
         Decision::Drive(Granted(granted))
     }
@@ -202,7 +214,7 @@ impl Guard {
         let Config { safety, half_extent, .. } = self.config;
         let late = now.since(action.due) > Span::from_secs(safety.late_tick_s);
         let old = self.own.is_none_or(|at| now.since(at) > Span::from_secs(safety.own_state_s));
-        let beyond = filter::distance_outside(half_extent, action.estimate.position) > safety.geofence_stop_m;
+        let beyond = distance_outside(half_extent, action.estimate.position) > safety.geofence_stop_m;
         [
             (Trigger::Stop, !self.latch().is_clear()),
             (Trigger::Silence, self.server.is_none()),
@@ -217,35 +229,29 @@ impl Guard {
     }
 
     fn remember(&mut self, now: Time, action: &Action) {
-        if self.config.safety.distance == Switch::On {
-            self.neighbours.extend(action.others.iter().map(|other| (other.robot, (now, other.age, other.motion))));
-            let longest = Span::from_secs(self.config.safety.distance_age_s);
-            self.neighbours.retain(|_, (heard, age, _)| *age + now.since(*heard) <= longest);
+        if self.config.safety.distance == Switch::Off {
+            return;
         }
+        for other in &action.others {
+            let known = (other.robot, now, other.age, other.motion);
+            match self.neighbours.binary_search_by_key(&other.robot, |known| known.0) {
+                Ok(at) => self.neighbours[at] = known,
+                Err(at) => self.neighbours.insert(at, known),
+            }
+        }
+        let longest = Span::from_secs(self.config.safety.distance_age_s);
+        self.neighbours.retain(|(_, heard, age, _)| *age + now.since(*heard) <= longest);
     }
 
-    /// Returns the velocity after the geofence and the minimum distances; counts what they have removed.
-    fn filtered(&mut self, now: Time, position: Vec2, wanted: Vec2) -> Vec2 {
-        let Config { safety, half_extent, .. } = self.config;
-        let mut limits: Vec<Limit> = Vec::new();
-        let mut limited = wanted;
-        if safety.geofence == Switch::On {
-            let edge = half_extent.map(|axis| axis + safety.geofence_margin_m);
-            limits.extend(filter::geofence(edge, safety.geofence_horizon_s, position));
-            limited = filter::limited(wanted, &limits);
-            self.set(Trigger::Fence, limited != wanted);
-        }
-        if safety.distance == Switch::On {
-            let before = limited;
-            limits.extend(self.neighbours.values().map(|(heard, age, motion)| {
-                let age_s = (*age + now.since(*heard)).as_secs() as f32;
-                let moved = Motion { position: motion.position + motion.velocity * age_s, ..*motion };
-                filter::separation(position, moved, safety.distance_min_m, safety.distance_gain_per_s)
-            }));
-            limited = filter::limited(limited, &limits);
-            self.set(Trigger::Distance, limited != before);
-        }
-        limited
+    /// Returns the velocity after the safety filter; counts what it has removed.
+    fn filtered(&mut self, now: Time, own: &Motion, wanted: Vec2) -> Vec2 {
+        let known = self.neighbours.iter();
+        let known = known.map(|(_, heard, age, motion)| (*motion, (*age + now.since(*heard)).as_secs() as f32));
+        let Filtered { velocity, fence, walls, distance } = self.filter.apply(own, known, wanted);
+        self.set(Trigger::Fence, fence);
+        self.set(Trigger::Walls, walls);
+        self.set(Trigger::Distance, distance);
+        velocity
     }
 
     fn set(&mut self, trigger: Trigger, acts: bool) {
@@ -269,6 +275,7 @@ impl Guard {
             Trigger::Outside => tracing::error!("the robot is far outside its ground; it stops: carry it back"),
             Trigger::Fence => tracing::info!("the geofence limits the robot's velocity"),
             Trigger::Distance => tracing::info!("the minimum distance to a neighbour limits the robot's velocity"),
+            Trigger::Walls => tracing::info!("the minimum distance to a wall limits the robot's velocity"),
         }
     }
 
@@ -321,7 +328,14 @@ mod tests {
     /// Returns a guard that has just received a message of the state server and a reading.
     fn guard(safety: Safety) -> Guard {
         let (half_extent, period) = (Vec2::new(2.0, 3.0), Span::from_millis(50));
-        let mut guard = Guard::new(Config { safety, half_extent, limit_m_s: 1.5, clamp: Clamp::Training, period });
+        let mut guard = Guard::new(Config {
+            safety,
+            half_extent,
+            walls: Arc::default(),
+            limit_m_s: 1.5,
+            clamp: Clamp::Training,
+            period,
+        });
         guard.server_heard(Time::ZERO);
         guard.own_state(Time::ZERO);
         guard
@@ -345,7 +359,7 @@ mod tests {
 
     #[test]
     fn nothing_moves_before_the_state_server_is_heard_or_after_it_falls_silent() {
-        let mut guard = Guard::new(guard(Safety::emulated()).config);
+        let mut guard = Guard::new(guard(Safety::emulated()).config.clone());
         assert_eq!(guard.decide(at_ms(0), &action(0, EAST)), Decision::Abort);
         guard.server_heard(at_ms(10));
         assert_eq!(guard.decide(at_ms(50), &action(50, EAST)), DRIVE);
@@ -437,16 +451,16 @@ mod tests {
     #[test]
     fn the_minimum_distance_holds_after_a_neighbour_is_no_longer_heard() {
         let mut guard = guard(Safety { late_tick: Switch::Off, own_state: Switch::Off, ..Safety::deployed() });
-        let motion = Motion::at_rest(Vec2::new(0.5, 0.0));
+        let motion = Motion::at_rest(Vec2::new(0.55, 0.0));
         let others = vec![OtherRobot { robot: RobotId(1), motion, age: Span::from_millis(100) }];
         let mut speed =
             |ms: u64, others: Vec<OtherRobot>| match guard.decide(at_ms(ms), &Action { others, ..action(0, EAST) }) {
                 Decision::Drive(granted) => granted.velocity().x,
                 decision => panic!("{decision:?}"),
             };
-        assert!((speed(0, others) - 0.1).abs() < 1e-6, "0.1 m are left");
-        assert!((speed(400, Vec::new()) - 0.1).abs() < 1e-6, "500 ms old");
-        assert_eq!(speed(401, Vec::new()), 1.0, "older than 500 ms");
+        assert!((speed(0, others) - 5.0 * (0.15 - 0.2 * 0.5)).abs() < 1e-5, "0.15 m are left, it may have started");
+        assert_eq!(speed(900, Vec::new()), 0.0, "1 s old: it may have come nearer");
+        assert!(speed(901, Vec::new()) > 0.49, "older than 1 s");
         assert_eq!(guard.counts().distance, 1);
     }
 

@@ -1,18 +1,30 @@
 //! Safety on the robot's side: stopping and slowing a robot, independently of policy and operator.
 //!
-//! `guard` is the state machine between policy and motors, and `filter` limits its commands. `counts` has how often its
-//! triggers have acted, `hardware` the limits of battery and temperature; this file has the configuration.
+//! `guard` is the state machine between policy and motors, and `filter` the safety filter, which limits its commands:
+//! `stopping` has where a robot can stop, `barrier` the limits that neighbours and walls set, `limits` the velocity
+//! nearest to the wanted one within them, `yielding` the way out of deadlocks. `counts` has how often the triggers have
+//! acted, `hardware` the limits of battery and temperature; this file has the configuration.
 //! `docs/safety.md` has every trigger in one table. There is no actor and no clock here: the Controller, an actor, owns
 //! a guard.
 
+pub mod barrier;
 pub mod counts;
 pub mod filter;
 pub mod guard;
 pub mod hardware;
+pub mod limits;
+pub mod stopping;
+pub mod yielding;
 
 use serde::{Deserialize, Serialize};
 
 use crate::config::{self, ConfigError};
+
+/// Largest lag of a robot's drive in the settings \[s\].
+const MOST_LAG_S: f32 = 5.0;
+/// Smallest and largest acceleration of a robot in the settings \[m/s^2\].
+const LEAST_ACCELERATION_M_S2: f32 = 0.05;
+const MOST_ACCELERATION_M_S2: f32 = 1e3;
 
 /// State of a safety trigger, a condition that stops or slows a robot: monitored or ignored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -54,11 +66,26 @@ pub struct Safety {
     pub distance: Switch,
     /// Minimum distance between the centres of two robots \[m\], for the limit of their approach.
     pub distance_min_m: f32,
-    /// Maximum speed of approach to a neighbour for each metre of distance beyond the minimum \[1/s\].
+    /// Maximum speed at which the point where the robot can stop approaches a neighbour, for each metre of distance
+    /// beyond the minimum \[1/s\]; twice that for a wall. Half a control period's inverse is the most that two robots
+    /// can share.
     pub distance_gain_per_s: f32,
     /// Maximum age of a neighbour's last known position \[s\]. An older position is ignored in keeping the minimum
     /// distance.
     pub distance_age_s: f64,
+    /// Longest time from a neighbour's measurement of itself to the arrival of its message \[s\], which the minimum
+    /// distance allows for in addition to the age since the arrival.
+    pub distance_delay_s: f32,
+    /// Whether a minimum distance to the walls of the arena (`walls_min_m`) is enforced.
+    pub walls: Switch,
+    /// Minimum distance of the robot's centre from a wall \[m\].
+    pub walls_min_m: f32,
+    /// Time constant of the first-order lag of a robot's velocity behind its commands \[s\], for the distance in which
+    /// it can stop.
+    pub lag_s: f32,
+    /// Largest acceleration of a robot along each axis of the world frame \[m/s^2\], for the distance in which it can
+    /// stop.
+    pub acceleration_m_s2: f32,
 }
 
 impl Default for Safety {
@@ -82,21 +109,47 @@ impl Safety {
             geofence_stop_m: 1.0,
             distance: Switch::On,
             distance_min_m: 0.4,
-            distance_gain_per_s: 1.0,
-            distance_age_s: 0.5,
+            distance_gain_per_s: 5.0,
+            distance_age_s: 1.0,
+            distance_delay_s: 0.1,
+            walls: Switch::On,
+            walls_min_m: 0.2,
+            lag_s: 0.5,
+            acceleration_m_s2: 1.0,
         }
     }
 
     /// Returns the settings for emulation, in which only the triggers of the experiments in the paper arXiv 2111.01777
-    /// are monitored. Age of the own state, late ticks, geofence and minimum distance are off.
+    /// are monitored. Age of the own state, late ticks, geofence, minimum distance and walls are off.
     pub const fn emulated() -> Safety {
         Safety {
             own_state: Switch::Off,
             late_tick: Switch::Off,
             geofence: Switch::Off,
             distance: Switch::Off,
+            walls: Switch::Off,
             ..Safety::deployed()
         }
+    }
+
+    /// Returns the settings for emulation with the safety filter: geofence, minimum distance and walls are on.
+    pub const fn filter() -> Safety {
+        Safety { geofence: Switch::On, distance: Switch::On, walls: Switch::On, ..Safety::emulated() }
+    }
+
+    /// Returns these settings for robots that follow their commands with the lag `lag_s` \[s\] and accelerate by
+    /// `acceleration_m_s2` \[m/s^2\] at the most, as far as their ranges go.
+    pub fn driving(self, lag_s: f32, acceleration_m_s2: f32) -> Safety {
+        let acceleration_m_s2 = acceleration_m_s2.clamp(LEAST_ACCELERATION_M_S2, MOST_ACCELERATION_M_S2);
+        Safety { lag_s: lag_s.clamp(0.0, MOST_LAG_S), acceleration_m_s2, ..self }
+    }
+
+    /// Returns these settings for a robot that is commanded by a point `own_m` \[m\] ahead of its centre, among others
+    /// whose points are `others_m` ahead at the most. Minimum distances between points are larger by that, so the hulls
+    /// keep theirs.
+    pub fn about_point(self, own_m: f32, others_m: f32) -> Safety {
+        let distance_min_m = self.distance_min_m + own_m + others_m;
+        Safety { distance_min_m, walls_min_m: self.walls_min_m + own_m, ..self }
     }
 
     /// Reads settings from TOML and checks them. Missing fields have their values for real hosts (`Safety::deployed`);
@@ -111,6 +164,7 @@ impl Safety {
     /// wrong field.
     pub fn check(&self) -> Result<(), ConfigError> {
         // The state server sends every 0.1 s, and eight messages in a row may be lost.
+        let (least, most) = (LEAST_ACCELERATION_M_S2, MOST_ACCELERATION_M_S2);
         let ranges = [
             ("own_state_s", self.own_state_s, 0.01, 1.0, "s"),
             ("late_tick_s", self.late_tick_s, 0.001, 1.0, "s"),
@@ -121,6 +175,10 @@ impl Safety {
             ("distance_min_m", self.distance_min_m.into(), 0.0, 2.0, "m"),
             ("distance_gain_per_s", self.distance_gain_per_s.into(), 0.5, 20.0, "1/s"),
             ("distance_age_s", self.distance_age_s, 0.01, 5.0, "s"),
+            ("distance_delay_s", self.distance_delay_s.into(), 0.0, 5.0, "s"),
+            ("walls_min_m", self.walls_min_m.into(), 0.0, 2.0, "m"),
+            ("lag_s", self.lag_s.into(), 0.0, MOST_LAG_S.into(), "s"),
+            ("acceleration_m_s2", self.acceleration_m_s2.into(), least.into(), most.into(), "m/s^2"),
         ];
         for (field, value, least, most, unit) in ranges {
             if !(least..=most).contains(&value) {

@@ -78,7 +78,7 @@ pub fn deployed(
     }
     let mut trial = Trial::new(deployment, scenario, tested.model.clone()).plant(&shared.plant);
     trial.physics = fitted.physics(trial.physics, None);
-    trial = trial.clamp(tested.handling.clamp);
+    trial = trial.clamp(tested.handling.clamp).safety(tested.handling.safety);
     (trial.handling, trial.range) = (tested.handling.messages, range);
     trial
 }
@@ -88,6 +88,7 @@ pub fn deployed(
 pub fn training(deployment: Deployment, scenario: Arc<dyn Scenario>, tested: &PolicyUnderTest) -> Trial {
     assert_eq!((deployment.stepping, deployment.placement), (Stepping::Lockstep, Placement::Exact));
     let mut trial = Trial::new(deployment, scenario, tested.model.clone()).clamp(Clamp::Training);
+    trial = trial.safety(tested.handling.safety);
     trial.handling = tested.handling.messages;
     trial
 }

@@ -1,8 +1,9 @@
-//! Handling of a deployed policy: how long messages are used, choice of actions, limit of commands. There are two
-//! presets.
+//! Handling of a deployed policy: how long messages are used, choice of actions, limit of commands, safety
+//! filter.
 
 use crate::hearing::Handling;
 use crate::policy::Draw;
+use crate::safety::Safety;
 use crate::world::Clamp;
 
 /// Handling of a deployed policy.
@@ -18,10 +19,12 @@ pub struct Preset {
     pub draw: Draw,
     /// Limit of commands in the deployed columns.
     pub clamp: Clamp,
+    /// Stops and limits of motion, whatever the policy's output.
+    pub safety: Safety,
 }
 
 /// All presets.
-pub const PRESETS: [Preset; 2] = [
+pub const PRESETS: [Preset; 4] = [
     Preset {
         name: "default",
         about: "a neighbour's newest message is held for the policy's own window (0.2 s if its file has none), \
@@ -30,6 +33,16 @@ pub const PRESETS: [Preset; 2] = [
         messages: Handling::Hold,
         draw: Draw::Mean,
         clamp: Clamp::Training,
+        safety: Safety::emulated(),
+    },
+    Preset {
+        name: "filtered",
+        about: "as 'default', with the safety filter between policy and motors: geofence, and least distances to \
+                neighbours and walls that allow for lag and age",
+        messages: Handling::Hold,
+        draw: Draw::Mean,
+        clamp: Clamp::Training,
+        safety: Safety::filter(),
     },
     Preset {
         name: "as-published",
@@ -38,6 +51,15 @@ pub const PRESETS: [Preset; 2] = [
         messages: Handling::AsPublished,
         draw: Draw::Sample,
         clamp: Clamp::Deployed,
+        safety: Safety::emulated(),
+    },
+    Preset {
+        name: "as-published-filtered",
+        about: "as 'as-published', with the safety filter of 'filtered'",
+        messages: Handling::AsPublished,
+        draw: Draw::Sample,
+        clamp: Clamp::Deployed,
+        safety: Safety::filter(),
     },
 ];
 

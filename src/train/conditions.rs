@@ -37,6 +37,9 @@ pub struct Episode {
     /// Limit on the acceleration of robots with deployed physics.
     #[serde(default)]
     pub clamp: Clamp,
+    /// Whether the safety filter limits the policy's velocities.
+    #[serde(default)]
+    pub filtered: bool,
 }
 
 /// Range of communication in an episode. Checkpoints contain the names of the variants.
@@ -78,6 +81,7 @@ impl Episode {
             episode.wall_radius_m = conditions.wall_radius_m;
             let wheels = happens(conditions.wheels, stream);
             episode.clamp = if wheels { Clamp::Training } else { Clamp::Deployed };
+            episode.filtered = happens(conditions.filtered, stream);
         }
         if happens(conditions.everyone, stream) {
             episode.connectivity = Connectivity::Everyone;

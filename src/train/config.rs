@@ -186,6 +186,9 @@ pub struct Conditions {
     /// controller.
     #[serde(default)]
     pub wheels: f32,
+    /// Probability, in deployed physics, that the safety filter of real robots limits the policy's velocities.
+    #[serde(default)]
+    pub filtered: f32,
 }
 
 /// A stage of the curriculum.

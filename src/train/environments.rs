@@ -21,6 +21,9 @@ use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
 use crate::random;
 use crate::random::Stream;
+use crate::safety::Safety;
+use crate::safety::filter::{self, Filter};
+use crate::safety::yielding::Yielding;
 use crate::scenario::{Scenario, Stage, TeamAfterStep};
 use crate::world::kinematic::{self, PERIOD};
 use crate::world::{Clamp, Physics, Wheels};
@@ -82,6 +85,8 @@ pub struct Environments {
     physics: Vec<Physics>,
     before: Vec<Vec2>,
     command: Vec<Vec2>,
+    /// Safety filters; `None` in episodes without them.
+    filters: Vec<Option<Filter>>,
     /// Rewards of the scenario in the last step.
     scenario_reward: Vec<f32>,
     reached: Vec<bool>,
@@ -115,6 +120,9 @@ pub struct Snapshot {
     /// Heading \[rad\] and yaw rate \[rad/s\] of each robot; empty for robots with the default chassis.
     #[serde(default)]
     turned: Vec<[f32; 2]>,
+    /// How long the safety filter of each robot has held it; empty in snapshots of older programs.
+    #[serde(default)]
+    yielding: Vec<Yielding>,
 }
 
 impl Environments {
@@ -163,6 +171,7 @@ impl Environments {
             scenarios: by_size,
             before: vec![Vec2::zeros(); robots],
             command: vec![Vec2::zeros(); robots],
+            filters: vec![None; robots],
             scenario_reward: vec![0.0; robots],
             reached: vec![false; robots],
         }
@@ -232,9 +241,10 @@ impl Environments {
     fn set_episode(&mut self, team: usize, layout: (u64, u32), tasks: &[Task], episode: Episode) {
         self.physics[team] = episode.physics(self.scenario(team).arena());
         let range = self.teams[team].range();
-        self.tasks[range].copy_from_slice(tasks);
-        let team = &mut self.teams[team];
-        (team.layout, team.episode) = (layout, episode);
+        self.tasks[range.clone()].copy_from_slice(tasks);
+        (self.teams[team].layout, self.teams[team].episode) = (layout, episode);
+        let filter = self.filter(team);
+        self.filters[range].fill(filter);
     }
 
     /// Whether a team has deployed physics, where a contact makes the episode fail but does not block the move.
@@ -250,7 +260,8 @@ impl Environments {
         for (robot, action) in range.clone().zip(&actions[range.clone()]) {
             let exact = self.teams[team].episode.lockstep || clamp == Clamp::Training;
             let measured = if exact { self.point(robot).velocity } else { self.estimate(team, robot).velocity };
-            self.command[robot] = clamp.limit(*action, measured, limit_m_s);
+            let wanted = clamp.limit(*action, measured, limit_m_s);
+            self.command[robot] = self.filtered(team, robot, wanted);
         }
         let scenario = &**self.scenarios[self.teams[team].robots].as_ref().expect("every team has a scenario");
         let mut world = kinematic::Team {
@@ -309,6 +320,36 @@ impl Environments {
         }
     }
 
+    /// Returns the velocity after the robot's safety filter, which knows what the robot itself knows.
+    fn filtered(&mut self, team: usize, robot: usize, wanted: Vec2) -> Vec2 {
+        let Some(mut filter) = self.filters[robot].take() else { return wanted };
+        let Team { first, step, episode, messages, .. } = &self.teams[team];
+        let filtered = if episode.lockstep {
+            let others = self.teams[team].range().filter(|other| *other != robot);
+            filter.apply(&self.point(robot), others.map(|other| (self.point(other), 0.0)), wanted)
+        } else {
+            filter.apply(&self.estimate(team, robot), messages.known(episode, *step, robot - first), wanted)
+        };
+        self.filters[robot] = Some(filter);
+        filtered.velocity
+    }
+
+    /// Returns the safety filter of the robots of a team, with the drives of its episode.
+    fn filter(&self, team: usize) -> Option<Filter> {
+        let Episode { filtered: true, clamp, .. } = self.teams[team].episode else { return None };
+        let (arena, physics) = (self.scenario(team).arena(), &self.physics[team]);
+        let ahead_m = self.rolling.as_ref().map_or(0.0, |rolling| rolling.wheels[0].chassis().point_ahead_m);
+        let safety = Safety::filter().driving(physics.lag_s, physics.acceleration_m_s2.min(physics.traction_m_s2));
+        Some(Filter::new(filter::Settings {
+            safety: safety.about_point(ahead_m, ahead_m),
+            half_extent: arena.half_extent.add_scalar(-ahead_m),
+            walls: arena.keep_outs.as_slice().into(),
+            limit_m_s: kinematic::MAX_SPEED_M_S,
+            clamp,
+            period: PERIOD,
+        }))
+    }
+
     /// Draws a noisy measurement of every robot of a team and stores it as the robot's estimate. A team whose robots
     /// act at the same time needs this only before a decision, any other team in every step.
     pub fn measure(&mut self, team: usize, stream: &mut Stream) {
@@ -357,6 +398,7 @@ impl Environments {
             arrived: self.arrived.clone(),
             to_go_m: self.to_go_m.clone(),
             turned: self.rolling.iter().flat_map(|r| &r.wheels).map(|w| [w.heading(), w.yaw_rate()]).collect(),
+            yielding: self.filters.iter().map(|f| f.as_ref().map(Filter::yielding).unwrap_or_default()).collect(),
         }
     }
 
@@ -392,6 +434,9 @@ impl Environments {
             let Team { layout, episode, .. } = self.teams[team].clone();
             let tasks = self.scenario(team).tasks(layout.0, layout.1);
             self.set_episode(team, layout, &tasks, episode);
+        }
+        for (filter, yielding) in self.filters.iter_mut().zip(snapshot.yielding) {
+            filter.iter_mut().for_each(|filter| filter.restore(yielding));
         }
         true
     }

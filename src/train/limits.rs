@@ -126,6 +126,7 @@ impl Conditions {
         within("conditions.edge_spread", self.edge_spread, 0.0, 1.0)?;
         within("conditions.everyone", self.everyone, 0.0, 1.0)?;
         within("conditions.wheels", self.wheels, 0.0, 1.0)?;
+        within("conditions.filtered", self.filtered, 0.0, 1.0)?;
         let ranges = [
             ("conditions.lag_s", self.lag_s, 10.0),
             ("conditions.delay_s", self.delay_s, 0.5),

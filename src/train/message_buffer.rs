@@ -63,6 +63,23 @@ impl MessageBuffer {
         Motion { position: Vec2::new(x, y), velocity: Vec2::new(vx, vy) }
     }
 
+    /// Returns the last known motions of the other robots, each with the time since its message arrived \[s\], at the
+    /// action of robot `receiver` in `step`. Messages arrive when they are received for a decision.
+    pub fn known<'a>(
+        &'a self,
+        episode: &'a Episode,
+        step: u32,
+        receiver: usize,
+    ) -> impl Iterator<Item = (Motion, f32)> + 'a {
+        (0..self.robots).filter_map(move |sender| {
+            let edge = receiver * self.robots + sender;
+            let sent = self.held[edge].filter(|sent| (step - sent) < self.history as u32)?;
+            let arrival_s = episode.phase_s[sender] + episode.edges[edge].0;
+            let age_s = (step - sent) as f32 * PERIOD.as_secs() as f32 + episode.phase_s[receiver] - arrival_s;
+            Some((self.estimate(sent, sender), age_s.max(0.0)))
+        })
+    }
+
     /// Draws the arrivals of messages at robot `receiver` up to the receiver's action in `step`. Then calls `each` with
     /// every message that the receiver uses, in the order of the senders. `radius_m` is the range of communication
     /// \[m\]. The newest message that may be used was sent `behind` steps before: 0 if messages are made from

@@ -24,6 +24,15 @@ const DEPLOYED_GAIN_PER_S: f32 = 4.0;
 const DEPLOYED_ACCELERATION_M_S2: f32 = 1.0;
 
 impl Clamp {
+    /// Returns the largest difference \[m/s\] of a command from the measured velocity along each axis; infinite if it
+    /// is not limited.
+    pub fn step_m_s(self) -> f32 {
+        match self {
+            Clamp::Training => f32::INFINITY,
+            Clamp::Deployed => DEPLOYED_ACCELERATION_M_S2 / DEPLOYED_GAIN_PER_S,
+        }
+    }
+
     /// Returns the velocity to command \[m/s\]. `wanted` is the policy's output \[m/s\] and `measured` the robot's
     /// measured velocity \[m/s\], in the same frame. `limit_m_s` is the largest speed along each axis \[m/s\].
     pub fn limit(self, wanted: Vec2, measured: Vec2, limit_m_s: f32) -> Vec2 {

@@ -7,6 +7,7 @@ mod devices;
 mod drives;
 mod estimators;
 mod faults;
+mod filter;
 mod gpsd;
 #[cfg(feature = "study")]
 mod growth;

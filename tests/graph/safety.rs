@@ -60,7 +60,7 @@ fn actor(role: Role, robot: u16, kind: ActorFaultKind, at: Time, lasts: Span) ->
 fn nothing_triggers_in_a_healthy_team() {
     for mode in MODES {
         let report = trial(mode, 3).run();
-        let stopped = SafetyCounts { fence: 0, distance: 0, ..report.totals.safety };
+        let stopped = SafetyCounts { fence: 0, distance: 0, walls: 0, ..report.totals.safety };
         assert_eq!(stopped, SafetyCounts::default(), "{mode}");
         assert_eq!(report.successes(), 3, "{mode}: {:?}", report.episodes);
     }
@@ -100,7 +100,8 @@ fn a_reading_that_is_repeated_for_ever_is_no_estimate() {
     };
     let mut cache = Cache::new(config, Seed::of_run(0).stream("cache"));
     let (safety, half_extent, clamp) = (Safety::deployed(), Vec2::new(2.0, 3.0), Clamp::Training);
-    let guard = guard::Config { safety, half_extent, limit_m_s: 1.5, clamp, period };
+    let walls = Arc::default();
+    let guard = guard::Config { safety, half_extent, walls, limit_m_s: 1.5, clamp, period };
     let mut controller = Controller::new(controller::Config { robot, guard, valid_for: ms(200), phase: Span::ZERO });
     let task = Task { start: Vec2::zeros(), goal: Vec2::x() };
     let (phase, tasks, latch) = (Phase::Running, [task].into(), Latch::default());

@@ -73,6 +73,7 @@ pub fn config(team: &Team, registry: &Registry) -> Result<Config> {
     let guard = guard::Config {
         safety: team.safety,
         half_extent: arena.half_extent,
+        walls: arena.keep_outs.as_slice().into(),
         limit_m_s: SPEED_M_S,
         clamp: team.simulated.clamp,
         period: PERIOD,

@@ -1,0 +1,108 @@
+//! Barriers: limits of the velocity of a robot's stopping point that keep it apart from neighbours and walls.
+//!
+//! This is the pairwise safety barrier certificate of Wang, Ames, Egerstedt (IEEE T-RO 2017), with the lag of the drives
+//! in place of their braking at the largest deceleration, and half-planes shared like the cells of Zhou et al. (IEEE
+//! RA-L 2017). If two robots with the same lag are commanded to stand, their offset moves along the straight line from
+//! that of their positions to that of their stopping points. While this line stays clear of the disc of the least
+//! distance, both can stop in time. Each robot may use its share of what room is left along the line's nearest point.
+
+use super::limits::{Limit, geofence};
+use super::stopping::Model;
+use crate::messages::geometry::{Motion, Vec2};
+use crate::scenario::KeepOut;
+
+/// Length below which an offset has no direction \[m\].
+const LEAST_M: f32 = 1e-6;
+
+/// Parameters of the barriers of one robot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Barrier {
+    /// Model of the robot, and of its neighbours.
+    pub model: Model,
+    /// Least distance between the positions of two robots \[m\].
+    pub distance_min_m: f32,
+    /// Least distance of the robot's position from a wall \[m\].
+    pub wall_min_m: f32,
+    /// Speed of the stopping point toward a neighbour for each metre that is left \[1/s\]; twice that toward a wall.
+    pub gain_per_s: f32,
+    /// Longest time from a neighbour's estimate to the arrival of the message with it \[s\].
+    pub delay_s: f32,
+}
+
+impl Barrier {
+    /// Returns the limits of the velocity of the stopping point, along both axes, that are due to the drive of a robot
+    /// with this `velocity` \[m/s\], and on which neighbours rely.
+    pub fn drive(&self, velocity: Vec2) -> [Limit; 4] {
+        let ((left, right), (down, up)) = (self.model.reach(velocity.x), self.model.reach(velocity.y));
+        [(-Vec2::x(), -left), (Vec2::x(), right), (-Vec2::y(), -down), (Vec2::y(), up)]
+            .map(|(along, most_m_s)| Limit { along, most_m_s })
+    }
+
+    /// Returns the limits of the velocity of the stopping point of robot `own` that a neighbour sets, of which `other` was
+    /// heard `age_s` \[s\] ago.
+    ///
+    /// The message took an unknown time to arrive, so there is one limit for none and one for the longest: beside a
+    /// neighbour at speed, a few centimetres along its way turn the direction to it.
+    pub fn neighbour(&self, own: &Motion, other: &Motion, age_s: f32) -> [Limit; 2] {
+        [age_s, age_s + self.delay_s].map(|known_s| self.neighbour_since(own, other, known_s))
+    }
+
+    /// Returns the limit of a neighbour that moved as `other` for `known_s` \[s\].
+    fn neighbour_since(&self, own: &Motion, other: &Motion, known_s: f32) -> Limit {
+        let position = other.position + other.velocity * known_s - own.position;
+        let stopping = position + self.model.travel(other.velocity) - self.model.travel(own.velocity);
+        let nearest = nearest_on(position, stopping, Vec2::zeros());
+        let direction = nearest.try_normalize(LEAST_M).or_else(|| position.try_normalize(LEAST_M));
+        // Coincident centres define no direction; any will do.
+        let along = direction.unwrap_or_else(Vec2::x);
+        // How much nearer than predicted the neighbour's stopping point may have come since its message.
+        let nearer = |n: f32, v: f32| {
+            let (low, high) = self.model.reach(v);
+            (n * (v - low)).max(n * (v - high))
+        };
+        let drift_m = known_s * (nearer(along.x, other.velocity.x) + nearer(along.y, other.velocity.y));
+        let room_m = along.dot(&stopping) - drift_m - self.distance_min_m;
+        Limit { along, most_m_s: self.gain_per_s * room_m.max(0.0) }
+    }
+
+    /// Returns the limit of the velocity of the stopping point of robot `own` that a solid block sets.
+    pub fn wall(&self, own: &Motion, block: &KeepOut) -> Limit {
+        let from = own.position;
+        let to = from + self.model.travel(own.velocity);
+        let (point, solid) = nearest_pair(from, to, block);
+        let centre = (block.min + block.max) * 0.5;
+        let along = (solid - point).try_normalize(LEAST_M).or_else(|| (centre - from).try_normalize(LEAST_M));
+        let along = along.unwrap_or_else(Vec2::x);
+        let room_m = along.dot(&(solid - to)) - self.wall_min_m;
+        Limit { along, most_m_s: 2.0 * self.gain_per_s * room_m.max(0.0) }
+    }
+
+    /// Returns the limits of the velocity of the stopping point of robot `own` that the edge of its ground sets, which is
+    /// `half_extent` \[m\] from the origin.
+    pub fn edge(&self, own: &Motion, half_extent: Vec2) -> [Limit; 4] {
+        geofence(half_extent, 0.5 / self.gain_per_s, own.position + self.model.travel(own.velocity))
+    }
+}
+
+/// Returns the point of the straight line between two points that is nearest to `to`.
+fn nearest_on(from: Vec2, until: Vec2, to: Vec2) -> Vec2 {
+    let way = until - from;
+    let square = way.norm_squared();
+    if square <= LEAST_M * LEAST_M {
+        return from;
+    }
+    from + way * ((to - from).dot(&way) / square).clamp(0.0, 1.0)
+}
+
+/// Returns the nearest points of a straight line and a block. If they intersect, both are one point of the block.
+fn nearest_pair(from: Vec2, until: Vec2, block: &KeepOut) -> (Vec2, Vec2) {
+    if block.blocks(from, until, 0.0) {
+        let inside = block.nearest(until);
+        return (inside, inside);
+    }
+    let corners = [block.min, Vec2::new(block.max.x, block.min.y), block.max, Vec2::new(block.min.x, block.max.y)];
+    let ends = [from, until].map(|end| (end, block.nearest(end)));
+    let others = corners.map(|corner| (nearest_on(from, until, corner), corner));
+    let length = |pair: &(Vec2, Vec2)| (pair.0 - pair.1).norm_squared();
+    ends.into_iter().chain(others).fold(ends[0], |best, pair| if length(&pair) < length(&best) { pair } else { best })
+}

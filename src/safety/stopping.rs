@@ -1,0 +1,108 @@
+//! Stopping point of a robot: where it comes to rest if it is commanded to stand from now on.
+//!
+//! The model of a velocity-commanded robot is a first-order lag with limited acceleration, each axis of the world frame
+//! by itself: `v' = clamp((u - v) / lag, ±a)`. Under the command zero the robot travels `lag v` if `|v| <= a lag`, and
+//! else `v^2 / 2a + a lag^2 / 2`. So the stopping point `q = p + travel(v)` is at rest while the command is zero, and
+//! moves at exactly the command while the acceleration is below its limit: a single integrator, whatever the lag.
+
+use crate::messages::geometry::Vec2;
+
+/// Model of how a robot's velocity follows its commands, along each axis of the world frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Model {
+    /// Time constant of the first-order lag from command to velocity \[s\], above zero.
+    lag_s: f32,
+    /// Largest acceleration along each axis \[m/s^2\].
+    acceleration_m_s2: f32,
+    /// Largest difference of a command from the velocity along each axis \[m/s\] that is not braking.
+    step_m_s: f32,
+}
+
+impl Model {
+    /// Makes the model of a robot with the time constant `lag_s` \[s\] and the acceleration `acceleration_m_s2`
+    /// \[m/s^2\]. Commands are held for `period_s` \[s\], so no lag is shorter. They differ from the velocity by
+    /// `step_m_s` \[m/s\] at most along each axis, unless they brake.
+    pub fn new(lag_s: f32, acceleration_m_s2: f32, period_s: f32, step_m_s: f32) -> Model {
+        let lag_s = lag_s.max(period_s);
+        Model { lag_s, acceleration_m_s2, step_m_s: step_m_s.min(acceleration_m_s2 * lag_s) }
+    }
+
+    /// Returns the way from a robot with this `velocity` \[m/s\] to its stopping point \[m\].
+    pub fn travel(&self, velocity: Vec2) -> Vec2 {
+        let Model { lag_s, acceleration_m_s2: most, .. } = *self;
+        velocity.map(|v| match v.abs() <= most * lag_s {
+            true => v * lag_s,
+            false => v.signum() * (v * v / (2.0 * most) + most * lag_s * lag_s / 2.0),
+        })
+    }
+
+    /// Returns the speed of the stopping point for each m/s between command and velocity.
+    fn ratio(&self, v: f32) -> f32 {
+        (v.abs() / (self.acceleration_m_s2 * self.lag_s)).max(1.0)
+    }
+
+    /// Returns the velocity of the stopping point \[m/s\] of a robot with this `velocity` that is given this `command`
+    /// \[m/s\].
+    pub fn advance(&self, velocity: Vec2, command: Vec2) -> Vec2 {
+        let most = self.acceleration_m_s2 * self.lag_s;
+        let axis = |v: f32, u: f32| v + (u - v).clamp(-most, most) * self.ratio(v);
+        Vec2::new(axis(velocity.x, command.x), axis(velocity.y, command.y))
+    }
+
+    /// Returns the command \[m/s\] that moves the stopping point of a robot with this `velocity` at `advance` \[m/s\]:
+    /// the inverse of the method `advance`.
+    pub fn command(&self, velocity: Vec2, advance: Vec2) -> Vec2 {
+        let axis = |v: f32, w: f32| v + (w - v) / self.ratio(v);
+        Vec2::new(axis(velocity.x, advance.x), axis(velocity.y, advance.y))
+    }
+
+    /// Returns the least and the largest velocity \[m/s\], along one axis, that the stopping point of a robot has in the
+    /// next moment if the robot moves at `v` \[m/s\] along the axis. Zero is between them.
+    pub fn reach(&self, v: f32) -> (f32, f32) {
+        let step = self.step_m_s * self.ratio(v);
+        (v.min(0.0) - step, v.max(0.0) + step)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One millisecond of the model.
+    fn moved(model: &Model, p: f32, v: f32, u: f32) -> (f32, f32) {
+        let most = model.acceleration_m_s2;
+        let v = v + ((u - v) / model.lag_s).clamp(-most, most) * 1e-3;
+        (p + v * 1e-3, v)
+    }
+
+    #[test]
+    fn a_robot_that_is_commanded_to_stand_comes_to_rest_at_its_stopping_point() {
+        for (lag_s, most) in [(0.5, 1.0), (0.5, 100.0), (0.05, 1.0), (1.0, 0.3)] {
+            let model = Model::new(lag_s, most, 0.05, 1.0);
+            for speed in [-1.5_f32, -0.4, 0.1, 0.6, 1.5] {
+                let end = model.travel(Vec2::new(speed, 0.0)).x;
+                let (p, v) = (0..9000).fold((0.0, speed), |(p, v), _| moved(&model, p, v, 0.0));
+                assert!((p - end).abs() < 5e-3 && v.abs() < 5e-3, "{lag_s} s, {speed} m/s: {p} m, {end} m");
+            }
+        }
+    }
+
+    #[test]
+    fn the_stopping_point_moves_as_predicted_and_a_command_is_found_from_that() {
+        for (lag_s, most) in [(0.5_f32, 1.0_f32), (0.5, 100.0), (0.05, 1.0)] {
+            let model = Model::new(lag_s, most, 0.05, 1.0);
+            for (v, u) in [(0.0, 0.3), (0.4, -0.2), (1.2, 1.4), (-1.2, 0.0), (1.2, 0.9)] {
+                let at = |p: f32, v: f32| p + model.travel(Vec2::new(v, 0.0)).x;
+                let (mut p, mut now) = (0.0, v);
+                (0..10).for_each(|_| (p, now) = moved(&model, p, now, u));
+                let speed = (at(p, now) - at(0.0, v)) / 0.01;
+                let predicted = model.advance(Vec2::new(v, 0.0), Vec2::new(u, 0.0)).x;
+                assert!((speed - predicted).abs() < 0.02 + 0.01 * predicted.abs(), "{speed}, {predicted}");
+                if (u - v).abs() < most * lag_s {
+                    let command = model.command(Vec2::new(v, 0.0), Vec2::new(predicted, 0.0)).x;
+                    assert!((command - u).abs() < 1e-5);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! Way out of deadlocks: a robot that its limits hold, although it wants to move, turns its aim aside.
+//!
+//! Filters of this kind only ever brake, so two robots that face each other, or one before a parked robot, stand for
+//! good. The turned velocity still passes all limits.
+
+use crate::messages::geometry::Vec2;
+
+/// Speed to which a robot has to aim to be held \[m/s\]; below it, it rests.
+const AIMS_M_S: f32 = 0.1;
+/// Share of the aimed speed below which a robot is held.
+const HELD: f32 = 0.2;
+/// Turn of the aim for each second in which the robot was held \[rad/s\].
+const TURN_RAD_S: f32 = 0.5;
+/// Largest turn of the aim \[rad\].
+const MOST_RAD: f32 = 1.57;
+/// Time for which a robot is held on one side before it tries the other \[s\].
+const SIDE_S: f32 = 8.0;
+/// Time by which a second in motion shortens the time held.
+const RELEASE: f32 = 2.0;
+/// Sine of the angle between aim and limited velocity above which a robot is held more on one side than on the other.
+const SKEW: f32 = 0.05;
+
+/// How long a robot has been held by its limits, and to which side it turns.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Yielding {
+    held_s: f32,
+    left: bool,
+}
+
+impl Yielding {
+    /// Returns the velocity `aim` \[m/s\], turned aside by how long the robot has been held.
+    pub fn turned(&self, aim: Vec2) -> Vec2 {
+        if self.held_s <= 0.0 {
+            return aim;
+        }
+        let angle = (self.held_s * TURN_RAD_S).min(MOST_RAD);
+        let (sin, cos) = libm::sincosf(if self.left { angle } else { -angle });
+        Vec2::new(cos * aim.x - sin * aim.y, sin * aim.x + cos * aim.y)
+    }
+
+    /// Records for a control period of `period_s` \[s\] that the robot aimed at the velocity `aim`, and got `limited`
+    /// \[m/s\].
+    ///
+    /// A robot turns to the side to which its limits let it slide; to the right if there is none, as two that meet do.
+    pub fn update(&mut self, aim: Vec2, limited: Vec2, period_s: f32) {
+        let square = aim.norm_squared();
+        if square < AIMS_M_S * AIMS_M_S || limited.norm_squared() > HELD * HELD * square {
+            self.held_s = (self.held_s - RELEASE * period_s).max(0.0);
+            return;
+        }
+        if self.held_s <= 0.0 {
+            self.left = aim.x * limited.y - aim.y * limited.x > SKEW * square;
+        }
+        self.held_s += period_s;
+        if self.held_s > SIDE_S {
+            *self = Yielding { held_s: period_s, left: !self.left };
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robot_that_is_held_turns_to_the_right_then_tries_the_left_and_is_released() {
+        let (mut yielding, aim) = (Yielding::default(), Vec2::new(0.5, 0.0));
+        assert_eq!(yielding.turned(aim), aim);
+        (0..80).for_each(|_| yielding.update(aim, Vec2::zeros(), 0.05));
+        assert!((yielding.turned(aim) - Vec2::new(0.0, -0.5)).norm() < 1e-3, "{yielding:?}");
+        (0..120).for_each(|_| yielding.update(aim, Vec2::zeros(), 0.05));
+        assert!(yielding.turned(aim).y > 0.3, "{yielding:?}");
+        (0..40).for_each(|_| yielding.update(aim, aim, 0.05));
+        assert_eq!(yielding.turned(aim), aim);
+        yielding.update(aim, Vec2::new(0.0, 0.05), 0.05);
+        assert!(yielding.turned(aim).y > 0.0, "it may slide to the left: {yielding:?}");
+        let mut resting = Yielding::default();
+        resting.update(Vec2::new(0.05, 0.0), Vec2::zeros(), 0.05);
+        assert_eq!(resting, Yielding::default());
+    }
+}
