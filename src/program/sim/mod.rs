@@ -1,24 +1,21 @@
 //! The command `murmurate sim`: runs episodes in one process under virtual time.
 
+mod trial;
+
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::actors::recorder::Steps;
-use crate::deploy::conditions::Conditions;
-use crate::deploy::{Deployment, Impair};
 use crate::hearing::Handling;
 use crate::policy::Draw;
 use crate::registry::Registry;
 use crate::report::comparison::Comparison;
 use crate::report::summary::{Run, Summary};
 use crate::safety::Safety;
-use crate::scenario::Settings;
-use crate::scenario::layout::Layouts;
 use crate::trial::{Trial, TrialReport};
-use crate::world::{Clamp, ContactRule, Overrides, Placement, Sensor};
+use crate::world::{Clamp, ContactRule, Placement, Sensor};
 use anyhow::{Context, Result};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args as _, FromArgMatches};
@@ -27,16 +24,14 @@ use serde::Serialize;
 use crate::program::BadInput;
 use crate::program::Ended;
 use crate::program::bad;
-use crate::program::conditions;
 use crate::program::deployment;
 use crate::program::deployment::ModeParser;
 use crate::program::drive;
 use crate::program::jobs;
-use crate::program::output::{print, read_text, talk};
+use crate::program::output::print;
 use crate::program::paths;
 use crate::program::picture;
 use crate::program::picture::Pictures;
-use crate::program::policy;
 use crate::program::progress::{progress, watched};
 use crate::program::recording::{RecordFlags, Recorded, Simulated};
 #[cfg(feature = "watch")]
@@ -196,7 +191,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         if args.policy.is_empty() { vec![None] } else { args.policy.iter().map(|policy| Some(&**policy)).collect() };
     // All policies are loaded first, so that errors show before the first trial runs.
     let trials: Vec<(Trial, String)> =
-        named.iter().map(|policy| trial(args, *policy, registry)).collect::<Result<_>>()?;
+        named.iter().map(|policy| trial::of_flags(args, *policy, registry)).collect::<Result<_>>()?;
     #[cfg(feature = "watch")]
     args.page.check(trials.len(), args.repeats)?;
     let pictures = Pictures::open(&args.pictures, args.episodes)?;
@@ -244,7 +239,7 @@ pub fn results_of(arguments: &[String], registry: &Registry, stop: &AtomicBool) 
     let ([] | [_]) = &args.policy[..] else { return bad("--policy: name one policy".to_owned()) };
     #[cfg(feature = "watch")]
     args.page.check(1, args.repeats)?;
-    let (trial, policy) = trial(&args, args.policy.first().map(|policy| &**policy), registry)?;
+    let (trial, policy) = trial::of_flags(&args, args.policy.first().map(|policy| &**policy), registry)?;
     let pictures = Pictures::open(&args.pictures, args.episodes)?;
     let mut paths = args.trajectories.as_deref().map(WholeFile::create).transpose()?;
     let trials = [(trial, policy)];
@@ -330,117 +325,6 @@ pub fn of_record(arguments: &[String], repeat: u32, registry: &Registry) -> Resu
     let command = Args::augment_args(clap::Command::new("sim"));
     let found = command.try_get_matches_from(arguments).map_err(wrong)?;
     let args = Args::from_arg_matches(&found).map_err(wrong)?;
-    let (trial, _) = trial(&args, args.policy.first().map(|policy| &**policy), registry)?;
+    let (trial, _) = trial::of_flags(&args, args.policy.first().map(|policy| &**policy), registry)?;
     Ok(Trial { repeat, ..trial })
-}
-
-/// Returns the conditions of the file that a flag names; none without one.
-fn given(args: &Args) -> Result<Conditions> {
-    Ok(args.conditions.as_deref().map(conditions::file).transpose()?.unwrap_or_default())
-}
-
-/// Returns the deployment with the delay, loss, range and radio that the flags set for its links.
-fn network(args: &Args, mut deployment: Deployment) -> Result<Deployment> {
-    if args.impair.is_some() && args.delay_ms == 0.0 && args.loss == 0.0 {
-        return bad("--impair: there is neither delay nor loss; add --delay-ms or --loss".to_owned());
-    }
-    for (flag, value, most) in [("--delay-ms", args.delay_ms, 60_000.0), ("--loss", args.loss, 1.0)] {
-        if !(0.0..=most).contains(&value) {
-            return bad(format!("{flag}: {value} is not 0 to {most}"));
-        }
-    }
-    if args.delay_ms > 0.0 || args.loss > 0.0 {
-        let impair = if args.impair.as_deref() == Some("all") { Impair::All } else { Impair::Latent };
-        let flag = if args.delay_ms > 0.0 { "--delay-ms" } else { "--loss" };
-        let given = |value: f64| Some(value).filter(|value| *value > 0.0);
-        deployment = deployment
-            .impaired(given(args.delay_ms / 1000.0), given(args.loss), impair)
-            .map_err(|e| BadInput(format!("{flag}: {e}")))?;
-    }
-    let fitted = given(args)?;
-    if args.delay_ms == 0.0 && args.loss == 0.0 && fitted.impair() {
-        deployment = fitted.links(deployment).map_err(|e| BadInput(format!("--conditions: {e}")))?;
-    }
-    if let Some(range_m) = args.link_range_m {
-        deployment = deployment.ranged(range_m).map_err(|e| BadInput(format!("--link-range-m: {e}")))?;
-    }
-    deployment::with_radio(deployment, &args.radio)
-}
-
-/// Returns the trial of a policy, of which all others are repeats, and the policy's name for reports.
-fn trial(args: &Args, policy: Option<&Path>, registry: &Registry) -> Result<(Trial, String)> {
-    let file = args.deployment.as_deref().map(conditions::deployment).transpose()?;
-    let robots = args.robots.or(file.as_ref().map(|deployment| deployment.robots));
-    let scenario = registry
-        .scenario(&args.scenario, &Settings { robots, gap_m: None })
-        .map_err(|e| BadInput(format!("--robots: {e}")))?;
-    let mut deployment = match file {
-        Some(file) if file.robots != scenario.robots() => {
-            return bad(format!("--robots: {} robots, but the deployment file has {}", scenario.robots(), file.robots));
-        }
-        Some(file) => file,
-        None => Deployment::preset(&args.mode, scenario.robots()).expect("the parser lets only modes through"),
-    };
-    deployment = network(args, deployment)?;
-    deployment.placement = args.placement.unwrap_or(deployment.placement);
-    if let Some(plant) = args.plant.clone().or(given(args)?.plant) {
-        deployment.plant = plant;
-    }
-    deployment.body = args.drive.over(&deployment.body)?;
-    deployment.check().map_err(|e| BadInput(format!("--drive: {e}")))?;
-    let loaded = policy::load(registry, policy, args.action, &*scenario)?;
-    let policy::Loaded { model, name: policy, warnings } = loaded.for_team(&deployment.team_chassis());
-    for warning in warnings.iter().filter(|_| !args.quiet) {
-        talk(&format!("warning: {warning}"));
-    }
-    let mut trial = Trial::with_registry(registry, deployment, Arc::clone(&scenario), model);
-    trial = trial.seed(args.seed).episodes(args.episodes);
-    trial.handling = args.handling;
-    trial.estimator = *registry.estimator(&args.estimator).expect("the flag takes names of the registry alone");
-    trial = physics(args, trial)?.clamp(args.clamp).safety(args.safety);
-    if let Some(path) = &args.episodes_file {
-        let text = read_text(path, "episodes file")?;
-        trial.layouts = Layouts::from_json(&text, &*scenario, args.episodes)
-            .map_err(|e| BadInput(format!("the episodes file '{}': {e}", path.display())))?;
-        if args.placement == Some(Placement::Drive) && !trial.layouts.chained() {
-            let reason = "its episodes do not start where those before them have ended";
-            return bad(format!("--placement drive: the episodes file '{}': {reason}", path.display()));
-        }
-    }
-    // Checked without and then with the faults, so that errors name the right file.
-    let place = match &args.deployment {
-        Some(path) => format!("the deployment file '{}'", path.display()),
-        None => format!("mode '{}'", args.mode),
-    };
-    trial.check().map_err(|e| BadInput(format!("{place}: {e}")))?;
-    trial.range = conditions::range(args.comm_range_m, args.comm_range_std_m, &trial)?;
-    if let Some(given) = &args.faults {
-        trial.faults = conditions::faults(given, &trial)?;
-        trial.check().map_err(|e| BadInput(format!("the fault plan '{given}': {e}")))?;
-    }
-    if args.trajectories.is_some() {
-        trial.steps = Steps::Reported;
-    }
-    Ok((trial, policy))
-}
-
-/// Returns the trial with the properties of simulated robots that the flags set.
-fn physics(args: &Args, mut trial: Trial) -> Result<Trial> {
-    if let Some(lag_s) = args.lag_s.filter(|lag_s| !(0.0..=10.0).contains(lag_s)) {
-        return bad(format!("--lag-s: {lag_s} is not 0 to 10"));
-    }
-    if let Some(radius_m) = args.wall_radius_m.filter(|radius_m| !(*radius_m > 0.0 && *radius_m <= 10.0)) {
-        return bad(format!("--wall-radius-m: {radius_m} is not above 0 and at most 10"));
-    }
-    let Args { lag_s, contacts, wall_radius_m, sensor, .. } = *args;
-    let overrides = Overrides { lag_s, contacts, wall_radius_m, sensor };
-    // An unknown plant in a file is reported later, with the file's other errors.
-    if let Ok(entry) = trial.registry.plant(&trial.deployment.plant) {
-        let flag = |field: &str| format!("--{}", field.replace('_', "-"));
-        trial.physics = overrides
-            .physics(entry, trial.scenario.arena())
-            .map_err(|error| BadInput(format!("{}: {error}", flag(error.field))))?;
-        trial.physics = given(args)?.physics(trial.physics, lag_s);
-    }
-    Ok(trial)
 }
