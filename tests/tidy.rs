@@ -244,7 +244,7 @@ fn nothing_asks_for_a_mode_or_a_link_by_name() {
                 "src/study/published.rs",
                 "src/study/network/growth.rs",
                 // Default of a flag.
-                "src/program/sim/",
+                "src/program/sim/mod.rs",
             ],
         ),
         (&["\"wires\"", "\"infra\"", "\"loopback\"", "\"ad-hoc\""], &[presets]),
