@@ -2,8 +2,8 @@
 //!
 //! This is the pairwise safety barrier certificate of Wang, Ames, Egerstedt (IEEE T-RO 2017), with the lag of the
 //! drives in place of their braking at the largest deceleration, and half-planes shared like the cells of Zhou et al.
-//! (IEEE RA-L 2017). If two robots with the same lag are commanded to stand, their offset moves along the straight line from
-//! that of their positions to that of their stopping points. While this line stays clear of the disc of the least
+//! (IEEE RA-L 2017). If two robots with the same lag are commanded to stand, their offset moves along the straight line
+//! from that of their positions to that of their stopping points. While this line stays clear of the disc of the least
 //! distance, both can stop in time. Each robot may use its share of what room is left along the line's nearest point.
 
 use super::limits::{Limit, geofence};
@@ -38,8 +38,8 @@ impl Barrier {
             .map(|(along, most_m_s)| Limit { along, most_m_s })
     }
 
-    /// Returns the limits of the velocity of the stopping point of robot `own` that a neighbour sets, of which `other` was
-    /// heard `age_s` \[s\] ago.
+    /// Returns the limits of the velocity of the stopping point of robot `own` that a neighbour sets, of which `other`
+    /// was heard `age_s` \[s\] ago.
     ///
     /// The message took an unknown time to arrive, so there is one limit for none and one for the longest: beside a
     /// neighbour at speed, a few centimetres along its way turn the direction to it.
@@ -77,8 +77,8 @@ impl Barrier {
         Limit { along, most_m_s: 2.0 * self.gain_per_s * room_m.max(0.0) }
     }
 
-    /// Returns the limits of the velocity of the stopping point of robot `own` that the edge of its ground sets, which is
-    /// `half_extent` \[m\] from the origin.
+    /// Returns the limits of the velocity of the stopping point of robot `own` that the edge of its ground sets, which
+    /// is `half_extent` \[m\] from the origin.
     pub fn edge(&self, own: &Motion, half_extent: Vec2) -> [Limit; 4] {
         geofence(half_extent, 0.5 / self.gain_per_s, own.position + self.model.travel(own.velocity))
     }
