@@ -245,8 +245,7 @@ impl Trial {
 
     /// Sets the stops and limits of motion, which know lag and acceleration of the simulated robots.
     pub fn safety(mut self, safety: Safety) -> Trial {
-        let Physics { lag_s, acceleration_m_s2, traction_m_s2, .. } = self.physics;
-        self.safety = safety.driving(lag_s, acceleration_m_s2.min(traction_m_s2));
+        self.safety = safety.simulated(&self.physics);
         self
     }
 

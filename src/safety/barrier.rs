@@ -1,9 +1,9 @@
 //! Barriers: limits of the velocity of a robot's stopping point that keep it apart from neighbours and walls.
 //!
-//! This is the pairwise safety barrier certificate of Wang, Ames, Egerstedt (IEEE T-RO 2017), with the lag of the drives
-//! in place of their braking at the largest deceleration, and half-planes shared like the cells of Zhou et al. (IEEE
-//! RA-L 2017). If two robots with the same lag are commanded to stand, their offset moves along the straight line from
-//! that of their positions to that of their stopping points. While this line stays clear of the disc of the least
+//! This is the pairwise safety barrier certificate of Wang, Ames, Egerstedt (IEEE T-RO 2017), with the lag of the
+//! drives in place of their braking at the largest deceleration, and half-planes shared like the cells of Zhou et al.
+//! (IEEE RA-L 2017). If two robots with the same lag are commanded to stand, their offset moves along the straight line
+//! from that of their positions to that of their stopping points. While this line stays clear of the disc of the least
 //! distance, both can stop in time. Each robot may use its share of what room is left along the line's nearest point.
 
 use super::limits::{Limit, geofence};
@@ -38,8 +38,8 @@ impl Barrier {
             .map(|(along, most_m_s)| Limit { along, most_m_s })
     }
 
-    /// Returns the limits of the velocity of the stopping point of robot `own` that a neighbour sets, of which `other` was
-    /// heard `age_s` \[s\] ago.
+    /// Returns the limits of the velocity of the stopping point of robot `own` that a neighbour sets, of which `other`
+    /// was heard `age_s` \[s\] ago.
     ///
     /// The message took an unknown time to arrive, so there is one limit for none and one for the longest: beside a
     /// neighbour at speed, a few centimetres along its way turn the direction to it.
@@ -77,8 +77,8 @@ impl Barrier {
         Limit { along, most_m_s: 2.0 * self.gain_per_s * room_m.max(0.0) }
     }
 
-    /// Returns the limits of the velocity of the stopping point of robot `own` that the edge of its ground sets, which is
-    /// `half_extent` \[m\] from the origin.
+    /// Returns the limits of the velocity of the stopping point of robot `own` that the edge of its ground sets, which
+    /// is `half_extent` \[m\] from the origin.
     pub fn edge(&self, own: &Motion, half_extent: Vec2) -> [Limit; 4] {
         geofence(half_extent, 0.5 / self.gain_per_s, own.position + self.model.travel(own.velocity))
     }
@@ -105,4 +105,49 @@ fn nearest_pair(from: Vec2, until: Vec2, block: &KeepOut) -> (Vec2, Vec2) {
     let others = corners.map(|corner| (nearest_on(from, until, corner), corner));
     let length = |pair: &(Vec2, Vec2)| (pair.0 - pair.1).norm_squared();
     ends.into_iter().chain(others).fold(ends[0], |best, pair| if length(&pair) < length(&best) { pair } else { best })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn barrier() -> Barrier {
+        let model = Model::new(0.5, 100.0, 0.05, 0.25);
+        Barrier { model, distance_min_m: 0.4, wall_min_m: 0.2, gain_per_s: 5.0, delay_s: 0.0 }
+    }
+
+    fn motion(x: f32, vx: f32) -> Motion {
+        Motion { position: Vec2::new(x, 0.0), velocity: Vec2::new(vx, 0.0) }
+    }
+
+    #[test]
+    fn what_is_left_counts_from_where_both_can_stop() {
+        let most = |own: Motion, other: Motion, age_s: f32| barrier().neighbour(&own, &other, age_s)[0].most_m_s;
+        assert!((most(motion(0.0, 0.0), motion(1.0, 0.0), 0.0) - 3.0).abs() < 1e-5);
+        assert!((most(motion(0.0, 0.4), motion(1.0, 0.0), 0.0) - 2.0).abs() < 1e-5, "it stops after 0.2 m");
+        assert!((most(motion(0.0, 0.4), motion(1.0, -0.4), 0.0) - 1.0).abs() < 1e-5, "and so does the other");
+        assert!((most(motion(0.0, 0.4), motion(0.5, 0.4), 0.0) - 0.5).abs() < 1e-5, "one behind the other");
+        assert!((most(motion(0.0, 0.0), motion(1.0, 0.0), 0.4) - 2.5).abs() < 1e-5, "it may have started since");
+        assert_eq!(most(motion(0.0, 0.0), motion(0.3, 0.0), 0.0), 0.0);
+    }
+
+    #[test]
+    fn robots_that_pass_each_other_are_limited_where_they_are_nearest() {
+        let own = Motion { position: Vec2::zeros(), velocity: Vec2::new(1.0, 0.0) };
+        let other = Motion { position: Vec2::new(0.5, 0.6), velocity: Vec2::new(-1.0, 0.0) };
+        let limit = barrier().neighbour(&own, &other, 0.0)[0];
+        assert!((limit.along - Vec2::y()).norm() < 1e-5 && (limit.most_m_s - 1.0).abs() < 1e-5, "{limit:?}");
+    }
+
+    #[test]
+    fn a_wall_is_met_at_its_nearest_point() {
+        let block = KeepOut { min: Vec2::new(0.5, -0.15), max: Vec2::new(2.0, 0.15) };
+        let limit = barrier().wall(&motion(0.0, 0.2), &block);
+        assert!((limit.along - Vec2::x()).norm() < 1e-6 && (limit.most_m_s - 2.0).abs() < 1e-4, "{limit:?}");
+        let past = Motion { position: Vec2::new(0.2, -0.45), velocity: Vec2::new(0.0, 0.1) };
+        let corner = barrier().wall(&past, &block).along;
+        assert!(corner.x > 0.7 && corner.y > 0.6, "{corner}");
+        let through = Motion { position: Vec2::new(0.4, 0.0), velocity: Vec2::new(1.0, 0.0) };
+        assert_eq!(barrier().wall(&through, &block).most_m_s, 0.0);
+    }
 }

@@ -61,8 +61,8 @@ impl Limits {
     /// Returns the velocity nearest to `wanted` \[m/s\], world frame, that satisfies all limits; `wanted` itself if it
     /// does.
     ///
-    /// This is the incremental quadratic program in two dimensions, as in ORCA (van den Berg et al., 2011, section 5.3):
-    /// if the solution so far violates the next limit, the new one is on its boundary.
+    /// This is the incremental quadratic program in two dimensions, as in ORCA (van den Berg et al., 2011, section
+    /// 5.3): if the solution so far violates the next limit, the new one is on its boundary.
     pub fn nearest(&self, wanted: Vec2) -> Vec2 {
         if self.full {
             return Vec2::zeros();

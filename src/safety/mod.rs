@@ -19,12 +19,16 @@ pub mod yielding;
 use serde::{Deserialize, Serialize};
 
 use crate::config::{self, ConfigError};
+use crate::world::Physics;
 
 /// Largest lag of a robot's drive in the settings \[s\].
 const MOST_LAG_S: f32 = 5.0;
 /// Smallest and largest acceleration of a robot in the settings \[m/s^2\].
 const LEAST_ACCELERATION_M_S2: f32 = 0.05;
 const MOST_ACCELERATION_M_S2: f32 = 1e3;
+
+/// Least distance of simulated robots to walls beyond that of a contact \[m\].
+const WALL_MARGIN_M: f32 = 0.02;
 
 /// State of a safety trigger, a condition that stops or slows a robot: monitored or ignored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -142,6 +146,13 @@ impl Safety {
     pub fn driving(self, lag_s: f32, acceleration_m_s2: f32) -> Safety {
         let acceleration_m_s2 = acceleration_m_s2.clamp(LEAST_ACCELERATION_M_S2, MOST_ACCELERATION_M_S2);
         Safety { lag_s: lag_s.clamp(0.0, MOST_LAG_S), acceleration_m_s2, ..self }
+    }
+
+    /// Returns these settings for simulated robots with these properties: their drives, and a distance to walls beyond
+    /// that of a contact.
+    pub fn simulated(self, physics: &Physics) -> Safety {
+        let safety = self.driving(physics.lag_s, physics.acceleration_m_s2.min(physics.traction_m_s2));
+        Safety { walls_min_m: self.walls_min_m.max(physics.wall_radius_m + WALL_MARGIN_M), ..safety }
     }
 
     /// Returns these settings for a robot that is commanded by a point `own_m` \[m\] ahead of its centre, among others

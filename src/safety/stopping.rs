@@ -56,8 +56,8 @@ impl Model {
         Vec2::new(axis(velocity.x, advance.x), axis(velocity.y, advance.y))
     }
 
-    /// Returns the least and the largest velocity \[m/s\], along one axis, that the stopping point of a robot has in the
-    /// next moment if the robot moves at `v` \[m/s\] along the axis. Zero is between them.
+    /// Returns the least and the largest velocity \[m/s\], along one axis, that the stopping point of a robot has in
+    /// the next moment if the robot moves at `v` \[m/s\] along the axis. Zero is between them.
     pub fn reach(&self, v: f32) -> (f32, f32) {
         let step = self.step_m_s * self.ratio(v);
         (v.min(0.0) - step, v.max(0.0) + step)

@@ -14,19 +14,20 @@ use serde::{Deserialize, Serialize};
 
 use super::conditions::Episode;
 use super::config::{Conditions, Reward};
+use super::filters;
 use super::message_buffer::MessageBuffer;
 use super::reward::{RobotStep, proximity_penalty, robot_reward};
+use super::rolling::Rolling;
 use crate::chassis::{Chassis, DriveKind};
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
 use crate::random;
 use crate::random::Stream;
-use crate::safety::Safety;
-use crate::safety::filter::{self, Filter};
+use crate::safety::filter::Filter;
 use crate::safety::yielding::Yielding;
 use crate::scenario::{Scenario, Stage, TeamAfterStep};
 use crate::world::kinematic::{self, PERIOD};
-use crate::world::{Clamp, Physics, Wheels};
+use crate::world::{Clamp, Physics};
 
 /// A team and the state of its episode.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -90,22 +91,6 @@ pub struct Environments {
     /// Rewards of the scenario in the last step.
     scenario_reward: Vec<f32>,
     reached: Vec<bool>,
-}
-
-/// Wheels of robots, and true motions of the points that the policy commands, one entry per robot.
-#[derive(Clone, Debug)]
-struct Rolling {
-    wheels: Vec<Wheels>,
-    position: Vec<Vec2>,
-    velocity: Vec<Vec2>,
-}
-
-impl Rolling {
-    /// Updates the commanded point of a robot from the motion of its centre.
-    fn update(&mut self, robot: usize, centre: &Motion) {
-        let point = self.wheels[robot].point(centre);
-        (self.position[robot], self.velocity[robot]) = (point.position, point.velocity);
-    }
 }
 
 /// State of environments, from which they continue exactly.
@@ -179,12 +164,7 @@ impl Environments {
 
     /// Returns the environments with this chassis for all robots. All episodes must be started afterwards.
     pub fn equipped(mut self, chassis: &Chassis) -> Environments {
-        let zeros = vec![Vec2::zeros(); self.position.len()];
-        self.rolling = (*chassis != Chassis::default()).then(|| Rolling {
-            wheels: vec![Wheels::new(*chassis, 0.0); zeros.len()],
-            position: zeros.clone(),
-            velocity: zeros,
-        });
+        self.rolling = Rolling::new(chassis, self.position.len());
         self
     }
 
@@ -243,7 +223,9 @@ impl Environments {
         let range = self.teams[team].range();
         self.tasks[range.clone()].copy_from_slice(tasks);
         (self.teams[team].layout, self.teams[team].episode) = (layout, episode);
-        let filter = self.filter(team);
+        let ahead_m = self.rolling.as_ref().map_or(0.0, Rolling::ahead_m);
+        let (episode, arena) = (&self.teams[team].episode, self.scenario(team).arena());
+        let filter = filters::filter(episode, arena, &self.physics[team], ahead_m);
         self.filters[range].fill(filter);
     }
 
@@ -334,22 +316,6 @@ impl Environments {
         filtered.velocity
     }
 
-    /// Returns the safety filter of the robots of a team, with the drives of its episode.
-    fn filter(&self, team: usize) -> Option<Filter> {
-        let Episode { filtered: true, clamp, .. } = self.teams[team].episode else { return None };
-        let (arena, physics) = (self.scenario(team).arena(), &self.physics[team]);
-        let ahead_m = self.rolling.as_ref().map_or(0.0, |rolling| rolling.wheels[0].chassis().point_ahead_m);
-        let safety = Safety::filter().driving(physics.lag_s, physics.acceleration_m_s2.min(physics.traction_m_s2));
-        Some(Filter::new(filter::Settings {
-            safety: safety.about_point(ahead_m, ahead_m),
-            half_extent: arena.half_extent.add_scalar(-ahead_m),
-            walls: arena.keep_outs.as_slice().into(),
-            limit_m_s: kinematic::MAX_SPEED_M_S,
-            clamp,
-            period: PERIOD,
-        }))
-    }
-
     /// Draws a noisy measurement of every robot of a team and stores it as the robot's estimate. A team whose robots
     /// act at the same time needs this only before a decision, any other team in every step.
     pub fn measure(&mut self, team: usize, stream: &mut Stream) {
@@ -398,7 +364,7 @@ impl Environments {
             arrived: self.arrived.clone(),
             to_go_m: self.to_go_m.clone(),
             turned: self.rolling.iter().flat_map(|r| &r.wheels).map(|w| [w.heading(), w.yaw_rate()]).collect(),
-            yielding: self.filters.iter().map(|f| f.as_ref().map(Filter::yielding).unwrap_or_default()).collect(),
+            yielding: filters::yielding(&self.filters),
         }
     }
 
@@ -435,9 +401,7 @@ impl Environments {
             let tasks = self.scenario(team).tasks(layout.0, layout.1);
             self.set_episode(team, layout, &tasks, episode);
         }
-        for (filter, yielding) in self.filters.iter_mut().zip(snapshot.yielding) {
-            filter.iter_mut().for_each(|filter| filter.restore(yielding));
-        }
+        filters::restore(&mut self.filters, &snapshot.yielding);
         true
     }
 }

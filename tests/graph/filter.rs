@@ -170,7 +170,7 @@ impl Bench {
                 decision => panic!("{decision:?}"),
             };
         }
-        self.now = self.now + PERIOD;
+        self.now += PERIOD;
         for receiver in 0..robots {
             for sender in (0..robots).filter(|sender| *sender != receiver) {
                 // All are heard at the start.

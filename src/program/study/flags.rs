@@ -32,7 +32,8 @@ pub struct Shared {
     #[arg(long = "policy", value_name = "NAME|FILE[@HANDLING]")]
     policies: Vec<String>,
     /// Handling of policies: 'default' (newest message held, mean actions) or 'as-published' (buffer cleared every
-    /// step, sampled actions), each also with the safety filter ('filtered', 'as-published-filtered'); may be given several times, for every policy without one of its own [default: default]
+    /// step, sampled actions), each also with the safety filter ('filtered', 'as-published-filtered'); may be given
+    /// several times, for every policy without one of its own [default: default]
     #[arg(long = "handling", value_parser = PossibleValuesParser::new(handling::PRESETS.iter().map(|p| p.name)))]
     handlings: Vec<String>,
     /// Task of the team
