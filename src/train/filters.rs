@@ -58,7 +58,7 @@ mod tests {
         for step in 0..200 {
             let mut messages = std::mem::take(&mut environments.teams[0].messages);
             for receiver in 0..5 {
-                messages.receive(&episode, 2.0, step, receiver, &mut stream, |_, _| {});
+                messages.receive((&episode, 2.0), (step, 0), receiver, &mut stream, |_, _| {});
             }
             environments.teams[0].messages = messages;
             let at = environments.position.clone();
