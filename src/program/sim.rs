@@ -181,7 +181,7 @@ impl Args {
     }
 }
 
-/// Returns the parser of a flag that takes one of these names.
+/// Returns the parser of a flag whose value is one of the names in `all`, with the value beside the name.
 fn choice<T: Copy + Send + Sync + 'static, const N: usize>(
     all: [(&'static str, T); N],
 ) -> impl TypedValueParser<Value = T> {
@@ -235,8 +235,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
 }
 
-/// Runs `sim` with these arguments, without the program's name, and returns its results as JSON. Prints no progress and
-/// no table. Ends early once `stop` is set.
+/// Runs `murmurate sim` with these arguments, without the program's name, and returns its results as JSON. Prints no
+/// progress and no table. Ends early once `stop` is set.
 pub fn results_of(arguments: &[String], registry: &Registry, stop: &AtomicBool) -> Result<String> {
     let words = ["sim", "--quiet", "--json"].into_iter().map(str::to_owned).chain(arguments.iter().cloned());
     let found = Args::augment_args(clap::Command::new("sim")).try_get_matches_from(words);
@@ -313,7 +313,7 @@ fn run_all(
     Ok(reports.into_iter().map(|(_, report)| report).collect())
 }
 
-/// Prepares the records of the repeats; `None` if nothing is recorded.
+/// Prepares the records of all repeats of a trial; `None` if the flag `--record` is not given.
 fn records(args: &Args, trials: &[(Trial, String)]) -> Result<Option<Simulated>> {
     let [(trial, _), ..] = trials else { return Ok(None) };
     let repeats = (0..args.repeats()).map(|repeat| Recorded::repeat(&Trial { repeat, ..trial.clone() }).name);
@@ -324,7 +324,7 @@ fn records(args: &Args, trials: &[(Trial, String)]) -> Result<Option<Simulated>>
     Simulated::open(&args.record, files, repeats)
 }
 
-/// Returns the trial of a record, from the arguments of the command that made it.
+/// Returns the trial of which a record was made, from the recorded arguments of `sim` and the index of its repeat.
 pub fn of_record(arguments: &[String], repeat: u32, registry: &Registry) -> Result<Trial> {
     let wrong = |error: clap::Error| BadInput(format!("the record's arguments are not understood: {error}"));
     let command = Args::augment_args(clap::Command::new("sim"));
@@ -334,7 +334,7 @@ pub fn of_record(arguments: &[String], repeat: u32, registry: &Registry) -> Resu
     Ok(Trial { repeat, ..trial })
 }
 
-/// Returns the conditions of the file that a flag names; none without one.
+/// Returns the conditions in the file of `--conditions`; without the flag, conditions that change nothing.
 fn given(args: &Args) -> Result<Conditions> {
     Ok(args.conditions.as_deref().map(conditions::file).transpose()?.unwrap_or_default())
 }
@@ -367,7 +367,7 @@ fn network(args: &Args, mut deployment: Deployment) -> Result<Deployment> {
     deployment::with_radio(deployment, &args.radio)
 }
 
-/// Returns the trial of a policy, of which all others are repeats, and the policy's name for reports.
+/// Returns the trial of a policy that the flags define, as repeat 0, and the policy's name for reports.
 fn trial(args: &Args, policy: Option<&Path>, registry: &Registry) -> Result<(Trial, String)> {
     let file = args.deployment.as_deref().map(conditions::deployment).transpose()?;
     let robots = args.robots.or(file.as_ref().map(|deployment| deployment.robots));
@@ -424,7 +424,7 @@ fn trial(args: &Args, policy: Option<&Path>, registry: &Registry) -> Result<(Tri
     Ok((trial, policy))
 }
 
-/// Returns the trial with the properties of simulated robots that the flags set.
+/// Returns the trial with the plant's lag, contacts, wall radius and sensor that the flags set.
 fn physics(args: &Args, mut trial: Trial) -> Result<Trial> {
     if let Some(lag_s) = args.lag_s.filter(|lag_s| !(0.0..=10.0).contains(lag_s)) {
         return bad(format!("--lag-s: {lag_s} is not 0 to 10"));
