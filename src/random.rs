@@ -4,7 +4,7 @@
 //! another. No generator is seeded from the machine. No distribution calls the platform's mathematical library, so a
 //! stream gives the same numbers on every machine.
 
-/// Traits with the methods that draw numbers from a [`Stream`].
+/// Traits of the crate `rand` with the methods that draw numbers from a [`Stream`].
 pub use rand::{Rng, RngExt};
 
 use hmac_sha256::Hash;

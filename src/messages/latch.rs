@@ -164,7 +164,8 @@ impl LatchFollower {
     }
 }
 
-/// Largest number that is accepted where this one is known.
+/// Returns the largest number of a received latch (the count of changes of the emergency stop) that is accepted if the
+/// newest known number is `known`. A larger number is taken for corrupted or forged.
 fn ceiling(known: u64) -> u64 {
     known.max(CREDIBLE) + JUMP
 }

@@ -9,9 +9,10 @@ pub fn threads(asked: Option<u16>, pieces: usize) -> usize {
 }
 
 #[cfg(feature = "study")]
-/// Runs the jobs with the indices `open`, until all are done or `stop` is set, and adds their results to those that are
-/// `found`. Returns the results by job; `None` for a job that was not run or gave no result. The first error stops all
-/// jobs.
+/// Completes a list of jobs of which some have results already. `found` has one entry per job: its result, or `None`;
+/// `open` lists the indices of the jobs to run. Runs these with `work` on up to `asked` threads, until all are done or
+/// `stop` is set, and returns the list with their results; `None` for a job that was not run or gave no result. The
+/// first error stops all jobs and is returned.
 pub fn finish<T: Send>(
     (mut found, open): (Vec<Option<T>>, Vec<usize>),
     asked: Option<u16>,
@@ -26,8 +27,8 @@ pub fn finish<T: Send>(
     Ok(found)
 }
 
-/// Runs each of `pieces` jobs once, until all are done or `stop` is set. Returns index and result of each finished job,
-/// by index.
+/// Runs the jobs `0..pieces` once each, on `threads` threads, until all are done or `stop` is set: job `i` is the call
+/// `work(i)`. Returns index and result of each finished job, by index.
 pub fn run<T: Send>(
     pieces: usize,
     threads: usize,

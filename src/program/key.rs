@@ -108,8 +108,8 @@ pub fn read(path: &Path) -> Result<[u8; BYTES]> {
     Ok(key)
 }
 
-/// Whether `user` accepts a key file that `owner` owns: its own or root's. So root accepts no key that another user
-/// could replace.
+/// Whether a process of the user id `user` may use a key file that the user id `owner` owns: only if the owner is that
+/// user or root. So a process of root uses no key that another user could replace.
 fn may_own(owner: u32, user: u32) -> bool {
     owner == user || owner == 0
 }

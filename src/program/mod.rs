@@ -152,22 +152,23 @@ impl Command {
     }
 }
 
-/// End of a command that did not fail.
+/// How a command ended that did not fail. It sets the exit code: 0, 1 or 130.
 pub enum Ended {
     /// Done as requested.
     Done,
-    /// Done as requested, and a check has failed; the output says which.
+    /// Done as requested, and a check of the command has failed, such as one of `doctor`; the output says which. Exit
+    /// code 1.
     Unfit,
     /// Interrupted by Ctrl-C; the results until then were printed.
     Interrupted,
 }
 
-/// Error: a flag or a file is wrong, and nothing was run.
+/// Error of a command: a flag or a file is wrong, and nothing was run. The text says which. Exit code 2.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct BadInput(pub String);
 
-/// Returns the error about a wrong flag or file.
+/// Returns [`BadInput`] with this text as an error.
 fn bad<T>(why: String) -> anyhow::Result<T> {
     Err(BadInput(why).into())
 }
@@ -196,8 +197,8 @@ fn log(wanted: &str, notes: bool) -> Result<(), String> {
     Ok(())
 }
 
-/// Runs `sim` with these arguments, without the program's name, and returns its results as JSON. Prints nothing. Ends
-/// early once `stop` is set. An error about a wrong flag or file is a `BadInput`.
+/// Runs `murmurate sim` with these arguments, without the program's name, and returns its results as JSON. Prints
+/// nothing. Ends early once `stop` is set. An error about a wrong flag or file is a `BadInput`.
 #[cfg(feature = "sim")]
 pub fn sim_results(arguments: &[String], registry: &Registry, stop: &AtomicBool) -> anyhow::Result<String> {
     sim::results_of(arguments, registry, stop)
@@ -266,7 +267,8 @@ fn run_command(registry: &Registry, arguments: &[OsString]) -> ExitCode {
     status
 }
 
-/// Returns all commands and flags, with the names of the registry's entries.
+/// Returns the definition of the command line: all commands and flags, with the names of the registry's entries as
+/// values.
 fn command(registry: &Registry) -> clap::Command {
     names::add(Cli::command(), registry)
 }
@@ -324,13 +326,14 @@ fn exit_code(ended: anyhow::Result<Ended>) -> ExitCode {
     }
 }
 
-/// Returns the name of the running program. A program of another crate has its own name.
+/// Returns the file name of the running program: `murmurate`, or that of another crate's program that uses this one.
 fn own_name() -> String {
     let path = std::env::args_os().next().map(std::path::PathBuf::from);
     path.and_then(|path| Some(path.file_name()?.to_str()?.to_owned())).unwrap_or_else(|| "murmurate".to_owned())
 }
 
-/// Prints help and version as they are, and errors of the command line as one line.
+/// Handles an error of the command-line parser: prints help and version as they are, and other errors as one line.
+/// Returns the exit code.
 fn refuse(error: &clap::Error) -> ExitCode {
     if !error.use_stderr() {
         // Help was requested, so it is output; a pipe closed by its reader is not an error.

@@ -1,11 +1,13 @@
-//! Names of the registry's entries in the values and help texts of flags.
+//! Adds the names of the registry's entries (policies, scenarios, estimators, plants) to the values and help texts of
+//! flags.
 
 use clap::builder::{PossibleValue, PossibleValuesParser};
 use clap::{Arg, Command};
 
 use crate::registry::Registry;
 
-/// Adds the registry's names to the permitted values and help texts of flags, in a command and its subcommands.
+/// Returns a command to whose flags, and those of its subcommands, the names of the registry's entries are added: as
+/// permitted values, or in the help text.
 pub fn add(command: Command, registry: &Registry) -> Command {
     command.mut_args(|arg| named(arg, registry)).mut_subcommands(|below| add(below, registry))
 }

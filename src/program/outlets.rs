@@ -20,10 +20,10 @@ use crate::program::background_writer::{BackgroundWriter, Target};
 use crate::program::output::{FLUSH_TIMEOUT, log_lines_dropped};
 use crate::program::paths::Paths;
 
-/// Outputs of a running host.
+/// Outputs of a running host: stdout, the trajectories file, and the service manager. Writing never waits.
 pub struct Outlets {
     stdout: BackgroundWriter,
-    /// Whether stdout carries events as JSON.
+    /// Whether events are printed on stdout, as JSON lines.
     json: bool,
     trajectories: Option<(BackgroundWriter, RefCell<Rows>)>,
     service: Option<BackgroundWriter>,
@@ -32,7 +32,8 @@ pub struct Outlets {
 }
 
 impl Outlets {
-    /// Opens all outputs of a host. Does not wait for the reader of a trajectory pipe.
+    /// Opens all outputs of a host: stdout, `trajectories` if a path is given, and the service manager's socket if
+    /// there is one. `json` turns on events on stdout. Does not wait for the reader of a trajectory pipe.
     pub fn open(json: bool, trajectories: Option<&Path>) -> Result<Outlets> {
         let thread = "cannot start a thread to write";
         let stdout = Target::copy_of(io::stdout()).context("stdout is not open")?;
@@ -55,7 +56,7 @@ impl Outlets {
         Ok(Outlets { stdout, json, trajectories, service, events: Cell::new(0), steps: Cell::new(0) })
     }
 
-    /// Prints an event, if the flag `--json` is given.
+    /// Prints an event as a JSON line on stdout, if the flag `--json` is given; otherwise does nothing.
     pub fn print_event(&self, event: &HostEvent) {
         if self.json && !self.stdout.push((event.to_line() + "\n").into_bytes()) {
             self.events.set(self.events.get() + 1);
@@ -67,7 +68,7 @@ impl Outlets {
         self.stdout.push(format!("{table}\n").into_bytes());
     }
 
-    /// Writes a step of the World, if the flag `--trajectories` is given.
+    /// Writes a step of the simulated World to the trajectories file, if the flag `--trajectories` is given.
     pub fn step(&self, step: &Step) {
         let Some((writer, rows)) = &self.trajectories else { return };
         if !writer.push(rows.borrow_mut().of(step)) {
@@ -78,7 +79,7 @@ impl Outlets {
         }
     }
 
-    /// Sends a notification to the service manager, if there is one.
+    /// Sends a notification (`sd_notify`) to the service manager, if it has started this process.
     pub fn notify(&self, state: &NotifyState<'_>) {
         if let Some(writer) = &self.service {
             // A notification that does not fit is dropped. Those for the watchdog are repeated.
@@ -86,7 +87,7 @@ impl Outlets {
         }
     }
 
-    /// Returns the counts of dropped output so far.
+    /// Returns the counts of log lines, events and steps dropped so far, because they could not be written in time.
     pub fn unwritten(&self) -> Unwritten {
         Unwritten {
             log_lines: log_lines_dropped(),
@@ -102,7 +103,8 @@ impl Outlets {
         self.stdout.failure().map(|error| anyhow!("cannot write to stdout: {error}"))
     }
 
-    /// Waits a limited time for queued output, logs the counts of dropped output, and returns the first write error.
+    /// Waits for queued output, at most `FLUSH_TIMEOUT` for each writer, logs the counts of dropped output, and returns
+    /// the first write error.
     pub fn close(&self) -> Result<()> {
         let others = self.trajectories.iter().map(|(writer, _)| writer).chain(&self.service);
         let writers: Vec<&BackgroundWriter> = std::iter::once(&self.stdout).chain(others).collect();
@@ -124,13 +126,13 @@ impl Outlets {
     }
 }
 
-/// CSV rows of trajectories, in memory.
+/// Formats steps as CSV rows of the trajectories file, in memory.
 struct Rows {
     paths: Paths<Shared>,
     written: Shared,
 }
 
-/// Buffer that is shared by a writer and its owner.
+/// Growing byte buffer that is shared by a CSV writer, which fills it, and its owner, which empties it.
 #[derive(Clone, Default)]
 struct Shared(Rc<RefCell<Vec<u8>>>);
 
@@ -158,7 +160,8 @@ impl Write for Shared {
     }
 }
 
-/// Connects to the service manager's socket; `None` if it did not start this process (`sd_notify(3)`).
+/// Returns a socket that is connected to the service manager, such as systemd; `None` if no service manager started
+/// this process (`sd_notify(3)`).
 fn service_socket() -> Option<UnixDatagram> {
     let name = std::env::var_os("NOTIFY_SOCKET")?;
     let address = match name.as_bytes() {

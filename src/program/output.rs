@@ -12,7 +12,7 @@ use anyhow::{Context, Result};
 use crate::program::BadInput;
 use crate::program::background_writer::{BackgroundWriter, Target};
 
-/// Longest time that the end of a process waits for queued output.
+/// Longest time that this program waits at its end for queued output to be written.
 pub const FLUSH_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// Background writer to stderr, for commands that must not wait for it.
@@ -35,19 +35,19 @@ fn missing(lines: u64) -> String {
     format!("warning: {lines} log lines were dropped here: they were not read in time\n")
 }
 
-/// Returns the number of log lines dropped so far.
+/// Returns the number of log lines dropped so far, because stderr did not take them in time.
 pub fn log_lines_dropped() -> u64 {
     LOG.get().map_or(0, BackgroundWriter::dropped)
 }
 
-/// Waits a limited time until queued lines are written to stderr.
+/// Waits until queued lines are written to stderr, at most [`FLUSH_TIMEOUT`].
 pub fn flush_log() {
     if let Some(writer) = LOG.get() {
         writer.flush(FLUSH_TIMEOUT);
     }
 }
 
-/// Prints a message on stderr. Keys in it are redacted.
+/// Prints a message on stderr. Team keys in it are redacted.
 pub fn talk(text: &str) {
     say(redacted(text).into_owned() + "\n");
 }
@@ -66,7 +66,7 @@ fn say(lines: String) {
     }
 }
 
-/// Writer of log lines to stderr, one line per write. Keys in them are redacted.
+/// Writer of log lines to stderr, one line per write. Team keys in them are redacted.
 pub struct LogLines;
 
 impl Write for LogLines {
@@ -85,7 +85,7 @@ pub fn colour() -> bool {
     io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
 
-/// Prints data on stdout. A pipe closed by its reader is not an error.
+/// Prints a text and a line end on stdout. A pipe closed by its reader is not an error.
 pub fn print(text: &str) -> Result<()> {
     match writeln!(io::stdout(), "{text}") {
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),

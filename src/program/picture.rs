@@ -1,4 +1,4 @@
-//! Pictures of one episode of `sim`: flags, files and captions.
+//! Draws pictures of one episode of `sim`: flags, files and captions.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ use crate::scenario::judge::Verdict;
 use crate::time::Span;
 use crate::trial::{Trial, TrialReport};
 
-/// Flags for pictures.
+/// Flags of `sim` for pictures of one episode.
 #[derive(clap::Args)]
 pub struct Flags {
     /// File for an animation of one episode: a page with a player (.html), or an animated picture (.svg)
@@ -29,7 +29,7 @@ pub struct Flags {
     episode: Option<Shown>,
 }
 
-/// Choice of the episode to draw.
+/// Choice of the episode that pictures show.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Shown {
     /// Episode with this index, from 0.
@@ -55,10 +55,10 @@ impl Shown {
     }
 }
 
-/// Function that draws an episode as the text of a file.
+/// Function that draws an episode and returns the text of the picture's file (SVG or HTML).
 type Draw = fn(&Scene) -> String;
 
-/// Pictures to be drawn after a run, with their open files.
+/// Pictures of one episode to be drawn after a run of `sim`, with their open files.
 pub struct Pictures {
     files: Vec<(WholeFile, Draw)>,
     shown: Shown,
@@ -94,12 +94,13 @@ impl Pictures {
         Ok(Pictures { files, shown: args.episode.unwrap_or(Shown::Index(0)) })
     }
 
-    /// Whether any picture is to be drawn.
+    /// Whether the flags request any picture.
     pub fn any(&self) -> bool {
         !self.files.is_empty()
     }
 
-    /// Returns which steps the trial of a repeat has to keep: those that pictures need, or else `steps`.
+    /// Returns which steps the trial of a repeat has to keep: with the messages heard, if pictures need them (repeat
+    /// 0), or else `steps`.
     pub fn steps(&self, repeat: u32, steps: Steps) -> Steps {
         if repeat == 0 && !self.files.is_empty() { Steps::WithHearing } else { steps }
     }
@@ -128,7 +129,8 @@ impl Pictures {
     }
 }
 
-/// Returns the function that draws a file with this extension.
+/// Returns the function that draws the picture of the file `path`, by its extension; `endings` lists the extensions of
+/// the flag `flag` with their functions. Fails if it has no such extension.
 fn draw(flag: &str, path: &Path, endings: &[(&str, Draw)]) -> Result<Draw> {
     let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     match endings.iter().find(|(known, _)| *known == ending) {

@@ -8,7 +8,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 use crate::report::episode::Episode;
 use crate::trial::Proceed;
 
-/// Returns a callback that advances the bar with each finished episode, and stops the trial once `stop` is set.
+/// Returns a callback for a trial, which is called with the episodes finished so far: it advances the progress bar by
+/// the new ones, and stops the trial once `stop` is set.
 pub fn watched(bar: &ProgressBar, stop: &AtomicBool) -> impl FnMut(&[Episode]) -> Proceed {
     let mut shown = 0;
     move |episodes| {
@@ -20,7 +21,7 @@ pub fn watched(bar: &ProgressBar, stop: &AtomicBool) -> impl FnMut(&[Episode]) -
     }
 }
 
-/// Returns a progress bar over this many episodes, with the remaining time. `quiet` hides it.
+/// Returns a progress bar on stderr over this many episodes, with the estimated remaining time. `quiet` hides it.
 pub fn progress(episodes: u64, quiet: bool) -> ProgressBar {
     if quiet {
         return ProgressBar::hidden();

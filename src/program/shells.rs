@@ -55,7 +55,7 @@ pub fn manual(args: &Manual, registry: &Registry) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
-/// Writes the man pages of a command and its subcommands. Returns their number.
+/// Writes the man pages of a command and its subcommands into a folder. Returns the number of pages.
 fn write(command: &Command, folder: &Path) -> Result<usize> {
     let name = command.get_display_name().unwrap_or(command.get_name());
     let mut file = WholeFile::create(&folder.join(format!("{name}.1")))?;

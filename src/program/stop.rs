@@ -18,9 +18,10 @@ use crate::program::Ended;
 use crate::program::output::print;
 use crate::program::team;
 
-/// Shortest time for which the order is repeated, so that hosts that start late or have missed it receive it.
+/// Shortest time for which the command repeats its order (stop, re-arm or resume), so that hosts that start late or
+/// have missed it receive it.
 const AT_LEAST: Span = Span::from_millis(500);
-/// Longest time that the command waits for confirmations.
+/// Longest time that the command waits for all robots to confirm its order.
 const PATIENCE: Span = Span::from_millis(3000);
 
 /// Flags of `murmurate stop`.
@@ -64,7 +65,7 @@ pub fn resume(args: &ResumeArgs, registry: &Registry) -> Result<Ended> {
     Asked { team: &args.team, kind: OrderKind::Resume, json: args.json }.run(registry)
 }
 
-/// Order of the user to a team.
+/// Order of the user to a team: emergency stop, re-arm or resume.
 struct Asked<'a> {
     team: &'a team::TeamArgs,
     kind: OrderKind,
@@ -95,7 +96,7 @@ impl Asked<'_> {
         self.tell(&order, robots)
     }
 
-    /// Prints the result of the order.
+    /// Prints how many robots have confirmed the order. Fails with the reason if not all have.
     fn tell(&self, order: &Order, robots: usize) -> Result<Ended> {
         let unconfirmed = order.unconfirmed();
         let took_s = order.confirmed_at().map(Time::as_secs);
@@ -126,7 +127,7 @@ impl Asked<'_> {
         }
     }
 
-    /// Returns the reason why not all robots have confirmed; `None` if they have.
+    /// Returns the reason why the order is not confirmed by all, with the robots concerned; `None` if it is.
     fn why(&self, order: &Order) -> Option<String> {
         if order.confirmed_at().is_some() {
             return None;

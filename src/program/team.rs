@@ -51,7 +51,7 @@ pub struct Which {
 }
 
 impl TeamArgs {
-    /// Returns the arguments for a team file that another flag names.
+    /// Returns the flags for a team file that another flag names, with these overrides of its fields (`FIELD=VALUE`).
     #[cfg(feature = "study")]
     pub fn of(file: PathBuf, set: Vec<String>) -> TeamArgs {
         TeamArgs { file, set, interface: None, key_file: None }
@@ -72,8 +72,8 @@ impl TeamArgs {
         self.read_as_of(registry, None, &variables)
     }
 
-    /// Reads the team file as another process did: with these environment variables, and with its relative paths
-    /// starting from `folder` (by default the file's folder).
+    /// Reads the team file as another process did: with these environment variables, and with the file's relative paths
+    /// starting from `folder` (`None`: the file's own folder).
     pub fn read_as_of(
         &self,
         registry: &Registry,
@@ -99,17 +99,19 @@ impl TeamArgs {
         TeamFile::read(registry, &text, folder, variables, &flags).map_err(|e| self.wrong(&e))
     }
 
-    /// Returns the error with the path of the team file added.
+    /// Converts an error of the team file to one that names the file's path.
     pub fn wrong(&self, error: &ConfigError) -> anyhow::Error {
         BadInput(format!("the team file '{}': {error}", self.file.display())).into()
     }
 
-    /// Joins the team as an operator, a host without robots. Only the link that carries the emergency stop is opened.
+    /// Joins the team's network as an operator, a host without robots. Opens only the link that carries the emergency
+    /// stop.
     pub fn operator(&self, file: &TeamFile) -> Result<Operator> {
         self.operator_as(file, ProcessIdentity::draw()?)
     }
 
-    /// Joins the team as the operator with this identity. Only the link that carries the emergency stop is opened.
+    /// Joins the team's network as an operator with the given process identity. Opens only the link that carries the
+    /// emergency stop.
     pub fn operator_as(&self, file: &TeamFile, identity: ProcessIdentity) -> Result<Operator> {
         let access = file.operator_access().map_err(|error| self.wrong(&error))?;
         let deployment = file.deployment();
@@ -146,15 +148,15 @@ impl Which {
     }
 }
 
-/// Whether this process has already printed the warning about a missing key.
+/// Whether this process has already printed the warning that the team has no key.
 static WARNED: AtomicBool = AtomicBool::new(false);
 
-/// Suppresses the warning about a missing key, because the parent process has printed it.
+/// Suppresses the warning that the team has no key, because the parent process has printed it.
 pub fn leave_out_key_warning() {
     WARNED.store(true, Ordering::Relaxed);
 }
 
-/// Reads the team's key. Without one, returns `None`, and prints a warning if this host uses a link.
+/// Reads the key file of the team. If the team has none, returns `None`, and prints a warning if this host uses a link.
 pub fn key(team: &Team) -> Result<Option<[u8; 32]>> {
     if team.key_file.is_none() && team.links.iter().all(Option::is_none) {
         return Ok(None);
@@ -173,7 +175,7 @@ pub fn key_of(file: Option<&Path>) -> Result<Option<[u8; 32]>> {
     file.map(key::read).transpose()
 }
 
-/// Loads the team's policy.
+/// Loads the policy that the team file names, or the scenario's default, with warnings about its use by this team.
 pub fn policy(team: &Team, registry: &Registry) -> Result<policy::Loaded> {
     let settings = Settings::of(team.deployment.robots);
     let scenario = registry.scenario(&team.scenario, &settings).map_err(|e| BadInput(e.to_string()))?;

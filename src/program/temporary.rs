@@ -1,18 +1,18 @@
-//! Temporary files with a random name, which are renamed once they are complete.
+//! Temporary files with a random name, which get their final name once they are complete.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, ErrorKind, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
-/// Largest number of random names to try.
+/// Largest number of random file names to try.
 const DRAWS: usize = 16;
 
-/// Temporary file, removed when dropped unless it was renamed.
+/// Temporary file, removed when dropped unless it was given its final name.
 pub struct Temporary {
     path: PathBuf,
     file: File,
-    /// Whether the file was renamed, so that it is not removed.
+    /// Whether the file was renamed to its final name, so that it is not removed on drop.
     done: bool,
 }
 
@@ -33,7 +33,7 @@ impl Temporary {
         Err(taken.expect("names were drawn"))
     }
 
-    /// Path of the temporary file.
+    /// Returns the path of the temporary file.
     #[cfg(all(feature = "sim", feature = "watch"))]
     pub fn path(&self) -> &Path {
         &self.path

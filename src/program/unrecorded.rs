@@ -1,4 +1,4 @@
-//! Replacement for `recording` in a program without the feature `record`.
+//! Replacement for the module `recording` in a program without the feature `record`: nothing is recorded.
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -12,7 +12,7 @@ use crate::messages::ids::HostId;
 use crate::program::bad;
 use crate::time::Time;
 
-/// Flags for records: none.
+/// Flags for the record of a run; there are none, as this program cannot record.
 #[derive(clap::Args, Clone, Default)]
 pub struct RecordFlags {}
 
@@ -20,7 +20,8 @@ pub struct RecordFlags {}
 pub enum LiveRecord {}
 
 impl LiveRecord {
-    /// Fails if the team file has the field `record`; otherwise returns `None`.
+    /// Fails if the team file asks for a record with its field `record`; otherwise returns `None`, since nothing is
+    /// recorded.
     pub fn of_host(
         _: &RecordFlags,
         (team, _): (&Team, &LiveHost),
@@ -40,7 +41,8 @@ impl LiveRecord {
         match *self {}
     }
 
-    /// Keeps the last seconds.
+    /// Never called, because the type has no values. (With the feature `record`, it keeps the last seconds in the
+    /// record.)
     pub fn keep(&self) {
         match *self {}
     }

@@ -1,4 +1,4 @@
-//! Atomic replacement of files.
+//! Writes files that appear under their name only once they are complete.
 
 use std::fs::{File, OpenOptions};
 use std::io::Write;
@@ -9,13 +9,14 @@ use anyhow::{Context, Result};
 use crate::program::BadInput;
 use crate::program::temporary::Temporary;
 
-/// File that replaces an existing one atomically once it is complete. A pipe or a device is written to directly.
+/// File to be written that replaces an existing one atomically once it is complete. A pipe or a device is written to
+/// directly.
 pub enum WholeFile {
     /// Temporary file in the same folder, which gets its name in `keep`.
     Beside {
         /// Path of the final file, with symbolic links resolved.
         path: PathBuf,
-        /// The temporary file.
+        /// The temporary file with the content so far.
         file: Temporary,
     },
     /// Open pipe or device, which is written to directly.
@@ -23,7 +24,8 @@ pub enum WholeFile {
 }
 
 impl WholeFile {
-    /// Creates the temporary file. A wrong path is thus an error before any work is done.
+    /// Opens the file `path` for writing, through a temporary file unless it is a pipe or a device. A wrong path is
+    /// thus an error before any work is done.
     pub fn create(path: &Path) -> Result<WholeFile> {
         let refuse = |why: String| BadInput(format!("cannot write '{}': {why}", path.display()));
         let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
@@ -43,7 +45,7 @@ impl WholeFile {
         Ok(WholeFile::Beside { path, file })
     }
 
-    /// Returns the file to write to.
+    /// Returns the writer of the file's content.
     pub fn writer(&mut self) -> &mut dyn Write {
         match self {
             WholeFile::Beside { file, .. } => file,
@@ -51,7 +53,7 @@ impl WholeFile {
         }
     }
 
-    /// Writes the content to the disk and gives the file its final name.
+    /// Syncs the content to disk and gives the file its final name. Without this call, the temporary file is removed.
     pub fn keep(self) -> Result<()> {
         if let WholeFile::Beside { path, file } = self {
             file.sync()

@@ -1,5 +1,5 @@
-//! Comparison of two policies on the recorded inputs of one host: the motor commands of the record and those of the
-//! other policy, step by step.
+//! Compares two policies on the recorded inputs of one host: the motor commands in the record and those of the other
+//! policy, step by step.
 
 use std::collections::BTreeMap;
 
@@ -10,25 +10,26 @@ use crate::messages::geometry::Vec2;
 use crate::messages::wire::Wire;
 use crate::net::protocol::codec;
 
-/// Motor commands of one host: for each robot, time of publication \[ns\] and commanded velocity \[m/s\], world frame.
+/// Motor commands published by one host: for each robot, time of publication since the start of the run \[ns\] and
+/// commanded velocity \[m/s\] in the world frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Commands(BTreeMap<u16, Vec<(u64, Vec2)>>);
 
-/// Motor command of one robot at one control step, with the recorded and with the other policy.
+/// Motor commands of one robot at one control step: the recorded one, and that of the other policy on the same inputs.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct StepDifference {
-    /// Time since the start of the run \[s\].
+    /// Time of the step since the start of the run \[s\].
     pub at_s: f64,
-    /// The robot.
+    /// Number of the robot.
     pub robot: u16,
     /// Recorded velocity along x and y \[m/s\], world frame.
     pub recorded: [f32; 2],
-    /// Velocity of the other policy \[m/s\], world frame.
+    /// Velocity that the other policy commands, along x and y \[m/s\], world frame.
     pub replayed: [f32; 2],
 }
 
 impl StepDifference {
-    /// Norm of the difference between both velocities \[m/s\].
+    /// Returns the norm of the difference between both velocities \[m/s\].
     pub fn size(&self) -> f64 {
         let [x, y] = [0, 1].map(|axis| f64::from(self.recorded[axis] - self.replayed[axis]));
         (x * x + y * y).sqrt()
@@ -38,30 +39,32 @@ impl StepDifference {
 /// Statistics of the differences between the motor commands of two policies, for one robot.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RobotDifference {
-    /// The robot.
+    /// Number of the robot.
     pub robot: u16,
     /// Number of steps at which both policies gave a command.
     pub steps: usize,
     /// Number of steps at which only one of the policies gave a command.
     pub unpaired: usize,
-    /// Time since the start of the run of the first step with different commands \[s\]; `None` if there is none.
+    /// Time since the start of the run of the first step at which both policies gave different commands \[s\]; `None`
+    /// if there is none.
     pub first_s: Option<f64>,
     /// Mean norm of the velocity difference over the paired steps \[m/s\].
     pub mean_m_s: f64,
-    /// Largest norm of the velocity difference \[m/s\].
+    /// Largest norm of the velocity difference over the paired steps \[m/s\].
     pub most_m_s: f64,
 }
 
 impl Commands {
-    /// Adds the command of a published datagram, if it is a motor command; ignores other datagrams.
+    /// Adds the motor command in a datagram published at `at_ns`, the time since the start of the run \[ns\]; ignores
+    /// datagrams of other kinds.
     pub fn take(&mut self, at_ns: u64, datagram: &[u8]) {
         if let Ok((_, Wire::MotorCommand(command))) = codec::decode(datagram) {
             self.0.entry(command.robot.0).or_default().push((at_ns, command.velocity));
         }
     }
 
-    /// Reads the motor commands of a record. Their times are relative to `anchor_ns`, the wall clock at the run's
-    /// start.
+    /// Reads the motor commands of a record. Their times are made relative to `anchor_ns`, the wall clock at the run's
+    /// start \[ns\].
     pub fn read(mut messages: Messages, anchor_ns: u64) -> Result<Commands, ReadError> {
         let mut commands = Commands::default();
         while let Some(message) = messages.next_message()? {
@@ -72,7 +75,8 @@ impl Commands {
         Ok(commands)
     }
 
-    /// Pairs commands of equal time, and returns each paired step and the statistics of each robot.
+    /// Pairs these recorded commands with those of the replay by equal time. Returns each paired step, and the
+    /// statistics of the differences for each robot.
     pub fn beside(&self, replayed: &Commands) -> (Vec<StepDifference>, Vec<RobotDifference>) {
         let (mut steps, mut robots) = (Vec::new(), Vec::new());
         for (robot, recorded) in &self.0 {

@@ -1,4 +1,4 @@
-//! Comparison of a replay with its record, message by message, up to the first difference.
+//! Compares a replay with its record, message by message, up to the first difference.
 
 use std::fmt;
 
@@ -12,9 +12,9 @@ use crate::net::protocol::codec;
 /// First difference between a record and a replay.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
-    /// Time since the start of the run at which they differ \[s\].
+    /// Time since the start of the run at which record and replay differ \[s\].
     pub at_s: f64,
-    /// Topic of the message.
+    /// Topic of the message in the replay; of the recorded message if the replay has ended.
     pub topic: String,
     /// The record's message, decoded as text.
     pub recorded: String,
@@ -29,13 +29,13 @@ impl fmt::Display for Difference {
     }
 }
 
-/// Comparison of a running replay with the messages of its record, in order.
+/// Compares a running replay with the messages of its record, in order.
 pub struct Comparison {
     recorded: Messages,
     topics: Topics,
     anchor_ns: u64,
-    /// Whether digests of sent datagrams are ignored: the replay has no key, so its tags are zeros and the digests
-    /// differ.
+    /// Whether the digests of sent datagrams are not compared: the replay has no key, so its tags are zeros and the
+    /// digests differ.
     tagless: bool,
     instant: Vec<Event>,
     messages: u64,
@@ -47,21 +47,23 @@ pub struct Comparison {
     error: Option<ReadError>,
 }
 
-/// Result of a comparison.
+/// Result of the comparison of a replay with its record.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Compared {
     /// Number of messages that are equal in record and replay.
     pub messages: u64,
-    /// The first difference, if there is one.
+    /// The first difference between record and replay; `None` if there is none.
     pub difference: Option<Difference>,
     /// Whether a crash has cut the record. If so, only the messages before the cut are compared.
     pub cut: bool,
-    /// Time since the start of the run at which the record lacks events \[s\]. Nothing after it is compared.
+    /// Time since the start of the run at which the record lacks events \[s\]. Nothing after it is compared. `None` if
+    /// no event was dropped.
     pub gap_s: Option<f64>,
 }
 
 impl Comparison {
-    /// Begins a comparison. `anchor_ns` is the wall clock at the run's time zero, as the record has it.
+    /// Begins a comparison with the messages of a record. `topics` encodes the replay's events as messages. `anchor_ns`
+    /// is the wall clock at the run's time zero, as the record has it \[ns\].
     pub fn new(recorded: Messages, topics: Topics, anchor_ns: u64) -> Comparison {
         Comparison {
             recorded,
@@ -77,13 +79,15 @@ impl Comparison {
         }
     }
 
-    /// Ignores the digests of sent datagrams. For a replay without the key, which cannot make the tags of datagrams.
+    /// Returns this comparison without the digests of sent datagrams. For a replay without the key, which cannot make
+    /// the tags of datagrams.
     pub fn without_tags(mut self) -> Comparison {
         self.tagless = true;
         self
     }
 
-    /// Adds an event of the replay. The end of a turn compares all events of that turn with the record.
+    /// Adds an event of the replay. The event `Turn`, the end of a turn of the event loop, compares all events of that
+    /// turn with the record.
     pub fn push(&mut self, event: Event) {
         let Event::Turn(now) = event else {
             self.instant.push(event);
@@ -134,12 +138,13 @@ impl Comparison {
         self.instant.clear();
     }
 
-    /// Whether the comparison has ended: at a difference, a gap, a cut or an error of the record.
+    /// Whether the comparison is over early: at a difference, a gap, a cut or an error of the record.
     pub fn is_over(&self) -> bool {
         self.cut || self.gap_s.is_some() || self.difference.is_some() || self.error.is_some()
     }
 
-    /// Ends the comparison. Messages of the record after the end of the replay count as a difference.
+    /// Ends the comparison and returns its result. Messages of the record after the end of the replay count as a
+    /// difference.
     pub fn finish(mut self) -> Result<Compared, ReadError> {
         if let Some(error) = self.error {
             return Err(error);
@@ -163,7 +168,8 @@ impl Comparison {
     }
 }
 
-/// Returns the next message that a replay repeats; `None` at the end of the record.
+/// Returns the next recorded message that a replay repeats, that is, every one but log lines; `None` at the end of the
+/// record.
 fn next(recorded: &mut Messages) -> Result<Option<Message>, ReadError> {
     loop {
         match recorded.next_message()? {
@@ -180,7 +186,7 @@ fn is_gap(message: &Message) -> bool {
             .is_ok_and(|said| said["recording_dropped"].is_u64())
 }
 
-/// Describes a message in a line of text: its time, topic and decoded content.
+/// Returns a line of text about a message: its time, topic and decoded content.
 fn words(topic: &str, at_s: f64, data: &[u8]) -> String {
     let what = if topic.starts_with("/wire/") {
         match codec::decode(data) {

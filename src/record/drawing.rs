@@ -1,4 +1,4 @@
-//! Drawing of a team as Foxglove messages: walls, goals, hulls, headings, robot numbers, and lines between robots in
+//! Draws a team as Foxglove messages: walls, goals, hulls, headings, robot numbers, and lines between robots in
 //! communication range.
 
 use super::foxglove::{self, Colour, MAP};
@@ -6,7 +6,7 @@ use super::protobuf::Message;
 use super::stage::Stage;
 use crate::messages::geometry::Vec2;
 
-/// Pose of a robot as it is drawn.
+/// Pose of a robot, as drawings show it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Body {
     /// Position \[m\], world frame.
@@ -20,7 +20,8 @@ const WALL_HEIGHT_M: f64 = 0.5;
 const GREY: Colour = [0.5, 0.5, 0.5, 1.0];
 const DARK: Colour = [0.1, 0.1, 0.1, 1.0];
 const LINK: Colour = [0.1, 0.7, 0.2, 0.8];
-/// Colours of the robots by number, repeated after the last. The pictures of `sim` use the same.
+/// Colours of the robots (red, green, blue, opacity) by number, repeated after the last. The pictures of `sim` use the
+/// same.
 const ROBOTS: [Colour; 6] = [
     [0.12, 0.47, 0.71, 1.0],
     [1.0, 0.5, 0.05, 1.0],
@@ -38,7 +39,7 @@ fn point(at: Vec2, height_m: f64) -> [f64; 3] {
     [f64::from(at.x), f64::from(at.y), height_m]
 }
 
-/// Writes a scene update with the walls, and the goals of an episode.
+/// Writes a Foxglove scene update with the walls, and the goals of an episode by robot. `at` is its time \[ns\].
 pub fn walls_and_goals(out: &mut Message, at: u64, stage: &Stage, goals: &[Vec2]) {
     foxglove::entity(out, at, "walls", |entity| {
         for [x, y, far_x, far_y] in &stage.walls {
@@ -60,7 +61,8 @@ pub fn walls_and_goals(out: &mut Message, at: u64, stage: &Stage, goals: &[Vec2]
     });
 }
 
-/// Writes a scene update with the robots, their headings and numbers, and lines between robots in communication range.
+/// Writes a Foxglove scene update with the robots, their headings and numbers, and lines between robots in
+/// communication range. `at` is its time \[ns\]. A robot whose pose is `None` is left out.
 pub fn team(out: &mut Message, at: u64, stage: &Stage, team: &[Option<Body>]) {
     let width = f64::from(stage.hull_m) * 2.0;
     for (robot, body) in team.iter().enumerate() {
@@ -100,7 +102,8 @@ pub fn team(out: &mut Message, at: u64, stage: &Stage, team: &[Option<Body>]) {
     });
 }
 
-/// Returns the positions of the pairs of robots within a range \[m\], among the first 64 robots of the team.
+/// Returns, for each pair of robots within a range \[m\], both positions \[m\]. Only the first 64 robots of the team
+/// count.
 fn pairs(team: &[Option<Body>], range_m: f32) -> Vec<(Vec2, Vec2)> {
     let seen: Vec<Vec2> = team.iter().take(64).flatten().map(|body| body.position).collect();
     let all = seen.iter().enumerate().flat_map(|(at, one)| seen[at + 1..].iter().map(|other| (*one, *other)));
@@ -117,7 +120,8 @@ fn disc(entity: &mut Message, at: [f64; 3], size: [f64; 3], colour: Colour) {
     });
 }
 
-/// Writes the robots as a point cloud: each point has a position and the robot's number.
+/// Writes the robots as a Foxglove point cloud: each point has a position and the robot's number. `at` is its time
+/// \[ns\]. A robot whose pose is `None` is left out.
 pub fn cloud(out: &mut Message, at: u64, team: &[Option<Body>]) {
     const FLOAT32: u64 = 7;
     const UINT32: u64 = 5;
@@ -143,8 +147,8 @@ pub fn cloud(out: &mut Message, at: u64, team: &[Option<Body>]) {
     out.bytes(6, &points);
 }
 
-/// Writes the transforms from the world frame to the robots' frames `robot_N/base_link`. An unknown heading is written
-/// as 0.
+/// Writes a Foxglove message with the transforms from the world frame to the robots' frames `robot_N/base_link`. `at`
+/// is its time \[ns\]. An unknown heading is written as 0; a robot whose pose is `None` is left out.
 pub fn transforms(out: &mut Message, at: u64, team: &[Option<Body>]) {
     for (robot, body) in team.iter().enumerate() {
         let Some(body) = body else { continue };
@@ -158,7 +162,8 @@ pub fn transforms(out: &mut Message, at: u64, team: &[Option<Body>]) {
     }
 }
 
-/// Writes a robot's pose in the world frame. An unknown heading is written as 0.
+/// Writes a Foxglove message with a robot's pose in the world frame. `at` is its time \[ns\]. An unknown heading is
+/// written as 0.
 pub fn pose(out: &mut Message, at: u64, body: Body) {
     foxglove::time(out, 1, at);
     out.text(2, MAP);

@@ -1,5 +1,5 @@
-//! File of a record: MCAP in uncompressed chunks, each written as a whole, so that the chunks flushed before a crash
-//! can be read.
+//! Writes the file of a record: MCAP in uncompressed chunks, each written as a whole, so that the chunks flushed before
+//! a crash can be read.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -14,9 +14,9 @@ use super::identity::{Identity, METADATA};
 use super::stage::{self, Stage};
 use super::topics::Topic;
 
-/// Size of a message in a file without its data \[bytes\]: opcode, length, channel, sequence and two times.
+/// Size of a message in an MCAP file without its data \[bytes\]: opcode, length, channel, sequence and two times.
 const MESSAGE_BYTES: u64 = 31;
-/// Size of a chunk \[bytes\].
+/// Size of a chunk of an MCAP file, after which the next one begins \[bytes\].
 const CHUNK: u64 = 1 << 18;
 /// Error while a record is written.
 #[derive(Debug, thiserror::Error)]
@@ -59,7 +59,7 @@ pub struct Beginning {
     pub attached: Vec<Attached>,
 }
 
-/// File of a record that is being written.
+/// MCAP file of a record that is being written.
 pub struct RecordFile {
     writer: Writer<NoSeek<BufWriter<File>>>,
     channels: BTreeMap<Topic, u16>,
@@ -69,7 +69,8 @@ pub struct RecordFile {
 }
 
 impl RecordFile {
-    /// Creates the file and writes its beginning. Fails if the file exists.
+    /// Creates the file and writes its beginning: identity, the data that drawings need (`stage`), and input files.
+    /// Fails if the file exists.
     pub fn create(path: &Path, beginning: &Beginning, stage: &Stage) -> Result<RecordFile, RecordError> {
         let failed = |error| RecordError::Create { path: path.to_owned(), error };
         let file = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed)?;
@@ -104,7 +105,7 @@ impl RecordFile {
         self.writer.flush()
     }
 
-    /// Appends a message.
+    /// Appends a message of a topic to the file. `at` is its time \[ns\].
     pub fn write(&mut self, stage: &Stage, topic: Topic, at: u64, data: &[u8]) -> Result<(), McapError> {
         let channel_id = match self.channels.get(&topic) {
             Some(channel) => *channel,
@@ -132,12 +133,12 @@ impl RecordFile {
         Ok(channel)
     }
 
-    /// Size of the messages so far \[bytes\].
+    /// Returns the size of the messages written so far \[bytes\].
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// Ends the current chunk and passes everything to the operating system.
+    /// Ends the current chunk and passes everything written so far to the operating system.
     pub fn flush(&mut self) -> Result<(), McapError> {
         self.writer.flush()
     }
@@ -152,7 +153,7 @@ impl RecordFile {
     }
 }
 
-/// Converts the error of creating a further file to an error of writing.
+/// Converts an error in creating a further file of a record to an error of writing.
 pub(super) fn broken(error: RecordError) -> McapError {
     McapError::Io(std::io::Error::other(error.to_string()))
 }

@@ -3,10 +3,10 @@
 
 use super::protobuf::{EnumType, Message, MessageType, Type};
 
-/// Name of the world frame in messages.
+/// Name of the team's world frame in Foxglove messages.
 pub const MAP: &str = "map";
 
-/// Colour: red, green, blue and opacity, 0 to 1.
+/// Colour as red, green, blue and opacity, each 0 to 1.
 pub type Colour = [f64; 4];
 
 const TIMESTAMP: Type = Type::One(".google.protobuf.Timestamp");
@@ -15,7 +15,8 @@ const POSE: Type = Type::One(".foxglove.Pose");
 const VECTOR: Type = Type::One(".foxglove.Vector3");
 const COLOUR: Type = Type::One(".foxglove.Color");
 
-/// Message types of the package `foxglove`: each with its fields and their numbers.
+/// Definitions of the Protobuf message types of the package `foxglove` that records use: each with its fields and their
+/// numbers.
 pub const MESSAGES: &[MessageType] = &[
     ("Vector3", &[("x", 1, Type::Double), ("y", 2, Type::Double), ("z", 3, Type::Double)]),
     ("Point3", &[("x", 1, Type::Double), ("y", 2, Type::Double), ("z", 3, Type::Double)]),
@@ -123,7 +124,8 @@ pub const MESSAGES: &[MessageType] = &[
     ),
 ];
 
-/// Enumerations of the package `foxglove`: each with its values in order.
+/// Definitions of the Protobuf enumerations of the package `foxglove` that records use: each with its values in order,
+/// from 0.
 pub const ENUMS: &[EnumType] = &[
     ("Level", &["UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL"]),
     ("LineType", &["LINE_STRIP", "LINE_LOOP", "LINE_LIST"]),
@@ -151,7 +153,7 @@ pub fn time(out: &mut Message, field: u32, nanos: u64) {
     });
 }
 
-/// Writes a vector or a point as field `field`.
+/// Writes a vector or a point (x, y, z) as field `field`.
 pub fn vector(out: &mut Message, field: u32, [x, y, z]: [f64; 3]) {
     out.message(field, |vector| {
         vector.double(1, x);
@@ -160,7 +162,7 @@ pub fn vector(out: &mut Message, field: u32, [x, y, z]: [f64; 3]) {
     });
 }
 
-/// Writes the rotation about the vertical axis by `yaw` \[rad\] as a quaternion.
+/// Writes the rotation about the vertical axis by `yaw` \[rad\] as a quaternion, as field `field`.
 pub fn rotation(out: &mut Message, field: u32, yaw: f64) {
     out.message(field, |quaternion| {
         quaternion.double(3, libm::sin(yaw / 2.0));
@@ -168,7 +170,7 @@ pub fn rotation(out: &mut Message, field: u32, yaw: f64) {
     });
 }
 
-/// Writes a pose: position \[m\], and yaw \[rad\] counter-clockwise from x.
+/// Writes a pose as field `field`: position `at` \[m\], and yaw \[rad\] counter-clockwise from x.
 pub fn pose(out: &mut Message, field: u32, at: [f64; 3], yaw: f64) {
     out.message(field, |pose| {
         vector(pose, 1, at);
@@ -176,7 +178,7 @@ pub fn pose(out: &mut Message, field: u32, at: [f64; 3], yaw: f64) {
     });
 }
 
-/// Writes a colour.
+/// Writes a colour as field `field`.
 pub fn colour(out: &mut Message, field: u32, [red, green, blue, opacity]: Colour) {
     out.message(field, |colour| {
         colour.double(1, red);
@@ -186,7 +188,8 @@ pub fn colour(out: &mut Message, field: u32, [red, green, blue, opacity]: Colour
     });
 }
 
-/// Writes an entity with the id `id` into a scene update; `write` adds its primitives. `at` is the time \[ns\].
+/// Adds a drawn entity with the id `id` in the world frame to a scene update; `write` adds its shapes. `at` is its time
+/// \[ns\] since 1970 or the start of a simulation.
 pub fn entity(update: &mut Message, at: u64, id: &str, write: impl FnOnce(&mut Message)) {
     update.message(2, |entity| {
         time(entity, 1, at);
@@ -196,7 +199,8 @@ pub fn entity(update: &mut Message, at: u64, id: &str, write: impl FnOnce(&mut M
     });
 }
 
-/// Writes a log message.
+/// Writes the fields of a log message: time `at` \[ns\], severity, name of the actor or thread that has logged it, and
+/// text.
 pub fn log(out: &mut Message, at: u64, level: Severity, name: &str, text: &str) {
     time(out, 1, at);
     out.uint(2, level as u64);

@@ -1,5 +1,5 @@
 //! Identity of a record: program, arguments, host and seed of the run. It is the metadata `murmurate.run` of the file.
-//! A replay starts the same run from it. It never holds a key.
+//! A replay starts the same run from it. It never contains a key.
 
 use std::collections::BTreeMap;
 
@@ -9,12 +9,12 @@ use crate::messages::ids::HostId;
 
 /// Name of the MCAP metadata that holds the identity.
 pub const METADATA: &str = "murmurate.run";
-/// Version of the format of records.
+/// Version of the format of records that this program writes and reads.
 pub const FORMAT: u32 = 1;
 /// Digest of the sources that the program was built from (`build.rs`).
 pub const BUILD: &str = env!("SOURCE_DIGEST");
 
-/// Identity of a record.
+/// Identity of a record: what a replay needs to start the recorded run again, such as program, arguments and host.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
     /// Version of the record format.
@@ -31,30 +31,31 @@ pub struct Identity {
     pub anchor_ns: u64,
     /// Digest of the policy's file; empty for scripted navigation.
     pub policy: String,
-    /// Index of the repeat, in a simulation.
+    /// Index of the recorded repeat, in a record of a simulation; otherwise 0.
     pub repeat: u32,
-    /// The recorded host; `None` in a record of a simulation.
+    /// The recorded host; `None` in a record of a simulation or of an operator.
     pub host: Option<HostIdentity>,
-    /// Column and policy of the trial, in a record of a study.
+    /// Column and policy of the trial, in a record of a study; otherwise `None`.
     #[serde(default)]
     pub job: Option<StudyJob>,
     /// Whether an operator has recorded what it received. Nothing of such a record can be run again.
     #[serde(default)]
     pub operator: bool,
-    /// Number of this file among those of its record, from 0.
+    /// Index of this file among the files of its record, from 0.
     #[serde(default)]
     pub part: u32,
-    /// Whether the record has only the seconds around what happened, and so cannot be replayed.
+    /// Whether the record has only the seconds before and after triggers, such as an emergency stop, and so cannot be
+    /// replayed.
     #[serde(default)]
     pub excerpt: bool,
 }
 
-/// Place of a trial in its study.
+/// Place of a trial in its study: column (conditions) and policy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StudyJob {
-    /// Index of the column.
+    /// Index of the column of the study, from 0.
     pub column: usize,
-    /// Index of the policy under test.
+    /// Index of the policy among those that the study compares, from 0.
     pub policy: usize,
 }
 
@@ -67,21 +68,22 @@ pub struct HostIdentity {
     pub id: HostId,
     /// Incarnation of the process.
     pub incarnation: u32,
-    /// Seed of the link layer's random streams in that process, hexadecimal.
+    /// Seed of the link layer's random streams in that process, as 64 hexadecimal digits.
     pub seed: String,
-    /// Number of transports of each link, in the order of the deployment.
+    /// Number of transports (such as sockets) of each link, in the order of the deployment.
     pub transports: Vec<usize>,
     /// Whether the team had a key. Records never hold the key itself.
     pub keyed: bool,
 }
 
-/// Error: the metadata of a record cannot be used.
+/// Error: the metadata with a record's identity cannot be used; the text says why.
 #[derive(Debug, thiserror::Error)]
 #[error("its metadata '{METADATA}' cannot be used: {0}")]
 pub struct WrongIdentity(String);
 
 impl Identity {
-    /// Returns the identity of a simulation that this program records, without variables, host and anchor.
+    /// Returns the identity for a record that this program makes of a simulation, with these arguments and this digest
+    /// of the policy's file. Variables, host and anchor are empty.
     pub fn here(arguments: Vec<String>, policy: &str) -> Identity {
         Identity {
             format: FORMAT,
@@ -100,12 +102,12 @@ impl Identity {
         }
     }
 
-    /// Whether the record is that of a simulation, which can be run again from its seed.
+    /// Whether the record is of a simulation, which can be run again from its seed.
     pub fn is_of_simulation(&self) -> bool {
         self.host.is_none() && !self.operator
     }
 
-    /// Returns the identity as metadata: each field as JSON, strings without quotes.
+    /// Returns the identity as MCAP metadata: each field as JSON, strings without quotes.
     pub fn to_metadata(&self) -> BTreeMap<String, String> {
         let serde_json::Value::Object(fields) = serde_json::to_value(self).expect("an identity is JSON") else {
             unreachable!("an identity is an object")
@@ -117,7 +119,7 @@ impl Identity {
         fields.into_iter().map(|(name, value)| (name, text(value))).collect()
     }
 
-    /// Reads the identity from metadata. Fails if the format is another or a field is wrong.
+    /// Reads the identity from MCAP metadata. Fails if the record has another format or a field is wrong.
     pub fn of_metadata(metadata: &BTreeMap<String, String>) -> Result<Identity, WrongIdentity> {
         const TEXTS: [&str; 3] = ["version", "build", "policy"];
         let format = metadata.get("format").map_or("", String::as_str);

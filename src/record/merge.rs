@@ -1,5 +1,4 @@
-//! Alignment of the records of a team's hosts on one clock. The offsets of the hosts' clocks are estimated from the
-//! records.
+//! Aligns the records of a team's hosts on one clock: estimates the offsets of the hosts' clocks from the records.
 //!
 //! Every datagram that one host has published and another has received gives a bound: it cannot arrive before it was
 //! sent. Of the datagrams between two hosts within ten seconds, the fastest in each direction bound the clock offset
@@ -17,13 +16,13 @@ use super::tape;
 use crate::graph::inputs::Input;
 use crate::net::protocol::codec;
 
-/// Length of the window of one offset estimate \[ns\].
+/// Length of the time window of one estimate of a clock offset \[ns\].
 const WINDOW_NS: i64 = 10_000_000_000;
 
-/// Identity of a datagram: sender, incarnation, sequence number, digest of its message.
+/// Identifies a datagram: id of its sender, incarnation of the sender, sequence number, digest of its message.
 pub type DatagramKey = (u16, u32, u32, u64);
 
-/// Times of a record's datagrams on the clock of its host \[ns\] since 1970.
+/// Times at which the host of a record has published and received datagrams, on its own clock \[ns\] since 1970.
 #[derive(Default)]
 pub struct Traffic {
     published: BTreeMap<DatagramKey, i64>,
@@ -50,20 +49,20 @@ impl Traffic {
         Ok(traffic)
     }
 
-    /// Takes a datagram that the host has published at `at` \[ns\].
+    /// Adds a datagram that the host has published at `at` \[ns\]. Datagrams without a message are ignored.
     pub fn publish(&mut self, at: i64, datagram: &[u8]) {
         if let Some(key) = key(datagram) {
             self.published.entry(key).or_insert(at);
         }
     }
 
-    /// Takes a datagram that has arrived at the host at `at` \[ns\].
+    /// Adds a datagram that has arrived at the host at `at` \[ns\]. Datagrams without a message are ignored.
     pub fn arrive(&mut self, at: i64, datagram: &[u8]) {
         self.arrived.extend(key(datagram).map(|key| (key, at)));
     }
 
-    /// Apparent delay \[ns\] of the fastest datagrams from this host to `other`, for each window of this host's clock:
-    /// the 2 % quantile of arrival on the clock of `other` minus publication on this host's.
+    /// Returns the apparent delay \[ns\] of the fastest datagrams from this host to `other`, for each window of this
+    /// host's clock: the 2 % quantile of arrival on the clock of `other` minus publication on this host's clock.
     fn fastest(&self, other: &Traffic) -> BTreeMap<i64, i64> {
         let mut took: BTreeMap<i64, Vec<i64>> = BTreeMap::new();
         for (key, arrived) in &other.arrived {
@@ -86,12 +85,12 @@ pub fn key(datagram: &[u8]) -> Option<DatagramKey> {
         .then(|| (header.sender.0, header.incarnation, header.sequence, xxh3_64(bytes)))
 }
 
-/// Offset of a clock from the reference clock during one window.
+/// Offset of a host's clock from the reference clock during one window.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Estimate {
-    /// Middle of the window \[ns\], on the clock of the host from which the estimate was made.
+    /// Middle of the window \[ns\], on the clock of the host against which the offset was first measured.
     at: i64,
-    /// Time by which the clock is ahead of the reference \[ns\].
+    /// Time by which the host's clock is ahead of the reference clock \[ns\].
     ahead: i64,
     /// Bound on the error of `ahead` \[ns\].
     uncertainty: i64,
@@ -102,7 +101,7 @@ struct Estimate {
 pub struct ClockDifference(Vec<Estimate>);
 
 impl ClockDifference {
-    /// The offset of the reference clock itself: zero.
+    /// Returns the offset of the reference clock from itself: zero.
     fn reference() -> ClockDifference {
         ClockDifference(vec![Estimate { at: 0, ahead: 0, uncertainty: 0 }])
     }
@@ -119,13 +118,13 @@ impl ClockDifference {
         ClockDifference(estimates.collect())
     }
 
-    /// Largest uncertainty of the estimates \[ns\]; `None` without an estimate.
+    /// Returns the largest uncertainty of the estimates \[ns\]; `None` without an estimate.
     pub fn uncertainty_ns(&self) -> Option<i64> {
         self.0.iter().map(|estimate| estimate.uncertainty).max()
     }
 
-    /// Time by which the clock is ahead of the reference at time `at` \[ns\]: linear interpolation between the
-    /// estimates.
+    /// Returns the time by which the host's clock is ahead of the reference clock at time `at` \[ns\]: linear
+    /// interpolation between the estimates.
     pub fn ahead_ns(&self, at: i64) -> i64 {
         let later = self.0.partition_point(|estimate| estimate.at <= at);
         match (later.checked_sub(1).map(|before| self.0[before]), self.0.get(later)) {
@@ -139,14 +138,14 @@ impl ClockDifference {
         }
     }
 
-    /// Returns the same offsets with the uncertainty increased by `by_ns`.
+    /// Returns the same offsets with all uncertainties increased by `by_ns` \[ns\].
     fn widened(mut self, by_ns: i64) -> ClockDifference {
         self.0.iter_mut().for_each(|estimate| estimate.uncertainty += by_ns);
         self
     }
 
-    /// Returns the offset from the common reference, given the offset `base` from it of the clock that this is relative
-    /// to.
+    /// Converts an offset from another host's clock to one from the reference clock. `base` is the offset of that other
+    /// clock from the reference.
     fn after(&self, base: &ClockDifference) -> ClockDifference {
         let uncertainty = base.uncertainty_ns().unwrap_or(0);
         let moved = |estimate: &Estimate| Estimate {
@@ -158,15 +157,16 @@ impl ClockDifference {
     }
 }
 
-/// Offsets of the records' clocks from that of the first record.
+/// Offsets of the clocks of several hosts' records from the clock of the first record, the reference.
 #[derive(Debug)]
 pub struct Alignment {
-    /// Offset of each record's clock; `None` if no datagrams in both directions connect it with the reference.
+    /// Offset of each record's clock, in the order of the records; `None` if no datagrams in both directions connect it
+    /// with the reference.
     pub clocks: Vec<Option<ClockDifference>>,
     /// Number of datagrams that were found both at their sender and at a receiver.
     pub matched: u64,
-    /// Largest time by which an aligned arrival precedes its publication by more than the uncertainties of both clocks
-    /// \[ns\]; 0 if none does. The uncertainties in `clocks` already include it.
+    /// Largest time by which the arrival of a datagram, after alignment, precedes its publication by more than the
+    /// uncertainties of both clocks \[ns\]; 0 if none does. The uncertainties in `clocks` already include it.
     pub beyond_ns: i64,
 }
 
@@ -201,7 +201,8 @@ fn pairs(count: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..count).flat_map(move |here| (0..count).map(move |there| (here, there))).filter(|(here, there)| here != there)
 }
 
-/// Returns the index and offset of the unknown clock that has the smallest uncertainty relative to a known one.
+/// Returns the index of a host and the offset of its clock: of the clocks without an offset so far, the one that has
+/// the smallest uncertainty relative to a clock with an offset. `None` if none can be connected.
 fn best(all: &[Traffic], clocks: &[Option<ClockDifference>]) -> Option<(usize, ClockDifference)> {
     let mut found: Option<(i64, usize, ClockDifference)> = None;
     for (here, there) in pairs(all.len()) {
@@ -216,13 +217,13 @@ fn best(all: &[Traffic], clocks: &[Option<ClockDifference>]) -> Option<(usize, C
     found.map(|(_, there, clock)| (there, clock))
 }
 
-/// A record to be merged.
+/// A host's record to be merged with others.
 pub struct Part {
-    /// The file.
+    /// Path of the record's file.
     pub path: PathBuf,
     /// Name of the host.
     pub host: String,
-    /// Offset of the host's clock from the reference.
+    /// Offset of the host's clock from the reference clock, which is that of the first record.
     pub clock: ClockDifference,
 }
 

@@ -50,10 +50,10 @@ pub enum Event {
     Published(HostId, Frame),
     /// Datagram that the host has sent on a link. Only in records of hosts.
     Sent(LinkId, Frame),
-    /// Input from outside the actor graph: a datagram, a packet of a device's worker or an order. Only in records of
-    /// hosts.
+    /// Input of a host from outside the actor graph: a datagram, a packet of a device's worker or an order. Only in
+    /// records of hosts.
     Input(Input),
-    /// Message that was delivered to actors of the host. Only in records of hosts.
+    /// Message that was delivered to actors of the host. Only in records of hosts and operators.
     Delivered(Wire),
     /// True states of simulated robots.
     Truth(Truth),
@@ -65,15 +65,15 @@ pub enum Event {
     Hardware(RobotId, Box<Hardware>),
     /// Counts of datagrams on a host's links since its Network was started.
     Counts(HostId, Box<LinkCounts>),
-    /// State of the other hosts as the link layer of a host sees them.
+    /// State of the links to other hosts, as the link layer of a host measures it.
     Peers(HostId, Vec<Peer>),
     /// Line that the program has logged. Only in records in real time.
     Logged(Logged),
-    /// Request to keep the last seconds, in a record that keeps events only around such requests.
+    /// Request to keep the events of the last seconds, in a record that keeps events only around such requests.
     Keep,
     /// Number of events before this one that were dropped because the queue was full.
     Dropped(u64),
-    /// End of a turn of the event loop, at this time.
+    /// End of a turn of the event loop, at this time since the start of the run.
     Turn(Time),
 }
 
@@ -100,7 +100,8 @@ pub enum Scope {
 }
 
 impl Event {
-    /// Converts an event of a process; `None` if records of this scope do not store it.
+    /// Converts an event that the process of `host` has reported to an event of a record; `None` if records of this
+    /// scope do not store it.
     pub fn of(scope: Scope, host: HostId, event: ProcessEvent) -> Option<Event> {
         let of_host = scope == Scope::Host;
         if scope == Scope::Operator {

@@ -1,7 +1,7 @@
-//! Writer of Protocol Buffers messages with the few field types that records use, and of the descriptors of message
-//! types.
+//! Writes Protocol Buffers messages with the few field types that records use, and descriptors of message types.
 
-/// Writer of one message. Fields with the default value are left out, as in proto3.
+/// Writer of one Protocol Buffers message, with its bytes so far. Numbers with the default value 0 are left out, as in
+/// proto3.
 #[derive(Default)]
 pub struct Message(pub Vec<u8>);
 
@@ -18,7 +18,7 @@ impl Message {
         self.varint(u64::from(field << 3 | wire_type));
     }
 
-    /// Writes an unsigned integer, a boolean or an enum value as a varint.
+    /// Writes an unsigned integer, a boolean or an enum value as field `field`, as a varint.
     pub fn uint(&mut self, field: u32, value: u64) {
         if value != 0 {
             self.key(field, 0);
@@ -26,7 +26,7 @@ impl Message {
         }
     }
 
-    /// Writes a 64-bit floating-point number.
+    /// Writes a 64-bit floating-point number as field `field`.
     pub fn double(&mut self, field: u32, value: f64) {
         if value != 0.0 {
             self.key(field, 1);
@@ -34,7 +34,7 @@ impl Message {
         }
     }
 
-    /// Writes a 32-bit unsigned integer of fixed size.
+    /// Writes a 32-bit unsigned integer of fixed size as field `field`.
     pub fn fixed32(&mut self, field: u32, value: u32) {
         if value != 0 {
             self.key(field, 5);
@@ -42,19 +42,19 @@ impl Message {
         }
     }
 
-    /// Writes a string.
+    /// Writes a string as field `field`.
     pub fn text(&mut self, field: u32, value: &str) {
         self.bytes(field, value.as_bytes());
     }
 
-    /// Writes a byte string.
+    /// Writes a byte string as field `field`.
     pub fn bytes(&mut self, field: u32, value: &[u8]) {
         self.key(field, 2);
         self.varint(value.len() as u64);
         self.0.extend_from_slice(value);
     }
 
-    /// Writes an embedded message; `write` adds its fields.
+    /// Writes an embedded message as field `field`; `write` adds its fields.
     pub fn message(&mut self, field: u32, write: impl FnOnce(&mut Message)) {
         self.key(field, 2);
         // Most messages are shorter than 128 bytes, and their length takes one byte.
@@ -72,7 +72,7 @@ impl Message {
     }
 }
 
-/// Type of a field.
+/// Type of a field of a Protocol Buffers message.
 #[derive(Clone, Copy)]
 pub enum Type {
     /// 64-bit floating-point number.
@@ -95,13 +95,13 @@ pub enum Type {
     Enum(&'static str),
 }
 
-/// Message type: its name, and its fields with their numbers.
+/// Definition of a Protocol Buffers message type: its name, and its fields with name, number and type.
 pub type MessageType = (&'static str, &'static [(&'static str, u32, Type)]);
-/// Enumeration: its name, and its values from 0.
+/// Definition of a Protocol Buffers enumeration: its name, and the names of its values from 0.
 pub type EnumType = (&'static str, &'static [&'static str]);
 
-/// Returns the descriptors of a package's types as a `FileDescriptorSet`, with those of `google.protobuf` that they
-/// use.
+/// Returns the descriptors of a Protocol Buffers package's message types and enumerations as an encoded
+/// `FileDescriptorSet`, with the types of `google.protobuf` that they use.
 pub fn describe(package: &str, messages: &[MessageType], enums: &[EnumType]) -> Vec<u8> {
     let mut set = Message::default();
     set.message(1, |file| well_known(file, "Timestamp", "google/protobuf/timestamp.proto"));
@@ -156,7 +156,7 @@ fn field(out: &mut Message, name: &str, number: u32, of: Type) {
     type_name.into_iter().for_each(|name| out.text(6, name));
 }
 
-/// Writes the descriptor of `Timestamp` or `Duration`: seconds and nanoseconds.
+/// Writes the file descriptor of the type `Timestamp` or `Duration` of `google.protobuf`: seconds and nanoseconds.
 fn well_known(file: &mut Message, name: &str, path: &str) {
     const INT64: u64 = 3;
     const INT32: u64 = 5;

@@ -1,6 +1,6 @@
-//! Reader of the Protocol Buffers messages that records hold, field by field.
+//! Reads the Protocol Buffers messages of records, field by field.
 
-/// Value of a field.
+/// Value of a field of a Protocol Buffers message, by its wire type.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Value<'a> {
     /// Varint: integer, boolean or enum value.
@@ -14,7 +14,7 @@ pub enum Value<'a> {
 }
 
 impl<'a> Value<'a> {
-    /// The value as a number; `None` for bytes and integers of fixed size.
+    /// Returns the value as a number; `None` for bytes and integers of fixed size.
     pub fn number(self) -> Option<f64> {
         match self {
             Value::Double(number) => Some(number),
@@ -23,7 +23,7 @@ impl<'a> Value<'a> {
         }
     }
 
-    /// The bytes of a string, byte string or embedded message; `None` for a number.
+    /// Returns the bytes of a string, byte string or embedded message; `None` for a number.
     pub fn bytes(self) -> Option<&'a [u8]> {
         match self {
             Value::Bytes(bytes) => Some(bytes),
@@ -32,7 +32,7 @@ impl<'a> Value<'a> {
     }
 }
 
-/// Iterator over the fields of an encoded message: number and value. It ends early at invalid bytes.
+/// Iterator over the fields of an encoded Protocol Buffers message: number and value. It ends early at invalid bytes.
 pub struct Fields<'a>(pub &'a [u8]);
 
 impl<'a> Iterator for Fields<'a> {

@@ -11,66 +11,66 @@ use super::Event;
 use crate::graph::inputs::Input;
 use crate::time::{Span, Time};
 
-/// Capacity of the queue \[events\]: about ten seconds of a host of a team of five, some 2 MB.
+/// Capacity of a record's queue \[events\]: about ten seconds of events of a host in a team of five, some 2 MB.
 const CAPACITY: usize = 16_384;
 /// Number of events that a simulation collects before it passes them to the writer.
 const BATCH: usize = 2048;
-/// Largest amount of inputs recorded per second in real time \[bytes\], so that a flood of datagrams does not fill the
-/// disk.
+/// Largest size of a host's inputs that is recorded per second in real time \[bytes\], so that a flood of datagrams
+/// does not fill the disk.
 const INPUT_BYTES: usize = 1_000_000;
-/// Shortest time between two `Event::Dropped` in a record.
+/// Shortest time between two events `Event::Dropped` (counts of dropped events) in a record.
 const COUNT_PERIOD: Span = Span::from_millis(1000);
-/// Longest time that the writer waits for events before it checks the queue again.
+/// Longest time that the writer thread waits for events before it checks the queue again.
 pub const POLL: Duration = Duration::from_millis(100);
 
-/// Behaviour when the queue is full.
+/// What happens to events when the queue to the writer of a record is full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WhenFull {
-    /// Drop events and count them. Used in real time.
+    /// Events are dropped and counted. Used in real time.
     Drop,
-    /// Wait for the writer. Used in simulations.
+    /// The sending thread waits for the writer thread. Used in simulations.
     Wait,
 }
 
-/// Sending end of the queue, used by the thread that runs the actors.
+/// Sending end of a record's event queue, used by the thread that runs the actors.
 pub struct Inlet {
     when_full: WhenFull,
     shared: Arc<Shared>,
     events: RefCell<Vec<Event>>,
-    /// Dropped events that are not yet reported by an `Event::Dropped` in the queue.
+    /// Number of dropped events that no `Event::Dropped` in the queue reports yet.
     missing: Cell<u64>,
     /// Time of the last `Event::Dropped` that was put into the queue; `None` before the first.
     counted: Cell<Option<Time>>,
     dropped: Cell<u64>,
-    /// Size of the inputs in the current second \[bytes\].
+    /// Size of the inputs recorded in the current second of the run \[bytes\].
     input_bytes: Cell<usize>,
     second_began: Cell<Time>,
-    /// Time of the last turn.
+    /// Time at which the last turn of the event loop ended.
     turned: Cell<Time>,
-    /// Whether the writer is known to have ended.
+    /// Whether the writer thread is known to have ended.
     abandoned: Cell<bool>,
 }
 
-/// Receiving end of the queue, used by the writer thread.
+/// Receiving end of a record's event queue, used by the writer thread.
 pub struct Outlet(Arc<Shared>);
 
 struct Shared {
     state: Mutex<State>,
     /// Notified after the writer has taken events; a simulation waits on it.
     room: Condvar,
-    /// Notified when events were added by a simulation or the inlet was closed.
+    /// Notified when a simulation has added events, or when the sending end was closed.
     filled: Condvar,
 }
 
 struct State {
     events: Vec<Event>,
-    /// Whether the inlet was closed.
+    /// Whether the sending end was closed.
     closed: bool,
-    /// Whether the outlet was dropped.
+    /// Whether the receiving end was dropped, because the writer thread has ended.
     abandoned: bool,
 }
 
-/// Creates a queue and returns its two ends.
+/// Creates the event queue of a record, and returns its sending and its receiving end.
 pub fn queue(when_full: WhenFull) -> (Inlet, Outlet) {
     let room = if when_full == WhenFull::Drop { CAPACITY } else { BATCH * 2 };
     let state = State { events: Vec::with_capacity(room), closed: false, abandoned: false };
@@ -92,7 +92,8 @@ pub fn queue(when_full: WhenFull) -> (Inlet, Outlet) {
 }
 
 impl Inlet {
-    /// Adds an event of the current turn of the event loop.
+    /// Adds an event of the current turn of the event loop. With [`WhenFull::Drop`], drops it if the queue is full or
+    /// the inputs of this second are too large.
     pub fn push(&self, event: Event) {
         let mut events = self.events.borrow_mut();
         if self.when_full == WhenFull::Drop && (events.len() >= CAPACITY || self.is_beyond(&event)) {
@@ -103,7 +104,8 @@ impl Inlet {
         events.push(event);
     }
 
-    /// Counts the size of an input. Returns whether the inputs of this second are too large.
+    /// Adds the size of an input to that of the current second. Returns whether the inputs of this second are too large
+    /// to be recorded.
     fn is_beyond(&self, event: &Event) -> bool {
         let bytes = match event {
             Event::Input(Input::Frame(_, frame, _)) => frame.len(),
@@ -114,7 +116,7 @@ impl Inlet {
         self.input_bytes.get() > INPUT_BYTES
     }
 
-    /// Ends the current turn at time `now` and passes the collected events to the writer.
+    /// Ends the current turn of the event loop at time `now`, and passes the collected events to the writer thread.
     pub fn turn(&self, now: Time) {
         self.turned.set(now);
         let due = self.counted.get().is_none_or(|at| now.since(at) >= COUNT_PERIOD);
@@ -139,7 +141,7 @@ impl Inlet {
         }
     }
 
-    /// Passes on the remaining events and closes the queue. Later events are lost.
+    /// Passes the remaining events to the writer thread and closes the queue. Events added later are lost.
     pub fn close(&self) {
         if self.missing.get() > 0 && self.events.borrow().len() + 2 <= CAPACITY {
             let last = [Event::Dropped(self.missing.replace(0)), Event::Turn(self.turned.get())];
@@ -154,7 +156,7 @@ impl Inlet {
         self.shared.filled.notify_one();
     }
 
-    /// Number of events dropped so far.
+    /// Returns the number of events dropped so far.
     pub fn dropped(&self) -> u64 {
         self.dropped.get()
     }
@@ -164,7 +166,8 @@ impl Inlet {
         self.abandoned.get()
     }
 
-    /// Passes all collected events to the writer if they fit and the lock is free; otherwise keeps them.
+    /// Passes all collected events to the writer thread if they fit and the lock is free; otherwise keeps them for the
+    /// next call.
     fn offer(&self) {
         let mut state = match self.shared.state.try_lock() {
             Ok(state) => state,
@@ -181,7 +184,7 @@ impl Inlet {
         }
     }
 
-    /// Waits until the writer has taken the previous events, then passes on all collected ones.
+    /// Waits until the writer thread has taken the previous events, then passes all collected events to it.
     fn wait(&self) {
         let busy = |state: &mut State| !state.events.is_empty() && !state.abandoned;
         let mut state = self.shared.room.wait_while(self.shared.lock(), busy).unwrap_or_else(|e| e.into_inner());

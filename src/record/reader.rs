@@ -13,7 +13,8 @@ use mcap::{McapError, parse_record};
 use super::identity::{Identity, METADATA, WrongIdentity};
 use super::series::part_of;
 
-/// Longest MCAP record that is accepted \[bytes\]. It bounds the memory that a damaged length can claim.
+/// Longest MCAP record (element of a file) that is accepted \[bytes\]. It bounds the memory that a damaged length can
+/// claim.
 const LONGEST: usize = 1 << 27;
 
 /// Error while a record is read.
@@ -22,32 +23,32 @@ pub enum ReadError {
     /// The file cannot be opened or read.
     #[error("cannot read the record '{}': {error}", path.display())]
     Open {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The reason.
+        /// Error of the operating system.
         error: std::io::Error,
     },
     /// The file is not MCAP, or is damaged.
     #[error("the record '{}' cannot be read: {error}", path.display())]
     Damaged {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The reason.
+        /// Error of the MCAP parser.
         error: McapError,
     },
     /// The identity in the file cannot be used by this program.
     #[error("'{}' is no record of this program: {error}", path.display())]
     Foreign {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The reason.
+        /// What is wrong with the identity.
         error: WrongIdentity,
     },
     /// The file has no metadata `murmurate.run` before its first message. Without them it is not a record of this
     /// program.
     #[error("'{}' is no record of this program: it has no metadata '{METADATA}'", path.display())]
     Nameless {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
     },
 }
@@ -59,7 +60,7 @@ pub struct Channel {
     pub topic: String,
     /// Encoding of the channel's messages.
     pub encoding: String,
-    /// Id of the schema in the file; 0 for none.
+    /// Id of the channel's schema in the file; 0 for none.
     pub schema: u16,
 }
 
@@ -85,7 +86,7 @@ pub enum Item {
     Schema(SchemaHeader, Vec<u8>),
     /// Channel with its id.
     Channel(u16, Rc<Channel>),
-    /// A message.
+    /// A message of a channel.
     Message(Message),
 }
 
@@ -97,18 +98,19 @@ pub struct Reader {
     channels: BTreeMap<u16, Rc<Channel>>,
     complete: bool,
     over: bool,
-    /// Index of the current file, from 0; `None` if no further file belongs to it.
+    /// Index of the file being read among the files of its record, from 0; `None` if no further file belongs to the
+    /// record.
     part: Option<u32>,
 }
 
 impl Reader {
-    /// Opens a file.
+    /// Opens an MCAP file. If it is the first file of a record, its further files are read after it.
     pub fn open(path: &Path) -> Result<Reader, ReadError> {
         let file = File::open(path).map_err(|error| ReadError::Open { path: path.to_owned(), error })?;
         Ok(Reader { part: Some(0), ..Reader::of(path, BufReader::with_capacity(1 << 18, file)) })
     }
 
-    /// Reads from any source. `path` is the name of the file in errors.
+    /// Creates a reader of MCAP data from any source. `path` is the name of the file in errors.
     pub fn of(path: &Path, source: impl Read + 'static) -> Reader {
         let options = LinearReaderOptions::default().with_skip_end_magic(true).with_record_length_limit(LONGEST);
         Reader {
@@ -168,7 +170,7 @@ impl Reader {
         Ok(None)
     }
 
-    /// Goes on with the next file of the record, if there is one.
+    /// Continues with the next file of the record, and returns `true`; returns `false` if there is none.
     fn goes_on(&mut self) -> Result<bool, ReadError> {
         let Some(part) = self.part.map(|part| part + 1) else { return Ok(false) };
         let path = part_of(&self.path, part);
@@ -180,7 +182,8 @@ impl Reader {
         Ok(true)
     }
 
-    /// Learns from the identity whether the record may go on in other files.
+    /// Notes from the record's identity whether the record may continue in other files: it does not if it has only
+    /// excerpts, or if this is not its first file.
     fn note(&mut self, item: &Item) {
         if let Item::Metadata(name, metadata) = item
             && name == METADATA
@@ -201,7 +204,8 @@ impl Reader {
     }
 }
 
-/// Converts an MCAP record to an element; `None` for index records.
+/// Converts a parsed MCAP record to an [`Item`], and adds channels to `channels`; `None` for index records and the
+/// like.
 fn item(channels: &mut BTreeMap<u16, Rc<Channel>>, record: Record<'_>) -> Option<Item> {
     match record {
         Record::Metadata(metadata) => Some(Item::Metadata(metadata.name, metadata.metadata)),
@@ -223,7 +227,7 @@ fn item(channels: &mut BTreeMap<u16, Rc<Channel>>, record: Record<'_>) -> Option
     }
 }
 
-/// A record file after its first part was read.
+/// An open record file, of which identity and attached files were read.
 pub struct Opened {
     /// Identity of the record.
     pub identity: Identity,
@@ -254,18 +258,19 @@ impl Messages {
     }
 }
 
-/// Opens a record and reads up to its first message. Fails if the file has no identity.
+/// Opens a record and reads up to its first message. Fails if the file has no identity of a record.
 pub fn open(path: &Path) -> Result<Opened, ReadError> {
     let (identity, attached, messages) = open_any(path)?;
     let identity = identity.ok_or_else(|| ReadError::Nameless { path: path.to_owned() })?;
     Ok(Opened { identity, attached, messages })
 }
 
-/// First part of any MCAP file: its identity if it is a record, its attached files (name and content), and its
-/// messages.
+/// An open MCAP file, of which the part before the first message was read: its identity if it is a record, its attached
+/// files (name and content), and the reader of its messages.
 pub type Beginning = (Option<Identity>, Vec<(String, Vec<u8>)>, Messages);
 
-/// Opens an MCAP file and reads up to its first message. A merged record has no identity.
+/// Opens an MCAP file and reads up to its first message. The identity is `None` for merged records and files of other
+/// programs.
 pub fn open_any(path: &Path) -> Result<Beginning, ReadError> {
     let mut reader = Reader::open(path)?;
     let (mut identity, mut attached, mut next) = (None, Vec::new(), None);

@@ -9,7 +9,7 @@ use mcap::{Attachment, McapError, WriteOptions, Writer};
 
 use super::reader::{Item, ReadError, Reader};
 
-/// Result of a repair.
+/// Result of the repair of a record.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Repaired {
     /// Number of messages that were copied.
@@ -18,7 +18,7 @@ pub struct Repaired {
     pub was_complete: bool,
 }
 
-/// Error of a repair.
+/// Error in the repair or the copying of a record.
 #[derive(Debug, thiserror::Error)]
 pub enum RepairError {
     /// The damaged file cannot be read.
@@ -29,7 +29,7 @@ pub enum RepairError {
     Write(#[from] McapError),
 }
 
-/// Copies all complete messages of a file to `to`.
+/// Copies all complete elements and messages of a record to `to`, with an end and an index.
 pub fn repair(from: &mut Reader, to: impl Write + Seek) -> Result<Repaired, RepairError> {
     let mut copy = Copy::begin(to)?;
     while let Some(item) = from.next_item()? {
@@ -39,7 +39,7 @@ pub fn repair(from: &mut Reader, to: impl Write + Seek) -> Result<Repaired, Repa
     Ok(Repaired { messages, was_complete: from.is_complete() })
 }
 
-/// Copy of an MCAP file, element by element.
+/// Writes a copy of an MCAP file, element by element.
 pub(super) struct Copy<W: Write + Seek> {
     writer: Writer<W>,
     schemas: BTreeMap<u16, u16>,
@@ -48,14 +48,14 @@ pub(super) struct Copy<W: Write + Seek> {
 }
 
 impl<W: Write + Seek> Copy<W> {
-    /// Creates the new file.
+    /// Begins a new MCAP file in `to`.
     pub fn begin(to: W) -> Result<Copy<W>, McapError> {
         let library = concat!("murmurate ", env!("CARGO_PKG_VERSION"));
         let writer = WriteOptions::new().compression(None).library(library).create(to)?;
         Ok(Copy { writer, schemas: BTreeMap::new(), channels: BTreeMap::new(), messages: 0 })
     }
 
-    /// Writes an element of the original file.
+    /// Writes an element of the original file to the copy.
     pub fn item(&mut self, item: Item) -> Result<(), McapError> {
         match item {
             Item::Metadata(name, metadata) => {
@@ -85,7 +85,7 @@ impl<W: Write + Seek> Copy<W> {
         Ok(())
     }
 
-    /// Writes the end of the file. Returns the number of copied messages.
+    /// Writes the end and the index of the copy. Returns the number of copied messages.
     pub fn finish(mut self) -> Result<u64, McapError> {
         self.writer.finish()?;
         Ok(self.messages)

@@ -18,7 +18,7 @@ use crate::time::Span;
 /// Largest size of the messages held in memory until a trigger \[bytes\].
 const RING_BYTES: usize = 256 << 20;
 
-/// Parts of a run that are stored in files, and the size of these files.
+/// Settings of what is stored of a run in its record: the whole run or the time around triggers, and the size of files.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Retention {
     /// Time before and after a trigger that is stored; a trigger is an emergency stop, an aborted episode or a request.
@@ -28,23 +28,23 @@ pub struct Retention {
     pub most_bytes: Option<u64>,
 }
 
-/// Files of a record that is being written.
+/// Writes the files of one record: one file, several of limited size, or excerpts around triggers.
 pub struct Series {
     path: PathBuf,
     beginning: Beginning,
     stage: Stage,
     retention: Retention,
     file: Option<RecordFile>,
-    /// Messages of the last seconds, held until a trigger.
+    /// Messages of the last seconds with topic and time \[ns\], held in memory until a trigger.
     ring: VecDeque<(Topic, u64, Vec<u8>)>,
     ring_bytes: usize,
-    /// Time at which the current excerpt ends \[ns\], on the time axis of the messages. It is used only if
-    /// `retention.last` is set.
+    /// Time at which the current excerpt ends \[ns\], on the time axis of the messages. Used only if `retention.last`
+    /// is set.
     until: u64,
 }
 
 impl Series {
-    /// Begins a record. Creates its file, unless only excerpts are stored.
+    /// Begins a record with the path `path` of its first file. Creates the file, unless only excerpts are stored.
     pub fn begin(
         path: &Path,
         mut beginning: Beginning,
@@ -60,7 +60,7 @@ impl Series {
         Ok(Series { path, beginning, stage, retention, file, ring, ring_bytes: 0, until: 0 })
     }
 
-    /// Adds a message to the current file, or, without one, to the messages held in memory.
+    /// Adds a message at time `at` \[ns\] to the current file, or to the messages held in memory if no file is open.
     pub fn write(&mut self, topic: Topic, at: u64, data: &[u8]) -> Result<(), McapError> {
         if let Some(file) = &mut self.file {
             return file.write(&self.stage, topic, at, data);
@@ -74,8 +74,8 @@ impl Series {
         Ok(())
     }
 
-    /// Handles a trigger at time `at` \[ns\]: stores the held messages in a new file, and the following ones until the
-    /// excerpt ends.
+    /// Handles a trigger at time `at` \[ns\]: stores the messages held in memory in a new file, and the following ones
+    /// until the excerpt ends. Does nothing if the whole run is stored.
     pub fn keep(&mut self, at: u64) -> Result<(), McapError> {
         let Some(last) = self.retention.last else { return Ok(()) };
         self.until = at + last.as_nanos();
@@ -92,8 +92,8 @@ impl Series {
         Ok(())
     }
 
-    /// Ends an instant at time `at` \[ns\]: closes the file if its excerpt is over, or begins another one if the file
-    /// is full.
+    /// Ends the messages of the time `at` \[ns\]: closes the file if its excerpt is over, or begins another one if the
+    /// file is full.
     pub fn end_instant(&mut self, at: u64) -> Result<(), McapError> {
         let Some(file) = &self.file else { return Ok(()) };
         let over = self.retention.last.is_some() && at >= self.until;
@@ -114,18 +114,19 @@ impl Series {
         RecordFile::create(&path, &self.beginning, &self.stage).map_err(broken)
     }
 
-    /// Passes all data to the operating system.
+    /// Passes all data written to the current file to the operating system.
     pub fn flush(&mut self) -> Result<(), McapError> {
         self.file.as_mut().map_or(Ok(()), RecordFile::flush)
     }
 
-    /// Ends the record and closes its file.
+    /// Ends the record and closes its current file.
     pub fn finish(self) -> Result<(), McapError> {
         self.file.map_or(Ok(()), RecordFile::finish)
     }
 }
 
-/// Returns the path of a further file of a record, such as `NAME.1.mcap` after `NAME.mcap`.
+/// Returns the path of the file with the index `part` of the record whose first file is `path`, such as `NAME.1.mcap`
+/// for 1 after `NAME.mcap`.
 pub fn part_of(path: &Path, part: u32) -> PathBuf {
     match part {
         0 => path.to_owned(),
@@ -140,7 +141,8 @@ pub fn first_of(path: &Path) -> Option<PathBuf> {
     part.parse::<u32>().ok().filter(|part| *part > 0).map(|_| path.with_file_name(format!("{name}.mcap")))
 }
 
-/// Detector of triggers, which are the reasons to store an excerpt.
+/// Detects triggers, which are the reasons to store an excerpt of a run: emergency stops, aborted episodes and
+/// requests.
 #[derive(Default)]
 pub struct Triggers {
     stops: BTreeMap<RobotId, u64>,

@@ -1,5 +1,5 @@
-//! Records for sharing without the team's key: an attached list states which datagrams had a valid tag, and a replay
-//! uses it instead of the key.
+//! Copies records so that they can be shared without the team's key: an attached list states which datagrams had a
+//! valid tag, and a replay uses it instead of the key.
 
 use std::collections::BTreeSet;
 use std::io::{Seek, Write};
@@ -11,7 +11,7 @@ use crate::graph::inputs::Input;
 use crate::messages::ids::HostId;
 use crate::net::protocol::key::{Key, digest};
 
-/// Name of the attachment with the list: 16-byte digests of the accepted datagrams.
+/// Name of the attachment of a shared record that lists 16-byte digests of the datagrams with a valid tag.
 pub const ACCEPTED: &str = "murmurate.accepted";
 
 /// Result of checking the tags of a record's datagrams.
@@ -23,7 +23,8 @@ pub struct Found {
     pub refused: u64,
 }
 
-/// Checks the tags of all datagrams received by the host with the id `host`.
+/// Checks with the team's key the tags of all datagrams that the host `host` has received, by its record. Returns the
+/// digests of those with a valid tag.
 pub fn accepted(mut messages: Messages, key: &Key, host: HostId) -> Result<Found, ReadError> {
     let mut found = Found::default();
     while let Some(message) = messages.next_message()? {
@@ -42,7 +43,7 @@ pub fn accepted(mut messages: Messages, key: &Key, host: HostId) -> Result<Found
     Ok(found)
 }
 
-/// Copies a record and attaches the list of its accepted datagrams.
+/// Copies a record to `to` and attaches the list `accepted` of its datagrams with a valid tag.
 pub fn copy(from: &mut Reader, accepted: &BTreeSet<[u8; 16]>, to: impl Write + Seek) -> Result<(), RepairError> {
     let mut copy = Copy::begin(to)?;
     let list: Vec<u8> = accepted.iter().flatten().copied().collect();
@@ -54,7 +55,8 @@ pub fn copy(from: &mut Reader, accepted: &BTreeSet<[u8; 16]>, to: impl Write + S
     Ok(())
 }
 
-/// Returns a key that accepts exactly the listed datagrams, from the attachments of a record; `None` if it has no list.
+/// Returns a key for a replay that accepts exactly the datagrams in the list of a shared record, which is one of the
+/// attachments; `None` if it has no list.
 pub fn trusted(attached: &[(String, Vec<u8>)]) -> Option<Key> {
     let (_, list) = attached.iter().find(|(name, _)| name == ACCEPTED)?;
     let (digests, _) = list.as_chunks::<16>();

@@ -1,5 +1,6 @@
 //! Stage of a record: hosts, ground and walls, which a picture needs in addition to the robots' states. It is the
-//! metadata `murmurate.stage` of the file, so a record can be shown without the program and the files that made it.
+//! metadata `murmurate.stage` of the record's file, so a record can be shown without the program and the files that
+//! made it.
 
 use std::collections::BTreeMap;
 
@@ -11,12 +12,12 @@ use crate::messages::ids::{HostId, RobotId};
 use crate::scenario::Scenario;
 use crate::scenario::arena::KeepOut;
 
-/// Name of the stage's metadata in a record.
+/// Name of the MCAP metadata in a record that contains the [`Stage`].
 pub const METADATA: &str = "murmurate.stage";
-/// Name of the only entry in the metadata.
+/// Name of the only entry of the metadata; its value is the stage as JSON.
 const ENTRY: &str = "stage";
 
-/// Constant properties of a run that are needed to show it.
+/// Constant properties of a run that are needed to show it: ground, walls, hosts and robots.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Stage {
     /// Name of the scenario.
@@ -31,7 +32,7 @@ pub struct Stage {
     pub robots: usize,
     /// Half the size of the ground along x and y \[m\]; its middle is the origin.
     pub half_extent: [f32; 2],
-    /// Solid blocks: smallest x and y, then largest x and y \[m\], world frame.
+    /// Walls and other solid blocks: smallest x and y, then largest x and y \[m\], world frame.
     pub walls: Vec<[f32; 4]>,
     /// Radius of a robot's hull \[m\].
     pub hull_m: f32,
@@ -40,7 +41,7 @@ pub struct Stage {
 }
 
 impl Stage {
-    /// Returns the stage of a run with this plan.
+    /// Returns the stage of a run, from its plan.
     pub fn of(plan: &Plan) -> Stage {
         Stage::of_team((&plan.deployment, &*plan.scenario), plan.physics.wall_radius_m, plan.range.mean_m)
     }
@@ -67,13 +68,13 @@ impl Stage {
         }
     }
 
-    /// Returns the stage as metadata for a file.
+    /// Returns the stage as MCAP metadata for a record.
     pub fn to_metadata(&self) -> BTreeMap<String, String> {
         let text = serde_json::to_string(self).expect("a stage is JSON");
         BTreeMap::from([(ENTRY.to_owned(), text)])
     }
 
-    /// Reads the stage from the metadata of a file; `None` if the metadata is not a stage.
+    /// Reads the stage from the MCAP metadata of a record; `None` if the metadata is not a stage.
     pub fn of_metadata(metadata: &BTreeMap<String, String>) -> Option<Stage> {
         serde_json::from_str(metadata.get(ENTRY)?).ok()
     }

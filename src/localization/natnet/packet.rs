@@ -35,9 +35,9 @@ const TRUNCATED: Malformed = Malformed("a NatNet packet ends too early");
 /// Version of an application or of the bitstream: major and minor number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Version {
-    /// Major number.
+    /// Major version number: 3 in version 3.1.
     pub major: u8,
-    /// Minor number.
+    /// Minor version number: 1 in version 3.1.
     pub minor: u8,
 }
 

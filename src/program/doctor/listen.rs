@@ -53,7 +53,8 @@ pub fn hindrance(phase: Phase, latch: Latch) -> Option<String> {
     }
 }
 
-/// State received by one operator.
+/// Everything that `doctor` heard from the team while it listened: reception and delay of each host on each link,
+/// counts of datagrams, the condition of each robot, and the reason, if any, why no robot may be driven.
 #[derive(Default)]
 struct Received {
     peers: BTreeMap<(u16, u16), Peer>,

@@ -56,7 +56,7 @@ pub struct Args {
     quiet: bool,
 }
 
-/// ANSI colours of host names. Red is left out, because it looks like an error.
+/// ANSI colour codes of the host names before log lines. Red is left out, because it looks like an error.
 const COLOURS: [u8; 10] = [36, 32, 33, 35, 34, 96, 92, 93, 95, 94];
 
 /// Runs `launch`: starts the team, waits for it, and prints the results.
@@ -130,7 +130,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     }
 }
 
-/// Returns the words of the command that starts the process of a host; none without `--through`.
+/// Returns the words of the flag `--through` that precede the command of a host's process, with `{host}` replaced by
+/// the host's name; empty without the flag.
 fn through(args: &Args, host: &str) -> Vec<String> {
     args.through
         .iter()
@@ -139,7 +140,8 @@ fn through(args: &Args, host: &str) -> Vec<String> {
         .collect()
 }
 
-/// Runs the processes until they end, together with the live page if requested.
+/// Runs the processes of all hosts until they end, and collects their results in `results`; serves the live page
+/// meanwhile if `--watch` is given. Returns how the run ended.
 fn supervise(
     args: &Args,
     _registry: &Registry,
@@ -167,7 +169,8 @@ fn supervise(
     Ok(supervisor.run(|at, output| results.handle(at, &output)))
 }
 
-/// Returns the arguments that give another process of this program the same team file and flags.
+/// Returns the team file and the flags `--set`, `--interface` and `--key-file` as command-line arguments for another
+/// process of this program.
 fn team_arguments(team: &team::TeamArgs) -> Vec<OsString> {
     let mut all: Vec<OsString> = vec![team.file.clone().into()];
     all.extend(team.set.iter().flat_map(|given| ["--set".into(), given.into()]));
@@ -176,7 +179,8 @@ fn team_arguments(team: &team::TeamArgs) -> Vec<OsString> {
     all
 }
 
-/// Checks every host's key and policy before any process starts. Returns the policies' names.
+/// Reads every host's key file and policy before any process starts, and fails if one is wrong. Returns the policies'
+/// names, separated by commas.
 fn checked(teams: &[Team], registry: &Registry) -> Result<String> {
     let mut names: Vec<String> = Vec::new();
     let mut seen: Vec<&Team> = Vec::new();
@@ -202,9 +206,9 @@ struct Results {
     began: Instant,
     ready: usize,
     episodes: BTreeMap<u32, Episode>,
-    /// Counts of each process's newest incarnation.
+    /// Counts (messages and the like) that the newest incarnation of each process has reported, by process.
     counted: Vec<Counted>,
-    /// Counts of earlier incarnations.
+    /// Last counts of processes that have been restarted since: one entry per earlier incarnation.
     past: Vec<Counted>,
     /// Sender of results to the live page; `None` without a page.
     #[cfg(feature = "watch")]

@@ -1,7 +1,7 @@
-//! Supervisor of a group of processes: starts them, reads their output, restarts them within limits, and stops them
+//! Supervises a group of processes: starts them, reads their output, restarts them within limits, and stops them
 //! together.
 //!
-//! The caller provides the commands and interprets the output.
+//! The caller provides the commands of the processes and interprets their output.
 
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
@@ -14,31 +14,33 @@ use std::time::{Duration, Instant};
 use nix::sys::signal::{Signal, killpg};
 use nix::unistd::Pid;
 
-/// Interval at which processes are checked while they print nothing.
+/// Interval at which the supervisor checks for ended processes and exceeded time limits while no process prints.
 const TICK: Duration = Duration::from_millis(50);
 
-/// Longest time that pipes may stay open after their process has ended, because a child of it holds them.
+/// Longest time that the output of an ended process is waited for, because a child of it holds the pipes open.
 const PIPES: Duration = Duration::from_secs(1);
 
-/// Largest length of a line \[bytes\]; longer lines are split.
+/// Largest length of a line of a process's output \[bytes\]; longer lines are split.
 const LINE: u64 = 1 << 16;
 
-/// Capacity of the queue of lines. Processes that print faster have to wait.
+/// Capacity of the queue of output lines that the caller has not handled yet \[lines\]. Processes that print faster
+/// have to wait.
 const QUEUE: usize = 1024;
 
 /// Exit code of a process that refuses its flags or files; it is not restarted.
 const REFUSED: i32 = 2;
 
-/// Limits of restarts and of waiting times.
+/// Limits on the restarts of processes, and on the time for their end.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     /// Largest number of restarts of a process within `window`.
     pub restarts: usize,
-    /// Window in which restarts are counted.
+    /// Length of the time window in which restarts of a process are counted.
     pub window: Duration,
-    /// Longest time for the remaining processes to end after the work is done.
+    /// Longest time for the remaining processes to end by themselves, after the work is done or a process has ended
+    /// with exit code 0. Then the run fails.
     pub finish: Duration,
-    /// Longest time for a process to end after a request to stop.
+    /// Longest time for a process to end after a request to stop (SIGTERM). Then it is killed.
     pub stop: Duration,
 }
 
@@ -49,7 +51,7 @@ impl Default for Limits {
     }
 }
 
-/// Process to supervise.
+/// A process to supervise: its name, and how to start it.
 pub struct Process {
     /// Name of the process.
     pub name: String,
@@ -57,7 +59,7 @@ pub struct Process {
     pub command: Box<dyn Fn() -> Command>,
 }
 
-/// Output of a process, or a note about it.
+/// Line of output of a supervised process, or a note about the process.
 pub enum Output<'a> {
     /// Line of a process's stdout.
     Data(&'a str),
@@ -67,16 +69,16 @@ pub enum Output<'a> {
     Note(&'a str),
 }
 
-/// Response of the caller to an output.
+/// Response of the supervisor's caller to an output of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Response {
-    /// The run continues.
+    /// The work is not done; the run continues.
     Continue,
     /// The work is done, and all processes are expected to end by themselves.
     Done,
 }
 
-/// Outcome of a supervised run.
+/// Outcome of a run of supervised processes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Outcome {
     /// All processes ended by themselves with exit code 0.
@@ -95,23 +97,24 @@ enum Event {
     Stop,
 }
 
-/// Handle for requests to stop all processes. A second request kills them.
+/// Handle for requests to stop all processes of a [`Supervisor`]. The first request sends SIGTERM; a second one kills
+/// them.
 #[derive(Clone)]
 pub struct Stopper(SyncSender<Event>);
 
 impl Stopper {
-    /// Sends a request to stop.
+    /// Asks the supervisor to stop all processes; a second call kills them.
     pub fn stop(&self) {
         // The receiver is gone once all processes have ended.
         let _ = self.0.send(Event::Stop);
     }
 }
 
-/// State of one supervised process.
+/// State of one supervised process over its restarts.
 struct Slot {
     process: Process,
     child: Option<Child>,
-    /// Number of starts so far.
+    /// Number of starts of the process so far.
     start: u32,
     open_pipes: u8,
     gone: Option<(ExitStatus, Instant)>,
@@ -122,7 +125,8 @@ struct Slot {
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Phase {
     Running,
-    /// The work is done, or a process has ended too early; the others are expected to end, too.
+    /// The work is done, or a process has ended too early, at this time and for this reason; the other processes are
+    /// expected to end, too.
     Finishing(Instant, Why),
     /// All processes were asked to stop at this time.
     Stopping(Instant),
@@ -135,7 +139,7 @@ enum Why {
     Ended(String),
 }
 
-/// Supervisor of a group of processes.
+/// Starts a group of processes, reads their output, restarts those that fail, and stops them together.
 pub struct Supervisor {
     limits: Limits,
     slots: Vec<Slot>,
@@ -169,8 +173,8 @@ impl Supervisor {
         Stopper(self.sender.clone())
     }
 
-    /// Starts the processes and returns when all have ended. `handle` is called with the index of a process and its
-    /// output.
+    /// Starts the processes and returns the outcome when all have ended. Calls `handle` with the index of a process and
+    /// its output; the response [`Response::Done`] says that the processes should now end by themselves.
     pub fn run(mut self, mut handle: impl FnMut(usize, Output<'_>) -> Response) -> Outcome {
         for at in 0..self.slots.len() {
             if self.phase == Phase::Running {
@@ -231,7 +235,8 @@ impl Supervisor {
         }
     }
 
-    /// Handles the end of processes, once all of their output was read.
+    /// Finds processes that have ended and whose output was read, and restarts them or ends the run. Output is waited
+    /// for up to `PIPES`.
     fn reap(&mut self) {
         for at in 0..self.slots.len() {
             let slot = &mut self.slots[at];
@@ -313,7 +318,8 @@ impl Supervisor {
         }
     }
 
-    /// Stops processes that exceed a time limit.
+    /// Ends the run if processes do not end by themselves in `Limits::finish`, and kills them if they do not stop in
+    /// `Limits::stop`.
     fn enforce_limits(&mut self) {
         match &self.phase {
             Phase::Finishing(since, why) if since.elapsed() > self.limits.finish => {
@@ -337,7 +343,7 @@ impl Supervisor {
         }
     }
 
-    /// Kills the remaining processes. Returns their names.
+    /// Kills the processes that still run, and notes the reason `why` for each. Returns their names.
     fn kill(&mut self, why: &str) -> Vec<String> {
         self.phase = Phase::Killed;
         let mut killed = Vec::new();
@@ -351,14 +357,14 @@ impl Supervisor {
     }
 }
 
-/// Kills the remaining processes, for example after a panic.
+/// Kills the processes that still run, for example after a panic.
 impl Drop for Supervisor {
     fn drop(&mut self) {
         self.slots.iter_mut().filter_map(|slot| slot.child.as_mut()).for_each(kill);
     }
 }
 
-/// Passes on the lines of a pipe until it is closed. Invalid UTF-8 is replaced; long lines are split.
+/// Sends the lines of a process's pipe as events until it is closed. Invalid UTF-8 is replaced; long lines are split.
 fn read_lines(pipe: impl Read, at: usize, data: bool, start: u32, sender: &SyncSender<Event>) {
     let mut reader = BufReader::new(pipe);
     let mut line = Vec::new();

@@ -29,7 +29,7 @@ pub struct Args {
     json: bool,
 }
 
-/// Properties of a policy file that this program can run.
+/// Properties of a policy file that this program can run; printed by `policy check`.
 #[derive(Serialize)]
 struct Facts<'a> {
     file: String,
@@ -43,7 +43,8 @@ struct Facts<'a> {
     warnings: Vec<String>,
 }
 
-/// Result of the comparison with the file's probe. Differences from numbers above 1 are relative.
+/// Largest differences between the outputs of the file's networks and the correct outputs in the file (its probe).
+/// Differences from numbers above 1 are relative.
 #[derive(Serialize)]
 struct ProbeFacts {
     robots: usize,
@@ -93,7 +94,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
-/// Returns the content of the file, or of the built-in policy with this name.
+/// Returns the content of the policy file that the arguments name, or of the built-in policy `shipped` or `published`
+/// of the scenario.
 fn bytes(args: &Args, registry: &Registry) -> Result<Cow<'static, [u8]>> {
     let Args { policy, scenario, .. } = args;
     let (name, built_in) = match policy.to_str() {
@@ -175,7 +177,8 @@ fn table(facts: &Facts) -> String {
     format!("{}: this program can run it\n{}", facts.file, rows.join("\n"))
 }
 
-/// Describes the layer widths of the three networks, and the number of parameters.
+/// Returns a text with the layer widths of the encoder, message network and update network, and the number of
+/// parameters.
 fn networks(facts: &Facts) -> String {
     let widths = |widths: &[usize]| widths.iter().map(usize::to_string).collect::<Vec<_>>().join("-");
     let Manifest { encoder, message, update, .. } = facts.manifest;

@@ -28,19 +28,20 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     check::run(args, registry)
 }
 
-/// Loaded policy, with its name and warnings.
+/// A policy that was loaded by name or from a file, with its name and warnings.
 pub struct Loaded {
     /// The model that drives each robot.
     pub model: Model,
-    /// Name of the policy in reports.
+    /// Name of the policy in reports: its name in the registry, or the path of its file.
     pub name: String,
-    /// Warnings: fields that the policy's file lacks, with the assumed values; a team larger than any in its training;
-    /// another drive.
+    /// Warnings about the use of the policy: fields that its file lacks, with the assumed values; a team larger than
+    /// any in its training; robots with another drive than in training.
     pub warnings: Vec<String>,
 }
 
 impl Loaded {
-    /// Adds a warning if the policy was trained for another drive than that of a robot of this team.
+    /// Returns this policy, with a further warning if it was trained for another drive (kind or commanded point) than
+    /// that of a robot of this team.
     pub fn for_team(mut self, team: &[Chassis]) -> Loaded {
         let name = &self.name;
         self.warnings.extend(other_drive(&self.model, team).map(|warning| format!("--policy {name}: {warning}")));
@@ -76,7 +77,8 @@ pub fn load(registry: &Registry, named: Option<&Path>, draw: Option<Draw>, scena
     Ok(Loaded { model, name, warnings })
 }
 
-/// Returns a warning if a policy was trained for another drive than that of one of these robots.
+/// Returns a warning that names the first robot whose drive (kind or commanded point) is not the one that the policy
+/// was trained for; `None` if all agree, or if the policy does not state its drive.
 fn other_drive(model: &Model, team: &[Chassis]) -> Option<String> {
     let trained = model.trained_chassis()?;
     let same = |chassis: &&Chassis| (chassis.drive, chassis.point_ahead_m) == (trained.drive, trained.point_ahead_m);

@@ -37,7 +37,7 @@ const TRAJECTORIES: &str = "episode,phase,time_s,robot,x_m,y_m,vx_m_s,vy_m_s,hea
 const LINKS: &str = "time_s,host,link,peer,incarnation,accepted,age_s,loss,passed,missing,round_trip_s,uncertainty_s";
 const MESSAGES: &str = "time_s,event,host,link,sender,incarnation,sequence,kind,bytes";
 
-/// CSV table to be written.
+/// CSV table of `record export`, collected in memory until its file is written.
 struct Table {
     file: WholeFile,
     rows: Vec<u8>,
@@ -69,7 +69,7 @@ impl Table {
     }
 }
 
-/// Runs `record export`: writes the requested tables.
+/// Runs `record export`: reads a record and writes the requested CSV tables of trajectories, links and messages.
 pub fn run(args: &Args) -> Result<Ended> {
     if args.trajectories.is_none() && args.links.is_none() && args.messages.is_none() {
         return bad("name what to export: --trajectories, --links or --messages".to_owned());

@@ -25,7 +25,7 @@ pub struct Args {
     json: bool,
 }
 
-/// Description of one record.
+/// Description of one record; printed by `record info`.
 #[derive(Default, Serialize)]
 struct Info {
     record: PathBuf,
@@ -37,11 +37,11 @@ struct Info {
     attached: Vec<String>,
     duration_s: f64,
     bytes: u64,
-    /// Whether the record is complete, and not cut by a crash.
+    /// Whether the record is complete: its end was written, and no crash has cut it.
     whole: bool,
-    /// Error at which reading stopped, if the record is damaged.
+    /// Error at which reading stopped, if the record is damaged; `None` otherwise.
     damaged: Option<String>,
-    /// Number of events that the record lacks.
+    /// Number of events that the record lacks, because they could not be written in time.
     dropped: u64,
     /// Number of messages by topic.
     topics: BTreeMap<String, u64>,
@@ -54,7 +54,7 @@ struct Table {
     records: Vec<Info>,
 }
 
-/// Runs `record info`: prints what records contain.
+/// Runs `record info`: prints what records contain. Returns [`Ended::Unfit`] if one is damaged or lacks events.
 pub fn run(args: &Args) -> Result<Ended> {
     let records = files(&args.records)?.into_iter().map(look).collect::<Result<_>>()?;
     let table = Table { records };

@@ -29,10 +29,11 @@ pub struct Args {
     output: PathBuf,
 }
 
-/// Topics that the records of all hosts contain; they are taken from one host.
+/// Topics of drawings that the records of all hosts contain; the merged record has them from one host only.
 const DRAWN: [&str; 4] = ["/scene", "/robots", "/tf", "/episode"];
 
-/// Runs `record merge`: merges records, and prints the clock offsets that were found.
+/// Runs `record merge`: merges the records of hosts into one file, and prints the clock offset that was found for each
+/// host.
 pub fn run(args: &Args) -> Result<Ended> {
     let paths = files(&args.records)?;
     let folder = args.output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -54,8 +55,9 @@ pub fn run(args: &Args) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
-/// Merges the records of the hosts of one run into a file. Returns the merged records with their clocks, and how the
-/// clocks were found.
+/// Merges the records of the hosts of one run into a file, in the order of a common clock. Returns the merged records
+/// with their clock offsets, and the result of the [`Alignment`] of the clocks. A host whose clock cannot be found is
+/// left out, with a warning.
 pub fn merge(paths: Vec<PathBuf>, output: &mut File) -> Result<(Vec<Part>, Alignment)> {
     let wrong = |error: reader::ReadError| BadInput(error.to_string());
     let (mut hosts, mut of_hosts) = (Vec::new(), Vec::new());
@@ -93,19 +95,20 @@ fn options() -> WriteOptions {
     WriteOptions::new().compression(None).library(concat!("murmurate ", env!("CARGO_PKG_VERSION")))
 }
 
-/// Record that is being merged.
+/// One record of a host while it is read for the merged file.
 struct Source<'a> {
     part: &'a Part,
     reader: Reader,
     schemas: BTreeMap<u16, u16>,
-    /// Next message: its time on the common clock \[ns\], its channel id in the merged file, and its bytes.
+    /// Next message of this record that belongs into the merged file: its time on the common clock \[ns\], its channel
+    /// id in the merged file, and its bytes. `None` at the end of the record.
     next: Option<(u64, u16, Vec<u8>)>,
     draws: bool,
 }
 
 type Merged<'a> = Writer<BufWriter<&'a mut File>>;
 
-/// Writes the messages of all records in the order of their times on the common clock.
+/// Writes the merged file: metadata, and the messages of all records in the order of their times on the common clock.
 fn write(parts: &[Part], mut writer: Merged<'_>) -> Result<()> {
     let clocks = parts.iter().map(|part| {
         let (ahead, uncertainty) = (part.clock.ahead_ns(i64::MAX / 2), part.clock.uncertainty_ns().unwrap_or(0));
@@ -136,7 +139,8 @@ fn write(parts: &[Part], mut writer: Merged<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Returns the index of the record whose drawings are used: one with true states, or else the first.
+/// Returns the index of the record from which the merged file takes the drawings (`DRAWN`): the first one with true
+/// states of simulated robots, or else record 0.
 fn painter(parts: &[Part]) -> Result<usize> {
     for (index, part) in parts.iter().enumerate() {
         let mut reader = Reader::open(&part.path)?;
@@ -157,7 +161,8 @@ fn painter(parts: &[Part]) -> Result<usize> {
 }
 
 impl Source<'_> {
-    /// Reads up to the next message that belongs into the merged file.
+    /// Reads this record up to the next message that belongs into the merged file, and stores it in `next`. Copies
+    /// metadata and schemas on the way.
     fn advance(&mut self, writer: &mut Merged<'_>) -> Result<()> {
         self.next = None;
         while let Some(item) = self.reader.next_item()? {

@@ -26,7 +26,8 @@ pub struct Args {
     output: PathBuf,
 }
 
-/// Runs `record share`: copies a record with the list of its authentic datagrams.
+/// Runs `record share`: checks the datagrams of a host's record with the team's key, and copies the record together
+/// with the list of those that had a valid tag.
 pub fn run(args: &Args) -> Result<Ended> {
     let wrong = |error: reader::ReadError| BadInput(error.to_string());
     let identity = reader::open(&args.record).map_err(wrong)?.identity;

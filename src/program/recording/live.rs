@@ -1,4 +1,4 @@
-//! Recording in real time: of a host, and of what an operator receives.
+//! Recording in real time: the record of a host, and the record of what an operator receives.
 
 use std::cell::Cell;
 use std::path::{Path, PathBuf};
@@ -21,10 +21,10 @@ use crate::record::writer::Recording;
 use crate::record::{Event, Scope};
 use crate::time::Time;
 
-/// Time that the end of a process waits for the writer of its record.
+/// Longest time that a process waits at its end until its record is written.
 const FINISH_TIMEOUT: Duration = Duration::from_millis(1500);
 
-/// Recording of a process in real time.
+/// Record of a running process (host or operator), which is written in real time by another thread.
 pub struct LiveRecord {
     scope: Scope,
     recording: Cell<Option<Recording>>,
@@ -33,9 +33,10 @@ pub struct LiveRecord {
 }
 
 impl LiveRecord {
-    /// Creates the record `NAME-INCARNATION.mcap` of a host, in the folder of the flag or else of the team file; `None`
-    /// if neither names one. `began` is the run's time zero; `files` are the team file and the policy's file, `policy`
-    /// is the digest of the latter.
+    /// Creates the record `NAME-INCARNATION.mcap` of a host, in the folder of the flag `--record` or else of the team
+    /// file; `None` if neither names one. `began` is the run's time zero; `keyed` is whether the team has a key;
+    /// `files` are the team file and the policy's file, which are attached; `policy` is the digest of the policy's
+    /// file.
     pub fn of_host(
         flags: &RecordFlags,
         (team, live): (&Team, &LiveHost),
@@ -56,8 +57,9 @@ impl LiveRecord {
         LiveRecord::start((folder, &file), Scope::Host, (beginning, Stage::of(live.plan())), retention).map(Some)
     }
 
-    /// Creates the record `operator-INCARNATION.mcap` of an operator, in the folder of the flag; `None` without one.
-    /// `began` is the run's time zero, `files` is the team file.
+    /// Creates the record `operator-INCARNATION.mcap` of an operator, in the folder of the flag `--record`; `None`
+    /// without one. `stage` is what drawings of the team need. `began` is the run's time zero; `files` is the team
+    /// file, which is attached.
     #[cfg(feature = "watch")]
     pub fn of_operator(
         flags: &RecordFlags,
@@ -89,19 +91,21 @@ impl LiveRecord {
         Ok(LiveRecord { scope, recording: Cell::new(Some(recording)), inlet, failed: Cell::new(false) })
     }
 
-    /// Adds an event of the current turn.
+    /// Adds an event of the host `host`, in the current turn of the event loop, to the record.
     pub fn push(&self, host: HostId, event: ProcessEvent) {
         if let Some(event) = Event::of(self.scope, host, event) {
             self.inlet.push(event);
         }
     }
 
-    /// Keeps the events of the last seconds and the next ones, if the record keeps events only on request.
+    /// Asks the record to keep the events of the last seconds and the next ones. Has an effect only if the record keeps
+    /// events only on request (`--record-last`).
     pub fn keep(&self) {
         self.inlet.push(Event::Keep);
     }
 
-    /// Marks the end of a turn of the event loop, at time `now`. Adds the lines that the program has logged.
+    /// Marks the end of a turn of the event loop, at time `now`, in the record. Adds the lines that the program has
+    /// logged since the last turn.
     pub fn turn(&self, now: Time) {
         log::take(|line| self.inlet.push(Event::Logged(line)));
         self.inlet.turn(now);
@@ -110,12 +114,12 @@ impl LiveRecord {
         }
     }
 
-    /// Number of events dropped so far.
+    /// Returns the number of events that the record has dropped so far, because they could not be written in time.
     pub fn dropped(&self) -> u64 {
         self.inlet.dropped()
     }
 
-    /// Ends the record. Later calls do nothing.
+    /// Ends the record and waits until it is written, at most `FINISH_TIMEOUT`. Later calls do nothing.
     pub fn finish(&self) -> Result<()> {
         let Some(recording) = self.recording.take() else { return Ok(()) };
         log::collect(false);
@@ -124,7 +128,8 @@ impl LiveRecord {
     }
 }
 
-/// Returns the identity of a run of this process that began at `began`. `policy` is the digest of the policy's file.
+/// Returns the [`Identity`] for the record of this process, whose run began at `began`. `policy` is the digest of the
+/// policy's file.
 fn here(began: Instant, policy: &str) -> Identity {
     let mut identity = Identity::here(arguments(), policy);
     let wall = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();

@@ -1,4 +1,4 @@
-//! Lines that the program logs while it records, for the topic `/log/program` of its record.
+//! Collects the lines that the program logs while it records, for the topic `/log/program` of its record.
 
 use std::fmt::{self, Write};
 use std::sync::Mutex;
@@ -13,19 +13,21 @@ use tracing_subscriber::registry::LookupSpan;
 use crate::config::redacted;
 use crate::record::{Logged, Severity};
 
-/// Largest number of lines between two turns of the event loop. Further lines are counted in one line.
+/// Largest number of log lines that are collected between two turns of the event loop. Further lines are only counted,
+/// and one line gives their number.
 const MOST: usize = 64;
-/// Longest line \[bytes\].
+/// Largest length of a collected log line \[bytes\]; the rest is cut off.
 const LINE: usize = 400;
 
-/// Lines since the last turn, and the number of lines without room.
+/// Log lines collected since the last turn of the event loop, and the number of lines beyond `MOST`, which were not
+/// kept.
 static LINES: Mutex<(Vec<Logged>, u64)> = Mutex::new((Vec::new(), 0));
-/// Whether lines are collected.
+/// Whether log lines are collected: only while a record is written.
 static OPEN: AtomicBool = AtomicBool::new(false);
-/// Whether there are lines to take.
+/// Whether `LINES` has log lines to take. Lets `take` return without the lock if it has none.
 static FILLED: AtomicBool = AtomicBool::new(false);
 
-/// Log layer that collects the lines. It sees what is logged to stderr.
+/// Layer of `tracing` that collects log lines for the record. It sees what is logged to stderr.
 pub struct Lines;
 
 /// Visitor that writes the message of a log event, and its other fields as `name=value`.
@@ -72,12 +74,13 @@ impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for Lines {
     }
 }
 
-/// Starts or ends the collection of lines.
+/// Starts (`true`) or ends (`false`) the collection of log lines for the record.
 pub fn collect(open: bool) {
     OPEN.store(open, Ordering::Relaxed);
 }
 
-/// Passes the lines since the last call to `each`. Takes no lock if there are none.
+/// Calls `each` with every log line collected since the last call of this function, and with a line that counts those
+/// for which there was no room. Takes no lock if there are none.
 pub fn take(mut each: impl FnMut(Logged)) {
     if !FILLED.swap(false, Ordering::Relaxed) {
         return;

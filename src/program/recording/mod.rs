@@ -1,4 +1,5 @@
-//! Recording of runs: the flag `--record`, and the arguments and files that go into a record.
+//! Recording of runs: the flags `--record`, `--record-last` and `--record-size`, and the arguments and files that go
+//! into a record.
 
 mod live;
 pub mod log;
@@ -20,7 +21,7 @@ use crate::record::file::Attached;
 use crate::record::series::Retention;
 use crate::time::Span;
 
-/// Flag for records.
+/// Flags for the record of a run: `--record`, `--record-last` and `--record-size`.
 #[derive(clap::Args, Clone, Default)]
 pub struct RecordFlags {
     /// Folder for records of the run (MCAP): to look at, to replay, to hand on (docs/record.md)
@@ -35,8 +36,9 @@ pub struct RecordFlags {
 }
 
 impl RecordFlags {
-    /// Returns how much of a run is recorded: the time around events, and the size of a file, from the flags or else
-    /// from `last_s` \[s\] and `size_mb` \[MB\], which are fields of the team file. An error names the flag.
+    /// Returns how much of a run is kept in its record: the time around events, and the largest size of a file. Both
+    /// are from the flags, or else from `last_s` \[s\] and `size_mb` \[MB\], which are fields of the team file; `None`
+    /// if neither gives them. An error names the flag.
     fn retention(&self, last_s: Option<f64>, size_mb: Option<f64>) -> Result<Retention> {
         let (last_s, size_mb) = (self.record_last.or(last_s), self.record_size.or(size_mb));
         match (last_s, size_mb) {
@@ -53,7 +55,7 @@ impl RecordFlags {
         }
     }
 
-    /// Fails if a flag of a record is given without a folder for it.
+    /// Fails if `--record-last` or `--record-size` is given. Called if no folder for a record is given.
     fn refuse_without_folder(&self) -> Result<()> {
         let given = [("--record-last", self.record_last.is_some()), ("--record-size", self.record_size.is_some())];
         match given.iter().find(|(_, given)| *given) {
@@ -62,7 +64,7 @@ impl RecordFlags {
         }
     }
 
-    /// Returns the flags of records as arguments for another process.
+    /// Returns these flags as command-line arguments for another process.
     pub fn arguments(&self) -> Vec<OsString> {
         let last = self.record_last.map(|last_s| ("--record-last", OsString::from(last_s.to_string())));
         let size = self.record_size.map(|size_mb| ("--record-size", OsString::from(size_mb.to_string())));
@@ -71,7 +73,7 @@ impl RecordFlags {
     }
 }
 
-/// Flags with a value that do not affect the run.
+/// Flags with a value that do not affect what happens in the run; they are left out of a record's arguments.
 const OUTPUTS: [&str; 14] = [
     "--out",
     "--shard",
@@ -88,11 +90,11 @@ const OUTPUTS: [&str; 14] = [
     "--metrics",
     "--metrics-token-file",
 ];
-/// Flags without a value that do not affect the run.
+/// Flags without a value that do not affect what happens in the run; they are left out of a record's arguments.
 const SWITCHES: [&str; 5] = ["--json", "--quiet", "--launched", "--watch", "--control"];
 
-/// Returns the arguments of this command without those that do not affect the run, so that equal runs have equal
-/// records.
+/// Returns the command-line arguments of this process without those that do not affect the run, so that equal runs have
+/// equal records.
 fn arguments() -> Vec<String> {
     let all = std::env::args_os().skip(1).map(|argument| argument.to_string_lossy().into_owned());
     let mut value_follows = false;
@@ -107,14 +109,14 @@ fn arguments() -> Vec<String> {
     all.filter(changes).collect()
 }
 
-/// Creates the folder of records.
+/// Creates the folder for records, if it does not exist. An error names the flag `--record`.
 fn make(folder: &Path) -> Result<()> {
     let refuse = |error| BadInput(format!("--record: cannot make the folder '{}': {error}", folder.display()));
     std::fs::create_dir_all(folder).map_err(refuse)?;
     Ok(())
 }
 
-/// Reads the files to attach to a record. Names that are not files are ignored.
+/// Reads the files to attach to a record. Paths that are not files, such as names of built-in policies, are ignored.
 fn attach(names: impl IntoIterator<Item = PathBuf>) -> Result<Vec<Attached>> {
     let files = names.into_iter().filter(|name| name.is_file());
     let attached = files.map(|path| {

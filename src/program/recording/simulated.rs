@@ -1,4 +1,4 @@
-//! Recording of simulations: one record for each trial.
+//! Writes the records of simulations: one record for each trial.
 
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -20,7 +20,7 @@ use crate::report::episode::Episode;
 use crate::time::Time;
 use crate::trial::{Proceed, Trial, TrialReport};
 
-/// Recording of the trials of a command, one record each.
+/// Records the trials of a command (`sim` or `study`) in a folder, one record each.
 pub struct Simulated {
     folder: PathBuf,
     beginning: Beginning,
@@ -28,19 +28,19 @@ pub struct Simulated {
     failure: Mutex<Option<anyhow::Error>>,
 }
 
-/// Name and place in its command of a trial that is recorded.
+/// Description of one trial that is recorded: name of its record, policy, and place in a study.
 #[derive(Clone)]
 pub struct Recorded {
     /// Name of the record's file, without `.mcap`.
     pub name: String,
     /// Digest of the policy's file; empty for scripted navigation.
     pub policy: String,
-    /// Column and policy of the trial in a study; `None` in `sim`.
+    /// Column and policy of the trial in a study; `None` for a trial of `sim`.
     pub job: Option<StudyJob>,
 }
 
 impl Recorded {
-    /// Returns the name of a repeat of `sim`.
+    /// Returns the description of a trial of `sim`: the record is named after the repeat, such as `repeat-0003`.
     pub fn repeat(trial: &Trial) -> Recorded {
         let name = format!("repeat-{:04}", trial.repeat);
         Recorded { name, policy: trial.model.digest().to_owned(), job: None }
@@ -48,8 +48,9 @@ impl Recorded {
 }
 
 impl Simulated {
-    /// Prepares the folder of the records; `None` if no folder is given. `files` are the files named by flags. A folder
-    /// with a record of one of the trials is an error.
+    /// Creates the folder of the records; returns `None` if the flag `--record` is not given. `files` are the files
+    /// named by flags, which are attached to each record. `names` are the names of all records to be written; if one of
+    /// them exists already, fails.
     pub fn open(
         flags: &RecordFlags,
         files: Vec<PathBuf>,
@@ -71,7 +72,9 @@ impl Simulated {
         folder.join(format!("{name}.mcap"))
     }
 
-    /// Runs a trial and records it.
+    /// Runs a trial, writes its record, and returns its report. `proceed` is called with the episodes finished so far,
+    /// and may stop the trial. An error of writing is kept for `finish`; if the record cannot be started, the trial is
+    /// not run and the report is empty.
     pub fn run(
         &self,
         (recorded, trial): (&Recorded, &Trial),
@@ -80,7 +83,8 @@ impl Simulated {
         self.run_observed((recorded, trial), |_, _| {}, |_, _, episodes| proceed(episodes))
     }
 
-    /// Runs a trial and records it, with callbacks as `Trial::run_observed` has.
+    /// Runs a trial, writes its record, and returns its report. The callbacks `report` (each event) and `proceed`
+    /// (whether to go on) are those of `Trial::run_observed`.
     pub fn run_observed(
         &self,
         (recorded, trial): (&Recorded, &Trial),
@@ -118,8 +122,8 @@ impl Simulated {
         report
     }
 
-    /// Deletes the record of a trial that was not finished, because the command runs that trial again from its
-    /// beginning.
+    /// Deletes all files of the record of a trial that was not finished, because the command runs that trial again from
+    /// its beginning.
     pub fn discard(&self, recorded: &Recorded) {
         let path = Simulated::path(&self.folder, &recorded.name);
         // A file that cannot be deleted stays, and the next run names it.
@@ -131,7 +135,7 @@ impl Simulated {
         self.failure.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).get_or_insert(error);
     }
 
-    /// Returns the first error of any recording.
+    /// Fails with the first error in writing the records of any trial, if there was one.
     pub fn finish(&self) -> Result<()> {
         self.failure.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take().map_or(Ok(()), Err)
     }

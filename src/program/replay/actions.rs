@@ -1,4 +1,5 @@
-//! `replay --policy`: compares the actions of another policy on the recorded inputs with the recorded actions.
+//! `replay --policy`: gives the recorded inputs of a host to another policy, and compares its actions with the recorded
+//! actions.
 
 use std::cell::RefCell;
 use std::fmt::Write as _;
@@ -12,7 +13,8 @@ use crate::program::output::print;
 use crate::program::whole_file::WholeFile;
 use crate::record::actions::{Commands, RobotDifference, StepDifference};
 
-/// Replays a host with another policy, and prints by how much its actions differ.
+/// Replays a host from its record with another policy, and prints by how much the actions of each robot differ. Also
+/// writes the files of `--steps` and `--svg`, if given.
 pub fn show(args: &Args, prepared: Prepared) -> Result<()> {
     let policy = prepared.policy.clone();
     let (identity, messages, live, turns) = prepared.into_parts();

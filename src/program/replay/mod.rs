@@ -73,28 +73,30 @@ pub struct Args {
     page: crate::program::watch::RecordPage,
 }
 
-/// Result of the replay of one record.
+/// Result of the replay of one record; a line of the printed table.
 #[derive(Serialize)]
 struct Line {
     record: PathBuf,
-    /// The recorded run: a host's name, or a simulation's repeat.
+    /// What the record is of: a host's name, a simulation's repeat, or the name of a study's trial.
     of: String,
     equal: bool,
     messages: u64,
-    /// Whether the record was cut by a crash; it is then equal up to the cut.
+    /// Whether the record was cut by a crash; it is then compared up to the cut.
     cut: bool,
-    /// Time since the start of the run at which the record lacks events \[s\]. Nothing after it is compared.
+    /// Time since the start of the run at which the record lacks events \[s\]. Nothing after it is compared. `None` if
+    /// it lacks none.
     gap_s: Option<f64>,
     difference: Option<String>,
 }
 
-/// Results of all replays.
+/// Results of the replays of all records that the command names.
 #[derive(Serialize)]
 struct Table {
     records: Vec<Line>,
 }
 
-/// Runs `replay`: replays all records.
+/// Runs `replay`: replays all records and prints whether they are equal, or shows them on a page with `--watch`.
+/// Returns [`Ended::Unfit`] if a replay differs from its record.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     #[cfg(feature = "watch")]
     if args.page.is_on() {
@@ -139,7 +141,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(if table.records.iter().all(|line| line.equal) { Ended::Done } else { Ended::Unfit })
 }
 
-/// Returns the files in `named`, and the records (`*.mcap`) in the folders in it, sorted by name.
+/// Returns the files in `named`, and for each folder in `named` its records (`*.mcap`), sorted by name. Further files
+/// of a record in several files are left out, as they are read together with its first one.
 pub fn files(named: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let mut all = Vec::new();
     for path in named {
@@ -162,7 +165,8 @@ pub fn files(named: &[PathBuf]) -> Result<Vec<PathBuf>> {
     Ok(all)
 }
 
-/// Fails if a record cannot be replayed with these flags.
+/// Fails if a record cannot be replayed with these flags: if it is of an operator, of the other kind than the flags
+/// permit, not from the beginning of its run, or of another build without `--force`.
 fn check(args: &Args, path: &Path, identity: &Identity) -> Result<()> {
     let of_host = identity.host.is_some();
     if identity.operator {
@@ -204,12 +208,12 @@ fn check(args: &Args, path: &Path, identity: &Identity) -> Result<()> {
 /// Attached files of a record, written to a temporary folder, which is removed on drop.
 pub struct Files {
     folder: PathBuf,
-    /// Name of each file in the record, and its path.
+    /// For each attached file: its name in the record, and the path where it was written.
     pub files: Vec<(String, PathBuf)>,
 }
 
 impl Files {
-    /// Writes the files of a record.
+    /// Writes the attached files of a record into a new temporary folder.
     pub fn extract(opened: &Opened) -> Result<Files> {
         let mut number = [0; 8];
         getrandom::fill(&mut number).map_err(|error| anyhow::anyhow!("no random bytes: {error}"))?;
@@ -226,19 +230,20 @@ impl Files {
         Ok(files)
     }
 
-    /// Name of the team file of a host's record, as given on the command line. It is the first file that `LiveRecord`
-    /// attaches.
+    /// Returns the name of the team file of a host's record, as given on the command line; `None` if no file is
+    /// attached. It is the first file that `LiveRecord` attaches.
     fn team_file(&self) -> Option<&str> {
         self.files.first().map(|(name, _)| &**name)
     }
 
-    /// Path of the policy file of a host's record, the second file that `LiveRecord` attaches; `None` if the policy was
-    /// given as a name in the registry.
+    /// Returns the path of the extracted policy file of a host's record, the second file that `LiveRecord` attaches;
+    /// `None` if the policy was given as a name in the registry.
     fn policy(&self) -> Option<&Path> {
         self.files.get(1).map(|(_, path)| &**path)
     }
 
-    /// Returns the recorded arguments, with the names of attached files replaced by their paths.
+    /// Returns the recorded command-line arguments, with the names of attached files replaced by the paths of the
+    /// extracted files.
     fn in_place(&self, arguments: &[String]) -> Vec<String> {
         let replaced = |argument: &String| {
             for (name, path) in &self.files {
@@ -265,13 +270,13 @@ impl Drop for Files {
     }
 }
 
-/// Repeats a simulation from its seed and compares it with its record.
+/// Runs a recorded simulation again from its seed, and compares it with its record.
 fn rerun(opened: Opened, files: &Files, registry: &Registry) -> Result<Compared> {
     rerun_observed(opened, files, registry, |_, _| {}, |_| {})
 }
 
-/// Runs a simulation again from its seed. Passes on each event of the run, and after the events of each instant its
-/// time.
+/// Runs a recorded simulation again from its seed, and compares it with its record. Calls `observe` with each event of
+/// the run, and `turned` with the time of each instant after its events.
 fn rerun_observed(
     opened: Opened,
     files: &Files,

@@ -1,4 +1,4 @@
-//! Preparation and replay of a host from its record.
+//! Replays a host from its record: runs it again alone, with its recorded inputs.
 
 use std::cell::{Cell, RefCell};
 use std::path::Path;
@@ -27,22 +27,23 @@ use crate::registry::Registry;
 use crate::time::Time;
 use crate::trial::Trial;
 
-/// Host that is ready for a replay.
+/// A host that was built from its record and is ready for a replay.
 pub struct Prepared {
     /// Identity of the record.
     pub identity: Identity,
-    /// Messages of the record.
+    /// Reader of the record's messages, with which the replay is compared.
     pub messages: Messages,
-    /// Name of the policy to run.
+    /// Name of the policy that the replayed host runs.
     pub policy: String,
     live: LiveHost,
     turns: Turns,
-    /// Whether tags are not checked but taken from the record's list, because the key is missing.
+    /// Whether the tags of datagrams are not checked, because the key is missing: the record has a list of the
+    /// datagrams whose tag was valid.
     trusts: bool,
 }
 
-/// Prepares the replay of a host: with the files of its record, its key or the list of accepted datagrams, and the
-/// policy of the flag `--policy` if given.
+/// Builds a host from its record for a replay: with the files of the record; with the team's key, or the record's list
+/// of accepted datagrams; and with the policy of the flag `--policy` if given.
 pub fn prepare(args: &Args, (path, opened): (&Path, Opened), files: &Files, registry: &Registry) -> Result<Prepared> {
     let Opened { identity, messages, attached } = opened;
     let of = identity.host.clone().expect("the caller has seen a host");
@@ -72,7 +73,8 @@ pub fn prepare(args: &Args, (path, opened): (&Path, Opened), files: &Files, regi
     Ok(Prepared { turns: Turns::open(path)?, identity, messages, policy: policy.name, live, trusts })
 }
 
-/// Returns the team of a host's record, with the record's files; `change` may change its flags.
+/// Returns the team as a host of a record has seen it, from the record's files and arguments; `change` may change the
+/// flags of the team file first.
 pub fn team_of(
     identity: &Identity,
     files: &Files,
@@ -101,7 +103,7 @@ fn keyless(path: &Path) -> String {
     format!("'{}' is of a team with a key, which is in no record: give it with --key-file", path.display())
 }
 
-/// Replays a host and compares all of its messages with its record.
+/// Replays a host with its recorded inputs, and compares all events and messages of the replay with its record.
 pub fn compare(prepared: Prepared) -> Result<Compared> {
     let Prepared { identity, messages, live, mut turns, trusts, .. } = prepared;
     let Some((begun, _)) = turns.next() else {
@@ -131,7 +133,8 @@ pub fn compare(prepared: Prepared) -> Result<Compared> {
     finish(comparison)
 }
 
-/// Replays a host, and passes each datagram that it publishes to `take`, with the time since the start of the run.
+/// Replays a host with its recorded inputs, and calls `take` with each datagram that it publishes and the time since
+/// the start of the run.
 pub fn published(live: LiveHost, mut turns: Turns, take: impl FnMut(Time, &[u8]) + 'static) {
     let Some((begun, _)) = turns.next() else { return };
     let now = Rc::new(Cell::new(begun));
@@ -147,13 +150,13 @@ pub fn published(live: LiveHost, mut turns: Turns, take: impl FnMut(Time, &[u8])
 }
 
 impl Prepared {
-    /// Returns the parts: identity, messages, host and turns.
+    /// Returns the identity and messages of the record, the host, and the recorded turns.
     pub fn into_parts(self) -> (Identity, Messages, LiveHost, Turns) {
         (self.identity, self.messages, self.live, self.turns)
     }
 }
 
-/// Iterator over the turns of a host's record: time and inputs of each.
+/// Iterator over the recorded turns of a host's event loop: time since the start of the run, and inputs of each turn.
 pub struct Turns(Messages);
 
 impl Turns {

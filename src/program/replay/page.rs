@@ -28,10 +28,11 @@ use crate::view::status::{Playback, Record, Scene, Status};
 use crate::view::team_view::TeamView;
 use crate::view::timeline::{Sight, Timeline};
 
-/// Longest wait for a command, and so the longest delay of news for pages.
+/// Longest time that the player waits for a command of a page before it advances, and so the longest delay of updates
+/// for pages.
 const TURN: Duration = Duration::from_millis(10);
 
-/// Serves the page of the records until Ctrl-C.
+/// Runs `replay --watch`: serves a page that plays the records, until Ctrl-C.
 pub fn watch(args: &Args, registry: &Registry) -> Result<Ended> {
     let name = match &args.records[..] {
         [only] => only.display().to_string(),
@@ -57,8 +58,8 @@ pub fn watch(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
-/// Reads the events of the named records. A simulation is run again to get the links between robots; several records of
-/// hosts are merged on one time axis.
+/// Reads the events of the named records for the page. A simulation is run again to get the links between robots (which
+/// messages arrived at which robot); several records of hosts are merged on one time axis.
 fn read(named: &[PathBuf], registry: &Registry) -> Result<Shown> {
     let mut paths = files(named)?;
     if paths.len() > 1 {
@@ -126,7 +127,7 @@ fn scene(shown: &Shown, name: &str) -> Scene {
 struct Player {
     timeline: Timeline,
     view: Rc<RefCell<TeamView>>,
-    /// Number of events included in the current state.
+    /// Number of events of the record that are included in the shown state.
     taken: usize,
     feed: Feed,
     publisher: Publisher,
@@ -178,7 +179,7 @@ impl Player {
         }
     }
 
-    /// Jumps to a time and shows the state at that time.
+    /// Jumps to a time of the record and shows the team's state at that time.
     fn show(&mut self, at: Time) {
         self.now = at.min(self.timeline.end());
         let (view, taken) = self.timeline.picture(self.now);

@@ -1,4 +1,4 @@
-//! Conversion of a record's messages to the events from which the page's states are computed.
+//! Converts the messages of a record to the events ([`Sight`]) from which the page computes what it shows.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -24,36 +24,39 @@ use crate::safety::guard::SafetyCounts;
 use crate::time::Time;
 use crate::view::timeline::Sight;
 
-/// Content of a record that a page can show.
+/// Content of a record that a page can show: the run's constant properties, and its events.
 pub struct Shown {
     /// Hosts, robots, ground and walls of the run.
     pub stage: Stage,
-    /// Events of the record, each with its time since the start of the record.
+    /// Events of the record that change what a page shows, each with its time since the start of the record.
     pub sights: Vec<(Time, Sight)>,
-    /// Whether the record contains the messages that arrived at each robot.
+    /// Whether the record contains which messages arrived at each robot, so that the page can show links between
+    /// robots.
     pub hears_links: bool,
     /// Whether the record contains the results of episodes.
     pub hears_results: bool,
 }
 
-/// State of reading a record.
+/// Collects the events for a page while a record is read.
 struct Reading {
     stage: Option<Stage>,
-    /// Host of the record; `None` for a record of several hosts.
+    /// Host whose record this is; `None` for a merged record of several hosts or the record of a simulation.
     host: Option<HostId>,
-    /// Time of the first message \[ns\], on the time axis of the record; `None` before it.
+    /// Time in the record's messages that counts as 0 for the page \[ns\]: the start of the run, or the first message;
+    /// `None` before it is known.
     zero: Option<u64>,
     sights: Vec<(Time, Sight)>,
-    /// Hosts whose published messages are in the record.
+    /// Hosts whose published messages are in the record, seen so far.
     published: BTreeSet<HostId>,
-    /// Hosts whose turns are in the record.
+    /// Hosts whose turns of the event loop, with the datagrams they received, are in the record.
     taped: BTreeSet<HostId>,
-    /// Incarnation and number of the newest datagram, by receiving host and sending host.
+    /// Incarnation and sequence number of the newest datagram, by receiving host and sending host. Tells repeated
+    /// datagrams.
     newest: BTreeMap<(HostId, HostId), (u32, u32)>,
     results: bool,
 }
 
-/// Reads the content of a record that a page can show.
+/// Reads from a record file the content that a page can show.
 pub fn read(path: &Path) -> Result<Shown> {
     let wrong = |error: ReadError| BadInput(error.to_string());
     let mut reader = Reader::open(path).map_err(wrong)?;
@@ -149,8 +152,8 @@ impl Reading {
         u16::try_from(at).ok().map(HostId)
     }
 
-    /// Host of a topic with turns. The name is `turn` in the record of one host, and name and incarnation of the host
-    /// in a merged record.
+    /// Returns the host of a topic `/tape/NAME`, which has the turns of a host's event loop; `None` if it is unknown.
+    /// `name` is `turn` in the record of one host, and name and incarnation of the host in a merged record.
     fn taped_host(&self, name: &str) -> Option<HostId> {
         match name {
             "turn" => self.host,
@@ -158,7 +161,8 @@ impl Reading {
         }
     }
 
-    /// Adds the datagrams that a host received in a turn; repeated ones are added once.
+    /// Adds events for the datagrams that a host received in a turn of its event loop, given as the recorded bytes of
+    /// the turn; repeated datagrams are added once.
     fn turn(&mut self, now: Time, host: HostId, data: &[u8]) {
         for input in tape::read(data).into_iter().flat_map(|turn| turn.inputs) {
             let Input::Frame(_, frame, _) = input else { continue };
@@ -178,13 +182,13 @@ impl Reading {
     }
 }
 
-/// Returns the robot that a JSON message refers to.
+/// Returns the robot in the field `robot` of a JSON message; `None` if there is none.
 fn robot_of(data: &[u8]) -> Option<RobotId> {
     let said: Json = serde_json::from_slice(data).ok()?;
     u16::try_from(said["robot"].as_u64()?).ok().map(RobotId)
 }
 
-/// Decodes the true states of simulated robots.
+/// Decodes a recorded message with the true states of all simulated robots at a time; `None` if it is damaged.
 fn truth(time: Time, data: &[u8]) -> Option<Truth> {
     let mut samples = Vec::new();
     for (_, robot) in Fields(data).filter(|(field, _)| *field == 2) {

@@ -176,7 +176,7 @@ impl Args {
     }
 }
 
-/// Returns the parser of a flag that takes one of these names.
+/// Returns the parser of a flag whose value is one of the names in `all`, with the value beside the name.
 fn choice<T: Copy + Send + Sync + 'static, const N: usize>(
     all: [(&'static str, T); N],
 ) -> impl TypedValueParser<Value = T> {
@@ -230,8 +230,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
 }
 
-/// Runs `sim` with these arguments, without the program's name, and returns its results as JSON. Prints no progress and
-/// no table. Ends early once `stop` is set.
+/// Runs `murmurate sim` with these arguments, without the program's name, and returns its results as JSON. Prints no
+/// progress and no table. Ends early once `stop` is set.
 pub fn results_of(arguments: &[String], registry: &Registry, stop: &AtomicBool) -> Result<String> {
     let words = ["sim", "--quiet", "--json"].into_iter().map(str::to_owned).chain(arguments.iter().cloned());
     let found = Args::augment_args(clap::Command::new("sim")).try_get_matches_from(words);
@@ -308,7 +308,7 @@ fn run_all(
     Ok(reports.into_iter().map(|(_, report)| report).collect())
 }
 
-/// Prepares the records of the repeats; `None` if nothing is recorded.
+/// Prepares the records of all repeats of a trial; `None` if the flag `--record` is not given.
 fn records(args: &Args, trials: &[(Trial, String)]) -> Result<Option<Simulated>> {
     let [(trial, _), ..] = trials else { return Ok(None) };
     let repeats = (0..args.repeats()).map(|repeat| Recorded::repeat(&Trial { repeat, ..trial.clone() }).name);
@@ -319,7 +319,7 @@ fn records(args: &Args, trials: &[(Trial, String)]) -> Result<Option<Simulated>>
     Simulated::open(&args.record, files, repeats)
 }
 
-/// Returns the trial of a record, from the arguments of the command that made it.
+/// Returns the trial of which a record was made, from the recorded arguments of `sim` and the index of its repeat.
 pub fn of_record(arguments: &[String], repeat: u32, registry: &Registry) -> Result<Trial> {
     let wrong = |error: clap::Error| BadInput(format!("the record's arguments are not understood: {error}"));
     let command = Args::augment_args(clap::Command::new("sim"));

@@ -1,4 +1,5 @@
-//! Flags of the studies in columns, and creation of the study from them.
+//! Flags of the studies `modes`, `delay` and `range`, which compare policies in several columns of conditions; creates
+//! a [`Study`] from them.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -23,7 +24,7 @@ use crate::program::output::{read_text, talk};
 use crate::program::policy;
 use crate::program::recording::RecordFlags;
 
-/// Flags of every study.
+/// Flags that the studies `modes`, `delay` and `range` have in common.
 #[derive(clap::Args)]
 pub struct Shared {
     /// Policies to compare, each a name in the registry (shipped, published, orca, or one of your own crate) or a
@@ -200,7 +201,7 @@ impl Shared {
         Ok(study)
     }
 
-    /// Loads every policy with each of its handlings. An error names the flag or the file.
+    /// Loads every policy, once for each handling under which it is tested. An error names the flag or the file.
     fn policies_under_test(&self, registry: &Registry, scenario: &dyn Scenario) -> Result<Vec<PolicyUnderTest>> {
         let usual = [registry.default_policy(scenario).to_owned()];
         let policies = if self.policies.is_empty() { &usual[..] } else { &self.policies };
@@ -237,7 +238,8 @@ impl Shared {
         Ok(PolicyUnderTest { policy: loaded.name, model, digest, handling })
     }
 
-    /// Returns the command that reproduces the study, without flags that do not affect the results.
+    /// Returns the command line that reproduces the study `name`, without flags that do not affect the results. `own`
+    /// has the flags that only this study has.
     fn command(&self, name: &str, own: &str) -> String {
         let mut command = CommandLine(format!("murmurate study {name}{own}"));
         let mut add = |flag: &str, value: Option<String>| command.add(flag, value);
@@ -256,15 +258,15 @@ impl Shared {
 }
 
 impl Shared {
-    /// Files that the flags name.
+    /// Returns the files that the flags name: policies, `--episodes-file` and `--conditions`.
     pub fn files(&self) -> Vec<PathBuf> {
         let policies = self.policies.iter().map(|given| PathBuf::from(split(given).map_or(&**given, |(file, _)| file)));
         policies.chain([&self.episodes_file, &self.conditions].into_iter().flatten().cloned()).collect()
     }
 }
 
-/// Returns the identity of the program in records: the digest of this crate's sources. If another crate has added
-/// entries to the registry, the digest of the executable is added.
+/// Returns the text that identifies the program in records: the digest of this crate's sources. If another crate has
+/// added entries to the registry, a digest of the executable is appended.
 fn build(registry: &Registry) -> Result<String> {
     if !registry.is_extended() {
         return Ok(origin::BUILD.to_owned());
@@ -273,7 +275,8 @@ fn build(registry: &Registry) -> Result<String> {
     Ok(format!("{}+{}", origin::BUILD, &blake3::hash(&program).to_hex()[..16]))
 }
 
-/// Splits 'NAME@HANDLING' into the policy and its handling; `None` if it has no handling of its own.
+/// Splits a value 'NAME@HANDLING' of `--policy` into the policy and its handling; `None` if it has no '@HANDLING'.
+/// Fails if there is no such handling.
 fn split(given: &str) -> Result<(&str, Option<&'static Preset>)> {
     match given.rsplit_once('@') {
         // A file name may contain '@'.

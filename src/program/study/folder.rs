@@ -1,4 +1,4 @@
-//! Output folder of a study. It has a file with the study's identity; all files in it are replaced atomically.
+//! Output folder of a study, with a file that identifies the study; all files in it are replaced atomically.
 
 use std::path::{Path, PathBuf};
 
@@ -12,16 +12,16 @@ use crate::program::BadInput;
 use crate::program::temporary::Temporary;
 use crate::program::whole_file::WholeFile;
 
-/// Name of the file with the identity of the folder's study.
+/// Name of the file that identifies the study of the folder: its settings and the program's version.
 const IDENTITY: &str = "study.json";
 
-/// Output folder of a study.
+/// Output folder of a study, with records of finished jobs, figures and the report.
 pub struct Folder(PathBuf);
 
 impl Folder {
-    /// Opens or creates the folder of a study, with the subfolder `pieces` for records of finished jobs. `difference`
-    /// returns how an identity found in the folder differs from `identity`; `None` if they are equal. Fails if the
-    /// folder belongs to another study or cannot be written.
+    /// Opens or creates the folder of a study, with the subfolder `pieces` for records of finished jobs, and stores
+    /// `identity`, the study's settings. `difference` returns how an identity found in the folder differs from
+    /// `identity`; `None` if they are equal. Fails if the folder belongs to another study or cannot be written.
     pub fn open<I: Serialize + DeserializeOwned>(
         path: &Path,
         pieces: &str,
@@ -55,12 +55,12 @@ impl Folder {
         Ok(folder)
     }
 
-    /// Returns the path of the folder.
+    /// Returns the path of the study's folder.
     pub fn path(&self) -> &Path {
         &self.0
     }
 
-    /// Returns the path of the report.
+    /// Returns the path of the report's page, `report.html`.
     pub fn page(&self) -> PathBuf {
         self.0.join("report.html")
     }
@@ -70,13 +70,13 @@ impl Folder {
         serde_json::from_str(&std::fs::read_to_string(self.0.join(name)).ok()?).ok()
     }
 
-    /// Writes the record of a finished job to the file `name`, atomically. So an interruption loses only unfinished
-    /// jobs.
+    /// Writes the record of a finished job to the file `name`, atomically, so that an interruption loses only
+    /// unfinished jobs.
     pub fn keep(&self, name: &str, record: &impl Serialize) -> Result<()> {
         self.write(name, serde_json::to_string(record).context("a record is JSON")?.as_bytes())
     }
 
-    /// Writes the figures, and then the page that shows them.
+    /// Writes the figures of the report, and then its page, `report.html`, which shows them.
     pub fn write_page(&self, figures: &[Figure], page: &str) -> Result<()> {
         for figure in figures {
             self.write(&format!("figures/{}.svg", figure.name), figure.svg.as_bytes())?;
@@ -86,13 +86,13 @@ impl Folder {
         self.write("report.html", page.as_bytes())
     }
 
-    /// Writes plain data to the file `name` as indented JSON.
+    /// Writes a value to the file `name` of the folder as indented JSON.
     pub fn write_json(&self, name: &str, value: &impl Serialize) -> Result<()> {
         let text = serde_json::to_string_pretty(value).context("plain data is JSON")? + "\n";
         self.write(name, text.as_bytes())
     }
 
-    /// Writes rows to the file `name` as CSV with a header.
+    /// Writes rows to the file `name` of the folder as CSV with a header.
     pub fn write_csv(&self, name: &str, rows: impl IntoIterator<Item = impl Serialize>) -> Result<()> {
         let mut csv = csv::Writer::from_writer(Vec::new());
         for row in rows {
@@ -101,7 +101,7 @@ impl Folder {
         self.write(name, &csv.into_inner().context("memory takes everything")?)
     }
 
-    /// Replaces the file `name` atomically.
+    /// Writes bytes to the file `name` of the folder, replacing it atomically.
     pub fn write(&self, name: &str, bytes: &[u8]) -> Result<()> {
         let path = self.0.join(name);
         let wrong = || format!("cannot write '{}'; what was finished before is kept", path.display());

@@ -1,5 +1,5 @@
-//! The command `murmurate study`: flags, threads, clock and files of the studies. The studies themselves are in the
-//! library.
+//! The command `murmurate study`: flags, threads, time and files of the studies. The studies themselves are in other
+//! modules of the library.
 
 mod flags;
 mod folder;
@@ -50,7 +50,7 @@ pub enum Args {
     Twin(Box<twin::Args>),
 }
 
-/// Output of a study with `--json`.
+/// Output of a study with `--json`: its rows, and how many trials are finished.
 #[derive(Serialize)]
 struct Report<'a> {
     study: &'a str,
@@ -58,12 +58,12 @@ struct Report<'a> {
     columns: Vec<&'a Row>,
     wall_s: f64,
     seed: u64,
-    /// Number of finished trials, and number of all trials.
+    /// Number of finished trials of the study, and number of all its trials.
     trials: [usize; 2],
     interrupted: bool,
 }
 
-/// Runs `study`.
+/// Runs `study`: runs a study's trials, prints its table and writes its report.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let (study, shared) = match args {
         Args::Modes(flags) => (flags.study(registry)?, &flags.shared),
@@ -107,7 +107,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
 }
 
-/// Output of a part of a study with `--json`.
+/// Output with `--json` of one part of a study, which the flag `--shard` selects.
 #[derive(Serialize)]
 struct Part<'a> {
     study: &'a str,
@@ -117,7 +117,7 @@ struct Part<'a> {
     interrupted: bool,
 }
 
-/// Prints what became of a part of the trials. Without `--json` nothing goes to stdout.
+/// Prints how many trials of the part `shard` of a study are finished. Without `--json` nothing goes to stdout.
 fn part_is_done(
     study: &Study,
     shard: Shard,
@@ -148,7 +148,8 @@ fn part_is_done(
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
 }
 
-/// Returns the trial of a record, from the arguments of the command that made it.
+/// Returns the trial of which a record was made, from the recorded arguments of `study`, its column and policy in the
+/// study, and its repeat.
 pub fn of_record(arguments: &[String], (job, repeat): (StudyJob, u32), registry: &Registry) -> Result<Trial> {
     let wrong = |why: String| BadInput(format!("the record's arguments are not understood: {why}"));
     let command = Args::augment_subcommands(clap::Command::new("study"));
@@ -166,8 +167,8 @@ pub fn of_record(arguments: &[String], (job, repeat): (StudyJob, u32), registry:
     Ok(study.trial(Job { column, policy, repeat }))
 }
 
-/// Returns the records of all trials, in order. Reads finished ones from the folder and runs the others. After Ctrl-C
-/// some are missing.
+/// Returns the results of all trials of a study, in order: reads those of finished trials from the folder, and runs the
+/// other trials. After Ctrl-C, or with `--shard`, some are missing.
 fn run_all(
     study: &Study,
     folder: Option<&Folder>,

@@ -1,4 +1,4 @@
-//! Flags that all studies share, and the message about their results.
+//! Flags that all studies share, and the message at the end that says where the results are.
 
 use std::fmt::Display;
 use std::path::PathBuf;
@@ -9,7 +9,7 @@ use super::folder::Folder;
 use crate::program::bad;
 use crate::program::output::talk;
 
-/// Flags of all studies.
+/// Flags that all studies share.
 #[derive(clap::Args)]
 pub struct Run {
     /// Seed of all random numbers
@@ -29,11 +29,11 @@ pub struct Run {
     pub quiet: bool,
 }
 
-/// Builder of a command line, with quotes where a shell needs them.
+/// Builds the text of a command line, with quotes where a shell needs them.
 pub struct CommandLine(pub String);
 
 impl CommandLine {
-    /// Adds a flag with its value; nothing for `None`.
+    /// Adds a flag, given without `--`, with its value; nothing for `None`.
     pub fn add(&mut self, flag: &str, value: Option<String>) {
         if let Some(value) = value {
             let plain = value.chars().all(|c| c.is_ascii_alphanumeric() || "-_./@,:".contains(c));
@@ -42,14 +42,14 @@ impl CommandLine {
         }
     }
 
-    /// Adds a flag with a list of values, separated by commas; nothing for an empty list.
+    /// Adds a flag, given without `--`, with a list of values, separated by commas; nothing for an empty list.
     pub fn add_all(&mut self, flag: &str, values: impl IntoIterator<Item = impl ToString>) {
         let values: Vec<String> = values.into_iter().map(|value| value.to_string()).collect();
         self.add(flag, (!values.is_empty()).then(|| values.join(",")));
     }
 }
 
-/// Checks that no value is given twice. An error names the flag.
+/// Fails if a value of a flag is given twice. The error names the flag.
 pub fn check_unique<T: PartialEq + Display>(flag: &str, values: &[T]) -> Result<()> {
     match values.iter().enumerate().find(|(at, value)| values[..*at].contains(value)) {
         Some((_, twice)) => bad(format!("{flag}: {twice} is given twice")),
@@ -58,8 +58,8 @@ pub fn check_unique<T: PartialEq + Display>(flag: &str, values: &[T]) -> Result<
 }
 
 impl Run {
-    /// Prints where the results are, and after an interruption how many of `all` jobs are finished. `what` is the noun
-    /// for jobs.
+    /// Prints on stderr where the results are, and after an interruption how many of `all` jobs are finished. `what` is
+    /// the noun for jobs, such as 'trials'.
     pub fn print_location(&self, folder: Option<&Folder>, what: &str, done: usize, all: usize) {
         match (folder, done < all) {
             (Some(folder), true) => talk(&format!(

@@ -1,4 +1,5 @@
-//! Files of a study in columns: records of finished trials, and rows, figures, table and page of the report.
+//! Files of the studies `modes`, `delay` and `range`: records of finished trials, and rows, figures, table and page of
+//! the report.
 
 use crate::program::recording::Recorded;
 use crate::record::identity::StudyJob;
@@ -28,7 +29,7 @@ struct Line<'a> {
     min_separation_m: Option<f32>,
 }
 
-/// Opens the folder of a study. Fails if the folder belongs to another one.
+/// Opens or creates the folder of a study. Fails if it belongs to another study.
 pub fn open(path: &std::path::Path, study: &Study) -> Result<Folder> {
     let identity = study.identity();
     Folder::open(path, TRIALS, &identity, |theirs| {
@@ -37,35 +38,37 @@ pub fn open(path: &std::path::Path, study: &Study) -> Result<Folder> {
     })
 }
 
-/// Returns the name of a column for file names.
+/// Returns the name of a trial's column without the characters that a file name may not have.
 fn column(study: &Study, job: Job) -> String {
     study.columns[job.column].name.replace(['/', '%'], "")
 }
 
-/// Returns the name of a trial for its record (MCAP), and its place in the study.
+/// Returns the description of a trial for recording: the file name of its record (MCAP), its policy, and its place in
+/// the study.
 pub fn recorded(study: &Study, job: Job) -> Recorded {
     let name = format!("{}-{}-{:04}", column(study, job), job.policy + 1, job.repeat);
     let place = StudyJob { column: job.column, policy: job.policy };
     Recorded { name, policy: study.policies[job.policy].digest.clone(), job: Some(place) }
 }
 
-/// Returns the file name of a trial's record.
+/// Returns the name of the file in the study's folder with the results of a trial (JSON).
 fn name(study: &Study, job: Job) -> String {
     let column = column(study, job);
     format!("{TRIALS}/{column}.{}.{:03}.json", job.policy + 1, job.repeat)
 }
 
-/// Reads the record of a trial; `None` if it is missing, damaged or made under other conditions.
+/// Reads the results of a finished trial from the study's folder; `None` if they are missing, damaged or made under
+/// other conditions.
 pub fn read(folder: &Folder, study: &Study, job: Job) -> Option<Record> {
     folder.kept(&name(study, job)).filter(|record: &Record| record.belongs_to(study, job))
 }
 
-/// Writes the record of a trial.
+/// Writes the results of a finished trial into the study's folder.
 pub fn write(folder: &Folder, study: &Study, job: Job, record: &Record) -> Result<()> {
     folder.keep(&name(study, job), record)
 }
 
-/// Writes the report: rows, figures, table and page.
+/// Writes the report of a study into its folder: rows of all episodes, results of the columns, table, figures and page.
 pub fn write_report(folder: &Folder, study: &Study, results: &Results, records: &[(Job, Record)]) -> Result<()> {
     folder.write_csv("episodes.csv", records.iter().flat_map(|(_, record)| lines(record)))?;
     folder.write_json("columns.json", &results.rows().collect::<Vec<&Row>>())?;

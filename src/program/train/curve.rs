@@ -11,7 +11,7 @@ const COLOURS: [RGBColor; 3] = [RGBColor(0, 114, 178), RGBColor(213, 94, 0), RGB
 /// Width and height of the plot \[pixels\].
 const SIZE: (u32, u32) = (900, 720);
 
-/// Row of the learning curve: metrics of one iteration.
+/// Row of the learning curve: metrics of one iteration of the training.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Row {
     elapsed_s: f64,
@@ -37,7 +37,8 @@ pub struct Row {
 }
 
 impl Row {
-    /// Creates the row of an iteration. `scores` are those of the evaluation after it, if there was one.
+    /// Creates the row of an iteration: `elapsed_s` \[s\] and `progress` (0 to 1) of the training, and the metrics.
+    /// `scores` are those of the evaluation after the iteration, if there was one.
     pub fn new(elapsed_s: f64, progress: f64, metrics: &Metrics, scores: Option<&Scores>) -> Row {
         let mut row = Row {
             elapsed_s,
@@ -78,20 +79,20 @@ impl Row {
     }
 }
 
-/// Learning curve: the rows of all iterations so far.
+/// Learning curve of a training: the rows of all iterations so far.
 #[derive(Debug, Default)]
 pub struct Curve {
     rows: Vec<Row>,
 }
 
 impl Curve {
-    /// Parses a saved curve, and keeps the rows up to the iteration `iterations`.
+    /// Parses a learning curve from CSV, and keeps the rows up to the iteration `iterations`.
     pub fn from_csv(text: &str, iterations: u64) -> Result<Curve, csv::Error> {
         let rows: Result<Vec<Row>, csv::Error> = csv::Reader::from_reader(text.as_bytes()).deserialize().collect();
         Ok(Curve { rows: rows?.into_iter().filter(|row| row.iteration <= iterations).collect() })
     }
 
-    /// Returns all rows as CSV.
+    /// Returns the learning curve as CSV with a header, one line for each iteration.
     pub fn to_csv(&self) -> Result<String> {
         let mut csv = csv::Writer::from_writer(Vec::new());
         for row in &self.rows {
@@ -100,17 +101,17 @@ impl Curve {
         String::from_utf8(csv.into_inner().context("memory takes everything")?).context("a number is text")
     }
 
-    /// Adds a row.
+    /// Adds the row of the next iteration.
     pub fn push(&mut self, row: Row) {
         self.rows.push(row);
     }
 
-    /// Duration of the training up to the last row \[s\].
+    /// Returns the duration of the training up to the last row \[s\].
     pub fn elapsed_s(&self) -> f64 {
         self.rows.last().map_or(0.0, |row| row.elapsed_s)
     }
 
-    /// Progress of the training at the last evaluation, 0 to 1; 0 if there was none.
+    /// Returns the progress of the training at the last evaluation, 0 to 1; 0 if there was none.
     pub fn evaluated_at(&self) -> f64 {
         self.rows.iter().rev().find(|row| row.perfect_success.is_some()).map_or(0.0, |row| row.progress)
     }
@@ -122,7 +123,8 @@ impl Curve {
         }
     }
 
-    /// Returns a summary of recent iterations in one line.
+    /// Returns one line on the last 20 iterations: return, success, and decisions per second. `decisions` is the number
+    /// of decisions so far.
     pub fn summary(&self, decisions: u64) -> String {
         let Some(last) = self.rows.last() else { return String::new() };
         let recent = &self.rows[self.rows.len().saturating_sub(20)..];
@@ -142,7 +144,7 @@ impl Curve {
         )
     }
 
-    /// Plots success and return over the number of decisions, as SVG.
+    /// Plots success and return over the number of decisions, and returns the SVG.
     pub fn plot(&self, scenario: &str) -> Result<String> {
         let mut svg = String::new();
         {
@@ -207,7 +209,7 @@ fn chart(
     Ok(())
 }
 
-/// Returns the moving average over ten points, since few episodes end in one iteration.
+/// Returns the moving average of a line over ten points, since few episodes end in one iteration.
 fn smooth(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     points
         .iter()

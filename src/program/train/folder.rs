@@ -1,4 +1,4 @@
-//! Output folder of a training. Every file in it is replaced atomically, so that a complete version always exists.
+//! Output folder of a training. Each file in it is replaced atomically, so that a complete version always exists.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ use crate::program::BadInput;
 use crate::program::temporary::Temporary;
 use crate::program::whole_file::WholeFile;
 
-/// Output folder of a training.
+/// Output folder of a training, with policy, checkpoint, learning curve and configuration.
 pub struct Folder {
     path: PathBuf,
     /// Iteration of the last complete checkpoint; `None` if there is none.
@@ -19,8 +19,8 @@ pub struct Folder {
 }
 
 impl Folder {
-    /// Opens or creates the folder, and checks that it is writable. Fails if it contains a training and `resume` is not
-    /// set.
+    /// Opens or creates the folder at `path`, and checks that it is writable. Fails if it contains a training and
+    /// `resume` is not set.
     pub fn open(path: &Path, resume: bool) -> Result<Folder> {
         let refuse = |why: String| BadInput(format!("--out: '{}': {why}", path.display()));
         std::fs::create_dir_all(path).map_err(|e| refuse(format!("cannot make this folder: {e}")))?;
@@ -34,12 +34,12 @@ impl Folder {
         Ok(folder)
     }
 
-    /// Path of the policy file.
+    /// Returns the path of the policy file.
     pub fn policy(&self) -> PathBuf {
         self.path.join("policy.safetensors")
     }
 
-    /// Path of the checkpoint.
+    /// Returns the path of the checkpoint.
     pub fn checkpoint(&self) -> PathBuf {
         self.path.join("checkpoint.bin")
     }
@@ -59,7 +59,8 @@ impl Folder {
         Ok(Curve::from_csv(&text, iterations).map_err(|e| wrong(e.to_string()))?)
     }
 
-    /// Saves all files. The checkpoint is written last, so that the other files are never older.
+    /// Saves policy, learning curve (CSV and SVG) and checkpoint. The checkpoint is written last, so that the other
+    /// files are never older than it.
     pub fn save(&mut self, trainer: &Trainer, curve: &Curve) -> Result<()> {
         let files = || -> Result<()> {
             self.write("policy.safetensors", &trainer.policy_file())?;
@@ -72,7 +73,7 @@ impl Folder {
         Ok(())
     }
 
-    /// Describes the last saved checkpoint, for error messages.
+    /// Returns a text for error messages that says which checkpoint was saved last.
     pub fn last_saved(&self) -> String {
         match self.saved {
             Some(iteration) => format!("the checkpoint of iteration {iteration} in '{}' is kept", self.path.display()),

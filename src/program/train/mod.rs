@@ -1,5 +1,5 @@
-//! The command `murmurate train`: flags, clock, progress bar and files of a training. The training itself is in
-//! `train`.
+//! The command `murmurate train`: flags, time, progress bar and files of a training. The training itself is in
+//! `crate::train`.
 
 mod curve;
 mod folder;
@@ -28,13 +28,13 @@ use crate::program::output::{print, talk};
 use curve::{Curve, Row};
 use folder::Folder;
 
-/// Interval of saves, and of progress lines if there is no progress bar.
+/// Interval at which a training saves its files, and prints progress lines if there is no progress bar.
 const SAVE_EVERY: Duration = Duration::from_secs(30);
-/// Interval of quick evaluations, as a share of the whole training.
+/// Interval of quick evaluations during a training, as a share of the whole training.
 const EVALUATE_EVERY: f64 = 0.05;
 /// Number of layouts of a quick evaluation.
 const EPISODES: u32 = 128;
-/// Name of the default preset.
+/// Name of the preset of the training's configuration that is used without `--preset` and `--config`.
 const PRESET: &str = "robust";
 
 /// Flags of `murmurate train`.
@@ -100,7 +100,7 @@ pub struct Args {
     quiet: bool,
 }
 
-/// Length of a training.
+/// Length of a training: minutes of real time, or number of decisions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Budget {
     Minutes(f64),
@@ -108,7 +108,8 @@ enum Budget {
 }
 
 impl Budget {
-    /// Returns the used share of the budget; 1 or more at the end.
+    /// Returns the used share of the budget, after a duration `elapsed_s` \[s\] and `trained` decisions; 1 or more at
+    /// the end.
     fn progress(self, elapsed_s: f64, trained: u64) -> f64 {
         match self {
             Budget::Minutes(minutes) => elapsed_s / (60.0 * minutes),
@@ -127,7 +128,7 @@ impl Budget {
     }
 }
 
-/// Result of a training, for the output.
+/// Result of a training, as it is printed.
 #[derive(Serialize)]
 struct Report<'a> {
     policy: String,
@@ -137,12 +138,13 @@ struct Report<'a> {
     decisions: u64,
     iterations: u64,
     wall_s: f64,
-    /// `None` after an interruption, because the program then ends without an evaluation.
+    /// Success rates and makespans of the policy at the end of the training; `None` after an interruption, because the
+    /// program then ends without an evaluation.
     evaluation: Option<&'a Scores>,
     interrupted: bool,
 }
 
-/// Runs `train` until the training is complete or interrupted.
+/// Runs `train`: trains a policy until the budget is used or the run is interrupted, saves it, and prints the result.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     if args.print_config {
         print(plan::config_text(args, registry)?.trim_end())?;
@@ -244,7 +246,8 @@ fn print_report(
     Ok(())
 }
 
-/// Describes what trainings with this preset reach with more decisions; `None` if this one has reached as much.
+/// Returns a text on the success that trainings with this preset have reached after more decisions; `None` if none was
+/// better than this one, or if nothing is known of the preset.
 fn expectation(report: &Report, decisions_per_s: f64) -> Option<String> {
     let measured = expectation::measured(report.preset)?;
     let success = report.evaluation?.with_default_draw("perfect")?.success;

@@ -1,4 +1,4 @@
-//! Plan of a training, created from the flags, for a new or a resumed training.
+//! Creates the [`Trainer`] of a new or a resumed training from the flags.
 
 use anyhow::{Context, Result};
 
@@ -16,7 +16,8 @@ use crate::study::network::conditions as of_medium;
 use crate::train::config::Config;
 use crate::train::trainer::{Plan, Trainer};
 
-/// Returns the configuration that the flags define, as TOML with a heading. An error names the flag or the file.
+/// Returns the training configuration that the flags define, as TOML with a heading. An error names the flag or the
+/// file.
 pub fn config_text(args: &Args, registry: &Registry) -> Result<String> {
     let Plan { scenario, preset, config, .. } = plan(args, registry)?;
     // Errors of the configuration show now and not when the training starts.
@@ -32,7 +33,8 @@ pub fn config_text(args: &Args, registry: &Registry) -> Result<String> {
     ))
 }
 
-/// Returns the plan that the flags define. The groups of a preset are scaled to the team.
+/// Returns the plan of a training (scenario, preset, configuration, seed) that the flags define. The groups of robots
+/// in a preset are scaled to the size of the team.
 fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
     let preset = args.preset.as_deref().unwrap_or(PRESET);
     let (mut config, preset) = match &args.config {
@@ -82,8 +84,8 @@ pub fn begin(args: &Args, registry: &Registry) -> Result<Trainer> {
     Ok(trainer)
 }
 
-/// Loads the trainer from the checkpoint in the folder. Fails if its scenario, seed or configuration differs from the
-/// flags.
+/// Loads the trainer of an earlier training from the checkpoint in its folder. Fails if its scenario, seed or
+/// configuration differs from the flags.
 pub fn resume(args: &Args, folder: &Folder, registry: &Registry) -> Result<Trainer> {
     let wrong = |why: String| BadInput(format!("cannot resume '{}': {why}", folder.checkpoint().display()));
     let bytes = std::fs::read(folder.checkpoint())

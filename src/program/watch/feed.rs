@@ -11,24 +11,24 @@ use crate::view::server::Publisher;
 use crate::view::status::Status;
 use crate::view::team_view::TeamView;
 
-/// Period of snapshots.
+/// Period at which snapshots of all robots are published to pages.
 const SNAPSHOT: Duration = Duration::from_millis(50);
 /// Period of snapshots of a team with `LARGE` or more robots.
 const SNAPSHOT_LARGE: Duration = Duration::from_millis(100);
 /// Number of robots from which on snapshots are less frequent.
 const LARGE: usize = 400;
-/// Period of the status without changes.
+/// Longest period between two publications of the status, if nothing in it changes.
 const STATUS: Duration = Duration::from_millis(500);
 /// Period at which the metrics are published.
 const METRICS: Duration = Duration::from_secs(1);
-/// Period at which changes are detected.
+/// Period at which the feed checks whether something has to be published.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// State whose change is published at once: emergency stop, number of confirmations, episode, and a state of the
-/// process.
+/// State whose change is published at once: word for the emergency stop, number of robots that have confirmed it,
+/// episode, and the state of this process.
 type Change = (&'static str, usize, Option<u32>, &'static str);
 
-/// Publishes the state of a team to the live page.
+/// Publishes the state of a team to the browsers that show the live page, and the metrics if there are any.
 pub struct Feed {
     view: Rc<RefCell<TeamView>>,
     metrics: Option<Rc<RefCell<Metrics>>>,
@@ -42,7 +42,7 @@ pub struct Feed {
 }
 
 impl Feed {
-    /// Makes a feed of this view that has published nothing yet. It publishes metrics only if `metrics` is given.
+    /// Creates a feed of this view, which has published nothing yet. It publishes metrics only if `metrics` is given.
     pub fn new(view: Rc<RefCell<TeamView>>, metrics: Option<Rc<RefCell<Metrics>>>) -> Feed {
         let now = Instant::now();
         let period = if view.borrow().scene().robots >= LARGE { SNAPSHOT_LARGE } else { SNAPSHOT };
@@ -59,13 +59,14 @@ impl Feed {
         }
     }
 
-    /// Makes the next call of [`Feed::tell`] publish without waiting for its period.
+    /// Makes the next call of [`Feed::tell`] publish a snapshot without waiting for its period.
     pub fn at_once(&mut self) {
         (self.look_at, self.snapshot_at) = (Instant::now(), Instant::now());
     }
 
-    /// Publishes what is due, without waiting. `now` is the time of the run. A change of `own`, a state of the process,
-    /// is published at once. `fill` sets the fields of the status that only the process knows.
+    /// Publishes snapshot, metrics, goals and status if they are due, without waiting. `now` is the time of the run. A
+    /// change of `own`, the state of this process in a word, is published at once. `fill` sets the fields of the status
+    /// that only this process knows.
     pub fn tell(&mut self, publisher: &Publisher, now: Time, own: &'static str, fill: impl FnOnce(&mut Status)) {
         let present = Instant::now();
         if present < self.look_at {

@@ -1,4 +1,4 @@
-//! Metrics of one host, for `murmurate host --metrics`. The server has no page and takes no commands.
+//! Serves the metrics of one host for `murmurate host --metrics`. The server has no page and takes no commands.
 
 use std::cell::{Cell, RefCell};
 use std::net::SocketAddr;
@@ -20,12 +20,12 @@ use crate::view::server::{Publisher, Server};
 use crate::view::status::Scene;
 use crate::view::team_view::TeamView;
 
-/// Period at which the ages of messages are sampled.
+/// Period at which the metrics sample the ages of the messages in use.
 const SAMPLE: Span = Span::from_millis(50);
-/// Period at which the text of the metrics is made.
+/// Period at which the text of the metrics, which a request gets, is renewed.
 const TEXT: Span = Span::from_millis(1000);
 
-/// Flags of a host's metrics.
+/// Flags of `murmurate host` for its metrics.
 #[derive(clap::Args)]
 pub struct MetricsFlags {
     /// Address at which /metrics and /healthz are served for Prometheus; one that other machines reach needs
@@ -37,7 +37,7 @@ pub struct MetricsFlags {
     metrics_token_file: Option<PathBuf>,
 }
 
-/// Metrics of a running host.
+/// Metrics of a running host, with the HTTP server that serves them.
 pub struct HostMetrics {
     view: RefCell<TeamView>,
     metrics: RefCell<Metrics>,
@@ -49,7 +49,7 @@ pub struct HostMetrics {
 }
 
 impl MetricsFlags {
-    /// Fails if other machines can reach the address but no token file is given.
+    /// Fails if other machines can reach the address of the metrics but no token file is given.
     pub fn check(&self) -> Result<()> {
         match self.metrics {
             Some(listen) if is_guarded(listen) && self.metrics_token_file.is_none() => bad(format!(
@@ -60,7 +60,7 @@ impl MetricsFlags {
         }
     }
 
-    /// Opens the server of a host's metrics; `None` if the flag is not given.
+    /// Starts the HTTP server of a host's metrics; `None` if the flag `--metrics` is not given.
     pub fn open(&self, team: &Team) -> Result<Option<HostMetrics>> {
         let Some(listen) = self.metrics else { return Ok(None) };
         let guarded = is_guarded(listen);
@@ -80,13 +80,13 @@ impl MetricsFlags {
     }
 }
 
-/// Whether other machines can reach this address.
+/// Whether other machines can reach this address: it is not a loopback address. A reader then needs a token.
 fn is_guarded(listen: SocketAddr) -> bool {
     !listen.ip().to_canonical().is_loopback()
 }
 
 impl HostMetrics {
-    /// Updates the metrics from an event of the host.
+    /// Updates the metrics from an event that the host's process reports.
     pub fn hear(&self, host: HostId, event: ProcessEvent) {
         self.metrics.borrow_mut().take(host, event);
         let mut view = self.view.borrow_mut();
@@ -97,8 +97,8 @@ impl HostMetrics {
         }
     }
 
-    /// Ends a turn of the event loop. `dropped` is the number of events missing in the host's record; `None` without a
-    /// record.
+    /// Marks the end of a turn of the host's event loop: updates samples and text of the metrics if they are due.
+    /// `dropped` is the number of events missing in the host's record; `None` without a record.
     pub fn turn(&self, now: Time, dropped: Option<u64>) {
         self.now.set(now);
         if now.since(self.sampled.get()) >= SAMPLE {

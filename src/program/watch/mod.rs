@@ -1,4 +1,4 @@
-//! The live page of a command: its flags, its server and its feed.
+//! The live page that a command serves in a browser: its flags, its HTTP server, and the feed that updates it.
 
 pub mod feed;
 pub mod metrics;
@@ -19,7 +19,7 @@ use crate::view::access::{Access, Control, TOKEN_BYTES, Token};
 use crate::view::server::{Publisher, Server};
 use crate::view::status::Scene;
 
-/// Flags of a page.
+/// Flags of a live page: address, permitted commands and token.
 #[derive(clap::Args)]
 pub struct PageFlags {
     /// Address at which the page is served; one that other machines reach needs --token-file [default: 127.0.0.1 and a
@@ -34,7 +34,7 @@ pub struct PageFlags {
     token_file: Option<PathBuf>,
 }
 
-/// Flags of a command that serves a page when it is asked to.
+/// Flags of a command that serves a live page if `--watch` is given.
 #[derive(clap::Args)]
 pub struct OptionalPage {
     /// Serves a page that shows the team while it runs, and prints its address (docs/watch.md)
@@ -45,7 +45,7 @@ pub struct OptionalPage {
 }
 
 impl OptionalPage {
-    /// Fails if a flag of the page is given without `--watch`.
+    /// Fails if a flag of the page, such as `--listen`, is given without `--watch`.
     pub fn check(&self) -> Result<()> {
         let PageFlags { listen, control, token_file } = &self.page;
         let given = [("--listen", listen.is_some()), ("--control", *control), ("--token-file", token_file.is_some())];
@@ -56,7 +56,7 @@ impl OptionalPage {
     }
 }
 
-/// Flags of a command that shows a record on a page when it is asked to.
+/// Flags of `replay` for the page that shows a record if `--watch` is given.
 #[cfg(feature = "sim")]
 #[derive(clap::Args)]
 pub struct RecordPage {
@@ -74,12 +74,13 @@ pub struct RecordPage {
 
 #[cfg(feature = "sim")]
 impl RecordPage {
-    /// Whether the page was requested.
+    /// Whether the page was requested by `--watch`.
     pub fn is_on(&self) -> bool {
         self.watch
     }
 
-    /// Opens the server of the page and prints the page's address.
+    /// Starts the HTTP server of a page that plays a record, and prints the page's address. `scene` is what the page
+    /// shows at first.
     pub fn open(&self, scene: Scene) -> Result<(Server, Publisher)> {
         let (listen, token_file) = (self.listen, self.token_file.clone());
         PageFlags { listen, control: true, token_file }.open(scene, Control::Playback)
@@ -87,7 +88,9 @@ impl RecordPage {
 }
 
 impl PageFlags {
-    /// Opens the server of the page and prints its address. `most` are the commands that the process can execute.
+    /// Starts the HTTP server of the page and prints its address. `scene` is what the page shows at first. With
+    /// `--control` the page may give the commands `most`, which this process can execute; otherwise only the emergency
+    /// stop.
     pub fn open(&self, mut scene: Scene, most: Control) -> Result<(Server, Publisher)> {
         let listen = self.listen.unwrap_or_else(|| SocketAddr::from(([127, 0, 0, 1], 0)));
         let guarded = !listen.ip().to_canonical().is_loopback();
@@ -118,7 +121,7 @@ impl PageFlags {
     }
 }
 
-/// Reads a token from its file; without one, draws it.
+/// Returns the access token of a page or of metrics: read from its file, or drawn at random without a file.
 fn token(file: Option<&Path>) -> Result<Token> {
     if let Some(file) = file {
         return Ok(Token::new(&key::read(file)?));
@@ -128,6 +131,6 @@ fn token(file: Option<&Path>) -> Result<Token> {
     Ok(Token::new(&bytes))
 }
 
-/// Operator id of the page in a run of one process, which has no other operator.
+/// Host id with which the page of a simulation gives orders; the simulation has no other operator.
 #[cfg(feature = "sim")]
 const OPERATOR: HostId = HostId::operator(0);

@@ -44,9 +44,9 @@ use crate::view::server::{Publisher, Server};
 use crate::view::status::Scene;
 use crate::view::team_view::TeamView;
 
-/// Period at which commands are executed, orders repeated, and the page updated.
+/// Period at which commands of the page are executed, orders to the team repeated, and the page updated.
 const BEAT: Span = Span::from_millis(10);
-/// Period at which hosts are asked for the emergency stop latch that their robots follow.
+/// Period at which this operator asks all hosts for the state of the emergency stop latch at their robots.
 const ASK: Span = Span::from_millis(1000);
 
 /// Flags of `murmurate watch`.
@@ -59,7 +59,7 @@ pub struct Args {
     team: team::TeamArgs,
     #[command(flatten)]
     page: PageFlags,
-    /// Record of what the page's operator receives.
+    /// Flags for a record of what this command receives from the team.
     #[cfg(feature = "record")]
     #[command(flatten)]
     record: RecordFlags,
@@ -82,23 +82,23 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
-/// Open live page of a team that was not joined yet.
+/// Live page that is served already, of a team whose network was not joined yet.
 pub struct Page {
     view: TeamView,
     server: Server,
     publisher: Publisher,
     results: Option<Receiver<Episode>>,
-    /// Incarnation of the page's operator.
+    /// Identity (incarnation and seed) of this process as an operator of the team.
     identity: ProcessIdentity,
-    /// Time zero of the run.
+    /// Time zero of this process's clock.
     began: Instant,
     #[cfg(feature = "record")]
     stage: Stage,
 }
 
 impl Page {
-    /// Opens the page and prints its address. `results` receives results of episodes; `None` if this process does not
-    /// get them.
+    /// Opens the page of a team and prints its address. `results` receives results of episodes; `None` if this process
+    /// does not get them.
     pub fn open(
         file: &TeamFile,
         team: &team::TeamArgs,
@@ -142,15 +142,15 @@ impl Page {
         })
     }
 
-    /// Creates the record of what the page's operator receives; `None` if the flags name no folder.
+    /// Creates the record of what this process receives as an operator; `None` if the flags name no folder.
     #[cfg(feature = "record")]
     fn record(&self, flags: &RecordFlags, team: &Path) -> Result<Option<LiveRecord>> {
         let run = (self.identity.incarnation, self.stage.clone());
         LiveRecord::of_operator(flags, run, self.began, vec![team.to_owned()])
     }
 
-    /// Joins the team as an operator, and serves the page on this thread until `over` returns `true`. What the operator
-    /// receives goes into `record`.
+    /// Joins the team's network as an operator, and serves the page on this thread until `over` returns `true`. What
+    /// the operator receives is also written to `record`, if given.
     pub fn run(
         self,
         team: &team::TeamArgs,
@@ -196,7 +196,7 @@ impl Page {
     }
 }
 
-/// Periodic work of the page: executes commands, repeats orders, and publishes the team's state.
+/// Does the periodic work of the page: executes commands, repeats orders, and publishes the team's state.
 struct Desk {
     me: HostId,
     network: Mailbox<network::In>,
@@ -207,7 +207,7 @@ struct Desk {
     feed: Feed,
     /// Episode after which the team is to be held, because a page has asked for a pause; `None` without such a request.
     pause_after: Option<u32>,
-    /// Time at which hosts are asked for their latches next.
+    /// Time at which hosts are asked next for the state of the emergency stop latch at their robots.
     ask_at: Time,
 }
 
@@ -237,7 +237,8 @@ impl Desk {
         clock.call(now + BEAT, Box::new(move || self.beat(&again)));
     }
 
-    /// Holds the team once the episode `pause_after` is over. The next episode begins after the resume.
+    /// Orders the team to hold once the episode `pause_after` is over, if a pause was requested. The next episode
+    /// begins after a resume.
     fn take_pause(&mut self, now: Time) {
         let (Some(after), Some((phase, episode))) = (self.pause_after, self.view.borrow().phase()) else { return };
         match phase {

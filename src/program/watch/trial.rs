@@ -1,5 +1,5 @@
-//! Simulation at the pace of real time with a live page. If the page gives no command, the report equals that of the
-//! same trial without a page.
+//! Runs a simulation at the pace of real time with a live page. If the page gives no command, the report equals that of
+//! the same trial without a page.
 
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, BTreeSet};
@@ -32,7 +32,7 @@ use crate::view::server::Publisher;
 use crate::view::status::{LinkImpairment, Scene, Status};
 use crate::view::team_view::TeamView;
 
-/// Flags of a simulation's page.
+/// Flags of `sim` for its live page: those of the page, and the speed of the simulation.
 #[derive(clap::Args)]
 pub struct PacedPage {
     #[command(flatten)]
@@ -43,12 +43,13 @@ pub struct PacedPage {
 }
 
 impl PacedPage {
-    /// Whether the page was requested.
+    /// Whether the page was requested by `--watch`.
     pub fn is_on(&self) -> bool {
         self.page.watch
     }
 
-    /// Checks the flags for a simulation of this many policies and repeats. An error names the flag.
+    /// Fails if the page's flags are wrong or do not fit a simulation of this many policies and repeats. An error names
+    /// the flag.
     pub fn check(&self, policies: usize, repeats: Option<u32>) -> Result<()> {
         self.page.check()?;
         match self.speed {
@@ -63,16 +64,17 @@ impl PacedPage {
     }
 }
 
-/// Longest wait for real time between two updates of the page.
+/// Longest time that the simulation waits, to keep pace with real time, before it updates the page again.
 const TURN: Duration = Duration::from_millis(10);
-/// Delay behind real time beyond which the simulation does not catch up.
+/// Delay of the simulation behind real time beyond which it no longer catches up, but goes on from there.
 const BEHIND: Duration = Duration::from_millis(250);
-/// Interval over which the speed is measured.
+/// Interval of real time over which the speed of the simulation is measured.
 const MEASURED: Duration = Duration::from_secs(1);
-/// Duration of a crash that lasts until the page restarts the actor.
+/// Duration of the crash that a page orders: practically unlimited, until the page restarts the actor.
 const FOR_GOOD: Span = Span::from_millis(1 << 40);
 
-/// Runs a trial at the speed of the flags, with a page, until its end or until `stop` is set.
+/// Runs a trial at the speed that the flags give, with a live page, until its end or until `stop` is set. Records it if
+/// `records` is given. Returns the report.
 pub fn run(
     trial: &Trial,
     policy: &str,
@@ -122,7 +124,7 @@ pub fn run(
     Ok(report)
 }
 
-/// Returns the scene of a trial for the page.
+/// Returns what the page shows of a trial at first: ground, walls, number of robots, links and settings.
 fn scene(trial: &Trial, policy: &str) -> Scene {
     let range_m = trial.range.map_or(trial.model.interface().radius_m, |range| range.mean_m);
     Scene {
@@ -140,7 +142,7 @@ fn scene(trial: &Trial, policy: &str) -> Scene {
     }
 }
 
-/// Updates the page's view of the team from an event of the trial.
+/// Updates the page's view of the team, and the state of running orders, from an event of the trial.
 fn heard(view: &mut TeamView, orders: &mut Orders, now: Time, host: HostId, event: ProcessEvent) {
     match event {
         ProcessEvent::Published(frame) => {
@@ -161,7 +163,7 @@ fn heard(view: &mut TeamView, orders: &mut Orders, now: Time, host: HostId, even
     }
 }
 
-/// Decodes a published message if the page shows something of its kind.
+/// Decodes a published datagram; `None` if its message is of a kind that the page does not show.
 fn wanted(frame: &Frame) -> Option<Wire> {
     let kinds = [Kind::Latent, Kind::Heartbeat, Kind::Mode, Kind::Status];
     match codec::first(frame).ok()? {
@@ -170,7 +172,7 @@ fn wanted(frame: &Frame) -> Option<Wire> {
     }
 }
 
-/// State of a pause after the current episode.
+/// State of a pause, which the page requests and which begins after the current episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Pause {
     No,
@@ -179,12 +181,12 @@ enum Pause {
     Yes,
 }
 
-/// Relation of virtual time to real time.
+/// Keeps the virtual time of a simulation at a given pace relative to real time.
 struct Pace {
     speed: f64,
     origin: (Instant, Time),
     measured: (Instant, Time),
-    /// Measured simulated seconds per second of real time.
+    /// Speed of the simulation as last measured: simulated seconds per second of real time.
     reached: f64,
 }
 
@@ -194,7 +196,7 @@ impl Pace {
         Pace { speed, origin, measured: origin, reached: speed }
     }
 
-    /// Returns the real time to wait until the time `now` of the trial is due.
+    /// Returns how long to wait in real time until the virtual time `now` is due; zero if it is due already.
     fn ahead(&mut self, now: Time) -> Duration {
         let present = Instant::now();
         let (origin, from) = self.origin;
@@ -211,7 +213,8 @@ impl Pace {
     }
 }
 
-/// Work between two instants of a trial: executes commands, sends orders, updates the page, and waits for real time.
+/// Does the work between two instants of a trial: executes commands of the page, sends orders, updates the page, and
+/// waits for real time.
 struct Desk<'a> {
     trial: &'a Trial,
     /// Host of the state server, through which orders are sent.
@@ -221,7 +224,7 @@ struct Desk<'a> {
     view: Rc<RefCell<TeamView>>,
     orders: Rc<RefCell<Orders>>,
     pause: Pause,
-    /// Number of episodes with a result.
+    /// Number of episodes with a result so far.
     finished: usize,
     killed: BTreeSet<String>,
     impaired: BTreeMap<String, LinkImpairment>,
@@ -257,7 +260,7 @@ impl Desk<'_> {
         if self.view.borrow().latch().is_clear() { Proceed::Continue } else { Proceed::Hold }
     }
 
-    /// Starts a requested pause if no episode is running.
+    /// Starts a requested pause if no episode is running, or one has just ended (`ended`).
     fn take_pause(&mut self, now: Time, ended: bool) {
         let phase = self.view.borrow().phase().map(|(phase, _)| phase);
         let between = !matches!(phase, Some(Phase::Running | Phase::FinishedRunning));
@@ -350,7 +353,7 @@ impl Desk<'_> {
     }
 }
 
-/// Returns the name of an actor for messages.
+/// Returns the name of an actor for lines on the page: its role and robot.
 fn name(role: Role, robot: RobotId) -> String {
     let word = serde_json::to_value(role).ok().and_then(|value| value.as_str().map(str::to_owned)).unwrap_or_default();
     if role == Role::StateServer { word } else { format!("{word} of {robot}") }

@@ -12,7 +12,8 @@ use super::estimate::{Estimate, bootstrap, quantile_of};
 use crate::messages::ids::{HostId, LinkId};
 use crate::random::Stream;
 
-/// Datagram that was due at a host.
+/// Outcome of one datagram at one host that should have received it, in a recorded run: its delay, or that it was lost.
+/// A multicast datagram has one `Crossing` for each of its receivers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Crossing {
     /// Episode in which it was sent, or in the reset before.

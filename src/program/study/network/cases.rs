@@ -10,12 +10,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::program::study::folder::Folder;
 
-/// Name of the subfolder with records of finished cases.
+/// Name of the subfolder of the study's folder that has the records of finished cases.
 const CASES: &str = "cases";
-/// Name of the study in the origins of records.
+/// Name of the network study in the records of its cases.
 const STUDY: &str = "network";
 
-/// Identity of a network study, stored in its folder.
+/// What identifies a network study, stored in its folder: a folder with another identity is refused.
 #[derive(PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Identity {
@@ -27,22 +27,22 @@ struct Identity {
     link: Option<String>,
 }
 
-/// Record of a finished case.
+/// Record of a finished case of a network study: its outcome, and the conditions under which it was found.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Record {
     /// Origin of the record: study, program, seed and conditions.
     origin: Origin,
     case: Case,
-    /// Outcome of the case.
+    /// Outcome of the case: delivery and delay of messages, and other counts.
     pub outcome: Outcome,
     /// Bound on the error of one-way delays \[s\], from the clocks of two hosts; 0 in an emulation.
     pub uncertainty_s: f64,
 }
 
-/// Records of the finished cases of a sweep, stored in a folder if there is one.
+/// Records of the finished cases of a network study ([`Sweep`]), stored in a folder if there is one.
 pub struct Journal {
-    /// Sweep to which the cases belong.
+    /// Settings of the study and the values that its cases combine.
     pub sweep: Sweep,
     /// Folder of the records; `None` if they are not stored.
     pub folder: Option<Folder>,
@@ -50,8 +50,8 @@ pub struct Journal {
 }
 
 impl Journal {
-    /// Opens the records of a sweep, in the folder `path` if given. `link` describes the measured link; `None` without
-    /// a measurement.
+    /// Opens the records of a network study, in the folder `path` if given. `link` describes the measured link; `None`
+    /// without a measurement.
     pub fn open(path: Option<&Path>, sweep: Sweep, link: Option<String>) -> Result<Journal> {
         let (version, build) = (origin::VERSION.to_owned(), origin::BUILD.to_owned());
         let study = STUDY.to_owned();
@@ -62,14 +62,16 @@ impl Journal {
         Ok(Journal { sweep, folder, link })
     }
 
-    /// Returns the origin of a case's record. It is independent of the sweep's other cases.
+    /// Returns the origin of a case's record: study, program, seed and conditions. It is independent of the study's
+    /// other cases.
     fn origin(&self, source: Source, case: &Case) -> Origin {
         let Sweep { stations, bytes, medium, history, seconds, seed, .. } = &self.sweep;
         let link = self.link.as_ref().filter(|_| source == Source::Live);
         Origin::here(STUDY, *seed, "", &(source, case, stations, bytes, medium, history, seconds, link))
     }
 
-    /// Reads the record of each case; `None` for a record that is missing, damaged or made under other conditions.
+    /// Reads the record of each case from the folder; `None` for a record that is missing, damaged or made under other
+    /// conditions.
     pub fn kept(&self, source: Source, cases: &[Case]) -> Vec<Option<Record>> {
         let one = |(at, case): (usize, &Case)| {
             let record: Record = self.folder.as_ref()?.kept(&name(source, at))?;
@@ -96,12 +98,12 @@ fn name(source: Source, at: usize) -> String {
     format!("{CASES}/{source}-{at:04}.json")
 }
 
-/// Returns the file name of a simulated team's record.
+/// Returns the name of the file with the results of a simulated team of this size in this mode.
 pub fn team(mode: &str, robots: usize) -> String {
     format!("{CASES}/team-{mode}-{robots:04}.json")
 }
 
-/// Writes the report: rows, costs of growing teams, figures, table and page.
+/// Writes the report of a network study: rows of the cases, network load of growing teams, figures, table and page.
 pub fn write_report(folder: &Folder, findings: &Findings) -> Result<()> {
     let rows = findings.rows();
     folder.write_csv("rows.csv", &rows)?;

@@ -1,4 +1,5 @@
-//! Files of `study network --fit`: the rows to read, and the radio to write. The fit itself is in the library.
+//! Runs `study network --fit`: reads rows of results, fits a radio to them, and writes the radio file. The fit itself
+//! is in another module of the library.
 
 use std::fmt;
 use std::path::Path;
@@ -17,22 +18,24 @@ use crate::program::jobs;
 use crate::program::output::{read_text, talk};
 use crate::program::whole_file::WholeFile;
 
-/// Result of a fit, for the output.
+/// Result of the fit of a radio, as it is printed.
 #[derive(Serialize)]
 pub struct Report {
     noise_loss: f64,
     background: f64,
     rate: String,
     basic_rate: String,
-    /// Root mean square of the residuals of shares, and of those of logarithms of delays.
+    /// Root mean squares of the differences between fitted and given rows: of shares of messages (this field), and of
+    /// natural logarithms of delays (the next field).
     residual_shares: f64,
     residual_log_delays: f64,
-    /// Other pairs of rates that fit almost as well.
+    /// Other pairs of unicast and multicast rate that fit almost as well.
     rivals: Vec<String>,
     rows: usize,
 }
 
-/// Reads rows from a JSON file: a list, or an object with a field `rows`. If some were measured, returns only those.
+/// Reads the rows to fit to from a JSON file: a list, or an object with a field `rows`. If some were measured, returns
+/// only those; otherwise the emulated ones.
 pub fn read(path: &Path, sweep: &Sweep) -> Result<Vec<Observed>> {
     let wrong = |why: String| {
         let expected = "it has to be what 'murmurate study network --json' printed, or rows.json of its report";
@@ -53,7 +56,8 @@ pub fn read(path: &Path, sweep: &Sweep) -> Result<Vec<Observed>> {
     if rows.is_empty() { Err(wrong("it has no rows".to_owned()).into()) } else { Ok(rows) }
 }
 
-/// Creates the radio file before the work begins. Fails if the medium is not a radio, or the file cannot be written.
+/// Opens the radio file to be written, before the work begins. Fails if the medium is not a radio, or the file cannot
+/// be written.
 pub fn prepare(file: &Path, sweep: &Sweep) -> Result<WholeFile> {
     match &sweep.medium {
         Medium::Radio(_) => WholeFile::create(file),
@@ -61,7 +65,8 @@ pub fn prepare(file: &Path, sweep: &Sweep) -> Result<WholeFile> {
     }
 }
 
-/// Fits a radio and writes its file. After Ctrl-C, returns `None` and writes nothing.
+/// Fits the radio of the study's medium to the rows `observed`, and writes the result to `out`. After Ctrl-C, returns
+/// `None` and writes nothing.
 pub fn run(
     sweep: &Sweep,
     observed: &[Observed],

@@ -1,4 +1,4 @@
-//! Flags of `murmurate study network`, and creation of the sweep from them.
+//! Flags of `murmurate study network`, and creation of a [`Sweep`], the study's settings, from them.
 
 use std::path::{Path, PathBuf};
 
@@ -75,7 +75,7 @@ pub struct Args {
     pub run: Run,
 }
 
-/// Parses the names given to a flag. Returns all values if none is given.
+/// Parses the names given to a flag, each of which must be one of the values `all`. Returns `all` if none is given.
 fn named<T: DeserializeOwned + PartialEq + Clone>(flag: &str, given: &[String], all: &[T]) -> Result<Vec<T>> {
     check_unique(flag, given)?;
     let mut chosen = Vec::new();
@@ -88,7 +88,7 @@ fn named<T: DeserializeOwned + PartialEq + Clone>(flag: &str, given: &[String], 
     Ok(if chosen.is_empty() { all.to_vec() } else { chosen })
 }
 
-/// Returns the medium with this name, or from this file. An error names the flag or the file.
+/// Returns the medium (radio or shaped links) with this name, or from this file. An error names the flag or the file.
 pub fn medium(flag: &str, given: &str) -> Result<Medium> {
     match Medium::named(given) {
         Some(medium) => Ok(medium),
@@ -101,18 +101,19 @@ pub fn medium(flag: &str, given: &str) -> Result<Medium> {
     }
 }
 
-/// Default number of stations.
+/// Default number of stations that exchange messages.
 const STATIONS: u16 = 5;
 
 impl Args {
-    /// Prints the path of the fitted radio's file and the flags that use it; nothing without `--fit`.
+    /// Prints the path of the radio file that `--fit` has written, and the flags that use it; nothing without `--fit`.
     pub fn print_location(&self) {
         if let (Some(file), false) = (&self.fit, self.run.quiet) {
             talk(&format!("radio in '{0}': use it with 'sim --radio {0}' or 'train --radio {0}'", file.display()));
         }
     }
 
-    /// Returns the sweep that the flags define. An error names the flag.
+    /// Returns the settings of the study that the flags define, with the values that its cases combine. An error names
+    /// the flag.
     pub fn sweep(&self) -> Result<Sweep> {
         if self.fit.is_some() && self.rows.is_none() && self.live.is_none() {
             return bad("--fit: there are no rows; give --rows FILE.json, or measure with --live TEAM.toml".to_owned());
@@ -146,7 +147,7 @@ impl Args {
         Ok(sweep)
     }
 
-    /// Returns the team sizes for the cost per robot, sorted.
+    /// Returns the team sizes for which the cost per robot is found, sorted; empty if none is wanted.
     pub fn teams(&self) -> Result<Vec<usize>> {
         match self.teams.as_slice() {
             [] if self.live.is_some() || self.fit.is_some() => Ok(Vec::new()),
@@ -168,7 +169,7 @@ impl Args {
         }
     }
 
-    /// Returns the command that reproduces the study, without flags that do not affect the results.
+    /// Returns the command line that reproduces the study, without flags that do not affect the results.
     pub fn command(&self) -> String {
         let mut command = CommandLine("murmurate study network".to_owned());
         command.add("medium", Some(self.medium.clone()));

@@ -1,4 +1,5 @@
-//! Team of a measurement, from its team file: the participants, their link, and the cases that can be measured on it.
+//! Team whose hosts measure a network, from its team file: the participants, their link, and the cases that can be
+//! measured on it.
 
 use std::path::Path;
 
@@ -16,18 +17,20 @@ use crate::program::BadInput;
 use crate::program::bad;
 use crate::program::team::{self, TeamArgs};
 
-/// Team whose hosts measure the delays of their links.
+/// Team whose hosts measure the delivery and delay of messages on the link between them.
 pub struct LiveTeam {
     args: TeamArgs,
     file: TeamFile,
-    /// Hosts that measure: those that run Agents, in the order of their ids.
+    /// Ids of the hosts that take part: those that run Agents, in the order of their ids. The index is the station
+    /// number.
     stations: Vec<HostId>,
-    /// Index of the link that carries latents.
+    /// Index in the deployment of the link that carries latents, which is measured.
     link: usize,
 }
 
 impl LiveTeam {
-    /// Reads the team file. An error names the flag or the field.
+    /// Reads the team of a measurement from its team file. Fails if no latents cross a link between its hosts. An error
+    /// names the flag or the field.
     pub fn of(path: &Path, args: &Args, registry: &Registry) -> Result<LiveTeam> {
         let args = TeamArgs::of(path.to_owned(), args.set.clone());
         let file = args.read(registry)?;
@@ -49,7 +52,7 @@ impl LiveTeam {
         self.args.path()
     }
 
-    /// Returns the names of the participants, in the order of their stations.
+    /// Returns the names of the participating hosts, in the order of their station numbers.
     pub fn names(&self) -> Vec<String> {
         let hosts = &self.file.deployment().hosts;
         self.stations.iter().map(|host| hosts[usize::from(host.0)].name.clone()).collect()
@@ -68,7 +71,7 @@ impl LiveTeam {
         team::key(&self.args.for_host(&self.file, self.stations[0])?)
     }
 
-    /// Returns the settings of one participant. An error names the flag.
+    /// Returns the settings of the participant with this host name. An error names the flag.
     pub fn participation(&self, name: &str) -> Result<Participation> {
         let host = self.file.host_named(name).map_err(|e| BadInput(format!("--{e}")))?;
         if !self.stations.contains(&host) {
@@ -85,8 +88,8 @@ impl LiveTeam {
         Ok(Participation { team, key, place, stations: self.stations.clone() })
     }
 
-    /// Removes the cases that cannot be measured on this link from a sweep, so that measurement and emulation have the
-    /// same cases. An error names the flag.
+    /// Restricts a study's settings to cases that can be measured on this team's link, so that measurement and
+    /// emulation have the same cases. An error names the flag.
     pub fn restrict(&self, sweep: &mut Sweep, args: &Args) -> Result<()> {
         let team = self.args.for_host(&self.file, self.stations[0])?;
         let link = &team.deployment.links[self.link];

@@ -1,5 +1,5 @@
-//! The command `murmurate study network`: flags, threads, clock and files of the network study. The emulation is in the
-//! library.
+//! The command `murmurate study network`: flags, threads, time and files of the network study. The emulation is in
+//! other modules of the library.
 
 mod cases;
 mod fit;
@@ -34,13 +34,13 @@ use live::Measured;
 use live_team::LiveTeam;
 use teams::Team;
 
-/// Output of a study with `--json`.
+/// Output of a network study with `--json`.
 #[derive(Serialize)]
 struct Report<'a> {
     study: &'static str,
     rows: Vec<Row>,
     growth: &'a [Growth],
-    /// Bound on the error of measured one-way delays \[s\]; null without a measurement.
+    /// Largest error of measured one-way delays, from the hosts' clocks \[s\]; null without a measurement.
     uncertainty_s: Option<f64>,
     /// Radio fitted to the measured rows; null without `--fit`.
     fit: Option<&'a fit::Report>,
@@ -49,18 +49,19 @@ struct Report<'a> {
     interrupted: bool,
 }
 
-/// Network study to run.
+/// A network study that is ready to run.
 struct Study<'a> {
     args: &'a Args,
     journal: Journal,
-    /// Team of the measurement; `None` without `--live`.
+    /// Team whose hosts measure the network; `None` without `--live`.
     live_team: Option<LiveTeam>,
-    /// Teams of growing size, for the cost per robot.
+    /// Teams of growing size that are simulated to find the cost per robot (airtime, processor time).
     teams: Vec<Team>,
     stop: Arc<AtomicBool>,
 }
 
-/// Runs `study network`.
+/// Runs `study network`: emulates its cases, measures them with `--live`, fits a radio with `--fit`, and prints the
+/// results. With `--host`, takes part in a measurement instead.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let mut sweep = args.sweep()?;
     let teams = teams::of_sizes(&args.teams()?, sweep.seed)?;
@@ -90,7 +91,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
 }
 
 impl Study<'_> {
-    /// Fits a radio to the rows of a file.
+    /// Fits a radio to the rows in a file of earlier results, writes it to `file`, and prints it.
     fn fit_rows(&self, rows: &Path, file: WholeFile) -> Result<Ended> {
         let sweep = &self.journal.sweep;
         let observed = fit::read(rows, sweep)?;
@@ -102,7 +103,8 @@ impl Study<'_> {
         Ok(Ended::Done)
     }
 
-    /// Measures (with `--live`) and emulates all cases. Fits a radio to the measured rows if `file` is given.
+    /// Measures (with `--live`) and emulates all cases, prints the results, and writes the report. Fits a radio to the
+    /// measured rows if `file` is given.
     fn sweep(&self, file: Option<WholeFile>) -> Result<Ended> {
         let Study { args, journal, live_team, teams, stop } = self;
         let Journal { sweep, folder, .. } = journal;
@@ -153,8 +155,8 @@ impl Study<'_> {
         live::measure(&self.journal, &live_team.names(), line, (&self.stop, self.args.run.quiet))
     }
 
-    /// Returns the outcomes of all emulated cases. Reads finished ones and runs the others. After Ctrl-C some are
-    /// missing.
+    /// Returns the outcomes of all emulated cases: reads those that are finished from the folder, and runs the others.
+    /// After Ctrl-C some are missing.
     fn emulated(&self) -> Result<Vec<Found>> {
         let Study { args, journal, stop, .. } = self;
         let (source, sweep, cases) = (Source::Emulated, &journal.sweep, journal.sweep.cases());
@@ -177,7 +179,7 @@ fn observed((source, case, outcome): &Found) -> Observed {
     Observed::from(&Row::of(*source, case, outcome))
 }
 
-/// Returns the report's note on the clocks of a measurement.
+/// Returns the report's note on the accuracy of the clocks in a measurement.
 fn clocks(live_team: &LiveTeam, uncertainty_s: f64) -> String {
     format!(
         "Measured between the hosts of '{}'. One-way delays are differences of two hosts' clocks, which were compared \

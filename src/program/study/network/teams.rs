@@ -1,5 +1,5 @@
-//! Cost per robot of growing teams: simulates one team after the other and measures its processor time. The simulation
-//! is in the library.
+//! Finds the cost per robot of growing teams: simulates one team after the other and measures its processor time. The
+//! simulation is in another module of the library.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -19,7 +19,7 @@ use crate::program::bad;
 use crate::program::progress::progress;
 use crate::program::study::folder::Folder;
 
-/// Team to simulate.
+/// Team of one size and mode to simulate, to find its cost per robot.
 pub struct Team {
     mode: &'static str,
     robots: usize,
@@ -33,7 +33,7 @@ impl Team {
     }
 }
 
-/// Record of a simulated team.
+/// Stored result of a simulated team: its network load, and the processor time of the simulation.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Record {
@@ -44,7 +44,8 @@ struct Record {
     cpu_s: f64,
 }
 
-/// Returns the teams of these sizes, in each of the modes `growth::MODES`. An error names the flag.
+/// Returns the teams to simulate: of each of these sizes (numbers of robots), in each of the modes `growth::MODES`. An
+/// error names the flag.
 pub fn of_sizes(sizes: &[usize], seed: u64) -> Result<Vec<Team>> {
     let mut teams = Vec::new();
     for mode in growth::MODES {
@@ -58,8 +59,8 @@ pub fn of_sizes(sizes: &[usize], seed: u64) -> Result<Vec<Team>> {
     Ok(teams)
 }
 
-/// Returns the cost per robot of each team. Reads finished results and simulates the others; after Ctrl-C some are
-/// missing. Teams run one at a time, because two that share a processor cache slow each other down.
+/// Returns the cost per robot of each team: reads finished results, and simulates the other teams; after Ctrl-C some
+/// are missing. Teams run one at a time, because two that share a processor cache slow each other down.
 pub fn run(
     teams: &[Team],
     sweep: &Sweep,

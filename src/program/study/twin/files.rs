@@ -1,4 +1,4 @@
-//! The folder of a twin: report, table, rows, and the fitted model as files that other commands take.
+//! The output folder of `study twin`: report, table, rows, and the fitted model as files that other commands take.
 
 use std::path::Path;
 
@@ -15,18 +15,19 @@ use crate::study::twin::pages::{self, Words};
 use crate::study::twin::predict::Predicted;
 use crate::trial::Trial;
 
-/// What makes a folder that of one twin.
+/// What identifies the twin of a folder, stored in it: a folder with another identity is refused.
 #[derive(PartialEq, Serialize, Deserialize)]
 struct Identity {
     study: String,
     version: String,
     build: String,
     command: String,
-    /// Names and digests of the records.
+    /// Name and digest of each record to which the twin is fitted.
     records: Vec<String>,
 }
 
-/// Opens the folder; an error if it is of another twin.
+/// Opens or creates the folder of a twin. `digests` are names and digests of the records, `command` is the command
+/// line. Fails if the folder is of another twin.
 pub fn open(path: &Path, digests: &[String], command: &str) -> Result<Folder> {
     let identity = Identity {
         study: "twin".to_owned(),
@@ -44,7 +45,8 @@ pub fn open(path: &Path, digests: &[String], command: &str) -> Result<Folder> {
     })
 }
 
-/// Writes everything.
+/// Writes the files of a twin: rows and table of the comparison, the fitted conditions, the deployment if episodes were
+/// predicted, the figures, and the report's page.
 pub fn write(
     folder: &Folder,
     words: &Words,
@@ -63,7 +65,8 @@ pub fn write(
     folder.write_page(&figures, &pages::page(words, rows, &figures))
 }
 
-/// The fitted world, and the link between robots, or all links if no latent crosses one.
+/// Returns the fitted model as conditions for other commands: the plant with its lag and slip, and delay and loss of
+/// the link that carries latents (`None` if no link does).
 fn conditions(fitted: &Fitted, twin: &Trial) -> Conditions {
     use crate::messages::wire::Kind;
     let carries = |kind: &Kind| *kind == Kind::Latent;

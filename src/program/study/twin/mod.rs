@@ -1,4 +1,5 @@
-//! `murmurate study twin`: a model of a recorded run, fitted to half of its episodes and compared with the other half.
+//! The command `murmurate study twin`: fits a model of a recorded run to half of its episodes, and compares it with the
+//! other half.
 
 mod files;
 mod run_of;
@@ -22,7 +23,7 @@ use crate::study::twin::predict::{self, Predicted};
 use crate::trial::Trial;
 use run_of::Recorded;
 
-/// Least number of episodes: two to fit and two to predict, so that both have intervals.
+/// Least number of episodes of a recorded run: two to fit and two to predict, so that both have confidence intervals.
 const LEAST: usize = 4;
 
 /// Flags of `murmurate study twin`.
@@ -46,13 +47,13 @@ pub struct Args {
     run: Run,
 }
 
-/// Output with `--json`.
+/// Output of `study twin` with `--json`.
 #[derive(Serialize)]
 struct Report<'a> {
     study: &'a str,
     scenario: &'a str,
     robots: usize,
-    /// Episodes that were fitted, and that were predicted.
+    /// Numbers of episodes: to which the model was fitted, and with which it was compared.
     episodes: [usize; 2],
     repeats: u32,
     given: &'a [String],
@@ -61,7 +62,8 @@ struct Report<'a> {
     notes: &'a [String],
 }
 
-/// Fits, predicts, compares and reports.
+/// Runs `study twin`: fits a model to the first half of a recorded run's episodes, predicts the second half by
+/// simulation, compares both, and prints and writes the report.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let given = given(args)?;
     let Recorded { run, trial, policy, mut notes, digests } = run_of::read(&args.records, registry)?;
@@ -139,7 +141,7 @@ fn given(args: &Args) -> Result<Given> {
     Ok(given)
 }
 
-/// Returns the command that repeats the report.
+/// Returns the command line that reproduces the report, without flags that do not affect it.
 fn command(args: &Args) -> String {
     let mut command = CommandLine("murmurate study twin".to_owned());
     for path in &args.records {
@@ -151,7 +153,7 @@ fn command(args: &Args) -> String {
     command.0
 }
 
-/// Says what the records do not tell of the model.
+/// Returns notes on what could not be fitted, because the records lack the data.
 fn missing(found: &Fitted, trial: &Trial) -> Vec<String> {
     let mut notes = Vec::new();
     if trial.deployment.check_simulated().is_err() {
@@ -187,7 +189,8 @@ fn missing(found: &Fitted, trial: &Trial) -> Vec<String> {
     notes
 }
 
-/// Runs all repeats of the prediction; `None` after Ctrl-C.
+/// Simulates the second half of the episodes `repeats` times with the fitted model. Returns the results of the repeats;
+/// `None` after Ctrl-C.
 fn predict(args: &Args, twin: &Trial, repeats: u32) -> Result<Option<Vec<Predicted>>> {
     let stop = Arc::new(AtomicBool::new(false));
     let signal = Arc::clone(&stop);

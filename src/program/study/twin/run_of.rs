@@ -1,4 +1,5 @@
-//! The records of a run, put together, and the trial that the run was.
+//! Reads the records of all hosts of a run, joins them on a common clock, and builds a trial with the settings of the
+//! run.
 
 use std::path::PathBuf;
 
@@ -16,21 +17,21 @@ use crate::study::twin::observed::{Log, Run, Team};
 use crate::study::twin::predict;
 use crate::trial::Trial;
 
-/// A recorded run.
+/// A run of a team as read from the records of its hosts, with a trial of the same settings.
 pub struct Recorded {
-    /// What its records tell.
+    /// Data of the run from the records: episodes, motions, messages and clocks.
     pub run: Run,
-    /// The run as a trial, in ideal conditions.
+    /// Trial with the settings of the run, under ideal conditions, before the fitted model is applied.
     pub trial: Trial,
-    /// Name of its policy.
+    /// Name of the policy that the robots ran.
     pub policy: String,
-    /// What a reader of the results has to know of the records.
+    /// Notes for readers of the results, such as on records that were cut, and on the uncertainty of the clocks.
     pub notes: Vec<String>,
-    /// Names and digests of the records.
+    /// File name and digest of each record.
     pub digests: Vec<String>,
 }
 
-/// Reads the records of a run.
+/// Reads the records of all hosts of a run, given as files or their folders. Fails if the record of a host is missing.
 pub fn read(named: &[PathBuf], registry: &Registry) -> Result<Recorded> {
     let paths = files(named)?;
     let wrong = |error: ReadError| BadInput(error.to_string());
@@ -89,7 +90,8 @@ pub fn read(named: &[PathBuf], registry: &Registry) -> Result<Recorded> {
     Ok(Recorded { run: Run::of(&logs, &alignment, &team), trial, policy, notes, digests })
 }
 
-/// Makes the trial that the hosts ran, from the team file in the record of the host that judged.
+/// Returns a trial with the settings that the hosts ran, from the team file in the record of the host that judged the
+/// episodes; and the policy's name.
 fn trial(paths: &[PathBuf], identities: &[Identity], logs: &[Log], registry: &Registry) -> Result<(Trial, String)> {
     let wrong = |error: ReadError| BadInput(error.to_string());
     let Some(judge) = logs.iter().position(Log::has_results) else {
@@ -117,7 +119,7 @@ fn trial(paths: &[PathBuf], identities: &[Identity], logs: &[Log], registry: &Re
     Ok((trial, loaded.name))
 }
 
-/// Returns a host of the run of which there is no record.
+/// Returns the name of a host of the run of which there is no record; `None` if all have one.
 fn absent(trial: &Trial, logs: &[Log]) -> Option<String> {
     let has = |number: usize| logs.iter().any(|log| usize::from(log.host.0) == number);
     trial.deployment.hosts.iter().enumerate().find(|(at, _)| !has(*at)).map(|(_, host)| host.name.clone())

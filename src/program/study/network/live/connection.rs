@@ -1,8 +1,9 @@
-//! TCP connection between a coordinator and a participant: one JSON object per line, with an authentication tag if the
-//! team has a key. `mod.rs` defines the messages.
+//! TCP connection between the coordinator and a participant of a measurement: one JSON object per line, with an
+//! authentication tag if the team has a key. `mod.rs` defines the messages.
 //!
-//! Each side first sends a random nonce. A tag covers both nonces, the sender's role, the sequence number of the line,
-//! and the line itself. So peers without the key and replays are rejected.
+//! Each side first sends a random nonce. A tag is a keyed hash of the sender's role, the sequence number of the line,
+//! and the line itself; its key derives from the team's key and both nonces. So peers without the key and replays are
+//! rejected.
 
 use std::io::{BufRead, BufReader, ErrorKind, Write};
 use std::net::TcpStream;
@@ -15,20 +16,20 @@ use socket2::{SockRef, TcpKeepalive};
 
 use super::GREETING;
 
-/// Context string of the key derivation, unique to this use.
+/// Context string for the derivation of the session key from the team's key, unique to these connections.
 const CONTEXT: &str = "murmurate, study network, coordinator and participant, 1";
-/// Length of a nonce \[bytes\].
+/// Length of the random nonce that each side of a connection sends \[bytes\].
 const DRAWN_BYTES: usize = 16;
-/// Largest lengths \[bytes\] of lines before the peer is authenticated: of the line with the nonce, and of the first
-/// line with a tag.
+/// Largest lengths \[bytes\] of lines before the peer is authenticated: of the line with the nonce (`NUMBER_BYTES`),
+/// and of the first line with a tag (`FIRST_BYTES`).
 const NUMBER_BYTES: usize = 256;
 const FIRST_BYTES: usize = 4096;
 /// Largest length of a line of an authenticated peer \[bytes\], enough for a station's result of a long case.
 const LINE_BYTES: usize = 1 << 26;
-/// Idle time before TCP keepalive probes, and their interval.
+/// Idle time of a connection before TCP keepalive probes are sent, and the interval between them.
 const ALIVE: Duration = Duration::from_secs(10);
 
-/// Role of one end of a connection.
+/// Role of one end of a connection in a measurement.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Side {
     Coordinator,
@@ -44,20 +45,20 @@ impl Side {
     }
 }
 
-/// One end of a connection.
+/// One end of a TCP connection between coordinator and participant, which sends and receives JSON lines.
 pub struct Connection {
     reader: BufReader<TcpStream>,
     writer: TcpStream,
     side: Side,
-    /// Session key; `None` if the team has no key.
+    /// Session key for the tags of lines; `None` if the team has no key.
     key: Option<[u8; 32]>,
     sent: u64,
     received: u64,
 }
 
 impl Connection {
-    /// Exchanges nonces with the peer and derives the session key from `team`, the team's key. Fails if the peer's
-    /// nonce does not arrive in time.
+    /// Opens a connection over `stream`: exchanges nonces with the peer, and derives the session key from `team`, the
+    /// team's key (`None` if it has none). Fails if the peer's nonce does not arrive in time.
     pub fn open(stream: TcpStream, side: Side, team: Option<&[u8; 32]>) -> Result<Connection> {
         stream.set_nodelay(true).context("cannot set up the connection")?;
         // Keepalive detects a peer whose machine has died.
@@ -79,7 +80,7 @@ impl Connection {
         Ok(Connection { reader, writer, side, key, sent: 0, received: 0 })
     }
 
-    /// Sends a message. Fails if the peer has closed the connection.
+    /// Sends a value as a JSON line with a tag. Fails if the peer has closed the connection.
     pub fn send(&mut self, what: &impl Serialize) -> Result<()> {
         let text = serde_json::to_string(what).context("it is plain data")?;
         let tag = self.key.map_or("-".to_owned(), |key| tag(&key, self.side, self.sent, &text).to_hex().to_string());
@@ -87,13 +88,15 @@ impl Connection {
         self.writer.write_all(format!("{tag} {text}\n").as_bytes()).context("the peer has closed the connection")
     }
 
-    /// Receives the first message, which has to be short. Fails if it does not arrive within this time.
+    /// Receives the first message of the peer, of at most `FIRST_BYTES` bytes. Fails if it does not arrive within the
+    /// time `within`, or if its tag is wrong.
     pub fn receive_first<T: DeserializeOwned>(&mut self, within: Duration) -> Result<T> {
         let line = read(&mut self.reader, FIRST_BYTES, Some(within))?;
         self.understand(&line)
     }
 
-    /// Receives the next message. Fails if it does not arrive within this time; `None` waits without a limit.
+    /// Receives the next message of the peer. Fails if it does not arrive within the time `within`, or if its tag is
+    /// wrong; `None` waits without a limit.
     pub fn receive<T: DeserializeOwned>(&mut self, within: Option<Duration>) -> Result<T> {
         let line = read(&mut self.reader, LINE_BYTES, within)?;
         self.understand(&line)
@@ -124,7 +127,8 @@ fn tag(key: &[u8; 32], from: Side, number: u64, text: &str) -> blake3::Hash {
     blake3::keyed_hash(key, format!("{} {number} {text}", u8::from(from == Side::Coordinator)).as_bytes())
 }
 
-/// Reads a line of at most `most` bytes within this time. Returns it without its newline.
+/// Reads a line of at most `most` bytes from a connection, within the time `within` (`None`: no limit). Returns it
+/// without its newline.
 fn read(reader: &mut BufReader<TcpStream>, most: usize, within: Option<Duration>) -> Result<String> {
     let deadline = within.map(|within| Instant::now() + within);
     let mut line = Vec::new();

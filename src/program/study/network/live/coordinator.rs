@@ -1,4 +1,5 @@
-//! Coordinator of a measurement: waits for all hosts, compares their clocks, and starts the cases one after the other.
+//! Coordinator of a measurement of the network study: waits for all hosts, compares their clocks, and starts the cases
+//! one after the other.
 
 use std::net::{SocketAddr, TcpListener};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,22 +17,23 @@ use crate::program::BadInput;
 use crate::program::progress::progress;
 use crate::program::study::network::cases::Journal;
 
-/// Number of requests per clock comparison, and timeout of a response.
+/// Number of requests in one comparison of clocks (`REQUESTS`), and longest wait for a participant's response
+/// (`PATIENCE`).
 const REQUESTS: u32 = 16;
 const PATIENCE: Duration = Duration::from_secs(20);
-/// Time from the requests to measure a case until its start.
+/// Time from the sending of the requests to measure a case until the case starts at all hosts.
 const LEAD: Duration = Duration::from_millis(1500);
 
-/// Results of a measurement, and the uncertainty of the clocks.
+/// Results of a measurement between hosts, and the uncertainty of their clocks.
 pub struct Measured {
-    /// Outcomes of the finished cases.
+    /// Finished cases of the measurement with their outcomes.
     pub results: Vec<Found>,
-    /// Bound on the error of one-way delays, from the clock offset of two hosts \[s\].
+    /// Largest error of measured one-way delays, from the clock offsets of two hosts \[s\]; the largest over all cases.
     pub uncertainty_s: f64,
 }
 
-/// Measures all cases of a sweep between `hosts`, which are in the order of their stations. Fails if the address cannot
-/// be used or a host is lost.
+/// Measures all cases of a network study between `hosts`, which are in the order of their station numbers. Cases with a
+/// record are not measured again. Fails if `address` cannot be listened at or a host is lost.
 pub fn measure(
     journal: &Journal,
     hosts: &[String],
@@ -70,7 +72,8 @@ pub fn measure(
     Ok(Measured { results: results.collect(), uncertainty_s })
 }
 
-/// Returns the offset of a participant's clock from this one, and a bound on its error \[ns\].
+/// Returns the offset of a participant's clock from this process's clock \[ns\], and a bound on its error \[ns\]: half
+/// of the shortest round trip.
 fn offset(connection: &mut Connection, origin: Instant) -> Result<(i64, i64)> {
     let now = || origin.elapsed().as_nanos() as i64;
     let mut best: Option<(i64, i64)> = None;
@@ -89,7 +92,8 @@ fn offset(connection: &mut Connection, origin: Instant) -> Result<(i64, i64)> {
     best.ok_or_else(|| anyhow!("no request was sent"))
 }
 
-/// Measures one case. Returns the stations' results, and the bound on the error of their delays \[s\].
+/// Measures one case at all participants at once. Returns the stations' results, and the bound on the error of their
+/// one-way delays \[s\].
 fn one(
     task: &Task,
     hosts: &[String],

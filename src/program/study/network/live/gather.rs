@@ -1,5 +1,5 @@
-//! Waits for the participants of a measurement. Connections are authenticated concurrently, each within a time limit. A
-//! participant needs the team's key and the name of one of its hosts.
+//! Waits for the participants of a measurement to connect. Connections are authenticated concurrently, each within a
+//! time limit. A participant needs the team's key and the name of one of its hosts.
 
 use std::collections::BTreeMap;
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -15,16 +15,18 @@ use super::connection::{Connection, Side};
 use super::{GREETING, Request, Response};
 use crate::program::output::talk;
 
-/// Interval at which an interruption is noticed \[ms\].
+/// Longest time until the coordinator notices an interruption while it waits for connections \[ms\].
 const LOOK: u16 = 100;
 /// Largest number of concurrent connections that are not authenticated yet: several for each host of a large team. Each
 /// times out after two `GREETING`s, which bounds the delay by connections that send nothing.
 const GREETED: usize = 256;
 
-/// Result of an authentication: the peer's address, and the host's name with the connection.
+/// Result of the authentication of a new connection: the peer's address, and the host's name with the connection, or an
+/// error.
 type Greeted = (SocketAddr, Result<(String, Connection)>);
 
-/// Waits until every host is connected. Returns the connections in the order of `hosts`; none after Ctrl-C.
+/// Waits until every host has connected and is authenticated. Returns the connections in the order of `hosts`; none
+/// after Ctrl-C.
 pub fn gather(
     (listener, key): (&TcpListener, Option<[u8; 32]>),
     hosts: &[String],
@@ -72,7 +74,7 @@ pub fn gather(
     Ok(here.into_values().collect())
 }
 
-/// Authenticates a connection and receives the host's name, within the time limits of the greeting.
+/// Authenticates a new connection and receives the host's name, each line within the time limit `GREETING`.
 fn greet(stream: TcpStream, key: Option<[u8; 32]>) -> Result<(String, Connection)> {
     stream.set_nonblocking(false).context("cannot set up the connection")?;
     let mut connection = Connection::open(stream, Side::Coordinator, key.as_ref())?;

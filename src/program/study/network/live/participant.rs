@@ -1,5 +1,5 @@
-//! Participant of a measurement. It uses the Network actor, link and transport of `murmurate host`, with a measuring
-//! station instead of a robot.
+//! Participant of a measurement of the network study. It uses the Network actor, link and transport of `murmurate
+//! host`, with a station that sends and counts messages instead of a robot.
 
 use std::cell::RefCell;
 use std::net::{SocketAddr, TcpStream};
@@ -33,23 +33,25 @@ use crate::program::Ended;
 use crate::program::output::talk;
 
 const LINK: LinkId = LinkId(0);
-/// Timeout of the connection to the coordinator, and the interval between attempts \[ms\].
+/// Longest time of attempts to connect to the coordinator (`PATIENCE`), and the interval between attempts in ms
+/// (`TRY_EVERY`).
 const PATIENCE: Duration = Duration::from_secs(120);
 const TRY_EVERY: u16 = 250;
 
-/// Settings of one participant.
+/// Settings of one participant in a measurement between hosts.
 pub struct Participation {
     /// Configuration of the participant's host.
     pub team: Team,
     /// Key of the team; `None` if it has none.
     pub key: Option<[u8; 32]>,
-    /// Place of the host on the link that carries latents.
+    /// Address and settings of the host on the link that carries latents.
     pub place: Place,
-    /// Participating hosts, in the order of their stations.
+    /// Ids of all participating hosts, in the order of their station numbers.
     pub stations: Vec<HostId>,
 }
 
-/// Measures the cases that the coordinator requests, until it ends the measurement. Fails if the connection fails.
+/// Connects to the coordinator at `address` as the host `name`, and measures the cases that it requests, until it ends
+/// the measurement. Fails if the connection fails.
 pub fn participate(mut participation: Participation, name: &str, address: SocketAddr, quiet: bool) -> Result<Ended> {
     participation.place.endpoint = participation.place.endpoint.restricted_to(&participation.stations);
     let origin = Instant::now();
@@ -85,7 +87,8 @@ fn connect(address: SocketAddr) -> Result<TcpStream> {
     }
 }
 
-/// Measures one case. `begin` is its start \[ns\] since `origin`.
+/// Measures one case at this host's station, and returns its result. `begin` is the start of the case, as a time since
+/// `origin`.
 fn measure(participation: &Participation, task: Task, begin: Time, origin: Instant) -> Result<StationResult> {
     let at = participation.stations.iter().position(|host| *host == participation.team.host);
     let station = at.and_then(|at| u16::try_from(at).ok()).context("this host runs no agent")?;
@@ -101,7 +104,8 @@ fn measure(participation: &Participation, task: Task, begin: Time, origin: Insta
     Ok(result)
 }
 
-/// Starts the actors of a case: Network, transport and station.
+/// Starts the actors of a case: Network, transport and station. Returns the station's mailbox for messages from other
+/// stations.
 fn wire(
     clock: &Clock,
     readers: &mut Readers,
