@@ -1,4 +1,5 @@
-//! Safety triggers: the conditions for which a robot's guard stops or slows it. Their numbers are part of the wire format.
+//! Safety triggers: the conditions for which a robot's guard stops or slows it. Their numbers are part of the wire
+//! format.
 
 use serde::{Deserialize, Serialize};
 

@@ -16,7 +16,7 @@ use crate::record::{Logged, Severity};
 /// Largest number of log lines that are collected between two turns of the event loop. Further lines are only counted,
 /// and one line gives their number.
 const MOST: usize = 64;
-/// Largest length of a collected log line \[bytes\]; the rest is cut off.
+/// Largest length of a collected log line \[characters\]; the rest is cut off.
 const LINE: usize = 400;
 
 /// Log lines collected since the last turn of the event loop, and the number of lines beyond `MOST`, which were not
@@ -57,7 +57,9 @@ impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for Lines {
         let actor = context.event_span(event).map(|span| span.name().to_owned());
         let thread = || std::thread::current().name().unwrap_or_default().to_owned();
         let mut line = redacted(&(text.message + &text.fields)).into_owned();
-        line.truncate(line.floor_char_boundary(LINE));
+        if let Some((end, _)) = line.char_indices().nth(LINE) {
+            line.truncate(end);
+        }
         let severity = match *event.metadata().level() {
             Level::ERROR => Severity::Error,
             Level::WARN => Severity::Warning,
