@@ -40,8 +40,8 @@ pub fn read(named: &[PathBuf], registry: &Registry) -> Result<Recorded> {
         let identity = reader::open(path).map_err(wrong)?.identity;
         let Some(host) = &identity.host else {
             return bad(format!(
-                "'{}' is not the record of a host, and only these have arrivals of messages: a twin is of a run of \
-                 hosts, recorded with 'launch --record DIR' or 'host --record DIR'",
+                "'{}' is the record of a simulation, and only records of hosts have arrivals of messages: a twin is \
+                 of a run of hosts, recorded with 'launch --record DIR' or 'host --record DIR'",
                 path.display()
             ));
         };
