@@ -61,7 +61,8 @@ impl Barrier {
             (n * (v - low)).max(n * (v - high))
         };
         let drift_m = known_s * (nearer(along.x, other.velocity.x) + nearer(along.y, other.velocity.y));
-        let room_m = along.dot(&stopping) - drift_m - self.distance_min_m;
+        let bend_m = self.model.bend(own.velocity) + self.model.bend(other.velocity);
+        let room_m = along.dot(&stopping) - drift_m - bend_m - self.distance_min_m;
         Limit { along, most_m_s: self.gain_per_s * room_m.max(0.0) }
     }
 
@@ -73,7 +74,7 @@ impl Barrier {
         let centre = (block.min + block.max) * 0.5;
         let along = (solid - point).try_normalize(LEAST_M).or_else(|| (centre - from).try_normalize(LEAST_M));
         let along = along.unwrap_or_else(Vec2::x);
-        let room_m = along.dot(&(solid - to)) - self.wall_min_m;
+        let room_m = along.dot(&(solid - to)) - self.model.bend(own.velocity) - self.wall_min_m;
         Limit { along, most_m_s: 2.0 * self.gain_per_s * room_m.max(0.0) }
     }
 

@@ -62,7 +62,7 @@ impl Bench {
 
     fn doctor(&self, flags: &[&str]) -> Output {
         let file = self.file();
-        let listen = if flags.contains(&"--listen") { &[][..] } else { &["--listen", "0.6"] };
+        let listen = if flags.contains(&"--listen") { &[][..] } else { &["--listen", "2"] };
         let args = [&["doctor", &*file][..], listen, flags].concat();
         murmurate(&args).output().expect("the program starts")
     }
@@ -121,9 +121,9 @@ fn each_broken_device_is_named_in_a_line() {
         (
             "dead-tracker",
             "",
-            &["fail source program: no reading of robot 0, robot 1 in 0.6 s", "does the tracker run"][..],
+            &["fail source program: no reading of robot 0, robot 1 in 2 s", "does the tracker run"][..],
         ),
-        ("lost", "", &["fail source program: no reading of robot 1 in 0.6 s", "in its sight"]),
+        ("lost", "", &["fail source program: no reading of robot 1 in 2 s", "in its sight"]),
         ("frozen", "", &["fail robot 0, source program: one reading, repeated", "frozen"]),
         ("milliseconds", "", &["warn robot 0, source program", "its stamps advance by"]),
         (
@@ -227,7 +227,7 @@ fn an_interrupt_stops_the_wiggle_and_the_robot() {
     }
     let bench = Bench::new(1, "slow", "");
     let file = bench.file();
-    let mut command = murmurate(&["doctor", &file, "--wiggle", "--yes", "--listen", "0.5"]);
+    let mut command = murmurate(&["doctor", &file, "--wiggle", "--yes", "--listen", "2"]);
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts");
     let mut said = std::io::BufReader::new(child.stderr.take().expect("it is piped"));
     let mut line = String::new();
