@@ -8,6 +8,7 @@ import os
 from typing import Any
 
 from ._murmurate import sim_json
+from ._program import words_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,7 +59,7 @@ def sim(
     """Runs episodes in one process under virtual time.
 
     Every flag of ``murmurate sim`` is a keyword: ``--delay-ms 20`` is ``delay_ms=20``, a switch such as ``--watch`` is
-    ``watch=True``. Ctrl-C ends the run with ``KeyboardInterrupt``. The interpreter's lock is free while it runs.
+    ``watch=True``, and a list repeats its flag. Ctrl-C ends the run with ``KeyboardInterrupt``. The interpreter's lock is free while it runs.
 
     Args:
         scenario: Task of the team.
@@ -73,11 +74,7 @@ def sim(
     words = ["--scenario", scenario]
     if policy is not None:
         words += ["--policy", os.fspath(policy)]
-    for name, value in flags.items():
-        flag = "--" + name.replace("_", "-")
-        if value is None or value is False:
-            continue
-        words += [flag] if value is True else [f"{flag}={os.fspath(value) if isinstance(value, os.PathLike) else value}"]
+    words += words_of(flags)
     report = json.loads(sim_json(words))
     known = {field.name for field in dataclasses.fields(Results)} - {"report", "success_ci95"}
     return Results(

@@ -15,6 +15,9 @@ const FORMAT: u32 = 1;
 #[derive(Serialize, Deserialize)]
 struct State {
     format: u32,
+    /// Vector instructions of the processor that the state comes from; empty in checkpoints that do not say it.
+    #[serde(default)]
+    vector: String,
     plan: Plan,
     actor: (Vec<f32>, Adam),
     critic: (Vec<f32>, Adam),
@@ -33,6 +36,7 @@ impl Trainer {
         let of = |learner: &Learner| (learner.parameters.clone(), learner.adam.clone());
         let state = State {
             format: FORMAT,
+            vector: vector_instructions(),
             plan: self.plan.clone(),
             actor: of(&self.actor),
             critic: of(&self.critic),
@@ -71,9 +75,15 @@ impl Trainer {
     /// Restores a trainer from a checkpoint. The registry must have the checkpoint's scenario.
     ///
     /// # Errors
-    /// If the bytes are not a checkpoint of this version, or the scenario is not in the registry.
+    /// If the bytes are not a checkpoint of this version, the scenario is not in the registry, or the checkpoint is of
+    /// a processor with other vector instructions: results would be those of neither.
     pub fn resume(bytes: &[u8], registry: &Registry) -> Result<Trainer, SetupError> {
         let state = read_state(bytes)?;
+        let ours = vector_instructions();
+        if !state.vector.is_empty() && state.vector != ours {
+            let what = "the set of the processor's vector instructions";
+            return Err(SetupError::Other { what, theirs: state.vector, ours });
+        }
         let mut trainer = Trainer::new(state.plan, registry)?;
         let broken = |part: &str| SetupError::Format(format!("its {part} do not match its configuration"));
         if state.stage >= trainer.plan.config.curriculum.len() {
@@ -103,6 +113,23 @@ impl Trainer {
     }
 }
 
+/// Returns the names of the vector instructions of this processor on which the last bits of a training depend: those by
+/// which the matrix products and the system's mathematical functions choose their code.
+fn vector_instructions() -> String {
+    #[cfg(target_arch = "x86_64")]
+    let found = [
+        ("avx", std::is_x86_feature_detected!("avx")),
+        ("avx2", std::is_x86_feature_detected!("avx2")),
+        ("fma", std::is_x86_feature_detected!("fma")),
+        ("avx512f", std::is_x86_feature_detected!("avx512f")),
+    ];
+    #[cfg(not(target_arch = "x86_64"))]
+    let found: [(&str, bool); 0] = [];
+    let mut names = vec![if cfg!(target_arch = "x86_64") { "x86_64" } else { "other" }];
+    names.extend(found.into_iter().filter(|(_, there)| *there).map(|(name, _)| name));
+    names.join(" ")
+}
+
 fn read_state(bytes: &[u8]) -> Result<State, SetupError> {
     let state: State = rmp_serde::from_slice(bytes).map_err(|error| SetupError::Format(error.to_string()))?;
     if state.format != FORMAT {
@@ -111,4 +138,26 @@ fn read_state(bytes: &[u8]) -> Result<State, SetupError> {
     }
     state.plan.config.check().map_err(|error| SetupError::Format(error.to_string()))?;
     Ok(state)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::train::config::Config;
+
+    #[test]
+    fn a_checkpoint_of_another_processor_is_refused_and_one_that_does_not_say_is_taken() {
+        let registry = Registry::builtin();
+        let config = Config::preset("published").expect("it is a preset");
+        let plan = Plan { scenario: "passage".to_owned(), preset: "published".to_owned(), config, seed: 0 };
+        let trainer = Trainer::new(plan, &registry).expect("it is sound");
+        let with = |vector: &str| {
+            let mut state = read_state(&trainer.checkpoint()).expect("it was just written");
+            state.vector = vector.to_owned();
+            Trainer::resume(&rmp_serde::to_vec_named(&state).expect("it is plain data"), &registry)
+        };
+        let refused = with("x86_64 none").err().expect("it is of another").to_string();
+        assert!(refused.contains("vector instructions is x86_64 none there"), "{refused}");
+        assert!(with(&vector_instructions()).is_ok() && with("").is_ok());
+    }
 }

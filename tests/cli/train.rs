@@ -114,6 +114,19 @@ fn a_printed_configuration_is_for_the_team_of_the_scenario() {
     assert_eq!((wheels.chassis().drive, wheels.chassis().point_ahead_m), (DriveKind::Differential, 0.1));
     refuses(&["train", "passage", "--print-config", "--drive", "differential"], &["--point-ahead-m", "missing"]);
     refuses(&["train", "passage", "--print-config", "--robots", "40"], &["--robots", "2 to 12"]);
+    let set =
+        run(&["train", "passage", "--print-config", "--set", "ppo.clip=0.1", "--set", "conditions.loss=[0.1, 0.2]"]);
+    let said = text(&set.stdout);
+    assert!(said.contains("clip = 0.1\n") && said.contains("loss = [0.1, 0.2]"), "{said}");
+    for (wrong, words) in [
+        ("ppo.clip", "FIELD=VALUE"),
+        ("ppo.clap=1", "clap"),
+        ("ppo.clip=much", "clip"),
+        ("ppo.clip=-1", "clip"),
+        ("episode_s.most=1", "'episode_s' has no fields"),
+    ] {
+        refuses(&["train", "passage", "--print-config", "--set", wrong], &["--set", words]);
+    }
     refuses(&["train", "passage", "--print-config", "--steps", "5"], &["--print-config", "--steps"]);
 }
 

@@ -54,16 +54,20 @@ pub struct Args {
     /// A configuration of your own; --print-config prints one to start from
     #[arg(long, value_name = "FILE.toml")]
     config: Option<PathBuf>,
+    /// Sets a field of the configuration, such as ppo.clip=0.1 or 'conditions.lag_s=[0.2, 0.4]'; may be given several
+    /// times
+    #[arg(long, value_name = "FIELD=VALUE")]
+    set: Vec<String>,
     /// Size of the team; a preset's groups scale with it [default: the scenario's own]
-    #[arg(long, conflicts_with_all = ["config", "resume"])]
+    #[arg(long, conflicts_with = "config")]
     robots: Option<usize>,
     /// Trains with the delay and loss of a medium instead of the configuration's: a preset (paper, wifi, wifi-n,
     /// wifi-slow) or a radio file, such as 'study network --fit' writes
-    #[arg(long, value_name = "NAME|FILE.toml", conflicts_with = "resume")]
+    #[arg(long, value_name = "NAME|FILE.toml")]
     radio: Option<String>,
     /// Trains with the lag, and the delay and loss of messages between robots, of a file, such as 'study twin' fits
     /// them (docs/twin.md)
-    #[arg(long, value_name = "FILE.toml", conflicts_with = "resume")]
+    #[arg(long, value_name = "FILE.toml")]
     conditions: Option<PathBuf>,
     #[command(flatten)]
     drive: drive::DriveFlags,
@@ -86,9 +90,10 @@ pub struct Args {
     /// Starts with the weights of another training, to continue it with another configuration
     #[arg(long, value_name = "CHECKPOINT.bin", conflicts_with = "resume")]
     from: Option<PathBuf>,
-    /// Continues the training in the output folder from its checkpoint
-    #[arg(long)]
-    resume: bool,
+    /// Continues the training in the output folder from its checkpoint; '--resume=if-there' begins one if there is no
+    /// checkpoint
+    #[arg(long, value_name = "WHEN", num_args = 0..=1, require_equals = true, default_missing_value = "always")]
+    resume: Option<Resume>,
     /// Threads [default: one per core]; the weights do not depend on it
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
@@ -98,6 +103,15 @@ pub struct Args {
     /// Prints nothing on stderr except errors
     #[arg(long)]
     quiet: bool,
+}
+
+/// When a training is continued from the checkpoint in its output folder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Resume {
+    /// Always: without a checkpoint the program ends with an error.
+    Always,
+    /// If there is a checkpoint; otherwise a training begins.
+    IfThere,
 }
 
 /// Length of a training: minutes of real time, or number of decisions.
@@ -154,8 +168,13 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let threads = args.threads.map_or(cores, usize::from);
     let out = args.out.as_deref().expect("the parser requires it unless the configuration is printed");
-    let mut folder = Folder::open(out, args.resume)?;
-    let (mut trainer, mut curve) = if args.resume {
+    let mut folder = Folder::open(out, args.resume.is_some())?;
+    let resumes = match args.resume {
+        None => false,
+        Some(Resume::Always) => true,
+        Some(Resume::IfThere) => folder.checkpoint().exists(),
+    };
+    let (mut trainer, mut curve) = if resumes {
         let trainer = plan::resume(args, &folder, registry)?;
         let curve = folder.curve(trainer.iterations())?;
         (trainer, curve)
@@ -173,7 +192,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         let name = &trainer.plan().scenario;
         talk(&format!("note: the reward of scenario '{name}' itself has weight 0 (reward.scenario) and is not used"));
     }
-    if !args.resume {
+    if !resumes {
         folder.save(&trainer, &curve)?;
     }
 

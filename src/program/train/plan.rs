@@ -50,6 +50,7 @@ fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
             (config.scaled_for(&args.scenario, registry).map_err(|e| BadInput(format!("--robots: {e}")))?, preset)
         }
     };
+    config = with_fields(config, &args.set)?;
     config.body = args.drive.over(&config.body)?;
     if let Some(radio) = &args.radio {
         let medium = study::medium("--radio", radio)?;
@@ -67,6 +68,32 @@ fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
     }
     let (scenario, preset) = (args.scenario.clone(), preset.to_owned());
     Ok(Plan { scenario, preset, config, seed: args.seed.unwrap_or(0) })
+}
+
+/// Returns the configuration with these fields set (`FIELD=VALUE`, the value as TOML or as plain text).
+fn with_fields(config: Config, set: &[String]) -> Result<Config> {
+    if set.is_empty() {
+        return Ok(config);
+    }
+    let mut table = toml::Table::try_from(&config).context("a configuration is TOML")?;
+    for given in set {
+        let wrong = |why: &str| BadInput(format!("--set {given}: {why}"));
+        let (field, value) = given.split_once('=').ok_or_else(|| wrong("it is not FIELD=VALUE"))?;
+        let value = toml::from_str::<toml::Table>(&format!("value = {value}"))
+            .ok()
+            .and_then(|mut parsed| parsed.remove("value"))
+            .unwrap_or_else(|| toml::Value::String(value.to_owned()));
+        let mut path: Vec<&str> = field.trim().split('.').collect();
+        let last = path.pop().expect("a split text has a part");
+        let mut into = &mut table;
+        for part in path {
+            let inner = into.entry(part).or_insert_with(|| toml::Table::new().into());
+            into = inner.as_table_mut().ok_or_else(|| wrong(&format!("'{part}' has no fields")))?;
+        }
+        into.insert(last.to_owned(), value);
+    }
+    let text = toml::to_string(&table).context("a table is TOML")?;
+    Ok(Config::from_toml(&text).map_err(|e| BadInput(format!("--set: {e}")))?)
 }
 
 /// Creates the trainer of a new training from the flags. An error names the flag or the file.
@@ -108,7 +135,12 @@ pub fn resume(args: &Args, folder: &Folder, registry: &Registry) -> Result<Train
     if !args.drive.is_empty() && args.drive.over(&theirs.config.body)? != theirs.config.body {
         return Err(wrong("its drive differs; see [body] in config.toml beside it".to_owned()).into());
     }
-    if (args.preset.is_some() || args.config.is_some()) && theirs.config != ours.config {
+    let (from_files, given) = ([&args.config, &args.conditions], [&args.preset, &args.radio]);
+    let names_fields = from_files.iter().any(|file| file.is_some())
+        || given.iter().any(|name| name.is_some())
+        || args.robots.is_some()
+        || !args.set.is_empty();
+    if names_fields && theirs.config != ours.config {
         return Err(wrong("its configuration differs; see config.toml beside it".to_owned()).into());
     }
     Ok(trainer)

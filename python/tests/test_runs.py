@@ -1,0 +1,166 @@
+"""Studies, trainings and sweeps: what they return, what they keep, and what becomes of a process that is killed."""
+
+import contextlib
+import filecmp
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+import murmurate
+from murmurate._program import words_of
+
+SMALL = {"layouts": 2, "repeats": 2, "ranges_m": [1, 2], "policy": "orca"}
+#: A training that takes seconds, most of them for its evaluations.
+TINY = {
+    "preset": "published",
+    "robots": 2,
+    "steps": 2000,
+    "threads": 1,
+    "set": ["ppo.environments=64", "ppo.decisions=8", "ppo.minibatch=128"],
+}
+
+
+def same(one, other):
+    """Whether two folders hold the same files with the same bytes."""
+    compared = filecmp.dircmp(one, other)
+    files = [name for name in compared.common_files if not filecmp.cmp(one / name, other / name, shallow=False)]
+    alone = compared.left_only + compared.right_only
+    assert not files and not alone, (files, alone)
+    return all(same(one / name, other / name) for name in compared.common_dirs)
+
+
+def test_flags_are_words():
+    words = words_of({"delay_ms": 20, "watch": True, "policy": ["a", "b"], "record": None, "quiet": False})
+    assert words == ["--delay-ms=20", "--watch", "--policy=a", "--policy=b"]
+
+
+def test_a_study_in_parts_is_that_of_one_process(tmp_path):
+    whole = murmurate.study("range", out=tmp_path / "whole", **SMALL)
+    parts = murmurate.study("range", out=tmp_path / "parts", executor="processes", workers=2, **SMALL)
+    assert parts.rows == whole.rows and same(tmp_path / "whole", tmp_path / "parts")
+    assert whole.columns["name"] == ["1m", "2m", "everyone"] and len(whole.columns["success_rate"]) == 3
+    assert murmurate.study("range", executor="processes", workers=1, **SMALL).rows == whole.rows
+
+
+def test_a_study_on_ray_is_that_of_one_process(tmp_path, monkeypatch):
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
+    ray = pytest.importorskip("ray")
+    whole = murmurate.study("range", out=tmp_path / "whole", **SMALL)
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
+    try:
+        begun = threading.Thread(target=kill_one_worker)
+        begun.start()
+        murmurate.study("range", out=tmp_path / "ray", executor="ray", workers=2, **SMALL)
+        begun.join()
+        options = {**TINY, "seeds": [0, 1], "over": {"ppo.clip": [0.1, 0.2]}, "workers": 2}
+        begun = threading.Thread(target=kill_one_worker)
+        begun.start()
+        swept = murmurate.sweep("passage", out=tmp_path / "swept", executor="ray", **options)
+        begun.join()
+    finally:
+        ray.shutdown()
+    alone = murmurate.sweep("passage", out=tmp_path / "alone", **options)
+    assert same(tmp_path / "whole", tmp_path / "ray") and [point for point, _ in swept] == [point for point, _ in alone]
+    for (_, one), (_, other) in zip(swept, alone):
+        assert one.policy.read_bytes() == other.policy.read_bytes()
+
+
+def kill_one_worker():
+    """Kills the first worker of Ray that is seen to run the program."""
+    until = time.monotonic() + 60
+    while time.monotonic() < until:
+        for child in children():
+            with contextlib.suppress(OSError):
+                os.kill(parent_of(child), signal.SIGKILL)
+                return
+        time.sleep(0.02)
+
+
+def children():
+    """Process numbers of the programs that run as children."""
+    found = subprocess.run(["pgrep", "-f", "murmurate._child"], capture_output=True, text=True).stdout
+    return [int(number) for number in found.split()]
+
+
+def parent_of(process):
+    with open(f"/proc/{process}/stat", encoding="utf-8") as file:
+        return int(file.read().rsplit(")", 1)[1].split()[1])
+
+
+def kill_once_saved(folder):
+    """Begins to wait, in a thread that is returned, for a checkpoint in a folder, and then kills one training."""
+
+    def wait():
+        until = time.monotonic() + 60
+        while not any(folder.rglob("checkpoint.bin")) and time.monotonic() < until:
+            time.sleep(0.02)
+        for child in children()[:1]:
+            os.kill(child, signal.SIGKILL)
+
+    thread = threading.Thread(target=wait)
+    thread.start()
+    return thread
+
+
+def test_a_training_goes_on_where_it_was_killed(tmp_path):
+    options = {**TINY, "fields": {"ppo.clip": 0.1}, "seed": 5}
+    whole = murmurate.train("passage", out=tmp_path / "whole", **options)
+    assert whole.decisions == 2048 and len(whole.evaluation) == 2 and len(whole.curve["success"]) == 4
+    killed = kill_once_saved(tmp_path / "halves")
+    with pytest.raises(ChildProcessError, match="killed by signal 9"):
+        murmurate.train("passage", out=tmp_path / "halves", **options)
+    killed.join()
+    halves = murmurate.train("passage", out=tmp_path / "halves", **options)
+    assert halves.policy.read_bytes() == whole.policy.read_bytes()
+
+
+def test_a_sweep_has_a_folder_for_each_point_and_survives_the_loss_of_a_process(tmp_path):
+    options = {**TINY, "seeds": [0, 1], "over": {"ppo.clip": [0.1, 0.2]}}
+    plain = murmurate.sweep("passage", out=tmp_path / "plain", workers=2, **options)
+    assert [point for point, _ in plain] == [{"ppo.clip": c, "seed": s} for c in (0.1, 0.2) for s in (0, 1)]
+    assert (tmp_path / "plain" / "ppo.clip=0.1,seed=0" / "policy.safetensors").exists()
+    killed = kill_once_saved(tmp_path / "other")
+    other = murmurate.sweep("passage", out=tmp_path / "other", workers=2, **options)
+    killed.join()
+    weights = [training.policy.read_bytes() for _, training in plain]
+    assert [training.policy.read_bytes() for _, training in other] == weights and len(set(weights)) == 4
+
+
+def test_ctrl_c_saves(tmp_path):
+    script = f"import murmurate; murmurate.train('passage', steps=10**9, threads=1, seed=1, out={str(tmp_path)!r})"
+    child = subprocess.Popen([sys.executable, "-c", script], stderr=subprocess.PIPE, text=True)
+    until = time.monotonic() + 60
+    while not (tmp_path / "checkpoint.bin").exists() and time.monotonic() < until:
+        time.sleep(0.05)
+    first = (tmp_path / "checkpoint.bin").stat().st_mtime_ns
+    child.send_signal(signal.SIGINT)
+    _, said = child.communicate(timeout=60)
+    assert "KeyboardInterrupt" in said and child.returncode != 0
+    assert (tmp_path / "checkpoint.bin").stat().st_mtime_ns > first, "saved once more"
+
+
+@pytest.mark.parametrize(
+    "call, words",
+    [
+        (lambda out: murmurate.study("nothing"), "nothing"),
+        (lambda out: murmurate.study("range", ranges_m=-1), "ranges-m"),
+        (lambda out: murmurate.study("range", executor="cloud"), "executor: 'cloud'"),
+        (lambda out: murmurate.study("network", executor="processes"), "'network' has no parts"),
+        (lambda out: murmurate.study("range", executor="processes", workers=0), "workers: 0"),
+        (lambda out: murmurate.study("range", executor="ray"), "out: missing"),
+        (lambda out: murmurate.train("nowhere", out=out, steps=5), "nowhere"),
+        (lambda out: murmurate.train(out=out), "--steps"),
+        (lambda out: murmurate.train(out=out, steps=5, fields={"ppo.clap": 1}), "clap"),
+        (lambda out: murmurate.train(out=out, steps=5, resume=True), "cannot resume"),
+        (lambda out: murmurate.sweep(out=out, steps=5, over={"ppo.clip": ["a/b"]}), "name of a folder"),
+        (lambda out: murmurate.sweep(out=out, steps=5, over={"ppo.clip": [-1]}), "clip"),
+    ],
+)
+def test_mistakes_are_named(call, words, tmp_path):
+    with pytest.raises(ValueError, match=words):
+        call(tmp_path / "out")
