@@ -6,15 +6,16 @@
 
 use std::sync::Arc;
 
+use super::neighbours::{SharedData, Step};
 use crate::actor::Core;
 use crate::cells::{self, Cells};
 use crate::hearing::CommRange;
-use crate::messages::geometry::{Motion, Task, Vec2, is_finite};
+use crate::messages::geometry::{Task, Vec2, is_finite};
 use crate::messages::ids::RobotId;
-use crate::messages::local::{Action, NEAR_M, NeighbourLatent, OtherRobot, Percept, Progress};
+use crate::messages::local::{Action, NEAR_M, OtherRobot, Percept, Progress};
 use crate::messages::round::RoundFollower;
 use crate::messages::wire::{Features, Latent, MAX_FEATURES, Mode, Phase, Round, all_sound};
-use crate::policy::{Neighbour, Policy};
+use crate::policy::Policy;
 use crate::random::Stream;
 use crate::scenario::Scenario;
 use crate::time::{Span, Time};
@@ -58,6 +59,13 @@ pub struct RobotPolicies {
     pub ranges: Stream,
 }
 
+impl RobotPolicies {
+    /// Returns the policy that is used in `phase`.
+    fn of(&mut self, phase: Phase) -> &mut dyn Policy {
+        if phase == Phase::Running { &mut *self.run } else { &mut *self.reset }
+    }
+}
+
 /// State of one robot within an Agent: its policies, task, newest percept and latent.
 struct Slot {
     policies: RobotPolicies,
@@ -68,28 +76,32 @@ struct Slot {
     /// Whether `features` is a valid latent: finite and of the declared length. If not, the policy has failed and its
     /// actions are not used.
     valid: bool,
+    /// Whether the log has said that the latent is invalid, since it was last valid.
+    reported: bool,
     /// Expected lengths of the latent features: of the policy under test, and of the reset policy.
     widths: [usize; 2],
-}
-
-/// Data of one robot that the other robots of its Agent read in the current step. Small and contiguous, because each
-/// robot reads it for all robots nearby.
-#[derive(Clone, Copy)]
-struct SharedData {
-    robot: RobotId,
-    motion: Motion,
-    /// Range of the robot's features in `Agent::features`; `None` if it broadcasts nothing.
-    features: Option<[u32; 2]>,
 }
 
 impl Slot {
     fn new(policies: RobotPolicies) -> Slot {
         let widths = [&policies.run, &policies.reset].map(|policy| policy.interface().features);
-        Slot { policies, task: None, percept: None, features: Vec::new(), valid: true, widths }
+        Slot { policies, task: None, percept: None, features: Vec::new(), valid: true, reported: false, widths }
     }
 
     fn width(&self, phase: Phase) -> usize {
         self.widths[usize::from(phase != Phase::Running)]
+    }
+
+    /// Checks and returns whether `features` is a valid latent of a policy that has declared `declared` floats, and now
+    /// `width`.
+    fn check(&mut self, width: usize, declared: usize) -> bool {
+        let valid = width == declared && width <= MAX_FEATURES && all_sound(&self.features);
+        if !valid && !self.reported {
+            tracing::error!(width, declared, "the policy's output is not a valid latent; its robot stops");
+            self.reported = true;
+        }
+        self.valid = valid;
+        valid
     }
 }
 
@@ -166,8 +178,10 @@ impl Agent {
         if matches!(self.phase, Phase::Resetting | Phase::Running) {
             self.shared.clear();
             self.features.clear();
-            let latents: Vec<Latent> = (0..self.slots.len()).filter_map(|at| self.share(at)).collect();
+            (0..self.slots.len()).for_each(|at| self.share(at));
             self.grid = self.locate();
+            self.relay();
+            let latents: Vec<Latent> = (0..self.slots.len()).filter_map(|at| self.latent(at)).collect();
             // Send actions before latents: actuation latency matters more. Both leave in one visit to the Network.
             out.extend((0..self.slots.len()).filter_map(|at| self.act(now, at)).map(Out::Action));
             out.extend(latents.into_iter().map(Out::Latent));
@@ -187,13 +201,13 @@ impl Agent {
         Cells::new(self.range.mean_m.max(NEAR_M), self.shared.iter().map(at))
     }
 
-    /// Returns the latent of the robot in slot `at`; `None` if it broadcasts none in this step. Also stores the data
-    /// that the Agent's other robots read of this robot.
-    fn share(&mut self, at: usize) -> Option<Latent> {
-        let latent = self.encode(at);
+    /// Encodes the observation of the robot in slot `at` and stores the data that the Agent's other robots read of this
+    /// robot.
+    fn share(&mut self, at: usize) {
+        let encoded = self.encode(at).is_some();
         let Slot { policies, percept, features, .. } = &self.slots[at];
         let place = |at: usize| u32::try_from(at).expect("the latents of a step take less than four gigabytes");
-        let range = latent.as_ref().map(|_| [self.features.len(), self.features.len() + features.len()].map(place));
+        let range = encoded.then(|| [self.features.len(), self.features.len() + features.len()].map(place));
         let shared = percept.as_ref().map(|percept| SharedData {
             robot: policies.robot,
             motion: percept.estimate,
@@ -203,36 +217,75 @@ impl Agent {
         if range.is_some() {
             self.features.extend_from_slice(features);
         }
-        latent
     }
 
-    fn encode(&mut self, at: usize) -> Option<Latent> {
-        let (phase, round) = (self.phase, self.round);
+    /// Completes the latents of policies with several hops: the input of each hop is computed from the neighbours'
+    /// newest input of the hop before. Those of the Agent's own robots are of this step, all others of the messages
+    /// that have arrived, so nothing waits.
+    fn relay(&mut self) {
+        let phase = self.phase;
+        let hops = self.slots.iter_mut().map(|slot| slot.policies.of(phase).hops()).max().unwrap_or(1);
+        for hop in 1..hops {
+            (0..self.slots.len()).for_each(|at| self.relay_hop(hop, at));
+            // All robots have read what the others shared; now the new inputs replace it.
+            for (slot, shared) in self.slots.iter_mut().zip(&mut self.shared) {
+                let Some(SharedData { features, .. }) = shared else { continue };
+                let Some([begins, ends]) = features.map(|range| range.map(|at| at as usize)) else { continue };
+                if slot.check(slot.features.len(), slot.width(phase)) {
+                    self.features[begins..ends].copy_from_slice(&slot.features);
+                } else {
+                    *features = None;
+                }
+            }
+        }
+    }
+
+    fn relay_hop(&mut self, hop: usize, at: usize) {
+        let Some(SharedData { motion, features: Some(_), .. }) = self.shared[at] else { return };
+        self.find_near(motion.position);
+        let phase = self.phase;
+        let slot = &mut self.slots[at];
+        let width = slot.width(phase);
+        let Slot { policies, task: Some(task), percept: Some(percept), features, .. } = slot else { return };
+        let task = bound_for(phase, task);
+        let frame = self.scenario.frame(&task);
+        let step = Step { range: self.range, round: self.round, phase, width, frame, shared: &self.features };
+        let companions = self.near.iter().filter(|other| **other != at).filter_map(|&other| self.shared[other]);
+        // A message is drawn as received or not once a step, whatever the number of hops: by the same numbers.
+        let mut ranges = policies.ranges.clone();
+        let neighbours = step.neighbours(percept, companions, &mut ranges);
+        let policy = policies.of(phase);
+        if hop < policy.hops() {
+            policy.relay(hop, &self.scenario.observe(&task, &percept.estimate), features, &neighbours);
+        }
+    }
+
+    /// Returns the latent of the robot in slot `at`; `None` if it broadcasts none in this step.
+    fn latent(&mut self, at: usize) -> Option<Latent> {
+        let SharedData { robot, motion, features } = self.shared[at]?;
+        features?;
+        self.slots[at].reported = false;
+        let features = Features(self.slots[at].features.as_slice().into());
+        Some(Latent { robot, round: self.round, phase: self.phase, motion, features })
+    }
+
+    /// Encodes the observation of the robot in slot `at`; `None` if it broadcasts nothing in this step.
+    fn encode(&mut self, at: usize) -> Option<()> {
+        let phase = self.phase;
         let slot = &mut self.slots[at];
         let declared = slot.width(phase);
         let (percept, task) = (slot.percept.as_ref()?, slot.task.as_ref()?);
         let task = bound_for(phase, task);
-        let policy = if phase == Phase::Running { &mut slot.policies.run } else { &mut slot.policies.reset };
+        let policy = slot.policies.of(phase);
         let width = policy.interface().features;
         // The policy declares its width anew in each step; it may differ from that at the start.
         slot.features.resize(width, 0.0);
         policy.encode(&self.scenario.observe(&task, &percept.estimate), &mut slot.features);
-        let valid = width == declared && width <= MAX_FEATURES && all_sound(&slot.features);
-        if !valid && slot.valid {
-            tracing::error!(width, declared, "the policy's output is not a valid latent; its robot stops");
-        }
-        slot.valid = valid;
-        valid.then(|| Latent {
-            robot: slot.policies.robot,
-            round,
-            phase,
-            motion: percept.estimate,
-            features: Features(slot.features.as_slice().into()),
-        })
+        slot.check(width, declared).then_some(())
     }
 
-    fn act(&mut self, now: Time, at: usize) -> Option<Action> {
-        let position = self.shared[at]?.motion.position;
+    /// Stores the slots of the robots near `position`, and perhaps others, in `near`.
+    fn find_near(&mut self, position: Vec2) {
         match &self.grid {
             Some(grid) => grid.near(position, &mut self.near),
             None => {
@@ -240,6 +293,10 @@ impl Agent {
                 self.near.extend(0..self.slots.len());
             }
         }
+    }
+
+    fn act(&mut self, now: Time, at: usize) -> Option<Action> {
+        self.find_near(self.shared[at]?.motion.position);
         let settled = now.since(self.began) >= SETTLING;
         let (phase, round) = (self.phase, self.round);
         let slot = &mut self.slots[at];
@@ -248,29 +305,11 @@ impl Agent {
         let task = bound_for(phase, task);
         let own = percept.estimate;
         let frame = self.scenario.frame(&task);
-        let policy = if phase == Phase::Running { &mut slot.policies.run } else { &mut slot.policies.reset };
-
-        let usable =
-            |heard: &&NeighbourLatent| heard.round == round && heard.phase == phase && heard.features.0.len() == width;
-        let cached = percept.heard.iter().filter(usable).map(|heard| {
-            (
-                heard.robot,
-                Neighbour { motion: frame.turn_motion(&heard.motion), features: &heard.features.0, age: heard.age },
-            )
-        });
+        let step = Step { range: self.range, round, phase, width, frame, shared: &self.features };
         let companions = self.near.iter().filter(|other| **other != at).filter_map(|&other| self.shared[other]);
-        let (range, ranges, shared) = (self.range, &mut slot.policies.ranges, &self.features);
-        let joint = companions.clone().filter_map(|other| {
-            let [begins, ends] = other.features?.map(|at| at as usize);
-            range.admits(own.position, other.motion.position, ranges).then(|| {
-                let motion = frame.turn_motion(&other.motion);
-                (other.robot, Neighbour { motion, features: &shared[begins..ends], age: Span::ZERO })
-            })
-        });
-        let mut neighbours: Vec<(RobotId, Neighbour)> = cached.chain(joint).collect();
-        neighbours.sort_by_key(|(robot, _)| *robot);
-        let neighbours: Vec<Neighbour> = neighbours.into_iter().map(|(_, neighbour)| neighbour).collect();
+        let neighbours = step.neighbours(percept, companions.clone(), &mut slot.policies.ranges);
 
+        let policy = if phase == Phase::Running { &mut slot.policies.run } else { &mut slot.policies.reset };
         let seen = self.scenario.observe(&task, &own);
         let velocity = match slot.valid {
             true => policy.act(&seen, &slot.features, &neighbours, &mut slot.policies.actions),
@@ -358,7 +397,8 @@ mod tests {
     use super::*;
     use crate::messages::geometry::Motion;
     use crate::messages::latch::Latch;
-    use crate::policy::Interface;
+    use crate::messages::local::NeighbourLatent;
+    use crate::policy::{Interface, Neighbour};
     use crate::random::Seed;
     use crate::scenario::{Observation, Settings, build};
 
@@ -516,5 +556,85 @@ mod tests {
             assert_eq!(speeds[1], (1, 0.0), "{width} {value}: its companion hears nobody, and goes on");
             assert!(out.iter().all(|out| !matches!(out, Out::Latent(latent) if latent.robot == RobotId(0))));
         }
+    }
+
+    /// Test policy of three hops: a robot encodes its x, every hop adds what the neighbours had in the hop before, and
+    /// the velocity is the sum of the neighbours' third numbers. Not a number is sent from a hop on, if it is given.
+    struct Adding(Option<usize>);
+
+    impl Policy for Adding {
+        fn interface(&self) -> Interface {
+            Interface { features: 3, limit_m_s: 1e3, ..Counting.interface() }
+        }
+        fn hops(&self) -> usize {
+            3
+        }
+        fn encode(&mut self, own: &Observation, features: &mut [f32]) {
+            features.copy_from_slice(&[own.motion.position.x.abs(), 0.0, 0.0]);
+        }
+        fn relay(&mut self, hop: usize, _: &Observation, features: &mut [f32], neighbours: &[Neighbour]) {
+            let sum: f32 = neighbours.iter().map(|neighbour| neighbour.features[hop - 1]).sum();
+            features[hop] = if self.0 == Some(hop) { f32::NAN } else { features[hop - 1] + sum };
+        }
+        fn act(&mut self, _: &Observation, _: &[f32], neighbours: &[Neighbour], _: &mut Stream) -> Vec2 {
+            Vec2::new(neighbours.iter().map(|neighbour| neighbour.features[2]).sum(), 0.0)
+        }
+    }
+
+    fn adding(robots: &[u16]) -> Agent {
+        let mut agent = agent(robots);
+        for slot in &mut agent.slots {
+            slot.policies.run = Box::new(Adding(None));
+            slot.widths[0] = 3;
+        }
+        agent
+    }
+
+    fn latents(out: &[Out]) -> Vec<Vec<f32>> {
+        let latent = |out: &Out| match out {
+            Out::Latent(latent) => Some(latent.features.0.to_vec()),
+            Out::Action(_) => None,
+        };
+        out.iter().filter_map(latent).collect()
+    }
+
+    #[test]
+    fn robots_that_step_together_exchange_all_hops_in_one_step() {
+        let (mut agent, mut out) = (adding(&[0, 1, 2]), Vec::new());
+        // A row, in which only neighbours hear each other: 0 - 1 - 2.
+        for (robot, x) in [(0, 1.0), (1, 2.5), (2, 4.0)] {
+            agent.handle(Time::ZERO, percept(robot, x, Vec::new()), &mut out);
+        }
+        assert_eq!(latents(&out), [[1.0, 3.5, 11.0], [2.5, 7.5, 17.5], [4.0, 6.5, 14.0]]);
+        assert_eq!(speeds(&out).iter().map(|(_, speed)| *speed).collect::<Vec<_>>(), [17.5, 25.0, 17.5]);
+    }
+
+    #[test]
+    fn a_hop_of_a_robot_alone_is_made_of_the_newest_messages_and_waits_for_none() {
+        let (mut agent, mut out) = (adding(&[0]), Vec::new());
+        let heard = NeighbourLatent {
+            robot: RobotId(1),
+            round: ROUND,
+            phase: Phase::Running,
+            motion: Motion::default(),
+            features: Features([10.0, 200.0, 3000.0].into()),
+            age: Span::from_millis(40),
+        };
+        agent.handle(Time::ZERO, percept(0, 1.0, vec![heard]), &mut out);
+        assert_eq!(latents(&out), [[1.0, 11.0, 211.0]]);
+        assert_eq!(speeds(&out)[0].1, 1000.0);
+    }
+
+    #[test]
+    fn a_robot_whose_later_hop_is_invalid_sends_nothing_and_stops() {
+        let (mut agent, mut out) = (adding(&[0, 1]), Vec::new());
+        agent.slots[0].policies.run = Box::new(Adding(Some(1)));
+        for (robot, x) in [(0, 1.0), (1, 2.0)] {
+            agent.handle(Time::ZERO, percept(robot, x, Vec::new()), &mut out);
+        }
+        // Robot 1 has heard the input of the first hop, and none of the others.
+        assert_eq!(latents(&out), [[2.0, 3.0, 3.0]]);
+        assert!(speeds(&out)[0].1.is_nan());
+        assert_eq!(speeds(&out)[1], (1, 0.0));
     }
 }

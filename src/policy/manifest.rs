@@ -1,4 +1,4 @@
-//! The manifest of a policy file: one JSON object in the safetensors metadata.
+//! The manifest of a policy file of format 1: one JSON object in the safetensors metadata.
 //!
 //! The manifest holds all parameters that are needed to run the tensors in the same file. Only the policy published
 //! with the paper arXiv 2111.01777 has no manifest. Its file is recognised by its shapes, and its parameters are
@@ -13,7 +13,8 @@ use crate::scenario::Observation;
 
 /// Key of the safetensors metadata under which a policy file stores its manifest.
 pub const KEY: &str = "murmurate";
-/// Version of the manifest's format that this program writes, and the only one that it reads.
+/// Version of the manifest's format that this module reads, and that the trainer writes. The other one that this
+/// program reads is `hops::manifest::FORMAT`.
 pub const FORMAT: u32 = 1;
 
 /// Layout of the message-passing network: how the messages of a robot's neighbours lead to its action.
@@ -256,11 +257,8 @@ impl Manifest {
     /// Checks the range of each field, and that the fields are consistent with each other. The error names the first
     /// wrong field.
     pub fn check(&self) -> Result<(), String> {
-        let positive = |field: &str, value: f64| {
-            if value.is_finite() && value > 0.0 { Ok(()) } else { Err(format!("{field}: {value} is not above 0")) }
-        };
         if self.format != FORMAT {
-            return Err(format!("format: {}; this program reads {FORMAT}", self.format));
+            return Err(format!("format: {}; this program reads {FORMAT} and 2", self.format));
         }
         for (field, widths) in [("encoder", &self.encoder), ("message", &self.message), ("update", &self.update)] {
             if widths.len() < 2 || widths.iter().any(|&width| width == 0 || width > 4096) {
@@ -300,22 +298,36 @@ impl Manifest {
                 crate::messages::wire::MAX_FEATURES
             ));
         }
-        if let Some(max) = self.log_std_max.filter(|max| !max.is_finite()) {
-            return Err(format!("log_std_max: {max} is not finite; leave it out for none"));
-        }
-        positive("radius_m", f64::from(self.radius_m))?;
-        positive("limit_m_s", f64::from(self.limit_m_s))?;
-        positive("rate_hz", self.rate_hz)?;
-        positive("hold_s", self.hold_s)?;
-        // A motor command is valid for 200 ms, and a robot must act at least twice in that time.
-        if !(10.0..=1000.0).contains(&self.rate_hz) {
-            return Err(format!("rate_hz: {} is not 10 to 1000", self.rate_hz));
-        }
-        if !(1.0 / self.rate_hz..=60.0).contains(&self.hold_s) {
-            return Err(format!("hold_s: {} is not one step ({} s) to 60 s", self.hold_s, 1.0 / self.rate_hz));
-        }
-        Ok(())
+        check_conditions(self.log_std_max, self.radius_m, self.limit_m_s, self.rate_hz, self.hold_s)
     }
+}
+
+/// Checks the ranges of the fields that policy files of both formats have. The error names the first wrong field.
+pub(super) fn check_conditions(
+    log_std_max: Option<f32>,
+    radius_m: f32,
+    limit_m_s: f32,
+    rate_hz: f64,
+    hold_s: f64,
+) -> Result<(), String> {
+    let positive = |field: &str, value: f64| {
+        if value.is_finite() && value > 0.0 { Ok(()) } else { Err(format!("{field}: {value} is not above 0")) }
+    };
+    if let Some(max) = log_std_max.filter(|max| !max.is_finite()) {
+        return Err(format!("log_std_max: {max} is not finite; leave it out for none"));
+    }
+    positive("radius_m", f64::from(radius_m))?;
+    positive("limit_m_s", f64::from(limit_m_s))?;
+    positive("rate_hz", rate_hz)?;
+    positive("hold_s", hold_s)?;
+    // A motor command is valid for 200 ms, and a robot must act at least twice in that time.
+    if !(10.0..=1000.0).contains(&rate_hz) {
+        return Err(format!("rate_hz: {} is not 10 to 1000", rate_hz));
+    }
+    if !(1.0 / rate_hz..=60.0).contains(&hold_s) {
+        return Err(format!("hold_s: {} is not one step ({} s) to 60 s", hold_s, 1.0 / rate_hz));
+    }
+    Ok(())
 }
 
 #[cfg(test)]

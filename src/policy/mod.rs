@@ -5,6 +5,7 @@
 //! code of this folder knows no network, actor or clock.
 
 pub mod gnn;
+pub mod hops;
 pub mod manifest;
 pub mod mlp;
 mod model;
@@ -62,12 +63,25 @@ pub trait Policy {
     /// Returns the parameters that the rest of the system needs to run the policy, such as message size and period.
     fn interface(&self) -> Interface;
 
+    /// Returns the number of hops, the exchanges of messages that one action is made of; 1 if the action needs the
+    /// neighbours' observations only.
+    fn hops(&self) -> usize {
+        1
+    }
+
     /// Writes the robot's broadcast for this step into `features`, which has the length `Interface::features`. `own` is
     /// the robot's own state and goal, in the policy frame.
     fn encode(&mut self, own: &Observation, features: &mut [f32]);
 
+    /// Completes the robot's broadcast of this step by the input of the hop `hop`, counted from 0. It is called after
+    /// `encode` for each hop from 1 on, in their order, with the arguments of `act`.
+    ///
+    /// `features` holds what `encode` and the hops before have written. A neighbour's `features` hold what it broadcast
+    /// for the hop before: in this step if the robots step together, otherwise in its newest message.
+    fn relay(&mut self, _hop: usize, _own: &Observation, _features: &mut [f32], _neighbours: &[Neighbour]) {}
+
     /// Returns the robot's wanted velocity \[m/s\], policy frame. `own` is the robot's own state and goal, and
-    /// `features` are those that `encode` has just written for the same step.
+    /// `features` are those that `encode` and `relay` have just written for the same step.
     ///
     /// `neighbours` has the last message of each neighbour in range, in the order of robot ids; it may be empty.
     /// `stream` is the source of random numbers for a policy that samples its actions.

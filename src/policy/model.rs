@@ -4,7 +4,8 @@ use std::fmt;
 use std::sync::Arc;
 
 use super::gnn::{Gnn, Network};
-use super::manifest::Architecture;
+use super::hops::{self, network::Hops};
+use super::manifest::{Architecture, Training};
 use super::weights::{self, WeightsError};
 use super::{Draw, Interface, Policy, orca, probe, shipped};
 use crate::chassis::Chassis;
@@ -19,6 +20,8 @@ pub enum Model {
     Orca,
     /// Trained graph neural network, with the method by which actions are drawn from its output distribution.
     Gnn(Arc<Network>, Draw),
+    /// Trained policy of several hops, from a policy file of format 2, with the method by which actions are drawn.
+    Hops(Arc<hops::network::Network>, Draw),
     /// Policy that another crate implements in code; see [`Model::custom`].
     Custom(Custom),
 }
@@ -88,10 +91,19 @@ impl Model {
     /// Makes a model from the content `bytes` of a policy file, for the scenario named `scenario`. Actions are drawn as
     /// the file says. An error says that the file is invalid or for another scenario.
     pub fn from_file(bytes: &[u8], scenario: &str) -> Result<Model, ModelError> {
-        let file = weights::read(bytes)?;
-        if file.manifest.scenario != scenario {
-            return Err(ModelError::Scenario { theirs: file.manifest.scenario, ours: scenario.to_owned() });
+        let check = |theirs: &str| match theirs == scenario {
+            true => Ok(()),
+            false => Err(ModelError::Scenario { theirs: theirs.to_owned(), ours: scenario.to_owned() }),
+        };
+        if hops::file::is_format_2(bytes) {
+            let file = hops::file::read(bytes)?;
+            check(&file.manifest.scenario)?;
+            let draw = file.manifest.draw;
+            let (network, _) = hops::probe::network(file)?;
+            return Ok(Model::Hops(network, draw));
         }
+        let file = weights::read(bytes)?;
+        check(&file.manifest.scenario)?;
         let draw = file.manifest.draw;
         let (network, _) = probe::network(file)?;
         Ok(Model::Gnn(network, draw))
@@ -126,6 +138,7 @@ impl Model {
                 Architecture::Published => "gnn",
                 Architecture::Full => "gnn-full",
             },
+            Model::Hops(..) => "gnn-hops",
             Model::Custom(custom) => custom.name,
         }
     }
@@ -136,6 +149,7 @@ impl Model {
         match self {
             Model::Orca => Box::new(orca::Orca::new(arena)),
             Model::Gnn(network, draw) => Box::new(Gnn::new(Arc::clone(network), *draw)),
+            Model::Hops(network, draw) => Box::new(Hops::new(Arc::clone(network), *draw)),
             Model::Custom(custom) => (custom.instance)(arena),
         }
     }
@@ -145,6 +159,7 @@ impl Model {
         match self {
             Model::Orca => orca::INTERFACE,
             Model::Gnn(network, _) => network.interface(),
+            Model::Hops(network, _) => network.interface(),
             Model::Custom(custom) => custom.interface,
         }
     }
@@ -154,35 +169,44 @@ impl Model {
     pub fn with_draw(self, draw: Draw) -> Option<Model> {
         match self {
             Model::Gnn(network, _) => Some(Model::Gnn(network, draw)),
+            Model::Hops(network, _) => Some(Model::Hops(network, draw)),
             Model::Orca | Model::Custom(_) => None,
         }
     }
 
     /// Returns a digest of the policy file (16 hexadecimal digits); the text is empty if the policy has no file.
     pub fn digest(&self) -> &str {
-        self.network().map_or("", Network::digest)
+        match self {
+            Model::Gnn(network, _) => network.digest(),
+            Model::Hops(network, _) => network.digest(),
+            Model::Orca | Model::Custom(_) => "",
+        }
     }
 
     /// Returns the assumptions made because the policy file has no manifest (its metadata) or an incomplete one, as
     /// text for a warning. `None` means that nothing was assumed, or that the policy has no file.
     pub fn assumed(&self) -> Option<&str> {
-        self.network()?.assumed()
+        match self {
+            Model::Gnn(network, _) => network.assumed(),
+            Model::Hops(..) | Model::Orca | Model::Custom(_) => None,
+        }
     }
 
     /// Returns the number of robots in the largest team of the policy's training; `None` if that is unknown.
     pub fn largest_team(&self) -> Option<usize> {
-        self.network()?.manifest().training.as_ref()?.largest_team()
+        self.training()?.largest_team()
     }
 
     /// Returns the chassis (kind of drive and limits) of the robots in the policy's training; `None` if that is
     /// unknown.
     pub fn trained_chassis(&self) -> Option<Chassis> {
-        self.network()?.manifest().training.as_ref()?.chassis()
+        self.training()?.chassis()
     }
 
-    fn network(&self) -> Option<&Network> {
+    fn training(&self) -> Option<&Training> {
         match self {
-            Model::Gnn(network, _) => Some(network),
+            Model::Gnn(network, _) => network.manifest().training.as_ref(),
+            Model::Hops(network, _) => network.manifest().training.as_ref(),
             Model::Orca | Model::Custom(_) => None,
         }
     }

@@ -80,7 +80,7 @@ pub fn network(mut file: PolicyFile) -> Result<(Arc<Network>, Option<Difference>
 }
 
 /// The largest difference of two rows of numbers, relative to stored numbers above 1; NaN if one is.
-fn largest(found: &[f32], stored: &[f32]) -> f32 {
+pub(super) fn largest(found: &[f32], stored: &[f32]) -> f32 {
     let off = |(found, stored): (&f32, &f32)| (found - stored).abs() / stored.abs().max(1.0);
     found
         .iter()

@@ -20,9 +20,9 @@ const NAMES: [&str; 3] = ["encoder", "message", "update"];
 const PUBLISHED_NAMES: [&str; 3] = ["encoder", "gnn", "post"];
 
 /// Prefix of the names of the tensors in a policy file that hold its test data ([`Probe`]: inputs and correct outputs).
-const PROBE: &str = "probe.";
+pub(super) const PROBE: &str = "probe.";
 /// Tensors of a probe, in the order of [`Probe`]'s fields; each has one row per robot.
-const PROBE_TENSORS: [&str; 6] =
+pub(super) const PROBE_TENSORS: [&str; 6] =
     ["probe.position", "probe.velocity", "probe.goal", "probe.age", "probe.latent", "probe.output"];
 
 /// Test data in a policy file: inputs for a team of robots and the network's correct outputs for them. The program that
@@ -180,7 +180,8 @@ pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
         network(names[1], &manifest.message)?,
         network(names[2], &manifest.update)?,
     ];
-    let probe = tensors.keys().any(|name| name.starts_with(PROBE)).then(|| probe(&tensors, &manifest)).transpose()?;
+    let latent = manifest.encoder.last().copied().unwrap_or(0);
+    let probe = tensors.keys().any(|name| name.starts_with(PROBE)).then(|| probe(&tensors, latent)).transpose()?;
     let layers = networks.iter().map(|network| 2 * network.layers().len()).sum::<usize>();
     if tensors.len() > layers + probe.as_ref().map_or(0, |_| PROBE_TENSORS.len()) {
         let widths = [&manifest.encoder, &manifest.message, &manifest.update];
@@ -217,12 +218,11 @@ fn assumed_of(manifest: &Manifest) -> Option<String> {
     })
 }
 
-/// Reads the probe of a file that has one.
-fn probe(tensors: &TensorsByName, manifest: &Manifest) -> Result<Probe, WeightsError> {
+/// Reads the probe of a file that has one, with latents of `latent` floats.
+pub(super) fn probe(tensors: &TensorsByName, latent: usize) -> Result<Probe, WeightsError> {
     let first = tensors.get(PROBE_TENSORS[0]).and_then(|tensor| tensor.shape.first()).copied();
     // A wrong number of robots is refused as a shape below.
     let robots = first.filter(|robots| (1..=Probe::MOST_ROBOTS).contains(robots)).unwrap_or(1);
-    let latent = manifest.encoder.last().copied().unwrap_or(0);
     let widths = [2, 2, 2, robots, latent, 4];
     let mut read = PROBE_TENSORS
         .iter()
@@ -233,7 +233,10 @@ fn probe(tensors: &TensorsByName, manifest: &Manifest) -> Result<Probe, WeightsE
 }
 
 /// Names and shape of each layer's tensors: name of the weight, name of the bias, \[out, in\].
-fn layer_names<'a>(name: &'a str, widths: &'a [usize]) -> impl Iterator<Item = (String, String, [usize; 2])> + 'a {
+pub(super) fn layer_names<'a>(
+    name: &'a str,
+    widths: &'a [usize],
+) -> impl Iterator<Item = (String, String, [usize; 2])> + 'a {
     widths.windows(2).enumerate().map(move |(depth, pair)| {
         let at = 2 * depth;
         (format!("{name}.{at}.weight"), format!("{name}.{at}.bias"), [pair[1], pair[0]])
@@ -241,7 +244,7 @@ fn layer_names<'a>(name: &'a str, widths: &'a [usize]) -> impl Iterator<Item = (
 }
 
 /// Tensors by name.
-type TensorsByName<'a> = BTreeMap<String, Tensor<'a>>;
+pub(super) type TensorsByName<'a> = BTreeMap<String, Tensor<'a>>;
 
 fn network(tensors: &TensorsByName, name: &str, widths: &[usize], hint: &'static str) -> Result<Mlp, WeightsError> {
     let layers = layer_names(name, widths).map(|(weight, bias, shape)| {
@@ -250,7 +253,13 @@ fn network(tensors: &TensorsByName, name: &str, widths: &[usize], hint: &'static
     Ok(Mlp::new(layers.collect::<Result<_, WeightsError>>()?))
 }
 
-fn floats(tensors: &TensorsByName, name: &str, shape: &[usize], hint: &'static str) -> Result<Vec<f32>, WeightsError> {
+/// Returns the numbers of the tensor `name`, which must have this shape; `hint` ends the error if it is missing.
+pub(super) fn floats(
+    tensors: &TensorsByName,
+    name: &str,
+    shape: &[usize],
+    hint: &'static str,
+) -> Result<Vec<f32>, WeightsError> {
     let (name, expected) = (name.to_owned(), shape.to_vec());
     let Some(tensor) = tensors.get(&name) else { return Err(WeightsError::Missing { name, expected, hint }) };
     if tensor.kind != F32 {
@@ -267,7 +276,7 @@ fn floats(tensors: &TensorsByName, name: &str, shape: &[usize], hint: &'static s
 }
 
 /// SHA-256 of all tensors' bytes in the order of their names, in hexadecimal.
-fn hash(tensors: &TensorsByName) -> String {
+pub(super) fn hash(tensors: &TensorsByName) -> String {
     let mut hash = Hash::new();
     tensors.values().for_each(|tensor| hash.update(tensor.data));
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()

@@ -1,6 +1,6 @@
 //! The bounded event queue between the thread that runs the actors and the writer thread of a record.
 //!
-//! In real time the control thread never waits and never wakes the writer, which polls every 100 ms. Events that do not
+//! In real time the control thread never waits and never wakes the writer, which polls every 180 ms. Events that do not
 //! fit are dropped and counted. A simulation waits for the writer instead and drops nothing.
 
 use std::cell::{Cell, RefCell};
@@ -21,7 +21,7 @@ const INPUT_BYTES: usize = 1_000_000;
 /// Shortest time between two events `Event::Dropped` (counts of dropped events) in a record.
 const COUNT_PERIOD: Span = Span::from_millis(1000);
 /// Longest time that the writer thread waits for events before it checks the queue again.
-pub const POLL: Duration = Duration::from_millis(100);
+pub const POLL: Duration = Duration::from_millis(180);
 
 /// What happens to events when the queue to the writer of a record is full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -16,7 +16,7 @@ use super::topics::Topics;
 
 /// Period of flushes in real time. A crash loses up to this, one pause of the writer, and the events still in the
 /// queue.
-const FLUSH: Duration = Duration::from_millis(90);
+const FLUSH: Duration = Duration::from_millis(170);
 
 /// Recording in progress: its event queue, and the thread that writes its file.
 pub struct Recording {

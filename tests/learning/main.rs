@@ -1,6 +1,7 @@
-//! Numerics of policies: gradients, whole trainings, files from Python, and allocations of a step.
+//! Numerics of policies: gradients, whole trainings, files from Python, graph convolutions, and allocations of a step.
 
 mod allocation;
+mod convolutions;
 mod gradients;
 mod python_export;
 mod training;

@@ -1,6 +1,8 @@
 //! Loading of policies by name or from a file, and the command `murmurate policy`.
 
 mod check;
+mod check_hops;
+mod facts;
 
 use std::path::Path;
 

@@ -1,0 +1,71 @@
+//! Neighbours of a robot at a step of its Agent: senders in its percept, and other robots of the same Agent.
+
+use crate::hearing::CommRange;
+use crate::messages::geometry::Motion;
+use crate::messages::ids::RobotId;
+use crate::messages::local::{NeighbourLatent, Percept};
+use crate::messages::wire::{Phase, Round};
+use crate::policy::Neighbour;
+use crate::random::Stream;
+use crate::scenario::Frame;
+use crate::time::Span;
+
+/// Data of one robot that the other robots of its Agent read in the current step. Small and contiguous, because each
+/// robot reads it for all robots nearby.
+#[derive(Clone, Copy)]
+pub(super) struct SharedData {
+    /// Id of the robot.
+    pub robot: RobotId,
+    /// Estimate of the robot's position \[m\] and velocity \[m/s\] in the world frame.
+    pub motion: Motion,
+    /// Range of the robot's features in `Agent::features`; `None` if it broadcasts nothing.
+    pub features: Option<[u32; 2]>,
+}
+
+/// Data of the current step that decide which messages a robot's policy gets.
+pub(super) struct Step<'a> {
+    /// Communication range between the robots of the Agent.
+    pub range: CommRange,
+    /// Round that the Agent follows; messages of others are not used.
+    pub round: Round,
+    /// Phase that the Agent follows; messages of others are not used.
+    pub phase: Phase,
+    /// Number of floats of a latent.
+    pub width: usize,
+    /// Policy frame of the robot.
+    pub frame: Frame,
+    /// Latent features of the Agent's robots, one after the other.
+    pub shared: &'a [f32],
+}
+
+impl<'a> Step<'a> {
+    /// Returns the neighbours of the robot with this percept, in the order of their ids: senders of messages in its
+    /// percept, and those of `companions`, robots of the same Agent, that are within a range drawn from `ranges`.
+    pub fn neighbours(
+        &self,
+        percept: &'a Percept,
+        companions: impl Iterator<Item = SharedData>,
+        ranges: &mut Stream,
+    ) -> Vec<Neighbour<'a>> {
+        let Step { range, round, phase, width, frame, shared } = *self;
+        let usable =
+            |heard: &&NeighbourLatent| heard.round == round && heard.phase == phase && heard.features.0.len() == width;
+        let cached = percept.heard.iter().filter(usable).map(|heard| {
+            (
+                heard.robot,
+                Neighbour { motion: frame.turn_motion(&heard.motion), features: &heard.features.0, age: heard.age },
+            )
+        });
+        let own = percept.estimate;
+        let joint = companions.filter_map(|other| {
+            let [begins, ends] = other.features?.map(|at| at as usize);
+            range.admits(own.position, other.motion.position, ranges).then(|| {
+                let motion = frame.turn_motion(&other.motion);
+                (other.robot, Neighbour { motion, features: &shared[begins..ends], age: Span::ZERO })
+            })
+        });
+        let mut neighbours: Vec<(RobotId, Neighbour)> = cached.chain(joint).collect();
+        neighbours.sort_by_key(|(robot, _)| *robot);
+        neighbours.into_iter().map(|(_, neighbour)| neighbour).collect()
+    }
+}

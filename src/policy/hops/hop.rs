@@ -1,0 +1,361 @@
+//! One hop: the messages of a robot's neighbours, their aggregation, and the update of the robot's own part.
+
+use super::attention;
+use super::manifest::{self, Aggregation, EdgeFeature, Input, SelfLoop};
+use super::perceptron::{Buffers, Perceptron};
+use crate::messages::geometry::Motion;
+use crate::policy::Neighbour;
+
+/// Network of a hop with the parts of its input.
+#[derive(Debug)]
+pub struct Part {
+    /// Parts of the input, one after the other.
+    pub inputs: Vec<Input>,
+    /// Layers of the network.
+    pub perceptron: Perceptron,
+}
+
+/// Hop with its weights.
+#[derive(Debug)]
+pub struct Hop {
+    /// First float of the hop's input in a latent.
+    begins: usize,
+    /// Width of the hop's input.
+    input: usize,
+    /// Width of a message.
+    messages: usize,
+    edge: Vec<EdgeFeature>,
+    aggregation: Aggregation,
+    heads: usize,
+    self_loop: Option<SelfLoop>,
+    message: Option<Part>,
+    score: Option<Part>,
+    query: Option<Part>,
+    key: Option<Part>,
+    update: Option<Part>,
+}
+
+/// Buffers of one robot for one hop. A step allocates nothing unless it has more neighbours than any before.
+#[derive(Debug, Default)]
+pub struct Space {
+    /// Inputs h_j of the senders, one row each; with a self-loop, the robot's own last.
+    senders: Vec<f32>,
+    /// Edge features, one row for each sender.
+    edges: Vec<f32>,
+    /// Input of the network that is computed, one row for each sender.
+    rows: Vec<f32>,
+    messages: Vec<f32>,
+    keys: Vec<f32>,
+    query: Vec<f32>,
+    scores: Vec<f32>,
+    sum: Vec<f32>,
+    buffers: Buffers,
+    /// Number of senders that the buffers have room for.
+    capacity: usize,
+}
+
+impl Hop {
+    /// Makes a hop as `form` says, whose input has `input` floats, from index `begins` in a latent. `edge` are the
+    /// policy's edge features, and `load` returns the weights of a network of the hop by its name.
+    ///
+    /// # Errors
+    /// If `load` returns one.
+    pub fn new<E>(
+        form: &manifest::Hop,
+        (begins, input): (usize, usize),
+        edge: &[EdgeFeature],
+        mut load: impl FnMut(&str, &manifest::Layers) -> Result<Perceptron, E>,
+    ) -> Result<Hop, E> {
+        let mut part = |name: &str, layers: &Option<manifest::Layers>| {
+            let part =
+                |layers: &manifest::Layers| Ok(Part { inputs: layers.inputs.clone(), perceptron: load(name, layers)? });
+            layers.as_ref().map(part).transpose()
+        };
+        Ok(Hop {
+            begins,
+            input,
+            messages: form.message_width(input),
+            edge: edge.to_vec(),
+            aggregation: form.aggregation,
+            heads: form.heads.unwrap_or(1),
+            self_loop: form.self_loop,
+            message: part("message", &form.message)?,
+            score: part("score", &form.score)?,
+            query: part("query", &form.query)?,
+            key: part("key", &form.key)?,
+            update: part("update", &form.update)?,
+        })
+    }
+
+    /// Returns the index of the first float of the hop's input in a latent.
+    pub fn begins(&self) -> usize {
+        self.begins
+    }
+
+    /// Returns the width of the hop's output.
+    pub fn outputs(&self) -> usize {
+        self.update.as_ref().map_or(self.messages, |update| update.perceptron.outputs())
+    }
+
+    /// Returns the number of weights and biases of the hop's networks.
+    pub fn parameters(&self) -> usize {
+        self.parts().map(|part| part.perceptron.parameters()).sum()
+    }
+
+    fn parts(&self) -> impl Iterator<Item = &Part> {
+        [&self.message, &self.score, &self.query, &self.key, &self.update].into_iter().flatten()
+    }
+
+    /// Makes room in `space` for the given number of neighbours.
+    pub fn reserve(&self, space: &mut Space, neighbours: usize) {
+        let senders = neighbours + usize::from(self.self_loop.is_some());
+        if space.capacity >= senders.max(1) {
+            return;
+        }
+        // At least one row, which the networks of the robot itself need, too.
+        space.capacity = senders.max(1);
+        let rows = space.capacity;
+        let edge: usize = self.edge.iter().map(|feature| feature.floats()).sum();
+        let widest = self.parts().map(|part| part.perceptron.inputs()).max().unwrap_or(0);
+        let outputs = |part: &Option<Part>| part.as_ref().map_or(0, |part| part.perceptron.outputs());
+        space.senders.resize(rows * self.input, 0.0);
+        space.edges.resize(rows * edge, 0.0);
+        space.rows.resize(rows * widest, 0.0);
+        space.messages.resize(rows * self.messages, 0.0);
+        space.keys.resize(rows * outputs(&self.key), 0.0);
+        space.query.resize(outputs(&self.query), 0.0);
+        space.scores.resize(rows * self.heads, 0.0);
+        space.sum.resize(self.messages, 0.0);
+        let Hop { message, score, query, key, update, .. } = self;
+        for (part, rows) in [(message, rows), (score, rows), (key, rows), (query, 1), (update, 1)] {
+            part.iter().for_each(|part| space.buffers.reserve(&part.perceptron, rows));
+        }
+    }
+
+    /// Computes the hop for a robot with the state `motion` in the policy frame. `latent` is the robot's own, which
+    /// holds the hop's input, and `neighbours` are those in range, in the order of their ids. `out` receives the
+    /// hop's output. `space` has been given room for as many neighbours.
+    #[inline(always)]
+    pub fn apply(&self, motion: &Motion, latent: &[f32], neighbours: &[Neighbour], space: &mut Space, out: &mut [f32]) {
+        let own = &latent[self.begins..self.begins + self.input];
+        let count = self.gather(motion, own, neighbours, space);
+        let Space { senders, edges, rows, messages, keys, query, scores, sum, buffers, .. } = space;
+        let mut per_sender = |part: &Part, out: &mut [f32]| {
+            let wide = part.perceptron.inputs();
+            let edge = edges.len() / (senders.len() / self.input).max(1);
+            for (at, row) in rows.chunks_exact_mut(wide).take(count).enumerate() {
+                let of = |input: Input| match input {
+                    Input::Own => own,
+                    Input::Sender => &senders[at * self.input..(at + 1) * self.input],
+                    Input::Edge => &edges[at * edge..(at + 1) * edge],
+                    Input::Messages => &[],
+                };
+                compose(&part.inputs, of, row);
+            }
+            part.perceptron.apply(count, rows, out, buffers);
+        };
+        match &self.message {
+            Some(part) => per_sender(part, messages),
+            None => messages[..count * self.input].copy_from_slice(&senders[..count * self.input]),
+        }
+        self.score.iter().for_each(|part| per_sender(part, scores));
+        self.key.iter().for_each(|part| per_sender(part, keys));
+        if let Some(part) = &self.query {
+            part.perceptron.apply(1, own, query, buffers);
+            attention::dot_products(count, self.heads, query, keys, scores);
+        }
+        match self.aggregation {
+            Aggregation::Sum | Aggregation::Mean | Aggregation::Max => {
+                attention::plain(self.aggregation, count, messages, sum);
+            }
+            Aggregation::Softmax | Aggregation::DotProduct => {
+                attention::softmax(count, self.heads, scores);
+                attention::weighted_sum(count, self.heads, scores, messages, sum);
+            }
+        }
+        match &self.update {
+            None => out.copy_from_slice(sum),
+            Some(part) => {
+                let row = &mut rows[..part.perceptron.inputs()];
+                compose(&part.inputs, |input| if input == Input::Own { own } else { sum }, row);
+                part.perceptron.apply(1, row, out, buffers);
+            }
+        }
+    }
+
+    /// Writes the senders' inputs and the features of their edges into `space`, and returns their number: the
+    /// neighbours, and with a self-loop the robot itself, whose own input is `own`, as the last.
+    #[inline(always)]
+    fn gather(&self, motion: &Motion, own: &[f32], neighbours: &[Neighbour], space: &mut Space) -> usize {
+        let edge: usize = self.edge.iter().map(|feature| feature.floats()).sum();
+        for (row, neighbour) in space.senders.chunks_exact_mut(self.input).zip(neighbours) {
+            row.copy_from_slice(&neighbour.features[self.begins..self.begins + self.input]);
+        }
+        if edge > 0 {
+            for (row, neighbour) in space.edges.chunks_exact_mut(edge).zip(neighbours) {
+                write_edge(&self.edge, motion, neighbour, row);
+            }
+        }
+        let count = neighbours.len();
+        let Some(self_loop) = self.self_loop else { return count };
+        space.senders[count * self.input..(count + 1) * self.input].copy_from_slice(own);
+        if edge > 0 {
+            let (edges, mine) = space.edges.split_at_mut(count * edge);
+            match self_loop {
+                SelfLoop::ZeroEdge => mine[..edge].fill(0.0),
+                SelfLoop::MeanEdge => attention::plain(Aggregation::Mean, count, edges, &mut mine[..edge]),
+            }
+        }
+        count + 1
+    }
+}
+
+/// Writes the parts `inputs` one after the other into `row`; `of` returns the numbers of a part.
+#[inline(always)]
+fn compose<'a>(inputs: &[Input], of: impl Fn(Input) -> &'a [f32], row: &mut [f32]) {
+    let mut rest = row;
+    for input in inputs {
+        let part = of(*input);
+        let (to, after) = rest.split_at_mut(part.len());
+        to.copy_from_slice(part);
+        rest = after;
+    }
+}
+
+/// Writes the features of the edge from a neighbour to a robot with the state `own` into `row`.
+#[inline(always)]
+fn write_edge(edge: &[EdgeFeature], own: &Motion, neighbour: &Neighbour, row: &mut [f32]) {
+    let mut rest = row;
+    let relative = neighbour.motion.position - own.position;
+    for feature in edge {
+        let (to, after) = rest.split_at_mut(feature.floats());
+        match feature {
+            EdgeFeature::Age => to[0] = neighbour.age.as_secs() as f32,
+            EdgeFeature::RelativePosition => to.copy_from_slice(&relative.to_array()),
+            EdgeFeature::Distance => to[0] = relative.norm(),
+            EdgeFeature::RelativeVelocity => {
+                to.copy_from_slice(&(neighbour.motion.velocity - own.velocity).to_array());
+            }
+        }
+        rest = after;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::geometry::Vec2;
+    use crate::policy::hops::manifest::Layers;
+    use crate::policy::hops::perceptron::Activation;
+    use crate::policy::mlp::Layer;
+    use crate::time::Span;
+
+    fn layers(inputs: &[Input], widths: &[usize]) -> Option<Layers> {
+        let (inputs, widths) = (inputs.to_vec(), widths.to_vec());
+        Some(Layers { inputs, widths, activation: None, output_activation: Activation::Linear })
+    }
+
+    fn form(aggregation: Aggregation) -> manifest::Hop {
+        let none = || None;
+        manifest::Hop {
+            message: none(),
+            aggregation,
+            heads: None,
+            score: none(),
+            query: none(),
+            key: none(),
+            self_loop: None,
+            update: none(),
+        }
+    }
+
+    /// Applies a hop with single layers of these weights, without biases, to a robot at (1, 0) whose input is 10.
+    /// Neighbours with the inputs 3, 5, ... are 1 m apart from each other on the x axis, from (2, 0) on. The floats
+    /// before the hop's own in each latent are of another hop.
+    fn applied(form: &manifest::Hop, edge: &[EdgeFeature], weights: &[(&str, &[f32])], neighbours: usize) -> Vec<f32> {
+        let load = |name: &str, layers: &Layers| {
+            let weight = weights.iter().find(|(of, _)| *of == name).expect("the test has its weights").1;
+            let layer = Layer::new(weight, &vec![0.0; layers.outputs()]);
+            Ok::<_, ()>(Perceptron::new(vec![layer], Activation::Linear, layers.output_activation))
+        };
+        let hop = Hop::new(form, (1, 1), edge, load).expect("nothing fails");
+        let latents: Vec<[f32; 3]> = (0..neighbours).map(|k| [99.0, 3.0 + 2.0 * k as f32, 77.0]).collect();
+        let neighbour = |(k, features): (usize, &'_ [f32; 3])| Neighbour {
+            motion: Motion { position: Vec2::new(2.0 + k as f32, 0.0), velocity: Vec2::new(0.0, 4.0) },
+            features: &latents[k][..features.len()],
+            age: Span::from_millis(500),
+        };
+        let neighbours: Vec<Neighbour> = latents.iter().enumerate().map(neighbour).collect();
+        let own = Motion { position: Vec2::new(1.0, 0.0), velocity: Vec2::new(1.0, 1.0) };
+        let (mut space, mut out) = (Space::default(), vec![f32::NAN; hop.outputs()]);
+        hop.reserve(&mut space, neighbours.len());
+        hop.apply(&own, &[88.0, 10.0, 66.0], &neighbours, &mut space, &mut out);
+        out
+    }
+
+    #[test]
+    fn without_networks_a_hop_aggregates_the_neighbours_inputs() {
+        for (aggregation, expected) in [(Aggregation::Sum, 8.0), (Aggregation::Mean, 4.0), (Aggregation::Max, 5.0)] {
+            assert_eq!(applied(&form(aggregation), &[], &[], 2), [expected]);
+            assert_eq!(applied(&form(aggregation), &[], &[], 0), [0.0]);
+        }
+        let with_itself = manifest::Hop { self_loop: Some(SelfLoop::ZeroEdge), ..form(Aggregation::Mean) };
+        assert_eq!(applied(&with_itself, &[], &[], 2), [6.0]);
+        assert_eq!(applied(&with_itself, &[], &[], 0), [10.0]);
+    }
+
+    #[test]
+    fn messages_and_updates_take_their_inputs_in_the_order_of_the_manifest() {
+        let form = manifest::Hop {
+            message: layers(&[Input::Edge, Input::Sender, Input::Own], &[8, 2]),
+            update: layers(&[Input::Messages, Input::Own], &[3, 1]),
+            ..form(Aggregation::Sum)
+        };
+        let edge =
+            [EdgeFeature::Distance, EdgeFeature::Age, EdgeFeature::RelativeVelocity, EdgeFeature::RelativePosition];
+        // The first message: distance 1, age 0.5, velocity (-1, 3), position (1, 0), sender 3, own 10.
+        #[rustfmt::skip]
+        let message = [
+            1.0, 10.0, 100.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+            0.0, 0.0, 0.0, 1.0, 10.0, 100.0, 1000.0, 10000.0,
+        ];
+        let of = |update: &[f32]| applied(&form, &edge, &[("message", &message), ("update", update)], 1)[0];
+        assert_eq!(of(&[1.0, 0.0, 0.0]), 1.0 + 5.0 - 100.0);
+        assert_eq!(of(&[0.0, 1.0, 0.0]), 3.0 + 10.0 + 3000.0 + 100_000.0);
+        assert_eq!(of(&[0.0, 0.0, 1.0]), 10.0);
+    }
+
+    #[test]
+    fn softmax_weighs_messages_by_the_scores_of_their_edges() {
+        let form = manifest::Hop {
+            score: layers(&[Input::Edge], &[1, 1]),
+            self_loop: Some(SelfLoop::ZeroEdge),
+            ..form(Aggregation::Softmax)
+        };
+        // The distances are 1 m, 2 m and, to itself, 0: weights 2, 4 and 1 of 7.
+        let score = [2.0f32.ln()];
+        let [found] = applied(&form, &[EdgeFeature::Distance], &[("score", &score)], 2)[..] else {
+            panic!("one number")
+        };
+        assert!((found - (2.0 * 3.0 + 4.0 * 5.0 + 10.0) / 7.0).abs() < 1e-5, "{found}");
+        let mean_edge = manifest::Hop { self_loop: Some(SelfLoop::MeanEdge), ..form };
+        let [found] = applied(&mean_edge, &[EdgeFeature::Distance], &[("score", &score)], 2)[..] else { panic!("one") };
+        let middle = 2.0f32.powi(3).sqrt();
+        assert!((found - (2.0 * 3.0 + 4.0 * 5.0 + middle * 10.0) / (6.0 + middle)).abs() < 1e-5, "{found}");
+        assert_eq!(applied(&mean_edge, &[EdgeFeature::Distance], &[("score", &score)], 0), [10.0]);
+    }
+
+    #[test]
+    fn dot_products_of_query_and_keys_weigh_messages() {
+        let form = manifest::Hop {
+            query: layers(&[Input::Own], &[1, 1]),
+            key: layers(&[Input::Sender], &[1, 1]),
+            ..form(Aggregation::DotProduct)
+        };
+        // Query 10 x 0.1 = 1; keys 3 and 5 times ln(2) / 2, so the second weighs twice the first.
+        let weights: [(&str, &[f32]); 2] = [("query", &[0.1]), ("key", &[2.0f32.ln() / 2.0])];
+        let [found] = applied(&form, &[], &weights, 2)[..] else { panic!("one number") };
+        assert!((found - 13.0 / 3.0).abs() < 1e-5, "{found}");
+        assert_eq!(applied(&form, &[], &weights, 0), [0.0]);
+    }
+}

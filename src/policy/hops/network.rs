@@ -1,0 +1,191 @@
+//! A policy of several hops with its weights, and its evaluation for one robot.
+
+use std::sync::Arc;
+
+use super::file::PolicyFile;
+use super::hop::{Hop, Space};
+use super::manifest::{Deviation, Distribution, Manifest, OUTPUTS};
+use super::perceptron::{Buffers, Perceptron};
+use crate::messages::geometry::Vec2;
+use crate::policy::mlp::Instructions;
+use crate::policy::{Draw, Interface, Neighbour, Policy};
+use crate::random::{self, Stream};
+use crate::scenario::Observation;
+use crate::time::Span;
+
+/// Weights and parameters of a policy of several hops, which all robots of a team share.
+#[derive(Debug)]
+pub struct Network {
+    pub(super) manifest: Manifest,
+    pub(super) digest: String,
+    pub(super) encoder: Perceptron,
+    pub(super) hops: Vec<Hop>,
+    pub(super) decoder: Perceptron,
+    interface: Interface,
+}
+
+impl Network {
+    /// Makes the network of a policy file that was read and checked. The file's test data are not compared with the
+    /// network; `probe::network` does that.
+    pub fn new(file: PolicyFile) -> Network {
+        let PolicyFile { manifest, digest, encoder, hops, decoder, .. } = file;
+        let interface = Interface {
+            features: manifest.latent(),
+            radius_m: manifest.radius_m,
+            period: Span::from_secs(1.0 / manifest.rate_hz),
+            limit_m_s: manifest.limit_m_s,
+            hold: Span::from_secs(manifest.hold_s),
+        };
+        Network { manifest, digest, encoder, hops, decoder, interface }
+    }
+
+    /// Returns the parameters that the rest of the system needs to run the network, such as message size and period.
+    pub fn interface(&self) -> Interface {
+        self.interface
+    }
+
+    /// Returns the manifest (metadata) of the network's policy file.
+    pub fn manifest(&self) -> &Manifest {
+        &self.manifest
+    }
+
+    /// Returns the digest of the network's policy file: the first 64 bits of its BLAKE3 hash, in hexadecimal.
+    pub fn digest(&self) -> &str {
+        &self.digest
+    }
+
+    /// Returns the number of weights and biases of all networks.
+    pub fn parameters(&self) -> usize {
+        let hops: usize = self.hops.iter().map(Hop::parameters).sum();
+        self.encoder.parameters() + hops + self.decoder.parameters()
+    }
+}
+
+/// One robot's instance of a policy of several hops, with buffers of its own.
+#[derive(Debug)]
+pub struct Hops {
+    network: Arc<Network>,
+    draw: Draw,
+    instructions: Instructions,
+    observation: Vec<f32>,
+    /// Output of the last hop.
+    last: Vec<f32>,
+    buffers: Buffers,
+    /// Buffers of each hop.
+    spaces: Vec<Space>,
+}
+
+impl Hops {
+    /// Makes one robot's instance of `network`, which draws actions from the output distribution by the method `draw`.
+    pub fn new(network: Arc<Network>, draw: Draw) -> Hops {
+        Hops::with_instructions(network, draw, Instructions::Detected)
+    }
+
+    /// Makes one robot's instance of `network` that runs on the given processor instructions; `draw` is the method of
+    /// drawing actions. The instruction set changes the speed, and results are the same bit for bit.
+    pub fn with_instructions(network: Arc<Network>, draw: Draw, instructions: Instructions) -> Hops {
+        let mut buffers = Buffers::default();
+        buffers.reserve(&network.encoder, 1);
+        buffers.reserve(&network.decoder, 1);
+        Hops {
+            observation: vec![0.0; network.encoder.inputs()],
+            last: vec![0.0; network.decoder.inputs()],
+            buffers,
+            spaces: network.hops.iter().map(|_| Space::default()).collect(),
+            network,
+            draw,
+            instructions,
+        }
+    }
+
+    /// Returns the decoder's raw outputs, the parameters of the distribution of a velocity in the policy frame: mean_x,
+    /// mean_y, and two of its standard deviations. The manifest's upper limit of these is not applied.
+    ///
+    /// The arguments are those of [`Policy::act`]; `features` holds the inputs of all hops.
+    pub fn outputs(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour]) -> [f32; OUTPUTS] {
+        let at = self.network.hops.len() - 1;
+        let (network, space) = (&*self.network, &mut self.spaces[at]);
+        let hop = &network.hops[at];
+        hop.reserve(space, neighbours.len());
+        let (last, buffers, mut out) = (&mut self.last, &mut self.buffers, [0.0; OUTPUTS]);
+        self.instructions.run(
+            #[inline(always)]
+            || {
+                hop.apply(&own.motion, features, neighbours, space, last);
+                network.decoder.apply(1, last, &mut out, buffers);
+            },
+        );
+        out
+    }
+}
+
+impl Policy for Hops {
+    fn interface(&self) -> Interface {
+        self.network.interface
+    }
+
+    fn hops(&self) -> usize {
+        self.network.hops.len()
+    }
+
+    fn encode(&mut self, own: &Observation, features: &mut [f32]) {
+        let (network, observation, buffers) = (&*self.network, &mut self.observation, &mut self.buffers);
+        for (entry, field) in observation.chunks_exact_mut(2).zip(&network.manifest.observation) {
+            entry.copy_from_slice(&field.of(own).to_array());
+        }
+        let (first, later) = features.split_at_mut(network.encoder.outputs());
+        later.fill(0.0);
+        self.instructions.run(
+            #[inline(always)]
+            || network.encoder.apply(1, observation, first, buffers),
+        );
+    }
+
+    fn relay(&mut self, hop: usize, own: &Observation, features: &mut [f32], neighbours: &[Neighbour]) {
+        let (network, space) = (&*self.network, &mut self.spaces[hop - 1]);
+        let before = &network.hops[hop - 1];
+        before.reserve(space, neighbours.len());
+        let (inputs, rest) = features.split_at_mut(network.hops[hop].begins());
+        let out = &mut rest[..before.outputs()];
+        self.instructions.run(
+            #[inline(always)]
+            || before.apply(&own.motion, inputs, neighbours, space, out),
+        );
+    }
+
+    fn act(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour], stream: &mut Stream) -> Vec2 {
+        let outputs = self.outputs(own, features, neighbours);
+        let manifest = &self.network.manifest;
+        let normal = match self.draw {
+            Draw::Mean => Vec2::new(outputs[0], outputs[1]),
+            Draw::Sample => {
+                let [x, y] = random::normals(stream);
+                let drawn = |mean: f32, parameter: f32, unit: f64| mean + unit as f32 * deviation(manifest, parameter);
+                Vec2::new(drawn(outputs[0], outputs[2], x), drawn(outputs[1], outputs[3], y))
+            }
+        };
+        match manifest.distribution {
+            Distribution::DiagonalNormal => normal,
+            Distribution::TanhNormal => normal.map(|axis| manifest.limit_m_s * libm::tanhf(axis)),
+        }
+    }
+}
+
+/// Returns the standard deviation for the decoder's output `parameter`.
+fn deviation(manifest: &Manifest, parameter: f32) -> f32 {
+    match manifest.deviation {
+        Deviation::Log => libm::expf(manifest.log_std_max.map_or(parameter, |max| parameter.min(max))),
+        Deviation::BiasedSoftplus => {
+            /// Smallest standard deviation.
+            const LEAST: f32 = 0.01;
+            // softplus(shift) = 1 - LEAST, so that an output of zero gives a deviation of one.
+            let shift = libm::logf(libm::expm1f(1.0 - LEAST));
+            softplus(parameter + shift) + LEAST
+        }
+    }
+}
+
+/// Returns ln(1 + exp(x)), without overflow.
+fn softplus(x: f32) -> f32 {
+    x.max(0.0) + libm::log1pf(libm::expf(-x.abs()))
+}

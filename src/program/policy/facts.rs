@@ -1,0 +1,92 @@
+//! Properties of a policy file, and the parts of their table that are the same for both formats.
+
+use serde::Serialize;
+
+use crate::policy::Draw;
+use crate::policy::manifest::{Field, Training};
+use crate::policy::probe::Difference;
+use crate::policy::weights::Probe;
+
+/// Properties of a policy file that this program can run; printed by `policy check`.
+#[derive(Serialize)]
+pub struct Facts<'a, M> {
+    /// Name of the file, or of the built-in policy.
+    pub file: String,
+    /// First 64 bits of the file's BLAKE3 hash, in hexadecimal.
+    pub digest: &'a str,
+    /// Manifest (metadata) of the file.
+    pub manifest: &'a M,
+    /// Number of weights and biases.
+    pub parameters: usize,
+    /// Size of a latent in a message \[bytes\].
+    pub latent_bytes: usize,
+    /// Comparison with the probe; `None` if the file has none.
+    pub probe: Option<ProbeFacts>,
+    /// Warnings, each in a line.
+    pub warnings: Vec<String>,
+}
+
+/// Largest differences between the outputs of the file's networks and the correct outputs in the file (its probe).
+/// Differences from numbers above 1 are relative.
+#[derive(Serialize)]
+pub struct ProbeFacts {
+    robots: usize,
+    latent_difference: f32,
+    output_difference: f32,
+}
+
+impl ProbeFacts {
+    /// Returns the facts of the differences found.
+    pub fn of(Difference { robots, latent, output }: Difference) -> ProbeFacts {
+        ProbeFacts { robots, latent_difference: latent, output_difference: output }
+    }
+}
+
+/// Returns the table of `rows`, pairs of a name and a value, under a heading.
+pub fn lines(file: &str, rows: &[(&str, String)]) -> String {
+    let rows: Vec<String> = rows.iter().map(|(name, value)| format!("  {name:<14} {value}")).collect();
+    format!("{file}: this program can run it\n{}", rows.join("\n"))
+}
+
+/// Returns the names as a list, or that there are none.
+pub fn list(names: Vec<&str>) -> String {
+    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+}
+
+/// Returns a description of the observation.
+pub fn observation(fields: &[Field]) -> String {
+    let name = |field: &Field| match field {
+        Field::GoalMinusPosition => "goal - position [m]",
+        Field::Position => "position [m]",
+        Field::PositionPlusVelocity => "position + velocity x 1 s [m]",
+    };
+    format!("{}; policy frame", list(fields.iter().map(name).collect()))
+}
+
+/// Returns a description of how actions are drawn.
+pub fn drawn(draw: Draw) -> &'static str {
+    match draw {
+        Draw::Mean => "the mean of its distribution",
+        Draw::Sample => "sampled from its distribution",
+    }
+}
+
+/// Returns a description of the probe.
+pub fn probe<M>(facts: &Facts<M>) -> String {
+    facts.probe.as_ref().map_or("none in the file".to_owned(), |probe| {
+        format!(
+            "{} robots: latents within {:.1e}, outputs within {:.1e} (accepted: {:.0e})",
+            probe.robots,
+            probe.latent_difference,
+            probe.output_difference,
+            Probe::TOLERANCE
+        )
+    })
+}
+
+/// Returns a description of the training that made a file.
+pub fn made(training: Option<&Training>) -> String {
+    training.map_or("not stated".to_owned(), |made| {
+        format!("{}, preset {}, seed {}, {} decisions", made.program, made.preset, made.seed, made.decisions)
+    })
+}
