@@ -3,13 +3,15 @@
 * :class:`VecEnv`: many teams behind numpy buffers, with delay, loss and lag if asked for.
 * :func:`sim`: episodes of a policy in simulation, as the command ``murmurate sim`` runs them.
 * :func:`study`: studies, in one process, in several, or on a Ray cluster.
+* :func:`export`: policies of PyTorch and PyTorch Geometric as policy files.
 * :func:`train` and :func:`sweep`: trainings of the program, and many of them.
 * :mod:`murmurate.pettingzoo`, :mod:`murmurate.gymnasium`, :mod:`murmurate.torchrl`: the same environments for other tools.
 """
 
+from ._export import export
 from ._murmurate import VecEnv, __version__
 from ._sim import Results, sim
 from ._study import Study, study
 from ._train import Training, sweep, train
 
-__all__ = ["Results", "Study", "Training", "VecEnv", "__version__", "sim", "study", "sweep", "train"]
+__all__ = ["Results", "Study", "Training", "VecEnv", "__version__", "export", "sim", "study", "sweep", "train"]

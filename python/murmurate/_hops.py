@@ -1,0 +1,236 @@
+"""PyTorch modules as networks and hops of a policy file: which can be written, and the exact layers of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from torch import Tensor, nn
+
+#: Layers of a network: pairs of a weight (out, in) and a bias (out).
+Layers = "list[tuple[Tensor, Tensor]]"
+
+
+class Refused(Exception):
+    """A module that a policy file cannot hold."""
+
+    def __init__(self, argument: str, module: nn.Module | None, why: str):
+        super().__init__(f"{argument}: {'' if module is None else type(module).__name__ + ': '}{why}")
+
+
+def ACTIVATIONS() -> tuple[type, ...]:
+    """Types of the activations that a policy file can hold."""
+    from torch import nn
+
+    return (nn.ReLU, nn.Tanh, nn.ELU, nn.LeakyReLU)
+
+
+def activation_of(module: nn.Module, argument: str) -> Any:
+    """Returns an activation as the manifest names it."""
+    from torch import nn
+
+    match module:
+        case nn.ReLU():
+            return "relu"
+        case nn.Tanh():
+            return "tanh"
+        case nn.ELU() if module.alpha == 1:
+            return "elu"
+        case nn.LeakyReLU():
+            return {"leaky-relu": module.negative_slope}
+    raise Refused(argument, module, "no such activation; there are ReLU, Tanh, ELU with alpha 1 and LeakyReLU")
+
+
+def _flat(module: nn.Module) -> list[nn.Module]:
+    """Returns the modules of nested sequences, without those that do nothing after a training."""
+    from torch import nn
+
+    if isinstance(module, nn.Sequential):
+        return [part for inner in module for part in _flat(inner)]
+    return [] if isinstance(module, (nn.Identity, nn.Dropout)) else [module]
+
+
+def linear(module: nn.Linear) -> tuple[Tensor, Tensor]:
+    """Returns weight and bias of a linear layer; zeros for a bias that it does not have."""
+    bias = module.weight.new_zeros(module.weight.shape[0]) if module.bias is None else module.bias
+    return module.weight, bias
+
+
+def network_of(module: nn.Module, argument: str) -> tuple[dict[str, Any], Any]:
+    """Returns the form and the layers of a network of linear layers with one kind of activation between them."""
+    from torch import nn
+
+    parts, layers, between, after = _flat(module), [], [], None
+    for at, part in enumerate(parts):
+        if isinstance(part, nn.Linear):
+            if after is not None:
+                between.append(after)
+                after = None
+            elif layers:
+                raise Refused(argument, part, "no activation stands before it; join the two layers")
+            layers.append(linear(part))
+        elif not isinstance(part, ACTIVATIONS()):
+            raise Refused(argument, part, "it is neither Linear nor an activation (ReLU, Tanh, ELU, LeakyReLU)")
+        elif not layers or after is not None:
+            raise Refused(argument, part, "an activation that does not follow a linear layer; put it behind the one before")
+        else:
+            after = activation_of(part, argument)
+    if not layers:
+        raise Refused(argument, module, "it has no linear layer")
+    if any(one != between[0] for one in between):
+        raise Refused(argument, module, "its activations differ; a policy file has one kind in a network")
+    form: dict[str, Any] = {"widths": [layers[0][0].shape[1], *(weight.shape[0] for weight, _ in layers)]}
+    if between:
+        form["activation"] = between[0]
+    if after is not None:
+        form["output_activation"] = after
+    return form, layers
+
+
+def hop_of(conv: nn.Module, width: int, edge: int, argument: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Returns the form of a convolution as a hop, and the layers of its networks.
+
+    ``width`` is the number of floats of a robot's input, ``edge`` that of an edge's features.
+    """
+    known: dict[str, Callable[..., Any]] = {
+        "GraphConv": _graph_conv,
+        "GATv2Conv": _gatv2_conv,
+        "GINEConv": _gine_conv,
+        "TransformerConv": _transformer_conv,
+    }
+    if type(conv).__name__ not in known:
+        raise Refused(argument, conv, f"it is none of {', '.join(known)}, nor an activation")
+    return known[type(conv).__name__](conv, (width, edge), argument)
+
+
+def _refuse(argument: str, conv: nn.Module, **wrong: bool) -> None:
+    for why, is_so in wrong.items():
+        if is_so:
+            raise Refused(argument, conv, f"a policy file does not hold {why.replace('__', '=').replace('_', ' ')}")
+
+
+def _beside(*blocks: Tensor) -> Tensor:
+    """Returns one matrix for inputs that lie one after the other."""
+    import torch
+
+    return torch.cat(blocks, dim=1)
+
+
+def _aggregation(conv: nn.Module, argument: str) -> str:
+    aggregation = {"add": "sum", "sum": "sum", "mean": "mean", "max": "max"}.get(str(conv.aggr))
+    if aggregation is None:
+        raise Refused(argument, conv, f"its aggregation '{conv.aggr}' is none of add, mean and max")
+    return aggregation
+
+
+def _graph_conv(conv: Any, _: tuple[int, int], argument: str) -> Any:
+    out, width = conv.lin_root.weight.shape
+    weight, bias = linear(conv.lin_rel)
+    form = {
+        "aggregation": _aggregation(conv, argument),
+        "update": {"inputs": ["own", "messages"], "widths": [2 * width, out]},
+    }
+    return form, {"update": [(_beside(conv.lin_root.weight, weight), bias)]}
+
+
+def _edges(conv: Any, layer: Any, edge: int, argument: str) -> Any:
+    """Returns the weight of the layer for the edges' features, without columns if there are none."""
+    takes = 0 if layer is None else layer.weight.shape[1]
+    if takes != edge:
+        raise Refused(argument, conv, f"it takes {takes} features of an edge, and 'edge' has {edge}")
+    return None if layer is None else layer.weight
+
+
+def _gatv2_conv(conv: Any, size: tuple[int, int], argument: str) -> Any:
+    import torch
+
+    one_head = conv.heads == 1
+    _refuse(argument, conv, concat__False=not (conv.concat or one_head), residual__True=getattr(conv, "res", None) is not None)
+    (width, edge), heads = size, conv.heads
+    of_edge = _edges(conv, conv.lin_edge, edge, argument)
+    hidden = conv.lin_l.weight.shape[0]
+    (left, left_bias), (right, right_bias) = linear(conv.lin_l), linear(conv.lin_r)
+    first = _beside(right, left) if of_edge is None else _beside(right, left, of_edge)
+    inputs = ["own", "sender"] if of_edge is None else ["own", "sender", "edge"]
+    # The score of a head takes the values of that head only.
+    score = torch.block_diag(*conv.att[0].unsqueeze(1))
+    form: dict[str, Any] = {
+        "message": {"inputs": ["sender"], "widths": [width, hidden]},
+        "aggregation": "softmax",
+        "heads": heads,
+        "score": {
+            "inputs": inputs,
+            "widths": [2 * width + edge, hidden, heads],
+            "activation": {"leaky-relu": conv.negative_slope},
+        },
+        "update": {"inputs": ["messages"], "widths": [hidden, hidden]},
+    }
+    if conv.add_self_loops:
+        _refuse(argument, conv, other_fill_values_than_the_mean=of_edge is not None and conv.fill_value != "mean")
+        form["self_loop"] = "zero-edge" if of_edge is None else "mean-edge"
+    bias = left.new_zeros(hidden) if conv.bias is None else conv.bias
+    networks = {
+        "message": [(left, left_bias)],
+        "score": [(first, right_bias + left_bias), (score, left.new_zeros(heads))],
+        "update": [(torch.eye(hidden), bias)],
+    }
+    return form, networks
+
+
+def _gine_conv(conv: Any, size: tuple[int, int], argument: str) -> Any:
+    import torch
+
+    width, edge = size
+    update, layers = network_of(conv.nn, f"{argument}.nn")
+    of_edge = _edges(conv, conv.lin, edge, argument)
+    if of_edge is None:
+        raise Refused(argument, conv, "it needs edge_dim, the number of features of an edge")
+    message = (_beside(torch.eye(width), of_edge), linear(conv.lin)[1])
+    weight, bias = layers[0]
+    layers[0] = (_beside((1 + conv.eps) * weight, weight), bias)
+    update = {**update, "inputs": ["own", "messages"], "widths": [2 * width, *update["widths"][1:]]}
+    form = {
+        "message": {"inputs": ["sender", "edge"], "widths": [width + edge, width], "output_activation": "relu"},
+        "aggregation": _aggregation(conv, argument),
+        "update": update,
+    }
+    return form, {"message": [message], "update": layers}
+
+
+def _transformer_conv(conv: Any, size: tuple[int, int], argument: str) -> Any:
+    import torch
+
+    one_head = conv.heads == 1
+    _refuse(
+        argument,
+        conv,
+        concat__False=not (conv.concat or one_head),
+        beta__True=getattr(conv, "lin_beta", None) is not None,
+        root_weight__False=not conv.root_weight,
+    )
+    width, edge = size
+    of_edge = _edges(conv, conv.lin_edge, edge, argument)
+    hidden = conv.lin_value.weight.shape[0]
+
+    def sent(layer: Any) -> Any:
+        weight, bias = linear(layer)
+        return [(weight if of_edge is None else _beside(weight, of_edge), bias)]
+
+    inputs = {"inputs": ["sender"] if of_edge is None else ["sender", "edge"], "widths": [width + edge, hidden]}
+    skip, skip_bias = linear(conv.lin_skip)
+    form = {
+        "message": inputs,
+        "aggregation": "dot-product",
+        "heads": conv.heads,
+        "query": {"inputs": ["own"], "widths": [width, hidden]},
+        "key": inputs,
+        "update": {"inputs": ["own", "messages"], "widths": [width + hidden, hidden]},
+    }
+    networks = {
+        "message": sent(conv.lin_value),
+        "query": [linear(conv.lin_query)],
+        "key": sent(conv.lin_key),
+        "update": [(_beside(skip, torch.eye(hidden)), skip_bias)],
+    }
+    return form, networks
