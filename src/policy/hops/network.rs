@@ -189,3 +189,52 @@ fn deviation(manifest: &Manifest, parameter: f32) -> f32 {
 fn softplus(x: f32) -> f32 {
     x.max(0.0) + libm::log1pf(libm::expf(-x.abs()))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::geometry::Motion;
+    use crate::policy::hops::file;
+    use crate::random::Seed;
+
+    /// Network with these raw outputs, whatever its inputs are.
+    fn constant(distribution: &str, deviation: &str, outputs: [f32; OUTPUTS]) -> Arc<Network> {
+        let manifest = serde_json::json!({
+            "format": 2, "scenario": "passage", "observation": ["position"], "encoder": {"widths": [2, 1]},
+            "hops": [{"aggregation": "sum"}], "decoder": {"widths": [1, 4]}, "distribution": distribution,
+            "deviation": deviation, "draw": "mean", "radius_m": 2.0, "rate_hz": 20.0, "limit_m_s": 1.5,
+            "hold_s": 0.2, "sha256": ""
+        });
+        let manifest: Manifest = serde_json::from_value(manifest).expect("it is a manifest");
+        let tensors = vec![vec![(vec![1.0, 1.0], vec![0.0])], vec![(vec![0.0; 4], outputs.to_vec())]];
+        Arc::new(Network::new(file::read(&file::write(&manifest, &tensors)).expect("it is sound")))
+    }
+
+    fn action(network: &Arc<Network>, draw: Draw) -> Vec2 {
+        let own = Observation { motion: Motion::default(), goal: Vec2::zeros() };
+        Hops::new(Arc::clone(network), draw).act(&own, &[0.0], &[], &mut Seed::of_run(1).stream("draw"))
+    }
+
+    #[test]
+    fn a_tanh_normal_is_the_limit_times_the_tangent_of_its_normal() {
+        let raw = [0.5, -2.0, -0.3, 0.2];
+        for draw in [Draw::Mean, Draw::Sample] {
+            let normal = action(&constant("diagonal-normal", "log", raw), draw);
+            let squashed = action(&constant("tanh-normal", "log", raw), draw);
+            assert_eq!(squashed, normal.map(|axis| 1.5 * libm::tanhf(axis)));
+        }
+        assert_eq!(action(&constant("diagonal-normal", "log", raw), Draw::Mean), Vec2::new(0.5, -2.0));
+    }
+
+    #[test]
+    fn deviations_are_exponentials_or_a_softplus_that_is_one_at_zero() {
+        let deviation = |kind: &str, x: f32| super::deviation(constant("tanh-normal", kind, [0.0; 4]).manifest(), x);
+        assert!((deviation("log", 0.5) - 0.5f64.exp() as f32).abs() < 1e-6);
+        assert!((deviation("biased-softplus", 0.0) - 1.0).abs() < 1e-6);
+        // The formula of TorchRL, in 64 bits.
+        let formula = |x: f64| (x + 0.99f64.exp_m1().ln()).exp().ln_1p() + 0.01;
+        for x in [-3.0, 2.0, 50.0] {
+            assert!((f64::from(deviation("biased-softplus", x as f32)) - formula(x)).abs() < 1e-4, "{x}");
+        }
+    }
+}
