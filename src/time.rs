@@ -16,33 +16,33 @@ pub struct Time(u64);
 pub struct Span(u64);
 
 impl Time {
-    /// The start of the run.
+    /// Instant of the start of the run: 0 ns.
     pub const ZERO: Time = Time(0);
     /// The largest instant that the type can express, later than any that a run reaches.
     pub const MAX: Time = Time(u64::MAX);
 
-    /// The instant `ns` nanoseconds after the start of the run.
+    /// Returns the instant `ns` nanoseconds after the start of the run.
     pub const fn from_nanos(ns: u64) -> Time {
         Time(ns)
     }
 
-    /// This instant as nanoseconds since the start of the run \[ns\].
+    /// Returns this instant as nanoseconds since the start of the run \[ns\].
     pub const fn as_nanos(self) -> u64 {
         self.0
     }
 
-    /// This instant as seconds since the start of the run \[s\].
+    /// Returns this instant as seconds since the start of the run \[s\].
     pub fn as_secs(self) -> f64 {
         self.0 as f64 * 1e-9
     }
 
-    /// The duration from `earlier` to this instant; zero if `earlier` is the later one.
+    /// Returns the duration from `earlier` to this instant; zero if `earlier` is the later one.
     pub const fn since(self, earlier: Time) -> Span {
         Span(self.0.saturating_sub(earlier.0))
     }
 
-    /// The first instant strictly after this one on the grid `phase + k * period`, k = 0, 1, ... The `phase` counts
-    /// from the start of the run.
+    /// Returns the first instant strictly after this one on the grid `phase + k * period`, k = 0, 1, ... The `phase`
+    /// counts from the start of the run.
     ///
     /// # Panics
     /// If `period` is zero.
@@ -59,27 +59,27 @@ impl Span {
     /// The duration zero.
     pub const ZERO: Span = Span(0);
 
-    /// A duration of `ns` nanoseconds.
+    /// Returns a duration of `ns` nanoseconds.
     pub const fn from_nanos(ns: u64) -> Span {
         Span(ns)
     }
 
-    /// A duration of `ms` milliseconds.
+    /// Returns a duration of `ms` milliseconds.
     pub const fn from_millis(ms: u64) -> Span {
         Span(ms * 1_000_000)
     }
 
-    /// A duration of `s` seconds, to the nearest nanosecond; zero for negative or non-finite `s`.
+    /// Returns a duration of `s` seconds, to the nearest nanosecond; zero for negative or non-finite `s`.
     pub fn from_secs(s: f64) -> Span {
         if s.is_finite() && s > 0.0 { Span((s * 1e9).round() as u64) } else { Span::ZERO }
     }
 
-    /// The duration in nanoseconds \[ns\].
+    /// Returns the duration in nanoseconds \[ns\].
     pub const fn as_nanos(self) -> u64 {
         self.0
     }
 
-    /// The duration in seconds \[s\].
+    /// Returns the duration in seconds \[s\].
     pub fn as_secs(self) -> f64 {
         self.0 as f64 * 1e-9
     }

@@ -43,7 +43,7 @@ use crate::scenario::{Arena, Scenario, ScenarioError, Settings};
 use crate::time::{Span, Time};
 use crate::world::{Clamp, Physics, Placement, kinematic};
 
-/// Rough duration of an episode with its reset \[s\].
+/// Rough duration of an episode with its reset \[s\], for planning faults.
 const EPISODE_S: f64 = 10.0;
 
 /// Shortest possible duration of an episode with its reset.
@@ -121,7 +121,7 @@ pub enum Proceed {
     Stop,
 }
 
-/// Properties of a plant's robots. `Trial::check` refuses a plant that is not in the registry.
+/// Returns the properties of a plant's robots. `Trial::check` refuses a plant that is not in the registry.
 fn physics(registry: &Registry, plant: &str, scenario: &dyn Scenario) -> Physics {
     let entry = registry.plant(plant);
     entry.map_or(Physics::published as fn(&Arena) -> Physics, |entry| entry.physics)(scenario.arena())
@@ -243,7 +243,7 @@ impl Trial {
         self
     }
 
-    /// Sets the stops and limits of motion, which know lag and acceleration of the simulated robots.
+    /// Sets the stops and limits of the robots' motion, adapted to lag and acceleration of the simulated robots.
     pub fn safety(mut self, safety: Safety) -> Trial {
         self.safety = safety.simulated(&self.physics);
         self
@@ -326,8 +326,8 @@ impl Trial {
         report
     }
 
-    /// Time at which a trial is given up, whatever has crashed: every episode may take the state server's longest
-    /// times.
+    /// Returns the time at which a trial is given up, whatever has crashed: every episode may take the longest times
+    /// that the state server allows.
     fn deadline(&self) -> Time {
         let each = state_server::MUSTER_LIMIT * 2 + state_server::RESET_LIMIT + self.scenario.rules().limit;
         Time::ZERO + (each + state_server::GRACE) * (u64::from(self.layouts.len()) + 1)

@@ -1,6 +1,7 @@
-//! World and radio that all deployed columns share.
+//! World and radio of a study that all its deployed columns (every column but `sim`, the conditions of training)
+//! share.
 //!
-//! No other module of a study sets physics or links. `columns` has the differences between columns.
+//! No other module of a study sets physics or links. The module `columns` has the differences between columns.
 
 use std::sync::Arc;
 
@@ -15,7 +16,7 @@ use crate::scenario::Scenario;
 use crate::trial::Trial;
 use crate::world::{Clamp, Placement};
 
-/// World and radio of the deployed columns.
+/// World and radio of a study's deployed columns: all columns but `sim`, which has the conditions of training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Deployed {
@@ -23,25 +24,27 @@ pub struct Deployed {
     pub plant: String,
     /// Radio of every wireless link, a preset of `net::media::radio` (`docs/radio.md`).
     pub radio: String,
-    /// Conditions in place of these: the world's, and delay and loss of messages between robots instead of the radio.
+    /// Conditions from a file, such as those fitted to a recorded run: they change the physics of the plant, and
+    /// may replace the radio by a delay and loss of messages between robots. `None` for plant and radio alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fitted: Option<Conditions>,
 }
 
 impl Deployed {
-    /// Returns the world and the radio of all deployed columns.
+    /// Returns the default world and radio of all deployed columns: plant `rigid` and radio `paper`.
     pub fn shared() -> Deployed {
         Deployed { plant: "rigid".to_owned(), radio: "paper".to_owned(), fitted: None }
     }
 
-    /// Returns the same with the conditions of a file in its place.
+    /// Returns this world and radio with the conditions of a file (`fitted`). If the file names a plant, it
+    /// replaces the plant.
     pub fn with(self, conditions: Conditions) -> Deployed {
         let plant = conditions.plant.clone().unwrap_or(self.plant);
         Deployed { plant, fitted: Some(conditions), ..self }
     }
 }
 
-/// Model of the links in a column.
+/// Model of the links between robots in a column of a study.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LinkModel {
@@ -56,7 +59,9 @@ pub enum LinkModel {
     },
 }
 
-/// Returns a trial of one episode of a policy, for any column except `sim`.
+/// Returns a trial of one episode of the policy `tested` in a deployed column of a study, which is any column
+/// except `sim`. `medium` is the model of its links, `range` the communication range (`None` for that of the policy),
+/// `shared` the world and radio.
 pub fn deployed(
     mut deployment: Deployment,
     medium: LinkModel,
@@ -83,8 +88,9 @@ pub fn deployed(
     trial
 }
 
-/// Returns a trial of one episode under the conditions of training: lock step, exact placement, perfect messages, and
-/// the training world with its limit of acceleration. Panics unless the deployment has lock step and exact placement.
+/// Returns a trial of one episode of the policy `tested` under the conditions of training: lock step, exact
+/// placement, perfect messages, and the training world with its limit of acceleration. Panics unless the deployment has
+/// lock step and exact placement.
 pub fn training(deployment: Deployment, scenario: Arc<dyn Scenario>, tested: &PolicyUnderTest) -> Trial {
     assert_eq!((deployment.stepping, deployment.placement), (Stepping::Lockstep, Placement::Exact));
     let mut trial = Trial::new(deployment, scenario, tested.model.clone()).clamp(Clamp::Training);

@@ -1,12 +1,13 @@
-//! Handling of a deployed policy: how long messages are used, choice of actions, limit of commands, safety
-//! filter.
+//! Handling of a deployed policy in a study: how long messages are used, whether actions are the mean or sampled,
+//! what limits the acceleration of commands, and the safety filter.
 
 use crate::hearing::Handling;
 use crate::policy::Draw;
 use crate::safety::Safety;
 use crate::world::Clamp;
 
-/// Handling of a deployed policy.
+/// Named handling of a deployed policy in a study: use of messages, choice of actions, limit of commands, and
+/// safety.
 #[derive(Debug, PartialEq)]
 pub struct Preset {
     /// Name of the preset on the command line.
@@ -17,13 +18,13 @@ pub struct Preset {
     pub messages: Handling,
     /// Whether actions are the mean or samples of their distribution.
     pub draw: Draw,
-    /// Limit of commands in the deployed columns.
+    /// What limits the acceleration of velocity commands in the deployed columns of a study.
     pub clamp: Clamp,
-    /// Stops and limits of motion, whatever the policy's output.
+    /// Setting of the safety filter, which stops robots and limits their motion whatever the policy's output.
     pub safety: Safety,
 }
 
-/// All presets.
+/// All presets of the handling of a deployed policy.
 pub const PRESETS: [Preset; 4] = [
     Preset {
         name: "default",
@@ -63,12 +64,12 @@ pub const PRESETS: [Preset; 4] = [
     },
 ];
 
-/// Returns the preset with this name; `None` if there is none.
+/// Returns the preset of handling with this name; `None` if there is none.
 pub fn preset(name: &str) -> Option<&'static Preset> {
     PRESETS.iter().find(|preset| preset.name == name)
 }
 
-/// Returns the names of all presets, for errors.
+/// Returns the names of all presets of handling as text, for error messages.
 pub fn names() -> String {
     PRESETS.iter().map(|preset| preset.name).collect::<Vec<_>>().join(", ")
 }

@@ -1,4 +1,5 @@
-//! Studies: repeated trials of the same policies on the same layouts, in several columns of conditions.
+//! Studies: repeated trials of the same policies on the same layouts, in several columns. A column is one set of
+//! conditions, such as a deployment mode or a delay.
 //!
 //! Pure: a study lists its trials, builds each of them and aggregates the results. The program runs the trials on
 //! several threads and stores their files. [`docs/study.md`] is a guide.
@@ -30,7 +31,8 @@ use crate::scenario::Scenario;
 use crate::scenario::layout::Layouts;
 use crate::trial::Trial;
 
-/// Policy under test: a policy with one handling.
+/// Policy under test in a study: a policy with one handling (use of messages, choice of actions, limits of
+/// commands).
 #[derive(Clone)]
 pub struct PolicyUnderTest {
     /// Name of the policy in reports.
@@ -44,13 +46,13 @@ pub struct PolicyUnderTest {
 }
 
 impl PolicyUnderTest {
-    /// Returns the name in figures and tables: policy and handling.
+    /// Returns the name of the policy under test in figures and tables: policy and handling.
     pub fn name(&self) -> String {
         format!("{}, {}", self.policy, self.handling.name)
     }
 }
 
-/// Study in columns: its policies, columns of conditions, layouts and repeats.
+/// Study that runs each policy in each column (set of conditions): its policies, columns, layouts and repeats.
 #[derive(Clone)]
 pub struct Study {
     /// Name of the study: `modes`, `delay` or `range`.
@@ -63,7 +65,7 @@ pub struct Study {
     pub scenario: Arc<dyn Scenario>,
     /// Width of the scenario's bottleneck \[m\]; `None` for the scenario's default.
     pub gap_m: Option<f32>,
-    /// World and radio of all columns but that of training.
+    /// World and radio of all columns but `sim`, which has the conditions of training.
     pub conditions: conditions::Deployed,
     /// Starts and goals of the episodes of every trial.
     pub layouts: Layouts,
@@ -74,12 +76,12 @@ pub struct Study {
     pub seed: u64,
     /// Command that reproduces this study.
     pub command: String,
-    /// Identity of the program: programs with equal ones compute the same numbers. `origin::BUILD` for this crate's
-    /// program.
+    /// Digest of the program's sources: programs with equal digests compute the same numbers. It is `origin::BUILD`
+    /// for this crate's program.
     pub build: String,
 }
 
-/// One trial of a study.
+/// Names one trial of a study by its column, policy and repeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Job {
     /// Index of the trial's column.
@@ -119,13 +121,14 @@ pub struct Identity {
     pub command: String,
 }
 
-/// Fields that `difference` compares, the most informative first. The command is not compared.
+/// Names of the fields of [`Identity`] that its `difference` compares, the most informative first. The command is
+/// not compared.
 const FIELDS: [&str; 10] =
     ["study", "scenario", "seed", "repeats", "entrants", "columns", "conditions", "layouts", "version", "build"];
 
 impl Identity {
-    /// Returns the first field in which two identities differ: its name, its value in `self` and its value in `other`;
-    /// `None` if they are equal.
+    /// Returns the first field in which two identities of studies differ, except the command: its name, its value
+    /// in `self` and its value in `other`; `None` if there is none.
     pub fn difference(&self, other: &Identity) -> Option<(String, String, String)> {
         let fields = |identity: &Identity| match serde_json::to_value(identity) {
             Ok(serde_json::Value::Object(fields)) => fields,
@@ -148,7 +151,7 @@ impl Identity {
 }
 
 impl Study {
-    /// Returns all trials, ordered by column, policy and repeat.
+    /// Returns all trials of the study as jobs, ordered by column, policy and repeat.
     pub fn jobs(&self) -> Vec<Job> {
         let policies = self.policies.len();
         let of = |column| (0..policies).flat_map(move |policy| (0..self.repeats).map(move |r| (column, policy, r)));
@@ -156,7 +159,7 @@ impl Study {
         all.map(|(column, policy, repeat)| Job { column, policy, repeat }).collect()
     }
 
-    /// Builds the trial of a job.
+    /// Builds the trial of a job: its column's conditions, policy, seed, repeat and layouts.
     pub fn trial(&self, job: Job) -> Trial {
         let (column, tested) = (&self.columns[job.column], &self.policies[job.policy]);
         let mut trial = column.trial(Arc::clone(&self.scenario), tested, &self.conditions);

@@ -27,7 +27,8 @@ pub struct Origin {
 }
 
 impl Origin {
-    /// Returns the origin of a record that this program computes now.
+    /// Returns the origin of a record that this program computes for a study with this seed. `policy` is the digest
+    /// of the policy's file; `conditions` is all else on which the numbers depend, and is digested.
     pub fn here(study: &str, seed: u64, policy: &str, conditions: &impl Serialize) -> Origin {
         let conditions = serde_json::to_vec(conditions).expect("conditions are plain data");
         Origin {

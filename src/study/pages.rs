@@ -1,4 +1,4 @@
-//! Report of a study in columns: figures and HTML page.
+//! Report of a study that compares policies in columns of conditions: figures and HTML page.
 
 use super::columns::{BASELINE, Column};
 use super::conditions::Deployed;
@@ -50,7 +50,7 @@ fn names(study: &Study) -> Vec<String> {
     study.policies.iter().map(super::PolicyUnderTest::name).collect()
 }
 
-/// Returns, for each column, the results of each policy.
+/// Returns, for each column of the study, the results of each policy; `None` where there is none.
 fn by_column<'a>(study: &Study, results: &'a Results) -> Vec<Vec<Option<&'a Cell>>> {
     let of = |column: &str, policy: usize| {
         let tested = &study.policies[policy];
@@ -85,7 +85,7 @@ fn makespan_of(cell: &Cell) -> Option<Point> {
     Some(Point { value: cell.row.outcomes.makespan_median_s?, within: cell.row.outcomes.makespan_quartiles_s? })
 }
 
-/// Draws success against delay: one panel per policy, one line per loss.
+/// Draws the success rate against the delay of messages: one panel per policy, one line per loss probability.
 fn delay_sweep(study: &Study, results: &Results) -> Result<String, FigureError> {
     let mut delays: Vec<f64> = Vec::new();
     let mut losses: Vec<f64> = Vec::new();

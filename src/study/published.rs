@@ -10,9 +10,9 @@
 pub struct Published {
     /// Name of the column in the study `modes`.
     pub column: &'static str,
-    /// Success rate, 0 to 1.
+    /// Success rate, 0 to 1; `None` if the paper does not give it.
     pub success: Option<f64>,
-    /// Median makespan \[s\].
+    /// Median makespan \[s\]; `None` if the paper does not give it.
     pub makespan_s: Option<f64>,
 }
 
@@ -20,7 +20,7 @@ const fn column(column: &'static str, success: f64, makespan_s: f64) -> Publishe
     Published { column, success: Some(success), makespan_s: Some(makespan_s) }
 }
 
-/// Table I of the paper.
+/// Results in Table I of the paper, one entry for each column.
 pub const TABLE_I: [Published; 7] = [
     column("sim", 0.958, 6.3),
     column("centralized", 0.901, 9.1),
@@ -31,7 +31,7 @@ pub const TABLE_I: [Published; 7] = [
     column("onboard-adhoc-noise", 0.625, 10.7),
 ];
 
-/// Largest drop of success against simulation, from the paper's text \[percentage points\].
+/// Largest drop of the success rate from simulation to real robots, from the paper's text \[percentage points\].
 pub const LARGEST_DROP_POINTS: f64 = 36.4;
 
 /// Returns the published results of a column; without values if the column is not in the table.

@@ -12,8 +12,8 @@ use crate::report::listening::Listening;
 use crate::report::trial::{Step, TrialReport};
 use crate::scenario::Arena;
 
-/// Bin width of the position histogram \[m\], and largest number of bins of an axis. Bins are wider if there would be
-/// more.
+/// Bin width of the position histogram \[m\]. Bins are wider if an axis would have more than its largest number of
+/// bins.
 const CELL_M: f32 = 0.1;
 const MOST_BINS: usize = 80;
 /// Largest distance between robots in the histogram \[m\]; larger ones count as this one.
@@ -102,7 +102,7 @@ impl Record {
         }
     }
 
-    /// Whether this is the complete record of the trial `job` of the study.
+    /// Returns whether this is the complete record of the trial `job` of the study.
     pub fn belongs_to(&self, study: &Study, job: Job) -> bool {
         let tested = &study.policies[job.policy];
         let traces = Traces::new(study.scenario.arena());

@@ -32,7 +32,7 @@ pub struct Row {
     pub loss: Option<f64>,
     /// Mean communication range \[m\]; null if it is that of the policy, or unlimited.
     pub range_m: Option<f32>,
-    /// Share of messages between robots that arrived; null if none crosses a link.
+    /// Share of messages between robots that arrived; null if no message crosses a link.
     pub delivered: Option<f64>,
     /// Share of the arrived messages that arrived within 20 ms of publication.
     pub within_20ms: Option<f64>,
@@ -40,7 +40,8 @@ pub struct Row {
     pub within_50ms: Option<f64>,
     /// Mean number of neighbours with a usable message at a control step.
     pub neighbours: Option<f64>,
-    /// Median age of neighbours' messages at control steps, since publication \[ms\]; null if none crosses a link.
+    /// Median age of neighbours' messages at control steps, since publication \[ms\]; null if no message crosses a
+    /// link.
     pub age_p50_ms: Option<f64>,
 }
 
@@ -80,20 +81,20 @@ impl Results {
         Results { cells: pairs.filter_map(cell).collect() }
     }
 
-    /// Returns the results of one policy, by column.
+    /// Returns the results of the policy with the index `policy`, in the order of the columns.
     pub fn of_policy<'a>(&'a self, study: &'a Study, policy: usize) -> Vec<&'a Cell> {
         let tested = &study.policies[policy];
         let is = |row: &Row| row.policy == tested.policy && row.handling == tested.handling.name;
         self.cells.iter().filter(|cell| is(&cell.row)).collect()
     }
 
-    /// Returns all rows.
+    /// Returns the rows of the results table, ordered by column and then by policy.
     pub fn rows(&self) -> impl Iterator<Item = &Row> {
         self.cells.iter().map(|cell| &cell.row)
     }
 
-    /// Returns the largest drop of a policy's success rate below that of the column [`BASELINE`] \[percentage points\];
-    /// `None` without a result in that column.
+    /// Returns the largest drop of a policy's success rate from the column [`BASELINE`] to any column \[percentage
+    /// points\]; `None` without a result in the column [`BASELINE`]. `cells` are the policy's results.
     pub fn largest_drop_points(cells: &[&Cell]) -> Option<f64> {
         let baseline = cells.iter().find(|cell| cell.row.name == BASELINE)?.row.outcomes.success_rate;
         cells.iter().map(|cell| 100.0 * (baseline - cell.row.outcomes.success_rate)).reduce(f64::max)

@@ -5,11 +5,11 @@ use std::fmt::Write as _;
 use super::results::{Results, Row};
 use super::{Study, published};
 
-/// Heads of the table's columns.
+/// Heads of the columns of a study's results table.
 const HEADS: [&str; 9] =
     ["column", "success", "95 %", "paper", "makespan", "quartiles", "paper", "failures", "within 50 ms"];
 
-/// Returns the cells of a row.
+/// Returns the cells of a row of the results table, as text.
 fn cells(row: &Row) -> [String; 9] {
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
     let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".to_owned());
@@ -31,7 +31,8 @@ const PAPER: [usize; 2] = [3, 6];
 /// Heads of the table's columns with text instead of numbers.
 const WORDS: [&str; 2] = ["column", "failures"];
 
-/// Returns heads and rows of one policy's table. The paper's results are only shown in the study `modes`.
+/// Returns column heads and rows of the results table of the policy with the index `policy`. The paper's results are
+/// only shown in the study `modes`.
 pub fn of_policy(study: &Study, results: &Results, policy: usize) -> (Vec<&'static str>, Vec<Vec<String>>) {
     let compared = study.name == "modes";
     let shown = |at: &usize| compared || !PAPER.contains(at);

@@ -32,12 +32,12 @@ impl Token {
         Token(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
     }
 
-    /// Hexadecimal digits of the token, for the address of the page. They must not be logged.
+    /// Returns the hexadecimal digits of the token, for the address of the page. They must not be logged.
     pub fn digits(&self) -> &str {
         &self.0
     }
 
-    /// Whether a request's header `Authorization` carries this token as a bearer token (RFC 6750).
+    /// Returns whether a request's header `Authorization` carries this token as a bearer token (RFC 6750).
     pub fn is_borne_by(&self, authorization: &str) -> bool {
         let token = authorization.split_once(' ').filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer"));
         token.is_some_and(|(_, token)| same(token.trim().as_bytes(), self.0.as_bytes()))
@@ -51,13 +51,13 @@ impl Token {
     }
 }
 
-/// Compares two byte strings in constant time.
+/// Returns whether two byte strings are equal, in a time that does not depend on where they differ.
 fn same(one: &[u8], other: &[u8]) -> bool {
     let differences = one.iter().zip(other).fold(0, |differences, (a, b)| differences | (a ^ b));
     one.len() == other.len() && std::hint::black_box(differences) == 0
 }
 
-/// Access rules of a server.
+/// Access rules of the live page's server: which commands it accepts, and from whom.
 #[derive(Clone)]
 pub struct Access {
     /// Secret for every command except the emergency stop.

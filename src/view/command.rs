@@ -106,7 +106,7 @@ impl Command {
         }
     }
 
-    /// Permission that the command needs.
+    /// Returns the permission that the command needs.
     pub fn right(&self) -> Right {
         match self {
             Command::Stop => Right::Anyone,

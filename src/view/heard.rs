@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use crate::messages::ids::{HostId, RobotId};
 use crate::time::{Span, Time};
 
-/// Messages of one robot at one receiving host.
+/// Reception of one robot's messages at one host: last arrival, and which of the last 64 messages arrived.
 #[derive(Clone, Copy, Debug)]
 struct Arrivals {
     /// Time of the last arrival.
@@ -28,7 +28,7 @@ pub(super) struct Heard {
 }
 
 impl Heard {
-    /// Creates an empty table.
+    /// Creates reception statistics without any message, for this number of robots and hosts.
     pub fn new(robots: usize, hosts: usize) -> Heard {
         Heard { published: vec![0; robots], arrivals: vec![BTreeMap::new(); hosts] }
     }
@@ -50,8 +50,8 @@ impl Heard {
         (entry.last, entry.number) = (now, number);
     }
 
-    /// Returns the age of a robot's newest message at a host, and the share of lost messages \[%\] among the last 64;
-    /// `None` before the first arrival.
+    /// Returns the age of a robot's newest message at the host `at`, and the share of the robot's last 64 messages that
+    /// were lost on the way to it \[%\]; `None` before the first arrival.
     pub fn link(&self, now: Time, at: HostId, robot: RobotId) -> Option<(Span, u8)> {
         let entry = self.arrivals.get(usize::from(at.0))?.get(&robot)?;
         // The newest message may still be in flight, so it does not count as lost.

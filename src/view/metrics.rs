@@ -17,7 +17,7 @@ use crate::time::Span;
 /// Upper edges of the bins in the histogram of message ages \[s\].
 const EDGES_S: [f64; 11] = [0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 5.0];
 
-/// Counts of a process since its start.
+/// Metrics of a process since its start: counts of its messages and events, and a histogram of message ages.
 #[derive(Clone, Debug, Default)]
 pub struct Metrics {
     /// Names of the hosts, in the order of host ids.

@@ -13,7 +13,7 @@ const PATIENCE: Span = Span::from_millis(3000);
 /// Shortest time for which an order is repeated, so that hosts that missed it receive it.
 const AT_LEAST: Span = Span::from_millis(500);
 
-/// The order in progress, and the result of the last one.
+/// Orders that a process gives to its team for the live page: the one in progress, and the result of the last one.
 #[derive(Debug)]
 pub struct Orders {
     me: HostId,
@@ -24,13 +24,14 @@ pub struct Orders {
 }
 
 impl Orders {
-    /// Creates it without an order. `me` is this process's host id as an operator, `robots` the number of robots.
+    /// Creates the state without an order in progress. `me` is this process's host id as an operator, `robots` the
+    /// number of robots.
     pub fn new(me: HostId, robots: usize) -> Orders {
         Orders { me, robots, running: None, result: None }
     }
 
-    /// Starts an order. It replaces the order in progress, but an unconfirmed stop is replaced by nothing else; the
-    /// error says so.
+    /// Starts an order of this kind, in place of the order in progress. A stop in progress continues if a stop is given
+    /// again. Until it is confirmed, all other orders are refused with an error text.
     pub fn give(&mut self, now: Time, kind: OrderKind) -> Result<(), &'static str> {
         match &self.running {
             Some((order, OrderKind::Stop, _)) if kind != OrderKind::Stop && order.confirmed_at().is_none() => {
@@ -44,7 +45,8 @@ impl Orders {
         }
     }
 
-    /// Begins to hold a team whose present latch is `latch`, unless a stop is in progress.
+    /// Starts an order to hold the team until it is resumed, unless a stop is in progress. `latch` is the team's
+    /// present emergency stop state.
     pub fn hold(&mut self, now: Time, latch: Latch) {
         if !matches!(self.running, Some((_, OrderKind::Stop, _))) {
             let order = Order::meaning(self.me, OrderKind::Hold, self.robots, latch);
@@ -90,7 +92,7 @@ impl Orders {
         out.pop()
     }
 
-    /// Whether an order is in progress.
+    /// Returns whether an order is in progress.
     pub fn is_running(&self) -> bool {
         self.running.is_some()
     }

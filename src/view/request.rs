@@ -19,7 +19,7 @@ pub const HEADER_TIME: Duration = Duration::from_secs(5);
 /// Time without a sign of life of the thread that drives the team after which the program counts as unhealthy.
 const HEALTHY: Duration = Duration::from_secs(3);
 
-/// WebSocket subprotocol of the page.
+/// Name of the WebSocket subprotocol of the live page.
 const PROTOCOL: &str = "murmurate";
 
 /// Headers of every response. They forbid caching, content sniffing, embedding in other pages and loading from
@@ -32,7 +32,7 @@ const SECURITY: &str = "Cache-Control: no-store\r\n\
     Content-Security-Policy: default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
     frame-ancestors 'none'; base-uri 'none'; form-action 'none'\r\n";
 
-/// Files of the page: path, media type, content.
+/// Files of the live page: path, media type, content.
 const FILES: [(&str, &str, &str); 3] = [
     ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
     ("/page.css", "text/css; charset=utf-8", include_str!("page/page.css")),
@@ -163,7 +163,7 @@ impl Request<'_> {
         std::str::from_utf8(first.value).ok().map(str::trim)
     }
 
-    /// Whether a header's list contains this word.
+    /// Returns whether the comma-separated list in the header `name` contains this word.
     fn lists(&self, name: &str, word: &str) -> bool {
         self.header(name).is_some_and(|all| all.split(',').any(|one| one.trim().eq_ignore_ascii_case(word)))
     }

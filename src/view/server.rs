@@ -29,13 +29,14 @@ const WRITE_TIME: Duration = Duration::from_secs(5);
 /// Longest time that the closing server waits for connections to send the last status.
 const CLOSING: Duration = Duration::from_millis(500);
 
-/// Running server of a page.
+/// Running HTTP server of the live page.
 pub struct Server {
     shared: Arc<Shared>,
     address: SocketAddr,
 }
 
-/// End of a server that the thread that drives or watches the team uses. Only `wait` blocks.
+/// Interface of the live page's server for the thread that drives or watches the team: publishes snapshots and states,
+/// and takes commands. Only `wait` blocks.
 pub struct Publisher {
     shared: Arc<Shared>,
     commands: Receiver<Command>,
@@ -69,17 +70,17 @@ impl Server {
         Ok((server, Publisher { shared, commands }))
     }
 
-    /// Address at which the server listens.
+    /// Returns the address at which the server listens.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Current number of connections.
+    /// Returns the current number of connections.
     pub fn connections(&self) -> usize {
         self.shared.connections.load(Ordering::Relaxed)
     }
 
-    /// Number of refused requests and commands.
+    /// Returns the number of refused requests and commands so far.
     pub fn refused(&self) -> u64 {
         self.shared.refused.load(Ordering::Relaxed)
     }
@@ -103,29 +104,34 @@ impl Publisher {
         self.shared.snapshot.offer(bytes.into())
     }
 
-    /// Publishes the newest goals as JSON. Returns `false` as [`Publisher::snapshot`] does.
+    /// Publishes the robots' newest goals as JSON. Returns `false`, without waiting, if a page is reading at this
+    /// moment.
     pub fn goals(&self, json: String) -> bool {
         self.shared.goals.offer(json.into())
     }
 
-    /// Publishes the newest status as JSON. Returns `false` as [`Publisher::snapshot`] does.
+    /// Publishes the team's newest status as JSON. Returns `false`, without waiting, if a page is reading at this
+    /// moment.
     pub fn status(&self, json: String) -> bool {
         self.shared.note_news();
         self.shared.status.offer(json.into())
     }
 
-    /// Leaves the newest text of the metrics; `false` as for snapshots.
+    /// Publishes the newest text of the metrics. Returns `false`, without waiting, if a reader has it locked at this
+    /// moment.
     pub fn metrics(&self, text: String) -> bool {
         self.shared.note_news();
         self.shared.metrics.offer(text)
     }
 
-    /// Returns the next command without waiting; a stop comes before all others.
+    /// Returns the next command of a browser without waiting, an emergency stop before all others; `None` if there is
+    /// none.
     pub fn command(&self) -> Option<Command> {
         self.stop().or_else(|| std::iter::from_fn(|| self.commands.try_recv().ok()).find(is_queued))
     }
 
-    /// Waits for the next command for at most `limit`. For a simulation at real-time pace, which waits anyway.
+    /// Waits at most `limit` for the next command of a browser and returns it; `None` if there is none. For a
+    /// simulation at real-time pace, which waits anyway.
     pub fn wait(&self, limit: Duration) -> Option<Command> {
         let command = match self.command() {
             None => self.commands.recv_timeout(limit).ok()?,
@@ -139,13 +145,13 @@ impl Publisher {
     }
 }
 
-/// Whether a queued command is to be executed. A queued stop is not: it only wakes the waiting thread, and its flag
-/// counts.
+/// Returns whether a command from the queue is to be executed. A queued emergency stop is not: it only wakes the
+/// waiting thread, and is executed because of a separate flag.
 fn is_queued(command: &Command) -> bool {
     *command != Command::Stop
 }
 
-/// Loop of the accepting thread, until the server closes.
+/// Accepts connections in a loop, each served by a thread of its own, until the server closes.
 fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
     for stream in listener.incoming() {
         if shared.closing.load(Ordering::Acquire) {
@@ -167,7 +173,7 @@ fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
     }
 }
 
-/// Refuses a connection beyond the limit, without waiting for the client.
+/// Refuses a connection beyond the limit of connections, without waiting for the client.
 fn turn_away(mut stream: TcpStream, shared: &Shared) {
     shared.refuse();
     if stream.set_nonblocking(true).is_ok() {
@@ -175,7 +181,7 @@ fn turn_away(mut stream: TcpStream, shared: &Shared) {
     }
 }
 
-/// Guard value that counts a connection until it is dropped.
+/// Counts a connection of the server until it is dropped.
 struct Taken(Arc<Shared>);
 
 impl Drop for Taken {

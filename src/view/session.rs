@@ -1,4 +1,5 @@
-//! One WebSocket connection of a page: snapshots, or states and commands. One thread reads and writes it.
+//! One WebSocket connection of the live page: sends snapshots, or sends states and receives commands. One thread reads
+//! and writes it.
 
 use std::io;
 use std::net::TcpStream;
@@ -13,7 +14,7 @@ use super::command::{Command, MAX_BYTES};
 use super::request::Socket;
 use super::shared::{LOOK, Shared};
 
-/// A quarter of the interval after which a ping checks an otherwise idle connection.
+/// A quarter of the time after which a ping checks a WebSocket connection on which no status was sent.
 const REPEAT: Duration = Duration::from_millis(500);
 /// Largest number of client messages that are handled before something is sent again.
 const AT_ONCE: usize = 8;
@@ -33,7 +34,7 @@ pub(super) fn run(stream: TcpStream, rest: Vec<u8>, socket: Socket, shared: &Sha
     let _ = socket_.flush();
 }
 
-/// State of one connection.
+/// State of one WebSocket connection of the live page.
 struct Session {
     /// Version numbers of the snapshot, goals and status that were sent last.
     seen: [u64; 3],
@@ -78,7 +79,7 @@ impl Session {
         }
     }
 
-    /// Sends refusals, and goals and status if they have changed.
+    /// Sends the refusals of the client's commands, and goals and status if they have changed.
     fn tell(&mut self, client: &mut Client, holder: bool, shared: &Shared) -> tungstenite::Result<()> {
         for answer in self.answers.drain(..) {
             client.send(Message::text(answer))?;
@@ -100,7 +101,7 @@ impl Session {
         Ok(())
     }
 
-    /// Handles one message of the client.
+    /// Handles one message of the client: queues its command, or refuses it.
     fn take(&mut self, message: &Message, socket: Socket, shared: &Shared) -> tungstenite::Result<()> {
         let holder = match (message, socket) {
             (Message::Close(_), _) => return Err(tungstenite::Error::ConnectionClosed),
@@ -133,7 +134,7 @@ impl Session {
     }
 }
 
-/// Whether a read error only means that no data has arrived.
+/// Returns whether a read error only means that no data has arrived.
 fn is_nothing(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut)
 }

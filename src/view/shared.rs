@@ -1,4 +1,4 @@
-//! State shared by the threads of a server: the newest values for pages, and the queue of commands.
+//! State shared by the threads of the live page's server: the newest values for browsers, and the queue of commands.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::SyncSender;
@@ -36,7 +36,7 @@ impl<T: Clone> Slot<T> {
         true
     }
 
-    /// Returns the newest value.
+    /// Returns a copy of the newest value.
     pub fn get(&self) -> T {
         self.value.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -52,7 +52,7 @@ impl<T: Clone> Slot<T> {
     }
 }
 
-/// State shared by all threads of a server.
+/// State shared by all threads of the live page's server.
 pub(super) struct Shared {
     pub access: Access,
     pub scene: Utf8Bytes,
@@ -78,7 +78,7 @@ impl Shared {
         self.news_ms.store(self.began.elapsed().as_millis() as u64, Ordering::Relaxed);
     }
 
-    /// Time since the last sign of life of the thread that drives the team.
+    /// Returns the time since the last sign of life of the thread that drives the team.
     pub fn silent_for(&self) -> Duration {
         self.began.elapsed().saturating_sub(Duration::from_millis(self.news_ms.load(Ordering::Relaxed)))
     }

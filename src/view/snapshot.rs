@@ -11,13 +11,13 @@ use crate::messages::geometry::Vec2;
 use crate::messages::wire::Phase;
 use crate::time::{Span, Time};
 
-/// Version of the encoding.
+/// Version of the binary encoding of snapshots.
 pub const VERSION: u8 = 1;
-/// Length of the header \[bytes\].
+/// Length of the header of an encoded snapshot \[bytes\].
 pub const HEADER_BYTES: usize = 16;
-/// Length of one robot's entry \[bytes\].
+/// Length of one robot's entry in an encoded snapshot \[bytes\].
 pub const ROBOT_BYTES: usize = 9;
-/// Length of one link's entry \[bytes\].
+/// Length of one link's entry in an encoded snapshot \[bytes\].
 pub const LINK_BYTES: usize = 6;
 /// Largest number of links in a snapshot: 36 kB, or 360 kB/s at ten snapshots a second.
 pub const MAX_LINKS: usize = 6000;
@@ -116,7 +116,7 @@ impl Snapshot {
     }
 }
 
-/// Rounds a number and limits it to the encoded range.
+/// Rounds a coordinate in encoded units to an integer, limited to the encoded range.
 fn step(number: f32) -> i16 {
     number.round().clamp(-STEPS, STEPS) as i16
 }

@@ -11,7 +11,7 @@ pub const LOG_LINES: usize = 40;
 /// Longest log line \[characters\].
 const LINE: usize = 300;
 
-/// Properties of a run that do not change.
+/// Properties of a run that do not change, which the live page gets first: scenario, ground, robots and links.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Scene {
     /// Name of the scenario.
@@ -71,7 +71,7 @@ pub enum MarkKind {
     Guard,
 }
 
-/// Mark on the timeline.
+/// Mark on the timeline of a record: an event with its time, kind and description.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Mark {
     /// Time of the event since the start of the record \[s\].
@@ -178,7 +178,8 @@ pub struct Status {
     pub success: Option<Success>,
     /// Number of times that control ticks became late, by robot, where it is known.
     pub late: Vec<(u16, u64)>,
-    /// Age of the oldest link of a robot \[ms\], as its host reports it, where links themselves are not known.
+    /// By robot: age of its oldest link to a neighbour \[ms\], as its host reports it. Used if this process does not
+    /// know the links themselves.
     pub link: Vec<(u16, u32)>,
     /// Last reason why a robot's guard has stopped or slowed it, by robot.
     pub guard: Vec<(u16, &'static str)>,
@@ -220,18 +221,18 @@ impl Log {
         }
     }
 
-    /// Number of lines added since the start of the run.
+    /// Returns the number of lines added to the log since the start of the run.
     pub fn count(&self) -> u64 {
         self.count
     }
 
-    /// The newest lines: number, time of the run \[s\], text.
+    /// Returns the newest lines of the log: number of the line, time of the run \[s\], text.
     pub fn lines(&self) -> &VecDeque<(u64, f64, String)> {
         &self.lines
     }
 }
 
-/// Encodes a message with its kind.
+/// Encodes a message to the page as JSON, with the name of its kind.
 fn message(kind: &str, body: &impl Serialize) -> String {
     serde_json::json!({ "kind": kind, "body": body }).to_string()
 }

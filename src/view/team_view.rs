@@ -24,7 +24,7 @@ const HEADING_AGE: Span = Span::from_millis(1000);
 /// Time without a message of a robot after which the log calls it silent.
 const SILENT: Span = Span::from_millis(1500);
 
-/// Known state of one robot.
+/// State of one robot as known from received messages.
 #[derive(Clone, Debug, Default)]
 struct RobotView {
     position: Option<Vec2>,
@@ -43,7 +43,7 @@ struct RobotView {
     oldest_link: Option<(Time, Span)>,
     safety: SafetyCounts,
     guard: Option<Trigger>,
-    /// Whether counts of the guard are known.
+    /// Whether counts of the robot's guard, or a telemetry report of it, were received.
     guarded: bool,
     /// Number of times that the guard has acted, from telemetry.
     acted: u16,
@@ -96,7 +96,7 @@ impl TeamView {
         }
     }
 
-    /// Properties of the run that do not change.
+    /// Returns the properties of the run that do not change.
     pub fn scene(&self) -> &Scene {
         &self.scene
     }
@@ -198,7 +198,7 @@ impl TeamView {
         }
     }
 
-    /// Updates the view from the true states of simulated robots.
+    /// Updates the view from the true states of the simulated robots.
     pub fn see(&mut self, truth: &Truth) {
         for sample in truth.samples.iter() {
             self.robot(sample.robot, |robot| {
@@ -233,8 +233,8 @@ impl TeamView {
         }
     }
 
-    /// Updates what is known of a robot's guard from telemetry. The triggers between two messages are not known, but
-    /// the last one is.
+    /// Updates what is known of a robot's guard from a telemetry report. Of the guard's actions between two reports
+    /// only the last cause is known.
     fn reported(&mut self, now: Time, id: RobotId, report: GuardReport) {
         let Some(robot) = self.robots.get_mut(id.index()) else { return };
         let news = report.last.filter(|_| robot.guarded && report.acted != robot.acted);
@@ -253,41 +253,41 @@ impl TeamView {
         self.log.add(now.as_secs(), line);
     }
 
-    /// Counts of the robots' guards, each with its robot, in the order of robot ids.
+    /// Returns how often each robot's guard has stopped or slowed it, by cause, in the order of robot ids.
     pub fn safety(&self) -> impl Iterator<Item = (RobotId, SafetyCounts)> {
         self.robots.iter().enumerate().map(|(at, robot)| (RobotId(at as u16), robot.safety))
     }
 
-    /// Number of episodes by verdict.
+    /// Returns the number of episodes with each verdict.
     pub fn verdicts(&self) -> &BTreeMap<String, u32> {
         &self.verdicts
     }
 
-    /// Number of lines added to the log so far.
+    /// Returns the number of lines added to the log so far.
     pub fn log_count(&self) -> u64 {
         self.log.count()
     }
 
-    /// Newest line of the log; empty if there is none.
+    /// Returns the newest line of the log; empty if there is none.
     pub fn last_line(&self) -> String {
         self.log.lines().back().map_or_else(String::new, |(.., line)| line.clone())
     }
 
-    /// Newest state of the emergency stop that the state server or a robot has reported.
+    /// Returns the newest state of the emergency stop that the state server or a robot has reported.
     pub fn latch(&self) -> Latch {
         let latches = self.robots.iter().filter_map(|robot| robot.controller);
         let known = self.leader.map(|(.., latch)| latch).or_else(|| latches.clone().min()).unwrap_or_default();
         latch::latest(known, latches)
     }
 
-    /// Phase of the current episode and its number, from 0; `None` before an instruction of the state server was
-    /// received.
+    /// Returns the phase of the current episode and its number, from 0; `None` before an instruction of the state
+    /// server was received.
     pub fn phase(&self) -> Option<(Phase, u32)> {
         self.leader.map(|(phase, episode, _)| (phase, episode))
     }
 
-    /// Number of robots that follow the team's emergency stop state. For a stop, both Controller and Body must follow
-    /// it.
+    /// Returns the number of robots that follow the team's emergency stop state. For a stop, both Controller and Body
+    /// must follow it.
     pub fn confirmed(&self) -> usize {
         let latch = self.latch();
         let follows = |own: Latch| own.word() == latch.word();

@@ -11,10 +11,10 @@ use crate::safety::guard::SafetyCounts;
 use crate::scenario::judge::Verdict;
 use crate::time::{Span, Time};
 
-/// Number of states stored between the start and the end of a record. A jump starts from the last stored state before
-/// its target.
+/// Number of states of the team that a timeline stores between start and end of a record. To jump to a time, events are
+/// applied to the last stored state before it.
 const PICTURES: u64 = 64;
-/// Largest number of marks of one kind; later ones are left out.
+/// Largest number of marks of one kind on the timeline of a record; later ones are left out.
 const MARKS: usize = 400;
 
 /// Event of a run that changes the state of the team on the page.
@@ -58,8 +58,8 @@ impl TeamView {
 }
 
 impl Timeline {
-    /// Makes the timeline of these events. `view` is the state before the first one. Events at equal times keep their
-    /// order.
+    /// Makes the timeline of a record from its events with their times. `view` is the state of the team before the
+    /// first event. Events at equal times keep their order.
     pub fn new(view: TeamView, mut sights: Vec<(Time, Sight)>) -> Timeline {
         sights.sort_by_key(|(at, _)| *at);
         let end = sights.last().map_or(Time::ZERO, |(at, _)| *at);
@@ -93,17 +93,17 @@ impl Timeline {
         timeline
     }
 
-    /// Time of the last event.
+    /// Returns the time of the last event of the record.
     pub fn end(&self) -> Time {
         self.sights.last().map_or(Time::ZERO, |(at, _)| *at)
     }
 
-    /// The marks, in the order of time.
+    /// Returns the marks of the record's timeline, in the order of time.
     pub fn marks(&self) -> &[Mark] {
         &self.marks
     }
 
-    /// Returns the state at a time, and the number of events up to it.
+    /// Returns the state of the team at a time of the record, and the number of events up to it.
     pub fn picture(&self, at: Time) -> (TeamView, usize) {
         let wanted = self.sights.partition_point(|(time, _)| *time <= at);
         let before = self.pictures.partition_point(|(taken, _)| *taken <= wanted) - 1;
@@ -112,7 +112,8 @@ impl Timeline {
         (view, taken)
     }
 
-    /// Advances a state to a later time. `taken` is the number of events in the state, and is updated.
+    /// Advances the state of the team, `view`, to the later time `to`. `taken` is the number of the record's events
+    /// that the state contains, and is updated.
     pub fn advance(&self, view: &mut TeamView, taken: &mut usize, to: Time) {
         while let Some((at, sight)) = self.sights.get(*taken).filter(|(at, _)| *at <= to) {
             view.take(*at, sight);

@@ -20,7 +20,8 @@ pub enum Clamp {
 /// acceleration, which is limited and divided by the gain again. So a command is within 0.25 m/s of the measured
 /// velocity.
 const DEPLOYED_GAIN_PER_S: f32 = 4.0;
-/// Acceleration limit of the same \[m/s^2\].
+/// Acceleration along each axis to which the published robots' limit ([`Clamp::Deployed`]) restricts commands
+/// \[m/s^2\].
 const DEPLOYED_ACCELERATION_M_S2: f32 = 1.0;
 
 impl Clamp {

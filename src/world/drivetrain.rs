@@ -7,7 +7,7 @@ use crate::messages::geometry::Vec2;
 use crate::random::Stream;
 use crate::time::Span;
 
-/// The drivetrain state of one robot.
+/// State of the simulated drivetrain of one holonomic robot: its commanded velocity and its wheel slip.
 #[derive(Debug)]
 pub(super) struct Drivetrain {
     /// Commanded velocity \[m/s\].
@@ -17,7 +17,7 @@ pub(super) struct Drivetrain {
     stream: Stream,
 }
 
-/// Parameters of one step, shared by all drivetrains of a world.
+/// Parameters of one step of the drivetrain model, shared by all drivetrains of a world.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct StepParameters {
     top_speed_m_s: f32,
@@ -70,7 +70,7 @@ impl Drivetrain {
     }
 }
 
-/// Returns the vector, shortened to `length` if it is longer.
+/// Returns the vector, scaled down to the length `length` if it is longer.
 fn limit_norm(vector: Vec2, length: f32) -> Vec2 {
     let norm = vector.norm();
     if norm > length { vector * (length / norm) } else { vector }

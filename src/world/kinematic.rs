@@ -99,8 +99,8 @@ pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team
     }
 }
 
-/// Replaces mean velocities over the step by those at its end, which are those of the wheels unless something was in
-/// the way.
+/// Replaces each robot's mean velocity over the step by that at its end, which is that of its wheels unless it was
+/// blocked.
 fn end_motions(team: &mut Team) {
     for (robot, wheels) in team.wheels.iter().enumerate() {
         let (before, now) = (team.before[robot], team.position[robot]);
@@ -118,7 +118,8 @@ fn move_robot(robot: usize, candidate: Vec2, touches: bool, blocks: bool, team: 
     }
 }
 
-/// Moves all robots in the order of their ids, each checked against all others; those before it have already moved.
+/// Moves all robots in the order of their ids. Each is checked for contact with all others, of which those with lower
+/// ids have already moved.
 #[inline(always)]
 fn move_with_all_pairs(distance: f32, blocks: bool, team: &mut Team) {
     for robot in 0..team.position.len() {
@@ -156,9 +157,9 @@ fn limited(axis: f32, max: f32) -> f32 {
     if axis > max { max } else { axis }
 }
 
-/// An index that no list has.
+/// Index that no list has, used where no element is to be excluded.
 const NO_INDEX: usize = usize::MAX;
-/// Factor on a distance that exceeds all rounding errors.
+/// Factor by which a search distance is enlarged, so that rounding errors cannot exclude a robot.
 const ROUNDING_MARGIN: f32 = 1.01;
 
 /// Whether any offset except the one at index `own` is at most `distance` long. Squares are compared first, because the
@@ -187,7 +188,7 @@ pub struct Kinematic {
     commands: Vec<Vec2>,
     /// Robots that are moved from outside, with their states; none in most worlds.
     carried: BTreeMap<usize, Motion>,
-    /// By robot; empty if all are holonomic without limits of their own.
+    /// Chassis and heading of each robot; empty if all are holonomic without limits of their own.
     wheels: Vec<Wheels>,
     states: Vec<PlantState>,
 }

@@ -72,7 +72,7 @@ impl Sensor {
     }
 }
 
-/// Two numbers of the standard normal distribution.
+/// Draws two independent numbers of the standard normal distribution.
 pub(super) fn standard_normals(stream: &mut Stream) -> Vec2 {
     let [x, y] = random::normals(stream);
     Vec2::new(x as f32, y as f32)

@@ -10,7 +10,8 @@
 use crate::chassis::{Chassis, DriveKind};
 use crate::messages::geometry::{Motion, Vec2, wrapped};
 
-/// Speed of the commanded point below which a robot stands \[m/s\]: its square is far from the smallest f32.
+/// Speed of the commanded point below which a robot counts as standing still \[m/s\]. Its square is far above the
+/// smallest f32.
 const STANDS_M_S: f32 = 1e-6;
 
 /// Chassis, heading, yaw rate and velocity of one simulated robot, which turn velocities of its commanded point into
@@ -103,7 +104,8 @@ impl Wheels {
         point - (ahead - self.chassis.ahead(before)) / step_s
     }
 
-    /// Heading after a step in which the commanded point moves at this velocity \[m/s\].
+    /// Returns the heading \[rad\] after a step of `step_s` \[s\] in which the commanded point moves at the velocity
+    /// `point` \[m/s\], world frame.
     fn trailed(&self, point: Vec2, step_s: f32) -> f32 {
         let speed = point.norm();
         if speed < STANDS_M_S {

@@ -8,7 +8,7 @@ use crate::config::ConfigError;
 use crate::messages::wire::MAX_FEATURES;
 use crate::net::media::radio::Topology;
 
-/// Addressing of a message.
+/// Addressing of messages in a network study: to each receiver, or to all at once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Addressing {
@@ -57,7 +57,7 @@ pub enum NetworkKind {
     Shaped,
 }
 
-/// Samples that an RTPS writer keeps for retransmission.
+/// History of an RTPS writer: the samples that it keeps for retransmission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum History {
@@ -67,7 +67,7 @@ pub enum History {
     All,
 }
 
-/// Source of a case's outcome.
+/// Source of the outcome of a network study's case: emulation or measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Source {
@@ -128,15 +128,16 @@ pub struct Sweep {
     pub seed: u64,
 }
 
-/// Payload of a message without features \[bytes\].
+/// Payload of a network study's message without features \[bytes\].
 pub const FIXED_BYTES: usize = 24;
-/// Default message rates of a sweep \[1/s\]; 60 and 200 are those of the paper's figures.
+/// Default message rates of a network study, of all stations together \[1/s\]; 60 and 200 are those of the paper's
+/// figures.
 pub const RATES: [f64; 8] = [10.0, 20.0, 60.0, 100.0, 200.0, 300.0, 400.0, 500.0];
-/// Default retry limits of a sweep.
+/// Default retry limits (802.11) of a network study.
 pub const RETRIES: [u32; 4] = [1, 3, 5, 7];
 
 impl Sweep {
-    /// Returns the sweep over all default values on this medium.
+    /// Returns the network study over all default values of its parameters on this medium.
     pub fn whole(medium: Medium) -> Sweep {
         let networks = match &medium {
             Medium::Radio(_) => vec![NetworkKind::Infrastructure, NetworkKind::AdHoc],
@@ -203,7 +204,8 @@ impl Sweep {
         Ok(())
     }
 
-    /// Returns all cases, ordered by combination and then by rate.
+    /// Returns all cases of the study, ordered by the combination of their other parameters, and then by message
+    /// rate.
     pub fn cases(&self) -> Vec<Case> {
         let mut cases = Vec::new();
         for &network in &self.networks {
@@ -228,7 +230,7 @@ impl Sweep {
         }
     }
 
-    /// Returns the medium with the topology and the retry limit of a case.
+    /// Returns the study's medium with the topology (access point or one hop) and the retry limit of a case.
     pub fn medium_of(&self, case: &Case) -> Medium {
         let mut medium = self.medium.clone();
         if let Medium::Radio(radio) = &mut medium {
@@ -270,7 +272,7 @@ impl std::fmt::Display for History {
 }
 
 impl Case {
-    /// Returns all parameters except the rate as text.
+    /// Returns all parameters of the case except the message rate as text.
     pub fn combination(&self) -> String {
         let Case { network, addressing, reliability, retries, .. } = self;
         match addressing {

@@ -1,4 +1,4 @@
-//! Delay and loss of a team's latents on a medium, as conditions for a training.
+//! Delay and loss of a team's latents on a medium of a network study, to train a policy under these conditions.
 
 use super::case::{Addressing, Case, NetworkKind, ReliabilityMode, Sweep};
 use super::emulate;
@@ -9,8 +9,9 @@ use crate::train::config::Conditions;
 /// Latents that a robot sends \[1/s\]: one for each decision.
 const RATE: f64 = 20.0;
 
-/// Sets delay and loss of a training to those of a team's latents on the medium, by best-effort multicast. The delay
-/// range is from the 10 % to the 90 % quantile. If no message arrives, returns `None` and changes nothing.
+/// Sets the message delay and loss in the training conditions to those that an emulation finds for the latents of
+/// `robots` robots on the medium, sent by best-effort multicast. The delay range is from the 10 % to the 90 % quantile.
+/// If no message arrives, returns `None` and changes nothing.
 pub fn apply(medium: &Medium, robots: usize, conditions: &mut Conditions) -> Option<()> {
     let stations = u16::try_from(robots.clamp(2, 200)).expect("it is at most 200");
     let network = match medium {

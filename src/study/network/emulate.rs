@@ -16,7 +16,8 @@ pub fn seed(seed: u64, case: &Case) -> Seed {
     Seed::of_run(seed).child(&format!("network/{}", case.rate))
 }
 
-/// Emulates a case. Calls `proceed` every 4096 events, and returns `None` if it returns `false`.
+/// Emulates a case of a network study and returns its outcome. Calls `proceed` every 4096 events, and returns
+/// `None` as soon as that returns `false`.
 pub fn run(sweep: &Sweep, case: &Case, proceed: &dyn Fn() -> bool) -> Option<Outcome> {
     let seed = seed(sweep.seed, case);
     match case.reliability {
@@ -38,14 +39,15 @@ struct Emulation<E: Endpoint> {
     medium: MediumEmulator<E::Packet>,
     endpoints: Vec<E>,
     schedules: Vec<Schedule>,
-    /// Time of each station's next control step.
+    /// Time of each station's next control step, by the index of the station.
     steps: Vec<Time>,
     everyone: Destination,
     tally: Tally,
     end: Time,
 }
 
-/// Kind of the next event; the order of the variants decides between simultaneous events.
+/// Kind of the next event of the emulation; the order of the variants decides which of simultaneous events is
+/// first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Due {
     Medium,
@@ -123,7 +125,7 @@ impl<E: Endpoint> Emulation<E> {
         Some(self.tally.outcome())
     }
 
-    /// Returns the next event.
+    /// Returns the time and the kind of the next event of the emulation.
     fn next(&self) -> (Time, Due) {
         let wakes =
             (0..self.stations).zip(&self.endpoints).filter_map(|(at, end)| Some((end.wake_at()?, Due::Wake(at))));
@@ -134,7 +136,7 @@ impl<E: Endpoint> Emulation<E> {
         wakes.chain(publications).chain(steps).chain(medium).min().expect("stations go on speaking")
     }
 
-    /// Executes the outputs of a station: deliveries and transmissions.
+    /// Executes the outputs of a station's protocol: counts delivered messages, and queues datagrams on the medium.
     fn act(
         medium: &mut MediumEmulator<E::Packet>,
         tally: &mut Tally,

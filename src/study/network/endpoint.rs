@@ -9,10 +9,10 @@ pub const DRAIN: Span = Span::from_millis(2000);
 /// Control period of robots: 20 Hz, as in the paper.
 pub const STEP: Span = Span::from_millis(50);
 
-/// Value for the age at a control step if no message was received yet.
+/// Value that is counted as the age of another station's newest message if none was received yet.
 pub const NEVER: Span = Span::from_millis(1_000_000);
 
-/// Output of a station's protocol.
+/// Output of a station's protocol in a network study: a datagram to send, or a message for the application.
 #[derive(Clone, Debug)]
 pub enum Output<P> {
     /// Datagram to send.
@@ -24,7 +24,7 @@ pub enum Output<P> {
         /// Content of the datagram.
         packet: P,
     },
-    /// New message for the application.
+    /// New message of another station, delivered to the application.
     Deliver {
         /// Station that published the message.
         from: u16,
@@ -33,16 +33,18 @@ pub enum Output<P> {
     },
 }
 
-/// Protocol at one station of a network study.
+/// Protocol at one station of a network study, such as the link layer or RTPS: turns publications, datagrams and
+/// timers into outputs.
 pub trait Endpoint {
     /// Content of a datagram.
     type Packet: Clone;
-    /// Publishes the station's message with this sequence number.
+    /// Publishes the station's message with this sequence number: appends the datagrams to send to `out`.
     fn publish(&mut self, now: Time, sequence: u32, out: &mut Vec<Output<Self::Packet>>);
-    /// Handles a received datagram.
+    /// Handles a received datagram: appends delivered messages and replies to `out`.
     fn receive(&mut self, now: Time, packet: &Self::Packet, out: &mut Vec<Output<Self::Packet>>);
     /// Returns the time at which `wake` has to be called next; `None` if nothing is due.
     fn wake_at(&self) -> Option<Time>;
-    /// Handles timers that have expired at `now`.
+    /// Handles the protocol's timers that have expired at `now`, such as those of retransmissions: appends outputs
+    /// to `out`.
     fn wake(&mut self, now: Time, out: &mut Vec<Output<Self::Packet>>);
 }

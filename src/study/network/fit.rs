@@ -24,7 +24,7 @@ pub struct Observed {
     retries: u32,
     network: NetworkKind,
     rate: f64,
-    /// Duration of the case \[s\]; `None` for that of the sweep.
+    /// Duration of the case's measurement \[s\]; `None` for the duration in the sweep.
     #[serde(default)]
     seconds: Option<f64>,
     #[serde(default)]
@@ -39,52 +39,57 @@ pub struct Observed {
     p90_ms: Option<f64>,
 }
 
-/// Result of a fit.
+/// Result of a fit of a radio's parameters to rows of a network study.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fitted {
     /// Radio with the fitted parameters.
     pub radio: Radio,
-    /// Root mean square of the residuals of all shares.
+    /// Root mean square of the residuals of all shares of deliveries (delivered, within 20 ms, within 50 ms).
     pub shares: f64,
-    /// Root mean square of the residuals of the logarithms of all delays.
+    /// Root mean square of the residuals of the logarithms of all delays (median and 90 % quantile).
     pub delays: f64,
-    /// Other rates that fit almost as well, which the rows do not distinguish from the fitted one.
+    /// Other data rates of the radio that fit almost as well as the fitted one; the rows do not distinguish them.
     pub alternatives: Vec<Rate>,
     /// Each observed row, with the emulated row at the fitted parameters.
     pub rows: Vec<(Observed, Row)>,
 }
 
-/// Function that runs cases, in any order and on any number of threads. Its results are `None` for interrupted cases.
+/// Function that runs cases of a network study, in any order and on any number of threads, and returns their
+/// outcomes; `None` for interrupted cases.
 pub type Runner<'a> = &'a dyn Fn(&[(Sweep, Case)]) -> Vec<Option<Outcome>>;
 
-/// Residuals of one row: of three shares, and of the logarithms of two delays.
+/// Residuals of one row of a network study: of three shares of deliveries (delivered, within 20 ms, within 50 ms), and
+/// of the logarithms of two delays (median, 90 %). `None` for a value that was not observed.
 type Residuals = [Option<f64>; 5];
-/// Tolerance of each residual before its variation is known, and its lower limit afterwards.
+/// Tolerance of each of a row's five residuals (three shares, two logarithms of delays) before its variation over
+/// seeds is known, and the lower limit of its tolerance afterwards.
 const TOLERANCES: [f64; 5] = [0.03, 0.03, 0.03, 0.15, 0.15];
 const LEAST_TOLERANCES: [f64; 5] = [0.005, 0.005, 0.005, 0.02, 0.02];
-/// Number of seeds from which the variation is estimated.
+/// Number of seeds from which the variation of each residual is estimated.
 const SEEDS: u64 = 5;
-/// Shortest delay that is distinguished, and delay that stands for no delivery \[ms\].
+/// Limits of compared delays \[ms\]: the shortest, up to which all delays count as equal, and the value that stands
+/// for no delivery.
 const DELAYS_MS: (f64, f64) = (0.05, 1e4);
-/// Grid of noise losses, and grid of background loads.
+/// Probabilities of loss by noise on the grid from which the fit's search starts.
 const NOISES: [f64; 5] = [0.0, 0.06, 0.12, 0.2, 0.35];
 const BACKGROUNDS: [f64; 5] = [0.0, 0.15, 0.3, 0.45, 0.6];
-/// Effort of each stage: largest number of rows and longest duration \[s\]. The stages are the grid, its best points,
-/// and the best of those. The last stage runs as long as the rows were observed, up to a minute, because queues and
-/// delays of a saturated channel keep growing.
+/// Effort of the search's first stage, the grid: largest number of rows and longest emulated duration \[s\]. The
+/// later stages refine the grid's best points, and the best of those. The last stage runs as long as the rows were
+/// observed, up to a minute, because queues and delays of a saturated channel keep growing.
 const COARSE: (usize, f64) = (16, 4.0);
 const MIDDLE: (usize, f64) = (16, 10.0);
 const FINE: (usize, f64) = (64, 60.0);
-/// Delay from which on a growing queue is assumed \[ms\]. The delays of such a row are not compared with a shorter run.
+/// Delay of a row from which on a growing queue is assumed \[ms\]. The delays of such a row are not compared with a
+/// run shorter than the observation.
 const GROWING_MS: f64 = 50.0;
-/// Number of rates that are refined from their best grid point, and number of those that are refined again. The latter
-/// need a misfit of at most this multiple of the best plus this constant.
+/// Number of data rates whose best grid point is refined in the second stage. Fewer are refined again in the last
+/// one: those with a misfit of at most a multiple of the best plus a constant.
 const STARTS: usize = 10;
 const BEST: usize = 4;
 const NEAR_BEST: (f64, f64) = (3.0, 3.0);
-/// Multiple of the best misfit below which another rate fits almost as well.
+/// Multiple of the best misfit below which another data rate counts as fitting almost as well (an alternative).
 const ALTERNATIVE: f64 = 2.0;
-/// Initial steps of noise loss and background load, and number of times that they are halved.
+/// Initial steps of the pattern search in noise loss and in background load.
 const STEPS: (f64, f64) = (0.04, 0.08);
 const HALVINGS: u32 = 3;
 
@@ -101,7 +106,7 @@ struct Fit<'a> {
     sweep: &'a Sweep,
     observed: &'a [Observed],
     runner: Runner<'a>,
-    /// For each row: tolerance of each residual.
+    /// For each row: tolerance of each residual (three shares, two logarithms of delays), by which it is divided.
     tolerances: Vec<[f64; 5]>,
 }
 
@@ -150,7 +155,7 @@ fn family(rate: Rate) -> String {
 }
 
 impl Fit<'_> {
-    /// Whether only multicast frames occur in all rows.
+    /// Returns whether only multicast frames occur in all rows.
     fn only_multicast(&self) -> bool {
         self.observed.iter().all(|observed| {
             (observed.addressing, observed.network) == (Addressing::Multicast, NetworkKind::AdHoc)
@@ -175,8 +180,8 @@ impl Fit<'_> {
         self.runs_of(0, point, effort)
     }
 
-    /// Returns the indices of at most `rows` rows. They are chosen by a hash of the index, so that they are spread
-    /// evenly.
+    /// Returns the indices of at most `rows` of the observed rows. They are chosen by a hash of the index, so that
+    /// they are spread evenly.
     fn selected(&self, rows: usize) -> Vec<usize> {
         let all = self.observed.len();
         let mut order: Vec<usize> = (0..all).collect();
@@ -197,7 +202,8 @@ impl Fit<'_> {
         self.selected(rows).into_iter().map(run).collect()
     }
 
-    /// Returns the misfit of each point: the sum of its weighted residuals.
+    /// Emulates the rows with the radio parameters of each point, and returns each point's misfit: the sum of its
+    /// weighted residuals. `None` if the emulation was interrupted.
     fn misfits(&self, points: &[Point], effort: (usize, f64)) -> Option<Vec<f64>> {
         let runs: Vec<(Sweep, Case)> = points.iter().flat_map(|point| self.runs(*point, effort)).collect();
         let each = runs.len() / points.len();
@@ -217,7 +223,8 @@ impl Fit<'_> {
         Some(outcomes.chunks(each).map(misfit).collect())
     }
 
-    /// Returns the tolerances of each row, from the variation over seeds at a point.
+    /// Returns the tolerances of each row's residuals, from their variation over seeds at a point. `None` if the
+    /// emulation was interrupted.
     fn spread(&self, point: Point) -> Option<Vec<[f64; 5]>> {
         let all = (self.observed.len(), FINE.1);
         let runs: Vec<(Sweep, Case)> = (1..=SEEDS).flat_map(|number| self.runs_of(number, point, all)).collect();
@@ -239,7 +246,8 @@ impl Fit<'_> {
         Some(self.observed.iter().enumerate().map(of_row).collect())
     }
 
-    /// Minimizes the misfit by pattern search from a point, with its rate fixed.
+    /// Minimizes the misfit by pattern search from a point, with its data rate fixed. Returns the least misfit and
+    /// its point; `None` if the emulation was interrupted.
     fn refine(&self, from: Point, effort: (usize, f64), mut steps: (f64, f64)) -> Option<(f64, Point)> {
         let mut best = (self.misfits(&[from], effort)?[0], from);
         for _ in 0..HALVINGS {
@@ -289,7 +297,7 @@ impl Fit<'_> {
 }
 
 impl Observed {
-    /// Returns the case of the row.
+    /// Returns the parameters of the row's case.
     pub fn case(&self) -> Case {
         let Observed { network, addressing, reliability, retries, rate, .. } = *self;
         Case { network, addressing, reliability, retries, rate }
@@ -310,7 +318,8 @@ impl Observed {
         Row::of(Source::Emulated, &self.case(), outcome)
     }
 
-    /// Returns the residuals against a run: differences of shares, and of logarithms of delays.
+    /// Returns the residuals of this observed row against the outcome of a run: differences of shares, and of
+    /// logarithms of delays.
     fn residuals(&self, outcome: &Outcome) -> Residuals {
         let row = self.row(outcome);
         let share = |seen: Option<f64>, emulated: f64| Some(seen? - emulated);
@@ -327,12 +336,12 @@ impl Observed {
         ]
     }
 
-    /// Whether the row was measured between hosts.
+    /// Returns whether the row was measured between hosts, not emulated.
     pub fn is_live(&self) -> bool {
         self.source == Some(Source::Live)
     }
 
-    /// Checks that the row can belong to this sweep. The error is a text.
+    /// Checks that the observed row can belong to this sweep. The error is a text.
     pub fn check(&self, sweep: &Sweep) -> Result<(), String> {
         let seconds = self.seconds.unwrap_or(sweep.seconds);
         let (rates, retries) = (vec![self.rate], vec![self.retries]);
@@ -373,7 +382,8 @@ impl From<&Row> for Observed {
 }
 
 impl Fitted {
-    /// Returns the radio as the text of a TOML file, with its origin as a comment. `command` is the command of the fit.
+    /// Returns the fitted radio as the text of a TOML file, with its origin as a comment. `command` is the command
+    /// of the fit.
     pub fn to_toml(&self, command: &str) -> String {
         let mut radio = self.radio.clone();
         let adhoc = self.rows.iter().all(|(observed, _)| observed.network == NetworkKind::AdHoc);

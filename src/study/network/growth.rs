@@ -13,7 +13,7 @@ use crate::trial::{Trial, TrialError};
 
 /// Modes of the deployments: one Agent for all robots in lock step, and one host per robot.
 pub const MODES: [&str; 2] = ["sim", "onboard-adhoc"];
-/// Simulated time of a trial \[s\].
+/// Default simulated time of a trial of a growing team \[s\].
 pub const DURATION_S: f64 = 10.0;
 /// Transmission range beyond the communication range \[m\]: the distance by which two robots may have approached since
 /// they were measured.
@@ -21,12 +21,14 @@ const MARGIN_M: f32 = 0.25;
 /// Ground area per robot in the scenario \[m²\].
 pub const GROUND_M2: f64 = 4.0;
 
-/// Returns the transmission range of growing teams \[m\].
+/// Returns the transmission range of robots in the trials of growing teams \[m\]: the communication range with a
+/// margin.
 pub fn range_m() -> f32 {
     orca::INTERFACE.radius_m + MARGIN_M
 }
 
-/// Returns a trial of a team that lasts for `lasts`. Links between hosts have the range [`range_m`].
+/// Returns a trial of a team of `robots` robots in the scenario `swap`, which lasts for the simulated time `lasts`.
+/// `mode` is one of [`MODES`]. Links between hosts have the range [`range_m`].
 pub fn trial(mode: &str, robots: usize, lasts: Span) -> Result<Trial, TrialError> {
     let trial = Trial::of_team(mode, "swap", robots)?.lasting(lasts);
     if trial.deployment.hosts.len() == 1 {
@@ -49,10 +51,10 @@ pub struct Growth {
     pub bytes: f64,
     /// Datagrams that the hosts receive, per robot \[1/s\]; 0 if there is only one host.
     pub deliveries: f64,
-    /// Share of airtime that a robot's own latents take by multicast; `None` without a radio.
+    /// Share of time in which a robot's own latents occupy the radio channel by multicast; `None` without a radio.
     pub airtime: Option<f64>,
-    /// Share of airtime that the latents of a robot and of all robots within its transmission range take; `None`
-    /// without a radio.
+    /// Share of time in which the latents of a robot and of all robots within its transmission range occupy the
+    /// radio channel; `None` without a radio.
     pub airtime_around: Option<f64>,
     /// Processor time of the simulation \[µs\], per robot and simulated second.
     pub cpu_us: f64,

@@ -17,7 +17,7 @@ use crate::time::Time;
 const KEY: [u8; 32] = *b"the key of the network study....";
 const LINK: LinkId = LinkId(0);
 
-/// Station with the project's link layer.
+/// Station of a network study that uses the project's link layer: best effort, repeat or nack.
 pub struct Linked {
     station: u16,
     features: usize,
@@ -26,7 +26,8 @@ pub struct Linked {
     leaving: Vec<(Audience, Frame)>,
 }
 
-/// Returns the setup of the stations' link. Panics for the reliability modes of RTPS.
+/// Returns the setup of the link layer of a study's stations, with this addressing and reliability. Panics for the
+/// reliability modes of RTPS.
 pub fn setup(addressing: Addressing, reliability: ReliabilityMode) -> Setup {
     let reliability = match reliability {
         ReliabilityMode::BestEffort => Reliability::BestEffort,
@@ -42,7 +43,8 @@ pub fn setup(addressing: Addressing, reliability: ReliabilityMode) -> Setup {
 }
 
 impl Linked {
-    /// Returns the station with the index `station`, in a team with a key.
+    /// Returns the station with the index `station`. Its messages have `features` features, and it authenticates
+    /// its datagrams with a key.
     pub fn new(station: u16, setup: Setup, features: usize, seed: &Seed) -> Linked {
         let mut stream = seed.stream(&format!("link/{station}"));
         let me = Identity { host: HostId(station), team: 1, incarnation: 1 };

@@ -8,7 +8,7 @@ use crate::net::media::radio::{self, Channel, Delivery, Destination, Radio};
 use crate::random::Seed;
 use crate::time::Time;
 
-/// Medium between the stations.
+/// Medium between the stations of a network study.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Medium {
@@ -22,7 +22,7 @@ pub enum Medium {
 const SHAPED: &str = "shaped";
 
 impl Medium {
-    /// Returns the medium with this name; `None` if there is none.
+    /// Returns the preset medium with this name, a radio or `shaped`; `None` if there is none.
     pub fn named(name: &str) -> Option<Medium> {
         if name == SHAPED {
             return Some(Medium::Shaped(Shaped::megabit()));
@@ -30,7 +30,7 @@ impl Medium {
         Radio::preset(name).map(Medium::Radio)
     }
 
-    /// Returns the names of all media, for errors.
+    /// Returns the names of all preset media as text, for error messages.
     pub fn names() -> String {
         radio::PRESETS.into_iter().chain([SHAPED]).collect::<Vec<_>>().join(", ")
     }
@@ -56,7 +56,7 @@ impl Medium {
     }
 }
 
-/// Emulator of a medium.
+/// Emulator of a medium between stations: carries their datagrams, with delay and loss. `T` identifies a datagram.
 pub enum MediumEmulator<T> {
     /// Emulator of a radio channel.
     Radio(Box<Channel<T>>),
@@ -65,7 +65,7 @@ pub enum MediumEmulator<T> {
 }
 
 impl<T: Clone> MediumEmulator<T> {
-    /// Returns an emulator with idle stations.
+    /// Returns an emulator of the medium with this number of stations, none of which is sending.
     pub fn new(medium: Medium, stations: u16, seed: &Seed) -> MediumEmulator<T> {
         match medium {
             Medium::Radio(radio) => MediumEmulator::Radio(Box::new(Channel::new(radio, stations, seed))),
@@ -91,7 +91,7 @@ impl<T: Clone> MediumEmulator<T> {
         }
     }
 
-    /// Advances the medium to `now`, and appends received frames to `deliveries`.
+    /// Advances the medium to `now`, and appends the datagrams that stations received to `deliveries`.
     pub fn wake(&mut self, now: Time, deliveries: &mut Vec<Delivery<T>>) {
         match self {
             MediumEmulator::Radio(channel) => channel.wake(now, deliveries),

@@ -1,4 +1,5 @@
-//! Outcome of one case: delays, shares delivered in time, and the age of the newest message at each control step.
+//! Outcome of one case of a network study: delays, shares delivered in time, and the age of the newest message at
+//! each control step.
 
 use std::collections::VecDeque;
 
@@ -15,7 +16,7 @@ pub const USABLE: Span = Span::from_millis(200);
 /// Delays for which the paper's network study reports shares.
 pub const MARKS: [Span; 2] = [Span::from_millis(20), Span::from_millis(50)];
 
-/// Outcome of a case.
+/// Outcome of a case of a network study, emulated or measured.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Outcome {
@@ -33,9 +34,10 @@ pub struct Outcome {
     pub delays: Ages,
     /// Histogram of the age of each other station's newest message at each control step.
     pub ages: Ages,
-    /// Quantiles of this age \[s\]: 50 and 90 %; `None` if too many pairs of stations had no message.
+    /// Quantiles of the age of other stations' newest messages at control steps \[s\]: 50 and 90 %; `None` if the
+    /// quantile falls on a pair of stations without a message.
     pub age_quantiles_s: Option<[f64; 2]>,
-    /// Share of these ages that are at most `USABLE`.
+    /// Share of the ages of other stations' newest messages at control steps that are at most `USABLE`.
     pub usable: f64,
     /// Datagrams sent by all stations \[1/s\]; `None` in a measurement between hosts.
     pub datagrams_per_s: Option<f64>,
@@ -45,7 +47,7 @@ pub struct Outcome {
     pub airtime: Option<f64>,
 }
 
-/// Counters of a case that is running.
+/// Counters of a case of a network study that is running, from which its outcome is computed.
 #[derive(Clone, Debug)]
 pub struct Tally {
     window: (Time, Time),
@@ -65,11 +67,12 @@ pub struct Tally {
     newest: Vec<Option<Time>>,
 }
 
-/// Largest number of publication times that are kept for a station.
+/// Largest number of publication times that the counters of a case keep for a station.
 const REMEMBERED: usize = 100_000;
 
 impl Tally {
-    /// Returns empty counters. Only messages published in the window are counted.
+    /// Returns empty counters for this number of stations. `window` is start and end of the measurement; only
+    /// messages published in it are counted.
     pub fn new(stations: u16, window: (Time, Time)) -> Tally {
         let stations = usize::from(stations);
         Tally {
@@ -98,7 +101,7 @@ impl Tally {
         at >= self.window.0 && at < self.window.1
     }
 
-    /// Counts a published message. Panics unless sequence numbers are consecutive.
+    /// Counts a message that the station publishes. Panics unless the station's sequence numbers are consecutive.
     pub fn published(&mut self, now: Time, station: u16, sequence: u32) {
         let (first, times) = &mut self.published_at[usize::from(station)];
         assert_eq!(sequence as usize, *first as usize + times.len(), "numbers follow each other");
@@ -149,7 +152,7 @@ impl Tally {
         self.usable += u64::from(age <= USABLE);
     }
 
-    /// Counts datagrams that a station has sent, if `now` is within the window.
+    /// Counts datagrams, and their `bytes`, that a station has sent, if `now` is within the measurement window.
     pub fn sent(&mut self, now: Time, datagrams: u64, bytes: usize) {
         if self.counts(now) {
             self.sent.0 += datagrams;
@@ -157,7 +160,8 @@ impl Tally {
         }
     }
 
-    /// Samples the busy time of the medium at both ends of the window.
+    /// Samples the busy time of the medium when `now` passes an end of the measurement window. `busy_s` returns the
+    /// busy time \[s\].
     pub fn sample_airtime(&mut self, now: Time, busy_s: impl Fn() -> f64) {
         for (seen, edge) in self.busy_s.iter_mut().zip([self.window.0, self.window.1]) {
             if seen.is_none() && now >= edge {
@@ -166,7 +170,8 @@ impl Tally {
         }
     }
 
-    /// Adds to the number of expected deliveries. For measurements, in which each station counts its own messages.
+    /// Adds `due` to the number of expected deliveries. Used for measurements, in which each station counts its own
+    /// messages.
     pub fn add_due(&mut self, due: u64) {
         self.due += due;
     }
@@ -234,26 +239,26 @@ pub struct Row {
     pub age_p50_ms: Option<f64>,
     /// 90 % quantile of the age of other stations' newest messages at control steps \[ms\]; null as for `age_p50_ms`.
     pub age_p90_ms: Option<f64>,
-    /// Share of these ages at control steps that are at most 200 ms.
+    /// Share of the ages of other stations' newest messages at control steps that are at most 200 ms.
     pub usable: f64,
     /// Datagrams sent per message, including those of the protocol; null in a measurement.
     pub datagrams_per_message: Option<f64>,
 }
 
 impl Row {
-    /// Returns the case of the row.
+    /// Returns the parameters of the row's case.
     pub fn case(&self) -> Case {
         let Row { network, addressing, reliability, retries, rate, .. } = *self;
         Case { network, addressing, reliability, retries, rate }
     }
 
-    /// Returns all parameters except the rate as text.
+    /// Returns all parameters of the row's case except the message rate as text.
     pub fn combination(&self) -> String {
         let name = self.case().combination();
         if self.source == Source::Emulated { name } else { format!("{name}, {}", self.source) }
     }
 
-    /// Returns the row of a case and its outcome.
+    /// Returns the row of results for a case and its outcome.
     pub fn of(source: Source, case: &Case, outcome: &Outcome) -> Row {
         let due = outcome.due.max(1) as f64;
         let delay = |at: usize| outcome.quantiles_s.map(|all| 1000.0 * all[at]);

@@ -10,13 +10,13 @@ use crate::report::figures::{self, Figure, FigureError, Heard, Line, Panel, Poin
 use crate::report::listening::Listening;
 use crate::report::page::{self, Part};
 
-/// Result of a case: its source, its parameters and its outcome.
+/// Result of a case of a network study: its source (emulated or measured), its parameters and its outcome.
 pub type Found = (Source, Case, Outcome);
 
-/// Line of a figure: its name, and a predicate that selects its cases.
+/// Line of a figure: its name, and a predicate that selects the results of the cases drawn on it.
 type OnLine = (String, Box<dyn Fn(&Found) -> bool>);
 
-/// Rates of the paper's two figures \[1/s\]. The nearest rates of the sweep are drawn.
+/// Message rates of the paper's two figures \[1/s\]. A report draws the nearest rates of its study.
 const DRAWN: [f64; 2] = [60.0, 200.0];
 
 /// Results of a network study, for its report.
@@ -33,7 +33,7 @@ pub struct Findings<'a> {
     pub notes: &'a [String],
 }
 
-/// Figure's lines: cases that differ in one parameter.
+/// Group of lines of a figure, whose cases differ in one parameter.
 struct Group {
     name: String,
     title: String,
@@ -41,7 +41,7 @@ struct Group {
 }
 
 impl Findings<'_> {
-    /// Returns the results as rows.
+    /// Returns the results of all cases as rows.
     pub fn rows(&self) -> Vec<Row> {
         self.results.iter().map(|(source, case, outcome)| Row::of(*source, case, outcome)).collect()
     }
@@ -86,7 +86,8 @@ impl Findings<'_> {
         groups
     }
 
-    /// Adds a line for emulated and a line for measured cases, as far as there are any.
+    /// Adds to `lines` one line for the emulated and one for the measured cases that `is` selects, as far as there
+    /// are any.
     fn sources(&self, lines: &mut Vec<OnLine>, name: &str, is: impl Fn(&Case) -> bool + Copy + 'static) {
         let live = self.results.iter().any(|(source, ..)| *source == Source::Live);
         for source in Source::ALL {

@@ -1,5 +1,5 @@
-//! Station of a measured case. It publishes the same messages at the same times as an emulated station, and records
-//! what it receives. Pure; the caller supplies clock and network.
+//! Station of a network study's case that is measured between hosts. It publishes the same messages at the same
+//! times as an emulated station, and records what it receives. Pure; the caller supplies clock and network.
 
 use serde::{Deserialize, Serialize};
 
@@ -16,10 +16,10 @@ use crate::time::{Span, Time};
 /// a second. Older ones are skipped and counted.
 const BURST: u32 = 64;
 
-/// Request to measure one case, sent by the coordinator to all hosts.
+/// Request to measure one case of a network study, sent by the coordinating host to all stations.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Task {
-    /// Number of the case. Stations ignore messages that carry another number.
+    /// Number of the measurement. Stations ignore messages that carry another number.
     pub number: u32,
     /// Case to measure.
     pub case: Case,
@@ -68,7 +68,8 @@ impl Task {
     }
 }
 
-/// State of a measuring station.
+/// State of a station that measures a case of a network study between hosts: schedule, received messages and
+/// result.
 #[derive(Debug)]
 pub struct Peer {
     task: Task,
@@ -103,7 +104,7 @@ impl Peer {
         }
     }
 
-    /// Whether the case is over.
+    /// Returns whether the measurement, with its drain, is over.
     pub fn is_over(&self, now: Time) -> bool {
         self.ended || now >= self.over
     }
@@ -160,7 +161,8 @@ impl Core for Peer {
 }
 
 impl Peer {
-    /// Publishes all messages that are due. After a delay these are at most `BURST`; older ones are skipped.
+    /// Appends all messages that are due to `out`. After a scheduling delay these are the newest `BURST`; older
+    /// ones are skipped and counted.
     fn publish_due(&mut self, now: Time, out: &mut Vec<Wire>) {
         let mut due_messages = Vec::new();
         while self.schedule.next() <= now {

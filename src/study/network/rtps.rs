@@ -22,8 +22,9 @@ const HEARTBEAT_RESPONSE_DELAY: Span = Span::from_millis(5);
 /// Largest size of the `SequenceNumberSet` of one ACKNACK or GAP (9.4.2.6).
 const MOST_NAMED: usize = 256;
 
-/// Lengths of the RTPS header and of submessages with their 4-byte headers \[bytes\] (9.4.4, 9.4.5). DATA includes the
-/// encapsulation of 4 bytes (10.2) and excludes the payload. ACKNACK and GAP exclude their bitmaps.
+/// Length of the RTPS header \[bytes\] (9.4.4). The following constants are lengths of submessages with their
+/// 4-byte headers (9.4.5): DATA includes the encapsulation of 4 bytes (10.2) and excludes the payload; ACKNACK and GAP
+/// exclude their bitmaps.
 const HEADER: usize = 20;
 const INFO_TS: usize = 12;
 const INFO_DST: usize = 16;
@@ -32,30 +33,32 @@ const HEARTBEAT: usize = 32;
 const ACKNACK: usize = 28;
 const GAP: usize = 32;
 
-/// Range of sequence numbers that a writer keeps: the first, and the one after the last.
+/// Range of sequence numbers of the samples that an RTPS writer keeps: the first, and the one after the last.
 pub type Holds = (u32, u32);
 
-/// RTPS message of a station.
+/// RTPS message of a station in a network study.
 #[derive(Clone, Debug)]
 pub enum Packet {
-    /// DATA with a HEARTBEAT: writer, sequence number of the sample, and the writer's range.
+    /// DATA with a HEARTBEAT: index of the writing station, sequence number of the sample, and the range of samples
+    /// that the writer keeps.
     Data(u16, u32, Holds),
-    /// HEARTBEAT without DATA, or GAP: writer, and its range.
+    /// HEARTBEAT without DATA, or GAP: index of the writing station, and the range of samples that it keeps.
     Heartbeat(u16, Holds),
-    /// ACKNACK: reader, number below which it has all samples, and samples that it requests.
+    /// ACKNACK: index of the reading station, sequence number below which it has all samples, and sequence numbers
+    /// that it requests.
     AckNack(u16, u32, Vec<u32>),
 }
 
-/// State that a writer keeps of one reader.
+/// State that an RTPS writer keeps of one reader.
 #[derive(Clone, Debug, Default)]
 struct ReaderProxy {
-    /// Number below which all samples are acknowledged.
+    /// Sequence number below which the reader has acknowledged all samples.
     acked: u32,
     requested: BTreeSet<u32>,
     due: Option<Time>,
 }
 
-/// State that a reader keeps of one writer.
+/// State that an RTPS reader keeps of one writer.
 #[derive(Clone, Debug, Default)]
 struct WriterProxy {
     /// Next sequence number to deliver.
@@ -64,11 +67,11 @@ struct WriterProxy {
     waiting: BTreeSet<u32>,
     /// Largest sequence number that the writer has announced.
     last: Option<u32>,
-    /// Time at which the next ACKNACK is due.
+    /// Time at which the next ACKNACK is due; `None` if none is.
     due: Option<Time>,
 }
 
-/// Station with the reliable mode of RTPS.
+/// Station of a network study that uses the reliable mode of RTPS.
 pub struct Rtps {
     station: u16,
     payload: usize,
@@ -104,7 +107,8 @@ impl Rtps {
         (bytes, Packet::Data(self.station, sequence, (self.first, self.end)))
     }
 
-    /// Removes samples from the history that need not be kept.
+    /// Removes samples from the writer's history that need not be kept: with KEEP_LAST those beyond its depth, with
+    /// KEEP_ALL those that all readers have acknowledged.
     fn trim(&mut self) {
         match self.history {
             History::Last(depth) => self.first = self.first.max(self.end.saturating_sub(depth)),

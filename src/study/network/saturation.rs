@@ -9,7 +9,7 @@ use super::case::Addressing;
 use crate::net::media::radio::Radio;
 use crate::net::media::radio::bianchi::{Lengths, Saturation};
 
-/// Team sizes of the table.
+/// Team sizes for which the load of a channel is tabulated.
 pub const SIZES: [usize; 8] = [5, 10, 20, 50, 100, 200, 500, 1000];
 /// Message rate of a robot: one message per control step \[1/s\].
 pub const RATE: f64 = 20.0;
@@ -17,7 +17,7 @@ pub const RATE: f64 = 20.0;
 /// sizes, as if larger teams covered more ground at the same density; a robot in a team of five has this many.
 pub const NEIGHBOURS: u32 = 4;
 
-/// Load of one channel by a team.
+/// Load of one radio channel by the messages of a team.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Load {
     /// Number of robots in the team.
@@ -38,7 +38,8 @@ pub struct Load {
 }
 
 impl Load {
-    /// Returns the load of a team that sends datagrams of `datagram_bytes` \[bytes\].
+    /// Returns the load of the radio's channel by a team whose messages are datagrams of `datagram_bytes`
+    /// \[bytes\].
     pub fn of(radio: &Radio, addressing: Addressing, robots: usize, datagram_bytes: usize) -> Load {
         let times = radio.times();
         let unicast = (radio.frame_airtime(datagram_bytes) + times.acknowledged + times.aifs).as_secs();
@@ -75,19 +76,21 @@ impl Load {
         }
     }
 
-    /// Whether the team saturates the channel.
+    /// Returns whether the team saturates the channel.
     pub fn is_full(&self) -> bool {
         self.airtime >= 1.0 || self.messages_per_s >= self.saturation_per_s
     }
 }
 
-/// Returns the loads of all team sizes, first by multicast, then by unicast.
+/// Returns the load of the radio's channel for each team size in [`SIZES`], first by multicast, then by unicast.
+/// Datagrams have `datagram_bytes` \[bytes\].
 pub fn table(radio: &Radio, datagram_bytes: usize) -> Vec<Load> {
     let of = |addressing| SIZES.map(|robots| Load::of(radio, addressing, robots, datagram_bytes));
     [Addressing::Multicast, Addressing::Unicast].into_iter().flat_map(of).collect()
 }
 
-/// Returns advice on the first parameter to change, as text.
+/// Returns a text for the user: above how many robots the channel is saturated, and which parameter to change first to
+/// serve larger teams. Datagrams have `datagram_bytes` \[bytes\].
 pub fn advice(radio: &Radio, datagram_bytes: usize) -> String {
     let last = |radio: &Radio, addressing| {
         let fits = |robots: &usize| !Load::of(radio, addressing, *robots, datagram_bytes).is_full();

@@ -6,7 +6,7 @@ use super::growth::{self, Growth};
 use super::saturation::{self, Load};
 use crate::report::figures::{self, Figure, FigureError, Line, Panel, Point};
 
-/// Draws the cost per robot against the number of robots.
+/// Draws the cost per robot of growing teams against the number of robots.
 pub fn costs(grown: &[Growth]) -> Result<Figure, FigureError> {
     let mut sizes: Vec<usize> = grown.iter().map(|growth| growth.robots).collect();
     sizes.sort_unstable();
@@ -51,7 +51,7 @@ pub fn costs(grown: &[Growth]) -> Result<Figure, FigureError> {
     })
 }
 
-/// Returns heads and rows of the table of costs per robot.
+/// Returns column heads and rows of the table of costs per robot of growing teams.
 pub fn of_costs(grown: &[Growth]) -> (Vec<&'static str>, Vec<Vec<String>>) {
     let heads = vec![
         "robots",
@@ -141,7 +141,7 @@ pub fn loads(loads: &[Load]) -> Result<Figure, FigureError> {
     })
 }
 
-/// Returns heads and rows of the table of load and saturation.
+/// Returns column heads and rows of the table of load and saturation of one radio channel by growing teams.
 pub fn of_loads(loads: &[Load]) -> (Vec<&'static str>, Vec<Vec<String>>) {
     let heads = vec![
         "robots",

@@ -11,7 +11,7 @@ use crate::net::media::radio::{Delivery, Destination};
 use crate::random::{Seed, Stream};
 use crate::time::{Span, Time};
 
-/// Parameters of shaped links.
+/// Parameters of a wired network with one rate-limited (shaped) link for each station.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Shaped {
@@ -37,7 +37,7 @@ fn headers() -> usize {
 }
 
 impl Shaped {
-    /// Returns links as with `tc tbf rate 1mbit`, and 16 % loss.
+    /// Returns the parameters of links with a rate of 1 Mbit/s, as with `tc tbf rate 1mbit`, and 16 % loss.
     pub fn megabit() -> Shaped {
         Shaped {
             rate_bit_s: 1e6,
@@ -73,7 +73,7 @@ impl Shaped {
 /// Traffic shaper of one station's outgoing link.
 #[derive(Clone, Debug)]
 struct Sender {
-    /// Tokens at the time `at` of the last departure \[bytes\].
+    /// Tokens in the bucket at the time `at` of the last departure \[bytes\].
     tokens: f64,
     at: Time,
     /// Queued frames: departure time, and length \[bytes\].
@@ -81,7 +81,7 @@ struct Sender {
     waiting: usize,
 }
 
-/// Emulator of shaped links.
+/// Emulator of a wired network with one shaped link for each station. `T` identifies a datagram.
 #[derive(Clone, Debug)]
 pub struct Links<T> {
     shaped: Shaped,
@@ -94,7 +94,7 @@ pub struct Links<T> {
 }
 
 impl<T: Clone> Links<T> {
-    /// Returns the links of idle stations.
+    /// Returns an emulator of the links of this number of stations, with empty queues.
     pub fn new(shaped: Shaped, stations: u16, seed: &Seed) -> Links<T> {
         let tokens = shaped.burst_bytes as f64;
         let sender = Sender { tokens, at: Time::ZERO, queue: VecDeque::new(), waiting: 0 };

@@ -7,10 +7,11 @@ use super::growth::Growth;
 use super::outcome::Row;
 use super::scale;
 
-/// Quantity that a table shows: its name, and its value in a row.
+/// Quantity that a table of a network study shows: its name, and the function that returns its value in a row.
 type Shown = (&'static str, fn(&Row) -> Option<f64>);
 
-/// Quantities of the tables: shares of expected deliveries, of airtime \[%\], and times \[ms\].
+/// Quantities that the tables of a network study show, one table each: shares of expected deliveries, of airtime
+/// \[%\], and times \[ms\].
 pub const SHOWN: [Shown; 5] = [
     ("within 20 ms [%]", |row| Some(100.0 * row.within_20ms)),
     ("delivered [%]", |row| Some(100.0 * row.delivered)),
@@ -19,12 +20,14 @@ pub const SHOWN: [Shown; 5] = [
     ("age at control steps, median [ms]", |row| row.age_p50_ms),
 ];
 
-/// Returns the heads of the columns: one for each rate.
+/// Returns the heads of the table's columns: one for each message rate of the study, after that of the first
+/// column.
 pub fn heads(sweep: &Sweep) -> Vec<String> {
     ["messages/s".to_owned()].into_iter().chain(sweep.rates.iter().map(f64::to_string)).collect()
 }
 
-/// Returns one line per combination of parameters, with one column per rate.
+/// Returns the lines of a table of the quantity `value`: one line per combination of parameters, one column per
+/// message rate.
 pub fn lines(sweep: &Sweep, rows: &[Row], (_, value): Shown) -> Vec<Vec<String>> {
     let mut names: Vec<String> = Vec::new();
     for row in rows {

@@ -1,4 +1,4 @@
-//! Messages of the stations and their publication schedule, equal in emulation and measurement.
+//! Messages of a network study's stations and their publication schedule, equal in emulation and measurement.
 
 use rand::RngExt;
 

@@ -13,7 +13,7 @@ use crate::messages::phase::Phase;
 use crate::messages::wire::Latent;
 use crate::record::merge::DatagramKey;
 
-/// Rules by which robots use messages.
+/// Rules by which robots use neighbours' messages: communication range, hold time and handling.
 #[derive(Clone, Copy, Debug)]
 pub struct Rules {
     /// Mean communication range \[m\].
@@ -24,7 +24,8 @@ pub struct Rules {
     pub handling: Handling,
 }
 
-/// Messages in use at the decisions of one episode.
+/// Messages of neighbours that robots use at the decisions of one episode: number of decisions, and ages of the
+/// messages.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Decisions {
     /// Number of decisions.
@@ -33,7 +34,7 @@ pub struct Decisions {
     pub ages_s: Vec<f64>,
 }
 
-/// A latent that was published.
+/// Latent that a robot has published: the robot, the time, and its reported position.
 #[derive(Clone, Copy)]
 struct Published {
     robot: RobotId,
@@ -48,21 +49,22 @@ struct Held {
     published_ns: i64,
 }
 
-/// Follower of messages from publication to the decisions that use them. Events come in the order of their times.
+/// Follows latents from publication to the decisions that use them, and collects their ages. The caller reports
+/// publications and arrivals in the order of their times.
 pub struct Follower {
     rules: Rules,
     /// By robot: the host of its agent.
     hosts: Vec<HostId>,
     published: BTreeMap<DatagramKey, Published>,
-    /// By robot: where it last reported itself to be.
+    /// By robot: position that it last reported \[m\], world frame; `None` before the first report.
     places: Vec<Option<Vec2>>,
-    /// By receiving and sending robot.
+    /// By receiving and sending robot: newest message that the receiver holds of the sender.
     held: BTreeMap<(RobotId, RobotId), Held>,
     decisions: BTreeMap<u32, Decisions>,
 }
 
 impl Follower {
-    /// Makes a follower of a team with these hosts of the robots' agents.
+    /// Makes a follower of a team's latents. `hosts` has the host of each robot's agent, by robot.
     pub fn new(rules: Rules, hosts: Vec<HostId>) -> Follower {
         Follower {
             rules,
@@ -74,7 +76,8 @@ impl Follower {
         }
     }
 
-    /// Takes a latent that a robot publishes, which is a decision of that robot.
+    /// Handles a latent that a robot publishes at the time `at_ns` \[ns\]. This is a decision of that robot, so the
+    /// ages of the messages that it uses are counted.
     pub fn publish(&mut self, at_ns: i64, key: DatagramKey, latent: &Latent) {
         let robot = latent.robot;
         let Some(place) = self.places.get_mut(robot.index()) else { return };
@@ -99,7 +102,8 @@ impl Follower {
         }
     }
 
-    /// Takes a datagram that arrives at a host; only latents that are known to be published count.
+    /// Handles a datagram that arrives at the host `to` at the time `at_ns` \[ns\]. Only latents whose publication was
+    /// reported before count.
     pub fn arrive(&mut self, at_ns: i64, to: HostId, key: &DatagramKey) {
         let Some(&Published { robot: sender, at_ns: published_ns, position }) = self.published.get(key) else { return };
         if self.hosts[sender.index()] == to {
@@ -115,7 +119,7 @@ impl Follower {
         }
     }
 
-    /// Returns the decisions of each episode.
+    /// Returns the decisions of each episode with the messages in use, by the number of the episode.
     pub fn into_decisions(self) -> BTreeMap<u32, Decisions> {
         self.decisions
     }

@@ -1,4 +1,5 @@
-//! Prediction beside measurement, quantity by quantity, each with its interval and with the bar that it has to meet.
+//! Comparison of a twin's prediction with the measured run: for each quantity both values with their intervals, and the
+//! largest difference with which they still agree (its bar).
 
 use std::fmt;
 
@@ -15,42 +16,42 @@ use crate::report::episode::Episode;
 use crate::report::statistics::{quantile, wilson_95};
 use crate::scenario::judge::Verdict;
 
-/// Largest difference of a measurement from its prediction.
+/// Bar of a compared quantity: largest difference of the measurement from its prediction with which they agree.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Bar {
     /// The measurement lies in the 95 % interval of the prediction.
     Interval,
-    /// A share of the measurement.
+    /// The difference is at most this share of the measurement.
     Share(f64),
-    /// A difference in the row's unit.
+    /// The difference is at most this number, in the row's unit.
     Difference(f64),
     /// None: the row is for information.
     Free,
 }
 
-/// One quantity.
+/// Row of the comparison of a twin with its run: one quantity, as predicted and as measured.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
-    /// Its name.
+    /// Name of the quantity.
     pub name: String,
-    /// Its unit; empty for a number.
+    /// Unit of the quantity; empty if it has none.
     pub unit: &'static str,
     /// The prediction, with the interval that a measurement of as many episodes has.
     pub predicted: Estimate,
     /// The measurement on the second half of the episodes.
     pub measured: Estimate,
-    /// The bar.
+    /// Largest difference with which prediction and measurement agree.
     pub bar: Bar,
-    /// Whether the bar is met.
+    /// Whether the difference of prediction and measurement is within the bar.
     pub agrees: bool,
 }
 
-/// Most that a makespan's median may be off, as a share.
+/// Largest difference of the predicted median makespan from the measured one, as a share of the latter.
 const MAKESPAN: f64 = 0.05;
-/// Most that a quantile of the ages may be off, as a share.
+/// Largest difference of a predicted quantile of message ages from the measured one, as a share of the latter.
 const AGE: f64 = 0.10;
-/// Most that the lag may be off \[s\], a delay \[ms\], and a loss in points.
+/// Largest difference \[s\] between the drivetrain lags found on the fitted and on the predicted episodes.
 const LAG_S: f64 = 0.05;
 const DELAY_MS: f64 = 2.0;
 const LOSS_POINTS: f64 = 2.0;
@@ -69,9 +70,10 @@ impl Row {
     }
 }
 
-/// Returns the rows of a comparison. `run` has the whole run, of which the episodes from `first` on were predicted;
-/// `fitted` is what the prediction was made with, `later` what the same fit finds on the predicted episodes; `links`
-/// are the names of the links. Without predictions there are the rows of the model alone.
+/// Returns the rows of the comparison of a twin with its run. `run` is the whole run, of which the episodes from
+/// `first` on were predicted; `fitted` is the model that made the prediction, `later` the model that the same fit finds
+/// on the predicted episodes; `links` are the names of the links. Without predictions, only the parameters of the two
+/// models are compared.
 pub fn rows(
     run: &Run,
     first: usize,
@@ -153,8 +155,9 @@ fn ages(
     )
 }
 
-/// Estimates a statistic over all repeats, with the interval of its values in single repeats, and over the measured
-/// episodes, with the bootstrap's.
+/// Estimates a statistic of episodes, such as the median makespan, for prediction and measurement. The first estimate
+/// is over all simulated repeats, with the 95 % interval of its values in single repeats; the second is over the
+/// measured episodes, with a bootstrap interval.
 fn over<T>(
     repeats: Vec<Vec<&T>>,
     measured: Vec<&T>,
@@ -171,7 +174,8 @@ fn over<T>(
     Some((predicted, measured))
 }
 
-/// Rows of the fitted model against the same fit on the predicted episodes.
+/// Returns the rows that compare the parameters of the fitted model (lag, slip, delay and loss of links) with those
+/// that the same fit finds on the predicted episodes. `links` are the names of the links.
 fn model(fitted: &Fitted, later: &Fitted, links: &[String]) -> Vec<Row> {
     let mut rows = Vec::new();
     let both = fitted.lag_s.zip(later.lag_s);
@@ -208,10 +212,10 @@ impl fmt::Display for Bar {
 }
 
 impl Row {
-    /// Heads of the table.
+    /// Column heads of the table that compares a twin with its run.
     pub const HEADS: [&str; 6] = ["", "predicted", "95 %", "measured", "95 %", "bar"];
 
-    /// The row's cells.
+    /// Returns the row's cells as text, in the order of `HEADS`.
     pub fn cells(&self) -> [String; 6] {
         let number = |value: f64| match value.abs() {
             size if size >= 10.0 => format!("{value:.1}"),
@@ -232,7 +236,7 @@ impl Row {
     }
 }
 
-/// Returns rows as a table of text.
+/// Returns the rows of a comparison as a table of text.
 pub fn text(rows: &[Row]) -> String {
     let cells: Vec<[String; 6]> =
         [Row::HEADS.map(str::to_owned)].into_iter().chain(rows.iter().map(Row::cells)).collect();

@@ -6,28 +6,28 @@ use serde::Serialize;
 use crate::random::Stream;
 use crate::report::statistics::quantile;
 
-/// Resamples of a bootstrap.
+/// Number of resamples of a bootstrap.
 const RESAMPLES: usize = 200;
 
-/// Reach of a smooth quantile to both sides, as a share of all values.
+/// Range of ranks on each side of a quantile over which a smooth quantile averages, as a share of all values.
 const REACH: f64 = 0.025;
 
 /// A number with its 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Estimate {
-    /// The number.
+    /// Estimated value.
     pub value: f64,
-    /// Ends of its interval.
+    /// Lower and upper end of the 95 % interval.
     pub ci95: [f64; 2],
 }
 
 impl Estimate {
-    /// Returns a number that is given and not estimated.
+    /// Returns an estimate for a number that is given and not estimated; its interval is that number alone.
     pub fn exact(value: f64) -> Estimate {
         Estimate { value, ci95: [value; 2] }
     }
 
-    /// Returns the estimate in another unit.
+    /// Returns the estimate with value and interval multiplied by `factor`, to change the unit.
     pub fn scaled(self, factor: f64) -> Estimate {
         Estimate { value: self.value * factor, ci95: self.ci95.map(|end| end * factor) }
     }
@@ -60,8 +60,8 @@ pub fn quantile_of(mut values: Vec<f64>, q: f64) -> Option<f64> {
     Some(*values.select_nth_unstable_by(at, f64::total_cmp).1)
 }
 
-/// Returns the quantile `q` of values that lie at few places, where a quantile would jump from one to the next: the
-/// mean of the values whose ranks are within 2.5 points of it. `None` without values.
+/// Returns a smooth quantile `q` (0 to 1): the mean of the values whose ranks are within 2.5 percentage points of it.
+/// For values that are often equal, where the plain quantile would jump. `None` without values.
 pub fn smooth_quantile_of(mut values: Vec<f64>, q: f64) -> Option<f64> {
     let rank = |q: f64| ((q * values.len() as f64).round() as usize).min(values.len());
     let (low, high) = (rank(q - REACH), rank(q + REACH));

@@ -1,4 +1,4 @@
-//! Fit of the drivetrain: lag and slip, from commands and velocities.
+//! Fit of a twin's drivetrain: lag and slip, from the recorded commands and velocities of robots.
 //!
 //! The model is that of `world::drivetrain`: in every step the velocity makes up the share 1 - exp(-step / lag) of its
 //! difference to the command, within limits. The lag is that with which the model, run forward from the first velocity
@@ -34,7 +34,7 @@ pub struct Limits {
     pub total_m_s2: f64,
 }
 
-/// Slip that was found.
+/// Wheel slip that a fit has found: a random difference between driven and commanded velocity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Slip {
     /// Standard deviation along each axis, as a share of the commanded speed.
@@ -43,13 +43,13 @@ pub struct Slip {
     pub time_s: f64,
 }
 
-/// Range of lags that are looked at \[s\], and the first and the second step between two of them.
+/// Largest lag that the search looks at \[s\].
 const MOST_S: f64 = 3.0;
 const COARSE_S: f64 = 0.05;
 const FINE_S: f64 = 0.0025;
-/// Standard deviation of a normal distribution over the median of its sizes.
+/// Ratio of the standard deviation of a zero-mean normal distribution to the median of its absolute values.
 const MEDIAN_TO_DEVIATION: f64 = 1.4826;
-/// Most ticks until a command shows in a robot's estimates.
+/// Largest number of control ticks, in the search, until a command has an effect on the robot's own velocity estimates.
 const MOST_TICKS: usize = 8;
 /// Least commanded speed of a step from which slip is taken \[m/s\].
 const SLOW_M_S: f64 = 0.1;
@@ -67,7 +67,8 @@ fn gain(lag_s: f64, step_s: f64) -> f64 {
     if lag_s > 0.0 { 1.0 - (-step_s / lag_s).exp() } else { 1.0 }
 }
 
-/// Returns the velocity after one step without slip, and whether no limit acted.
+/// Returns the velocity after one step of the drivetrain model without slip \[m/s\], and whether no limit acted. `gain`
+/// is the share of the difference to the command that a step makes up.
 fn next(velocity: [f64; 2], command: [f64; 2], gain: f64, limits: &Limits) -> ([f64; 2], bool) {
     let command = shortened(command, limits.speed_m_s);
     let most = limits.axis_m_s2 * limits.step_s;
@@ -76,7 +77,8 @@ fn next(velocity: [f64; 2], command: [f64; 2], gain: f64, limits: &Limits) -> ([
     ([0, 1].map(|axis| velocity[axis] + change[axis]), change == wanted)
 }
 
-/// Returns the sum of squared errors of the model's velocities \[m^2/s^2\].
+/// Runs the drivetrain model with the lag `lag_s` by the commands of a series, and returns the sum of squared errors of
+/// its velocities against the recorded ones \[m^2/s^2\].
 fn squares(series: &Series, lag_s: f64, limits: &Limits) -> f64 {
     let Some(first) = series.first() else { return 0.0 };
     let gain = gain(lag_s, limits.step_s);
@@ -88,7 +90,8 @@ fn squares(series: &Series, lag_s: f64, limits: &Limits) -> f64 {
     sum
 }
 
-/// Finds the lag \[s\] from the series of each episode, with an interval over episodes; `None` if nothing moved.
+/// Finds the drivetrain's lag \[s\] from the recorded series of each episode, with a bootstrap interval over episodes;
+/// `None` if no robot moved.
 pub fn fit(episodes: &[Vec<Series>], limits: &Limits, stream: &mut Stream) -> Option<Estimate> {
     let moved = |series: &&Series| series.iter().any(|step| norm(step.command) > SLOW_M_S);
     episodes.iter().flatten().find(moved)?;
@@ -107,14 +110,15 @@ pub fn fit(episodes: &[Vec<Series>], limits: &Limits, stream: &mut Stream) -> Op
     })
 }
 
-/// Returns the lag of the coarse grid with the least error \[s\], and that error.
+/// Returns the drivetrain lag \[s\] of a coarse grid for which `error` is least, and that error.
 fn nearest(error: &impl Fn(f64) -> f64) -> Option<(f64, f64)> {
     let lags = (0..=(MOST_S / COARSE_S).round() as u32).map(|at| f64::from(at) * COARSE_S);
     lags.map(|lag_s| (lag_s, error(lag_s))).min_by(|one, other| one.1.total_cmp(&other.1))
 }
 
-/// Finds the lag \[s\] from what robots estimated and commanded at their ticks, and the time \[s\] until a command
-/// shows in their estimates, in whole ticks. `None` if nothing moved.
+/// Finds the drivetrain's lag \[s\] from the velocities that robots estimated and commanded at their control ticks.
+/// Also returns the time \[s\], in whole ticks, until a command has an effect on these estimates. `None` if no robot
+/// moved.
 pub fn fit_estimates(episodes: &[Vec<Series>], limits: &Limits, stream: &mut Stream) -> Option<(Estimate, f64)> {
     let shifted = |ticks: usize| -> Vec<Vec<Series>> {
         let one = |series: &Series| -> Series {
@@ -134,7 +138,8 @@ pub fn fit_estimates(episodes: &[Vec<Series>], limits: &Limits, stream: &mut Str
     Some((fit(&shifted(ticks), limits, stream)?, ticks as f64 * limits.step_s))
 }
 
-/// Returns the place of the minimum: of the parabola through the smallest value and its neighbours.
+/// Returns the argument at which a sampled function has its minimum, from the parabola through the smallest of `values`
+/// and its neighbours. `places` are the arguments of the values.
 fn lowest(places: &[f64], values: &[f64]) -> f64 {
     let least = (0..values.len()).min_by(|one, other| values[*one].total_cmp(&values[*other])).unwrap_or(0);
     if least == 0 || least + 1 == values.len() {
@@ -146,8 +151,9 @@ fn lowest(places: &[f64], values: &[f64]) -> f64 {
     places[least] + shift * (places[least + 1] - places[least])
 }
 
-/// Finds the slip that a lag leaves, with an interval over episodes; `None` without fast steps. Pushes of other robots
-/// and of rails are no slip: the standard deviation is taken from the median size, and steps beyond five of it are left
+/// Finds the wheel slip: the velocity errors that the drivetrain model with the lag `lag_s` leaves in single steps,
+/// with a bootstrap interval over episodes. `None` without steps of enough commanded speed. Pushes of other robots and
+/// of rails are no slip: the standard deviation is taken from the median size, and steps beyond five of it are left
 /// out.
 pub fn slip(episodes: &[Vec<Series>], lag_s: f64, limits: &Limits, stream: &mut Stream) -> Option<Slip> {
     let gain = gain(lag_s, limits.step_s);
@@ -172,7 +178,8 @@ pub fn slip(episodes: &[Vec<Series>], lag_s: f64, limits: &Limits, stream: &mut 
     Some(Slip { share, time_s })
 }
 
-/// Returns the slip of each step, as a share of the commanded speed; `None` for slow steps, and where a limit acted.
+/// Returns the slip of each step of a series along each axis, as a share of the commanded speed; `None` for steps of
+/// low commanded speed, and where a limit acted.
 fn slips(series: &Series, gain: f64, limits: &Limits) -> Vec<Option<[f64; 2]>> {
     let of = |pair: &[Moved]| {
         let (velocity, command) = (pair[0].velocity, pair[1].command);

@@ -1,4 +1,4 @@
-//! Fit of the links: delay and loss of the datagrams between hosts.
+//! Fit of a twin's links: delay and loss of the datagrams between hosts in a recorded run.
 //!
 //! Loss counts first transmissions alone, so that retransmissions do not hide it. A one-way delay is known only as well
 //! as the clocks: `record::merge` takes the fastest datagrams of both directions as equally long. The mean over both
@@ -16,45 +16,46 @@ use crate::random::Stream;
 /// A multicast datagram has one `Crossing` for each of its receivers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Crossing {
-    /// Episode in which it was sent, or in the reset before.
+    /// Episode in which, or in the reset before which, the datagram was sent.
     pub episode: u32,
-    /// Its link.
+    /// Link on which the datagram was sent.
     pub link: LinkId,
-    /// Its sender.
+    /// Host that sent the datagram.
     pub from: HostId,
-    /// The host at which it was due.
+    /// Host that should have received the datagram.
     pub to: HostId,
     /// Time from sending to arrival \[ns\]; `None` if its first transmission was lost.
     pub took_ns: Option<i64>,
 }
 
-/// Link as it was found.
+/// Delay and loss of a link, as fitted to the datagrams of a recorded run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FittedLink {
-    /// Datagrams that were due.
+    /// Number of datagrams that were due, counted at each of their receivers.
     pub due: usize,
     /// Probability that a receiver loses a datagram.
     pub loss: Estimate,
     /// One-way delay \[s\].
     pub delay_s: Estimate,
-    /// The delays' 5 % and 95 % quantiles \[s\].
+    /// 5 % and 95 % quantiles of the one-way delay of single datagrams \[s\].
     pub spread_s: [f64; 2],
 }
 
-/// Ordered pair of hosts on a link.
+/// Ordered pair of hosts on a link: link, sender, receiver.
 type Pair = (LinkId, HostId, HostId);
 
-/// Datagrams of one episode: how many were due and arrived, and the delays of each pair \[s\].
+/// Datagrams of one episode: how many were due, how many arrived, and the delays for each pair of hosts \[s\].
 #[derive(Default)]
 struct Counted {
     due: usize,
     arrived: usize,
     delays_s: BTreeMap<Pair, Vec<f64>>,
-    /// Mean over the pairs of the median delay \[s\].
+    /// Mean over the ordered pairs of hosts of the median delay \[s\]; `None` without arrivals.
     delay_s: Option<f64>,
 }
 
-/// Fits one link, or all together (`None`), on these episodes; `None` if no datagram arrived.
+/// Fits delay and loss of one link, or of all links together (`link` is `None`), to the datagrams of these episodes.
+/// Returns `None` if no datagram arrived.
 pub fn fit(
     crossings: &[Crossing],
     link: Option<LinkId>,

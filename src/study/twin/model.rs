@@ -1,4 +1,5 @@
-//! The fitted model: what was found on some episodes, what was given instead, and the simulation that follows from it.
+//! The twin's model: parameters fitted to some episodes of a run, values given by the user instead, and the simulation
+//! with these parameters.
 
 use std::ops::Range;
 
@@ -12,24 +13,26 @@ use crate::messages::ids::{LinkId, RobotId};
 use crate::random::Seed;
 use crate::trial::Trial;
 
-/// What was found on some episodes of a run. A part is `None` if the records do not tell it.
+/// Parameters of the twin that were fitted to some episodes of a recorded run. A parameter is `None` if it cannot be
+/// found from the records.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Fitted {
     /// Lag of the drivetrain \[s\].
     pub lag_s: Option<Estimate>,
-    /// Time until a command shows in the robots' own estimates \[s\], if the lag was found from these.
+    /// Time until a command has an effect on the robots' own velocity estimates \[s\]; `None` unless the lag was found
+    /// from these estimates.
     pub late_s: Option<f64>,
-    /// Slip of the wheels.
+    /// Slip of the wheels: random difference between driven and commanded velocity.
     pub slip: Option<Slip>,
-    /// Each link of the deployment, by its number.
+    /// Delay and loss of each link of the deployment, by the number of the link.
     pub links: Vec<Option<FittedLink>>,
-    /// All links together.
+    /// Delay and loss of all links together.
     pub all_links: Option<FittedLink>,
-    /// Offset of each robot's ticks from the World's steps \[s\].
+    /// Offset of each robot's control ticks from the World's steps \[s\]; `None` if unknown or not constant.
     pub offsets_s: Vec<Option<f64>>,
 }
 
-/// Values that replace fitted ones.
+/// Values given by the user that replace fitted parameters of the twin. `None` leaves the fitted one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Given {
     /// Lag of the drivetrain \[s\].
@@ -43,10 +46,10 @@ pub struct Given {
 }
 
 impl Given {
-    /// Names of the values, in the order of the fields.
+    /// Names of the values that a user can give, in the order of the fields.
     pub const NAMES: [&str; 4] = ["lag_s", "slip", "delay_s", "loss"];
 
-    /// Sets the value with this name; an error says what is wrong with it.
+    /// Sets the value with this name, one of [`Given::NAMES`]; the error text says what is wrong with name or value.
     pub fn set(&mut self, name: &str, value: f64) -> Result<(), String> {
         let (place, most) = match name {
             "lag_s" => (&mut self.lag_s, 10.0),
@@ -62,7 +65,7 @@ impl Given {
         Ok(())
     }
 
-    /// Returns the fit with these values in place of its own.
+    /// Returns the fitted parameters, with those that the user gave replaced by the given values.
     pub fn over(&self, mut fitted: Fitted) -> Fitted {
         let exact = |given: Option<f64>, place: &mut Estimate| {
             *place = given.map_or(*place, Estimate::exact);
@@ -82,7 +85,8 @@ impl Given {
     }
 }
 
-/// Limits of the robots' drivetrain in a trial.
+/// Returns the limits of speed and acceleration of the robots' drivetrain in a trial. `period_ns` is the duration of a
+/// step \[ns\].
 fn limits(trial: &Trial, period_ns: i64) -> Limits {
     let physics = &trial.physics;
     Limits {
@@ -93,7 +97,8 @@ fn limits(trial: &Trial, period_ns: i64) -> Limits {
     }
 }
 
-/// Fits everything that these episodes of a run tell. `trial` is the run's own.
+/// Fits all parameters of the twin (lag, slip, links, tick offsets) to these episodes of a recorded run. `trial` is the
+/// trial with the run's own settings.
 pub fn fit(run: &Run, trial: &Trial, episodes: Range<u32>) -> Fitted {
     let period_ns = trial.model.interface().period.as_nanos() as i64;
     let seed = Seed::of_run(trial.seed).child("twin");
@@ -129,7 +134,7 @@ pub fn fit(run: &Run, trial: &Trial, episodes: Range<u32>) -> Fitted {
     Fitted { lag_s, late_s, slip, links, all_links: link(None, "all"), offsets_s }
 }
 
-/// Puts the fitted links and ticks into a deployment.
+/// Returns the deployment with the fitted delay and loss of its links and the fitted offsets of the robots' ticks.
 pub fn deployment(fitted: &Fitted, mut deployment: Deployment) -> Deployment {
     for (link, found) in deployment.links.iter_mut().zip(&fitted.links) {
         let Some(found) = found else { continue };
@@ -146,12 +151,13 @@ pub fn deployment(fitted: &Fitted, mut deployment: Deployment) -> Deployment {
     deployment
 }
 
-/// Returns a number with as many digits as it is known by, so that files are readable.
+/// Returns `value` rounded to a multiple of 1 / `places`, so that files are readable.
 pub fn rounded(value: f64, places: f64) -> f64 {
     (value * places).round() / places
 }
 
-/// Returns the simulation that predicts the episodes of a run from `first` on. `trial` is the run's own.
+/// Returns the trial that predicts the episodes of a run from `first` on, with the fitted parameters. `trial` is the
+/// trial with the run's own settings.
 pub fn simulation(fitted: &Fitted, trial: &Trial, first: u32) -> Trial {
     let mut twin = trial.clone();
     twin.deployment = deployment(fitted, twin.deployment);

@@ -1,4 +1,5 @@
-//! A run as its records have it: what each host sent, and when it arrived where; how robots moved; how episodes ended.
+//! Reads the records of a run for its twin: what each host sent, and when it arrived at which host; how robots moved;
+//! how episodes ended.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -18,11 +19,12 @@ use crate::record::reader::{self, ReadError};
 use crate::record::tape;
 use crate::report::episode::Episode;
 
-/// Kinds of messages that leave as soon as they are published, in a datagram of their own.
+/// Kinds of messages that a host sends as soon as they are published, each in a datagram of its own.
 const PROMPT: [Kind; 3] = [Kind::Latent, Kind::Reading, Kind::MotorCommand];
 /// Time before the end of a record in which messages for its host no longer count: they may be under way \[ns\].
 const MARGIN_NS: i64 = 1_000_000_000;
-/// Longest time between two states of a series, in periods.
+/// Longest time between two states of a series (consecutive steps of a robot), in periods of the states. A longer gap
+/// ends the series.
 const GAP: f64 = 1.5;
 
 /// Message that a host published.
@@ -32,13 +34,13 @@ struct Sent {
     key: DatagramKey,
     kind: Kind,
     robot: RobotId,
-    /// The message, if it is a latent.
+    /// Content of the message if it is a latent; otherwise `None`.
     latent: Option<Latent>,
-    /// The commanded velocity \[m/s\], if it is a motor command.
+    /// Commanded velocity \[m/s\] if the message is a motor command; otherwise `None`.
     command: Option<[f64; 2]>,
 }
 
-/// True state of a robot.
+/// True state of a robot, as recorded by the host that simulates it.
 #[derive(Clone, Copy, Debug)]
 struct State {
     at_ns: i64,
@@ -49,17 +51,17 @@ struct State {
 
 /// Record of one incarnation of a host, on its own clock.
 pub struct Log {
-    /// The host.
+    /// Host that wrote the record.
     pub host: HostId,
-    /// What joins its clock with those of the others.
+    /// Sent and received datagrams, from which the offsets to the clocks of the other hosts are computed.
     pub traffic: Traffic,
     sent: Vec<Sent>,
     arrived: Vec<(i64, DatagramKey)>,
     states: Vec<State>,
     results: Vec<(i64, Episode)>,
-    /// Times of its first and its last turn \[ns\].
+    /// Times of the host's first and last recorded turn \[ns\] on its own clock; `None` if there is none.
     span: Option<[i64; 2]>,
-    /// Whether it was finished and not cut.
+    /// Whether the record was finished, and was not cut by a crash of its host.
     pub complete: bool,
 }
 
@@ -86,7 +88,7 @@ impl Log {
         Ok(log)
     }
 
-    /// Whether it has the result of an episode.
+    /// Returns whether the record has the result of an episode.
     pub fn has_results(&self) -> bool {
         !self.results.is_empty()
     }
@@ -135,33 +137,33 @@ impl Log {
     }
 }
 
-/// What a team's run needs to be known of, beside its records.
+/// Properties of a team that are needed, beside its records, to reconstruct its run.
 pub struct Team<'a> {
-    /// Routes of its messages.
+    /// Routes of the team's messages: the hosts that receive each kind.
     pub routes: &'a Routes,
-    /// Number of its hosts.
+    /// Number of the team's hosts.
     pub hosts: usize,
-    /// Number of its robots.
+    /// Number of the team's robots.
     pub robots: usize,
     /// Rules by which robots use messages.
     pub rules: Rules,
-    /// Period of the states \[ns\].
+    /// Period of the recorded states of robots \[ns\].
     pub period_ns: i64,
 }
 
-/// A run on one time.
+/// Recorded run of a team, joined from the records of its hosts on one common clock.
 #[derive(Debug, Default)]
 pub struct Run {
-    /// Results, by the number of the episode; only those from the first on without a gap.
+    /// Results by the number of the episode, from the first episode up to the first one without a result.
     pub episodes: Vec<Episode>,
-    /// Messages between hosts.
+    /// Outcome of each datagram at each host that should have received it.
     pub crossings: Vec<Crossing>,
-    /// Decisions of each episode.
+    /// Robots' decisions in each episode, with the ages of the messages in use.
     pub decisions: Vec<Decisions>,
-    /// True motion in each episode and in the reset before it.
+    /// True motion of the robots in each episode and in the reset before it.
     pub motion: Vec<Vec<Series>>,
-    /// Where there are no true states: in each episode the velocity that each robot estimated at its ticks, with the
-    /// command that it then gave.
+    /// For each episode, if the records have no true states of the robots: the velocity that each robot estimated at
+    /// its control ticks, with the velocity that it then commanded.
     pub estimates: Vec<Vec<Series>>,
     /// Times of the World's steps by episode \[ns\].
     pub steps_ns: Vec<Vec<i64>>,
@@ -170,7 +172,7 @@ pub struct Run {
 }
 
 impl Run {
-    /// Puts the records of a run together.
+    /// Joins the records of a run's hosts to one run. `alignment` has the offsets of their clocks.
     pub fn of(logs: &[Log], alignment: &Alignment, team: &Team) -> Run {
         let clocks: Vec<Option<&ClockDifference>> = alignment.clocks.iter().map(Option::as_ref).collect();
         let common = |at: usize, ns: i64| clocks[at].map(|clock| ns - clock.ahead_ns(ns));
@@ -202,7 +204,8 @@ impl Run {
         run
     }
 
-    /// Follows latents from publication to the decisions that used them.
+    /// Follows latents from publication to the decisions that used them, and stores these decisions with the messages'
+    /// ages.
     fn follow(
         &mut self,
         logs: &[Log],
@@ -237,7 +240,7 @@ impl Run {
             (0..self.episodes.len() as u32).map(|episode| decisions.remove(&episode).unwrap_or_default()).collect();
     }
 
-    /// Takes the robots' motion from their own estimates, which their latents have.
+    /// Stores the robots' motion by their own velocity estimates, which their latents contain.
     fn estimate(
         &mut self,
         logs: &[Log],
@@ -279,7 +282,7 @@ impl Run {
         open.into_values().for_each(|(of, _, series)| self.estimates[of].push(series));
     }
 
-    /// Cuts the true states into series of consecutive steps.
+    /// Stores the robots' true motion, as series of states in consecutive steps without a gap and without contact.
     fn move_robots(
         &mut self,
         logs: &[Log],
@@ -320,7 +323,7 @@ impl Run {
     }
 }
 
-/// Finds what became of every message at every host that it was for.
+/// Returns, for every datagram and every host that should have received it, its delay or that it was lost.
 fn crossings(
     logs: &[Log],
     common: &impl Fn(usize, i64) -> Option<i64>,

@@ -3,7 +3,8 @@
 
 use std::f64::consts::TAU;
 
-/// Length of the mean direction below which ticks have no fixed offset: their clocks drift against each other.
+/// Length of the mean direction (0 to 1) of tick times on a circle of one period, below which ticks have no fixed
+/// offset: the clocks of agent and World drift against each other.
 const STEADY: f64 = 0.95;
 
 /// Returns the mean of times within their period, as a share of it (0 to 1): the direction of the mean of the times as
@@ -18,7 +19,8 @@ pub fn steady(times_ns: impl Iterator<Item = i64>, period_ns: i64) -> Option<f64
     (count > 0 && length >= STEADY).then(|| (y.atan2(x) / TAU).rem_euclid(1.0))
 }
 
-/// Returns the offset \[s\] of ticks from steps of the same period, each as a share of it.
+/// Returns the offset \[s\] of an agent's ticks from the World's steps. `tick` and `step` are their times within the
+/// common period, each as a share of it (0 to 1).
 pub fn between(tick: f64, step: f64, period_ns: i64) -> f64 {
     let offset_ns = ((tick - step).rem_euclid(1.0) * period_ns as f64).round() as i64 % period_ns;
     offset_ns as f64 / 1e9

@@ -8,7 +8,7 @@ use crate::report::listening::Listening;
 use crate::report::page::{self, Part};
 use crate::time::Span;
 
-/// Text of a page.
+/// Texts and numbers for the report page of a twin.
 #[derive(Clone, Debug)]
 pub struct Words {
     /// Name of the run and of its team.

@@ -1,4 +1,4 @@
-//! Prediction: one repeat of the twin's simulation, followed as a record is.
+//! Prediction of a twin: runs one repeat of its simulation, and collects the same data as from a record.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -12,34 +12,35 @@ use crate::record::merge;
 use crate::report::episode::Episode;
 use crate::trial::{Proceed, Trial};
 
-/// One repeat of a prediction.
+/// Results of one simulated repeat of a twin's prediction.
 #[derive(Clone, Debug)]
 pub struct Predicted {
-    /// Results of its episodes.
+    /// Results of the simulated episodes.
     pub episodes: Vec<Episode>,
-    /// Decisions of each episode.
+    /// Robots' decisions in each simulated episode, with the ages of the messages in use.
     pub decisions: Vec<Decisions>,
 }
 
-/// What happens to a latent's datagram at one instant.
+/// Event of a latent's datagram in the simulation: its publication, or its arrival at a host.
 enum Event {
     Published(Frame),
     Arrived(HostId, Frame),
 }
 
-/// Rules by which the robots of a trial use messages.
+/// Returns the rules by which the robots of a trial use messages: range, hold time and handling.
 pub fn rules(trial: &Trial) -> Rules {
     let plan = trial.plan();
     Rules { range_m: plan.range.mean_m, hold_ns: plan.hold.as_nanos() as i64, handling: plan.handling }
 }
 
-/// Hosts of the robots' agents, by robot.
+/// Returns the host of each robot's agent in a trial, by robot.
 pub fn hosts(trial: &Trial) -> Vec<HostId> {
     let routes = crate::deploy::Routes::of(&trial.deployment);
     RobotId::team(trial.deployment.robots).map(|robot| routes.agent_host(robot)).collect()
 }
 
-/// Runs a trial until its end or until `proceed` says otherwise.
+/// Runs a trial until its end and returns its results and decisions; `None` if it did not finish. `proceed` is called
+/// with the results of the episodes so far, and can stop the trial.
 pub fn run(trial: &Trial, mut proceed: impl FnMut(&[Episode]) -> Proceed) -> Option<Predicted> {
     let mut follower = Follower::new(rules(trial), hosts(trial));
     let events: Rc<RefCell<Vec<Event>>> = Rc::default();
