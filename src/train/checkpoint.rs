@@ -156,7 +156,7 @@ mod tests {
             state.vector = vector.to_owned();
             Trainer::resume(&rmp_serde::to_vec_named(&state).expect("it is plain data"), &registry)
         };
-        let refused = with("x86_64 none").err().expect("it is of another").to_string();
+        let refused = with("x86_64 none").expect_err("it is of another").to_string();
         assert!(refused.contains("vector instructions is x86_64 none there"), "{refused}");
         assert!(with(&vector_instructions()).is_ok() && with("").is_ok());
     }

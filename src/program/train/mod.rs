@@ -5,7 +5,7 @@ mod curve;
 mod folder;
 mod plan;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -168,21 +168,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let threads = args.threads.map_or(cores, usize::from);
     let out = args.out.as_deref().expect("the parser requires it unless the configuration is printed");
-    let mut folder = Folder::open(out, args.resume.is_some())?;
-    let resumes = match args.resume {
-        None => false,
-        Some(Resume::Always) => true,
-        Some(Resume::IfThere) => folder.checkpoint().exists(),
-    };
-    let (mut trainer, mut curve) = if resumes {
-        let trainer = plan::resume(args, &folder, registry)?;
-        let curve = folder.curve(trainer.iterations())?;
-        (trainer, curve)
-    } else {
-        let trainer = plan::begin(args, registry)?;
-        folder.write_config(&trainer.plan().config)?;
-        (trainer, Curve::default())
-    };
+    let (mut folder, mut trainer, mut curve) = begin(args, out, registry)?;
     let stop = Arc::new(AtomicBool::new(false));
     let signal = Arc::clone(&stop);
     ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
@@ -192,10 +178,6 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         let name = &trainer.plan().scenario;
         talk(&format!("note: the reward of scenario '{name}' itself has weight 0 (reward.scenario) and is not used"));
     }
-    if !resumes {
-        folder.save(&trainer, &curve)?;
-    }
-
     let (began, spent_s) = (Instant::now(), curve.elapsed_s());
     let elapsed_s = || spent_s + began.elapsed().as_secs_f64();
     let bar = bar(args.quiet);
@@ -237,6 +219,26 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     bar.finish_and_clear();
     print_report(args, &folder, &trainer, (elapsed_s(), scores.as_ref(), interrupted))?;
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
+}
+
+/// Opens the output folder `out`, and returns it with the trainer and the learning curve: those of the training in the
+/// folder, or of a new one, which is saved there.
+fn begin(args: &Args, out: &Path, registry: &Registry) -> Result<(Folder, Trainer, Curve)> {
+    let mut folder = Folder::open(out, args.resume.is_some())?;
+    let resumes = match args.resume {
+        None => false,
+        Some(Resume::Always) => true,
+        Some(Resume::IfThere) => folder.checkpoint().exists(),
+    };
+    if resumes {
+        let trainer = plan::resume(args, &folder, registry)?;
+        let curve = folder.curve(trainer.iterations())?;
+        return Ok((folder, trainer, curve));
+    }
+    let (trainer, curve) = (plan::begin(args, registry)?, Curve::default());
+    folder.write_config(&trainer.plan().config)?;
+    folder.save(&trainer, &curve)?;
+    Ok((folder, trainer, curve))
 }
 
 /// Prints the result of the training.
