@@ -67,7 +67,8 @@ fn a_record_is_shown_at_any_time_with_its_marks_and_links() {
     pictures(&mut browser, "record-");
     browser.eval("document.getElementById('rate').value = 10; document.getElementById('rate').onchange()");
     browser.press_space();
-    browser.until("status.playback.playing && status.playback.rate === 10");
+    // The rest takes a second, so a busy browser may see it only when it is over.
+    browser.until("status.playback.rate === 10");
     browser.until(&format!("!status.playback.playing && {SHOWN} >= 1000 * scene.record.duration_s - 2"));
     assert_eq!(page.end(), Some(0));
 }

@@ -12,11 +12,12 @@ use super::report::Stamp;
 use crate::messages::ids::HostId;
 use crate::time::{Span, Time};
 
-/// Largest number of candidates that are hosts of the team.
+/// Largest number of candidates (incarnations that have not proved their liveness yet) that are hosts of the team.
 const MAX_HOSTS: usize = 1024;
 /// Largest number of candidates that are guests: operators, and hosts that the deployment does not know.
 const MAX_GUESTS: usize = 256;
-/// Share of a full table that is removed at once, so that a flood does not cause a search for every datagram.
+/// Part of a full table of candidates that is removed at once, as a divisor: 16 removes one sixteenth. So a flood of
+/// datagrams does not cause a search of the table for each of them.
 const REMOVED_SHARE: usize = 16;
 /// Largest number of candidates of one host: more earlier runs than are likely to be recorded with the same key and
 /// link.
@@ -33,7 +34,7 @@ pub struct Candidate {
     pub stamp: Stamp,
     /// Arrival time of that stamp.
     pub at: Time,
-    /// Number of reports that have echoed the candidate.
+    /// Number of this host's link reports that have echoed the candidate's stamp, to let it prove its liveness.
     pub echoed: u32,
 }
 
@@ -42,8 +43,9 @@ impl Candidate {
         now.since(self.at) < FRESH
     }
 
-    /// Sort key for removal: expired candidates first, then those echoed most; among equals, the one whose stamp has
-    /// not advanced for the longest time.
+    /// Returns the sort key by which candidates are removed from a full table: expired ones first, then those whose
+    /// stamps this host's reports have echoed most often; among equals, the one whose stamp has not advanced for the
+    /// longest time.
     fn removal_order(&self, now: Time) -> (bool, u32, Span) {
         (!self.is_fresh(now), self.echoed, now.since(self.at))
     }
@@ -60,7 +62,8 @@ pub enum Novelty {
     Expired,
 }
 
-/// Candidates with a common limit on their number.
+/// Table of candidates (incarnations that have not proved their liveness yet) with a limit on their number: one table
+/// for hosts of the team, another for guests.
 #[derive(Clone, Debug)]
 struct Table {
     by_host: BTreeMap<HostId, Vec<Candidate>>,
@@ -99,7 +102,7 @@ impl Table {
         Novelty::New
     }
 
-    /// Removes the first candidates in the order of removal, of any hosts.
+    /// Removes a sixteenth of the candidates from a full table: expired ones first, then those that were echoed most.
     fn make_room(&mut self, now: Time) {
         let each = self.by_host.iter().flat_map(|(&host, all)| all.iter().map(move |one| (host, *one)));
         let mut all: Vec<(HostId, Candidate)> = each.collect();
@@ -119,7 +122,8 @@ impl Table {
         }
     }
 
-    /// Returns the fresh candidates, those echoed least first, among equals the newest.
+    /// Returns the candidates whose stamps have advanced lately, for the next report to echo: those whose stamps were
+    /// echoed least first, among equals the newest.
     fn waiting(&self, now: Time) -> Vec<(HostId, Candidate)> {
         let each = self.by_host.iter().flat_map(|(&host, all)| all.iter().map(move |one| (host, *one)));
         let mut waiting: Vec<(HostId, Candidate)> = each.filter(|(_, one)| one.is_fresh(now)).collect();
@@ -128,7 +132,7 @@ impl Table {
     }
 }
 
-/// All candidates of one link.
+/// All incarnations seen on one link that have not proved their liveness yet: of hosts of the team, and of guests.
 #[derive(Clone, Debug)]
 pub struct Candidates {
     hosts: Table,
@@ -137,7 +141,8 @@ pub struct Candidates {
 }
 
 impl Candidates {
-    /// Returns an empty table. Hosts of the team have ids below `first_guest`.
+    /// Creates an empty table of candidates. Hosts of the team have ids below `first_guest`; guests (operators, and
+    /// hosts that the deployment does not know) have the others.
     pub fn new(first_guest: HostId) -> Candidates {
         Candidates { hosts: Table::new(MAX_HOSTS), guests: Table::new(MAX_GUESTS), first_guest }
     }
@@ -146,7 +151,8 @@ impl Candidates {
         if host < self.first_guest { &mut self.hosts } else { &mut self.guests }
     }
 
-    /// Records the stamp of a report.
+    /// Records the stamp in a link report of an incarnation without a liveness proof; adds it as a candidate if it is
+    /// new. Returns whether the stamp was new.
     pub fn note(&mut self, now: Time, host: HostId, incarnation: u32, stamp: Stamp) -> Novelty {
         self.table(host).note(now, host, Candidate { incarnation, stamp, at: now, echoed: 0 })
     }
@@ -160,8 +166,9 @@ impl Candidates {
         known
     }
 
-    /// Returns the fresh candidates, guests and hosts of the team alternately, so that neither group delays the other.
-    /// Within each group, those echoed least come first, then the newest.
+    /// Returns the candidates whose stamps the next report echoes: those whose stamps have advanced lately, guests and
+    /// hosts of the team alternately, so that neither group delays the other. Within each group, those whose stamps
+    /// were echoed least come first, then the newest.
     pub fn waiting(&self, now: Time) -> Vec<(HostId, Candidate)> {
         let [mut guests, mut hosts] = [&self.guests, &self.hosts].map(|table| table.waiting(now).into_iter());
         let mut waiting = Vec::with_capacity(guests.len() + hosts.len());

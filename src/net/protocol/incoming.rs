@@ -23,8 +23,8 @@ use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::Kind;
 use crate::time::{Span, Time};
 
-/// Number of datagrams of a second live host from which on it is logged. A host that restarts within `SILENT` causes
-/// fewer.
+/// Number of datagrams, from a second live host with the id of another one, from which on the log warns of it. A host
+/// that restarts within the time `SILENT` causes fewer.
 const DUPLICATES_TO_LOG: u64 = 8;
 
 /// Urgency of this host's next report to another host.
@@ -33,9 +33,9 @@ pub enum Urgency {
     /// Send the report with the next regular reports.
     #[default]
     Regular,
-    /// Piggybacked on the next datagram.
+    /// Append the report to the next datagram, whatever it is for.
     NextDatagram,
-    /// Immediately, in an urgent report.
+    /// Send the report immediately, in a datagram of its own if need be.
     Immediate,
 }
 
@@ -87,7 +87,7 @@ pub struct Incoming {
     rate: Option<Rate>,
     senders: Senders,
     candidates: Candidates,
-    /// Missing datagrams that can be requested.
+    /// Gaps in the senders' sequence numbers: datagrams that have not arrived and can still be requested again.
     pub gaps: Gaps,
     schedule: ReportSchedule,
     /// Detection of other processes with the id of this host.
@@ -339,7 +339,8 @@ impl Incoming {
         true
     }
 
-    /// Records which of the datagrams that a new datagram offers for retransmission have not arrived.
+    /// Records as gaps those datagrams that have not arrived, of those whose sequence numbers a new datagram lists
+    /// (`held`) as still held by its sender for retransmission. `backoff` draws the wait before each request.
     pub fn note_gaps(&mut self, now: Time, header: &Header, held: &[u32], backoff: impl FnMut() -> Span) {
         if held.is_empty() && self.gaps.is_empty() {
             return;
@@ -364,7 +365,7 @@ impl Incoming {
         Some(Report { stamp: self.local.stamps.of(now), heard })
     }
 
-    /// Returns how many times a message to `audience` is repeated, 0 to 2, from the loss that those hosts report.
+    /// Returns how many times a message to the hosts in `audience` is repeated, 0 to 2, by the loss that they report.
     pub fn repeats(&self, now: Time, audience: Audience) -> u8 {
         self.senders.repeats(now, audience)
     }

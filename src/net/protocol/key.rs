@@ -10,7 +10,7 @@ use std::sync::Arc;
 use super::codec::{FLAGS_AT, Flags, HEADER_BYTES, MAX_FRAME_BYTES, TAG_BYTES};
 use crate::messages::ids::{HostId, LinkId};
 
-/// Length of the link and the receiver in the hashed data \[bytes\].
+/// Length of what is hashed together with a datagram, the id of the link and that of the receiver \[bytes\].
 const ASSOCIATED_BYTES: usize = 4;
 
 /// Secret of a team, known to all its members. In a replay: a list of the datagrams that had a valid tag.
@@ -20,7 +20,7 @@ pub struct Key(Secret);
 #[derive(Clone)]
 enum Secret {
     Bytes([u8; 32]),
-    /// Digests of the accepted datagrams.
+    /// In a replay: digests of the datagrams whose tags were valid when they were recorded.
     Accepted(Arc<BTreeSet<[u8; 16]>>),
 }
 

@@ -211,7 +211,7 @@ impl LinkState {
         Ok(Some((header, plain)))
     }
 
-    /// Handles a datagram of another process with the id of this host.
+    /// Handles a datagram of another process that uses the id of this host: a second live one, or a recording.
     #[cold]
     fn note_duplicate_id(&mut self, now: Time, header: &Header, blocks: &ControlBlocks) {
         match (&self.key, &blocks.report) {
@@ -247,8 +247,9 @@ impl LinkState {
         self.incoming.accept(header, kind, robot, &mut self.counts)
     }
 
-    /// Returns the operator that sent the last datagram; `None` if another host sent it, or if it was neither new nor
-    /// of a candidate. The transport stores its address, so that reports reach the operator.
+    /// Returns the operator that sent the last datagram, and whether it is accepted; `None` if a host of the team sent
+    /// it, or if it was neither new nor of an operator that still has to prove its liveness. The transport stores its
+    /// address, so that reports reach the operator.
     pub fn operator(&self) -> Option<(HostId, Standing)> {
         self.operator
     }
@@ -298,7 +299,7 @@ impl LinkState {
     }
 }
 
-/// Control blocks of a datagram.
+/// Control blocks found in a received datagram: its link report, acknowledgements, requests and offers to retransmit.
 #[derive(Default)]
 struct ControlBlocks {
     report: Option<Report>,
@@ -329,7 +330,7 @@ impl ControlBlocks {
 /// Draws the backoff before a request for a retransmission: mostly long, rarely short, so that few receivers send one
 /// (RFC 5401, section 3.2, `RandomBackoff`).
 fn backoff(stream: &mut Stream) -> Span {
-    /// Assumed number of receivers.
+    /// Number of receivers that the distribution of the backoff assumes.
     const GROUP: f64 = 10.0;
     let (lambda, longest) = (libm::log(GROUP) + 1.0, BACKOFF.as_secs());
     let scale = lambda / (longest * (libm::exp(lambda) - 1.0));

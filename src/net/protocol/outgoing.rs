@@ -20,12 +20,13 @@ use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Wire};
 use crate::time::{Span, Time};
 
-/// Longest time that soft state waits to be piggybacked, if data was sent within this time. With data twelve times a
-/// second all of it is piggybacked. Messages that may not wait, such as `Stop`, are no soft state and are sent at once.
+/// Longest time that soft state (messages that are repeated, such as `Mode` and heartbeats) waits to be appended to a
+/// datagram with data, if data was sent within this time. With data twelve times a second, all soft state is appended.
+/// Messages that may not wait, such as `Stop`, are no soft state and are sent at once.
 pub const PIGGYBACK_WAIT: Span = Span::from_millis(100);
 /// Smallest interval between datagrams with only soft state; half of it if they contain an instruction (`Mode`).
 pub const SOFT_PERIOD: Span = Span::from_millis(200);
-/// Age of the last report at which the next one is sent, alone if need be.
+/// Longest time between two link reports; then the next one is sent, in a datagram of its own if need be.
 pub const REPORT_PERIOD: Span = Span::from_millis(250);
 /// Age of the last report from which on a report that another host waits for may be piggybacked.
 const PENDING_PIGGYBACK_AGE: Span = Span::from_millis(10);
@@ -55,8 +56,8 @@ pub struct Outgoing {
     soft_due: Option<Time>,
     /// Time since which soft state is pending; `None` if there is none.
     soft_since: Option<Time>,
-    /// Time from which the soft state that was last sent alone had been pending. Periods count from there, so that
-    /// waits do not add up.
+    /// Time since which the soft state had been waiting that was last sent in a datagram of its own. The next period
+    /// counts from there, so that waits do not add up.
     soft_sent: Option<Time>,
     data_sent: Option<Time>,
     report_sent: Option<Time>,
@@ -177,7 +178,7 @@ impl Outgoing {
         bytes.into()
     }
 
-    /// Returns the datagram with piggybacked blocks appended.
+    /// Returns the datagram with the pending blocks (soft state, report, acknowledgements) that fit appended.
     fn with_piggybacked(
         &mut self,
         now: Time,
