@@ -3,6 +3,7 @@
 import contextlib
 import filecmp
 import os
+import pathlib
 import signal
 import subprocess
 import sys
@@ -82,14 +83,19 @@ def kill_one_worker():
 
 
 def children():
-    """Process numbers of the programs that run as children."""
-    found = subprocess.run(["pgrep", "-f", "murmurate._child"], capture_output=True, text=True).stdout
-    return [int(number) for number in found.split()]
+    """Process numbers of the programs that run as children of this process or of a worker of Ray."""
+    found = []
+    for process in pathlib.Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            if b"murmurate._child" in (process / "cmdline").read_bytes().split(b"\0"):
+                found.append(int(process.name))
+    return sorted(found)
 
 
 def parent_of(process):
-    with open(f"/proc/{process}/stat", encoding="utf-8") as file:
-        return int(file.read().rsplit(")", 1)[1].split()[1])
+    """Process number of the parent of a process."""
+    stat = pathlib.Path(f"/proc/{process}/stat").read_text(encoding="utf-8")
+    return int(stat.rsplit(")", 1)[1].split()[1])
 
 
 def kill_once_saved(folder):
