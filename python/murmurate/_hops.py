@@ -8,9 +8,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
-#: Layers of a network: pairs of a weight (out, in) and a bias (out).
-Layers = "list[tuple[Tensor, Tensor]]"
-
 
 class Refused(Exception):
     """A module that a policy file cannot hold."""
@@ -57,8 +54,11 @@ def linear(module: nn.Linear) -> tuple[Tensor, Tensor]:
     return module.weight, bias
 
 
-def network_of(module: nn.Module, argument: str) -> tuple[dict[str, Any], Any]:
-    """Returns the form and the layers of a network of linear layers with one kind of activation between them."""
+def network_of(module: nn.Module, argument: str) -> tuple[dict[str, Any], list[tuple[Tensor, Tensor]]]:
+    """Returns the form and the layers of a network of linear layers with one kind of activation between them.
+
+    A layer is a pair of a weight (out, in) and a bias (out).
+    """
     from torch import nn
 
     parts, layers, between, after = _flat(module), [], [], None
