@@ -22,7 +22,8 @@ pub struct SafetyCounts {
     pub own_state: u64,
     /// Number of times that a robot's battery or temperature went beyond its limit.
     pub hardware: u64,
-    /// Number of times that a robot came far outside its ground.
+    /// Number of times that a robot's estimated position went further beyond the edge of the arena than
+    /// `geofence_stop_m` allows, which stops the robot. Counted once until it is back.
     pub outside: u64,
     /// Number of times that the geofence began to limit commands.
     pub fence: u64,

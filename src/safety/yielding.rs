@@ -5,7 +5,8 @@
 
 use crate::messages::geometry::Vec2;
 
-/// Speed to which a robot has to aim to be held \[m/s\]; below it, it rests.
+/// Smallest speed that a robot's policy has to want for the robot to count as held, which means that the safety filter
+/// keeps it from moving \[m/s\]. A robot whose policy wants less is at rest by its own choice.
 const AIMS_M_S: f32 = 0.1;
 /// Share of the aimed speed below which a robot is held.
 const HELD: f32 = 0.2;

@@ -23,7 +23,8 @@ use crate::scenario::Scenario;
 /// a processor core's private cache.
 pub const CHUNK: usize = 32;
 
-/// Settings of a rollout, the same for all chunks.
+/// Settings of a rollout that are the same for all chunks. A chunk is a group of environments that one thread steps
+/// together.
 #[derive(Debug)]
 pub struct RolloutSettings<'a> {
     /// Configuration of the training.
