@@ -1,4 +1,4 @@
-//! Flags for the drive of robots, shared by `sim` and `train`.
+//! Flags for the drive of robots, shared by `sim`, `train` and the studies of policies.
 
 use anyhow::Result;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -34,6 +34,18 @@ impl DriveFlags {
     /// Whether no flag of the drive is given.
     pub fn is_empty(&self) -> bool {
         self.settings().is_empty()
+    }
+
+    /// Returns the flags that are given, without `--`, each with its value.
+    pub fn given(&self) -> impl Iterator<Item = (&'static str, String)> {
+        let kind = self.drive.map(|kind| match kind {
+            DriveKind::Holonomic => "holonomic".to_owned(),
+            DriveKind::Differential => "differential".to_owned(),
+        });
+        let number = |value: Option<f32>| value.map(|value| value.to_string());
+        let [ahead, speed, yaw] = [self.point_ahead_m, self.speed_m_s, self.yaw_rate_rad_s].map(number);
+        let flags = [("drive", kind), ("point-ahead-m", ahead), ("speed-m-s", speed), ("yaw-rate-rad-s", yaw)];
+        flags.into_iter().filter_map(|(flag, value)| Some((flag, value?)))
     }
 
     fn settings(&self) -> Settings {

@@ -154,8 +154,13 @@ impl Guard {
         } else {
             self.begin(Trigger::Stop);
             self.driving = None;
+            let number = latch.number();
             if latch.is_held() {
-                tracing::warn!(number = latch.number(), "re-armed: the robot stands until a resume");
+                // Nobody has stopped the team: it is held as it is after a failed reset.
+                let why = if before.is_clear() { "held" } else { "re-armed" };
+                tracing::warn!(number, "{why}: the robot stands until a resume");
+            } else if !before.is_engaged() {
+                tracing::error!(number, "emergency stop: it holds until a resume");
             }
         }
         true
@@ -265,7 +270,8 @@ impl Guard {
         self.acting.push(trigger);
         *self.counts.of_mut(trigger) += 1;
         match trigger {
-            Trigger::Stop => tracing::error!(number = self.latch().number(), "emergency stop: it holds until a resume"),
+            // Reported where the latch changes, with its state.
+            Trigger::Stop => {}
             Trigger::Silence => tracing::warn!("the state server has fallen silent; the robot stops"),
             Trigger::Output => tracing::error!("the policy's output is not finite; the robot stops for the episode"),
             Trigger::LateTick => tracing::warn!("a control tick is late; the robot stops until one is in time"),

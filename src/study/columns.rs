@@ -123,7 +123,8 @@ impl Column {
 
     /// Returns a trial of one episode of a policy under the conditions of this column.
     pub fn trial(&self, scenario: Arc<dyn Scenario>, tested: &PolicyUnderTest, shared: &Deployed) -> Trial {
-        let deployment = Deployment::preset(&self.mode, scenario.robots()).expect("columns name modes");
+        let mut deployment = Deployment::preset(&self.mode, scenario.robots()).expect("columns name modes");
+        deployment.body = shared.body.clone();
         match deployment.stepping {
             Stepping::Lockstep => conditions::training(deployment, scenario, tested),
             Stepping::Seeded => {

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::PolicyUnderTest;
+use crate::chassis;
 use crate::deploy::conditions::Conditions;
 use crate::deploy::{Deployment, Impair, Stepping};
 use crate::hearing::CommRange;
@@ -28,12 +29,16 @@ pub struct Deployed {
     /// may replace the radio by a delay and loss of messages between robots. `None` for plant and radio alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fitted: Option<Conditions>,
+    /// Chassis of all robots, in the column `sim`, too: a robot keeps its wheels. The default is holonomic and
+    /// without limits.
+    #[serde(default, skip_serializing_if = "chassis::Settings::is_empty")]
+    pub body: chassis::Settings,
 }
 
 impl Deployed {
     /// Returns the default world and radio of all deployed columns: plant `rigid` and radio `paper`.
     pub fn shared() -> Deployed {
-        Deployed { plant: "rigid".to_owned(), radio: "paper".to_owned(), fitted: None }
+        Deployed { plant: "rigid".to_owned(), radio: "paper".to_owned(), fitted: None, body: Default::default() }
     }
 
     /// Returns this world and radio with the conditions of a file (`fitted`). If the file names a plant, it

@@ -238,7 +238,7 @@ pub fn page(study: &Study, results: &Results, figures: &[Figure]) -> String {
 
 fn configuration(study: &Study) -> Vec<(String, String)> {
     let identity = study.identity();
-    let Deployed { plant, radio, fitted } = &identity.conditions;
+    let Deployed { plant, radio, fitted, body } = &identity.conditions;
     let fitted = fitted.as_ref();
     let radio = if let Some(given) = fitted.filter(|given| given.impair()) {
         let (delay_ms, loss) = (1e3 * given.delay_s.unwrap_or(0.0), 1e2 * given.loss.unwrap_or(0.0));
@@ -260,6 +260,11 @@ fn configuration(study: &Study) -> Vec<(String, String)> {
             format!("world '{plant}'{lag} (docs/world.md), motion capture, unattended resets; {radio}"),
         ),
     ];
+    if !body.is_empty() {
+        let fields = serde_json::to_string(body).expect("settings are plain data");
+        let fields = fields.trim_matches(['{', '}']).replace('"', "").replace(':', " = ").replace(',', ", ");
+        terms.push(("chassis of all robots, in every column".to_owned(), fields));
+    }
     let used = PRESETS.iter().filter(|preset| study.policies.iter().any(|tested| tested.handling == *preset));
     terms.extend(used.map(|preset| (format!("handling '{}'", preset.name), preset.about.to_owned())));
     terms

@@ -294,6 +294,25 @@ fn losses_are_measured_and_do_not_raise_success_much() {
 }
 
 #[test]
+fn a_study_has_the_drive_of_its_robots() {
+    let place = Place::new();
+    let folder = place.at("wheels");
+    let wheels = ["--drive", "differential", "--point-ahead-m", "0.1"];
+    let output = done(&SMALL, &[&wheels[..], &["--out", &folder]].concat());
+    let warning = "it was trained for a holonomic drive, and robot 0 has a differential drive";
+    assert!(text(&output.stderr).contains(warning), "{}", text(&output.stderr));
+    let read =
+        |folder: &str, name: &str| std::fs::read_to_string(Path::new(folder).join(name)).expect("a file of the study");
+    assert!(read(&folder, "study.json").contains("--drive differential --point-ahead-m 0.1"));
+    assert!(read(&folder, "report.html").contains("drive = differential, point_ahead_m = 0.1"));
+    let plain = place.at("plain");
+    done(&SMALL, &["--quiet", "--out", &plain]);
+    assert_ne!(read(&folder, "episodes.csv"), read(&plain, "episodes.csv"), "wheels drive otherwise");
+    refuses(&[&SMALL[..], &wheels[..], &["--quiet", "--out", &plain]].concat(), &["plain", "conditions"]);
+    refuses(&[&SMALL[..], &["--point-ahead-m", "0.1"]].concat(), &["--point-ahead-m", "differential"]);
+}
+
+#[test]
 fn parts_of_a_study_in_one_folder_are_the_study_of_one_machine() {
     let place = Place::new();
     let (whole, parts) = (place.at("whole"), place.at("parts"));

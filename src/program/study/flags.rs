@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use crate::chassis::Chassis;
 use crate::registry::Registry;
 use crate::scenario::layout::Layouts;
 use crate::scenario::{Scenario, ScenarioError, Settings};
@@ -20,6 +21,7 @@ use super::shard::Shard;
 use crate::program::BadInput;
 use crate::program::bad;
 use crate::program::conditions;
+use crate::program::drive::DriveFlags;
 use crate::program::output::{read_text, talk};
 use crate::program::policy;
 use crate::program::recording::RecordFlags;
@@ -63,6 +65,8 @@ pub struct Shared {
     /// command without this flag then writes the report (docs/study.md)
     #[arg(long, value_name = "K/N", requires = "out")]
     pub shard: Option<Shard>,
+    #[command(flatten)]
+    drive: DriveFlags,
     #[command(flatten)]
     pub record: RecordFlags,
     #[command(flatten)]
@@ -184,10 +188,13 @@ impl Shared {
             conditions = conditions.with(conditions::file(path)?);
             registry.plant(&conditions.plant).map_err(|e| BadInput(format!("--conditions: {e}")))?;
         }
+        conditions.body = self.drive.over(&conditions.body)?;
+        let chassis = conditions.body.chassis().map_err(|e| BadInput(format!("--drive: {e}")))?;
+        let team = vec![chassis; scenario.robots()];
         let study = Study {
             name,
             columns,
-            policies: self.policies_under_test(registry, &*scenario)?,
+            policies: self.policies_under_test(registry, &*scenario, &team)?,
             conditions,
             layouts,
             repeats: self.repeats,
@@ -202,7 +209,12 @@ impl Shared {
     }
 
     /// Loads every policy, once for each handling under which it is tested. An error names the flag or the file.
-    fn policies_under_test(&self, registry: &Registry, scenario: &dyn Scenario) -> Result<Vec<PolicyUnderTest>> {
+    fn policies_under_test(
+        &self,
+        registry: &Registry,
+        scenario: &dyn Scenario,
+        team: &[Chassis],
+    ) -> Result<Vec<PolicyUnderTest>> {
         let usual = [registry.default_policy(scenario).to_owned()];
         let policies = if self.policies.is_empty() { &usual[..] } else { &self.policies };
         let named = |name: &String| handling::preset(name).expect("the parser lets only presets through");
@@ -214,7 +226,7 @@ impl Shared {
         for given in policies {
             let (policy, own) = split(given)?;
             for handling in own.map_or(handlings.clone(), |own| vec![own]) {
-                tested.push(self.load(registry, (policy, handling), scenario)?);
+                tested.push(self.load(registry, (policy, handling), scenario, team)?);
             }
         }
         let names: Vec<String> = tested.iter().map(PolicyUnderTest::name).collect();
@@ -227,8 +239,9 @@ impl Shared {
         registry: &Registry,
         (policy, handling): (&str, &'static Preset),
         scenario: &dyn Scenario,
+        team: &[Chassis],
     ) -> Result<PolicyUnderTest> {
-        let loaded = policy::load(registry, Some(Path::new(policy)), None, scenario)?;
+        let loaded = policy::load(registry, Some(Path::new(policy)), None, scenario)?.for_team(team);
         for warning in loaded.warnings.iter().filter(|_| !self.run.quiet) {
             talk(&format!("warning: {warning}"));
         }
@@ -250,6 +263,7 @@ impl Shared {
         add("gap-m", self.gap_m.map(|gap_m| gap_m.to_string()));
         add("episodes-file", self.episodes_file.as_ref().map(|path| path.display().to_string()));
         add("conditions", self.conditions.as_ref().map(|path| path.display().to_string()));
+        self.drive.given().for_each(|(flag, value)| add(flag, Some(value)));
         add("layouts", Some(self.layouts.to_string()));
         add("repeats", Some(self.repeats.to_string()));
         add("seed", Some(self.run.seed.to_string()));
