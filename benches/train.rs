@@ -1,6 +1,6 @@
-//! Benchmark of training: rollout, forward pass, update and whole iterations.
+//! Benchmark of training: rollout, environments of other trainings, forward pass, update and whole iterations.
 //!
-//! `cargo bench --bench train`. In the first two groups an item is a step of an environment of five robots. In the last
+//! `cargo bench --bench train`. In the first three groups an item is a step of an environment of five robots. In the last
 //! two, which use two threads, it is a decision: one policy evaluation for one environment.
 
 use divan::Bencher;
@@ -12,12 +12,13 @@ use murmurate::registry::Registry;
 use murmurate::scenario::{self, Settings};
 use murmurate::train::batch::{Batch, Graphs};
 use murmurate::train::conditions::Episode;
-use murmurate::train::config::{Config, Reward, Stage};
+use murmurate::train::config::{Conditions, Config, Reward, Stage};
 use murmurate::train::environments::Environments;
 use murmurate::train::network::{Network, Space};
 use murmurate::train::rollout::CHUNK;
 use murmurate::train::trainer::{Plan, Trainer};
 use murmurate::train::update::initial;
+use murmurate::train::vector::{Autoreset, Buffers, Content, Lengths, Options, VectorEnvironment};
 use rand::RngExt;
 
 fn main() {
@@ -65,6 +66,57 @@ fn rollout(bencher: Bencher, reward: &str) {
         }
     });
     assert!(chunks.iter().all(|environments| environments.teams[0].step >= 20), "every team has moved on");
+}
+
+/// Vectorised environment with messages, as Python sees it: 1024 environments of five robots, one thread, random actions.
+#[divan::bench(args = ["perfect", "late"], sample_count = 20)]
+fn vectorised(bencher: Bencher, conditions: &str) {
+    const ENVIRONMENTS: usize = 1024;
+    const STEPS: usize = 20;
+    let config = preset("robust");
+    let late = if conditions == "late" { 1.0 } else { 0.0 };
+    let mut environments = VectorEnvironment::new(Options {
+        scenario: scenario::build("passage", &Settings::default()).expect("the default passes its check"),
+        environments: ENVIRONMENTS,
+        threads: 1,
+        conditions: Conditions { clean: 1.0 - late, deployed: late, everyone: 0.0, ..config.conditions.clone() },
+        reward: config.reward,
+        chassis: config.chassis(),
+        observation: config.policy.observation.clone(),
+        radius_m: config.policy.radius_m,
+        limit_m_s: config.policy.limit_m_s,
+        episode_s: config.episode_s,
+        content: Content::Observations,
+        autoreset: Autoreset::SameStep,
+        seed: 1,
+    });
+    let Lengths { robots, observation, message } = environments.lengths();
+    let (rows, edges) = (ENVIRONMENTS * robots, ENVIRONMENTS * robots * robots);
+    let floats = |number: usize| vec![0.0f32; number];
+    let (mut seen, mut last, mut reward) = (floats(rows * observation), floats(rows * observation), floats(rows));
+    let (mut age_s, mut said) = (floats(edges), floats(edges * message));
+    let flags = |number: usize| vec![false; number];
+    let (mut terminated, mut truncated) = (flags(ENVIRONMENTS), flags(ENVIRONMENTS));
+    let (mut arrived, mut heard) = (flags(rows), flags(edges));
+    let mut stream = Seed::of_run(1).stream("bench");
+    let actions: Vec<f32> = (0..2 * rows).map(|_| stream.random_range(-1.0..1.0)).collect();
+    bencher.counter(ItemsCount::new(ENVIRONMENTS * STEPS)).bench_local(|| {
+        for _ in 0..STEPS {
+            let buffers = Buffers {
+                observation: &mut seen,
+                last_observation: &mut last,
+                reward: &mut reward,
+                terminated: &mut terminated,
+                truncated: &mut truncated,
+                arrived: &mut arrived,
+                heard: &mut heard,
+                age_s: &mut age_s,
+                message: &mut said,
+            };
+            environments.step(&actions, &[], buffers);
+        }
+    });
+    assert!(heard.iter().any(|heard| *heard), "messages arrive");
 }
 
 /// Forward pass for 4096 environments of five robots in range of each other, one thread, in both architectures.

@@ -40,12 +40,12 @@ impl CommRange {
     /// A random range is drawn from `stream`. A distance equal to the range is within range, as in the published
     /// system.
     pub fn admits(&self, receiver: Vec2, sender: Vec2, stream: &mut Stream) -> bool {
-        let range = if self.std_m > 0.0 {
-            (self.mean_m + self.std_m * random::normals(stream)[0] as f32).max(0.0)
-        } else {
-            self.mean_m
-        };
-        (receiver - sender).norm_squared() <= range * range
+        let square = (receiver - sender).norm_squared();
+        if self.std_m > 0.0 {
+            let beyond_m = f64::from(square.sqrt()) - f64::from(self.mean_m);
+            return random::normal_reaches(beyond_m / f64::from(self.std_m), stream);
+        }
+        square <= self.mean_m * self.mean_m
     }
 }
 

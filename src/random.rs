@@ -52,13 +52,49 @@ impl Seed {
 
 /// Draws two independent numbers of the standard normal distribution from `stream` (Marsaglia's polar method).
 pub fn normals(stream: &mut Stream) -> [f64; 2] {
-    loop {
-        let [x, y] = [stream.random::<f64>(), stream.random()].map(|unit| 2.0 * unit - 1.0);
-        let square = x * x + y * y;
-        if square > 0.0 && square < 1.0 {
-            let stretch = (-2.0 * libm::log(square) / square).sqrt();
-            return [x * stretch, y * stretch];
+    NormalPair::draw(stream).numbers()
+}
+
+/// Returns `true` if a number of the standard normal distribution, drawn from `stream`, is at least `limit`. It draws
+/// what [`normals`] draws, and compares with the first of its numbers. Most comparisons need no logarithm.
+pub fn normal_reaches(limit: f64, stream: &mut Stream) -> bool {
+    let pair = NormalPair::draw(stream);
+    // Farther from zero than the number can be, with a margin for rounding, its sign or its bound decides.
+    if limit * limit > 1.001 * pair.bound_of_square() {
+        return limit < 0.0;
+    }
+    pair.numbers()[0] >= limit
+}
+
+/// Point drawn from the uniform distribution over the unit disc, of which the polar method makes two normal numbers.
+struct NormalPair {
+    x: f64,
+    y: f64,
+    /// Square of the distance from the centre, above 0 and below 1.
+    square: f64,
+}
+
+impl NormalPair {
+    fn draw(stream: &mut Stream) -> NormalPair {
+        loop {
+            let [x, y] = [stream.random::<f64>(), stream.random()].map(|unit| 2.0 * unit - 1.0);
+            let square = x * x + y * y;
+            if square > 0.0 && square < 1.0 {
+                return NormalPair { x, y, square };
+            }
         }
+    }
+
+    fn numbers(&self) -> [f64; 2] {
+        let stretch = (-2.0 * libm::log(self.square) / self.square).sqrt();
+        [self.x * stretch, self.y * stretch]
+    }
+
+    /// Returns an upper bound of the square of the first number: the exponent of a floating-point number bounds its
+    /// logarithm.
+    fn bound_of_square(&self) -> f64 {
+        let halvings = 1023 - (self.square.to_bits() >> 52) as i64;
+        self.x * self.x * 2.0 * halvings as f64 * std::f64::consts::LN_2 / self.square
     }
 }
 
@@ -97,6 +133,16 @@ mod tests {
         assert!(both.abs() < 0.01, "the two are uncorrelated: {both}");
         let numbers: Vec<f64> = (0..400_000).map(|_| exponential(&mut stream)).collect();
         close(figures(&numbers, 3.0), [1.0, 1.0, 0.0498]);
+    }
+
+    #[test]
+    fn a_comparison_without_a_logarithm_is_that_of_the_number() {
+        let (mut compared, mut drawn) = (Seed::of_run(4).stream("numbers"), Seed::of_run(4).stream("numbers"));
+        for draw in 0..200_000 {
+            let limit = f64::from(draw % 101) / 10.0 - 5.0;
+            assert_eq!(normal_reaches(limit, &mut compared), normals(&mut drawn)[0] >= limit, "{limit}");
+        }
+        assert_eq!(compared, drawn, "both have drawn the same");
     }
 
     #[test]

@@ -26,6 +26,10 @@ pub struct MessageBuffer {
     estimates: Vec<[f32; 4]>,
     /// Step in which the newest held message was sent: by receiver, then by sender.
     held: Vec<Option<u32>>,
+    /// First step whose message is not drawn yet: by receiver, then by sender. Each message is drawn once, so one that
+    /// is lost stays lost. Shorter in the checkpoints of older programs, where nothing counts as drawn.
+    #[serde(default)]
+    undrawn: Vec<u32>,
 }
 
 /// A message that a robot uses in a decision.
@@ -49,6 +53,8 @@ impl MessageBuffer {
         self.estimates.resize(robots * self.history, [0.0; 4]);
         self.held.clear();
         self.held.resize(robots * robots, None);
+        self.undrawn.clear();
+        self.undrawn.resize(robots * robots, 0);
     }
 
     /// Stores a robot's estimate in a step.
@@ -112,8 +118,9 @@ impl MessageBuffer {
             let (arrival_s, now_s) = (episode.phase_s[sender] + delay_s, episode.phase_s[receiver]);
             let newest = i64::from(step) - (((arrival_s - now_s) / period).ceil() as i64).max(behind.into());
             let oldest = i64::from(step) - ((episode.hold_s + arrival_s - now_s) / period).floor() as i64;
-            let held = self.held[edge].map_or(-1, i64::from);
-            for sent in (oldest.max(held + 1).max(0)..=newest).rev() {
+            let undrawn = self.undrawn.get(edge).copied().unwrap_or(0);
+            let undrawn = undrawn.max(self.held[edge].map_or(0, |held| held + 1));
+            for sent in (oldest.max(undrawn.into())..=newest).rev() {
                 let lost = loss > 0.0 && stream.random::<f32>() < loss;
                 let sent = sent as u32;
                 let arrived = sent + (arrival_s / period) as u32;
@@ -121,6 +128,9 @@ impl MessageBuffer {
                     self.held[edge] = Some(sent);
                     break;
                 }
+            }
+            if let Some(next) = self.undrawn.get_mut(edge) {
+                *next = undrawn.max((newest + 1).max(0) as u32);
             }
             if let Some(sent) = self.held[edge] {
                 let age_s = (step - sent) as f32 * period + now_s - arrival_s;
@@ -136,5 +146,51 @@ impl MessageBuffer {
     fn in_range(&self, range: &CommRange, receiver: (u32, usize), sender: (u32, usize), stream: &mut Stream) -> bool {
         let at = |(step, robot): (u32, usize)| self.estimate(step, robot).position;
         range.admits(at(receiver), at(sender), stream)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::Seed;
+
+    /// Returns how often, of `steps` decisions, the message in use was sent each number of steps before; the last
+    /// entry counts decisions without a message. A robot decides every `repeat` steps.
+    fn ages(episode: &Episode, steps: u32, repeat: u32) -> Vec<u32> {
+        let mut stream = Seed::of_run(5).stream("ages");
+        let mut messages = MessageBuffer::default();
+        messages.restart(2, false);
+        let mut counts = vec![0; HISTORY_STEPS + 1];
+        for step in 0..steps {
+            (0..2).for_each(|robot| messages.store(step, robot, &Motion::at_rest(Vec2::new(robot as f32, 0.0))));
+            if !step.is_multiple_of(repeat) {
+                continue;
+            }
+            let mut sent = HISTORY_STEPS;
+            messages.receive((episode, 2.0), (step, 0), 0, &mut stream, |_, message| {
+                sent = (step - message.step) as usize;
+            });
+            counts[sent] += 1;
+        }
+        counts
+    }
+
+    #[test]
+    fn a_lost_message_stays_lost_however_often_a_robot_decides() {
+        let (loss, steps) = (0.5, 40_000);
+        let mut episode = Episode { lockstep: false, hold_s: 0.22, ..Episode::perfect(2) };
+        episode.edges.fill((0.0, loss));
+        for repeat in [1, 2, 4] {
+            let counts = ages(&episode, steps, repeat);
+            // The newest message of k steps before is in use if it has arrived and all later ones were lost.
+            let decisions = f64::from(steps / repeat);
+            for (age, count) in counts[..5].iter().enumerate() {
+                let (share, expected) = (f64::from(*count) / decisions, f64::from(loss).powi(age as i32 + 1));
+                assert!((share - expected).abs() < 0.02, "every {repeat} steps: age {age}: {share}, not {expected}");
+            }
+            assert_eq!(counts[5..HISTORY_STEPS], [0; HISTORY_STEPS - 5], "nothing is used beyond the hold time");
+            let none = f64::from(counts[HISTORY_STEPS]) / decisions;
+            assert!((none - f64::from(loss).powi(5)).abs() < 0.02, "every {repeat} steps: {none} without a message");
+        }
     }
 }
