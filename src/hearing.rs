@@ -36,9 +36,9 @@ impl CommRange {
         CommRange { mean_m, std_m: 0.0 }
     }
 
-    /// Whether a robot at `receiver` receives one message from a robot at `sender` (positions \[m\] in the same frame).
-    /// A random range is drawn from `stream`. A distance equal to the range is within range, as in the published
-    /// system.
+    /// Returns whether a robot at `receiver` receives one message from a robot at `sender` (positions \[m\] in the same
+    /// frame). A random range is drawn from `stream`. A distance equal to the range is within range, as in the paper's
+    /// published system.
     pub fn admits(&self, receiver: Vec2, sender: Vec2, stream: &mut Stream) -> bool {
         let square = (receiver - sender).norm_squared();
         if self.std_m > 0.0 {

@@ -16,7 +16,8 @@ use crate::messages::wire::{Mode, Stop, Wire};
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::{Mailbox, start};
 
-/// Actors of one host that follow the state server and the emergency stop.
+/// Mailboxes of the actors of one host that receive the state server's instructions ([`Mode`]) and emergency stop
+/// messages ([`Stop`]).
 struct Followers {
     agents: Vec<Mailbox<agent::In>>,
     controllers: Vec<Mailbox<controller::In>>,
@@ -26,7 +27,8 @@ struct Followers {
 }
 
 impl Followers {
-    /// Delivers an instruction of the state server to all of them.
+    /// Delivers an instruction of the state server to the World, Agents and Controllers of this host. Its Bodies get
+    /// only the emergency stop latch of the instruction, and its Status only the phase of the episode.
     fn follow(&self, mode: &Mode) {
         self.world.iter().for_each(|world| world.send(world::In::Mode(mode.clone())));
         self.agents.iter().for_each(|agent| agent.send(agent::In::Mode(mode.clone())));
@@ -35,7 +37,7 @@ impl Followers {
         self.status.send(status::In::Mode(mode.phase));
     }
 
-    /// Delivers an emergency stop message to those that follow the stop.
+    /// Delivers an emergency stop message to the Controllers, Bodies and Status of this host.
     fn stop(&self, stop: Stop) {
         self.controllers.iter().for_each(|controller| controller.send(controller::In::Stop(stop)));
         self.bodies.iter().for_each(|body| body.send(body::In::Stop(stop)));
@@ -43,8 +45,8 @@ impl Followers {
     }
 }
 
-/// Returns the function that delivers a message to the actors of a host. `agents`, `bodies` and `simulated` are the
-/// robots whose Agents, Bodies and simulations the host runs.
+/// Returns the function that delivers a received message to the actors of a host that use it. `agents` and `bodies` are
+/// the robots whose Agents and Bodies the host runs, `simulated` those that the host's World simulates.
 pub(super) fn deliveries(
     graph: &Graph,
     host: HostId,
@@ -115,7 +117,7 @@ pub(super) fn deliveries(
     }
 }
 
-/// Starts the Status of one host.
+/// Starts the Status actor of one host. Its answers to operators and its telemetry are published by the host's Network.
 pub(super) fn wire_status(clock: &Clock, graph: &Graph, host: HostId, config: status::Config) {
     let network = graph.network_of(host);
     let make = move |_| Status::new(&config);
@@ -127,7 +129,7 @@ pub(super) fn wire_status(clock: &Clock, graph: &Graph, host: HostId, config: st
     });
 }
 
-/// Starts the state server.
+/// Starts the state server. Its instructions are published by the Network of its host.
 pub(super) fn wire_server(clock: &Clock, plan: &Plan, graph: &Graph) {
     let config = state_server::Config {
         layouts: plan.layouts.clone(),

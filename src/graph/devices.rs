@@ -1,5 +1,5 @@
-//! Drivers, sources and observation of one process, created from the deployment. Their workers run on threads of their
-//! own.
+//! Drivers of robots, source of readings and publication of messages to ROS (observation) of one process, created from
+//! the deployment. Their workers, which do the I/O, run on threads of their own.
 
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
@@ -144,7 +144,8 @@ fn make(
     Ok(devices)
 }
 
-/// Starts a worker on a thread of its own.
+/// Starts a worker on a new thread with the given name, adds the thread to `workers`, and returns the channel to the
+/// worker.
 fn start_worker(worker: Box<dyn Worker>, name: String, workers: &mut Workers) -> std::io::Result<Rc<RefCell<Gate>>> {
     let (gate, port) = edge::channel()?;
     workers.0.push(thread::Builder::new().name(name).spawn(move || worker.run(port))?);

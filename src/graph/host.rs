@@ -75,7 +75,8 @@ pub fn wire(
     graph
 }
 
-/// Connects the devices' workers with their actors.
+/// Passes the packets of the workers (I/O threads) of drivers and source to `take`, and starts the Localizer of the
+/// source. The event loop that watches `readers` then reads the packets.
 fn wire_gates((clock, readers): (&Clock, &mut Readers), plan: &Plan, graph: &Graph, process: &Process, take: &Take) {
     for (robot, device) in &process.devices.drivers {
         watch(readers, device, DeviceId::Driver(*robot), take);

@@ -10,9 +10,9 @@ use crate::net::protocol::codec::Frame;
 /// Identity of a device of a host: a driver or the source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DeviceId {
-    /// The driver of a robot's motors.
+    /// The driver that moves this robot's motors.
     Driver(RobotId),
-    /// The host's source of readings.
+    /// The host's source of readings (measured poses and velocities of robots).
     Source,
 }
 
@@ -21,20 +21,21 @@ pub enum DeviceId {
 pub enum Input {
     /// Datagram that has arrived on a link, with its source address if the transport has addresses.
     Frame(LinkId, Frame, Option<SocketAddr>),
-    /// Number of datagrams that a transport of the link has dropped because a queue was full.
+    /// Number of datagrams that a transport of the link has dropped since the last such input, because a queue was
+    /// full.
     Dropped(LinkId, u64),
-    /// Packet of a device's worker (I/O thread).
+    /// Packet that the worker (I/O thread) of a driver or of the source has passed on, such as data of its hardware.
     Packet(DeviceId, Packet),
-    /// The worker of a device has ended.
+    /// Notice that the worker (I/O thread) of a driver or of the source has ended; no more packets arrive from it.
     Ended(DeviceId),
-    /// Order of the host's process to shut down: its robots stop, and then it announces this.
+    /// Order of the host's own process to shut down: its robots stop, and then it tells the team that it leaves.
     Leave,
-    /// Order of the host's process to engage the team's emergency stop.
+    /// Order of the host's own process to engage the team's emergency stop.
     Stop,
 }
 
 impl Input {
-    /// Whether the input is an order of the host's own process.
+    /// Returns whether the input is an order of the host's own process: `Leave` or `Stop`.
     pub fn is_order(&self) -> bool {
         matches!(self, Input::Leave | Input::Stop)
     }

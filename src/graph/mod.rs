@@ -59,11 +59,11 @@ pub const COMMAND_VALIDITY: Span = Span::from_millis(200);
 pub struct Plan {
     /// Hosts with their actors, and links between hosts.
     pub deployment: Deployment,
-    /// Scenario of the team.
+    /// Scenario: the task of the team, with its arena and rules.
     pub scenario: Arc<dyn Scenario>,
     /// Plant that simulates the robots that are not real.
     pub plant: Entry,
-    /// Properties of the simulated robots.
+    /// Properties of the simulated robots, such as the errors of their sensors.
     pub physics: Physics,
     /// Policy that drives the robots while an episode runs.
     pub run: Model,
@@ -79,7 +79,7 @@ pub struct Plan {
     pub estimator: estimation::Entry,
     /// Known delay of readings, from the measurement to the arrival.
     pub sensor_delay: Span,
-    /// Limit of the policies' output in Controllers.
+    /// Limit that Controllers apply to the velocities that policies command.
     pub clamp: Clamp,
     /// Conditions in which robots are stopped or slowed.
     pub safety: Safety,
@@ -95,12 +95,13 @@ pub struct Plan {
     pub faults: FaultPlan,
     /// Time at which the run ends, even during an episode; `None` to end with the last episode.
     pub until: Option<Time>,
-    /// Whether steps are reported, and with which messages.
+    /// Whether the Recorder reports single steps of the run, and which messages it reports with them.
     pub steps: recorder::Steps,
 }
 
-/// Starts and connects all actors of a plan on `clock`. `report` is called with each event of the process, `output`
-/// with each output of the Recorder, such as the result of an episode.
+/// Starts and connects the actors of all hosts of a plan in one process, with emulated links. They run on `clock`.
+/// `report` is called with each event of the process, `output` with each output of the Recorder, such as the result of
+/// an episode.
 pub fn wire(clock: &Clock, plan: Plan, report: Report, output: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
     let plan = &Rc::new(plan);
     let process = Process::all_hosts(report);
@@ -120,7 +121,7 @@ pub fn wire(clock: &Clock, plan: Plan, report: Report, output: impl FnMut(record
     graph
 }
 
-/// Starts the actors of the hosts that run in this process.
+/// Starts the actors of the hosts that run in this process: all hosts, or only `process.only`.
 pub(super) fn wire_hosts(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, process: &Process) {
     let here = |host: HostId| process.only.is_none_or(|only| only == host);
     let chassis = plan.deployment.team_chassis();
@@ -146,7 +147,8 @@ pub(super) fn wire_hosts(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, process:
     }
 }
 
-/// Starts the Recorder of this process.
+/// Starts the Recorder, the actor that collects the results of the run; `output` receives its output. Panics if this
+/// process has no Recorder.
 pub(super) fn wire_recorder(
     clock: &Clock,
     plan: &Plan,
@@ -175,7 +177,8 @@ pub(super) fn wire_recorder(
     });
 }
 
-/// Returns the offset of a robot's tick or heartbeat within its period.
+/// Returns the offset of a robot's tick or heartbeat within its period: half the period in lock step, otherwise drawn
+/// from the random stream of `name` and the robot.
 fn phase(plan: &Plan, name: &str, robot: RobotId, period: Span) -> Span {
     match plan.deployment.stepping {
         Stepping::Lockstep => Span::from_nanos(period.as_nanos() / 2),
@@ -187,9 +190,9 @@ fn phase(plan: &Plan, name: &str, robot: RobotId, period: Span) -> Span {
     }
 }
 
-/// Returns the configuration of a robot's guard. `chassis` are those of the team. The guard sees commanded points,
-/// which lie ahead of the centre of a differential drive. Therefore its least distances are larger by that offset, and
-/// its geofence smaller.
+/// Returns the configuration of a robot's guard. `chassis` has one entry for each robot of the team. The guard sees
+/// commanded points, which lie ahead of the centre of a differential drive. Therefore the least distances of the guard
+/// are larger by the offset of these points, and its geofence is smaller.
 fn guard_config(plan: &Plan, robot: RobotId, chassis: &[Chassis]) -> guard::Config {
     let interface = plan.run.interface();
     let own = &chassis[robot.index()];
@@ -206,8 +209,8 @@ fn guard_config(plan: &Plan, robot: RobotId, chassis: &[Chassis]) -> guard::Conf
     }
 }
 
-/// Starts Cache and Controller of one robot, and its Agent if the robot is the first of that Agent. `chassis` are those
-/// of the team.
+/// Starts Cache and Controller of one robot, and its Agent if the robot is the first of that Agent. `chassis` has one
+/// entry for each robot of the team.
 fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, chassis: &[Chassis], process: &Process) {
     let at = robot.index();
     let (id, seed) = (robot.0, plan.seed);
@@ -273,7 +276,7 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, cha
     });
 }
 
-/// Starts the Agent that has `robot` as its first robot.
+/// Starts the Agent, the actor that runs the policy of one or more robots, whose first robot is `robot`.
 fn wire_agent(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
     let id = robot.0;
     let network = graph.network_of(graph.routes.agent_host(robot));
@@ -302,7 +305,7 @@ fn wire_agent(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
     });
 }
 
-/// Starts Network, Status and World of one host.
+/// Starts the Network and the Status of one host, and its World if the host simulates robots.
 fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &Process) {
     let entry = &plan.deployment.hosts[usize::from(host.0)];
     // Sorted by id, as a plant moves its robots in this order.

@@ -76,7 +76,7 @@ pub fn wire(
     })
 }
 
-/// Period at which an observer asks for telemetry.
+/// Period at which an observer asks all hosts for telemetry (an `Observe` message).
 const OBSERVE_PERIOD: Span = Span::from_millis(1000);
 
 /// Makes the operator `by` an observer: it asks all hosts for telemetry through `network` while the process runs.

@@ -1,4 +1,5 @@
-//! The part of a deployment that runs in one process, and the mailboxes of all actors. `graph` connects them.
+//! The part of a deployment that runs in one process, and the mailboxes of all actors. The module `graph` starts the
+//! actors and connects them.
 
 use std::cell::{Cell, OnceCell};
 use std::collections::BTreeMap;
@@ -38,7 +39,7 @@ pub struct Process {
     pub incarnation: u32,
     /// Secret seed of the link layer's random streams; `None` to use the seed of the run.
     pub secret: Option<Seed>,
-    /// Key that authenticates the team's datagrams, if any.
+    /// Key that authenticates the team's datagrams; `None` if they are not authenticated.
     pub key: Option<Key>,
     /// Setup of each link, `None` for a link in which the host does not take part. The whole list is `None` if links
     /// are emulated.
@@ -71,7 +72,7 @@ pub enum ProcessEvent<'a> {
     Recorded(&'a recorder::Out),
     /// Message that was delivered to actors of this process.
     Message(&'a Wire),
-    /// State of the other hosts, from links with link reports.
+    /// State of the other hosts, such as delay and loss, from links with link reports.
     Peers(&'a [Peer]),
     /// Counts of datagrams on the links since the Network was started.
     Counts(&'a LinkCounts),
@@ -113,24 +114,24 @@ impl Process {
 pub struct Graph {
     pub(super) routes: Routes,
     pub(super) caches: Rc<[Mailbox<cache::In>]>,
-    /// Indexed by robot; the robots of one Agent share a mailbox.
+    /// Mailboxes of Agents, indexed by robot; the robots of one Agent share a mailbox.
     pub(super) agents: Vec<Mailbox<agent::In>>,
     pub(super) controllers: Rc<[Mailbox<controller::In>]>,
     pub(super) bodies: Rc<[Mailbox<body::In>]>,
-    /// Localizers of simulated robots, indexed by robot.
+    /// Mailboxes of the Localizers of simulated robots, indexed by robot.
     pub(super) sensors: Rc<[Mailbox<localizer::In>]>,
-    /// Localizer of this process's source.
+    /// Mailbox of the Localizer that runs this process's source of readings of real robots.
     pub(super) source: Mailbox<localizer::In>,
-    /// Indexed by robot; the robots of one World share a mailbox.
+    /// Mailboxes of Worlds, indexed by robot; the robots of one World share a mailbox.
     pub(super) worlds: Vec<Mailbox<world::In>>,
     pub(super) server: Mailbox<state_server::In>,
-    /// Indexed by host.
+    /// Mailboxes of the Status actors, indexed by host.
     pub(super) statuses: Rc<[Mailbox<status::In>]>,
     pub(super) networks: Rc<[Mailbox<network::In>]>,
     pub(super) transports: Rc<[Mailbox<transport::In>]>,
-    /// `None` in a process without a Recorder.
+    /// Mailbox of the Recorder; `None` in a process without a Recorder.
     pub(super) recorder: Option<Mailbox<recorder::In>>,
-    /// Notifies of each episode that begins, for faults timed from its start.
+    /// Calls a listener when an episode begins, so that faults timed from the start of an episode can be injected.
     pub(super) episodes: EpisodeNotice,
     /// Function that is called with each event of this process.
     pub(super) report: Report,
@@ -139,7 +140,7 @@ pub struct Graph {
 /// Function that is called with the number of an episode when it begins.
 type EpisodeListener = Box<dyn Fn(u32)>;
 
-/// Notifies one listener of each episode that begins.
+/// Calls one listener, a function, with the number of each episode that begins.
 #[derive(Clone, Default)]
 pub(super) struct EpisodeNotice {
     listener: Rc<OnceCell<EpisodeListener>>,
@@ -155,7 +156,7 @@ impl EpisodeNotice {
         }
     }
 
-    /// Sets the listener; may be called once.
+    /// Sets the function that is called with the number of each episode that begins. Panics if it was set before.
     pub(super) fn listen(&self, listener: impl Fn(u32) + 'static) {
         assert!(self.listener.set(Box::new(listener)).is_ok(), "a plan is scheduled once");
     }
@@ -206,7 +207,7 @@ impl Graph {
         self.statuses[usize::from(host.0)].clone()
     }
 
-    /// Returns the function that sends to the Recorder; it does nothing in a process without one.
+    /// Returns a function that sends its argument to the Recorder, or does nothing in a process without a Recorder.
     pub(super) fn record(&self) -> impl Fn(recorder::In) + use<> {
         let recorder = self.recorder.clone();
         move |input| {
@@ -216,7 +217,8 @@ impl Graph {
         }
     }
 
-    /// Numbers of messages that full mailboxes have refused and that crashes have lost, so far.
+    /// Returns two numbers of messages since the start of the run: those that full mailboxes have refused, and those
+    /// that were lost when their actor crashed.
     pub fn undelivered(&self) -> (u64, u64) {
         fn of<I>(mailboxes: &[Mailbox<I>]) -> impl Iterator<Item = (&str, (u64, u64))> {
             mailboxes.iter().map(|mailbox| (mailbox.name(), (mailbox.refused(), mailbox.lost())))
@@ -238,12 +240,12 @@ impl Graph {
         counts.values().fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1))
     }
 
-    /// Engages the team's emergency stop on behalf of a host of this process.
+    /// Engages the team's emergency stop: the host `by`, which runs in this process, publishes a `Stop` message.
     pub fn stop(&self, by: HostId) {
         self.take(by, Input::Stop);
     }
 
-    /// Shuts down a host of this process: its robots stop, and then it announces this.
+    /// Shuts down a host of this process: its robots stop, and then it tells the team that it leaves.
     pub fn leave(&self, host: HostId) {
         self.take(host, Input::Leave);
     }
@@ -253,17 +255,17 @@ impl Graph {
         self.change_fault(fault.role, fault.robot, Some(&fault));
     }
 
-    /// Ends all faults of an actor of this process; a crashed actor restarts.
+    /// Ends all injected faults of an actor of this process, given by its role and robot; a crashed actor restarts.
     pub fn recover(&self, role: Role, robot: RobotId) {
         self.change_fault(role, robot, None);
     }
 
-    /// Replaces the manually set faults of an emulated link.
+    /// Replaces the faults that were set on an emulated link during the run (not planned ones) by `fault`.
     pub fn impair(&self, link: LinkId, fault: ManualLinkFault) {
         self.transports[usize::from(link.0)].send(transport::In::Manual(fault));
     }
 
-    /// Publishes an emergency stop message through a host of this process.
+    /// Sends an emergency stop message (stop, re-arm or resume) to the team through the host `through` of this process.
     pub fn publish_stop(&self, through: HostId, stop: Stop) {
         self.networks[usize::from(through.0)].send(network::In::Publish(Wire::Stop(stop)));
     }
@@ -293,7 +295,8 @@ impl Graph {
 }
 
 impl Graph {
-    /// Reports an input, and passes it to the actors of a host of this process.
+    /// Reports an input from outside the graph as an event, and passes it to the actors of `host`, a host of this
+    /// process.
     pub fn take(&self, host: HostId, input: Input) {
         (self.report)(host, ProcessEvent::Input(&input));
         match input {

@@ -1,5 +1,5 @@
-//! Open transports of a process as actors, between its Network and the real-time event loop. Does not interpret the
-//! messages that they carry.
+//! Runs the open transports (sockets) of a process as actors: they send the datagrams of the host's Network, and the
+//! real-time event loop passes received datagrams on. Does not interpret the messages in the datagrams.
 
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
@@ -17,7 +17,7 @@ use crate::runtime::real::Readers;
 use crate::runtime::shell::{Mailbox, start};
 use crate::time::{Span, Time};
 
-/// Function that receives inputs from outside the graph.
+/// Function that is called with each input from outside the actor graph, such as a received datagram ([`Input`]).
 pub type Take = Rc<dyn Fn(Input)>;
 
 /// Starts the transports of a host, each behind the mailbox of its link. `mailboxes` are in the order of the
@@ -59,7 +59,8 @@ pub fn wire_all(
     }
 }
 
-/// Starts the only transport of a link behind its mailbox; received frames are passed to `take`.
+/// Starts an actor that sends the datagrams in `mailbox` through the open transport `transport` of `link`. Received
+/// datagrams are passed to `take`.
 fn wire(
     (clock, readers): (&Clock, &mut Readers),
     (link, transport): (LinkId, Box<dyn Transport>),
@@ -86,7 +87,7 @@ fn wire(
     start(clock, mailbox, span, move |_| Transmitter(Rc::clone(&transport)), |never| match never {});
 }
 
-/// Actor that passes frames to a transport.
+/// Actor that sends each datagram that it gets through one open transport.
 struct Transmitter(Rc<RefCell<Box<dyn Transport>>>);
 
 impl Core for Transmitter {
@@ -104,7 +105,7 @@ impl Core for Transmitter {
     fn wake(&mut self, _: Time, _: &mut Vec<Infallible>) {}
 }
 
-/// Actor that copies its input to each of a link's transports.
+/// Actor that puts out each input once; its caller sends that output to every transport of a link.
 struct Fan;
 
 impl Core for Fan {

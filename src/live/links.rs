@@ -15,7 +15,7 @@ use crate::time::Span;
 /// Reason why a process cannot open its links.
 #[derive(Debug, thiserror::Error)]
 pub enum LinkError {
-    /// The team file does not fit this machine; the text says why.
+    /// A setting of the link in the team file or in a flag is wrong on this machine; the text says why.
     #[error("{0}")]
     Wrong(String),
     /// The link may be opened later, for example when an interface is up; the text says why it failed now.
@@ -33,7 +33,7 @@ pub struct ProcessIdentity {
     pub incarnation: u32,
     /// Seed of the random streams of the process's link layer, which others cannot predict.
     pub seed: Seed,
-    /// The same seed as bytes, for a record of the process.
+    /// Bytes from which `seed` was made, for a record of the process.
     pub bytes: [u8; 32],
     /// Host number of the process if it is an operator, a process outside the deployment.
     pub operator: HostId,
@@ -60,14 +60,15 @@ impl ProcessIdentity {
     }
 }
 
-/// Returns the setup of each link in which the process takes part: that of the deployment, overridden by the team file.
+/// Returns the setup of each link: that of the deployment, overridden by the team file. `places` has one entry for each
+/// link of the deployment; a `None` entry is a link in which the process does not take part, and its setup is `None`.
 pub fn setups<'a>(deployment: &Deployment, places: impl IntoIterator<Item = Option<&'a Place>>) -> Vec<Option<Setup>> {
     let setup = |(link, place): (&Link, Option<&Place>)| place.map(|place| place.setup(&link.reliability));
     deployment.links.iter().zip(places).map(setup).collect()
 }
 
-/// Returns the link setups of an operator. Every datagram carries a link report, so that hosts accept the operator at
-/// once.
+/// Returns the link setups of an operator, one for each link of the deployment; `None` for a link in which it does not
+/// take part. Every datagram carries a link report, so that hosts accept the operator at once.
 pub fn of_operator<'a>(
     deployment: &Deployment,
     places: impl IntoIterator<Item = Option<&'a Place>>,
@@ -76,18 +77,20 @@ pub fn of_operator<'a>(
     setups.map(|setup| setup.map(|setup| Setup { report_piggyback_age: Span::ZERO, ..setup })).collect()
 }
 
-/// Returns the places of an operator, which takes part only in the link that carries `Stop`.
+/// Returns the entry of an operator for each link of the deployment: its endpoint and settings for the link that
+/// carries `Stop`, and `None` for all other links, in which it does not take part.
 pub fn places_of<'a>(access: &'a OperatorAccess, deployment: &Deployment) -> impl Iterator<Item = Option<&'a Place>> {
     let at = usize::from(access.link.0);
     (0..deployment.links.len()).map(move |link| (link == at).then(|| &access.places[0]))
 }
 
-/// Returns the packet filter for the datagrams of the team.
+/// Returns the packet filter that accepts only datagrams with the team's number, and tagged ones if the team has a key.
 pub fn filter(team: &Team) -> Filter {
     Filter::Team { number: team.number, tagged: team.key_file.is_some() }
 }
 
-/// Opens the links of the team's host. `me` is the id of the sender.
+/// Opens the network links in which this machine takes part according to the team file. `me` is the id of this host,
+/// the sender of its datagrams.
 pub fn open(team: &Team, me: HostId) -> Result<Vec<Open>, LinkError> {
     let mut open = Vec::new();
     for (at, (link, place)) in team.deployment.links.iter().zip(&team.links).enumerate() {
@@ -106,8 +109,9 @@ fn failed(link: &str, error: OpenError) -> LinkError {
     }
 }
 
-/// Opens the link that carries `Stop` for an operator, on every interface of the team file that this machine has. If it
-/// has none of those, opens it on all interfaces. If a flag has `named` the interface, opens it only there.
+/// Opens the link that carries `Stop` for an operator, on every network interface of the team file that this machine
+/// has. If it has none of those, opens the link on all interfaces. If `named`, the user has chosen the interface by a
+/// flag, and the link is opened only there.
 pub fn join(access: &OperatorAccess, link: &Link, me: HostId, named: bool) -> Result<Vec<Open>, LinkError> {
     let all = || access.places.iter().map(|place| &place.endpoint);
     let mut endpoints: Vec<Arc<dyn Endpoint>> = all().filter(|endpoint| endpoint.is_available()).cloned().collect();

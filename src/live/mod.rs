@@ -27,12 +27,15 @@ use crate::runtime::real::{Readers, run_real};
 use crate::time::{Span, Time};
 use crate::trial::Trial;
 
-/// Time that a host runs on after the last episode, so that hosts that missed the end receive it again.
+/// Time for which a host without the state server continues after the last episode, so that hosts that missed the end
+/// receive it again.
 const GRACE: Span = Span::from_millis(500);
-/// Time that the host of the state server runs on after the last episode; it announces the end, so it stays longer.
+/// Time for which the host of the state server continues after the last episode. It is longer than that of other hosts,
+/// because the state server announces the end.
 const SERVER_GRACE: Span = Span::from_millis(2000);
 
-/// Time that the team's host runs on after the last episode, so that hosts that missed the end receive it again.
+/// Returns how long the host of `team` on this machine continues after the last episode, so that hosts that missed the
+/// end receive it again. It is longer for the host of the state server.
 pub fn grace(team: &Team) -> Span {
     if team.deployment.hosts[usize::from(team.host.0)].state_server { SERVER_GRACE } else { GRACE }
 }
@@ -49,7 +52,7 @@ pub enum OpenError {
 }
 
 impl OpenError {
-    /// Whether the cause is a file of the user, and not the machine.
+    /// Returns whether the cause is a mistake in the user's settings, and not the state of the machine.
     pub fn is_wrong_input(&self) -> bool {
         matches!(self, OpenError::Link(LinkError::Wrong(_)) | OpenError::Device(DeviceError::Config(_)))
     }
@@ -61,13 +64,13 @@ pub struct LiveHost {
     workers: Workers,
     plan: Plan,
     grace: Span,
-    /// Seed of the link layer's random streams.
+    /// Seed of the link layer's random streams, as bytes for a record of the process.
     seed: [u8; 32],
 }
 
 impl LiveHost {
-    /// Opens the sockets, drivers and sources of the team's host. Drivers and sources are looked up in `registry` by
-    /// name. Fails if a link that leaves the machine has no key.
+    /// Opens the sockets, drivers and source of the host that `team` describes. Drivers and sources are looked up in
+    /// `registry` by name. `key` authenticates the team's datagrams; `None` only if no link leaves this machine.
     pub fn open(team: &Team, trial: &Trial, key: Option<Key>, registry: &Registry) -> Result<LiveHost, OpenError> {
         let links = links::setups(&team.deployment, team.links.iter().map(Option::as_ref));
         let transports = links::open(team, team.host)?;
@@ -78,7 +81,8 @@ impl LiveHost {
         Ok(LiveHost { host, workers, plan: trial.plan(), grace: grace(team), seed })
     }
 
-    /// Plan of the actor graph; this host runs its part of it.
+    /// Returns the plan from which the actor graph of the whole team is made. This host runs its own part of that
+    /// graph.
     pub fn plan(&self) -> &Plan {
         &self.plan
     }
@@ -90,9 +94,11 @@ impl LiveHost {
         (self.host.incarnation, self.seed, (0..self.host.links.len()).map(transports).collect())
     }
 
-    /// Runs the host on this thread. Its time counts from `origin`. `heard` receives the events of its Network, `said`
-    /// the output of the Recorder, which runs on the host that judges (`Deployment::judge`). `begun` is called once its
-    /// actors have started, with the time; `done` is called after every turn and ends the run by returning `true`.
+    /// Runs the host on this thread, and returns its actor graph at the end. Its time counts from `origin`. `heard` is
+    /// called with each event of the host (see [`ProcessEvent`]), `said` with each output of the Recorder, which runs
+    /// only on the host that judges episodes (`Deployment::judge`). `begun` is called once, after the actors have
+    /// started, with the event loop's file descriptors and the time. `done` is called after every turn; the run ends
+    /// when it returns `true`.
     pub fn run(
         self,
         origin: Instant,

@@ -1,4 +1,5 @@
-//! Observer: forwards messages that a host receives to a worker, which publishes them for other programs.
+//! Observer: forwards poses and latents that a host receives to a worker (I/O thread), which publishes them as ROS
+//! messages for other programs.
 
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
@@ -12,16 +13,18 @@ use crate::messages::wire::{Features, Wire};
 use crate::ros2::observe::Observation;
 use crate::time::{Span, Time};
 
-/// Period at which the team's state and latents are published; a pose is published with each reading.
+/// Shortest time between two publications of the team's positions, velocities and latents. Single poses are published
+/// with each reading.
 const PERIOD: Span = Span::from_millis(100);
 
-/// Forwards the messages of one host to the publishing worker.
+/// Forwards the readings and latents that one host receives to the worker (I/O thread) that publishes them as ROS
+/// messages.
 pub(super) struct Observer {
     observation: Rc<Observation>,
     gate: Rc<RefCell<Gate>>,
     team: RefCell<BTreeMap<RobotId, Motion>>,
     latents: RefCell<BTreeMap<RobotId, Features>>,
-    /// Time at which the state is published next.
+    /// Earliest time of the next publication of the team's positions, velocities and latents.
     next: Cell<Time>,
 }
 
@@ -32,8 +35,8 @@ impl Observer {
         Observer { observation, gate, team, latents, next: Cell::new(Time::ZERO) }
     }
 
-    /// Forwards a message that has reached this host. Never waits: packets that do not fit into the worker's queue are
-    /// dropped.
+    /// Forwards a message that has reached this host to the worker, if it is a reading or a latent. Never waits:
+    /// packets that do not fit into the worker's queue are dropped.
     pub fn hear(&self, now: Time, message: &Wire) {
         let send = |packet: Option<Vec<u8>>| packet.into_iter().for_each(|one| self.gate.borrow_mut().send(one.into()));
         match message {

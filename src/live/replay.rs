@@ -22,7 +22,7 @@ use crate::runtime::replay::run_replayed;
 use crate::time::Time;
 use crate::trial::Trial;
 
-/// Transport that receives nothing and discards every frame.
+/// Transport for a replay, in place of a socket: receives nothing, and discards every datagram that is sent.
 struct Silent(Rc<EventFd>);
 
 impl Transport for Silent {
@@ -40,8 +40,8 @@ impl Transport for Silent {
 }
 
 impl LiveHost {
-    /// Creates the host of an earlier process without opening anything, for [`LiveHost::run_again`]. `transports` has
-    /// the number of transports of each link.
+    /// Creates the host of a recorded process for [`LiveHost::run_again`], without opening sockets, drivers or sources.
+    /// The last argument has the recorded identity of the process, and the number of transports of each link.
     pub fn closed(
         team: &Team,
         trial: &Trial,
@@ -70,8 +70,9 @@ impl LiveHost {
         Ok(LiveHost { host, workers: Workers::none(), plan: trial.plan(), grace: grace(team), seed: identity.bytes })
     }
 
-    /// Replays the host from recorded turns: the time of each, and its inputs. `heard` receives the events of the host,
-    /// `said` the output of its Recorder; `ended` is called at the end of each turn.
+    /// Replays the host from recorded turns of its event loop, and returns its actor graph. `begun` is the time at
+    /// which the recorded run began; `turns` has the time and the inputs of each turn. `heard` is called with each
+    /// event of the host, `said` with each output of its Recorder, and `ended` with the time at the end of each turn.
     pub fn run_again(
         self,
         begun: Time,

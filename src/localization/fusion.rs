@@ -1,10 +1,11 @@
 //! Fusion of the robots' own odometry with any source of absolute poses: one that is slow, late, or without headings,
 //! such as a satellite receiver.
 //!
-//! The state of the filter is the pose of a robot in the team's frame. Each odometry moves it on, and makes it less
-//! certain by the distance travelled; each absolute reading corrects it, at the time at which it was measured
-//! (extended Kalman filter, as in Thrun et al., Probabilistic Robotics, 2005, section 3.3 and 7.4). So the drift of
-//! odometry is bounded, and headings are found from positions. What leaves are the poses, with every odometry.
+//! The state of the filter is the pose of a robot in the team's frame. Each odometry reading moves the pose and
+//! increases its covariance with the distance travelled; each absolute reading corrects it, at the time at which it was
+//! measured (extended Kalman filter, as in Thrun et al., Probabilistic Robotics, 2005, section 3.3 and 7.4). So the
+//! drift of odometry is bounded, and headings are found from positions. A fused pose is put out at each odometry
+//! reading.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -18,25 +19,28 @@ use crate::messages::ids::RobotId;
 use crate::messages::wire::Reading;
 use crate::time::{Span, Time};
 
-/// Name of the table with these settings, in the table of any source.
+/// Name of the table with the settings of the fusion, within the settings of any source.
 const TABLE: &str = "fuse";
-/// Standard deviation of a heading that was set by hand, and of a measured heading without its own standard deviation
-/// \[rad\].
+/// Standard deviation that is assumed for a heading that the user has set by hand \[rad\].
 const BY_HAND_RAD: f64 = 0.2;
+/// Standard deviation that is assumed for a measured heading whose source states no accuracy \[rad\].
 const MEASURED_RAD: f64 = 0.02;
-/// Standard deviation of a position without its own, and the smallest that is assumed \[m\].
+/// Standard deviation that is assumed for a position whose source states no accuracy, and smallest standard deviation
+/// that is used for any position \[m\].
 const POSITION_M: (f64, f64) = (0.02, 0.001);
-/// Squared distance from the prediction, in standard deviations, beyond which a reading is an outlier: one in 270 000
-/// of a normal distribution in two dimensions.
+/// Squared Mahalanobis distance of a measured position from the estimated one beyond which the reading is an outlier.
+/// Of a normal distribution in two dimensions, one in 270 000 is beyond it.
 const GATE: f64 = 25.0;
-/// Number of consecutive outliers after which they are accepted: the robot was carried, or the filter has diverged.
+/// Number of consecutive outliers (readings far from the estimate) at which they are accepted, since the robot was
+/// carried or the filter has diverged.
 const OUTLIERS: u32 = 10;
-/// Difference in position and angle between two odometry readings beyond which the odometry has restarted \[m, rad\].
+/// Largest difference in position and in heading between two consecutive odometry readings \[m, rad\]. Beyond it, the
+/// odometry is assumed to have restarted.
 const JUMP: (f64, f64) = (1.0, 1.5);
 /// Number of past poses that are stored for late readings: those of two seconds at 50 Hz.
 const KEPT: usize = 100;
 
-/// Settings of the fusion for one robot.
+/// Settings of the fusion of odometry with the readings of a source, for one robot.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Config {
@@ -50,17 +54,18 @@ struct Config {
     /// square root of the distance.
     #[serde(default = "drift")]
     drift: f64,
-    /// Longest time for which the robot continues on odometry alone \[s\].
+    /// Longest time without a reading of the source for which poses are still put out, from odometry alone \[s\].
     #[serde(default = "alone_s")]
     alone_s: f64,
 }
 
-/// Wheels that slip now and then: 5 cm after 1 m.
+/// Returns the default of `Config::drift`, for wheels that sometimes slip: an error of 5 cm after 1 m.
 fn drift() -> f64 {
     0.05
 }
 
-/// A robot at 0.8 m/s that lost its receiver drives as far as its own length or two.
+/// Returns the default of `Config::alone_s` \[s\]: in this time, a robot at 0.8 m/s without corrections drives one or
+/// two times its own length.
 fn alone_s() -> f64 {
     1.0
 }
@@ -84,12 +89,12 @@ impl Config {
     }
 }
 
-/// Makes a source, and fuses its readings with the robots' odometry by a Kalman filter. Fusion requires a table `fuse`
-/// in the settings of all robots or of one.
+/// Makes a source with the function `source`, and fuses its readings with the robots' odometry by a Kalman filter. The
+/// readings of a robot are fused only if its settings have a table `fuse`; all other readings are passed on unchanged.
 ///
 /// # Errors
 ///
-/// Those of the source; a wrong setting of the fusion, by its name.
+/// Returns the error of `source`, or the name of a wrong setting in the table `fuse`.
 pub fn make(
     settings: &Settings,
     robots: &[RobotId],
@@ -122,7 +127,7 @@ pub fn make(
     Ok(Parts { source: Box::new(fused), worker: parts.worker })
 }
 
-/// Source whose readings are fused with its robots' odometry.
+/// Source that fuses the readings of an inner source with the odometry of its robots.
 struct Fused {
     inner: Box<dyn Source>,
     filters: BTreeMap<RobotId, Filter>,
@@ -130,7 +135,8 @@ struct Fused {
 }
 
 impl Fused {
-    /// Passes readings of the source on to the filters, and everything else on.
+    /// Corrects the filters by the readings that the inner source has put out. Readings of robots without a filter and
+    /// refusals are appended to `out`.
     fn absorb(&mut self, now: Time, out: &mut Vec<Out>) {
         for said in self.said.drain(..) {
             match said {
@@ -169,25 +175,25 @@ impl Source for Fused {
     }
 }
 
-/// Pose \[m, m, rad\] in the team's frame, with its covariance.
+/// State of the Kalman filter: estimated pose (x, y, heading) \[m, m, rad\] in the team's frame, and its covariance.
 #[derive(Clone, Copy, Debug)]
 struct State {
     pose: [f64; 3],
     covariance: [[f64; 3]; 3],
 }
 
-/// Kalman filter of one robot.
+/// Kalman filter that estimates the pose of one robot from its odometry and the readings of a source.
 #[derive(Debug)]
 struct Filter {
     config: Config,
-    /// Last odometry: its stamp \[ns\] and pose.
+    /// Last odometry reading: its stamp \[ns\] and pose \[m, m, rad\]; `None` before the first.
     last: Option<(u64, [f64; 3])>,
     state: Option<State>,
-    /// Past poses, the newest last.
+    /// Past estimated poses \[m, m, rad\] with their times, the newest last.
     past: VecDeque<(Time, [f64; 3])>,
-    /// Arrival of the last reading of the source that was used.
+    /// Time of arrival of the last reading of the source that corrected the pose.
     corrected: Time,
-    /// Number of consecutive outliers.
+    /// Number of consecutive outliers: readings of the source that are far from the estimate.
     outliers: u32,
 }
 
@@ -196,7 +202,9 @@ impl Filter {
         Filter { config, last: None, state: None, past: VecDeque::new(), corrected: Time::ZERO, outliers: 0 }
     }
 
-    /// Moves the pose on by the robot's odometry; its reading, unless there is no correction or none for too long.
+    /// Moves the estimated pose by the motion since the last odometry reading, and returns the new estimate as a
+    /// reading. Returns `None` before the first reading of the source, if its last one is older than `alone_s`, and if
+    /// the odometry is repeated or has restarted. An error is the reason for which the odometry is refused.
     fn advance(&mut self, now: Time, odometry: &Reading) -> Result<Option<Reading>, &'static str> {
         let Pose { position, heading: Some(heading) } = odometry.pose else {
             return Err("odometry without a heading cannot be fused");
@@ -234,7 +242,8 @@ impl Filter {
         Ok(Some(reading))
     }
 
-    /// Corrects the pose by a reading of the source.
+    /// Corrects the estimated pose by a reading of the source; the first reading sets it. An error is the reason for
+    /// which the reading is refused, such as an outlier.
     fn correct(&mut self, now: Time, reading: &Reading) -> Result<(), &'static str> {
         let measured = [f64::from(reading.pose.position.x), f64::from(reading.pose.position.y)];
         let heading = reading.pose.heading.map(f64::from);
@@ -287,7 +296,8 @@ impl Filter {
 }
 
 impl State {
-    /// Moves the pose by a motion in the robot's own frame \[m, m, rad\].
+    /// Moves the pose by a motion in the robot's own frame (ahead, left, turn) \[m, m, rad\], and increases the
+    /// covariance by the error `drift` of the odometry.
     fn advance(&mut self, [ahead, left, turn]: [f64; 3], drift: f64) {
         let [x, y, heading] = self.pose;
         // At half the turn, as on an arc.
@@ -311,7 +321,8 @@ impl State {
         self.covariance = moved;
     }
 
-    /// Inverse of the covariance of a position's error, with the measurement's variance.
+    /// Returns the inverse covariance of the difference between a measured and the estimated position. `variance` is
+    /// that of the measurement \[m²\].
     fn information(&self, variance: f64) -> [[f64; 2]; 2] {
         let [[xx, xy, _], [_, yy, _], _] = self.covariance;
         let (xx, yy) = (xx + variance, yy + variance);
@@ -319,7 +330,8 @@ impl State {
         [[yy / determinant, -xy / determinant], [-xy / determinant, xx / determinant]]
     }
 
-    /// Squared Mahalanobis distance of a position's error.
+    /// Returns the squared Mahalanobis distance of `error`, the difference \[m\] between a measured and the estimated
+    /// position. `variance` is that of the measurement \[m²\].
     fn distance(&self, error: [f64; 2], variance: f64) -> f64 {
         let s = self.information(variance);
         (0..2).map(|row| (0..2).map(|column| error[row] * s[row][column] * error[column]).sum::<f64>()).sum()

@@ -1,6 +1,7 @@
-//! Localization: sources of robots' readings. A source is one file and one line in `REGISTRY`.
+//! Localization: sources of readings (measured poses and velocities) of robots. A source is one module and one line in
+//! `REGISTRY`.
 //!
-//! A source is pure: it turns its worker's packets, or the samples of a World, into readings.
+//! A source does no I/O: it converts the packets of its worker (I/O thread), or the samples of a World, to readings.
 
 pub mod fusion;
 pub mod gpsd;
@@ -37,13 +38,13 @@ pub enum Out {
     Refused(&'static str),
 }
 
-/// Source of readings of some robots: converts packets from sensors, or true states of simulated robots, to poses and
+/// Source of readings of robots: converts packets from sensors, or true states of simulated robots, to poses and
 /// velocities. Implementations do no I/O.
 pub trait Source {
     /// Handles one input at time `now` and appends readings and refusals to `out`.
     fn take(&mut self, now: Time, input: In, out: &mut Vec<Out>);
 
-    /// Time at which `wake` has to be called next; `None` if no call is needed.
+    /// Returns the time at which `wake` has to be called next; `None` if no call is needed.
     fn wake_at(&self) -> Option<Time> {
         None
     }
@@ -57,7 +58,7 @@ pub trait Source {
 pub struct Parts {
     /// Makes a new source; called at each start of the actor that uses the source.
     pub source: Box<dyn Fn() -> Box<dyn Source>>,
-    /// I/O of the source, which runs on a thread of its own.
+    /// Worker that does the I/O of the source on a thread of its own.
     pub worker: Box<dyn Worker>,
 }
 
@@ -68,7 +69,8 @@ pub struct Entry {
     pub name: &'static str,
     /// Description of the source in one line, for lists of all sources.
     pub about: &'static str,
-    /// Makes the source for some robots from its settings in a deployment. The error names the wrong setting.
+    /// Makes the source from its settings in a deployment and the robots that it has to localize. The error names the
+    /// wrong setting.
     pub make: fn(&Settings, &[RobotId]) -> Result<Parts, ConfigError>,
 }
 

@@ -1,7 +1,8 @@
-//! Source of robots that measure their own motion: odometry of their drivers, put into the team's frame by hand.
+//! Source `odometry`: makes readings from the odometry that drivers report, transformed to the team's frame by poses
+//! that the user measures and writes into the team file.
 //!
-//! Odometry drifts, so this is for tests and for short runs. It is also for robots that correct it on board, such as
-//! those that localize themselves on a map.
+//! Odometry drifts, so the source is for tests and for short runs. It is also for robots that correct their odometry on
+//! board, such as those that localize themselves on a map.
 
 use std::collections::BTreeMap;
 
@@ -18,8 +19,8 @@ use crate::time::Time;
 /// Description of the source `odometry` in one line, for lists of all sources.
 pub const ABOUT: &str = "the robots' own odometry, from their drivers on the same host";
 
-/// Settings of one robot in the team file. The frame of its odometry is the pose of the robot when it was switched on,
-/// or when the odometry was last reset.
+/// Settings of the source `odometry` for one robot, in the team file. The frame of its odometry is the pose of the
+/// robot when it was switched on, or when the odometry was last reset.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Config {
@@ -41,7 +42,7 @@ pub struct Alignment {
 }
 
 impl Alignment {
-    /// Turns a vector into the team's frame.
+    /// Rotates a vector from the axes of the odometry's frame to those of the team's frame.
     fn turned(&self, vector: Vec2) -> Vec2 {
         let (sin, cos) = libm::sincosf(self.yaw_rad);
         Vec2::new(cos * vector.x - sin * vector.y, sin * vector.x + cos * vector.y)
@@ -57,10 +58,10 @@ impl Alignment {
     }
 }
 
-/// Source without a worker of its own: its input comes from the drivers.
+/// Logic of the source `odometry`: converts odometry that drivers report to readings in the team's frame.
 struct Odometry {
     robots: BTreeMap<RobotId, Alignment>,
-    /// Stamp of the last reading of each robot \[ns\].
+    /// Stamp of the last odometry of each robot \[ns\], by which a repeated measurement is recognised.
     stamps: BTreeMap<RobotId, u64>,
 }
 

@@ -19,7 +19,7 @@ use crate::time::{Span, Time};
 /// Description of the source `program` in one line, for lists of all sources.
 pub const ABOUT: &str = "a program of yours: JSON lines on its stdout";
 
-/// Settings of the source in the team file.
+/// Settings of the source `program`, which runs a program of the user's, in the team file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Config {
@@ -27,7 +27,7 @@ struct Config {
     command: Vec<String>,
 }
 
-/// Line that the program writes.
+/// Line of JSON that the user's program writes: one reading of one robot.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Line {

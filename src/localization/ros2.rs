@@ -1,7 +1,7 @@
 //! Source of poses that ROS 2 nodes publish: a motion capture bridge, a localization by laser, or odometry.
 //!
-//! Pure: the DDS process and its supervisor are in `ros2`. Where messages have no velocity, it is the difference of two
-//! of them; the first gives no reading.
+//! Does no I/O: the DDS process and its supervisor are in the module `ros2`. If messages have no velocity, it is
+//! computed from the difference of two poses, so the first message gives no reading.
 
 use crate::config::ConfigError;
 use crate::edge::Settings;
@@ -19,38 +19,40 @@ use crate::ros2::supervisor::Supervisor;
 /// Description of the source `ros2` in one line, for lists of all sources.
 pub const ABOUT: &str = "poses from ROS 2: PoseStamped, PoseWithCovarianceStamped or Odometry";
 
-/// Place of the robot's number in the topic.
+/// Text in the setting `topic` that is replaced by the number of a robot.
 const NUMBER: &str = "{robot}";
-/// Longest interval over which a velocity is taken \[s\]: at 1 m/s the path may have bent by then.
+/// Longest time between two poses from whose difference a velocity is computed \[s\]. Over a longer time the path of a
+/// robot at 1 m/s may be too curved.
 const LONGEST_S: f64 = 0.5;
-/// Shortest one \[s\]: below, noise of 0.2 mm alone is a velocity of 0.1 m/s.
+/// Shortest time between two poses from whose difference a velocity is computed \[s\]. At this time, noise of 0.2 mm
+/// alone gives a velocity of 0.1 m/s.
 const SHORTEST_S: f64 = 0.002;
 
-/// Settings of the source in the team file.
+/// Settings of the source `ros2` in the team file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Config {
-    /// Topic of each robot, with `{robot}` for its number.
+    /// ROS topic of each robot's poses, in which `{robot}` is replaced by the robot's number.
     #[serde(default = "topic")]
     topic: String,
-    /// Type of its messages.
+    /// Type of the messages on the topics.
     #[serde(default, rename = "type")]
     kind: Kind,
     /// DDS domain, `ROS_DOMAIN_ID` of the publisher.
     #[serde(default)]
     domain: u16,
-    /// Name or address of the interface; none: all.
+    /// Name or address of the network interface that DDS uses; `None` for all interfaces.
     interface: Option<String>,
-    /// Rotation of the messages' frame in the world \[rad\], counter-clockwise.
+    /// Rotation of the messages' frame relative to the world frame \[rad\], counter-clockwise.
     #[serde(default)]
     yaw_rad: f64,
-    /// Origin of the messages' frame in the world \[m\].
+    /// Origin of the messages' frame in the world frame \[m\].
     #[serde(default)]
     origin_m: [f64; 2],
     /// Limit on the memory of each DDS process \[MiB\].
     #[serde(default = "settings::memory_mib")]
     memory_mib: u32,
-    /// Whether a warm spare of the DDS process runs.
+    /// Whether a second DDS process runs as a spare, which takes over if the first one ends.
     #[serde(default = "settings::yes")]
     spare: bool,
 }
@@ -59,16 +61,16 @@ fn topic() -> String {
     format!("/r{NUMBER}/pose")
 }
 
-/// Type of messages.
+/// Type of the ROS messages from which poses are read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum Kind {
-    /// `geometry_msgs/PoseStamped`.
+    /// Message type `geometry_msgs/PoseStamped`.
     #[default]
     PoseStamped,
-    /// `geometry_msgs/PoseWithCovarianceStamped`.
+    /// Message type `geometry_msgs/PoseWithCovarianceStamped`.
     PoseWithCovarianceStamped,
-    /// `nav_msgs/Odometry`.
+    /// Message type `nav_msgs/Odometry`.
     Odometry,
 }
 
@@ -84,7 +86,8 @@ pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigErro
     })
 }
 
-/// Checks the settings and derives the topics, one for each robot in order.
+/// Checks the settings, and returns the plan of the DDS process: its readers, one topic for each of `robots` in their
+/// order, and no writers. An error names the wrong setting.
 fn plan(config: &Config, robots: &[RobotId]) -> Result<Plan, ConfigError> {
     settings::check_participant(config.domain, config.interface.as_deref(), config.memory_mib)?;
     if robots.len() > packet::MAX_TOPICS {
@@ -124,16 +127,18 @@ struct Poses {
     origin_m: [f64; 2],
     /// Robots in the order of the plan's readers.
     tracks: Vec<Track>,
-    /// Number of problems of topics so far, and the last: one that all robots share is one line.
+    /// Number of problems of topics that were reported so far. A problem that repeats the last one is not counted.
     problems: u64,
+    /// Last reported problem of a topic; `None` before the first.
     logged: Option<String>,
 }
 
-/// State of one robot.
+/// State of the source `ros2` for one robot: stamps of its messages, and its last pose.
 struct Track {
     robot: RobotId,
     stamps: Stamps,
-    /// Stamp \[ns\] and pose of the last message, aligned.
+    /// Stamp \[ns\] and pose of the last message from which a velocity can be computed, in the world frame; `None`
+    /// before the first.
     last: Option<(u64, PoseSample)>,
 }
 
@@ -144,7 +149,7 @@ impl Poses {
         Poses { yaw_rad: config.yaw_rad, origin_m: config.origin_m, tracks, problems: 0, logged: None }
     }
 
-    /// Returns a pose in the world frame.
+    /// Converts a pose from the messages' frame to the world frame.
     fn aligned(&self, mut pose: PoseSample) -> PoseSample {
         let (x, y) = rotated(self.yaw_rad, pose.x, pose.y);
         (pose.x, pose.y) = (x + self.origin_m[0], y + self.origin_m[1]);
@@ -195,7 +200,8 @@ fn seconds(before: u64, after: u64) -> f64 {
     after.saturating_sub(before) as f64 * 1e-9
 }
 
-/// Velocity between two poses; none if they are too close in time or too far apart.
+/// Returns the mean velocity between two poses, each with its stamp \[ns\]; `None` if the time between them is shorter
+/// than `SHORTEST_S` or longer than `LONGEST_S`.
 fn difference((before, from): (u64, PoseSample), (after, to): (u64, &PoseSample)) -> Option<Velocity> {
     let dt = seconds(before, after);
     (SHORTEST_S..=LONGEST_S).contains(&dt).then(|| Velocity {

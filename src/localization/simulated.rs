@@ -1,4 +1,5 @@
-//! Source of simulated robots: a sensor with noise, rate and latency that measures the samples of their World.
+//! Source of readings of a simulated robot: a sensor with noise, rate and latency, which measures the true states of
+//! the robot that the World (simulator) sends.
 
 use std::collections::VecDeque;
 
@@ -15,10 +16,11 @@ use crate::world::Sensor;
 pub struct Simulated {
     sensor: Sensor,
     stream: Stream,
-    /// Time of the last measurement, and the earliest time of the next.
+    /// Time of the last measurement; `None` before the first.
     measured: Option<Time>,
+    /// Earliest time of the next measurement.
     ready: Time,
-    /// Readings that are delayed by the latency.
+    /// Readings that are not yet put out because of the latency, each with the time at which it is due.
     pending: VecDeque<(Time, Reading)>,
 }
 

@@ -20,7 +20,8 @@ pub const MAX_FEATURES: usize = 256;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Features(pub Arc<[f32]>);
 
-/// Visitor that hands a byte string to a parser; the text says what was expected.
+/// Serde visitor that passes a byte string to the parser in the first field. The second field says in errors what was
+/// expected.
 struct Bytes<T>(fn(&[u8]) -> Option<T>, &'static str);
 
 impl<T> Visitor<'_> for Bytes<T> {
@@ -33,12 +34,12 @@ impl<T> Visitor<'_> for Bytes<T> {
     }
 }
 
-/// A value that is a fixed number of floats on the wire.
+/// Value that is encoded in messages as a fixed number of floats.
 trait Floats<const N: usize>: Sized {
-    /// Description for decoding errors.
+    /// Description of the expected bytes, for decoding errors.
     const EXPECTED: &'static str;
     fn floats(&self) -> [f32; N];
-    /// Converts from floats; none if they are not in the form that `floats` gives.
+    /// Returns the value that these floats encode; `None` if no value is encoded so.
     fn of(floats: [f32; N]) -> Option<Self>;
 }
 
@@ -60,12 +61,13 @@ fn unpack_exactly<const N: usize>(bytes: &[u8]) -> Option<[f32; N]> {
     Some(fours.map(f32::from_le_bytes))
 }
 
-/// Encodes a number that may be unknown: as this NaN, and no other.
+/// Encodes a number that may be unknown (`None`): an unknown number becomes the bit pattern of `f32::NAN`.
 fn unknown(float: Option<f32>) -> f32 {
     float.unwrap_or(f32::NAN)
 }
 
-/// Decodes a number that may be unknown; the outer option is none if it is another NaN.
+/// Decodes a number that may be unknown. Returns `Some(None)` for the bit pattern of `f32::NAN`, which stands for an
+/// unknown number, and `None` for every other NaN, which is an error.
 fn known(float: f32) -> Option<Option<f32>> {
     match float.is_nan() {
         true => (float.to_bits() == f32::NAN.to_bits()).then_some(None),
@@ -177,7 +179,7 @@ impl<'de> Deserialize<'de> for Features {
     }
 }
 
-/// One velocity \[m/s\] as 8 bytes.
+/// Serde functions (for `serde(with)`) that encode one [`Vec2`], such as a velocity \[m/s\], as 8 bytes.
 pub(super) mod vec2 {
     use super::*;
 
@@ -190,7 +192,7 @@ pub(super) mod vec2 {
     }
 }
 
-/// A block of tasks as 16 bytes each.
+/// Serde functions (for `serde(with)`) that encode a list of tasks, each as 16 bytes: start and goal.
 pub(super) mod tasks {
     use super::*;
 

@@ -13,123 +13,123 @@ pub struct Vec2 {
 }
 
 impl Vec2 {
-    /// The vector with these coordinates.
+    /// Returns the vector with these coordinates.
     #[inline(always)]
     pub const fn new(x: f32, y: f32) -> Vec2 {
         Vec2 { x, y }
     }
 
-    /// The zero vector: the origin of a frame, or the velocity of a robot that stands still.
+    /// Returns the zero vector: the origin of a frame, or the velocity of a robot that stands still.
     #[inline(always)]
     pub const fn zeros() -> Vec2 {
         Vec2::new(0.0, 0.0)
     }
 
-    /// The vector whose x and y components are both `both`.
+    /// Returns the vector whose x and y components are both `both`.
     #[inline(always)]
     pub const fn repeat(both: f32) -> Vec2 {
         Vec2::new(both, both)
     }
 
-    /// The unit vector along the x axis, (1, 0).
+    /// Returns the unit vector along the x axis, (1, 0).
     #[inline(always)]
     pub const fn x() -> Vec2 {
         Vec2::new(1.0, 0.0)
     }
 
-    /// The unit vector along the y axis, (0, 1).
+    /// Returns the unit vector along the y axis, (0, 1).
     #[inline(always)]
     pub const fn y() -> Vec2 {
         Vec2::new(0.0, 1.0)
     }
 
-    /// The components as the array `[x, y]`.
+    /// Returns the components as the array `[x, y]`.
     #[inline(always)]
     pub const fn to_array(self) -> [f32; 2] {
         [self.x, self.y]
     }
 
-    /// The vector that results when the function `of` is applied to the x component, then to the y component.
+    /// Returns the vector that results when the function `of` is applied to the x component, then to the y component.
     #[inline(always)]
     pub fn map(self, mut of: impl FnMut(f32) -> f32) -> Vec2 {
         Vec2::new(of(self.x), of(self.y))
     }
 
-    /// The component-wise minimum of this vector and `other`.
+    /// Returns the component-wise minimum of this vector and `other`.
     #[inline(always)]
     pub fn inf(&self, other: &Vec2) -> Vec2 {
         Vec2::new(self.x.min(other.x), self.y.min(other.y))
     }
 
-    /// The component-wise maximum of this vector and `other`.
+    /// Returns the component-wise maximum of this vector and `other`.
     #[inline(always)]
     pub fn sup(&self, other: &Vec2) -> Vec2 {
         Vec2::new(self.x.max(other.x), self.y.max(other.y))
     }
 
-    /// The component-wise product of this vector and `other`.
+    /// Returns the component-wise product of this vector and `other`.
     #[inline(always)]
     pub fn component_mul(&self, other: &Vec2) -> Vec2 {
         Vec2::new(self.x * other.x, self.y * other.y)
     }
 
-    /// The scalar (dot) product of this vector and `other`.
+    /// Returns the scalar (dot) product of this vector and `other`.
     #[inline(always)]
     pub fn dot(&self, other: &Vec2) -> f32 {
         self.x * other.x + self.y * other.y
     }
 
-    /// The square of the Euclidean length of this vector.
+    /// Returns the square of the Euclidean length of this vector.
     #[inline(always)]
     pub fn norm_squared(&self) -> f32 {
         self.dot(self)
     }
 
-    /// The Euclidean length of this vector.
+    /// Returns the Euclidean length of this vector.
     #[inline(always)]
     pub fn norm(&self) -> f32 {
         self.norm_squared().sqrt()
     }
 
-    /// The vector with the same direction and a Euclidean length of at most `most`, in the unit of the vector.
+    /// Returns the vector with the same direction and a Euclidean length of at most `most`, in the unit of the vector.
     pub fn cap_magnitude(self, most: f32) -> Vec2 {
         let length = self.norm();
         if length > most { self * (most / length) } else { self }
     }
 
-    /// The unit vector in the direction of this vector; both components are NaN for a zero vector.
+    /// Returns the unit vector in the direction of this vector; both components are NaN for a zero vector.
     #[inline(always)]
     pub fn normalize(&self) -> Vec2 {
         *self / self.norm()
     }
 
-    /// The unit vector in the direction of this vector; `None` if the Euclidean length is `least` or below.
+    /// Returns the unit vector in the direction of this vector; `None` if the Euclidean length is `least` or below.
     #[inline(always)]
     pub fn try_normalize(&self, least: f32) -> Option<Vec2> {
         let norm = self.norm();
         if norm <= least { None } else { Some(*self / norm) }
     }
 
-    /// The vector of the absolute values of both components.
+    /// Returns the vector of the absolute values of both components.
     #[inline(always)]
     pub fn abs(&self) -> Vec2 {
         Vec2::new(self.x.abs(), self.y.abs())
     }
 
-    /// The larger of the x and y components, with their signs.
+    /// Returns the larger of the x and y components, with their signs.
     #[inline(always)]
     pub fn max(&self) -> f32 {
         self.x.max(self.y)
     }
 
-    /// The vector with the number `both` added to each component.
+    /// Returns the vector with the number `both` added to each component.
     #[inline(always)]
     pub fn add_scalar(&self, both: f32) -> Vec2 {
         *self + Vec2::repeat(both)
     }
 }
 
-/// `[x, y]`, with the precision of the format string.
+/// Writes the vector as `[x, y]`; both components are formatted by the options of the format string.
 impl fmt::Display for Vec2 {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("[")?;
@@ -224,7 +224,7 @@ impl SubAssign for Vec2 {
     }
 }
 
-/// Position \[m\] and velocity \[m/s\] of a robot, in the world frame unless its place of use says otherwise.
+/// Position \[m\] and velocity \[m/s\] of a robot, in the world frame unless a field of this type says otherwise.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Motion {
     /// Position of the centre \[m\].
@@ -274,7 +274,7 @@ pub struct Task {
 }
 
 impl Task {
-    /// Direction from the start to the goal \[rad\], counter-clockwise from the x axis.
+    /// Returns the direction from the start to the goal \[rad\], counter-clockwise from the x axis.
     pub fn heading(&self) -> f32 {
         let way = self.goal - self.start;
         libm::atan2f(way.y, way.x)
@@ -282,7 +282,7 @@ impl Task {
 }
 
 impl Motion {
-    /// The motion of a robot that stands still at `position` \[m\], world frame.
+    /// Returns the motion of a robot that stands still at `position` \[m\], world frame.
     pub fn at_rest(position: Vec2) -> Motion {
         Motion { position, velocity: Vec2::zeros() }
     }

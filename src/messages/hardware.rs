@@ -5,7 +5,7 @@ use std::fmt;
 use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Health of a robot's hardware.
+/// Health of a robot's hardware: whether it follows commands, reports a fault, or does not answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(into = "u8", try_from = "u8")]
 pub enum Health {
@@ -36,7 +36,7 @@ impl TryFrom<u8> for Health {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Celsius(u8);
 
-/// Temperature of the byte zero \[°C\].
+/// Temperature that the byte 0 encodes in a message \[°C\].
 const ZERO_C: i16 = -40;
 
 impl Celsius {
@@ -46,7 +46,7 @@ impl Celsius {
         (0.0..=255.0).contains(&byte).then_some(Celsius(byte as u8))
     }
 
-    /// The temperature \[°C\].
+    /// Returns the temperature \[°C\].
     pub fn degrees(self) -> i16 {
         i16::from(self.0) + ZERO_C
     }
@@ -65,7 +65,7 @@ pub const MAX_REASON: usize = 80;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Reason(Box<str>);
 
-/// Ending of a reason that was cut.
+/// Text that replaces the end of a [`Reason`] that was cut because it was too long.
 const CUT: &str = "...";
 
 impl Reason {
@@ -81,7 +81,7 @@ impl Reason {
         }
     }
 
-    /// The text of the reason, in printable ASCII.
+    /// Returns the text of the reason, in printable ASCII.
     pub fn text(&self) -> &str {
         &self.0
     }

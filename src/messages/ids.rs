@@ -20,7 +20,7 @@ pub struct HostId(pub u16);
 #[serde(transparent)]
 pub struct LinkId(pub u16);
 
-/// First number of an operator; hosts of a deployment have smaller ones.
+/// Smallest host number of an operator, a process outside the deployment; hosts of a deployment have smaller numbers.
 const FIRST_OPERATOR: u16 = 0xc000;
 
 impl HostId {
@@ -28,8 +28,8 @@ impl HostId {
     /// orders or observe.
     pub const OPERATORS: u16 = u16::MAX - FIRST_OPERATOR;
 
-    /// Host number of an operator, a process outside the deployment that gives orders or observes. `number` is taken
-    /// modulo `OPERATORS`; each operator process draws one at random.
+    /// Returns the host number of an operator, a process outside the deployment that gives orders or observes. `number`
+    /// is taken modulo `OPERATORS`; each operator process draws one at random.
     pub const fn operator(number: u16) -> HostId {
         HostId(FIRST_OPERATOR + number % HostId::OPERATORS)
     }
@@ -41,7 +41,7 @@ impl HostId {
 }
 
 impl RobotId {
-    /// The robot's number as an index into tables with one entry for each robot.
+    /// Returns the robot's number as an index into tables with one entry for each robot.
     pub const fn index(self) -> usize {
         self.0 as usize
     }

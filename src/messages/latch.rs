@@ -1,23 +1,26 @@
-//! Emergency stop latch: whether the team may move. Soft state: robots and state server repeat it, and the later of two
-//! holds.
+//! Emergency stop latch: whether the team may move. It is soft state: robots and state server repeat it, and of two
+//! different latches the later one is valid.
 //!
-//! An emergency stop engages it. A re-arm takes the stop back and leaves the team held; a resume lets it move again. A
-//! stop is never refused; a re-arm and a resume count only if they are later than the state that they end.
+//! An emergency stop engages the latch. A re-arm ends the stop, but the team is held and stands; a resume lets it move
+//! again. A stop is never refused; a re-arm and a resume count only if they are later than the state that they end.
 
 use serde::{Deserialize, Serialize};
 
-/// Factor of every latch on the wire, so that no single bit error turns one latch into another.
+/// Number by which the encoded latch is multiplied in messages, so that no single bit error turns one latch into
+/// another.
 const WIRE_FACTOR: u64 = 251;
-/// Largest number on the wire. At `JUMP` for each of 8000 messages a second it is reached after 17 years.
+/// Largest number of a latch (count of its changes) that a message may have. If each of 8000 messages a second raises
+/// the number by `JUMP`, it is reached after 17 years.
 const MAX_NUMBER: u64 = 1 << 52;
-/// Largest number that is accepted without a look at the known one: a team that is stopped once a second reaches it
-/// after 45 years.
+/// Number of a latch (count of its changes) up to which a received latch is accepted whatever the present number is. A
+/// team that is stopped, re-armed and resumed once a second reaches it after 45 years.
 const CREDIBLE: u64 = 1 << 32;
-/// Most that a number beyond `CREDIBLE` may exceed the known one. Without these bounds, one message with the largest
-/// number would keep a team stopped for good.
+/// Most by which the number of a received latch may exceed `CREDIBLE` or the present number, whichever is larger.
+/// Without this bound, one message with the largest number would keep a team stopped for ever.
 const JUMP: u64 = 1024;
 
-/// Whether motors may turn, in ascending order of restriction.
+/// State of the emergency stop, in ascending order of restriction: clear (robots may move), held (stop re-armed, robots
+/// stand until a resume), engaged (stop in force).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 enum State {
     #[default]
@@ -53,7 +56,7 @@ impl Latch {
         Latch { number, state: State::Engaged }
     }
 
-    /// Whether robots may move.
+    /// Returns whether the state is clear: no emergency stop is in force, and robots may move.
     pub fn is_clear(self) -> bool {
         self.state == State::Clear
     }
@@ -68,12 +71,13 @@ impl Latch {
         self.state == State::Engaged
     }
 
-    /// Number of changes of the emergency stop up to this latch; the later of two latches has the larger number.
+    /// Returns the number of changes of the emergency stop up to this latch; the later of two latches has the larger
+    /// number.
     pub fn number(self) -> u64 {
         self.number
     }
 
-    /// Word for the state in output for people and in JSON: `clear`, `held` or `stopped`.
+    /// Returns the word for the state in output for people and in JSON: `clear`, `held` or `stopped`.
     pub fn word(self) -> &'static str {
         match self.state {
             State::Clear => "clear",
@@ -87,8 +91,8 @@ impl Latch {
         other.number > ceiling(self.number)
     }
 
-    /// The later of this latch and `other`, which another host repeats. If the number of `other` is implausibly high,
-    /// this latch is returned.
+    /// Returns the later of this latch and `other`, a latch in a message of another host. If the number of `other` is
+    /// implausibly high, this latch is returned.
     pub fn joined(self, other: Latch) -> Latch {
         if self.is_overshot_by(other) { self } else { self.max(other) }
     }
@@ -114,24 +118,24 @@ impl Latch {
     }
 }
 
-/// Emergency stop state that one actor of a robot (guard or body) follows, updated by received messages.
+/// Emergency stop state that one actor of a robot (its Controller or its Body) obeys, updated by received messages.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LatchFollower {
     latch: Latch,
-    /// Whether a message of the state server has arrived.
+    /// Whether a latch of the state server has arrived; before that, the robot must not move.
     informed: bool,
-    /// Newest latch of the state server, if that overshoots.
+    /// Newest latch of the state server, if its number was implausibly high and it was ignored; otherwise `None`.
     overshot: Option<Latch>,
 }
 
 impl LatchFollower {
-    /// Emergency stop state that the actor follows at present.
+    /// Returns the emergency stop state that the actor obeys at present.
     pub fn latch(&self) -> Latch {
         self.latch
     }
 
-    /// Whether a latch of the state server (the coordinator of the team) has arrived. Before that, the robot must not
-    /// move.
+    /// Returns whether a latch of the state server (the coordinator of the team) has arrived. Before that, the robot
+    /// must not move.
     pub fn is_informed(&self) -> bool {
         self.informed
     }
@@ -170,16 +174,16 @@ fn ceiling(known: u64) -> u64 {
     known.max(CREDIBLE) + JUMP
 }
 
-/// The latest of `known` and the received `latches`. A single latch with a number implausibly far above `known` and
-/// above the others is ignored.
+/// Returns the latest of `known` and the received `latches`. A single latch with a number implausibly far above `known`
+/// and above the others is ignored.
 pub fn latest(known: Latch, latches: impl Iterator<Item = Latch> + Clone) -> Latch {
     let known_of_two = second_largest(latches.clone().map(Latch::number));
     let ceiling = ceiling(known.number.max(known_of_two));
     latches.filter(|latch| latch.number <= ceiling).fold(known, Latch::max)
 }
 
-/// The second largest of some numbers, one from each sender, so at least two senders have reached it. Returns zero for
-/// fewer than two numbers.
+/// Returns the second largest of `numbers`, which hold one number from each sender; so at least two senders have sent
+/// this number or a larger one. Returns zero for fewer than two numbers.
 pub fn second_largest(numbers: impl Iterator<Item = u64>) -> u64 {
     let (mut largest, mut second) = (0, 0);
     for number in numbers {

@@ -1,4 +1,4 @@
-//! Messages between the actors of one host. Frames and units as in `wire`.
+//! Messages between the actors of one host. They are never sent over a network. Units are SI.
 
 use std::sync::Arc;
 
@@ -115,7 +115,7 @@ pub struct Contacts {
     pub wall: bool,
 }
 
-/// True state of one simulated robot, sent from the World (simulator) to the robot's Body and to the Recorder.
+/// True state of one simulated robot, sent from the World (simulator) to the robot's Localizer and to the Recorder.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
     /// Number of the robot.

@@ -1,4 +1,4 @@
-//! All messages of the system: plain data with serde, which checks nothing but its own ranges.
+//! All messages of the system: plain data, encoded with serde. Messages check only that their values are in range.
 //!
 //! `wire` holds messages that may cross hosts and therefore always pass through a Network. `local` holds messages
 //! between the actors of one host. `ids`, `geometry`, `floats`, `hardware`, `latch`, `phase`, `round`, `status` and

@@ -35,8 +35,8 @@ impl From<Isometry2<f32>> for Pose {
 }
 
 impl Pose {
-    /// Rigid transform that maps coordinates \[m\] in the robot's frame to the world frame; `None` if the heading is
-    /// unknown.
+    /// Returns the rigid transform that maps coordinates \[m\] in the robot's frame to the world frame; `None` if the
+    /// heading is unknown.
     pub fn isometry(&self) -> Option<Isometry2<f32>> {
         self.heading.map(|heading| Isometry2::new(self.position.into(), heading))
     }

@@ -1,4 +1,4 @@
-//! The states of an episode.
+//! The phases (states) of an episode, one attempt at the team's task.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(into = "u8", try_from = "u8")]
 pub enum Phase {
-    /// The team stands and waits until robots are to drive to the starts of the next episode.
+    /// The robot or the whole team stands, and waits for the reset: the drive to the starts of the next episode.
     NeedReset,
     /// Robots drive to their start positions.
     Resetting,

@@ -1,5 +1,5 @@
-//! Rendering of SVG figures as PNG, at twice their size. The program contains the font, so that the result does not
-//! depend on the machine's fonts.
+//! Rendering of SVG figures as PNG, with twice their width and height in pixels. The program contains the font, so that
+//! the result does not depend on the machine's fonts.
 
 use std::sync::{Arc, LazyLock};
 
@@ -8,7 +8,7 @@ use resvg::usvg::{Options, Tree, fontdb};
 
 /// Font Roboto Regular (Apache License 2.0, see `assets/fonts`).
 static FONT: &[u8] = include_bytes!("../../assets/fonts/Roboto-Regular.ttf");
-/// Pixels of the PNG for each pixel of the figure.
+/// Scale from an SVG figure to its PNG: pixels of the PNG for each pixel of the figure, in width and in height.
 const SCALE: f32 = 2.0;
 
 static FONTS: LazyLock<Arc<fontdb::Database>> = LazyLock::new(|| {
@@ -23,7 +23,7 @@ static FONTS: LazyLock<Arc<fontdb::Database>> = LazyLock::new(|| {
 #[error("cannot draw a figure as PNG: {0}")]
 pub struct PngError(String);
 
-/// Renders an SVG figure. Returns the content of a PNG file.
+/// Renders an SVG figure and returns the content of a PNG file.
 pub fn render(svg: &str) -> Result<Vec<u8>, PngError> {
     let wrong = |what: String| PngError(what);
     let options = Options { fontdb: Arc::clone(&FONTS), font_family: "Roboto".to_owned(), ..Options::default() };

@@ -1,10 +1,10 @@
 //! Statistics of reports: Wilson interval and quantiles.
 
-/// Two-sided 95 % quantile of the standard normal distribution.
+/// Quantile of the standard normal distribution for a two-sided confidence of 95 %: about 1.96.
 const Z_95: f64 = 1.959_963_984_540_054;
 
-/// Returns the Wilson score interval at 95 % for `successes` of `trials` (Wilson, JASA 1927); 0 to 1 if there are no
-/// trials.
+/// Returns the two ends of the 95 % Wilson score interval of the proportion of `successes` in `trials` (Wilson, JASA
+/// 1927); 0 and 1 if there are no trials.
 pub fn wilson_95(successes: usize, trials: usize) -> [f64; 2] {
     if trials == 0 {
         return [0.0, 1.0];

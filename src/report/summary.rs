@@ -1,4 +1,4 @@
-//! Summary of a run, as JSON and as a table.
+//! Summary of a run: all episodes of a command such as `murmurate sim`, as JSON and as a table.
 
 use std::fmt;
 
@@ -22,12 +22,12 @@ use crate::time::Span;
 pub enum Counts {
     /// All hosts of the team.
     Team,
-    /// Only the host that prints the summary: its messages, undelivered messages, and its robots' safety. It does not
-    /// know the counts of other hosts.
+    /// Only the host that prints the summary: its published and undelivered messages, and the safety events of its
+    /// robots. It does not know the counts of other hosts.
     Host,
 }
 
-/// Summary of a run. Later versions may add fields and remove none.
+/// Summary of a run, printed as a table or as JSON. Later versions may add fields and remove none.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
     /// Name of the deployment's mode.
@@ -41,14 +41,15 @@ pub struct Summary {
     /// Counts of verdicts and statistics of the episodes.
     #[serde(flatten)]
     pub outcomes: Outcomes,
-    /// Former names of `robot_collisions`, `wall_collisions` and `aborted`, kept for one version.
+    /// Counts under the former names of the fields `robot_collisions`, `wall_collisions` and `aborted` of [`Outcomes`],
+    /// kept for one version.
     #[serde(flatten)]
     former: FormerNames,
-    /// Data from which episodes were judged.
+    /// Data from which episodes were judged: true states of a simulation, or readings.
     pub judged: Judged,
     /// Hosts whose messages, links and safety events are counted.
     pub counts: Counts,
-    /// Simulated time of all trials together \[s\].
+    /// Simulated time of all trials together \[s\]; the length of the run if it was in real time.
     pub virtual_s: f64,
     /// Wall-clock time of the run \[s\].
     pub wall_s: f64,
@@ -58,26 +59,28 @@ pub struct Summary {
     pub network: Option<String>,
     /// Descriptions of the injected faults.
     pub faults: Vec<String>,
-    /// Number of messages published.
+    /// Number of messages that the actors of the counted hosts published.
     pub messages: u64,
-    /// Number of messages that full mailboxes refused.
+    /// Number of messages that were dropped because the mailbox of the receiving actor was full.
     pub refused: u64,
     /// Number of messages that were lost in crashes of actors.
     pub lost: u64,
-    /// Datagrams sent, accepted, and refused by cause, on all links together.
+    /// Numbers of datagrams sent, accepted, and refused by cause, on all links together.
     pub links: LinkCounts,
-    /// Frames and airtime of all radio channels together, and losses by cause; null without a radio.
+    /// Frames and airtime of all emulated radio channels together, and losses by cause; null without an emulated radio.
     pub radio: Option<RadioCounts>,
-    /// Number of stops and reduced velocities of robots, by cause.
+    /// Numbers of times that guards stopped robots or reduced their velocities, by cause.
     pub safety: SafetyCounts,
-    /// Hardware of the real robots: last battery charge and temperature, number of faults and the last one.
+    /// Hardware of each real robot: last battery charge and temperature, number of hardware faults and the last one.
     pub hardware: Vec<RobotHardware>,
-    /// Output that was dropped, since the control thread does not wait for it to be written.
+    /// Amounts of output (log lines, events, steps) that were dropped, as the control thread does not wait until output
+    /// is written.
     pub unwritten: Unwritten,
-    /// Largest age of a command that still drove a robot \[s\]; null if it is unknown.
+    /// Largest age that a velocity command had while it still moved a robot \[s\]; null if it is unknown, as on real
+    /// robots.
     pub oldest_command_s: Option<f64>,
-    /// Digest of every message and true state of the run, in hexadecimal; null for a run that was interrupted or in
-    /// real time.
+    /// Trace: digest of every message and true state of the run, in hexadecimal; null for a run that was interrupted or
+    /// in real time.
     pub trace_hash: Option<String>,
     /// Seed of the run.
     pub seed: u64,
@@ -96,7 +99,8 @@ pub struct FailedEpisode {
     pub verdict: Verdict,
 }
 
-/// Former names of fields of [`Outcomes`], for scripts that read them.
+/// Counts of collisions and aborted episodes under the former names of fields of [`Outcomes`], for scripts that still
+/// read these names.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 struct FormerNames {
     collisions_robot: usize,
@@ -104,7 +108,7 @@ struct FormerNames {
     aborts: usize,
 }
 
-/// Properties of a run that are not results.
+/// Properties of a run that are not results, such as its mode, policy and seed; the input of [`Summary::of`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Run {
     /// Name of the deployment's mode.
@@ -115,7 +119,7 @@ pub struct Run {
     pub policy: String,
     /// Number of robots.
     pub robots: usize,
-    /// Data from which episodes are judged.
+    /// Data from which episodes are judged: true states of a simulation, or readings.
     pub judged: Judged,
     /// Seed of the run.
     pub seed: u64,
@@ -125,17 +129,17 @@ pub struct Run {
     pub network: Option<String>,
     /// Descriptions of the injected faults.
     pub faults: Vec<String>,
-    /// Whether the run was interrupted.
+    /// Whether a user interrupted the run before its end.
     pub interrupted: bool,
 }
 
-/// Largest number of faults that the table lists; JSON has all.
+/// Largest number of injected faults that the summary's table lists; its JSON has all.
 const LISTED_FAULTS: usize = 4;
-/// Largest number of failed episodes that the table lists; JSON has all.
+/// Largest number of failed episodes that the summary's table lists; its JSON has all.
 const LISTED_FAILURES: usize = 6;
 
 impl Summary {
-    /// Summarizes the trials of a run, which are in the order of their repeats.
+    /// Summarizes a simulated run from the reports of its trials, which are in the order of their repeats.
     pub fn of(run: Run, trials: &[TrialReport]) -> Summary {
         let episodes: Vec<Episode> = trials.iter().flat_map(|trial| &trial.episodes).copied().collect();
         let outcomes = Outcomes::of(&episodes);
@@ -180,14 +184,14 @@ impl Summary {
         }
     }
 
-    /// Summarizes a run in real time from the report of its processes. `counts` tells which hosts are counted;
-    /// `unwritten` is the dropped output.
+    /// Summarizes a run in real time from `report`, the report of its only trial. `counts` tells which hosts the report
+    /// counts; `unwritten` is the amount of dropped output. The summary has no trace.
     pub fn of_team(run: Run, report: TrialReport, counts: Counts, unwritten: Unwritten) -> Summary {
         // Runs in real time cannot be repeated exactly, so there is no trace to compare.
         Summary { counts, unwritten, trace_hash: None, ..Summary::of(run, &[report]) }
     }
 
-    /// Writes the lines about emulated links and injected faults.
+    /// Writes the table's lines about emulated links and injected faults.
     fn write_imposed(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(network) = &self.network {
             writeln!(f, "  network      {:>8}   {network}", "")?;
@@ -203,7 +207,7 @@ impl Summary {
         Ok(())
     }
 
-    /// Describes the first failed episodes, such as "episode 3 of repeat 0, episode 1 of repeat 2".
+    /// Lists the first failed episodes as text, such as "episode 3 of repeat 0, episode 1 of repeat 2".
     fn failed_episodes(&self) -> String {
         let several = self.failed.iter().any(|failed| failed.repeat > 0);
         let words = |failed: &FailedEpisode| {

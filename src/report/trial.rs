@@ -1,5 +1,5 @@
-//! Report of one trial: its episodes, its totals, and its steps if they were kept. It is built from the outputs of a
-//! Recorder and the counts of a team's processes.
+//! Report of one trial: results of its episodes, totals, and, if kept, the states of the team at each step. It is built
+//! from the outputs of a Recorder and the counts of a team's processes.
 
 use super::episode::Episode;
 use super::event::Counted;
@@ -19,46 +19,47 @@ use crate::time::{Span, Time};
 pub struct Said {
     /// Number of messages, including those that stayed on their host.
     pub messages: u64,
-    /// Size of the messages \[bytes\]: datagrams without tags, as if each message had its own.
+    /// Total size of the messages \[bytes\]: that of their datagrams without authentication tags, as if each message
+    /// had a datagram of its own.
     pub bytes: u64,
 }
 
-/// Report of a trial.
+/// Report of a trial: episodes, totals, undelivered messages, steps and hardware.
 #[derive(Clone, Debug, Default)]
 pub struct TrialReport {
-    /// Episodes with a verdict, in order.
+    /// Results of the episodes that have ended with a verdict, in order.
     pub episodes: Vec<Episode>,
-    /// Simulated time of the trial.
+    /// Length of the trial in the time of its clock, which is simulated time in a simulation.
     pub simulated: Span,
-    /// Counts, trace and checks, up to the last result.
+    /// Counts and trace of the trial, up to the last output of its Recorder that had totals.
     pub totals: Totals,
     /// Whether every episode has a verdict.
     pub finished: bool,
-    /// Number of messages that full mailboxes refused.
+    /// Number of messages that were dropped because the mailbox of the receiving actor was full.
     pub refused: u64,
     /// Number of messages that were lost in crashes of actors.
     pub lost: u64,
-    /// Steps of the team; empty unless the trial keeps steps.
+    /// States of the whole team at successive instants; empty unless the trial was set to keep steps.
     pub steps: Vec<Step>,
-    /// Hardware of real robots, in the order of robot ids.
+    /// Battery, temperature and hardware faults of real robots, in the order of robot ids.
     pub hardware: Vec<RobotHardware>,
 }
 
-/// Output of a Recorder.
+/// Output of a Recorder, the actor that reports a trial.
 #[derive(Clone, Debug)]
 pub enum Told {
     /// Result of an episode, and the totals so far.
     Episode(Episode, Totals),
-    /// Step of the whole team.
+    /// State of the whole team at one instant.
     Step(Step),
-    /// All episodes have ended; with the totals.
+    /// All episodes of the trial have ended; with the totals of the trial.
     Finished(Totals),
-    /// The run has ended; with the totals.
+    /// The run has ended, perhaps before all episodes have; with the totals so far.
     Closed(Totals),
 }
 
 impl TrialReport {
-    /// Adds an output of a Recorder.
+    /// Adds an output of a Recorder to the report: an episode or a step is appended, totals replace earlier totals.
     pub fn note(&mut self, event: Told) {
         match event {
             Told::Episode(episode, totals) => {
@@ -71,7 +72,8 @@ impl TrialReport {
         }
     }
 
-    /// Replaces the counts of the judging host by the sums over all processes of the team, including restarted ones.
+    /// Returns the report with the counts of the judging host replaced by the sums over all processes of the team.
+    /// `incarnations` has the counts of each process; a restarted host has several.
     pub fn counted<'a>(self, incarnations: impl Iterator<Item = &'a Counted> + Clone) -> TrialReport {
         let sum = |of: fn(&Counted) -> u64| incarnations.clone().map(of).sum();
         let oldest = incarnations.clone().filter_map(|counted| counted.oldest_command_s).reduce(f64::max);
@@ -101,11 +103,12 @@ impl TrialReport {
 pub struct Step {
     /// Index of the episode, from 0.
     pub episode: u32,
-    /// Phase of the team.
+    /// Phase in which the team is, such as running.
     pub phase: Phase,
     /// True state of each robot, in the order of robot ids.
     pub samples: Vec<Sample>,
-    /// Messages that robots use at this instant, by receiving robot; empty unless the trial keeps them.
+    /// Messages of other robots that robots use at this instant, grouped by the receiving robot; empty unless the trial
+    /// was set to keep them, and while no episode runs.
     pub hearing: Vec<Hearing>,
 }
 
@@ -120,26 +123,27 @@ pub struct Hearing {
     pub age: Span,
 }
 
-/// Totals of a trial.
+/// Totals of a trial: its counts, its statistics, its end and its trace.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Totals {
-    /// Number of messages published.
+    /// Number of messages that actors published.
     pub messages: u64,
-    /// Number and size of the messages of each kind, in the order of `KINDS`.
+    /// Number and size of the published messages of each kind, in the order of [`KINDS`].
     pub said: [Said; KINDS.len()],
-    /// Time at which the last episode ended.
+    /// Time to which the totals were taken, such as the end of an episode.
     pub end: Time,
-    /// Trace: digest of all messages and all true states, each with its time.
+    /// Trace: digest of all messages and all true states of robots, each with its time.
     pub trace: u128,
-    /// Largest age since its publication of a command that still drove a robot; `None` if the true state of a robot was
-    /// never reported.
+    /// Largest age, since its publication, that a velocity command had while it still moved a robot; `None` if the true
+    /// state of a robot was never reported.
     pub oldest_command: Option<Span>,
-    /// Counts of all hosts on all links, up to the last full second.
+    /// Datagrams of all hosts on all links, sent, accepted, and refused by cause, up to the last full second.
     pub links: LinkCounts,
-    /// Counts of all radio channels, up to the last full second; zero without a radio.
+    /// Frames, airtime and losses on all emulated radio channels, up to the last full second; zero without a radio.
     pub radio: RadioCounts,
-    /// Counts of the robots' guards, up to their last heartbeats.
+    /// Stops and reduced velocities of all robots by their guards, by cause, up to the robots' last heartbeats.
     pub safety: SafetyCounts,
-    /// Statistics of messages between robots while episodes ran; empty unless the trial keeps steps.
+    /// Statistics of messages between robots while episodes ran: arrivals, delays and ages; zero unless the trial keeps
+    /// steps.
     pub listening: Listening,
 }

@@ -1,5 +1,5 @@
-//! DDS participant of a `ros2-node` process, by `rustdds`. No other file names that crate.
-//!
+//! DDS participant of a DDS process (`ros2-node`, the child process of a host that speaks ROS 2), by the crate
+//! `rustdds`, which no other file names.
 //! QoS: commands RELIABLE, KEEP_LAST 1, VOLATILE, since a best-effort writer never matches a reliable reader.
 //! Subscriptions BEST_EFFORT, which match every writer.
 
@@ -25,20 +25,22 @@ use super::messages::{
 use super::packet::{Outgoing, Plan, Read, TopicState, Written};
 use super::sample::{IntoSample, Sample};
 
-/// Event token of the waker. The token of a reader is its index.
+/// Event token of the waker in the `epoll` of a DDS process. The token of each DDS reader is its index.
 const WAKER: Token = Token(usize::MAX);
-/// Most samples taken from one reader at a time, so that a flood of them delays no command.
+/// Largest number of received messages taken from one topic at a time, so that a flood of them delays no command.
 const MOST_SAMPLES: usize = 64;
-/// Number of samples that a reader stores until they are taken: 0.1 s of a tracker at 120 Hz.
+/// Number of messages that a DDS reader stores until they are taken: those of a tracker at 120 Hz in 0.1 s.
 const DEPTH: i32 = 12;
 /// Largest number of remote endpoints that are stored for a topic.
 const MOST_ENDPOINTS: usize = 256;
-/// Longest time that a write may wait for the transport \[ms\]. The longest measured time to a halted robot was 7.6 ms.
+/// Longest time that publishing one message may wait for the transport \[ms\]. The longest measured wait, with a halted
+/// robot as the subscriber, was 7.6 ms.
 const WRITE_MS: i64 = 10;
-/// Requested kernel buffers \[bytes\]: rustdds asks for 8 MiB for each socket, which small machines count as memory.
+/// Requested size of the kernel's send and receive buffer of each DDS socket \[bytes\]. The default of `rustdds` is
+/// 8 MiB, which is much on a small machine.
 const SOCKET_BUFFER: usize = 1 << 20;
 
-/// DDS participant of a DDS process, with publishers and subscribers for the topics of its plan.
+/// DDS participant of a DDS process, with publishers and subscribers for the topics of its [`Plan`].
 pub struct Dds {
     participant: DomainParticipant,
     listener: DomainParticipantStatusListener,
@@ -49,16 +51,17 @@ pub struct Dds {
     readers: Vec<(Box<dyn Inlet>, Link)>,
 }
 
-/// State of a topic, with the remote endpoints.
+/// State of a topic, with its remote endpoints: publishers or subscribers of other programs.
 struct Link {
     state: TopicState,
-    /// Matched endpoints. DDS matches by the topic's name and QoS, so endpoints with another type are included.
+    /// Remote endpoints that DDS has matched. It matches by the topic's name and QoS, so endpoints that use another
+    /// message type are included.
     matched: Vec<GUID>,
-    /// Remote endpoints that use the topic with another type.
+    /// Remote endpoints that use the topic's name with another message type.
     strangers: Vec<GUID>,
 }
 
-/// Writer of one topic.
+/// DDS writer of one published topic, by the type of its messages.
 enum Outlet {
     Twist(DataWriterCdr<Twist>),
     /// Writer of `TwistStamped`. The flag is true if messages are stamped with the clock of this machine, false for
@@ -68,10 +71,11 @@ enum Outlet {
     Floats(DataWriterCdr<Float32MultiArray>),
 }
 
-/// Reader of one topic.
+/// DDS reader of one subscribed topic.
 trait Inlet: Send {
     fn source(&mut self) -> &mut dyn Source;
-    /// Takes what has come; an error says what is wrong with a message.
+    /// Calls `each` with the content of each received message, or with an error that says what is wrong with it. Takes
+    /// at most `MOST_SAMPLES` messages.
     fn take(&mut self, each: &mut dyn FnMut(Result<Sample, String>));
     fn status(&mut self) -> Option<DataReaderStatus>;
     fn type_name(&self) -> &'static str;
@@ -154,7 +158,7 @@ impl Dds {
         Ok(Dds { participant, listener, poll, events, waker, writers, readers })
     }
 
-    /// Returns a handle by which another thread ends a call of `wait`.
+    /// Returns a handle by which another thread makes a blocked call of [`Dds::wait`] return.
     pub fn waker(&self) -> Arc<Waker> {
         Arc::clone(&self.waker)
     }
@@ -165,7 +169,8 @@ impl Dds {
         let _ = self.poll.poll(&mut self.events, Some(most));
     }
 
-    /// Calls `each` with every received message and the index of its topic in the plan's list `readers`.
+    /// Takes received messages and calls `each` with the index of the topic in the plan's list `readers` and the
+    /// message. A message that cannot be read becomes the topic's `problem`.
     pub fn take(&mut self, mut each: impl FnMut(usize, Sample)) {
         for (index, (inlet, link)) in self.readers.iter_mut().enumerate() {
             inlet.take(&mut |sample| match sample {
@@ -192,7 +197,8 @@ impl Dds {
         }
     }
 
-    /// Publishes a message for observers. `topic` is an index in the plan's list `writers`.
+    /// Publishes a message for observers of the team, such as a user of `rviz2`. `topic` is an index in the plan's list
+    /// `writers`.
     pub fn publish(&mut self, topic: usize, message: &Outgoing) {
         match (self.writers.get(topic), message) {
             (Some((Outlet::Odometry(writer), link)), Outgoing::Pose(pose)) => {
@@ -220,7 +226,7 @@ impl Dds {
         self.writers.iter().all(|(outlet, link)| !is_command(outlet) || link.state.peers > 0)
     }
 
-    /// Returns the present state of every topic: the number of connected endpoints, and problems.
+    /// Returns the present state of every topic of the process: the number of remote endpoints, and the newest problem.
     pub fn states(&mut self) -> impl Iterator<Item = &TopicState> {
         self.update();
         self.writers.iter().map(|(_, link)| &link.state).chain(self.readers.iter().map(|(_, link)| &link.state))
@@ -292,7 +298,7 @@ impl Link {
         self.count();
     }
 
-    /// Notes an endpoint that has the topic with another type.
+    /// Records `endpoint` as a problem of the topic if it uses the topic's name with a message type other than `ours`.
     fn check_type(&mut self, ours: &str, endpoint: &EndpointDescription) {
         let theirs = &endpoint.type_name;
         if dds_topic(&self.state.topic) != endpoint.topic_name || ours == theirs {
@@ -315,7 +321,7 @@ impl Link {
     }
 }
 
-/// Clock of this machine as a stamp.
+/// Returns the present time of this machine's clock as the stamp of a ROS message.
 fn stamp_of_now() -> Stamp {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     Stamp { sec: i32::try_from(now.as_secs()).unwrap_or(i32::MAX), nanosec: now.subsec_nanos() }
@@ -329,7 +335,7 @@ fn quality(reliability: Reliability, depth: i32) -> QosPolicies {
         .build()
 }
 
-/// Creates the topic of messages `M` for a full ROS name.
+/// Creates the DDS topic with messages of the type `M` for a full ROS topic name.
 fn topic<M: Typed>(participant: &DomainParticipant, name: &str, quality: &QosPolicies) -> Result<Topic, String> {
     let topic = participant.create_topic(dds_topic(name), M::TYPE.to_owned(), quality, TopicKind::NoKey);
     topic.map_err(|error| format!("{name} cannot be created: {error:?}; start the host again"))

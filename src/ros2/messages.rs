@@ -1,4 +1,5 @@
-//! ROS 2 messages as serde structs whose CDR encoding is that of their `.msg` files, in the order of the fields there.
+//! ROS 2 messages as serde structs, with the fields of the ROS `.msg` files in the same order, so that their CDR
+//! encoding is that of ROS 2.
 //!
 //! Sources: common_interfaces (`geometry_msgs`, `nav_msgs`, `sensor_msgs`, `std_msgs`) and `builtin_interfaces`. Units
 //! and axes are REP-103: metres, radians, x forward, y left. No I/O, and no DDS.
@@ -87,7 +88,7 @@ pub struct Twist {
 /// ROS message `geometry_msgs/TwistStamped`: a velocity command with a time and a frame.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TwistStamped {
-    /// Time of the command, and name of the frame of the velocity.
+    /// Time of the command, and name of the frame in which the velocity is given.
     pub header: Header,
     /// Commanded linear and angular velocity.
     pub twist: Twist,
@@ -240,7 +241,7 @@ typed! {
     Float32MultiArray = "std_msgs::msg::dds_::Float32MultiArray_",
 }
 
-/// Name in DDS of a ROS topic: `rt` followed by the full ROS name, such as `rt/r1/odom`.
+/// Returns the name in DDS of a ROS topic: `rt` followed by the full ROS name, such as `rt/r1/odom`.
 pub fn dds_topic(topic: &str) -> String {
     format!("rt{topic}")
 }

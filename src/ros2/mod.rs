@@ -1,4 +1,5 @@
-//! ROS 2 without ROS: messages, packets, and a DDS process with a warm spare.
+//! Communication with ROS 2 robots without an installation of ROS: messages, a child process of the host that speaks
+//! DDS (the DDS process), the packets between both, and a spare DDS process that can take over at once.
 //!
 //! `drivers::ros2` and `localization::ros2` use it. DDS itself is in `dds` alone, behind the feature `ros2`.
 
@@ -15,11 +16,11 @@ pub mod sample;
 pub mod settings;
 pub mod supervisor;
 
-/// Name of the hidden subcommand of this program that runs a DDS process, the process with the DDS participant of a
-/// host.
+/// Name of the hidden subcommand of this program that runs a DDS process: the child process of a host that connects it
+/// to ROS 2.
 pub const SUBCOMMAND: &str = "ros2-node";
 /// Exit code of a DDS process that has reported to its host why it cannot work.
 pub const REFUSED: u8 = 3;
-/// Message for a user whose program was built without the feature `ros2`, but whose deployment has a driver or source
-/// that needs it.
+/// Error text for a user whose program was built without the feature `ros2`, but whose deployment has a driver or a
+/// source that needs it.
 pub const NOT_BUILT: &str = "this program is built without ROS 2; build it by `cargo install --path . --features ros2`";

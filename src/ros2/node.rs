@@ -1,4 +1,5 @@
-//! The program `ros2-node`: the DDS process of a host. Packets arrive on stdin and leave on stdout, one on each line.
+//! The program `ros2-node`: the DDS process of a host, its child process that is connected to ROS 2. Packets of the
+//! host arrive on stdin, packets to it leave on stdout, one on each line.
 //!
 //! DDS has no authentication, and forged packets can use up all memory. So DDS runs in a process of its own with a
 //! memory limit. The process publishes zero velocities when a command expires, when the host sends nothing, and when
@@ -17,25 +18,29 @@ use super::dds::Dds;
 use super::packet::{self, FromNode, Heard, LONGEST, Plan, Role, Sample, ToNode, TopicState, Vitals};
 use super::{REFUSED, SUBCOMMAND};
 
-/// Period of heartbeats.
+/// Period of the heartbeats that a DDS process sends to its host.
 const BEAT: Duration = Duration::from_millis(50);
-/// Time without a packet of the host after which commands are not trusted.
+/// Time without a packet of the host after which a DDS process publishes zero velocities instead of its commands.
 const SILENCE: Duration = Duration::from_millis(150);
-/// Period of zero velocities during the first `URGENT`, and after that.
+/// Periods at which a DDS process publishes zero velocities to a robot without a valid command: first for the time
+/// `URGENT`, then after it.
 const ZEROS: [Duration; 2] = [Duration::from_millis(20), Duration::from_millis(200)];
-/// Time for which zero velocities are published at the short period.
+/// Time for which a DDS process publishes zero velocities at the short period, after a robot has lost its last valid
+/// command.
 const URGENT: Duration = Duration::from_millis(1000);
-/// Time for which zero velocities are published after the end of stdin. The host waits one second.
+/// Time for which a DDS process still publishes zero velocities after the end of stdin, before it exits. The host waits
+/// one second for the exit.
 const FAREWELL: Duration = Duration::from_millis(300);
-/// Longest time to leave DDS; after it the process ends at once.
+/// Longest time that a DDS process takes to tell other participants that it leaves; after it the process exits at once.
 const SIGN_OFF: Duration = Duration::from_millis(200);
-/// Period at which a spare reports the messages that it receives.
+/// Shortest time between two messages of a topic that a spare DDS process reports to the host.
 const SPARE_REPORT: Duration = Duration::from_millis(200);
-/// Largest number of packets that wait for the reader of stdout; further ones are dropped. So a halted host does not
-/// delay zero velocities.
+/// Largest number of packets that wait until the host reads them from stdout; further ones are dropped. So a halted
+/// host does not delay zero velocities. As many packets of the host may wait.
 const ROOM: usize = 64;
 
-/// Runs the DDS process of a host until its input (stdin) ends. The exit code is an error if DDS cannot be opened.
+/// Runs the DDS process of a host until its input (stdin) ends. Returns the exit code: `REFUSED` if DDS cannot be
+/// opened.
 pub fn run() -> ExitCode {
     let mut stdin = BufReader::new(io::stdin());
     let mut line = Vec::new();
@@ -68,7 +73,8 @@ fn decode(line: &[u8]) -> io::Result<ToNode> {
     packet::decode_to_node(line).map_err(io::Error::other)
 }
 
-/// Reads a line of at most `LONGEST` bytes; an end of the input is an error.
+/// Replaces `line` by the next line of `input`, of which it reads at most `LONGEST` + 1 bytes. The end of the input is
+/// an error.
 fn read_line(input: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<()> {
     line.clear();
     let most = u64::try_from(LONGEST + 1).expect("a small number");
@@ -78,7 +84,7 @@ fn read_line(input: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<()> {
     }
 }
 
-/// Limits the address space to its present size plus `mib` \[MiB\].
+/// Limits the address space of this process to its present size plus `mib` \[MiB\], and forbids core files.
 fn limit_memory(mib: u32) -> io::Result<()> {
     let now_kib = memory_kib("VmSize:").unwrap_or(0);
     let bytes = (now_kib + u64::from(mib) * 1024) * 1024;
@@ -88,13 +94,15 @@ fn limit_memory(mib: u32) -> io::Result<()> {
     Ok(())
 }
 
-/// Reads a line of `/proc/self/status` \[KiB\].
+/// Returns the amount of memory \[KiB\] in the line of `/proc/self/status` that begins with `field`, such as `VmRSS:`;
+/// `None` if it cannot be read.
 fn memory_kib(field: &str) -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     status.lines().find_map(|line| line.strip_prefix(field))?.split_whitespace().next()?.parse().ok()
 }
 
-/// Returns the addresses of the network interface with this name or address; empty for no restriction.
+/// Returns the IPv4 addresses of the network interface with this name or address; empty, for all interfaces, if
+/// `interface` is `None`.
 fn networks(interface: Option<&str>) -> Result<Vec<IpAddr>, String> {
     let Some(interface) = interface else { return Ok(Vec::new()) };
     let all = nix::ifaddrs::getifaddrs().map_err(|error| format!("the interfaces cannot be listed: {error}"))?;
@@ -114,7 +122,7 @@ fn networks(interface: Option<&str>) -> Result<Vec<IpAddr>, String> {
     Ok(found)
 }
 
-/// Sender of packets to the host, with a thread of its own.
+/// Sender of packets from a DDS process to its host, with a thread that writes them to stdout.
 struct Speaker {
     lines: SyncSender<Vec<u8>>,
     written: thread::JoinHandle<()>,
@@ -139,7 +147,7 @@ impl Speaker {
         let _ = self.lines.try_send(packet::encode(packet));
     }
 
-    /// Reports the same problem for all topics. Returns once the host has received the report.
+    /// Reports the same problem for all topics of the plan, and waits until all packets are written to stdout.
     fn refuse(self, plan: &Plan, problem: &str) {
         let topics = plan.writers.iter().map(|writer| (&writer.topic, true));
         for (topic, written) in topics.chain(plan.readers.iter().map(|reader| (&reader.topic, false))) {
@@ -151,22 +159,23 @@ impl Speaker {
     }
 }
 
-/// Watchdog on the commands of one topic.
+/// Watchdog on the velocity commands of one topic: determines when to publish zero velocities.
 #[derive(Clone, Copy, Debug, Default)]
 struct Motor {
-    /// Time at which the last command expires; `None` before the first.
+    /// Time at which the last velocity command expires; `None` before the first command.
     until: Option<Instant>,
-    /// Time since which zero velocities are published, and time of the next one.
+    /// Time since which zero velocities are published, and time of the next one; `None` while a command is valid.
     stopped: Option<(Instant, Instant)>,
 }
 
 impl Motor {
-    /// Notes a command that is published.
+    /// Records that a velocity command is published, which is valid until the time `until`.
     fn command(&mut self, until: Instant) {
         *self = Motor { until: Some(until), stopped: None };
     }
 
-    /// Whether a zero is due, as the command has lapsed or is not trusted.
+    /// Whether a zero velocity has to be published now, as the last command has expired or `trusted` is false. If so,
+    /// sets the time of the next one.
     fn zero_due(&mut self, now: Instant, trusted: bool) -> bool {
         if self.until.is_none_or(|until| trusted && now < until) {
             return false;
@@ -180,23 +189,23 @@ impl Motor {
         true
     }
 
-    /// Time at which `zero_due` has to be asked.
+    /// Returns the time at which `zero_due` has to be called next; `None` before the first command.
     fn wake_at(&self) -> Option<Instant> {
         self.stopped.map(|(_, next)| next).or(self.until)
     }
 }
 
-/// State of the program once DDS is open.
+/// State of a DDS process once its DDS participant is open.
 struct Node {
     dds: Dds,
     say: Speaker,
     role: Role,
     motors: Vec<Motor>,
-    /// For each topic, whether it carries commands.
+    /// For each published topic, whether it carries velocity commands.
     commands: Vec<bool>,
-    /// Last reported states of the topics.
+    /// States of the topics as last reported to the host.
     reported: Vec<TopicState>,
-    /// Time of the next report of each reader, for a spare.
+    /// For each subscribed topic, the time from which a spare DDS process reports its next message.
     report_at: Vec<Instant>,
     /// Arrival time of the host's last packet.
     host: Instant,
@@ -242,7 +251,7 @@ impl Node {
         }
     }
 
-    /// Starts to read packets of the host.
+    /// Starts a thread that reads packets of the host from `stdin`. Returns the queue of these packets.
     fn listen(&self, mut stdin: BufReader<io::Stdin>) -> Receiver<ToNode> {
         let (tx, packets) = mpsc::sync_channel(ROOM);
         let waker = self.dds.waker();
@@ -263,7 +272,8 @@ impl Node {
         packets
     }
 
-    /// Takes the host's packets; of the commands for a topic only the newest counts. False at the end of the input.
+    /// Carries out all waiting packets of the host; of several commands for a topic, only the newest. Returns false at
+    /// the end of the host's input.
     fn obey(&mut self, now: Instant, packets: &Receiver<ToNode>) -> bool {
         let mut newest = vec![None; self.motors.len()];
         let open = loop {
@@ -298,7 +308,7 @@ impl Node {
         open
     }
 
-    /// Reports the received messages. A spare reports only a few messages of each topic.
+    /// Reports received ROS messages to the host. A spare reports at most one of each topic per `SPARE_REPORT`.
     fn hear(&mut self, now: Instant) {
         let Node { dds, say, role, report_at, .. } = self;
         dds.take(|topic, sample: Sample| {
@@ -310,7 +320,8 @@ impl Node {
         });
     }
 
-    /// Publishes the zero velocities that are due. Returns whether this process has ever moved a robot.
+    /// If this process is active, publishes the zero velocities that are due: to robots whose last command has expired
+    /// and, if `trusted` is false, to all that had a command. Returns whether it is active and has published a command.
     fn stand(&mut self, now: Instant, trusted: bool) -> bool {
         for (topic, motor) in self.motors.iter_mut().enumerate() {
             if self.role == Role::Active && motor.zero_due(now, trusted) {
@@ -334,7 +345,7 @@ impl Node {
         self.say.say(&FromNode::Beat(Vitals { resident_mib, matched: self.dds.is_matched() }));
     }
 
-    /// Leaves DDS, waiting at most `SIGN_OFF`.
+    /// Leaves DDS, for which it waits at most `SIGN_OFF`, and returns the exit code.
     fn close(self) -> ExitCode {
         let (done, closed) = mpsc::channel();
         let dds = self.dds;

@@ -1,7 +1,7 @@
-//! The team as standard messages, for people who work with `rviz2` and `rosbag2`. Pure.
+//! State of the team as standard ROS messages, for people who work with `rviz2` and `rosbag2`. Does no I/O.
 //!
-//! Each robot's estimate is `nav_msgs/Odometry` on `<prefix>/robot_<id>/odom` in the frame `map`. The team's state and
-//! latents are `std_msgs/Float32MultiArray`, one row for each robot by id. Nothing here reaches a robot.
+//! Each robot's reading is `nav_msgs/Odometry` on `<prefix>/robot_<id>/odom` in the frame `map`. The team's state and
+//! latents are `std_msgs/Float32MultiArray`, one row for each robot by id. These messages control no robot.
 
 use serde::Deserialize;
 
@@ -19,19 +19,19 @@ use super::supervisor::Supervisor;
 /// Number of columns in the table of the team's state: robot id, x, y \[m\], velocity along x and y \[m/s\].
 pub const STATE_COLUMNS: u32 = 5;
 
-/// Settings in the team file: the table `observe` of a host.
+/// Settings of the table `observe` of a host in the team file: how the host publishes the team's state to ROS 2.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Config {
-    /// Beginning of all topics.
+    /// Beginning of the names of all topics with the team's state, such as `/team`.
     #[serde(default = "prefix")]
     prefix: String,
-    /// DDS domain, `ROS_DOMAIN_ID` of those who look.
+    /// DDS domain in which the topics are published, the `ROS_DOMAIN_ID` of the observers' tools.
     #[serde(default)]
     domain: u16,
-    /// Name or address of the interface; none: all.
+    /// Name or address of the network interface to use; `None`: all interfaces.
     interface: Option<String>,
-    /// Memory of the DDS process \[MiB\].
+    /// Memory that the DDS process may use in addition to its size at its start \[MiB\].
     #[serde(default = "settings::memory_mib")]
     memory_mib: u32,
 }
@@ -40,11 +40,12 @@ fn prefix() -> String {
     "/team".to_owned()
 }
 
-/// Makes the topics of a team from the settings of a host, with the worker that publishes them.
+/// Makes the topics on which a host publishes its team's state to ROS 2, and the worker that publishes them, from the
+/// settings of the host's table `observe` in the team file.
 ///
 /// # Errors
 ///
-/// A wrong setting, by its name; a program that is built without ROS 2.
+/// A setting is wrong; the error has its name.
 pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<(Observation, Supervisor), ConfigError> {
     if settings.name != "ros2" {
         let why = format!("'{}' is unknown; the only one is 'ros2'", settings.name);
@@ -67,11 +68,11 @@ pub struct Observation {
 }
 
 impl Observation {
-    /// Topics for these robots under a prefix such as `/team`.
+    /// Makes the topics for these robots under a prefix such as `/team`. Of `plan`, the lists of topics are replaced.
     ///
     /// # Errors
     ///
-    /// The prefix is no ROS name, or there are more robots than a process has topics.
+    /// The prefix is no valid name of a ROS topic, or there are more robots than one DDS process can have topics for.
     pub fn new(prefix: &str, robots: &[RobotId], plan: Plan) -> Result<Observation, ConfigError> {
         check_topic(prefix).map_err(|why| ConfigError::field("prefix", format!("'{prefix}': {why}")))?;
         if robots.len() + 2 > packet::MAX_TOPICS {
@@ -88,13 +89,13 @@ impl Observation {
         Ok(Observation { robots, plan })
     }
 
-    /// Plan with all topics, from which the supervisor starts the DDS process.
+    /// Returns the plan of the DDS process that publishes the team's state, with all topics.
     pub fn plan(&self) -> &Plan {
         &self.plan
     }
 
-    /// Encodes a packet that publishes a robot's reading as odometry. Returns `None` for a robot that is not in the
-    /// team.
+    /// Encodes the packet to a DDS process that publishes a robot's reading as `nav_msgs/Odometry`. Returns `None` for
+    /// a robot that is not in the team.
     pub fn pose(&self, reading: &Reading) -> Option<Vec<u8>> {
         let index = self.robots.binary_search(&reading.robot).ok()?;
         let heading = reading.pose.heading.map(f64::from);
@@ -124,8 +125,9 @@ impl Observation {
         publish(2 + index, Outgoing::Pose(pose))
     }
 
-    /// Encodes a packet that publishes the team's positions and velocities. Rows have the order of `team`, which should
-    /// be by robot id. Returns `None` if the table is too large or a number is not finite.
+    /// Encodes the packet to a DDS process that publishes a table with the robots' positions and velocities, one row
+    /// for each robot in the order of `team`, which should be by robot id. Returns `None` if the table is too large or
+    /// a number is not finite.
     pub fn state(&self, team: &[(RobotId, Motion)]) -> Option<Vec<u8>> {
         let row = |(robot, motion): &(RobotId, Motion)| {
             let (at, velocity) = (motion.position, motion.velocity);
@@ -134,9 +136,9 @@ impl Observation {
         self.rows(0, STATE_COLUMNS, team.iter().flat_map(row).collect())
     }
 
-    /// Encodes a packet that publishes the features of the robots' policies: one row for each robot, with id and
-    /// features. Shorter rows are filled up with zeros. Returns `None` if the table is too large or a number is not
-    /// finite.
+    /// Encodes the packet to a DDS process that publishes the robots' latents: a table with one row for each robot, its
+    /// id and the features of its latent. Shorter rows are filled up with zeros. Returns `None` if `team` is empty, the
+    /// table is too large or a number is not finite.
     pub fn latents(&self, team: &[(RobotId, &[f32])]) -> Option<Vec<u8>> {
         let most = team.iter().map(|(_, features)| features.len()).max()?;
         let mut data = Vec::with_capacity(team.len() * (most + 1));
@@ -148,7 +150,8 @@ impl Observation {
         self.rows(1, u32::try_from(most + 1).ok()?, data)
     }
 
-    /// Packet of an array; none if it is too large, or has a number that is not finite.
+    /// Encodes the packet to a DDS process that publishes a table of numbers with this number of columns on `topic`, an
+    /// index in the plan's list `writers`. Returns `None` if the table is too large or a number is not finite.
     fn rows(&self, topic: usize, columns: u32, data: Vec<f32>) -> Option<Vec<u8>> {
         let fits = data.len() <= MAX_FLOATS && data.iter().all(|value| value.is_finite());
         fits.then(|| publish(topic, Outgoing::Floats(columns, data)))?

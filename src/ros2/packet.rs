@@ -1,7 +1,8 @@
-//! Packets between a host and its DDS process: one JSON object a line, both ways.
+//! Packets between a host and its DDS process, the child process that connects the host to ROS 2: one JSON object a
+//! line, in both directions.
 //!
-//! JSON costs about 5 us a packet; there are some hundreds a second. A recording of them is read by eye. Both sides are
-//! pure. A line that is not understood is an error value.
+//! JSON costs about 5 us a packet; there are some hundreds a second. A recording of them can be read by eye. Encoding
+//! and decoding do no I/O. A line that cannot be decoded gives an error value.
 
 use serde::{Deserialize, Serialize};
 
@@ -15,7 +16,8 @@ pub const MAX_TOPICS: usize = 256;
 /// Largest number of floats in one array message for observers: 64 latents (policy messages) of 8 features.
 pub const MAX_FLOATS: usize = 512;
 
-/// Reason for which a line between a host and its DDS process is refused.
+/// Reason for which a line from a host to its DDS process (the child process that connects it to ROS 2), or back, is
+/// refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PacketError {
     /// The line is longer than `LONGEST` bytes.
@@ -30,7 +32,7 @@ pub enum PacketError {
 }
 
 impl PacketError {
-    /// Text of the error, under which refused packets are counted.
+    /// Returns the text of the error, under which refused packets are counted.
     pub fn reason(self) -> &'static str {
         match self {
             PacketError::Long => "a packet of the DDS process is too long",
@@ -40,29 +42,29 @@ impl PacketError {
     }
 }
 
-/// Packet from a host to its DDS process, one JSON object in a line.
+/// Packet from a host to its DDS process (the child process that connects it to ROS 2), one JSON object in a line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ToNode {
-    /// The first packet: the topics to open, and limits of the process.
+    /// The first packet that a DDS process receives: the topics to open, and limits of the process.
     Open(Plan),
     /// Heartbeat of the host, every 50 ms, with the role that the process has to play.
     Beat(Role),
-    /// Velocity command for a robot, which replaces the one before.
+    /// Velocity command for a robot, which replaces the robot's previous command.
     Drive(Drive),
-    /// Message to publish for observers, such as a user of `rviz2`.
+    /// ROS message to publish for observers of the team, such as a user of `rviz2`.
     Publish(Publish),
 }
 
-/// Packet from a DDS process to its host, one JSON object in a line.
+/// Packet from a DDS process (the child process that connects a host to ROS 2) to its host, one JSON object in a line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FromNode {
-    /// Heartbeat of the process, every 50 ms, with its memory use and connection.
+    /// Heartbeat of the DDS process, every 50 ms, with its memory use and whether its command topics have subscribers.
     Beat(Vitals),
-    /// Message that the process has received on a subscribed topic.
+    /// ROS message that the DDS process has received on a subscribed topic.
     Heard(Heard),
-    /// State of a topic, sent after each change of the state.
+    /// State of a topic (number of remote endpoints, newest problem), sent after each change of the state.
     Topic(TopicState),
 }
 
@@ -76,17 +78,17 @@ pub enum Role {
     Spare,
 }
 
-/// Task of a DDS process: the topics to publish and to subscribe to, and its limits.
+/// Task of a DDS process, which connects a host to ROS 2: the topics to publish and to subscribe to, and its limits.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Plan {
-    /// Name of the process in messages for people, such as `robot 1`.
+    /// Name of the DDS process in log lines and error messages, such as `robot 1`.
     pub name: String,
-    /// Number of the DDS domain, which ROS users set as `ROS_DOMAIN_ID`.
+    /// Number of the DDS domain, as in the environment variable `ROS_DOMAIN_ID` of ROS 2.
     pub domain: u16,
     /// Name or address of the network interface to use; `None` for all interfaces.
     pub interface: Option<String>,
-    /// Memory that the process may use beyond its size at the start \[MiB\].
+    /// Memory that the process may use in addition to its size at its start \[MiB\].
     pub memory_mib: u32,
     /// Topics that the process publishes; packets name a topic by its index in this list.
     pub writers: Vec<Writer>,
@@ -108,15 +110,15 @@ pub struct Writer {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Written {
-    /// `geometry_msgs/Twist`.
+    /// Messages `geometry_msgs/Twist`: velocity commands.
     Twist,
-    /// `geometry_msgs/TwistStamped` with stamp zero, which ros2_control takes for "now".
+    /// Messages `geometry_msgs/TwistStamped` with stamp zero, which ros2_control takes for "now": velocity commands.
     TwistUnstamped,
-    /// `geometry_msgs/TwistStamped` with the clock of this machine.
+    /// Messages `geometry_msgs/TwistStamped`, stamped with the clock of this machine: velocity commands.
     TwistStamped,
-    /// `nav_msgs/Odometry`.
+    /// Messages `nav_msgs/Odometry`: pose and velocity of a robot, for observers of the team.
     Odometry,
-    /// `std_msgs/Float32MultiArray`.
+    /// Messages `std_msgs/Float32MultiArray`: tables of numbers for observers of the team.
     Floats,
 }
 
@@ -141,13 +143,13 @@ pub struct Reader {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Read {
-    /// `nav_msgs/Odometry`.
+    /// Messages `nav_msgs/Odometry`: pose and velocity of a robot.
     Odometry,
-    /// `geometry_msgs/PoseStamped`.
+    /// Messages `geometry_msgs/PoseStamped`: poses of a robot.
     PoseStamped,
-    /// `geometry_msgs/PoseWithCovarianceStamped`.
+    /// Messages `geometry_msgs/PoseWithCovarianceStamped`: poses of a robot with their uncertainty.
     PoseWithCovarianceStamped,
-    /// `sensor_msgs/BatteryState`.
+    /// Messages `sensor_msgs/BatteryState`: condition of a robot's battery.
     Battery,
 }
 
@@ -155,7 +157,7 @@ pub enum Read {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Drive {
-    /// Index of the command topic in the list `writers` of the plan.
+    /// Index of the command topic in the list `writers` of the [`Plan`] of the DDS process.
     pub topic: u16,
     /// Linear velocity along the robot's x axis \[m/s\].
     pub x: f64,
@@ -167,17 +169,17 @@ pub struct Drive {
     pub for_ms: u32,
 }
 
-/// Message that the DDS process is to publish for observers.
+/// Message that a DDS process is to publish for observers of the team, such as users of `rviz2`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Publish {
-    /// Index of the topic in the list `writers` of the plan.
+    /// Index of the topic in the list `writers` of the [`Plan`] of the DDS process.
     pub topic: u16,
     /// Content of the message.
     pub message: Outgoing,
 }
 
-/// Content of a message for observers of the team.
+/// Content of a ROS message that is published for observers of the team.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outgoing {
@@ -187,27 +189,28 @@ pub enum Outgoing {
     Floats(u32, Vec<f32>),
 }
 
-/// Memory use and connection of a DDS process, as its heartbeat reports them.
+/// Memory use of a DDS process, and whether its command topics have subscribers, as its heartbeats report them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Vitals {
     /// Resident memory of the process \[MiB\].
     pub resident_mib: u32,
-    /// Whether each command topic of the process has at least one subscriber.
+    /// Whether each topic on which the process publishes velocity commands has at least one subscriber.
     pub matched: bool,
 }
 
-/// ROS message that the child process with the DDS library has received on a topic and passes to the host's process.
+/// ROS message that a DDS process has received on a topic and passes to its host.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Heard {
-    /// Index of the topic in the list `readers` of the plan.
+    /// Index of the topic in the list `readers` of the [`Plan`] of the DDS process.
     pub topic: u16,
     /// Content of the received message.
     pub sample: Sample,
 }
 
-/// Connection of one topic of a DDS process with the publishers or subscribers of other programs.
+/// State of one topic of a DDS process: how many publishers or subscribers of other programs it is connected to, and
+/// the newest problem.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TopicState {
@@ -222,14 +225,15 @@ pub struct TopicState {
     pub problem: Option<String>,
 }
 
-/// Encodes a packet as one line of JSON, including the newline.
+/// Encodes a packet between a host and its DDS process as one line of JSON, including the newline.
 pub fn encode(packet: &impl Serialize) -> Vec<u8> {
     let mut line = serde_json::to_vec(packet).expect("a packet has text keys only");
     line.push(b'\n');
     line
 }
 
-/// Decodes a line that the host received from its DDS process, with or without the newline.
+/// Decodes a line that the host received from its DDS process, with or without the newline. Fails if the line is too
+/// long, is not in the packet format, or has a number out of range.
 pub fn decode_from_node(line: &[u8]) -> Result<FromNode, PacketError> {
     let packet: FromNode = decode(line)?;
     let sound = match &packet {
@@ -240,7 +244,8 @@ pub fn decode_from_node(line: &[u8]) -> Result<FromNode, PacketError> {
     if sound { Ok(packet) } else { Err(PacketError::Range) }
 }
 
-/// Decodes a line that the DDS process received from its host, with or without the newline.
+/// Decodes a line that the DDS process received from its host, with or without the newline. Fails if the line is too
+/// long, is not in the packet format, or has a number out of range.
 pub fn decode_to_node(line: &[u8]) -> Result<ToNode, PacketError> {
     let packet: ToNode = decode(line)?;
     let sound = match &packet {

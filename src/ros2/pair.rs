@@ -1,4 +1,5 @@
-//! Pair of DDS processes: an active one and a warm spare. Pure; the supervisor carries out its actions.
+//! Pair of DDS processes, child processes of a host that connect it to ROS 2: an active one and a running spare. The
+//! pair does no I/O: it decides on actions, which the supervisor carries out.
 //!
 //! The spare has discovered the robots and publishes nothing. It takes over at once when the active process ends, is
 //! halted, uses too much memory, or no longer receives what the spare receives. The former active process is then
@@ -8,7 +9,7 @@ use crate::time::{Span, Time};
 
 use super::packet::{self, Drive, FromNode, Plan, Role, ToNode, Vitals};
 
-/// Number of a DDS process in a pair; every process that is started gets a new number.
+/// Number of a DDS process of a pair (an active process and a spare); every process that is started gets a new number.
 pub type Id = u32;
 
 /// Packet between a host and a DDS process, as one line of JSON.
@@ -19,72 +20,78 @@ pub const BEAT: Span = Span::from_millis(50);
 /// Time without a line from a DDS process after which the process counts as halted: two lost heartbeats and half a
 /// period of jitter.
 pub const SILENCE: Span = Span::from_millis(150);
-/// The same time for a process whose spare is not alive. It is longer because a busy machine delays both, and a restart
-/// takes a second.
+/// Time without a line from a DDS process after which it counts as halted if the other process of the pair is not
+/// alive. It is longer than `SILENCE`, because a busy machine delays both, and a restart takes a second.
 const SILENCE_ALONE: Span = Span::from_millis(600);
-/// Longest time for the start of a process, without discovery. A busy machine with two cores takes 0.3 s.
+/// Time after its start in which a DDS process must send its first line; otherwise it is replaced. A busy machine with
+/// two cores takes 0.3 s.
 const START: Span = Span::from_millis(5000);
 /// Gap between two ticks that shows that the supervisor's own process was halted; the silence of DDS processes is then
 /// ignored.
 const OWN_HALT: Span = Span::from_millis(250);
-/// Time for which the spare has to be better connected before it takes over.
+/// Time for which the spare DDS process has to be better connected than the active one before it takes over.
 const WORSE: Span = Span::from_millis(1000);
-/// Largest age of a message for which a topic counts as currently received. A spare reports five messages a second.
+/// Largest age of a topic's last message at which a DDS process counts as receiving the topic. A spare reports at most
+/// five messages a second of each topic.
 const HEARD_NOW: Span = Span::from_millis(450);
-/// Time without any message after which the spare is replaced: forged packets can leave DDS deaf for good.
+/// First time without a connection to robots, in both DDS processes, after which the spare is replaced: forged packets
+/// can stop DDS from receiving for good.
 const DEAF: Span = Span::from_millis(3000);
-/// Longest such time. The time doubles at each replacement while no message arrives, as when the robots are off.
+/// Longest time without a connection to robots after which the spare DDS process is replaced. The time begins with
+/// `DEAF` and doubles at each replacement while there is no connection, as when the robots are off.
 const DEAF_MOST: Span = Span::from_millis(24_000);
-/// First and longest delay of a restart. The delay doubles at each quick end.
+/// First and longest delay between the end of a DDS process and its restart. The delay doubles each time that a process
+/// ends within `LIVED` of its start.
 const BACKOFF: [Span; 2] = [Span::from_millis(100), Span::from_millis(2000)];
-/// Lifetime after which the end of a process does not count as a quick end.
+/// Lifetime of a DDS process from which on it is restarted without delay when it ends.
 const LIVED: Span = Span::from_millis(10_000);
 
 /// Input of a pair of DDS processes, the active one and its spare.
 #[derive(Clone, Copy, Debug)]
 pub enum Event<'a> {
-    /// Line that the process with this number has written.
+    /// The DDS process with this number has written this line.
     Line(Id, &'a [u8]),
-    /// The process with this number has ended.
+    /// The DDS process with this number has ended.
     Ended(Id),
-    /// Packet of the driver or source that the active process has to get.
+    /// The host's driver or source has sent this packet, which is for the active DDS process.
     Packet(&'a [u8]),
 }
 
 /// Output of a pair of DDS processes, which the supervisor carries out.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Action {
-    /// Start a new process with this number.
+    /// Start a new DDS process with this number.
     Start(Id),
-    /// Kill the process with this number.
+    /// Kill the DDS process with this number.
     Kill(Id),
-    /// Write a line to the process with this number.
+    /// Write a line to the input of the DDS process with this number.
     Send(Id, Line),
-    /// Pass a line of a process on to the driver or source.
+    /// Pass on to the host's driver or source a line that the active DDS process has written.
     Pass(Line),
 }
 
-/// Pair of DDS processes of a host: an active one and a warm spare that takes over at once. It may be set to have no
-/// spare.
+/// State machine for the DDS processes of a host, which connect it to ROS 2: an active process and a running spare that
+/// takes over at once if the active one fails. It may be set to have no spare.
 #[derive(Debug)]
 pub struct Pair {
     plan: Plan,
     slots: Vec<Slot>,
-    /// Index of the active slot.
+    /// Index of the slot whose process is active.
     active: usize,
-    /// Newest command of each writer, with its expiry.
+    /// Newest command of each published topic, with its expiry; `None` before the first.
     newest: Vec<Option<(Time, Drive)>>,
     beat_at: Time,
     ticked: Time,
     next: Id,
     /// Time since which the spare is better connected than the active process; `None` if it is not.
     worse: Option<Time>,
-    /// Last time at which any process was connected, and patience until the next replacement for want of it.
+    /// Last time at which any of the processes was connected to robots.
     linked: Time,
+    /// Time without a connection to robots after which the spare is replaced.
     patience: Span,
 }
 
-/// Slot of a pair for one DDS process.
+/// One of the two places of a [`Pair`] for a DDS process, whose ended process is replaced by a new one.
 #[derive(Debug, Default)]
 struct Slot {
     process: Option<Process>,
@@ -92,7 +99,7 @@ struct Slot {
     quick_ends: u32,
 }
 
-/// Running DDS process of a slot.
+/// Running DDS process of a [`Slot`]: when it sent its last line and received its last messages.
 #[derive(Debug)]
 struct Process {
     id: Id,
@@ -100,7 +107,7 @@ struct Process {
     /// Time of the last line from the process; `None` while it starts.
     heard: Option<Time>,
     vitals: Vitals,
-    /// Time of the last message of each reader.
+    /// Time of the last received message of each subscribed topic; `None` before the first.
     topics: Vec<Option<Time>>,
 }
 
@@ -115,8 +122,8 @@ impl Process {
 }
 
 impl Pair {
-    /// Makes a pair that starts its processes at the first tick. `plan` lists their topics, and `spare` says whether
-    /// there is a spare process.
+    /// Makes a pair that starts its DDS processes at the first call of [`Pair::tick`]. `plan` lists their topics, and
+    /// `spare` says whether there is a spare process.
     pub fn new(now: Time, plan: Plan, spare: bool) -> Pair {
         let slots = if spare { vec![Slot::default(), Slot::default()] } else { vec![Slot::default()] };
         let newest = vec![None; plan.writers.len()];
@@ -134,12 +141,13 @@ impl Pair {
         }
     }
 
-    /// Number of the active process; `None` if no active process runs.
+    /// Returns the number of the active DDS process; `None` if no active process runs.
     pub fn active(&self) -> Option<Id> {
         self.slots[self.active].process.as_ref().map(|process| process.id)
     }
 
-    /// Takes an event and appends actions to `out`. The caller must call `tick` afterwards.
+    /// Handles an event of the DDS processes, the driver or the source, and appends actions to `out`. The caller must
+    /// call [`Pair::tick`] afterwards.
     pub fn handle(&mut self, now: Time, event: Event, out: &mut Vec<Action>) {
         match event {
             Event::Line(id, line) => self.heard(now, id, line, out),
@@ -161,8 +169,9 @@ impl Pair {
         }
     }
 
-    /// Does what is due at time `now` and appends actions to `out`. The caller must call it after each event, and no
-    /// later than `wake_at`.
+    /// Starts missing DDS processes, replaces failed ones, lets the spare take over if necessary and sends heartbeats,
+    /// by actions that it appends to `out`. The caller must call it after each event, and no later than
+    /// [`Pair::wake_at`].
     pub fn tick(&mut self, now: Time, out: &mut Vec<Action>) {
         if now.since(self.ticked) > OWN_HALT {
             for process in self.slots.iter_mut().filter_map(|slot| slot.process.as_mut()) {
@@ -187,7 +196,7 @@ impl Pair {
         }
     }
 
-    /// Time at which `tick` has to be called next.
+    /// Returns the time at which [`Pair::tick`] has to be called next.
     pub fn wake_at(&self) -> Time {
         let due = |slot: &Slot| match &slot.process {
             None => Some(slot.start_at),
@@ -224,7 +233,8 @@ impl Pair {
         }
     }
 
-    /// Replaces processes that are halted or use too much memory.
+    /// Kills DDS processes that are halted, or use too much memory while the other process is connected and uses less,
+    /// and schedules their restart.
     fn judge(&mut self, now: Time, out: &mut Vec<Action>) {
         for index in 0..self.slots.len() {
             let Some(process) = &self.slots[index].process else { continue };
@@ -258,7 +268,8 @@ impl Pair {
         self.slots.iter().enumerate().find(|(other, _)| *other != index)?.1.process.as_ref()
     }
 
-    /// Removes a process that has ended or is killed, and schedules the next start.
+    /// Removes the process at this index, which has ended or is killed, schedules its restart, and lets the spare take
+    /// over if necessary.
     fn end(&mut self, now: Time, index: usize, out: &mut Vec<Action>) {
         let slot = &mut self.slots[index];
         let Some(process) = slot.process.take() else { return };
@@ -268,7 +279,7 @@ impl Pair {
         self.elect(now, out);
     }
 
-    /// Makes the other process active if it alone is live.
+    /// Makes the spare process active if it is live and the active one is not.
     fn elect(&mut self, now: Time, out: &mut Vec<Action>) {
         let live = |slot: &Slot| slot.process.as_ref().is_some_and(|process| process.is_live(now));
         if live(&self.slots[self.active]) {
@@ -279,7 +290,8 @@ impl Pair {
         }
     }
 
-    /// Makes a process active: it gets the newest commands, or zeros for those that have lapsed.
+    /// Makes the process at this index active, and sends it the newest command of each topic, with zero velocity if the
+    /// command has expired.
     fn take_over(&mut self, now: Time, index: usize, out: &mut Vec<Action>) {
         self.active = index;
         self.worse = None;
@@ -311,7 +323,8 @@ impl Pair {
         }
     }
 
-    /// Lets a spare take over that is better connected; replaces the spare while nothing is heard at all.
+    /// Lets the spare take over if it has been better connected for the time `WORSE`. Replaces the spare if no process
+    /// has been connected to robots for the time `patience`.
     fn replace_deaf(&mut self, now: Time, out: &mut Vec<Action>) {
         if self.slots.iter().filter_map(|slot| slot.process.as_ref()).any(|process| self.is_linked(now, process)) {
             (self.linked, self.patience) = (now, DEAF);
@@ -341,14 +354,16 @@ impl Pair {
         self.slots[index].start_at = now;
     }
 
-    /// Whether a process hears anything that it should, and is heard.
+    /// Whether a process is connected to robots: it currently receives at least one of its subscribed topics, if it has
+    /// any, and each of its command topics, if it has any, has a subscriber.
     fn is_linked(&self, now: Time, process: &Process) -> bool {
         let commands = self.plan.writers.iter().any(|writer| writer.kind.is_command());
         let hears = process.topics.is_empty() || (0..process.topics.len()).any(|topic| process.hears(now, topic));
         hears && (!commands || process.vitals.matched)
     }
 
-    /// Whether the spare hears a topic that the active process does not hear, or alone has a subscriber.
+    /// Whether the spare is better connected than the active process: it receives a topic that the active process does
+    /// not receive, or only its command topics all have subscribers.
     fn is_worse(&self, now: Time) -> bool {
         let Some(active) = &self.slots[self.active].process else { return false };
         let Some(spare) = self.other(self.active).filter(|spare| spare.is_live(now)) else { return false };

@@ -1,4 +1,4 @@
-//! Readings from poses of ROS messages. Pure.
+//! Conversion of poses and velocities from ROS messages to readings. Does no I/O.
 
 use crate::messages::geometry::{Deviation, Pose, Twist, Vec2, rotated, wrapped};
 use crate::messages::ids::RobotId;
@@ -19,7 +19,7 @@ pub enum Axes {
 }
 
 impl Axes {
-    /// Factor (1 or -1) that converts y components and yaw angles of these axes to those of REP-103.
+    /// Returns the factor (1 or -1) that converts y components and yaw angles in these axes to those of REP-103.
     pub fn sign(self) -> f64 {
         match self {
             Axes::Rep103 => 1.0,
@@ -83,13 +83,14 @@ pub fn reading(robot: RobotId, stamp_ns: u64, pose: &PoseSample, velocity: Veloc
     reading.unfit().is_none().then_some(reading)
 }
 
-/// Filter of the time stamps of one sender, which tells new messages from repeated and late ones.
+/// Filter of the time stamps of one sender of ROS messages, which tells new messages from repeated and late ones.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Stamps {
     newest: Option<u64>,
 }
 
-/// Step back \[ns\] that is taken for a clock that was set anew, not for a late message.
+/// Smallest step back of a message's time stamp \[ns\] that is taken for a clock that was set back. A smaller step is
+/// taken for a late message.
 const CLOCK_SET_NS: u64 = 1_000_000_000;
 
 /// Result of comparing the time stamp of a message with earlier stamps of the same sender.
@@ -97,15 +98,15 @@ const CLOCK_SET_NS: u64 = 1_000_000_000;
 pub enum Novelty {
     /// The stamp is newer than all stamps before.
     New,
-    /// The stamp is far older than those before, since the sender's clock was set back. The message is new, but cannot
-    /// be compared with earlier ones.
+    /// The stamp is the first, or more than 1 s older than the newest, as the sender's clock was set back. The message
+    /// is new, but its time cannot be compared with earlier ones.
     Anew,
     /// The stamp belongs to a repeated or late message.
     Old,
 }
 
 impl Stamps {
-    /// Notes the stamp of a received message \[ns\] on the sender's clock, and returns whether the message is new.
+    /// Records the stamp of a received message \[ns\] on the sender's clock, and returns whether the message is new.
     pub fn take(&mut self, stamp_ns: u64) -> Novelty {
         let novelty = match self.newest {
             None => Novelty::Anew,

@@ -1,4 +1,5 @@
-//! Content of messages that a host takes and gives, with its conversion from and to ROS messages. Pure.
+//! Poses, velocities and battery charges in the form in which a host exchanges them with its DDS process, with their
+//! conversion from and to ROS messages. Does no I/O.
 
 use serde::{Deserialize, Serialize};
 
@@ -23,11 +24,11 @@ pub enum Sample {
 pub struct PoseSample {
     /// Time of measurement \[ns\] on the sender's clock; zero if the message has no time stamp.
     pub stamp_ns: u64,
-    /// Position along x \[m\].
+    /// Position of the robot along the frame's x axis \[m\].
     pub x: f64,
-    /// Position along y \[m\].
+    /// Position of the robot along the frame's y axis \[m\].
     pub y: f64,
-    /// Rotation about the z axis \[rad\]; `None` if the message has no orientation.
+    /// Rotation of the robot about the z axis \[rad\]; `None` if the message has no orientation.
     pub yaw: Option<f64>,
     /// Standard deviation of the position \[m\]; `None` if unknown.
     pub position_m: Option<f64>,
@@ -54,7 +55,7 @@ pub struct TwistSample {
 }
 
 impl Sample {
-    /// Whether all numbers are in range.
+    /// Whether all numbers are in range: pose and velocity are finite, deviations not negative, a charge from 0 to 1.
     pub fn is_sound(&self) -> bool {
         match self {
             Sample::Pose(pose) => pose.is_sound(),
@@ -64,7 +65,7 @@ impl Sample {
 }
 
 impl PoseSample {
-    /// Whether all numbers are finite and deviations are not negative.
+    /// Whether all numbers of the pose and velocity are finite and no standard deviation is negative.
     pub fn is_sound(&self) -> bool {
         let deviation = |deviation: Option<f64>| deviation.is_none_or(|d| d.is_finite() && d >= 0.0);
         let twist = self.twist.is_none_or(|twist| {
@@ -102,7 +103,8 @@ impl PoseSample {
     }
 }
 
-/// Sets the variances of the plane and of yaw where they are known.
+/// Sets the variances of x and y to the square of the standard deviation `plane`, and that of yaw to the square of
+/// `yaw`. Those that are `None` (unknown) are set to zero.
 fn spread(covariance: &mut Covariance, plane: Option<f64>, yaw: Option<f64>) {
     let square = |deviation: Option<f64>| deviation.map_or(0.0, |d| d * d);
     (covariance[0][0], covariance[1][1], covariance[5][5]) = (square(plane), square(plane), square(yaw));
@@ -164,7 +166,8 @@ fn pose(stamp: Stamp, pose: &Pose, covariance: Option<&Covariance>) -> Result<Po
     })
 }
 
-/// Rotation about z of a unit quaternion; none for one of zeros, which is an orientation that was not set.
+/// Returns the rotation about the z axis \[rad\] of a pose's orientation; `None` if all components of the quaternion
+/// are zero, so that no orientation was set. An error says that it is not a unit quaternion.
 fn yaw(pose: &Pose) -> Result<Option<f64>, &'static str> {
     let q = pose.orientation;
     if [q.x, q.y, q.z, q.w] == [0.0; 4] {
@@ -187,7 +190,8 @@ fn twist(twist: &TwistWithCovariance) -> Result<TwistSample, &'static str> {
     Ok(TwistSample { x: linear.x, y: linear.y, yaw_rate: angular.z, velocity_m_s, yaw_rate_rad_s })
 }
 
-/// Standard deviations of the plane (the larger of both axes) and of yaw. A variance of zero or less means "unknown".
+/// Returns the standard deviations of position or velocity in the plane (the larger of x and y) and of yaw, from a
+/// covariance matrix. `None` if unknown: a variance is zero, negative or not finite.
 fn deviations(covariance: &Covariance) -> (Option<f64>, Option<f64>) {
     let root = |variance: f64| (variance.is_finite() && variance > 0.0).then(|| variance.sqrt());
     (root(covariance[0][0].max(covariance[1][1])), root(covariance[5][5]))

@@ -1,20 +1,22 @@
-//! Checks and defaults that the settings of driver and source share.
+//! Checks and defaults of those settings in team files that the ROS 2 driver, the ROS 2 source and the observation of a
+//! team in ROS 2 have in common.
 
 use crate::config::ConfigError;
 
 use super::messages::check_topic;
 
-/// Largest domain whose ports are below 65536 (RTPS 2.5, 9.6.2.3).
+/// Largest DDS domain (`ROS_DOMAIN_ID`) whose UDP ports are below 65536 (RTPS 2.5, 9.6.2.3).
 const MAX_DOMAIN: u16 = 232;
-/// Least and most memory of a DDS process \[MiB\]: it takes 12 MiB when it runs, and more of address space.
+/// Range of the setting for the memory that a DDS process may use \[MiB\]. A running process takes 12 MiB of memory,
+/// and more of address space.
 const MEMORY_MIB: std::ops::RangeInclusive<u32> = 64..=4096;
 
-/// Default of the setting for the memory that a DDS process may use \[MiB\].
+/// Returns the default of the setting for the memory that a DDS process may use: 192 \[MiB\].
 pub fn memory_mib() -> u32 {
     192
 }
 
-/// Default `true` of settings that are switched on unless the user switches them off.
+/// Returns `true`, the default of settings that are on unless the user switches them off.
 pub fn yes() -> bool {
     true
 }
@@ -25,7 +27,8 @@ pub fn check_built() -> Result<(), ConfigError> {
     if cfg!(feature = "ros2") { Ok(()) } else { Err(ConfigError::field("name", super::NOT_BUILT)) }
 }
 
-/// Checks the settings of the participant.
+/// Checks settings of a DDS participant: its domain, network interface and memory limit \[MiB\]. The error names the
+/// wrong setting.
 pub fn check_participant(domain: u16, interface: Option<&str>, memory_mib: u32) -> Result<(), ConfigError> {
     if domain > MAX_DOMAIN {
         let reason = format!("{domain} is not a DDS domain; it is ROS_DOMAIN_ID of the robots, from 0 to {MAX_DOMAIN}");
@@ -50,7 +53,8 @@ pub fn full_topic(field: &str, namespace: &str, topic: &str) -> Result<String, C
     Ok(full)
 }
 
-/// Checks the ROS namespace of a robot; an empty one is allowed and means none.
+/// Checks the ROS namespace of a robot, such as `/r1`. An empty one is allowed and means no namespace. The error names
+/// the setting `namespace`.
 pub fn check_namespace(namespace: &str) -> Result<(), ConfigError> {
     if namespace.is_empty() {
         return Ok(());

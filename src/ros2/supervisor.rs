@@ -1,5 +1,5 @@
-//! Supervisor of DDS processes: the worker of a driver or source. `pair` makes the decisions, and the supervisor
-//! carries them out.
+//! Supervisor of DDS processes, child processes of a host that connect it to ROS 2: the worker of a driver or source.
+//! The module `pair` decides when to start, kill and use these processes, and the supervisor does it.
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -21,43 +21,43 @@ use super::packet::{LONGEST, Plan};
 use super::pair::{Action, Event, Id, Pair};
 use super::{REFUSED, SUBCOMMAND};
 
-/// Largest number of events that wait for the supervisor. A process that sends more is blocked, and drops its own
-/// packets.
+/// Largest number of events that wait for the supervisor. A DDS process that sends more is blocked, and drops packets.
 const ROOM: usize = 256;
-/// Time given to the processes at the end of the host to publish zero velocities and leave DDS. The host waits one
-/// second.
+/// Time given to the DDS processes at the end of the host to publish zero velocities and leave DDS; after it they are
+/// killed. The host waits one second.
 const FAREWELL: Duration = Duration::from_millis(700);
-/// Longest line of stderr that is kept \[bytes\]; the rest is cut.
+/// Longest part of a line of a DDS process's stderr that is kept for the log \[bytes\].
 const LONGEST_WORDS: u64 = 400;
 
-/// Worker of a driver or source that starts, watches and replaces DDS processes, each with the topics of a plan.
+/// Worker of a driver or source that starts, watches and replaces DDS processes (child processes that connect the host
+/// to ROS 2), each with the topics of `plan`.
 #[derive(Clone, Debug)]
 pub struct Supervisor {
     /// Topics and limits that each DDS process gets.
     pub plan: Plan,
-    /// Whether a warm spare runs beside the active DDS process.
+    /// Whether a spare DDS process, which can take over at once, runs beside the active one.
     pub spare: bool,
     /// Program file whose subcommand `ros2-node` is the DDS process; `None` for the running program itself.
     pub program: Option<PathBuf>,
 }
 
-/// Input of the supervisor's loop.
+/// Input of the supervisor's loop: an output or the end of a DDS process, or a packet of the driver or source.
 enum Happened {
     Line(Id, Vec<u8>),
     Ended(Id),
     Packet(Packet),
-    /// An ended process was collected. The text describes its end.
+    /// The exit status of an ended DDS process was read. The text describes its end, for the log.
     Collected(String),
-    /// The control thread has closed the channel.
+    /// The control thread of the host has closed the port of this worker, which then has to end.
     Closed,
 }
 
-/// A running DDS process.
+/// Running DDS process: its handle, its input, and the thread that reads its stderr.
 struct Process {
     child: Child,
     stdin: UnixStream,
     stderr: Option<thread::JoinHandle<String>>,
-    /// Whether the supervisor killed the process. The reason is then already logged.
+    /// Whether the supervisor killed the process; then the reason is already logged.
     killed: bool,
 }
 
@@ -99,13 +99,13 @@ impl Worker for Supervisor {
     }
 }
 
-/// Processes, and all that the loop needs.
+/// State of the supervisor's loop: the running DDS processes, and channels to the loop and to the driver or source.
 struct Shell<'a> {
     supervisor: &'a Supervisor,
     tx: SyncSender<Happened>,
     processes: BTreeMap<Id, Process>,
     pass: &'a dyn Fn(Packet),
-    /// Reason of the last end of a process, with the number of ends for that reason.
+    /// Number of successive ends of DDS processes for the same reason, and that reason.
     ends: (u64, String),
 }
 
@@ -199,7 +199,8 @@ impl Shell<'_> {
         Ok(Process { child, stdin, stderr, killed: false })
     }
 
-    /// Waits for the end of a process that has closed its output, on a thread of its own.
+    /// Removes a DDS process that has closed its output. A new thread kills it, waits for its exit status and reports
+    /// an unexpected end to the loop.
     fn bury(&mut self, id: Id) {
         let Some(mut process) = self.processes.remove(&id) else { return };
         let tx = self.tx.clone();
@@ -216,7 +217,8 @@ impl Shell<'_> {
         });
     }
 
-    /// Logs the reason for the end of a process if it is new; for the same reason, only the ends 2, 4, 8, ...
+    /// Logs the end of a DDS process with its reason. Of successive ends for the same reason, logs only the ends 1, 2,
+    /// 4, 8 and so on.
     fn log_end(&mut self, how: String) {
         if self.ends.1 != how {
             self.ends = (0, how);
@@ -228,7 +230,8 @@ impl Shell<'_> {
         }
     }
 
-    /// Gives the processes time to stop their robots and leave DDS, and kills those that do not end.
+    /// Ends all DDS processes: closes their inputs, gives them time to stop their robots and leave DDS, and kills those
+    /// that do not end.
     fn close(&mut self, happened: &Receiver<Happened>) {
         for process in self.processes.values() {
             let _ = process.stdin.shutdown(Shutdown::Both);
@@ -252,7 +255,7 @@ impl Shell<'_> {
     }
 }
 
-/// Passes lines on until the process closes its output.
+/// Reads lines from the output of DDS process `id` and sends them to the supervisor's loop, until the output is closed.
 fn read(stdout: ChildStdout, id: Id, tx: &SyncSender<Happened>) {
     let mut stdout = BufReader::new(stdout);
     let most = u64::try_from(LONGEST + 1).expect("a small number");
@@ -269,7 +272,8 @@ fn read(stdout: ChildStdout, id: Id, tx: &SyncSender<Happened>) {
     }
 }
 
-/// Reads stderr to its end and returns its first two lines that are not empty, such as a panic and its message.
+/// Reads the stderr of a DDS process to its end and returns its first two lines that are not empty, such as a panic and
+/// its message. Bytes of a line after the first `LONGEST_WORDS` count as the next line.
 fn first_words(stderr: ChildStderr) -> String {
     let (mut stderr, mut words) = (BufReader::new(stderr), Vec::new());
     loop {

@@ -1,6 +1,6 @@
-//! Clock of a run: the current time, an event queue ordered by (time, sequence), and the queue of tasks that were
-//! woken, in that order. Nothing else determines the order, so under virtual time the same seed gives the same run.
-//! `drive` and `real` advance it.
+//! Clock of a run: the current time, a queue of events ordered by time and then by their insertion, and a queue of the
+//! actors' tasks in the order in which they were woken. Nothing else determines the order of execution, so under
+//! virtual time the same seed gives the same run. The drivers of time `drive`, `real` and `replay` advance it.
 
 use std::cell::{Cell, RefCell};
 use std::cmp::Ordering;
@@ -9,7 +9,7 @@ use std::rc::Rc;
 
 use crate::time::Time;
 
-/// Time and event queue that the actors of one run share.
+/// Current time, event queue and queue of woken tasks of one run. Clones share them.
 #[derive(Clone, Default)]
 pub struct Clock {
     now: Rc<Cell<Time>>,
@@ -26,13 +26,14 @@ struct Queue {
 
 struct Task {
     run: Rc<dyn Fn()>,
-    /// Whether it is in the queue of woken tasks.
+    /// Whether the task is in the queue of woken tasks.
     woken: bool,
-    /// Latest time at which it has to be woken, in real time; `Time::MAX` if never.
+    /// In real time, latest time at which the task has to be woken; `Time::MAX` if it need not be woken.
     latest: Time,
 }
 
-/// Handle of a task of the clock. A task runs after a mailbox or the clock has woken it.
+/// Handle of a task that is registered with a [`Clock`]: a function that runs an actor after a mailbox or the clock has
+/// woken it.
 #[derive(Clone, Copy, Debug)]
 pub struct TaskId(usize);
 
@@ -69,7 +70,7 @@ impl PartialEq for Event {
 impl Eq for Event {}
 
 impl Clock {
-    /// Current time of the run.
+    /// Returns the current time of the run.
     pub fn now(&self) -> Time {
         self.now.get()
     }
@@ -81,7 +82,8 @@ impl Clock {
         TaskId(queue.tasks.len() - 1)
     }
 
-    /// Wakes a task: it runs after all tasks that were woken before it.
+    /// Wakes a task: it runs once, after all tasks that were woken before it. A task that is already woken is left
+    /// where it is in the queue.
     pub fn wake(&self, task: TaskId) {
         let Queue { tasks, woken, .. } = &mut *self.queue.borrow_mut();
         // After the end of a run no task is left.
@@ -92,7 +94,7 @@ impl Clock {
         }
     }
 
-    /// Runs woken tasks until none is left.
+    /// Runs the woken tasks, and those that they wake, until none is left.
     pub(super) fn run_woken(&self) {
         while let Some(run) = self.next_woken() {
             run();
@@ -133,7 +135,8 @@ impl Clock {
         queue.events.push(Event { at, sequence, action });
     }
 
-    /// Advances to the earliest event and executes it; `false` if there is none.
+    /// Removes the earliest event from the queue, sets the current time to its time and executes it. Returns `false` if
+    /// there is no event.
     pub(super) fn step(&self) -> bool {
         let Some(event) = self.queue.borrow_mut().events.pop() else { return false };
         assert!(event.at >= self.now(), "time runs forward");
@@ -142,13 +145,14 @@ impl Clock {
         true
     }
 
-    /// Returns the time of the earliest event.
+    /// Returns the time of the earliest event in the queue; `None` if there is no event.
     fn next(&self) -> Option<Time> {
         self.queue.borrow().events.peek().map(|event| event.at)
     }
 
-    /// Returns the latest time until which a driver of real time may sleep. It looks at all tasks, of which a host has
-    /// few; an event for a task that has since been re-armed does not wake the driver.
+    /// Returns the latest time until which the event loop may sleep in real time: the earliest of the times given to
+    /// [`Clock::expect`] and of the scheduled calls; `None` if there is none. A wake-up that its task no longer expects
+    /// does not count.
     pub(super) fn latest(&self) -> Option<Time> {
         let queue = self.queue.borrow();
         let calls = queue.events.iter().filter(|event| matches!(event.action, Action::Call(_))).map(|event| event.at);
@@ -156,12 +160,14 @@ impl Clock {
         Some(latest).filter(|latest| *latest < Time::MAX)
     }
 
-    /// Sets the current time, as read from a real clock; events before it stay in the queue.
+    /// Sets the current time, as read from a real clock or a recording; it never goes back. Events that are due stay in
+    /// the queue.
     pub(super) fn set(&self, now: Time) {
         self.now.set(now.max(self.now()));
     }
 
-    /// Executes the earliest event that is due by now, however late; `false` if there is none.
+    /// Removes the earliest event from the queue and executes it if its time has come, however late it is. Returns
+    /// `false` if no event is due.
     pub(super) fn catch_up(&self) -> bool {
         if self.next().is_none_or(|at| at > self.now()) {
             return false;
@@ -178,7 +184,8 @@ impl Clock {
         }
     }
 
-    /// Drops all tasks and events, which hold the actors that hold this clock.
+    /// Drops all tasks and events at the end of a run. They hold references to actors, which hold this clock, so that
+    /// otherwise neither would be freed.
     pub(super) fn clear(&self) {
         *self.queue.borrow_mut() = Queue::default();
     }

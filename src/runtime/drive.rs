@@ -1,4 +1,4 @@
-//! Driver of virtual time: runs the actors until every mailbox is empty, then advances to the next event.
+//! Event loop in virtual time: runs the actors until every mailbox is empty, then advances the clock to the next event.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -16,12 +16,12 @@ use crate::time::Time;
 pub enum End {
     /// The caller's function `done` returned true.
     Done,
-    /// No event was left in the event queue.
+    /// No event was left in the queue of the clock.
     Idle,
 }
 
 /// Runs actors in virtual time on the calling thread. `build` starts the actors and returns their owner. Time advances
-/// from event to event until `done` returns true or no event is left.
+/// from event to event until `done` returns true or no event is left. Returns the owner and why the run has ended.
 pub fn run_virtual<W>(build: impl FnOnce(&Clock) -> W, mut done: impl FnMut(&W, Time) -> bool) -> (W, End) {
     in_system(|| {
         let clock = Clock::default();
@@ -44,7 +44,7 @@ pub fn run_virtual<W>(build: impl FnOnce(&Clock) -> W, mut done: impl FnMut(&W, 
     })
 }
 
-/// Tasks of the actor library: actors that start or restart.
+/// Tasks by which the actor library starts and restarts actors, with a flag that says whether they have to run.
 pub(super) struct Tasks {
     tasks: LocalSet,
     signal: Arc<Signal>,
@@ -66,7 +66,7 @@ impl Tasks {
         Tasks { tasks: LocalSet::new(), signal: Arc::new(Signal(AtomicBool::new(true))) }
     }
 
-    /// Enters a context in which actors can be started.
+    /// Makes it possible to start actors, until the returned guard is dropped.
     pub(super) fn enter(&self) -> LocalEnterGuard {
         self.tasks.enter()
     }

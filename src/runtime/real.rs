@@ -1,7 +1,7 @@
-//! Driver of real time: executes due events, runs the actors until every mailbox is empty, then sleeps until the next
-//! event or until a file descriptor is readable. It uses one thread and a kernel timer; a runtime's timers have a
-//! resolution of a millisecond. Due events come before received datagrams, so a flood delays a control tick by at most
-//! one read. It contains no actor logic.
+//! Event loop in real time: executes due events, runs the actors until every mailbox is empty, then sleeps until the
+//! next event or until a file descriptor is readable. It uses one thread and a kernel timer, since tokio's timers have
+//! a resolution of a millisecond. Due events come before received datagrams, so a flood of datagrams delays a control
+//! tick by at most one read. It contains no actor logic.
 
 use std::cell::Cell;
 use std::os::fd::AsFd;
@@ -18,35 +18,36 @@ use super::drive::Tasks;
 use super::shell::in_system;
 use crate::time::{Span, Time};
 
-/// Longest sleep. Events before its end come from descriptors.
+/// Longest time for which the event loop sleeps if no file descriptor becomes readable.
 const MAX_SLEEP: Span = Span::from_millis(1000);
-/// Most descriptors reported by one wait; the next wait reports the others.
+/// Largest number of readable file descriptors that one `epoll` wait reports; the next wait reports the others.
 const MAX_EVENTS: usize = 16;
-/// Key of the timer among the descriptors.
+/// Key of the timer in the `epoll` of a [`Readers`]; other descriptors have their index.
 const TIMER: u64 = u64::MAX;
 
 /// File descriptors that a run in real time watches, each with a callback for when it is readable.
 pub struct Readers {
     readers: Vec<Reader>,
-    /// Watches all of them, and the timer.
+    /// Watches all file descriptors, and the timer.
     all: Epoll,
-    /// Watches those that are never paused, and the timer.
+    /// Watches the file descriptors without `paused_until`, which are never paused, and the timer.
     never_paused: Epoll,
     timer: TimerFd,
-    /// Time for which the timer is set.
+    /// Time for which the timer is set; `None` before it is first set.
     timer_at: Option<Time>,
-    /// Readable descriptors whose callback has not been called yet.
+    /// Indices of readable file descriptors whose callback has not been called yet.
     ready: Vec<usize>,
 }
 
 struct Reader {
     source: Rc<dyn AsFd>,
-    /// Whether the reader waits for the end of the source and not for input.
+    /// Whether the reader waits until the other end of the source is closed, instead of for input.
     end: bool,
-    /// Whether that end has been reported.
+    /// Whether the closing of the source's other end has been reported.
     reported: Cell<bool>,
     notify: Box<dyn Fn()>,
-    /// Time until which the source is paused.
+    /// Function that returns the time until which the source is not read, or `None` if it may be read. `None` for a
+    /// source that is never paused.
     paused_until: Option<Box<dyn Fn() -> Option<Time>>>,
 }
 
@@ -64,7 +65,8 @@ impl Readers {
         Readers { readers: Vec::new(), all, never_paused, timer, timer_at: None, ready: Vec::new() }
     }
 
-    /// Calls `notify` whenever the descriptor `source` is readable, again until it has been read empty.
+    /// Registers the descriptor `source`: `notify` is called in each turn of the event loop in which it is readable, so
+    /// again until it has been read empty.
     pub fn watch(&mut self, source: Rc<dyn AsFd>, notify: impl Fn() + 'static) {
         self.add(Reader {
             source,
@@ -75,8 +77,9 @@ impl Readers {
         });
     }
 
-    /// Calls `notify` whenever the descriptor `source` of a link is readable, but not before the time that
-    /// `paused_until` returns. `None` from `paused_until` means no pause.
+    /// Registers the descriptor `source` of a link: `notify` is called in each turn of the event loop in which it is
+    /// readable. A link is paused until the time that its `paused_until` returns; `None` means no pause. While any link
+    /// is paused, no link is read.
     pub fn watch_link(
         &mut self,
         source: Rc<dyn AsFd>,
@@ -87,8 +90,8 @@ impl Readers {
         self.add(Reader { source, end: false, reported: Cell::new(false), notify, paused_until });
     }
 
-    /// Calls `notify` once when the other end of `source`, which is written to, is closed. A regular file has no other
-    /// end.
+    /// Registers a descriptor that is written to, such as a pipe: `notify` is called once when its other end is closed;
+    /// for a regular file, which has no other end, never.
     pub fn watch_end(&mut self, source: Rc<dyn AsFd>, notify: impl Fn() + 'static) {
         self.add(Reader {
             source,
@@ -113,12 +116,13 @@ impl Readers {
         self.readers.push(reader);
     }
 
-    /// Latest time until which a link is paused, if any is.
+    /// Returns the latest time until which a link is paused; `None` if no link is paused at `now`.
     fn paused(&self, now: Time) -> Option<Time> {
         self.readers.iter().filter_map(|reader| reader.paused_until.as_ref()?()).filter(|until| *until > now).max()
     }
 
-    /// Sleeps until a descriptor is readable or `next` has come; if it has come, only polls.
+    /// Sleeps until a descriptor is readable, the time `next` has come or the pause of links ends, and adds readable
+    /// descriptors to `ready`. Does not sleep if `next` has already come. `elapsed` returns the time of the real clock.
     fn sleep(&mut self, now: Time, next: Time, elapsed: impl Fn() -> Time) {
         let pause = self.paused(now);
         let until = pause.map_or(next, |pause| pause.min(next));
@@ -139,7 +143,7 @@ impl Readers {
             .extend(events[..count].iter().filter(|event| event.data() != TIMER).map(|event| event.data() as usize));
     }
 
-    /// Calls the callbacks of readable descriptors.
+    /// Calls the callbacks of the file descriptors that the last sleep found readable.
     fn notify(&mut self) {
         for reader in self.ready.drain(..).map(|index| &self.readers[index]) {
             if reader.end && !reader.reported.replace(true) {
@@ -152,9 +156,9 @@ impl Readers {
         }
     }
 
-    /// Sets the timer to end the sleep at `next` at the latest. A timeout of the sleep itself would set and clear the
-    /// machine's timer for every datagram, which costs more than the datagram; this timer stays until something earlier
-    /// is due.
+    /// Sets the timer so that it ends the sleep at `next` at the latest. A timer that is set for an earlier time stays.
+    /// `elapsed` returns the time of the real clock. A timeout of `epoll` instead would be set and cleared for every
+    /// datagram, which costs more than the datagram.
     fn set_timer(&mut self, now: Time, next: Time, elapsed: impl Fn() -> Time) {
         // A timer that has expired does not fire until it is set again.
         if self.timer_at.is_some_and(|at| at > now && at <= next) {
@@ -168,8 +172,9 @@ impl Readers {
     }
 }
 
-/// Runs actors in real time on the calling thread. `build` starts the actors and names the descriptors to watch. Time
-/// counts from `origin`. The run ends when `done`, called after each turn of the event loop, returns true.
+/// Runs actors in real time on the calling thread. `build` starts the actors, registers the file descriptors to watch
+/// and returns the actors' owner, which `run_real` returns at the end. Time counts from `origin`. The run ends when
+/// `done`, called in each turn of the event loop, returns true.
 pub fn run_real<W>(
     origin: Instant,
     build: impl FnOnce(&Clock, &mut Readers) -> W,

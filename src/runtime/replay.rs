@@ -1,5 +1,6 @@
-//! Driver of recorded time: runs actors through the turns of an earlier real-time run, with the times and the inputs of
-//! each. It follows `real`, line by line, without a clock and without descriptors.
+//! Event loop for a recorded run: runs actors through the turns of an earlier run in real time, with the time and the
+//! inputs of each turn. It does the same as the event loop in `real`, but reads neither a real clock nor file
+//! descriptors.
 
 use super::clock::Clock;
 use super::drive::Tasks;
@@ -7,9 +8,10 @@ use super::real::Readers;
 use super::shell::in_system;
 use crate::time::Time;
 
-/// Runs actors on the calling thread through recorded turns. `build` starts the actors at the time `begun`; what it
-/// watches is never read. Each turn is a time and its inputs: after the due events, `arrive` passes the inputs on to
-/// the actors, and `end` is called at the end of the turn.
+/// Runs actors on the calling thread through the recorded turns of an event loop. `build` starts the actors at the time
+/// `begun` and returns their owner, which `run_replayed` returns at the end; file descriptors that it registers are
+/// never read. A turn is a time and the inputs at that time. In each turn, due events are executed, `arrive` passes the
+/// inputs on to the actors, and after the actors have run, `end` is called.
 pub fn run_replayed<W, T>(
     begun: Time,
     build: impl FnOnce(&Clock, &mut Readers) -> W,

@@ -1,11 +1,11 @@
-//! Shell around every core: mailbox, timer, supervision and fault injection. The only file that names the actor
-//! library.
+//! Shell of an actor: adds a mailbox, a timer, supervision and fault injection to the actor's core, its state machine.
+//! The only file that names the actor library.
 //!
 //! A mailbox is bounded; refused messages are counted and dropped. Messages of one sender stay in order; between
-//! senders there is no guaranteed order. The actor library starts, stops and restarts an actor. Its mailbox is a queue
-//! of our own, and the clock runs woken actors in the order of their wake-ups: the library's own mailbox and tasks took
-//! a third of a run's time. A crashed actor restarts with a fresh core. A real panic ends the process: state after a
-//! broken invariant must not drive a robot.
+//! senders there is no guaranteed order. The actor library starts, stops and restarts an actor. The mailbox is not the
+//! library's, and the clock runs woken actors in the order of their wake-ups: the library's own mailboxes and tasks
+//! took a third of a run's time. An actor that crashes by an injected fault restarts with a new core. A panic ends the
+//! process: state after a broken invariant must not drive a robot.
 
 use std::cell::{Cell, OnceCell, RefCell};
 use std::collections::VecDeque;
@@ -22,9 +22,9 @@ use crate::time::{Span, Time};
 /// Largest number of messages in a mailbox: all messages of a team of 2000 robots in one control period, eight for each
 /// robot.
 pub const MAILBOX_CAPACITY: usize = 16_384;
-/// Most wake-ups of a core at one instant; more are a bug.
+/// Number of successive wake-ups of a core (an actor's state machine) at one instant that counts as a bug and panics.
 const MAX_WAKES_AT_ONCE: usize = 64;
-/// Exit status after a panic, as of any Rust program.
+/// Exit status of the process after a panic in an actor: that of any Rust program.
 const PANIC_STATUS: i32 = 101;
 
 enum Envelope<I> {
@@ -40,7 +40,7 @@ pub struct Mailbox<I>(Rc<Slot<I>>);
 struct Slot<I> {
     name: String,
     queue: RefCell<VecDeque<Envelope<I>>>,
-    /// Wakes the actor, once it is started.
+    /// Clock and task by which a message wakes the actor; empty until the actor is started.
     waker: OnceCell<(Clock, TaskId)>,
     refused: Cell<u64>,
     lost: Cell<u64>,
@@ -64,12 +64,12 @@ impl<I> Mailbox<I> {
         }))
     }
 
-    /// Name of the actor that the mailbox belongs to.
+    /// Returns the name of the actor that the mailbox belongs to.
     pub fn name(&self) -> &str {
         &self.0.name
     }
 
-    /// Puts a message into the mailbox; a full mailbox drops and counts the message.
+    /// Puts a message into the mailbox and wakes its actor; a full mailbox drops and counts the message.
     pub fn send(&self, input: I) {
         self.post(Envelope::Deliver(input));
     }
@@ -84,12 +84,12 @@ impl<I> Mailbox<I> {
         self.post(Envelope::Recover);
     }
 
-    /// Number of messages that were dropped because the mailbox was full.
+    /// Returns the number of messages that were dropped because the mailbox was full.
     pub fn refused(&self) -> u64 {
         self.0.refused.get()
     }
 
-    /// Number of messages that were lost when the actor crashed.
+    /// Returns the number of messages that were lost in crashes of the actor.
     pub fn lost(&self) -> u64 {
         self.0.lost.get()
     }
@@ -115,28 +115,28 @@ impl<I> Mailbox<I> {
     }
 }
 
-/// A core with its mailbox, timer, faults and supervision.
+/// An actor: its core (state machine) with mailbox, timer, injected faults and supervision.
 struct Shell<C: Core + 'static> {
     make: Box<dyn FnMut(u32) -> C>,
     core: Option<C>,
     incarnation: u32,
-    /// Address of the supervised actor, which is told of a crash.
+    /// Address by which the actor library is told to stop and restart the actor after an injected crash.
     supervisee: Option<Addr<Supervisee<C>>>,
-    /// Whether the supervisor has started or restarted it.
+    /// False from an injected crash until the actor library has restarted the actor.
     alive: bool,
     sink: Box<dyn FnMut(C::Out)>,
     out: Vec<C::Out>,
     clock: Clock,
     task: TaskId,
     armed: Option<Time>,
-    /// Time given to the clock for its next turn.
+    /// Time of the actor's next turn, as last given to the clock.
     expected: Option<Time>,
     faults: Faults,
     held: VecDeque<(Time, C::In)>,
     mailbox: Mailbox<C::In>,
 }
 
-/// Injected faults in force, each until its time.
+/// Injected faults of an actor: for each kind the time until which it lasts, and the delay of inputs while it is slow.
 #[derive(Default)]
 struct Faults {
     down: Time,
@@ -147,7 +147,8 @@ struct Faults {
 }
 
 impl Faults {
-    /// Time at which an input or a timer that is due at `at` is processed.
+    /// Returns the time at which an input or a timer that is due at `at` is processed under the injected faults: `at`
+    /// itself, or later if the actor is slow or stalled.
     #[inline]
     fn taken_up(&self, at: Time) -> Time {
         let at = if at < self.slow { at + self.slow_by } else { at };
@@ -212,7 +213,8 @@ impl<C: Core + 'static> Shell<C> {
         }
     }
 
-    /// Processes the messages in the mailbox, up to a crash.
+    /// Processes all messages in the mailbox, then timers and delayed inputs that are due. Messages after an injected
+    /// crash are lost.
     fn run(&mut self, now: Time) {
         loop {
             let next = self.mailbox.0.queue.borrow_mut().pop_front();
@@ -226,7 +228,8 @@ impl<C: Core + 'static> Shell<C> {
         self.turn(now);
     }
 
-    /// Processes everything due, passes on the output, and sets the timer for the next turn.
+    /// Restarts the core after a crash, processes delayed inputs and timers that are due, passes on the output, and
+    /// sets the timer for the next turn.
     fn turn(&mut self, now: Time) {
         if self.core.is_none() {
             self.restart(now);
@@ -251,7 +254,7 @@ impl<C: Core + 'static> Shell<C> {
         self.arm(now, next);
     }
 
-    /// Makes a new core, once the supervisor has restarted the actor and the crash is over.
+    /// Makes a new core, if the actor library has restarted the actor and the time of the injected crash is over.
     #[cold]
     fn restart(&mut self, now: Time) {
         if self.alive && now >= self.faults.down {
@@ -261,7 +264,7 @@ impl<C: Core + 'static> Shell<C> {
         }
     }
 
-    /// Passes inputs to the core that a fault has delayed until now.
+    /// Passes to the core those inputs that a fault has delayed and that are due now.
     #[cold]
     fn take_up_held(&mut self, now: Time) {
         let Some(core) = &mut self.core else { return };
@@ -271,7 +274,8 @@ impl<C: Core + 'static> Shell<C> {
         }
     }
 
-    /// Sets the timer; `wake` is the wake-up time of the core.
+    /// Sets the timer of the actor for its next turn: the wake-up time `wake` of the core, a delayed input or the
+    /// restart after a crash, whichever is first.
     fn arm(&mut self, now: Time, wake: Option<Time>) {
         let next = match &self.core {
             None => Some(self.faults.down),
@@ -322,10 +326,11 @@ impl<C: Core + 'static> Shell<C> {
     }
 }
 
-/// The actor as supervised by the actor library, which starts it, stops it at a crash and restarts it.
+/// The part of an actor that the actor library knows: the library starts it, stops it at an injected crash and restarts
+/// it.
 struct Supervisee<C: Core + 'static>(Rc<RefCell<Shell<C>>>);
 
-/// Message that stops the supervised actor.
+/// Message of the actor library that stops an actor at an injected crash, so that its supervisor restarts it.
 struct Crash;
 
 impl Message for Crash {
@@ -352,7 +357,8 @@ impl<C: Core + 'static> Supervised for Supervisee<C> {
     }
 }
 
-/// Ends the process when a panic drops it; the actor library would continue without a message.
+/// Guard that reports a panic in an actor and ends the process when the panic drops it. Without it, the actor library
+/// would continue without a message.
 struct ExitOnPanic<'a> {
     name: &'a str,
     now: Time,
@@ -385,7 +391,7 @@ impl ExitOnPanic<'_> {
     }
 }
 
-/// Runs `inside` in a new actor system on this thread, where actors can be started.
+/// Runs the function `inside` on this thread in a new system of the actor library, in which actors can be started.
 pub(super) fn in_system<R>(inside: impl FnOnce() -> R) -> R {
     let system = System::with_tokio_rt(|| {
         tokio::runtime::Builder::new_current_thread().build().expect("a runtime without I/O or timers needs nothing")

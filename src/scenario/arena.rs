@@ -1,5 +1,5 @@
-//! The arena of a scenario: ground, solid blocks and the bottlenecks between them. All points are in one frame, usually
-//! the world frame.
+//! The arena of a scenario: ground, solid blocks (walls) and the bottlenecks between them. All points of an arena are
+//! in the same frame, usually the world frame.
 
 use crate::messages::geometry::Vec2;
 
@@ -76,8 +76,9 @@ impl Arena {
         self.keep_outs.iter().map(|block| block.distance(point)).fold(f32::INFINITY, f32::min)
     }
 
-    /// Returns the same arena with the robots' radius larger by `ahead_m` \[m\]. It is for planning the path of a point
-    /// that lies `ahead_m` ahead of a robot's centre. The hull is within the larger radius about that point.
+    /// Returns a copy of the arena in which the robots' radius is larger by `ahead_m` \[m\]. It is for planning the
+    /// path of a point that lies `ahead_m` ahead of a robot's centre: the robot's hull is within the larger radius
+    /// about that point.
     pub fn about_point(&self, ahead_m: f32) -> Arena {
         Arena { robot_radius_m: self.robot_radius_m + ahead_m, ..self.clone() }
     }

@@ -1,4 +1,4 @@
-//! Contract test of scenarios: what each scenario promises to trials, to training and to judging.
+//! Test of the properties that trials, training and the judge of episodes require of every scenario.
 //!
 //! A crate with a scenario of its own calls [`check`] in a test. `tests/graph/contracts.rs` calls it for each scenario
 //! of the registry.
@@ -9,20 +9,21 @@ use super::{Entry, Scenario, Settings, Stage};
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
 
-/// Team sizes that a scenario is built for; none is its default.
+/// Team sizes with which the contract test builds a scenario, if the scenario accepts them; `None` is the scenario's
+/// default.
 const SIZES: [Option<usize>; 5] = [None, Some(2), Some(3), Some(8), Some(12)];
 
-/// Checks the scenario of this registry entry, in its default team size and in each of 2, 3, 8 and 12 robots that it
-/// accepts.
+/// Tests the scenario of a registry entry for the properties that every scenario must have, with its default team size
+/// and with those of the sizes 2, 3, 8 and 12 that it accepts.
 ///
 /// - Tasks: one for each robot, the same for equal seeds and others for other seeds; each episode starts where the
 ///   one before has ended; goals are inside the arena, apart from each other, and not yet reached at the start.
-/// - Frames: observing and steering are each other's inverse.
-/// - Distance to go: never less than a straight line, and zero at the goal.
-/// - Reward: finite; stages never decrease; at the goal, contacts cost.
+/// - Frames: `steer` inverts the transformation of velocities by `observe`.
+/// - Distance to go: never less than the straight distance to the goal, and zero at the goal.
+/// - Reward: finite; stages never decrease; at the goal, the reward with contacts is less than without.
 ///
 /// # Errors
-/// A sentence that names the first broken promise, with scenario, team size, seed and episode.
+/// The scenario lacks a property: a sentence that names the first one, the scenario and the team size.
 pub fn check(entry: &Entry) -> Result<(), String> {
     let built = SIZES.map(|robots| (entry.build)(&Settings { robots, gap_m: None }));
     if let [Err(error), ..] = &built {
@@ -44,7 +45,7 @@ pub fn check(entry: &Entry) -> Result<(), String> {
     Ok(())
 }
 
-/// Returns the broken promise if the condition does not hold.
+/// Returns `Ok` if the condition `holds`, otherwise the text of `broken` as an error.
 fn require<M: Display>(holds: bool, broken: impl FnOnce() -> M) -> Result<(), String> {
     if holds { Ok(()) } else { Err(broken().to_string()) }
 }

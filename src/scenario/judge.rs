@@ -1,12 +1,12 @@
 //! The judge of an episode, which turns the states of the robots, step by step, into one verdict.
 //!
 //! An episode succeeds if every robot arrives in time, no two robots come nearer than the rules allow, and no robot
-//! touches a wall. Distances between robots are those of their centres. A robot has arrived when the point that its
-//! policy commands is at the goal. Judging ends with the last arrival or at the time limit; later states do not count.
-//! The code is pure, and the Recorder (an actor) and the trainer both use it.
+//! touches a wall. Distances between robots are those of their centres. A robot has arrived once the point that its
+//! policy commands has been at the goal. Judging ends with the last arrival or at the time limit; later states do not
+//! count. The code does no I/O, and the Recorder (an actor) and the trainer both use it.
 //!
-//! States are the true ones of the whole team at each step, or measured ones of the robots seen in the step
-//! (`sightings`).
+//! The states are the true ones of the whole team at each step, or measured ones of those robots that were seen in the
+//! step (module `sightings`).
 
 use serde::{Deserialize, Serialize};
 
@@ -37,7 +37,7 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// Returns the verdict's word in reports, JSON and CSV.
+    /// Returns the word for the verdict in reports, JSON and CSV, such as `robot-collision`.
     pub fn word(self) -> &'static str {
         match self {
             Verdict::Success => "success",
@@ -115,7 +115,9 @@ impl Judge {
         self.failure.get_or_insert(verdict);
     }
 
-    /// Processes the states of some robots; `index` maps a position in `robots` to an index in the team.
+    /// Processes the states of some or all robots at one step, the time `after` since the start of the episode.
+    /// `index` maps a position in `robots` to the robot's index in the team. Returns the finding once judging has
+    /// ended; `None` before.
     fn process(&mut self, after: Span, robots: &[JudgedRobot], index: impl Fn(usize) -> usize) -> Option<Finding> {
         self.min_separation_m = self.min_separation_m.min(separation(robots, self.min_separation_m));
         if self.failure.is_none() {
@@ -137,16 +139,16 @@ impl Judge {
         Some(self.end(after, without_failure))
     }
 
-    /// Returns the finding if the episode ends at the time `after` since its start. The outcome is the first failure,
-    /// or `without_failure` if there was none.
+    /// Returns the finding for an episode that ends now, at the time `after` since its start. The outcome is the first
+    /// failure, or `without_failure` if there was none.
     pub fn end(&self, after: Span, without_failure: Verdict) -> Finding {
         let verdict = self.failure.unwrap_or(without_failure);
         Finding { verdict, after, min_separation_m: self.min_separation_m }
     }
 }
 
-/// The smallest distance between two robots \[m\]. In a large team only pairs within about `bound_m` are compared, and
-/// the result is infinite if there are none.
+/// Returns the smallest distance between the centres of two of the robots \[m\]. In a large team, only pairs closer
+/// than about `bound_m` are compared; the result is infinite if there are none.
 fn separation(robots: &[JudgedRobot], bound_m: f32) -> f32 {
     let mut smallest = f32::INFINITY;
     let mut between = |one: usize, other: usize| {

@@ -1,4 +1,4 @@
-//! Layouts of a trial's episodes: start and goal of every robot, drawn by a scenario or read from a file.
+//! Layouts of a trial's episodes: start and goal of every robot, drawn at random by a scenario or read from a file.
 //!
 //! A file is JSON: `{"episodes": [[{"start": [x, y], "goal": [x, y]}, ...], ...]}`, in metres, world frame.
 
@@ -10,7 +10,8 @@ use super::Scenario;
 use crate::config;
 use crate::messages::geometry::{Task, Vec2, is_finite};
 
-/// Largest distance between the start of an episode and the goal of the one before that count as equal \[m\].
+/// Largest distance \[m\] between a robot's start in an episode and its goal in the previous episode at which both
+/// count as equal.
 const CHAIN_M: f32 = 1e-3;
 
 /// Start and goal of every robot in every episode of a trial (a run of several episodes).
@@ -80,7 +81,7 @@ impl Layouts {
         Ok(Layouts { episodes: episodes? })
     }
 
-    /// Returns the layouts of the episodes from `first` on.
+    /// Returns the layouts of the episodes from index `first` (from zero) to the last.
     pub fn since(&self, first: u32) -> Layouts {
         Layouts { episodes: self.episodes.iter().skip(first as usize).cloned().collect() }
     }
@@ -108,8 +109,8 @@ impl Layouts {
         &self.episodes[episode as usize]
     }
 
-    /// Returns true if every episode starts at the goals of the episode before (within 1 mm), so that robots can drive
-    /// there.
+    /// Returns true if every robot's start in an episode is its goal in the previous episode (within 1 mm), so that
+    /// robots which have reached their goals are already at their next starts.
     pub fn chained(&self) -> bool {
         self.episodes.windows(2).all(|pair| {
             pair[0].iter().zip(&pair[1]).all(|(before, after)| (before.goal - after.start).norm() <= CHAIN_M)

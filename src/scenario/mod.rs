@@ -1,8 +1,8 @@
 //! Scenarios: tasks for robot teams, each with its arena, policy frames, reward and rules of judging.
 //!
-//! A new scenario is one file and one line in `REGISTRY`; `tests/graph/contracts.rs` then tests it. In another crate it
-//! is one line where that crate makes its `Registry`, and [`contract::check`] tests the scenario. The code of this
-//! folder knows no policy, network or actor.
+//! To add a scenario, add one file and one line in `REGISTRY`; `tests/graph/contracts.rs` then tests it. Another crate
+//! adds its scenario in the line where it makes its `Registry`, and tests it with [`contract::check`]. The code of this
+//! folder uses no policy, network or actor.
 
 pub mod arena;
 pub mod contract;
@@ -56,8 +56,8 @@ pub struct Observation {
     pub goal: Vec2,
 }
 
-/// Progress of a robot in an episode, as a number that only the reward uses. It is zero at the start of an episode, and
-/// the scenario increments it, for example at waypoints.
+/// Stage of a robot's progress in an episode, as a number that only the reward uses. It is zero at the start of an
+/// episode, and the scenario increments it, for example when the robot reaches a waypoint.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Stage(pub u8);
 
@@ -69,7 +69,7 @@ pub struct Rules {
     pub arrival_m: f32,
     /// Distance \[m\] between the centres of two robots below which they have collided.
     pub separation_m: f32,
-    /// Time limit from the start of an episode, by which every robot must have arrived.
+    /// Time since the start of an episode within which every robot must arrive.
     pub limit: Span,
 }
 
@@ -105,7 +105,7 @@ pub trait Scenario: Debug + Send + Sync {
     fn arena(&self) -> &Arena;
 
     /// Returns start and goal of every robot \[m\], world frame, in the order of robot ids. `seed` is the seed of the
-    /// run, and `episode` counts from 0. The starts are the goals of the episode before, so that robots can drive on.
+    /// run, and `episode` counts from 0. The starts of an episode are the goals of the previous episode.
     fn tasks(&self, seed: u64, episode: u32) -> Vec<Task>;
 
     /// Returns the policy frame of a robot with start and goal `task`: the world frame, or that frame rotated by half a
@@ -135,14 +135,15 @@ pub trait Scenario: Debug + Send + Sync {
     /// `_task` is the robot's start and goal. `_after` is the robot's state after the step, world frame, and
     /// `_contacts` its contacts in the step.
     ///
-    /// `None`, the default, means that the scenario has no reward of its own. Training then rewards progress and
-    /// arrival only, which need no code here.
+    /// `None`, the default, means that the scenario has no reward of its own. Training then rewards only progress and
+    /// arrival, by `distance_to_go` and `reached`.
     fn reward(&self, _task: &Task, _after: &Motion, _contacts: Contacts, _stage: &mut Stage) -> Option<f32> {
         None
     }
 
-    /// Writes the `reward` of each robot of a team into `rewards`, in the order of robot ids; a robot without one gets
-    /// zero. The trainer calls this method once per team and step, which is faster than one dynamic call per robot.
+    /// Writes the reward of each robot of a team, by the method `reward`, into `rewards`, in the order of robot ids;
+    /// zero where that method returns `None`. The trainer calls it once per team and step, which is faster than one
+    /// dynamic call per robot.
     fn rewards(&self, team: TeamAfterStep, rewards: &mut [f32]) {
         let states = team.position.iter().zip(team.velocity).zip(team.contacts);
         for (((task, ((&position, &velocity), &contacts)), stage), reward) in
@@ -167,8 +168,8 @@ pub trait Scenario: Debug + Send + Sync {
         (task.goal - position).norm()
     }
 
-    /// Returns true if `_stage` is the last stage, after which the scenario's own reward pays for no more progress.
-    /// Only tests call this method.
+    /// Returns true if `_stage` is the last stage of a robot's progress: the scenario's own reward has paid for every
+    /// stage, and pays again for none. Only tests call this method.
     fn finished(&self, _stage: Stage) -> bool {
         true
     }
@@ -200,7 +201,7 @@ impl TeamSizes {
         TeamSizes { least, most, multiple_of: 1 }
     }
 
-    /// Returns the same range of team sizes, restricted to even numbers of robots.
+    /// Returns this range of team sizes, restricted to even numbers of robots.
     pub const fn even(self) -> TeamSizes {
         TeamSizes { multiple_of: 2, ..self }
     }

@@ -1,8 +1,8 @@
-//! The narrow passage, the case study of the paper arXiv 2111.01777 (section V): a team crosses a 1 m gap in a wall.
+//! Scenario `passage`, the case study of the paper arXiv 2111.01777 (section V): a team crosses a 1 m gap in a wall.
 //!
-//! The x axis runs across the arena, the y axis through the passage. The wall lies on the x axis, and the gap is
-//! centred at the origin. Sides alternate from episode to episode; policies always see a start at negative y and a goal
-//! at positive y.
+//! The x axis runs across the arena, the y axis through the gap. The wall lies on the x axis, and the gap is centred at
+//! the origin. The team starts on alternate sides of the wall from episode to episode; in the policy frame, the start
+//! is always at negative y and the goal at positive y.
 
 use std::f32::consts::PI;
 use std::sync::Arc;
@@ -15,45 +15,49 @@ use crate::messages::local::Contacts;
 use crate::random::{Seed, Stream};
 use crate::time::Span;
 
-/// Half the arena \[m\]: 4 m across, 6 m along (paper, section V).
+/// Half the size of the arena along x and y \[m\]; the whole arena is 4 m by 6 m (paper, section V).
 const HALF_EXTENT: Vec2 = Vec2::new(2.0, 3.0);
-/// Default width of the gap \[m\].
+/// Default width of the gap in the wall \[m\].
 const GAP_M: f32 = 1.0;
-/// Smallest and largest width of the gap \[m\].
+/// Smallest and largest width of the gap in the wall that a user may set \[m\].
 const GAPS_M: (f32, f32) = (0.6, 3.0);
 /// Half the thickness of the wall \[m\].
 const WALL_HALF_M: f32 = 0.15;
 /// Radius of a robot \[m\].
 const ROBOT_RADIUS_M: f32 = 0.25;
-/// Spacing of the lattice of a formation \[m\]: robots stand on lattice points whose coordinates have an even sum.
+/// Spacing of the square lattice on which the robots of a formation stand \[m\]. They stand on points (column, row) of
+/// the lattice with an even sum of column and row.
 const SPACING_M: f32 = 0.6;
-/// Largest |x| of the centre of a formation \[m\].
+/// Largest |x| of the centre of the formation in which a team starts or ends \[m\].
 const CENTRE_X_M: f32 = 1.0;
-/// Smallest and largest |y| of the centre of a formation \[m\].
+/// Smallest and largest |y| of the centre of the formation in which a team starts or ends \[m\].
 const CENTRE_Y_M: (f32, f32) = (1.5, 2.0);
-/// Distance between a start or goal and the wall's face \[m\]: a robot's radius and some room to move.
+/// Smallest distance between a start or goal and the face of the wall \[m\]: a robot's radius and some room to move.
 const WALL_CLEARANCE_M: f32 = 0.3;
-/// Distance from the middle of the wall at which the straight path through the gap begins and ends \[m\]: just clear of
+/// |y| at which the straight part of the path through the gap begins and ends \[m\], as a robot there is just clear of
 /// the wall's corners.
 const MOUTH_M: f32 = WALL_HALF_M + ROBOT_RADIUS_M + 0.05;
-/// Clearance of the path through the gap from the wall's ends \[m\], beyond a robot's radius.
+/// Distance that a robot's hull keeps from both ends of the wall on the path through the gap \[m\].
 const LANE_M: f32 = 0.1;
-/// Smallest and largest team, limited by the lattice and by the room in half of the arena.
+/// Team sizes that the scenario supports; the largest is limited by the lattice of formations and the room in half of
+/// the arena.
 const ROBOTS: TeamSizes = TeamSizes::new(2, 12);
-/// Size of the published team.
+/// Number of robots in the paper's case study, the default.
 const PUBLISHED_ROBOTS: usize = 5;
-/// Distance of the reward's waypoints from the middle of the wall, on both sides \[m\] (published environment).
+/// |y| of the two waypoints of the reward, one on each side of the gap \[m\] (as in the paper authors' published
+/// environment).
 const WAYPOINT_M: f32 = 0.4;
-/// Distance from its target within which a robot completes a stage \[m\] (published environment; reward only).
+/// Distance from a waypoint or the goal within which a robot goes on to the next stage of the reward \[m\] (as in the
+/// paper authors' published environment).
 const STAGE_M: f32 = 0.1;
-/// The last stage, with no reward left for progress.
+/// The last stage of a robot's progress, which begins one step after that in which it was rewarded for its arrival.
 const LAST_STAGE: Stage = Stage(4);
 
 /// Scenario of the case study in the paper arXiv 2111.01777: a team crosses a narrow gap in a wall.
 #[derive(Debug)]
 pub struct Passage {
     robots: usize,
-    /// Half the width of the lane through the gap in which robots' centres move \[m\].
+    /// Half the width of the range of x in which a robot's centre can pass the gap, by `distance_to_go` \[m\].
     lane_half_m: f32,
     arena: Arena,
 }
@@ -84,7 +88,8 @@ impl Passage {
         Passage { robots, lane_half_m: (half - ROBOT_RADIUS_M - LANE_M).max(0.0), arena }
     }
 
-    /// The positions between episode `index - 1` and episode `index` \[m\]; even ones lie at y < 0.
+    /// Returns the robots' positions \[m\] that are the goals of episode `index - 1` and the starts of episode `index`.
+    /// They are at y < 0 for an even `index`, otherwise at y > 0.
     fn placement(&self, seed: u64, index: u32) -> Vec<Vec2> {
         let mut stream = Seed::of_run(seed).stream(&format!("passage/placement/{index}"));
         let formation = formation(self.robots);
@@ -98,7 +103,8 @@ impl Passage {
     }
 }
 
-/// The `robots` lattice points nearest to the origin \[m\]; for five, the published cross in the published order.
+/// Returns a formation of `robots` robots: the lattice points nearest to the origin \[m\]. For five robots it is the
+/// cross of the paper authors' published environment, with the robots in the same order.
 fn formation(robots: usize) -> Vec<Vec2> {
     let reach = -3..=3i32;
     let mut points: Vec<(i32, i32)> =
@@ -109,8 +115,8 @@ fn formation(robots: usize) -> Vec<Vec2> {
     points.into_iter().map(|(x, y)| Vec2::new(x as f32, y as f32) * SPACING_M).collect()
 }
 
-/// The formation rotated by `angle` \[rad\] at a random position on `side` (the sign of y); `None` if it does not fit
-/// at that angle.
+/// Returns the positions \[m\] of a formation that is rotated by `angle` \[rad\] and moved to a random place on `side`
+/// of the wall (the sign of y); `None` if it does not fit there at that angle.
 fn place(formation: &[Vec2], angle: f32, side: f32, stream: &mut Stream) -> Option<Vec<Vec2>> {
     let (sin, cos) = libm::sincosf(angle);
     let turned: Vec<Vec2> = formation.iter().map(|p| Vec2::new(cos * p.x - sin * p.y, sin * p.x + cos * p.y)).collect();
@@ -150,7 +156,8 @@ impl Scenario for Passage {
         if task.start.y > 0.0 { Frame::HalfTurn } else { Frame::World }
     }
 
-    /// The published reward: speed toward the next waypoint \[m/s\], penalties for blocked moves, 10 for arriving.
+    /// Returns the reward of the paper authors' published environment: the speed toward the next waypoint or the goal
+    /// \[m/s\], minus 1.5 for a contact with a robot and 0.25 for one with a wall, plus 10 on arrival.
     fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> Option<f32> {
         let seen = self.observe(task, after);
         let target = match stage.0 {
@@ -181,8 +188,8 @@ impl Scenario for Passage {
         Some(reward)
     }
 
-    /// Length of the path to the gap, straight through it, and on to the goal \[m\]. It decreases continuously along
-    /// the path, at any lateral position in the lane.
+    /// Returns the length of the path to the gap, straight through it, and on to the goal \[m\]. It decreases
+    /// continuously along the path, wherever within `lane_half_m` of the gap's middle a robot passes.
     fn distance_to_go(&self, task: &Task, position: Vec2) -> f32 {
         let frame = self.frame(task);
         let (at, goal) = (frame.turn(position), frame.turn(task.goal));

@@ -5,12 +5,13 @@
 //! all robots of the step at once, at the time of the last arrival. So no robot is in one step twice. Where readings
 //! are lost, the robots that were seen are still judged with each other.
 //!
-//! A verdict that is found in this way is as good as the readings. The robots of one step were measured up to one
-//! period of the fastest source apart, by clocks that are compared with no other. Their readings are late by the delay
-//! of their links. A robot at speed v, measured at rate r, moves by v / r between two readings. At 1 m/s and 20 Hz that
-//! is 5 cm. By so much two robots can come nearer to each other, or to a wall, than is ever seen. A makespan is late by
-//! up to 1 / r and the delay of the link. Noise makes the least distance of a pair smaller than it was. With a standard
-//! deviation s along each axis, one step is off by about sqrt(2) s, and the least of many steps by several times that.
+//! A verdict that is found in this way is only as accurate as the readings. The robots of one step were measured at
+//! times up to one period of the fastest source apart, by clocks that are not synchronized. Their readings are late by
+//! the delay of their links. A robot at speed v, measured at rate r, moves by v / r between two readings: 5 cm at 1 m/s
+//! and 20 Hz. By so much two robots can come nearer to each other, or to a wall, without being seen there. A makespan
+//! is too long by up to 1 / r and the delay of the link. Noise makes the smallest distance of a pair smaller than it
+//! was. With a standard deviation s along each axis, the distance in one step is off by about sqrt(2) s, and the
+//! smallest distance of many steps by several times that.
 
 use std::cmp::Ordering;
 
@@ -19,12 +20,13 @@ use crate::messages::ids::RobotId;
 use crate::messages::wire::Reading;
 use crate::time::{Span, Time};
 
-/// Longest time (1 s) without a reading of a robot in an episode that is to succeed. A robot without readings of its
-/// own is stopped much earlier by its safety triggers. Random loss alone hardly ever removes all 20 readings of a
-/// second.
+/// Longest time (1 s) for which readings of a robot may be missing in an episode judged from readings; after a longer
+/// time the episode fails as unseen. A robot that does not receive its own readings is stopped much earlier by its
+/// guard. Random loss alone hardly ever removes all 20 readings of a second.
 pub const SIGHT: Span = Span::from_millis(1000);
 
-/// Largest distance \[m\] from its start at which a robot counts as seen after the simulated world has put it there.
+/// Largest distance \[m\] from its start at which a robot that the simulated world has put at its start counts as seen
+/// there. A reading from farther away is one from before.
 const PLACED_M: f32 = 0.25;
 
 /// One step for the judge: the robots that were seen in it, with their measured positions.
@@ -48,14 +50,16 @@ pub struct Spot {
     pub point: Vec2,
 }
 
-/// Last readings of one robot.
+/// State of one robot in [`Sightings`]: its newest reading, when it was last seen, and its position in the unfinished
+/// step.
 #[derive(Clone, Copy, Debug, Default)]
 struct Known {
-    /// Newest reading: its arrival time, its stamp \[ns\], and the measured position \[m\].
+    /// Arrival time, stamp \[ns\] and measured position \[m\] of the robot's newest reading; `None` before the first.
     newest: Option<(Time, u64, Vec2)>,
     /// Time at which the robot was last seen in this episode; at first, the start of the episode.
     since: Time,
-    /// Start at which the robot was put for this episode \[m\], world frame; `None` once it has been seen there.
+    /// Start at which the simulated world has put the robot for this episode \[m\], world frame; `None` once it has
+    /// been seen there, or if it drove to its start.
     start: Option<Vec2>,
     /// Position of the robot in the unfinished step; `None` if it was not seen in it.
     here: Option<Spot>,
@@ -64,10 +68,11 @@ struct Known {
 /// Collector of the readings of a team, in the order of their arrival, which groups them into steps for the judge.
 #[derive(Clone, Debug)]
 pub struct Sightings {
-    /// Last readings of each robot.
+    /// State of each robot, by robot id.
     team: Vec<Known>,
-    /// Number of robots that were seen in the unfinished step, and below it the time of the last of these readings.
+    /// Number of robots that were seen in the unfinished step.
     here: usize,
+    /// Arrival time of the last reading in the unfinished step.
     at: Time,
     /// Whether a robot has been without a reading for longer than `SIGHT` in this episode.
     lapsed: bool,
@@ -79,10 +84,10 @@ impl Sightings {
         Sightings { team: vec![Known::default(); robots], here: 0, at: Time::ZERO, lapsed: false }
     }
 
-    /// Begins an episode at time `now`: readings before it do not count. `placed` has the start of each robot \[m\],
-    /// world frame, if the robots were put there by the simulated world. A robot then counts as seen only from its
-    /// first reading near its start, because older readings may still be under way. `None` means that the robots drove
-    /// to their starts.
+    /// Begins an episode at time `now`: readings that arrived before it do not count. `placed` has the start of each
+    /// robot \[m\], world frame, if the simulated world has put the robots there. A robot then counts as seen only from
+    /// its first reading near its start, because older readings may still be under way. `None` means that the robots
+    /// drove to their starts.
     pub fn begin(&mut self, now: Time, placed: Option<&[Vec2]>) {
         (self.here, self.lapsed) = (0, false);
         for (at, known) in self.team.iter_mut().enumerate() {
@@ -121,7 +126,7 @@ impl Sightings {
         over.or_else(|| if self.here == self.team.len() { self.close() } else { None })
     }
 
-    /// Ends the current step and returns it. At least one robot was seen in it.
+    /// Ends the unfinished step and returns it with the robots that were seen in it.
     fn close(&mut self) -> Option<Sighting> {
         let lapsed = self.lapsed(self.at);
         self.here = 0;
@@ -132,8 +137,8 @@ impl Sightings {
 }
 
 impl Known {
-    /// Whether a reading is neither late nor one that is known. A source whose clock has begun anew is believed once
-    /// the robot has been out of sight for so long that it makes no difference to this episode any more.
+    /// Whether a reading is newer than the robot's newest one, or is from the same time but another position. An older
+    /// stamp counts as newer if the newest reading arrived more than `SIGHT` ago: the source's clock was set back.
     fn is_news(&self, now: Time, reading: &Reading) -> bool {
         let Some((arrived, stamp_ns, position)) = self.newest else { return true };
         match reading.stamp_ns.cmp(&stamp_ns) {

@@ -1,7 +1,7 @@
-//! The swap scenario: robots exchange places on open ground with a constant area per robot.
+//! Scenario `swap`: robots exchange places on open ground with a constant area per robot.
 //!
-//! The places form a grid, about as wide as deep. Every episode assigns the places anew, and no robot keeps its place.
-//! There are no walls, and the policy frame is the world frame.
+//! The places form a grid, about as wide as deep. In every episode each robot gets another place as its goal. There are
+//! no walls, and the policy frame is the world frame.
 
 use std::sync::Arc;
 
@@ -14,19 +14,19 @@ use crate::messages::local::Contacts;
 use crate::random::Seed;
 use crate::time::Span;
 
-/// Side of the square of ground per robot \[m\]: five robots have about the area of the passage's arena. Places have
-/// this width. Their depth is smaller by up to a quarter if the last row is not full.
+/// Side of the square of ground per robot \[m\]; five robots have about the area of the scenario `passage`. It is the
+/// width of a place in the grid. The depth of a place is less by up to a quarter if the last row is not full.
 const PITCH_M: f32 = 2.0;
-/// Largest offset of a place from its grid point along each axis, as a fraction of the pitch: neighbours stay 0.9 m
-/// apart.
+/// Largest random offset of a place from its grid point along each axis, as a fraction of the spacing of the grid.
+/// Neighbouring places stay 0.9 m apart.
 const JITTER: f32 = 0.2;
-/// Radius of a robot \[m\], as in the passage.
+/// Radius of a robot \[m\], as in the scenario `passage`.
 const ROBOT_RADIUS_M: f32 = 0.25;
-/// Average speed across the arena's diagonal from which the time limit follows \[m/s\].
+/// Average speed \[m/s\] at which a robot crosses the arena's diagonal just within the time limit, in a large arena.
 const SLOWEST_M_S: f32 = 0.2;
-/// Smallest and largest team.
+/// Team sizes that the scenario supports: 2 to 2000 robots.
 const ROBOTS: TeamSizes = TeamSizes::new(2, 2000);
-/// The last stage, with no reward left for progress.
+/// The last stage of a robot's progress, which begins one step after that in which it was rewarded for its arrival.
 const LAST_STAGE: Stage = Stage(2);
 
 /// Scenario in which robots exchange places on open ground without walls, with a constant area per robot.
@@ -59,7 +59,8 @@ pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
 }
 
 impl Swap {
-    /// The places of one run \[m\].
+    /// Returns the places of all episodes in the run with this seed \[m\], world frame: grid points with random
+    /// offsets.
     fn places(&self, seed: u64) -> Vec<Vec2> {
         let mut stream = Seed::of_run(seed).stream("swap/places");
         let corner = self.pitch / 2.0 - self.arena.half_extent;
@@ -71,8 +72,9 @@ impl Swap {
         .collect()
     }
 
-    /// The place of each robot between episodes `index - 1` and `index`: a cyclic shift, by a random number, of places
-    /// in a random order. Consecutive shifts differ, so every robot moves.
+    /// Returns for each robot the index of the place that is its goal in episode `index - 1` and its start in episode
+    /// `index`: a cyclic shift, by a random number, of places in a random order. Consecutive shifts differ, so every
+    /// robot moves.
     fn assignment(&self, seed: u64, index: u32) -> Vec<usize> {
         let mut order: Vec<usize> = (0..self.robots).collect();
         order.shuffle(&mut Seed::of_run(seed).stream("swap/order"));
@@ -107,7 +109,7 @@ impl Scenario for Swap {
         Frame::World
     }
 
-    /// Speed toward the goal \[m/s\], -1 for a blocked move, 10 for arriving.
+    /// Returns the reward: the speed toward the goal \[m/s\], minus 1 for a contact, plus 10 on arrival.
     fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> Option<f32> {
         let offset = task.goal - after.position;
         let distance = offset.norm();

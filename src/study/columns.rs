@@ -1,4 +1,5 @@
-//! Columns of each study, as data: the conditions that differ between them.
+//! Columns of the tables of studies, as data: the conditions in which the columns of a study differ (mode,
+//! communication range, links).
 
 use std::sync::Arc;
 
@@ -11,33 +12,34 @@ use crate::hearing::CommRange;
 use crate::scenario::Scenario;
 use crate::trial::Trial;
 
-/// Conditions of one column of a study's table.
+/// Conditions of one column of a study's table: mode, communication range and links.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Column {
-    /// Name of the column in results.
+    /// Name of the column in the study's results, such as `onboard-adhoc-noise`.
     pub name: String,
-    /// Mode of the paper. `sim` has the conditions of training; all other modes share one simulated world.
+    /// Mode of the deployment. `sim` has the conditions of training; columns with other modes share one simulated
+    /// world.
     pub mode: String,
     /// Communication range of the robots.
     pub range: Range,
-    /// Model of the links.
+    /// Model of the links between robots: the radio, or a fixed delay and loss.
     pub medium: LinkModel,
 }
 
-/// Communication range R_COM of the paper.
+/// Communication range of a policy (R_COM of the paper) in a column of a study.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Range {
-    /// The range that the policy was trained with.
+    /// The communication range that the policy was trained with.
     Own,
     /// Unlimited: every robot uses every message.
     Everyone,
-    /// Radius that is drawn for every message from a normal distribution.
+    /// Radius that is drawn for every message from a normal distribution; a message from farther away is not used.
     Within {
-        /// Mean \[m\].
+        /// Mean of the radius \[m\].
         mean_m: f32,
-        /// Standard deviation \[m\].
+        /// Standard deviation of the radius \[m\]; zero for a fixed radius.
         std_m: f32,
     },
 }
@@ -52,10 +54,10 @@ impl Range {
     }
 }
 
-/// Name of the column with the conditions of training, with which all others are compared.
+/// Name of the column with the conditions of training, with which a study compares its other columns.
 pub const BASELINE: &str = "sim";
 
-/// Columns of the paper's Table I, in its order.
+/// Names of the columns of the paper's Table I, in its order.
 pub const MODES: [&str; 7] = [
     BASELINE,
     "centralized",
@@ -66,12 +68,13 @@ pub const MODES: [&str; 7] = [
     "onboard-adhoc-noise",
 ];
 
-/// Range of the column `onboard-adhoc-noise`: R_COM ~ N(2, 0.5) m (paper, section V).
+/// Communication range of the column `onboard-adhoc-noise`: normally distributed with mean 2 m and standard deviation
+/// 0.5 m (paper, section V).
 const NOISY: Range = Range::Within { mean_m: 2.0, std_m: 0.5 };
 
-/// Delays of the study `delay` \[s\].
+/// Delays of messages between robots in the study `delay` \[s\].
 pub const DELAYS_S: [f64; 5] = [0.0, 0.02, 0.05, 0.1, 0.2];
-/// Loss probabilities of the study `delay`.
+/// Probabilities of the loss of messages between robots in the study `delay`, 0 to 1.
 pub const LOSSES: [f64; 4] = [0.0, 0.16, 0.3, 0.56];
 
 /// Communication ranges of the study `range` \[m\]. One more column has an unlimited range.
@@ -93,7 +96,8 @@ impl Column {
         Column { name, mode: "onboard-adhoc".to_owned(), range, medium }
     }
 
-    /// Returns a column for each combination of delay \[s\] and loss.
+    /// Returns a column for each combination of a delay \[s\] and a loss probability (0 to 1) of messages between
+    /// robots, in mode `onboard-adhoc`.
     pub fn delays(delays_s: &[f64], losses: &[f64]) -> Vec<Column> {
         let cell = |&delay_s: &f64, &loss: &f64| {
             let name = format!("{:.0}ms-{:.0}%", 1000.0 * delay_s, 100.0 * loss);
@@ -102,7 +106,8 @@ impl Column {
         losses.iter().flat_map(|loss| delays_s.iter().map(move |delay| cell(delay, loss))).collect()
     }
 
-    /// Returns a column for each of these communication ranges \[m\], and one more with an unlimited range.
+    /// Returns a column for each of these communication ranges \[m\], and one more with an unlimited range, all in mode
+    /// `onboard-adhoc`.
     pub fn ranges(ranges_m: &[f32]) -> Vec<Column> {
         let within = |&mean_m: &f32| {
             let range = Range::Within { mean_m, std_m: 0.0 };
@@ -112,8 +117,8 @@ impl Column {
         ranges_m.iter().map(within).chain([everyone]).collect()
     }
 
-    /// Returns delay \[s\] and loss of a column that has these in place of the radio; `None` for a column with the
-    /// radio.
+    /// Returns the delay \[s\] and the loss probability of messages between robots, in a column that has them in place
+    /// of the radio; `None` for a column with the radio.
     pub fn impairment(&self) -> Option<(f64, f64)> {
         match self.medium {
             LinkModel::Radio => None,
@@ -121,7 +126,8 @@ impl Column {
         }
     }
 
-    /// Returns a trial of one episode of a policy under the conditions of this column.
+    /// Returns a trial of the policy `tested` in `scenario` under the conditions of this column. `shared` is the world
+    /// and radio that all columns except `sim` have in common.
     pub fn trial(&self, scenario: Arc<dyn Scenario>, tested: &PolicyUnderTest, shared: &Deployed) -> Trial {
         let mut deployment = Deployment::preset(&self.mode, scenario.robots()).expect("columns name modes");
         deployment.body = shared.body.clone();

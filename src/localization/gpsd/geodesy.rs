@@ -35,8 +35,8 @@ fn sin_cos_deg(angle_deg: f64) -> (f64, f64) {
     libm::sincos(angle_deg * (PI / 180.0))
 }
 
-/// Earth-fixed cartesian coordinates of a point \[m\]: the z axis points to the north pole, the x axis to the prime
-/// meridian at the equator.
+/// Returns the earth-fixed cartesian coordinates of a point \[m\]: the z axis points to the north pole, the x axis to
+/// the prime meridian at the equator.
 fn cartesian(point: &Geodetic) -> [f64; 3] {
     let ((sin, cos), (sin_longitude, cos_longitude)) =
         (sin_cos_deg(point.latitude_deg), sin_cos_deg(point.longitude_deg));
@@ -57,7 +57,7 @@ impl LocalFrame {
         }
     }
 
-    /// Coordinates of `point` in the local frame \[m\]: east, north and up from the frame's origin.
+    /// Returns the coordinates of `point` in the local frame \[m\]: east, north and up from the frame's origin.
     pub fn east_north_up(&self, point: &Geodetic) -> [f64; 3] {
         let [x, y, z] = cartesian(point);
         let [x, y, z] = [x - self.origin[0], y - self.origin[1], z - self.origin[2]];

@@ -1,8 +1,8 @@
 //! Source `gpsd`: localizes one robot by its own satellite receiver, read from gpsd.
 //!
-//! The worker passes the lines from gpsd on unchanged. The pure part judges the quality of each fix by mode and status,
-//! and its error by GST reports. The field `eph` is not used: in a measurement it was 11.4 m where GST gave 0.01 m. A
-//! fix below `fix_least` gives no reading, so the guard stops the robot.
+//! The worker (I/O thread) passes the lines from gpsd on unchanged. The source itself does no I/O: it judges the
+//! quality of each fix by mode and status, and its error by GST reports. The field `eph` is not used: in a measurement
+//! it was 11.4 m where GST gave 0.01 m. A fix below `fix_least` gives no reading, so the guard stops the robot.
 //!
 //! For a receiver at 10 Hz, `own_state_s` must be at least 0.25 s, because gaps of up to 0.12 s were measured.
 
@@ -31,8 +31,8 @@ pub const ABOUT: &str = "the robot's own satellite receiver, by gpsd";
 /// Lowest speed at which the course over ground is used as the heading \[m/s\]. At lower speeds, the noise of the
 /// course is too large.
 const LEAST_SPEED_M_S: f64 = 0.3;
-/// Largest difference by which an older report counts as late \[ns\]. A larger difference means that the clock was set
-/// back.
+/// Largest time by which a report may be older than the newest one and be dropped as late \[ns\]. A report that is
+/// older still is used: it means that the receiver's clock was set back.
 const LATE_NS: u64 = 1_000_000_000;
 /// Largest time between a fix and the GST report used for it \[ns\]. Receivers send GST every second or faster.
 const STATISTICS_NS: u64 = 2_000_000_000;
@@ -49,13 +49,13 @@ pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigErro
     Ok(Parts { source: Box::new(move || Box::new(Gpsd::new(robot, &config))), worker })
 }
 
-/// Pure part of the source.
+/// Logic of the source `gpsd`, without I/O: converts lines from gpsd to readings of one robot.
 struct Gpsd {
     robot: RobotId,
     config: Config,
-    /// Newest GST report: the standard deviations of the position.
+    /// Newest GST report, with the standard deviations of the position; `None` before the first.
     statistics: Option<Gst>,
-    /// Time of measurement of the last fix that gave a reading \[ns since 1970, UTC\].
+    /// Time of measurement of the last fix that gave a reading \[ns since 1970, UTC\]; `None` before the first.
     last_ns: Option<u64>,
     /// Last known height above the ellipsoid \[m\]. An error of 100 m changes a horizontal distance of 1 km by 16 mm.
     height_m: f64,
@@ -126,8 +126,8 @@ impl Gpsd {
         }))
     }
 
-    /// Standard deviation of the position \[m\], the larger of north and east; `None` without a GST report near this
-    /// time.
+    /// Returns the standard deviation of the position \[m\], the larger of north and east, from the newest GST report;
+    /// `None` if that report is not within 2 s of `time_ns` \[ns since 1970, UTC\].
     fn deviation_m(&self, time_ns: u64) -> Option<f64> {
         let statistics = self.statistics.as_ref()?;
         let fresh = statistics.time_ns.is_some_and(|at_ns| at_ns.abs_diff(time_ns) <= STATISTICS_NS);

@@ -10,13 +10,13 @@ pub struct Malformed(pub &'static str);
 /// Report of gpsd, the daemon that reads satellite receivers. Only the classes and fields in use are decoded.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Report {
-    /// Time, position and velocity.
+    /// Report TPV: time, position and velocity of a receiver.
     Tpv(Tpv),
-    /// Statistics of pseudorange errors.
+    /// Report GST (statistics of pseudorange errors): expected error of a receiver's position.
     Gst(Gst),
-    /// Notice that gpsd refuses a request.
+    /// Report ERROR: gpsd refuses a request.
     Error,
-    /// Report of a class that is not used.
+    /// Report of gpsd of another class than TPV, GST and ERROR; it is ignored.
     Other,
 }
 
@@ -56,7 +56,7 @@ pub struct Gst {
     pub east_m: Option<f64>,
 }
 
-/// Quality of a satellite position fix, in ascending order.
+/// Quality of a satellite position fix, in ascending order of accuracy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
 pub enum Fix {
     /// Fix in three dimensions without correction data.
@@ -108,7 +108,8 @@ impl Fix {
     }
 }
 
-/// Decodes a line of gpsd. Of an unused class, only the class is examined. An error says why the line is malformed.
+/// Decodes one line of JSON from gpsd. Of a report of an unused class, only the class is examined. An error says why
+/// the line is malformed.
 pub fn decode(line: &[u8]) -> Result<Report, Malformed> {
     #[derive(Deserialize)]
     struct Class {

@@ -13,17 +13,17 @@ use super::report::Fix;
 /// Default TCP port of gpsd (registered with IANA).
 const PORT: u16 = 2947;
 
-/// Source of a robot's heading.
+/// Setting that says how the source `gpsd` obtains a robot's heading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Heading {
     /// The course over ground at speeds of at least 0.3 m/s. Only valid for robots that drive forwards.
     Track,
-    /// No heading is reported.
+    /// Readings of the source have no heading.
     None,
 }
 
-/// Table of the source in a team file.
+/// Settings of the source `gpsd` as a table in a team file, not yet checked.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 struct Fields {
@@ -62,7 +62,7 @@ impl Default for Fields {
     }
 }
 
-/// Checked settings of the source.
+/// Checked settings of the source `gpsd`.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// Address and TCP port of gpsd.
@@ -82,7 +82,7 @@ pub struct Config {
 }
 
 impl Config {
-    /// Reads and checks the settings. An error names the wrong setting.
+    /// Reads and checks the settings of the source `gpsd`. An error names the wrong setting.
     pub fn read(settings: &Settings) -> Result<Config, ConfigError> {
         let fields: Fields = settings.read()?;
         let given = |name: &str, value: Option<f64>| {

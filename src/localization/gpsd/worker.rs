@@ -12,17 +12,19 @@ use crate::messages::ids::RobotId;
 const WATCH: &[u8] = b"?WATCH={\"enable\":true,\"json\":true};\n";
 /// Longest accepted line \[bytes\]; the limit of gpsd itself is 10240. A longer line is cut, which makes it malformed.
 const LONGEST: usize = 16_384;
-/// Longest wait for bytes, and so the longest delay until the worker notices the end of the host.
+/// Longest wait for bytes. The worker notices the end of the host after at most this time.
 const WAIT: Duration = Duration::from_millis(100);
-/// Timeout of connecting.
+/// Timeout for the TCP connection to gpsd to be opened.
 const CONNECT: Duration = Duration::from_millis(500);
 /// Number of waits without a byte after which the connection counts as lost: 5 s in total. Receivers report each second
 /// or faster.
 const SILENT: u32 = 50;
-/// Pause after the first failed connection and the longest pause, as numbers of waits: 0.2 s and 3.2 s.
+/// Pause after the first failed connection to gpsd, and longest pause, as numbers of waits of 0.1 s. The pause doubles
+/// after each further failure.
 const PAUSES: [u32; 2] = [2, 32];
 
-/// Worker of the source `gpsd`.
+/// Worker (I/O thread) of the source `gpsd`: a TCP client that receives the reports of gpsd and connects again after
+/// errors.
 pub struct Subscriber {
     /// Address and TCP port of gpsd.
     pub address: SocketAddr,
@@ -62,7 +64,7 @@ impl Subscriber {
         Ok(stream)
     }
 
-    /// Passes lines on until the host ends. An error is the reason for which the connection ended.
+    /// Passes lines from gpsd to the source until the host ends. An error is the reason for which the connection ended.
     fn follow(&self, mut stream: TcpStream, lines: &mut Lines, sender: &PacketSender) -> io::Result<()> {
         let (mut buffer, mut silent) = ([0; 4096], 0);
         while !sender.is_closed() {

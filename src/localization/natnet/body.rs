@@ -15,17 +15,19 @@ const SLACK_M: f64 = 0.02;
 /// Longest time for which a body is assumed to have moved at top speed \[s\]. The guard stops a robot without readings
 /// before this time has passed.
 const MOVING_S: f64 = 0.5;
-/// Longest gap between two frames in one window \[s\] (25 frames at 100 Hz).
+/// Longest time between two consecutive poses from which a velocity is computed \[s\] (25 frames at 100 Hz). After a
+/// longer gap, the window of poses begins anew.
 const GAP_S: f64 = 0.25;
 /// Distance from another body's last place within which a jump counts as an exchange of ids \[m\]. Two robots that are
 /// so close touch each other.
 const EXCHANGE_M: f64 = 0.2;
 /// Largest rounding error of stamps \[s\]. It makes a window of 50 ms end at five frame periods of 100 Hz.
 const ROUNDING_S: f64 = 1e-4;
-/// Largest number of poses in a window: more than the longest allowed `velocity_window_s` has at 360 Hz.
+/// Largest number of poses in the window from which the velocity is computed. The longest allowed `velocity_window_s`
+/// has fewer, even at 360 Hz.
 const MOST: usize = 256;
 
-/// Pose of a body in one frame, in the team's frame.
+/// Pose of a rigid body at one time, in the coordinate frame of the team.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
     /// Time of measurement on the tracker's clock \[s\].
@@ -36,18 +38,18 @@ pub struct Pose {
     pub heading: Option<f64>,
 }
 
-/// Limits on the motion of a body.
+/// Limits by which the poses of a rigid body are accepted or refused as jumps, and the window of its velocity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
-    /// Largest speed \[m/s\].
+    /// Largest speed of the robot \[m/s\]. A pose that would need a higher speed is refused as a jump.
     pub speed_most_m_s: f64,
-    /// Time that a body has to stay at a new place before it is accepted there \[s\].
+    /// Time that a body has to stay at a new place after a jump before it is accepted there \[s\].
     pub settle_s: f64,
     /// Length of the window over which the velocity is computed \[s\].
     pub window_s: f64,
 }
 
-/// Velocity and yaw rate of a body, computed over its window.
+/// Velocity and yaw rate of a rigid body, computed from a short window of its poses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
     /// Mean velocity over the window \[m/s\]. It lags the true velocity by half the window.
@@ -58,7 +60,8 @@ pub struct Rates {
     pub span_s: f64,
 }
 
-/// Run of refused poses that are too far from the last accepted one.
+/// Sequence of consecutive poses of a rigid body that are refused, because they are too far from the last accepted
+/// pose.
 #[derive(Clone, Copy, Debug)]
 struct Held {
     since_s: f64,
@@ -66,7 +69,7 @@ struct Held {
     exchanged: bool,
 }
 
-/// Filter of the poses of one robot's rigid body.
+/// Filter of one robot's rigid body: refuses poses that jump, and computes the velocity from the accepted ones.
 #[derive(Clone, Debug, Default)]
 pub struct Body {
     /// Accepted poses in the window, the oldest first.
@@ -77,13 +80,13 @@ pub struct Body {
 }
 
 impl Body {
-    /// Last accepted pose; `None` before the first.
+    /// Returns the last accepted pose; `None` before the first.
     pub fn newest(&self) -> Option<Pose> {
         self.newest
     }
 
-    /// Takes the pose of a new frame. An error is the reason for which the pose is refused. `others` are the last
-    /// accepted poses of the other bodies.
+    /// Accepts or refuses a new pose of the body. An error is the reason for which the pose is refused. `others` are
+    /// the last accepted poses of the other bodies.
     pub fn take(
         &mut self,
         pose: Pose,
@@ -140,7 +143,8 @@ impl Body {
         Some(Rates { velocity, yaw_rate: self.turned().map(|angle| angle / span_s), span_s })
     }
 
-    /// Angle by which the body turned over its window \[rad\], also beyond half a turn; `None` if a heading is unknown.
+    /// Returns the angle by which the body turned between the first and the last pose of its window \[rad\], which may
+    /// exceed half a turn; `None` if a heading is unknown.
     fn turned(&self) -> Option<f64> {
         let steps = self.window.iter().zip(self.window.iter().skip(1));
         steps.map(|(old, new)| Some(wrapped(new.heading? - old.heading?))).sum()
@@ -151,7 +155,7 @@ fn distance(one: &Pose, other: &Pose) -> f64 {
     libm::hypot(one.position[0] - other.position[0], one.position[1] - other.position[1])
 }
 
-/// Whether a robot within the limits can have moved from `old` to `new`.
+/// Returns whether a robot within `limits` can have moved from `old` to `new` in the time between the two poses.
 fn is_reachable(old: &Pose, new: &Pose, limits: &Limits) -> bool {
     let moving_s = (new.stamp_s - old.stamp_s).clamp(0.0, MOVING_S);
     distance(old, new) <= SLACK_M + limits.speed_most_m_s * moving_s
@@ -161,8 +165,8 @@ fn is_one_motion(old: &Pose, new: &Pose) -> bool {
     new.stamp_s - old.stamp_s <= GAP_S
 }
 
-/// Whether a pose is at the last place of another body, and nearer to that place than to the last place `own` of its
-/// own body.
+/// Returns whether the tracker seems to have exchanged the ids of two bodies: `pose` is at the last place of one of the
+/// `others`, and nearer to that place than to `own`, the last place of its own body.
 fn is_exchange(own: &Pose, pose: &Pose, mut others: impl Iterator<Item = Pose>) -> bool {
     let moved_m = distance(own, pose);
     moved_m > SLACK_M && others.any(|other| distance(&other, pose) < moved_m.min(EXCHANGE_M))

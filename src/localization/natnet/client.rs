@@ -16,8 +16,8 @@ const KEEP_ALIVE: Span = Span::from_millis(250);
 const SILENCE: Span = Span::from_millis(1000);
 /// Time with frames but without model definitions after which the server counts as not answering (three requests).
 const UNANSWERED: Span = Span::from_millis(3000);
-/// Period at which the source gets the server's last description and model definitions again, as its actor may have
-/// been restarted.
+/// Period at which the worker passes the server's last description and model definitions to the source again, since the
+/// actor that runs the source may have been restarted.
 const REMINDER: Span = Span::from_millis(500);
 /// Bitstream version that is requested from a unicast server: the newest that was tested with independent servers.
 const BITSTREAM: Version = Version { major: 4, minor: 1 };
@@ -35,7 +35,7 @@ pub enum Event {
     Unanswered,
 }
 
-/// State of a NatNet client.
+/// State machine of a NatNet client: processes the server's datagrams, and returns the requests that are due.
 #[derive(Clone, Debug)]
 pub struct Client {
     unicast: bool,
@@ -45,13 +45,14 @@ pub struct Client {
     heard: Time,
     /// Time of the first frame since the start or the last silence; `None` if no frames arrive.
     streaming: Option<Time>,
-    /// Whether the server has been reported as not answering.
+    /// Whether it has been reported that the server does not answer requests for model definitions.
     unanswered: bool,
     /// Whether the server has been reported as silent, without a frame since.
     silent: bool,
-    /// Whether the current model definitions have been received.
+    /// Whether the current model definitions (names and IDs of rigid bodies) have been received.
     named: bool,
-    /// Newest datagram with the server's description, and newest datagram with model definitions.
+    /// Newest datagram with the server's description, and newest datagram with model definitions; `None` before it
+    /// arrives.
     newest: [Option<Box<[u8]>>; 2],
     remind_at: Time,
     connect_at: Time,
@@ -60,7 +61,8 @@ pub struct Client {
 }
 
 impl Client {
-    /// Returns a client that has not heard from its server. `unicast` selects the server's transmission.
+    /// Returns a client that has received nothing from its server. `unicast` says whether the server sends frames by
+    /// unicast, and not by multicast.
     pub fn new(now: Time, unicast: bool) -> Client {
         Client {
             unicast,
@@ -111,12 +113,13 @@ impl Client {
         }
     }
 
-    /// Whether the server is silent: reported so, without a frame since.
+    /// Returns whether the server is silent: [`Event::Silent`] was returned, and no frame has arrived since.
     pub fn is_silent(&self) -> bool {
         self.silent
     }
 
-    /// Returns once that the server has become silent, or that it does not answer.
+    /// Returns [`Event::Silent`] once when no frame has arrived for one second, and [`Event::Unanswered`] once when the
+    /// server does not answer requests for model definitions; otherwise `None`.
     pub fn listen(&mut self, now: Time) -> Option<Event> {
         if !self.silent && now.since(self.heard) >= SILENCE {
             // The server may have been restarted with other bodies.
@@ -129,7 +132,8 @@ impl Client {
         first.then_some(Event::Unanswered)
     }
 
-    /// Returns the datagrams to pass to the source again; none before they are due.
+    /// Returns the newest description of the server and the newest model definitions, as datagrams to pass to the
+    /// source again. They are due every 0.5 s; in between, the result is empty.
     pub fn reminders(&mut self, now: Time) -> Vec<Box<[u8]>> {
         if now < self.remind_at {
             return Vec::new();

@@ -1,24 +1,26 @@
 //! Frames of motion capture data, bitstreams 3.0 to 4.4: decoder of the rigid bodies, the stamp and the flags.
 //!
-//! There are two layouts. From 4.1, each section begins with its length, and a section that is not needed is skipped.
+//! A bitstream is a version of the NatNet format; a frame has the poses of all rigid bodies at one time. There are two
+//! layouts. From 4.1, each section begins with its length, and a section that is not needed is skipped.
 //! Before 4.1, each section has to be decoded to find its end. The decoder was tested with frames from independent
 //! servers for 3.0 to 4.1, and only with hand-made frames for 4.2 to 4.4.
 
 use super::packet::{Malformed, Reader, Version};
 
-/// Layout of a frame.
+/// Layout of a frame of motion capture data, which depends on the bitstream (version of the NatNet format).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
-    /// Bitstreams 3.0 to 4.0.
+    /// Layout of the NatNet bitstreams 3.0 to 4.0: sections have no length.
     Plain,
-    /// Bitstreams from 4.1: each section has a length, a section of assets is added, and the frame has a precise stamp.
+    /// Layout of the NatNet bitstreams from 4.1: each section has a length, a section of assets is added, and the frame
+    /// has a precise stamp.
     Sized,
 }
 
 /// Pose of a rigid body in the tracker's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RigidBody {
-    /// Streaming ID of the body.
+    /// Streaming ID: number by which the tracker identifies the body.
     pub id: i32,
     /// Position \[m\].
     pub position: [f64; 3],
@@ -30,16 +32,16 @@ pub struct RigidBody {
     pub tracked: bool,
 }
 
-/// Frame of motion capture data.
+/// Frame of motion capture data: the poses of all rigid bodies at one time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
-    /// Number of the frame.
+    /// Number of the frame, by which a repeated frame is recognised.
     pub number: i32,
     /// Time of measurement on the tracker's clock \[s\].
     pub stamp_s: f64,
-    /// Whether the model definitions have changed since the last frame.
+    /// Whether the model definitions (names and IDs of rigid bodies) have changed since the last frame.
     pub models_changed: bool,
-    /// Rigid bodies in the server's order.
+    /// Rigid bodies with their poses, in the server's order.
     pub bodies: Vec<RigidBody>,
 }
 
@@ -57,13 +59,14 @@ const END: usize = 4;
 const ROUNDING: f64 = 0.01;
 /// Latest stamp that is valid \[s\]: 300 years.
 const LATEST_S: f64 = 1e10;
-/// Flag of a rigid body: it is tracked.
+/// Bit in the flags of a rigid body: it is tracked in this frame.
 const TRACKED: i16 = 1;
-/// Flag of a frame: the model definitions have changed.
+/// Bit in the flags of a frame: the model definitions have changed.
 const MODELS_CHANGED: i16 = 2;
 
 impl Layout {
-    /// Layout in which a server of this version sends frames if no other was requested.
+    /// Returns the layout in which a server of this NatNet version sends frames, if the client requests no other
+    /// version.
     pub fn of(version: Version) -> Layout {
         if version >= (Version { major: 4, minor: 1 }) { Layout::Sized } else { Layout::Plain }
     }
@@ -116,8 +119,8 @@ fn decode_as(payload: &[u8], layout: Layout) -> Result<(Frame, usize), Malformed
     Ok((Frame { number, stamp_s, models_changed: params & MODELS_CHANGED != 0, bodies }, reader.left()))
 }
 
-/// Reads the sections of a frame since 4.1: marker sets, other markers, rigid bodies, then skeletons, assets, labelled
-/// markers, force plates and devices.
+/// Reads the sections of a frame in the layout from 4.1, and returns the rigid bodies. The sections are marker sets,
+/// other markers, rigid bodies, skeletons, assets, labelled markers, force plates and devices.
 fn sized_sections(reader: &mut Reader) -> Result<Vec<RigidBody>, Malformed> {
     for _ in 0..2 {
         section(reader)?;
@@ -152,7 +155,7 @@ fn rigid_bodies(count: usize, section: &mut Reader) -> Result<Vec<RigidBody>, Ma
     (0..count).map(one).collect()
 }
 
-/// Reads the sections of a frame before 4.1 and returns the rigid bodies.
+/// Reads the sections of a frame in the layout before 4.1, and returns the rigid bodies.
 fn plain_sections(reader: &mut Reader) -> Result<Vec<RigidBody>, Malformed> {
     // Marker sets: each a name, then positions.
     for _ in 0..reader.count()? {

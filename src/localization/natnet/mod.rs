@@ -1,7 +1,7 @@
 //! Source `natnet`: rigid bodies of a motion capture system that streams NatNet (OptiTrack), bitstreams 3.0 to 4.4.
 //!
-//! The worker passes the server's datagrams on unchanged. The pure part decodes them, finds each robot's body,
-//! transforms poses to the team's frame, and computes velocities from a short window of poses.
+//! The worker (I/O thread) passes the server's datagrams on unchanged. The source itself does no I/O: it decodes them,
+//! finds each robot's body, transforms poses to the team's frame, and computes velocities from a short window of poses.
 
 mod body;
 mod client;
@@ -28,27 +28,29 @@ use settings::{BodyName, Config, Up};
 /// Description of the source `natnet` in one line, for lists of all sources.
 pub const ABOUT: &str = "motion capture that streams NatNet (OptiTrack Motive)";
 
-/// Largest difference by which the stamp of an older frame counts as late \[s\]. A larger difference means that the
-/// server was restarted.
+/// Largest time by which the stamp of a frame may be before that of the last frame, for the frame to be dropped as late
+/// \[s\]. A larger difference means that the server was restarted.
 const LATE_S: f64 = 1.0;
-/// Smallest reported standard deviation of a position \[m\], because a mean marker error may be close to zero by
-/// chance.
+/// Smallest standard deviation of a position that readings report \[m\]. It is computed from the mean marker error,
+/// which may be close to zero by chance.
 const LEAST_ERROR_M: f32 = 1e-4;
-/// Smallest length of the projection of a body's unit x axis onto the floor at which the body has a heading: 0.5, a
-/// tilt of 60 degrees.
+/// Smallest length of the projection of a body's unit x axis onto the floor. Below it the body, tilted by more than 60
+/// degrees, has no heading.
 const LEVEL: f64 = 0.5;
 
-/// Fraction of a period by which a frame may be early, so that every second frame of 100 Hz gives a reading at 50 Hz.
+/// Fraction of the period of readings by which a frame may come before a reading is due and still give that reading. So
+/// every second frame of 100 Hz gives a reading at 50 Hz.
 const EARLY: f64 = 0.1;
 
-/// Makes the source and its worker for these robots. An error names the wrong setting.
+/// Makes the source `natnet`, which localizes `robots` by motion capture, and the worker that does its I/O. An error
+/// names the wrong setting.
 pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigError> {
     let config = Config::read(settings, robots)?;
     let worker = Box::new(worker::Listener { config: config.network.clone() });
     Ok(Parts { source: Box::new(move || Box::new(NatNet::new(&config))), worker })
 }
 
-/// Robot with the name of its rigid body, and the state of that body.
+/// Robot with the name of its rigid body in the tracker, and the filter of that body's poses.
 struct Tracked {
     robot: RobotId,
     name: BodyName,
@@ -57,18 +59,18 @@ struct Tracked {
     body: Body,
 }
 
-/// Pure part of the source.
+/// Logic of the source `natnet`, without I/O: converts datagrams of the motion capture server to readings.
 struct NatNet {
     config: Config,
     robots: Vec<Tracked>,
     layout: Layout,
     /// NatNet version of the server; `None` before the server's description arrives.
     version: Option<Version>,
-    /// Last received definitions of the tracker's rigid bodies.
+    /// Last received definitions (names and IDs) of the tracker's rigid bodies; empty before the first arrive.
     definitions: Vec<Definition>,
-    /// Number and stamp \[s\] of the last frame.
+    /// Number and stamp \[s\] of the last frame; `None` before the first.
     last: Option<(i32, f64)>,
-    /// Stamp from which the next readings are due \[s\].
+    /// Stamp of a frame from which the next readings are put out \[s\]; frames before it give none.
     due_s: f64,
 }
 
@@ -89,7 +91,8 @@ impl NatNet {
         }
     }
 
-    /// Processes a datagram. Messages of unused kinds are ignored.
+    /// Processes a datagram of the server, and appends readings to `out`. Messages of unused kinds are ignored. An
+    /// error says why the datagram is malformed.
     fn datagram(&mut self, datagram: &[u8], out: &mut Vec<Out>) -> Result<(), Malformed> {
         let (message, payload) = packet::split(datagram)?;
         match message {
@@ -110,7 +113,8 @@ impl NatNet {
         Ok(())
     }
 
-    /// Finds the streaming ID of each robot's body by the body's name. Does nothing for repeated definitions.
+    /// Finds the streaming ID of each robot's rigid body by the body's name in the model definitions. Does nothing if
+    /// the definitions have not changed.
     fn identify(&mut self, definitions: Vec<Definition>) {
         if definitions == self.definitions {
             return;

@@ -1,11 +1,12 @@
-//! Model definitions, bitstreams 3.0 to 4.4: decoder of the names and streaming IDs of rigid bodies.
+//! Model definitions of NatNet, by which a tracker describes its rigid bodies, in bitstreams (versions of the format)
+//! 3.0 to 4.4: decoder of the names and streaming IDs of rigid bodies.
 //!
 //! From 4.1, each definition begins with its length. Before 4.1, each definition has to be decoded to find its end; 4.0
 //! has names of markers, which 3.0 lacks. For 4.2 to 4.4 the decoder was tested with hand-made definitions only.
 
 use super::packet::{Malformed, Reader, Version};
 
-/// Definition of a rigid body.
+/// Definition of a rigid body in the tracker: its name, and the ID by which frames identify it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Definition {
     /// Name of the body in the tracker.
@@ -14,20 +15,21 @@ pub struct Definition {
     pub id: i32,
 }
 
-/// Layout of model definitions, which depends on the bitstream.
+/// Layout of model definitions, which depends on the bitstream (version of the NatNet format).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Layout {
-    /// Bitstreams 3.0 and 3.1.
+    /// Layout of the NatNet bitstreams 3.0 and 3.1: no lengths, and no names of markers.
     Plain,
-    /// Bitstream 4.0.
+    /// Layout of the NatNet bitstream 4.0: no lengths, and rigid bodies have names of markers.
     NamedMarkers,
-    /// Bitstreams from 4.1.
+    /// Layout of the NatNet bitstreams from 4.1: each definition begins with its length.
     Sized,
 }
 
 const ALL: [Layout; 3] = [Layout::Sized, Layout::NamedMarkers, Layout::Plain];
 
-/// Number of each kind of definition in the bitstream.
+/// Number that identifies a marker set in a datagram with model definitions. Rigid bodies, skeletons, force plates,
+/// devices and cameras have the numbers after it.
 const MARKER_SET: i32 = 0;
 const RIGID_BODY: i32 = 1;
 const SKELETON: i32 = 2;
@@ -41,8 +43,9 @@ const PLATE: usize = 4 * (2 + 3 + 144 + 12);
 /// Size of a position and a rotation \[bytes\].
 const POSE: usize = 28;
 
-/// Decodes the payload of model definitions. The layout of `version` is tried first, then the other ones. These are
-/// accepted only if they end at the payload's last byte.
+/// Decodes the payload of a datagram with model definitions, and returns those of rigid bodies. The layout of `version`
+/// (from 4.1 if `None`) is tried first, then the other layouts. Another layout is accepted only if the definitions end
+/// at the payload's last byte.
 pub fn decode(payload: &[u8], version: Option<Version>) -> Result<Vec<Definition>, Malformed> {
     let expected = match version {
         Some(version) if version < (Version { major: 4, minor: 0 }) => Layout::Plain,
@@ -58,7 +61,8 @@ pub fn decode(payload: &[u8], version: Option<Version>) -> Result<Vec<Definition
     fitting.next().map(|(definitions, _)| definitions).ok_or(error)
 }
 
-/// Decodes the payload in one layout. Returns the definitions and the number of bytes after their end.
+/// Decodes the payload of model definitions in one layout. Returns the definitions of rigid bodies, and the number of
+/// bytes after the end of all definitions.
 fn decode_as(payload: &[u8], layout: Layout) -> Result<(Vec<Definition>, usize), Malformed> {
     let (mut reader, mut definitions) = (Reader::new(payload), Vec::new());
     for _ in 0..reader.count()? {
@@ -111,8 +115,8 @@ fn named(reader: &mut Reader) -> Result<Definition, Malformed> {
     Ok(Definition { name, id: reader.i32()? })
 }
 
-/// Reads a rigid body in a layout before 4.1: name, id, parent, offset, and its markers with positions, labels and
-/// names.
+/// Reads the definition of a rigid body in a layout before 4.1, and returns its name and id. Skips parent, offset, and
+/// the markers with positions, labels and names.
 fn rigid_body(reader: &mut Reader, layout: Layout) -> Result<Definition, Malformed> {
     let definition = named(reader)?;
     reader.skip(4, 4)?;

@@ -12,7 +12,7 @@ pub const REQUEST_MODEL: u16 = 4;
 pub const MODEL: u16 = 5;
 /// Message number of a frame of motion capture data.
 pub const FRAME: u16 = 7;
-/// Message number by which a client of a unicast server keeps its subscription.
+/// Message number of a client's request that renews its subscription at a unicast server.
 pub const KEEP_ALIVE: u16 = 10;
 
 /// Size of a header \[bytes\]: message number and length of the payload.
@@ -21,7 +21,7 @@ const HEADER: usize = 4;
 const NAME: usize = 256;
 /// Size of the payload of CONNECT \[bytes\]: name, two versions, and five bytes of options.
 const CONNECT_LENGTH: usize = 270;
-/// Offset of the requested bitstream in the payload of CONNECT \[bytes\] (the same sample).
+/// Offset of the requested bitstream version in the payload of CONNECT \[bytes\], as in the manufacturer's sample.
 const BITSTREAM: usize = 265;
 
 /// Error of bytes that are not a valid NatNet message: the reason.
@@ -60,19 +60,20 @@ pub struct ServerInfo {
     pub multicast: Option<bool>,
 }
 
-/// Reader of little-endian fields. Each method returns an error if the bytes end too early; none panics.
+/// Reader of the little-endian fields of a NatNet message. Each method returns an error if the bytes end too early;
+/// none panics.
 #[derive(Clone, Copy, Debug)]
 pub struct Reader<'a> {
     rest: &'a [u8],
 }
 
 impl<'a> Reader<'a> {
-    /// Returns a reader at the first of these bytes.
+    /// Returns a reader that begins at the first of `bytes`.
     pub fn new(bytes: &'a [u8]) -> Reader<'a> {
         Reader { rest: bytes }
     }
 
-    /// Number of bytes that are not yet read.
+    /// Returns the number of bytes that are not yet read.
     pub fn left(&self) -> usize {
         self.rest.len()
     }
@@ -146,7 +147,7 @@ pub fn split(datagram: &[u8]) -> Result<(u16, &[u8]), Malformed> {
     Ok((message, reader.bytes(length)?))
 }
 
-/// Decodes the payload of a server's description.
+/// Decodes the payload of a datagram in which the server describes itself (`SERVER_INFO`).
 pub fn server_info(payload: &[u8]) -> Result<ServerInfo, Malformed> {
     let mut reader = Reader::new(payload);
     let name = reader.bytes(NAME)?.split(|byte| *byte == 0).next().unwrap_or_default();
@@ -157,14 +158,15 @@ pub fn server_info(payload: &[u8]) -> Result<ServerInfo, Malformed> {
     Ok(ServerInfo { name, version, natnet, multicast: connection.ok().map(|[byte]| byte != 0) })
 }
 
-/// Returns the datagram of a request without a payload.
+/// Returns the datagram of a request without a payload; `message` is the number of the request's message type.
 pub fn request(message: u16) -> Vec<u8> {
     let mut datagram = message.to_le_bytes().to_vec();
     datagram.extend(0u16.to_le_bytes());
     datagram
 }
 
-/// Returns the datagram of a CONNECT that asks for a bitstream. Servers use the requested bitstream in unicast only.
+/// Returns the datagram of a CONNECT request, which asks the server for its description and for the bitstream (version
+/// of the NatNet format) `bitstream`. Servers use the requested bitstream in unicast only.
 pub fn connect(bitstream: Version) -> Vec<u8> {
     let mut datagram = CONNECT.to_le_bytes().to_vec();
     datagram.extend((CONNECT_LENGTH as u16).to_le_bytes());

@@ -10,7 +10,7 @@ use serde::Deserialize;
 use super::Alignment;
 use super::body::Limits;
 
-/// Default multicast group of Motive (its manual).
+/// Default multicast group of frames in Motive, the server of OptiTrack (its manual).
 const GROUP: Ipv4Addr = Ipv4Addr::new(239, 255, 42, 99);
 /// Default UDP port of frames in Motive (its manual).
 const DATA_PORT: u16 = 1511;
@@ -37,12 +37,12 @@ pub enum Transmission {
     Unicast,
 }
 
-/// Reference to a rigid body of the tracker.
+/// Reference to a rigid body of the tracker: its name or its streaming ID.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum BodyName {
     /// Name of the body in the tracker. Model definitions give its streaming ID.
     Name(String),
-    /// Streaming ID of the body.
+    /// Streaming ID of the body: the number by which the tracker identifies it.
     Id(i32),
 }
 
@@ -64,7 +64,7 @@ pub struct Network {
     pub command_port: u16,
 }
 
-/// Table of the source in a team file.
+/// Settings of the source `natnet` as a table in a team file, not yet checked.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 struct Fields {
@@ -81,7 +81,7 @@ struct Fields {
     data_port: u16,
     /// UDP port of the server for commands.
     command_port: u16,
-    /// Vertical axis, as in the server's streaming settings.
+    /// Vertical axis of the tracker's frame, as in the server's streaming settings.
     up: Up,
     /// Direction of the tracker's x axis in the team's frame \[rad\], counter-clockwise from the team's x axis.
     yaw_rad: f64,
@@ -91,7 +91,7 @@ struct Fields {
     bodies: toml::Table,
     /// Largest speed of a robot \[m/s\]. A pose that would need a higher speed is refused as a jump.
     speed_most_m_s: f64,
-    /// Time for which a body has to stay at a new place before it is accepted there \[s\].
+    /// Time for which a body has to stay at a new place after a jump before it is accepted there \[s\].
     settle_s: f64,
     /// Length of the window whose mean velocity is reported \[s\]. The mean lags the true velocity by half the window.
     velocity_window_s: f64,
@@ -123,7 +123,7 @@ impl Default for Fields {
     }
 }
 
-/// Checked settings of the source.
+/// Checked settings of the source `natnet`.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// Network addresses of the server and of its frames.
@@ -132,14 +132,14 @@ pub struct Config {
     pub alignment: Alignment,
     /// Robots by ascending number, each with its rigid body.
     pub bodies: Vec<(RobotId, BodyName)>,
-    /// Limits on the motion of a body.
+    /// Limits by which the poses of a body are accepted or refused as jumps, and the window of its velocity.
     pub limits: Limits,
     /// Shortest mean period of a robot's readings \[s\].
     pub period_s: f64,
 }
 
 impl Config {
-    /// Reads and checks the settings for these robots. An error names the wrong setting.
+    /// Reads and checks the settings of a source that localizes `robots`. An error names the wrong setting.
     pub fn read(settings: &Settings, robots: &[RobotId]) -> Result<Config, ConfigError> {
         let fields: Fields = settings.read()?;
         let server = fields.server.ok_or_else(|| {
@@ -195,7 +195,8 @@ impl Config {
     }
 }
 
-/// Returns the robots by ascending number, each with its rigid body.
+/// Returns the robots by ascending number, each with its rigid body from `table`, or the body `robot-N` without an
+/// entry. An error names a wrong entry, such as one of a robot that is not in `robots`.
 fn bodies(table: &toml::Table, robots: &[RobotId]) -> Result<Vec<(RobotId, BodyName)>, ConfigError> {
     let mut all: Vec<(RobotId, BodyName)> = Vec::new();
     for robot in robots {

@@ -17,26 +17,26 @@ use super::client::{Client, Event};
 use super::packet::Version;
 use super::settings::{Network, Transmission};
 
-/// Longest wait for a datagram \[ms\], and so the longest delay until the worker notices the end of the host.
+/// Longest wait for a datagram \[ms\]. The worker notices the end of the host after at most this time.
 const WAIT_MS: u16 = 50;
 /// Pause after an error of a socket, as a number of waits: 1 s in total.
 const PAUSE: u32 = 20;
-/// Oldest bitstream that the source decodes.
+/// Oldest bitstream (version of the NatNet format) that the source decodes.
 const OLDEST: Version = Version { major: 3, minor: 0 };
-/// Time of silence after which the sockets are closed and opened again.
+/// Time after which the sockets of a silent server are closed and opened again.
 const REOPEN: Span = Span::from_millis(5000);
-/// Largest number of datagrams read from a socket at once.
+/// Largest number of datagrams that are read from a socket before other work is done.
 const BURST: usize = 64;
 /// Size of the receive buffer \[bytes\], that of the largest datagram.
 const LARGEST: usize = 1 << 16;
 
-/// Worker of the source `natnet`.
+/// Worker (I/O thread) of the source `natnet`: requests the server's data and receives its datagrams.
 pub struct Listener {
     /// Network addresses of the server and of its frames.
     pub config: Network,
 }
 
-/// Open sockets of the worker.
+/// Open UDP sockets of the worker of the source `natnet`.
 struct Sockets {
     /// Socket for requests and answers; in unicast also for frames.
     command: UdpSocket,
@@ -44,7 +44,7 @@ struct Sockets {
     data: Option<UdpSocket>,
 }
 
-/// State that is kept when the sockets are opened again.
+/// State of the worker of the source `natnet` that is kept when its sockets are opened again.
 struct State {
     begun: Instant,
     client: Client,
@@ -108,8 +108,9 @@ impl Listener {
         }
     }
 
-    /// Receives until the host ends, or until the server has been silent for so long that the sockets must be opened
-    /// again: a network interface that was removed and added again has left the multicast group.
+    /// Sends requests and receives datagrams until the host ends, or until the server has been silent for 5 s. Then the
+    /// sockets must be opened again, since a network interface that was removed and added again has left the multicast
+    /// group. An error is that of a socket.
     fn listen(&self, sockets: &Sockets, state: &mut State, sender: &PacketSender) -> io::Result<()> {
         let opened = state.now();
         let to = SocketAddrV4::new(self.config.server, self.config.command_port);
@@ -142,7 +143,8 @@ impl Listener {
         Ok(())
     }
 
-    /// Receives the next datagram of the server and skips those of other senders; `None` if none is waiting.
+    /// Receives the next datagram of the server without waiting, and skips those of other senders. Returns `None` if no
+    /// datagram of the server has arrived, or after 64 datagrams of other senders.
     fn receive(&self, socket: &UdpSocket, buffer: &mut [u8]) -> io::Result<Option<Box<[u8]>>> {
         for _ in 0..BURST {
             match socket.recv_from(buffer) {
@@ -156,7 +158,7 @@ impl Listener {
         Ok(None)
     }
 
-    /// Counts an error and logs the errors 1, 2, 4, 8, ...
+    /// Counts a socket error, and logs it if its number is 1, 2, 4, 8 and so on.
     fn fail(&self, state: &mut State, error: &io::Error) {
         state.failures += 1;
         if state.failures.is_power_of_two() {

@@ -1,28 +1,34 @@
-//! Common parts of both SVG pictures: sheet, ground with walls and goals, legend, and projection.
+//! Common parts of the still and the animated SVG picture of an episode: sheet, ground with walls and goals, legend,
+//! and projection from the world to the sheet.
 
 use std::fmt::Write as _;
 
 use super::scene::{Scene, Stage};
 use crate::messages::geometry::Vec2;
 
-/// Style sheet of the pictures: colours of light and dark schemes, of robots (Okabe and Ito, which colour-blind readers
-/// can distinguish) and of links by age. The HTML page also uses it.
+/// CSS style sheet of the pictures of episodes: colours of light and dark schemes, of robots (Okabe and Ito, which
+/// colour-blind readers can distinguish) and of links between robots by the age of the message. The HTML page that
+/// plays an episode also uses it.
 pub const LOOK: &str = include_str!("look.css");
-/// Number of robot colours, which then repeat. Numbers distinguish all robots.
+/// Number of different robot colours in pictures of episodes: robot `i` has colour `i % COLOURS`. The number drawn on
+/// each robot distinguishes robots of the same colour.
 pub const COLOURS: usize = 8;
-/// Opacity of links by age, from the newest messages to the oldest, as in `LOOK`.
+/// SVG opacities of the lines that connect a robot with the sender of a message that it uses: one for each of five
+/// classes of the message's age, from the newest to the oldest. `LOOK` has the same opacities.
 pub const AGES: [&str; 5] = ["1", ".7", ".46", ".28", ".16"];
 
-/// Margins beside the ground, above it and below it \[pixels\].
+/// Margin left and right of the drawn ground \[pixels\].
 const MARGIN: f32 = 24.0;
+/// Height of the space above the drawn ground, for the title and the verdict \[pixels\].
 const HEAD: f32 = 88.0;
+/// Height of the space below the drawn ground, for the legend and the caption \[pixels\].
 const FOOT: f32 = 88.0;
-/// Largest size of the ground \[pixels\].
+/// Largest width and height of the drawn ground \[pixels\].
 const LARGEST: Vec2 = Vec2::new(1000.0, 640.0);
 /// Smallest width of the sheet, for its text \[pixels\].
 const NARROWEST: f32 = 860.0;
 
-/// Approximate width of a letter \[pixels\], as fonts differ.
+/// Assumed width of a letter in the legend \[pixels\]; the true width depends on the viewer's font.
 const LETTER: f32 = 9.8;
 
 /// Escapes text for XML.
@@ -52,7 +58,7 @@ pub fn walls(stage: &Stage) -> Vec<[Vec2; 2]> {
     stage.arena.keep_outs.iter().map(|block| [corner(block.min), corner(block.max)]).collect()
 }
 
-/// Projection of the world onto the sheet.
+/// Projection of the world frame \[m\] onto the sheet of an SVG picture \[pixels\].
 pub struct View {
     /// Scale \[pixels/m\].
     pub scale: f32,
@@ -86,7 +92,8 @@ impl View {
         self.corner + along * self.scale
     }
 
-    /// Draws a rectangle between these opposite corners \[m\]. `round` is the radius of its corners \[pixels\].
+    /// Returns an SVG rectangle between two opposite corners in the world frame \[m\], with the CSS class `class`.
+    /// `round` is the radius of its rounded corners \[pixels\].
     fn rectangle(&self, class: &str, [one, other]: [Vec2; 2], round: f32) -> String {
         let (a, b) = (self.at(one), self.at(other));
         let (low, high) = (a.inf(&b), a.sup(&b));
@@ -94,26 +101,28 @@ impl View {
         format!("<rect class=\"{class}\" x=\"{x}\" y=\"{y}\" width=\"{w}\" height=\"{h}\" rx=\"{round}\"/>\n")
     }
 
-    /// Draws the ground and the walls.
+    /// Returns the SVG elements of the ground and the walls.
     pub fn ground(&self, stage: &Stage) -> String {
         let walls = walls(stage).into_iter().map(|wall| self.rectangle("wall", wall, 3.0));
         self.rectangle("ground", [-self.half, self.half], 6.0) + &walls.collect::<String>()
     }
 
-    /// Draws a circle around a point of the world frame \[m\]; `rest` are further attributes.
+    /// Returns an SVG circle around a point of the world frame \[m\], with the CSS class `class`. `rest` holds further
+    /// attributes of the element.
     pub fn circle(&self, class: &str, at: Vec2, radius_m: f32, rest: &str) -> String {
         let at = self.at(at);
         let [x, y, r] = [at.x, at.y, radius_m * self.scale].map(px);
         format!("<circle class=\"{class}\" cx=\"{x}\" cy=\"{y}\" r=\"{r}\"{rest}/>")
     }
 
-    /// Returns the font size of the number on a robot \[pixels\].
+    /// Returns the font size of the id that is drawn on a robot \[pixels\].
     pub fn number(&self, stage: &Stage, robot: usize) -> f32 {
         stage.radius_m * self.scale * if robot < 10 { 1.05 } else { 0.9 }
     }
 }
 
-/// Returns the whole SVG file: head, drawing and legend. `more` is added to the style sheet.
+/// Returns the whole SVG file of an episode's picture: style sheet, title, caption, ground, the elements `drawn` and
+/// `legend`. `more` is CSS that is added to the style sheet.
 pub fn sheet(view: &View, scene: &Scene, more: &str, drawn: &str, legend: &str) -> String {
     let [w, h] = [view.size.x, view.size.y].map(px);
     let stage = &scene.stage;
@@ -132,7 +141,8 @@ pub fn sheet(view: &View, scene: &Scene, more: &str, drawn: &str, legend: &str) 
     text
 }
 
-/// Draws the verdict above the ground. `rest` is added to its text element.
+/// Returns the SVG text with the verdict on the episode, which stands above the ground. `rest` is SVG that is added
+/// inside the text element.
 pub fn verdict(scene: &Scene, rest: &str) -> String {
     let colour = if scene.ending.success { "good" } else { "bad" };
     let (y, text) = (px(HEAD - 24.0), escaped(&scene.ending.text));
@@ -140,8 +150,8 @@ pub fn verdict(scene: &Scene, rest: &str) -> String {
     format!("<text x=\"{MARGIN}\" y=\"{y}\" {style}>{text}{rest}</text>\n")
 }
 
-/// Draws the legend under the ground. Each entry has a mark drawn right of the point (0, 0), its width \[pixels\] and
-/// its meaning.
+/// Returns the SVG elements of the legend under the ground. Each entry is a mark (SVG, drawn to the right of the point
+/// (0, 0)), the width of the mark \[pixels\] and its meaning.
 pub fn legend(view: &View, marks: &[(String, f32, String)]) -> String {
     let (mut x, y) = (MARGIN, px(view.size.y - FOOT + 27.0));
     let mut text = String::new();
@@ -156,8 +166,8 @@ pub fn legend(view: &View, marks: &[(String, f32, String)]) -> String {
     text
 }
 
-/// Draws each robot's goal as a circle with the robot's number. With `stay`, the number is left out if the robot covers
-/// the goal at the end. `more` returns further content of a robot's circle.
+/// Returns the SVG elements of the goals: each a circle with the robot's id. With `stay`, the id is left out if the
+/// robot covers its goal at the end of the episode. `more` returns, for a robot, SVG to add inside its goal's circle.
 pub fn goals(view: &View, scene: &Scene, stay: bool, more: impl Fn(usize) -> String) -> String {
     let (mut text, stage) = (String::new(), &scene.stage);
     for (robot, task) in stage.tasks.iter().enumerate() {
@@ -174,7 +184,7 @@ pub fn goals(view: &View, scene: &Scene, stay: bool, more: impl Fn(usize) -> Str
     text
 }
 
-/// Returns the entry of the legend for goals.
+/// Returns the legend's entry for goals: its mark (SVG), the width of the mark \[pixels\] and its text.
 pub fn goal_mark(scene: &Scene) -> (String, f32, String) {
     let mark = "<circle class=\"goal c7\" cx=\"10\" r=\"9\" stroke-width=\"2\" stroke-dasharray=\"5 4\"/>".to_owned();
     (mark, 20.0, format!("goal, to within {} m", scene.stage.rules.arrival_m))

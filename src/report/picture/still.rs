@@ -8,10 +8,12 @@ use crate::time::Span;
 
 /// Approximate number of moments at which each robot is drawn.
 const MOMENTS: u64 = 7;
-/// Possible intervals between two moments \[ms\].
+/// Possible intervals between two moments at which robots are drawn \[ms\]; the first that gives few enough moments is
+/// used.
 const BETWEEN_MS: [u64; 8] = [250, 500, 1000, 2000, 5000, 10_000, 30_000, 60_000];
-/// Opacities of a robot at the first moment, and at the last moment before the end.
+/// Lower limit of the opacity of robots that are drawn at moments before the end of the episode.
 const FAINT: f32 = 0.10;
+/// Opacity of robots that are drawn at the last moment before the end of the episode.
 const STRONG: f32 = 0.55;
 
 /// Returns an SVG file that shows the whole episode: the robots' paths, and the robots at some seven moments along
@@ -22,7 +24,8 @@ pub fn still(scene: &Scene) -> String {
     sheet(&view, scene, "", &drawn, &legend(&view, &marks(scene)))
 }
 
-/// Returns the entries of the legend: starts, goals, and robots in between.
+/// Returns the entries of the legend: for starts, for goals, and for robots between them. Each is a mark (SVG), the
+/// width of the mark \[pixels\] and its text.
 pub fn marks(scene: &Scene) -> [(String, f32, String); 3] {
     let every = format!("every {} s, stronger with time", between(scene.length()).as_secs());
     let dot = |x: u32, opacity: f32| format!("<circle class=\"dot c7\" cx=\"{x}\" r=\"9\" opacity=\"{opacity}\"/>");
@@ -31,7 +34,8 @@ pub fn marks(scene: &Scene) -> [(String, f32, String); 3] {
     [(start, 20.0, "start".to_owned()), goal_mark(scene), (dots, 40.0, every)]
 }
 
-/// Draws goals, starts, paths and robots. The animation also contains this, for viewers that prefer reduced motion.
+/// Returns the SVG elements of goals, starts, paths and robots of a still picture. The animated picture also contains
+/// them, for viewers who prefer reduced motion.
 pub fn drawn(scene: &Scene, view: &View) -> String {
     let stage = &scene.stage;
     let last = &scene.frames[scene.frames.len() - 1];
@@ -73,7 +77,7 @@ pub fn drawn(scene: &Scene, view: &View) -> String {
     text
 }
 
-/// Draws the whole path of a robot.
+/// Returns an SVG polyline: the path of a robot in the whole episode.
 pub fn path(scene: &Scene, view: &View, robot: usize) -> String {
     let mut points: Vec<String> = Vec::new();
     for frame in &scene.frames {
@@ -86,7 +90,7 @@ pub fn path(scene: &Scene, view: &View, robot: usize) -> String {
     format!("<polyline class=\"trail\" stroke-width=\"2.5\" opacity=\".65\" points=\"{}\"/>", points.join(" "))
 }
 
-/// Returns the interval between two moments of an episode of this length.
+/// Returns the interval between two moments at which robots are drawn, for an episode of this length.
 fn between(length: Span) -> Span {
     let fits = |ms: &&u64| length.as_nanos() / (**ms * 1_000_000) <= MOMENTS;
     Span::from_millis(*BETWEEN_MS.iter().find(fits).unwrap_or(&BETWEEN_MS[BETWEEN_MS.len() - 1]))
