@@ -1,7 +1,7 @@
 //! Benchmark of training: rollout, environments of other trainings, forward pass, update and whole iterations.
 //!
-//! `cargo bench --bench train`. In the first three groups an item is a step of an environment of five robots. In the last
-//! two, which use two threads, it is a decision: one policy evaluation for one environment.
+//! `cargo bench --bench train`. In the first three groups an item is a step of an environment of five robots. In the
+//! last two, which use two threads, it is a decision: one policy evaluation for one environment.
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
