@@ -68,7 +68,8 @@ fn rollout(bencher: Bencher, reward: &str) {
     assert!(chunks.iter().all(|environments| environments.teams[0].step >= 20), "every team has moved on");
 }
 
-/// Vectorised environment with messages, as Python sees it: 1024 environments of five robots, one thread, random actions.
+/// Vectorised environment with messages, as Python sees it: 1024 environments of five robots, one thread and random
+/// actions.
 #[divan::bench(args = ["perfect", "late"], sample_count = 20)]
 fn vectorised(bencher: Bencher, conditions: &str) {
     const ENVIRONMENTS: usize = 1024;
