@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# What five ROS 2 robots made of rclpy show: episodes of the tutorial and of the mixed team, the team as ROS messages, and
-# the velocity that a robot applies after something has died. Prints figures; exit code 1 if a bar is missed.
+# What five ROS 2 robots made of rclpy show: episodes of the tutorial and of the mixed team, the team as ROS messages, the
+# velocity that a robot applies after something has died, and forged packets at its DDS processes. Prints figures; exit
+# code 1 if a bar is missed.
 #
 #   bash tests/peers/ros2/full.sh PYTHON MURMURATE [EPISODES] [MOMENTS]
 set -euo pipefail
@@ -31,5 +32,8 @@ cat /tmp/murmurate-listen.txt
 crosses teams/mixed.toml 16 14 /r0=-1.2,-2 /r1=-0.6,-2 /r2=0,-2
 for case in kill halt freeze lost stamp odometry; do
     "$python" tests/peers/ros2/freezes.py "$program" "$case" "$moments" || missed=1
+done
+for _ in 1 2 3; do
+    "$python" tests/peers/ros2/hostile.py "$program" 20000 || missed=1
 done
 exit "$missed"
