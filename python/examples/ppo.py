@@ -113,8 +113,10 @@ def train(minutes=None, decisions=None, teams=512, conditions="perfect", seed=0,
     A decision is one of a whole team. The curve has a row for each update: minutes, decisions, share of ended episodes in
     which all arrived (0 to 1), mean reward of a decision.
     """
+    torch.set_num_threads(1)  # networks this small are slower on more
     torch.manual_seed(seed)
     begin, done, at, env, curve = time.time(), 0, -1, None, []
+    over, there = 0, 0  # ended episodes since the last line, and those of them in which all arrived
     share = lambda: max((time.time() - begin) / 60 / minutes if minutes else 0, done / decisions if decisions else 0)
     policy = None
     with tempfile.TemporaryDirectory() as folder:
@@ -138,8 +140,10 @@ def train(minutes=None, decisions=None, teams=512, conditions="perfect", seed=0,
             update(policy, optimiser, data, before, entropy=0.01 * (1 - now))
             done += teams * STEPS
             curve.append(((time.time() - begin) / 60, done, arrived / max(ended, 1), float(data[5].mean())))
-            if len(curve) % 10 == 1:
-                say(f"{curve[-1][0]:6.1f} min {done:9d} decisions, stage {stage}: {arrived} of {ended} arrived")
+            over, there = over + ended, there + arrived
+            if len(curve) % 10 == 0:
+                say(f"{curve[-1][0]:6.1f} min {done:9d} decisions, stage {stage}: all arrived in {there} of {over} episodes")
+                over, there = 0, 0
     return policy, env, curve
 
 

@@ -74,31 +74,29 @@ class Task(TaskClass):
 
     Args:
         scenario: Name of the scenario.
-        config: Arguments of :class:`murmurate.VecEnv`, without ``num_envs``, ``autoreset``, ``message`` and ``seed``.
         edges: Whether the group also has the keys ``position`` [m] and ``velocity`` [m/s], policy frame, of which a GNN of
             BenchMARL makes the features of edges (its ``position_key`` and ``velocity_key``).
         repeat: Number of steps of 50 ms for which an action is held; its rewards are added. Four learn faster than one.
-        options: More of ``config``, as keywords.
+        options: Arguments of :class:`murmurate.VecEnv`, without ``num_envs``, ``autoreset``, ``message`` and ``seed``.
     """
 
     def __init__(
         self,
         scenario: str = "passage",
-        config: dict[str, Any] | None = None,
         *,
         edges: bool = False,
         repeat: int = 1,
         **options: Any,
     ) -> None:
-        config = {"edges": edges, "repeat": repeat} | (config or {}) | options
+        config = {"edges": edges, "repeat": repeat} | options
         for name in ("num_envs", "autoreset", "message", "seed"):
             if name in config:
                 raise ValueError(f"{name}: BenchMARL says it, or it is not for tasks of BenchMARL")
-        if not 1 <= config["repeat"] <= 100:
-            raise ValueError(f"repeat: {config['repeat']} is not 1 to 100")
+        if not 1 <= repeat <= 100:
+            raise ValueError(f"repeat: {repeat} is not 1 to 100")
         super().__init__(scenario, config)
 
-    def core(self, num_envs: int = 1) -> VecEnv:
+    def environment(self, num_envs: int = 1) -> VecEnv:
         """Returns the environment of this task, as ``murmurate.export`` takes it for ``like``."""
         return VecEnv(self.name, num_envs, **self._options())
 

@@ -63,8 +63,8 @@ class Env(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         core, agents = self.core, tensordict["agents"]
-        said = agents["message"].contiguous().numpy() if self._message == "action" else None
-        core.step(agents["action"].contiguous().numpy(), said)
+        said = agents["message"].detach().contiguous().numpy() if self._message == "action" else None
+        core.step(agents["action"].detach().contiguous().numpy(), said)
         n, r = core.num_envs, core.num_robots
         reward = torch.from_numpy(core.reward).clone().unsqueeze(-1)
         terminated = torch.from_numpy(core.terminated).clone().unsqueeze(-1)
