@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ._hops import ACTIVATIONS, Refused, activation_of, hop_of, network_of
+from ._actors import SOFTPLUS_BIAS, Actor, actor_of
+from ._hops import ACTIVATIONS, Refused, activation_of, edges_of, followed, hop_of, network_of
 from ._murmurate import VecEnv
 from ._program import finished
 
@@ -29,12 +30,12 @@ LOG_STD = -2.0
 
 def export(
     file: str | os.PathLike[str],
-    encoder: nn.Module,
-    hops: Sequence[nn.Module],
-    decoder: nn.Module,
+    encoder: Any,
+    hops: Sequence[nn.Module] | None = None,
+    decoder: nn.Module | None = None,
     *,
-    like: VecEnv,
-    scenario: str = "passage",
+    like: Any = None,
+    scenario: str | None = None,
     edge: Sequence[str] = (),
     distribution: Literal["diagonal-normal", "tanh-normal"] = "diagonal-normal",
     deviation: Literal["log", "biased-softplus"] = "log",
@@ -47,15 +48,21 @@ def export(
     which one hears nobody, one hears one and the others hear four. The program computes them again from the file; without
     agreement within 1e-5 there is no file.
 
+    Without ``hops`` and ``decoder`` the second argument is a whole actor of BenchMARL or TorchRL, which is taken apart. It must
+    itself agree within 1e-5 with the program, for a team in which everybody hears everybody.
+
     Args:
         file: File to write, or to replace.
-        encoder: ``Linear`` layers with one kind of activation between them, in a ``Sequential``; its input is ``obs``.
+        encoder: ``Linear`` layers with one kind of activation between them, in a ``Sequential``; its input is ``obs``. Or a
+            whole actor: an ``Experiment`` of BenchMARL or its policy, whose models are ``Mlp`` and ``Gnn`` with the topology
+            "full", or a ``ProbabilisticActor`` of TorchRL. ``edge``, ``distribution`` and ``deviation`` are then its own.
         hops: Convolutions of PyTorch Geometric (``GraphConv``, ``GATv2Conv``, ``GINEConv``, ``TransformerConv``), each
-            followed by an activation if there is one. Empty for a policy that hears nobody.
+            followed by an activation or a network if there is one. Empty for a policy that hears nobody.
         decoder: As the encoder; its outputs are the velocity along x and y [m/s], policy frame, and the parameters of
             their standard deviations. With two outputs alone these are constant.
-        like: Environment in which the policy was trained: it has the observation, the radius and the limit of speed.
-        scenario: Task of that environment.
+        like: Environment in which the policy was trained, a :class:`murmurate.VecEnv` or :class:`murmurate.torchrl.Env`: it
+            has the observation, the radius [m] and the limit of speed [m/s]. For an ``Experiment`` that of its task.
+        scenario: Task of that environment; "passage", or that of the ``Experiment``.
         edge: Features of an edge in the order in which convolutions take them: "age" [s], "relative-position" [m],
             "distance" [m], "relative-velocity" [m/s]; those of the sender minus those of the receiver.
         distribution: Distribution of actions; "tanh-normal" is the limit of speed times tanh of a normal one.
@@ -71,38 +78,80 @@ def export(
     unknown = [name for name in edge if name not in EDGE_WIDTHS]
     if unknown:
         raise ValueError(f"edge: '{unknown[0]}' is none of {', '.join(EDGE_WIDTHS)}")
-    modules = torch.nn.ModuleList([encoder, *hops, decoder])
-    training = modules.training
-    modules.eval()
+    if (hops is None) != (decoder is None):
+        raise ValueError(f"{'hops' if hops is None else 'decoder'}: give encoder, hops and decoder, or a whole actor alone")
+    if hops is None and hasattr(encoder, "task"):
+        like = encoder.task.environment() if like is None else like
+        scenario = scenario or encoder.task.name
+    like = getattr(like, "core", like)
+    if not isinstance(like, VecEnv):
+        raise ValueError(f"like: {type(like).__name__} is neither a VecEnv nor an environment that has one")
+    fields, limit_m_s = like.observation_fields, like.limit_m_s
+    manifest = {"scenario": scenario or "passage", "observation": fields, "draw": draw, "hold_s": hold_s, "rate_hz": 20.0}
+    manifest |= {"distribution": distribution, "deviation": deviation}
+    manifest |= {"radius_m": round(like.radius_m, 6), "limit_m_s": round(limit_m_s, 6)}
     try:
-        with torch.no_grad():
-            tensors, manifest = _written((encoder, list(hops), decoder), _Team(like.observation_fields, edge))
+        actor = actor_of(encoder, fields, limit_m_s) if hops is None else Actor(encoder, list(hops), decoder, edge=list(edge))
+        manifest |= actor.manifest | {"edge": actor.edge}
+        modules = torch.nn.ModuleList([actor.encoder, *actor.hops, actor.decoder])
+        training = modules.training
+        modules.eval()
+        try:
+            with torch.no_grad():
+                written = [_written(actor, _Team(fields, actor.edge))]
+                if actor.whole is not None:
+                    everybody = _Team(fields, actor.edge, like.num_robots)
+                    written.insert(0, _asked(actor, _written(actor, everybody), everybody, manifest))
+        finally:
+            modules.train(training)
     except Refused as refused:
         raise ValueError(str(refused)) from None
-    finally:
-        modules.train(training)
-    manifest |= {"scenario": scenario, "observation": like.observation_fields, "edge": list(edge)}
-    manifest |= {"distribution": distribution, "deviation": deviation, "draw": draw, "hold_s": hold_s, "rate_hz": 20.0}
-    manifest |= {"radius_m": round(like.radius_m, 6), "limit_m_s": round(like.limit_m_s, 6)}
     path = pathlib.Path(file)
     with tempfile.TemporaryDirectory(dir=path.absolute().parent) as folder:
         whole = pathlib.Path(folder) / "policy.safetensors"
-        whole.write_bytes(_safetensors(tensors, manifest))
-        probe = json.loads(finished(["policy", "check", str(whole), "--json"]))["probe"]
-        worst = max(probe["latent_difference"], probe["output_difference"])
-        if not worst <= TOLERANCE:
-            raise ValueError(f"the program's answers differ by {worst:.1e} from those of the modules, over {TOLERANCE:.0e}")
+        for tensors, form in written:
+            whole.write_bytes(_safetensors(tensors, manifest | form))
+            probe = json.loads(finished(["policy", "check", str(whole), "--json"]))["probe"]
+            worst = max(probe["latent_difference"], probe["output_difference"])
+            if not worst <= TOLERANCE:
+                raise ValueError(f"the program's answers differ by {worst:.1e} from those of the modules, over {TOLERANCE:.0e}")
         os.replace(whole, path)
     return path
 
 
-def _written(
-    modules: tuple[nn.Module, list[nn.Module], nn.Module], team: _Team
+def _asked(
+    actor: Actor, written: tuple[dict[str, np.ndarray], dict[str, Any]], team: _Team, manifest: dict[str, Any]
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Returns tensors whose probe has the means of the actor itself, if its deviations and actions are as the file says."""
+    import torch
+
+    tensors, form = written
+    mean, deviation, action = actor.whole(team.observation)
+    out = torch.from_numpy(tensors["probe.output"])
+    spread = out[:, 2:].exp() if manifest["deviation"] == "log" else biased_softplus(out[:, 2:])
+    limit = manifest["limit_m_s"]
+    taken = limit * out[:, :2].tanh() if manifest["distribution"] == "tanh-normal" else out[:, :2]
+    pairs = {"means": (mean, out[:, :2]), "deviations": (deviation, spread), "actions": (action, taken)}
+    for name, (theirs, ours) in pairs.items():
+        worst = (theirs - ours).abs().max().item()
+        if not worst <= TOLERANCE:
+            raise ValueError(f"the {name} of the actor differ by {worst:.1e} from those of its parts, over {TOLERANCE:.0e}")
+    out[:, :2] = mean
+    return {**tensors, "probe.output": out.numpy()}, form
+
+
+def biased_softplus(x: Tensor) -> Tensor:
+    """Deviations of TorchRL's "biased_softplus_1.0", which makes 1 of 0 and at least 0.01 of everything."""
+    import torch
+
+    return torch.nn.functional.softplus(x + SOFTPLUS_BIAS) + 0.01
+
+
+def _written(actor: Actor, team: _Team) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Returns the tensors of a policy with its answers for a team, and the part of the manifest that says its form."""
     import torch
 
-    encoder, parts, decoder = modules
+    encoder, parts, decoder = actor.encoder, actor.hops, actor.decoder
     form, layers = network_of(encoder, "encoder")
     networks, hops, sent = {"encoder": layers}, [], []
     manifest: dict[str, Any] = {"format": 2, "encoder": form}
@@ -117,12 +166,25 @@ def _written(
             update["output_activation"] = activation_of(part, "hops")
             x = part(x)
             continue
+        if isinstance(part, (torch.nn.Sequential, torch.nn.Linear)):
+            if not hops:
+                raise Refused("hops", part, "it stands before the first convolution; end the encoder with it")
+            name = f"hops.{len(hops) - 1}.update"
+            hops[-1]["update"], networks[name] = followed(hops[-1]["update"], networks[name], part, "hops")
+            x = part(x)
+            continue
         sent.append(x)
-        form, layers = hop_of(part, x.shape[1], team.edge.shape[1], f"hops[{len(hops)}]")
+        # Convolutions without features of edges leave them to those that take them.
+        edge = team.edge if edges_of(part) else team.edge[:, :0]
+        form, layers = hop_of(part, x.shape[1], edge.shape[1], f"hops[{len(hops)}]")
+        index = team.index
+        if len(hops) in actor.loops and "self_loop" not in form:
+            form["self_loop"] = "zero-edge"
+            index = torch.cat([index, torch.arange(len(x)).repeat(2, 1)], dim=1)
+            edge = torch.cat([edge, edge.new_zeros(len(x), edge.shape[1])])
         networks |= {f"hops.{len(hops)}.{name}": some for name, some in layers.items()}
         hops.append(form)
-        takes_edges = type(part).__name__ != "GraphConv" and team.edge.shape[1] > 0
-        x = part(x, team.index, team.edge) if takes_edges else part(x, team.index)
+        x = part(x, index, edge) if edge.shape[1] > 0 else part(x, index)
     if not hops:
         # A policy without messages sends what it would, and nobody takes it.
         width = x.shape[1]
@@ -150,7 +212,8 @@ def _written(
 
 
 class _Team:
-    """Eight robots of a probe: one receives no message, one a single message, the others four.
+    """Robots of a probe: eight, of which one receives no message, one a single message and the others four; or as many as
+    ``everybody`` says, who all hear each other.
 
     Attributes:
         observation: What each observes, by the fields of the environment (8, F).
@@ -159,10 +222,10 @@ class _Team:
         inputs: Tensors of the probe, by name.
     """
 
-    def __init__(self, fields: Sequence[str], edge: Sequence[str]):
+    def __init__(self, fields: Sequence[str], edge: Sequence[str], everybody: int | None = None):
         import torch
 
-        robots, rng = 8, np.random.default_rng(1)
+        robots, rng = everybody or 8, np.random.default_rng(1)
         drawn = rng.uniform(-1.5, 1.5, (3, robots, 2)).round(3).astype(np.float32)
         position, velocity, goal = torch.from_numpy(drawn)
         known: dict[str, Tensor] = {
@@ -178,10 +241,12 @@ class _Team:
         self.observation = torch.cat([known[field] for field in fields], dim=1)
         # Whole milliseconds, in which the program counts time here.
         age = torch.from_numpy(rng.integers(0, 200, (robots, robots)).astype(np.float32) / np.float32(1000.0))
-        heard = np.zeros((robots, robots), np.float32)
-        heard[1, 2] = 1
-        for robot in range(2, robots):
-            heard[robot, rng.choice([other for other in range(robots) if other != robot], 4, replace=False)] = 1
+        heard = 1 - np.eye(robots, dtype=np.float32)
+        if everybody is None:
+            heard[:] = 0
+            heard[1, 2] = 1
+            for robot in range(2, robots):
+                heard[robot, rng.choice([other for other in range(robots) if other != robot], 4, replace=False)] = 1
         receiver, sender = torch.from_numpy(heard).nonzero(as_tuple=True)
         self.index = torch.stack([sender, receiver])
         way = position[sender] - position[receiver]

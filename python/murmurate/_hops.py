@@ -88,6 +88,35 @@ def network_of(module: nn.Module, argument: str) -> tuple[dict[str, Any], list[t
     return form, layers
 
 
+def followed(
+    form: dict[str, Any], layers: list[tuple[Tensor, Tensor]], after: nn.Module, argument: str
+) -> tuple[dict[str, Any], list[tuple[Tensor, Tensor]]]:
+    """Returns the form and the layers of a network with another behind it."""
+    more, behind = network_of(after, argument)
+    between = form.get("output_activation")
+    if between is None:
+        # Two linear layers without an activation between them are one.
+        (weight, bias), (last, last_bias) = behind[0], layers[-1]
+        layers, behind = layers[:-1], [(weight @ last, weight @ last_bias + bias), *behind[1:]]
+    kinds = [form.get("activation"), more.get("activation"), between]
+    kinds = [kind for kind in kinds if kind is not None]
+    if any(kind != kinds[0] for kind in kinds):
+        raise Refused(argument, after, "its activations differ from those of the convolution before it")
+    layers = layers + behind
+    joined = {"inputs": form["inputs"], "widths": [form["widths"][0], *(weight.shape[0] for weight, _ in layers)]}
+    if len(layers) > 1:
+        joined["activation"] = kinds[0]
+    if "output_activation" in more:
+        joined["output_activation"] = more["output_activation"]
+    return joined, layers
+
+
+def edges_of(conv: Any) -> int:
+    """Returns how many features of an edge a convolution takes."""
+    layer = getattr(conv, "lin", None) if type(conv).__name__ == "GINEConv" else getattr(conv, "lin_edge", None)
+    return 0 if layer is None else layer.weight.shape[1]
+
+
 def hop_of(conv: nn.Module, width: int, edge: int, argument: str) -> tuple[dict[str, Any], dict[str, Any]]:
     """Returns the form of a convolution as a hop, and the layers of its networks.
 

@@ -27,7 +27,7 @@ class Env(EnvBase):
 
     def __init__(self, scenario: str = "passage", num_envs: int = 1, *, seed: int = 0, **options: Any) -> None:
         super().__init__(device="cpu", batch_size=torch.Size([num_envs]))
-        core = self._core = VecEnv(scenario, num_envs, autoreset="disabled", seed=seed, **options)
+        core = self.core = VecEnv(scenario, num_envs, autoreset="disabled", seed=seed, **options)
         n, r, f = core.obs.shape
         self._message = options.get("message")
         self.group_map = {"agents": [f"robot_{robot}" for robot in range(r)]}
@@ -48,23 +48,23 @@ class Env(EnvBase):
         self.done_spec = Composite({"done": flag(), "terminated": flag(), "truncated": flag()}, shape=(n,))
 
     def _set_seed(self, seed: int | None) -> None:
-        self._core.reset(seed=int(seed or 0))
+        self.core.reset(seed=int(seed or 0))
 
     def _seen(self) -> dict[str, torch.Tensor]:
         names = {"observation": "obs"} | ({name: name for name in ("heard", "age", "said")} if self._message else {})
-        return {key: torch.from_numpy(getattr(self._core, name)).clone() for key, name in names.items()}
+        return {key: torch.from_numpy(getattr(self.core, name)).clone() for key, name in names.items()}
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
         mask = tensordict.get("_reset", None) if tensordict is not None else None
-        self._core.reset(None if mask is None else np.ascontiguousarray(mask.squeeze(-1).numpy()))
-        n, r = self._core.num_envs, self._core.num_robots
+        self.core.reset(None if mask is None else np.ascontiguousarray(mask.squeeze(-1).numpy()))
+        n, r = self.core.num_envs, self.core.num_robots
         ended = {key: torch.zeros(n, 1, dtype=torch.bool) for key in ("done", "terminated", "truncated")}
         return TensorDict({"agents": TensorDict(self._seen(), (n, r)), **ended}, (n,))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        core, agents = self._core, tensordict["agents"]
-        said = agents["message"].contiguous().numpy() if self._message == "action" else None
-        core.step(agents["action"].contiguous().numpy(), said)
+        core, agents = self.core, tensordict["agents"]
+        said = agents["message"].detach().contiguous().numpy() if self._message == "action" else None
+        core.step(agents["action"].detach().contiguous().numpy(), said)
         n, r = core.num_envs, core.num_robots
         reward = torch.from_numpy(core.reward).clone().unsqueeze(-1)
         terminated = torch.from_numpy(core.terminated).clone().unsqueeze(-1)

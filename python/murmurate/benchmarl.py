@@ -1,0 +1,150 @@
+"""Scenarios as tasks of BenchMARL (``pip install benchmarl torch_geometric``), for its IPPO, MAPPO and others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from benchmarl.environments import TaskClass
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from ._murmurate import VecEnv
+from .torchrl import Env
+
+#: Duration of a step [s].
+STEP_S = 0.05
+#: Longest duration of an episode, where the task does not say it [s].
+EPISODE_S = 25.0
+
+
+class _Env(Env):
+    """Batch of teams that hold an action for several steps, and whose group may have ``position`` and ``velocity``."""
+
+    def __init__(self, *arguments: Any, edges: bool, repeat: int, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._repeat, self._edges = repeat, edges
+        if not edges:
+            return
+        fields = self.core.observation_fields
+        missing = [field for field in ("position", "position-plus-velocity") if field not in fields]
+        if missing:
+            raise ValueError(f"edges: the observation does not have '{missing[0]}'")
+        self._at, self._ahead = (2 * fields.index(field) for field in ("position", "position-plus-velocity"))
+        n, r = self.core.num_envs, self.core.num_robots
+        spec = self.observation_spec.clone()
+        for key in ("position", "velocity"):
+            spec["agents", key] = Unbounded((n, r, 2))
+        self.observation_spec = spec
+
+    def _seen(self) -> dict[str, torch.Tensor]:
+        seen = super()._seen()
+        if not self._edges:
+            return seen
+        position, ahead = (seen["observation"][..., at : at + 2] for at in (self._at, self._ahead))
+        return seen | {"position": position.clone(), "velocity": ahead - position}
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        result = super()._step(tensordict)
+        for _ in range(1, self._repeat):
+            # What comes after the end of an episode is left out: it goes on until the step is over.
+            ended = result["done"]
+            if ended.all():
+                break
+            after = super()._step(tensordict)
+            reward = torch.where(ended.unsqueeze(-1), 0.0, after["agents", "reward"])
+            after["agents", "reward"] = result["agents", "reward"] + reward
+            for key in ("terminated", "truncated", "done"):
+                after[key] = torch.where(ended, result[key], after[key])
+            for key in self._seen():
+                before = result["agents", key]
+                after["agents", key] = torch.where(ended.unsqueeze(-1), before, after["agents", key])
+            result = after
+        return result
+
+
+class Task(TaskClass):
+    """A scenario as a task of BenchMARL: ``Task("passage", conditions="robust")``.
+
+    One group, ``agents``, with the key ``observation`` (R, F) and actions that are velocities [m/s], policy frame. Messages
+    are those of a GNN of BenchMARL within the actor: they have no delay and no loss, whatever ``conditions`` are.
+
+    Args:
+        scenario: Name of the scenario.
+        edges: Whether the group also has the keys ``position`` [m] and ``velocity`` [m/s], policy frame, of which a GNN of
+            BenchMARL makes the features of edges (its ``position_key`` and ``velocity_key``).
+        repeat: Number of steps of 50 ms for which an action is held; its rewards are added. Four learn faster than one.
+        options: Arguments of :class:`murmurate.VecEnv`, without ``num_envs``, ``autoreset``, ``message`` and ``seed``.
+    """
+
+    def __init__(
+        self,
+        scenario: str = "passage",
+        *,
+        edges: bool = False,
+        repeat: int = 1,
+        **options: Any,
+    ) -> None:
+        config = {"edges": edges, "repeat": repeat} | options
+        for name in ("num_envs", "autoreset", "message", "seed"):
+            if name in config:
+                raise ValueError(f"{name}: BenchMARL says it, or it is not for tasks of BenchMARL")
+        if not 1 <= repeat <= 100:
+            raise ValueError(f"repeat: {repeat} is not 1 to 100")
+        super().__init__(scenario, config)
+
+    def environment(self, num_envs: int = 1) -> VecEnv:
+        """Returns the environment of this task, as ``murmurate.export`` takes it for ``like``."""
+        return VecEnv(self.name, num_envs, **self._options())
+
+    def _options(self) -> dict[str, Any]:
+        return {name: value for name, value in self.config.items() if name not in ("edges", "repeat")}
+
+    def get_env_fun(
+        self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
+    ) -> Callable[[], EnvBase]:
+        return lambda: _Env(self.name, num_envs, seed=seed or 0, **self.config).to(device)
+
+    def supports_continuous_actions(self) -> bool:
+        return True
+
+    def supports_discrete_actions(self) -> bool:
+        return False
+
+    def max_steps(self, env: EnvBase) -> int:
+        return math.ceil((self.config.get("episode_s") or EPISODE_S) / STEP_S / self.config["repeat"])
+
+    def has_render(self, env: EnvBase) -> bool:
+        return False
+
+    def group_map(self, env: EnvBase) -> dict[str, list[str]]:
+        return env.group_map
+
+    def observation_spec(self, env: EnvBase) -> Composite:
+        return env.full_observation_spec_unbatched.clone()
+
+    def action_spec(self, env: EnvBase) -> Composite:
+        return env.full_action_spec_unbatched.clone()
+
+    def info_spec(self, env: EnvBase) -> None:
+        return None
+
+    def state_spec(self, env: EnvBase) -> None:
+        return None
+
+    def action_mask_spec(self, env: EnvBase) -> None:
+        return None
+
+    @staticmethod
+    def env_name() -> str:
+        return "murmurate"
+
+    @staticmethod
+    def log_info(batch: TensorDictBase) -> dict[str, float]:
+        """Share of the batch's ended episodes in which all robots arrived, 0 to 1, if any ended."""
+        ended = batch["next", "done"].sum().item()
+        arrived = batch["next", "terminated"].sum().item()
+        return {"collection/info/arrived": arrived / ended} if ended else {}
