@@ -1,5 +1,6 @@
 //! Output folder of a study, with a file that identifies the study; all files in it are replaced atomically.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use crate::config;
@@ -29,30 +30,29 @@ impl Folder {
         difference: impl Fn(&I) -> Option<String>,
     ) -> Result<Folder> {
         let refuse = |why: String| BadInput(format!("--out: '{}': {why}; choose another folder", path.display()));
-        let theirs = match std::fs::read_to_string(path.join(IDENTITY)) {
-            Ok(text) => Some(text),
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => None,
-            Err(error) => return Err(refuse(format!("cannot read '{IDENTITY}': {error}")).into()),
-        };
-        if let Some(text) = &theirs {
-            let theirs: I = serde_json::from_str(text).map_err(|e| {
-                refuse(format!("its '{IDENTITY}' is of another study, program or version ({})", config::json(&e)))
-            })?;
-            if let Some(how) = difference(&theirs) {
-                return Err(refuse(format!("it is of another study: {how}")).into());
+        // Processes may open one folder at a time, so that other files count only if they were there before the
+        // identity was looked for, and nothing else is made before the identity is in its place.
+        let holds_others = path.join(pieces).exists() || path.join("report.html").exists();
+        if !path.join(IDENTITY).exists() {
+            if holds_others {
+                return Err(refuse(format!("it holds files of something else and no '{IDENTITY}'")).into());
             }
-        } else if path.join(pieces).exists() || path.join("report.html").exists() {
-            return Err(refuse(format!("it holds files of something else and no '{IDENTITY}'")).into());
+            std::fs::create_dir_all(path).map_err(|e| refuse(format!("cannot make this folder: {e}")))?;
+            identify(path, identity).map_err(|e| refuse(format!("cannot write '{IDENTITY}': {e}")))?;
+        }
+        let text = std::fs::read_to_string(path.join(IDENTITY))
+            .map_err(|e| refuse(format!("cannot read '{IDENTITY}': {e}")))?;
+        let theirs: I = serde_json::from_str(&text).map_err(|e| {
+            refuse(format!("its '{IDENTITY}' is of another study, program or version ({})", config::json(&e)))
+        })?;
+        if let Some(how) = difference(&theirs) {
+            return Err(refuse(format!("it is of another study: {how}")).into());
         }
         for folder in [path, &path.join(pieces), &path.join("figures")] {
             std::fs::create_dir_all(folder).map_err(|e| refuse(format!("cannot make this folder: {e}")))?;
             Temporary::new_in(folder, 0o600).map_err(|e| refuse(format!("cannot write there: {e}")))?;
         }
-        let folder = Folder(path.to_owned());
-        if theirs.is_none() {
-            folder.write_json(IDENTITY, identity)?;
-        }
-        Ok(folder)
+        Ok(Folder(path.to_owned()))
     }
 
     /// Returns the path of the study's folder.
@@ -108,5 +108,44 @@ impl Folder {
         let mut file = WholeFile::create(&path)?;
         file.writer().write_all(bytes).with_context(wrong)?;
         file.keep().with_context(wrong)
+    }
+}
+
+/// Writes the identity of a study to its folder, whole or not at all, unless another process did so meanwhile.
+fn identify(folder: &Path, identity: &impl Serialize) -> std::io::Result<()> {
+    let mut file = Temporary::new_in(folder, 0o666)?;
+    file.write_all((serde_json::to_string_pretty(identity)? + "\n").as_bytes())?;
+    file.sync()?;
+    match file.add(&folder.join(IDENTITY)) {
+        Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => Ok(()),
+        added => added,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Barrier;
+
+    #[test]
+    fn processes_that_open_one_folder_at_a_time_share_it_and_another_study_is_refused() {
+        let other = |theirs: &u32| (*theirs != 7).then(|| "another number".to_owned());
+        for _ in 0..50 {
+            let folder = tempfile::TempDir::new().unwrap();
+            let (path, start) = (folder.path().join("out"), Barrier::new(4));
+            std::thread::scope(|scope| {
+                let opened = [(); 4].map(|()| {
+                    scope.spawn(|| {
+                        start.wait();
+                        Folder::open(&path, "pieces", &7, other).map(drop)
+                    })
+                });
+                opened.map(|opened| opened.join().unwrap().unwrap());
+            });
+            std::fs::write(path.join(IDENTITY), "8").unwrap();
+            assert!(Folder::open(&path, "pieces", &7, other).is_err());
+            std::fs::remove_file(path.join(IDENTITY)).unwrap();
+            assert!(Folder::open(&path, "pieces", &7, other).is_err());
+        }
     }
 }
