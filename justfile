@@ -74,7 +74,8 @@ full-metrics:
 # The Python package, as a user installs it, with TorchRL, PyTorch Geometric and Ray, and its rates (25 minutes and 8 GB, most of it torch)
 full-python:
     python3 -m venv target/python
-    target/python/bin/pip install --quiet ./python torchrl torch_geometric ray pettingzoo gymnasium pytest
+    target/python/bin/pip install --quiet ./python benchmarl torchrl torch_geometric ray pettingzoo gymnasium pytest \
+        matplotlib nbclient nbformat ipykernel
     target/python/bin/python -m pytest python/tests
     target/python/bin/python python/tests/rates.py
 

@@ -26,7 +26,7 @@ from murmurate.benchmarl import Task
 # Penalties for contacts and nearness grow by stages, else a team learns to stand still: share of the training that a stage
 # takes, and the factor on them.
 STAGES = [(0.06, 0.04), (0.08, 0.1), (0.26, 0.3), (0.6, 1.0)]
-TEAMS, FRAMES = 512, 16384
+TEAMS, FRAMES, ENTROPY = 512, 16384, -0.003
 ALGORITHMS = {"ippo": IppoConfig, "mappo": MappoConfig}
 
 
@@ -47,8 +47,10 @@ def actor(kind):
     return SequenceModelConfig(model_configs=[mlp(64), gnn, mlp(64)], intermediate_sizes=[32, 64]), False
 
 
-def critic():
-    """Values of each robot (IPPO) or of the team (MAPPO), of what all observe."""
+def critic(algorithm):
+    """Values of each robot, of what all observe."""
+    if algorithm == "mappo":
+        return mlp(128, 128)
     gnn = GnnConfig(topology="full", self_loops=False, gnn_class=GraphConv, gnn_kwargs={"aggr": "add"})
     return SequenceModelConfig(model_configs=[mlp(64), gnn, mlp(64)], intermediate_sizes=[64, 64])
 
@@ -96,31 +98,33 @@ class Curve(Callback):
             self.over, self.there = 0, 0
 
 
-def train(algorithm="mappo", kind="graph", frames=2_000_000, conditions="perfect", seed=0):
-    """Trains in stages; returns the last experiment and the rows of its curves. A frame is a decision of a whole team."""
+def train(folder, algorithm="mappo", kind="graph", frames=2_000_000, conditions="perfect", seed=0):
+    """Trains in stages; returns the last experiment and the rows of its curves. A frame is a decision of a whole team.
+
+    The experiments have their files in the folder, and what is exported later needs the configuration in it.
+    """
     torch.set_num_threads(1)  # networks this small are slower on more
     learnt, rows, done = None, [], 0
-    with tempfile.TemporaryDirectory() as folder:
-        for stage, (share, factor) in enumerate(STAGES):
-            model, edges = actor(kind)
-            rule = ALGORITHMS[algorithm].get_from_yaml()
-            rule.lmbda, rule.entropy_coef = 0.95, 0.0
-            # A plain normal distribution that begins at half a metre per second. A tanh-normal one that begins at 1 saturates
-            # here: its deviation grows without end, until there are NaNs.
-            rule.use_tanh_normal, rule.scale_mapping = False, "biased_softplus_0.5"
-            # An action is held for four steps of 50 ms.
-            task = Task("passage", edges=edges, repeat=4, conditions=conditions, config=configuration(folder, factor))
-            curve = Curve(done)
-            experiment = Experiment(
-                task=task, algorithm_config=rule, model_config=model, critic_model_config=critic(),
-                seed=seed + stage, config=settings(folder, round(frames * share), (5e-4, 5e-4, 4e-4, 2e-4)[stage]),
-                callbacks=[curve],
-            )
-            if learnt is not None:
-                experiment.losses["agents"].load_state_dict(learnt)
-            experiment.run()
-            learnt = experiment.losses["agents"].state_dict()
-            rows, done = rows + curve.rows, done + experiment.total_frames
+    for stage, (share, factor) in enumerate(STAGES):
+        model, edges = actor(kind)
+        rule = ALGORITHMS[algorithm].get_from_yaml()
+        # A plain normal distribution that begins at half a metre per second. Larger deviations are no worse for a robot
+        # whose speed is limited, so they would grow without end; a price for entropy keeps them small.
+        rule.use_tanh_normal, rule.scale_mapping = False, "biased_softplus_0.5"
+        rule.lmbda, rule.entropy_coef, rule.share_param_critic = 0.95, ENTROPY, False
+        # An action is held for four steps of 50 ms.
+        task = Task("passage", edges=edges, repeat=4, conditions=conditions, config=configuration(folder, factor))
+        curve = Curve(done)
+        experiment = Experiment(
+            task=task, algorithm_config=rule, model_config=model, critic_model_config=critic(algorithm),
+            seed=seed + stage, config=settings(folder, round(frames * share), (5e-4, 5e-4, 4e-4, 2e-4)[stage]),
+            callbacks=[curve],
+        )
+        if learnt is not None:
+            experiment.losses["agents"].load_state_dict(learnt)
+        experiment.run()
+        learnt = experiment.losses["agents"].state_dict()
+        rows, done = rows + curve.rows, done + experiment.total_frames
     return experiment, rows
 
 
@@ -133,10 +137,11 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", default="policy.safetensors")
     arguments = parser.parse_args()
-    begin = time.time()
-    experiment, _ = train(
-        arguments.algorithm, arguments.actor, arguments.frames, arguments.conditions, arguments.seed
-    )
-    print(f"trained in {(time.time() - begin) / 60:.1f} min")
-    murmurate.export(arguments.out, experiment)
+    with tempfile.TemporaryDirectory() as folder:
+        begin = time.time()
+        experiment, _ = train(
+            folder, arguments.algorithm, arguments.actor, arguments.frames, arguments.conditions, arguments.seed
+        )
+        print(f"trained in {(time.time() - begin) / 60:.1f} min")
+        murmurate.export(arguments.out, experiment)
     print(murmurate.sim("passage", arguments.out, mode="sim", episodes=2000, repeats=1))

@@ -7,6 +7,8 @@ pip install ./python torch torch_geometric. Edit what you like: the network, the
 """
 
 import argparse
+import csv
+import math
 import re
 import subprocess
 import sys
@@ -110,13 +112,13 @@ def rollout(env, policy, std):
 def train(minutes=None, decisions=None, teams=512, conditions="perfect", seed=0, threads=1, say=print):
     """Trains a policy until the time or the decisions are over; returns it, its environment and the curve.
 
-    A decision is one of a whole team. The curve has a row for each update: minutes, decisions, share of ended episodes in
-    which all arrived (0 to 1), mean reward of a decision.
+    A decision is one of a whole team. The curve has a row for every ten updates: minutes, decisions, share of the episodes
+    that ended since the row before in which all arrived (0 to 1; NaN without any).
     """
     torch.set_num_threads(1)  # networks this small are slower on more
     torch.manual_seed(seed)
     begin, done, at, env, curve = time.time(), 0, -1, None, []
-    over, there = 0, 0  # ended episodes since the last line, and those of them in which all arrived
+    updates, over, there = 0, 0, 0  # updates; since the last row, ended episodes and those in which all arrived
     share = lambda: max((time.time() - begin) / 60 / minutes if minutes else 0, done / decisions if decisions else 0)
     policy = None
     with tempfile.TemporaryDirectory() as folder:
@@ -139,9 +141,9 @@ def train(minutes=None, decisions=None, teams=512, conditions="perfect", seed=0,
             before = policy.log_std.detach().clone()
             update(policy, optimiser, data, before, entropy=0.01 * (1 - now))
             done += teams * STEPS
-            curve.append(((time.time() - begin) / 60, done, arrived / max(ended, 1), float(data[5].mean())))
-            over, there = over + ended, there + arrived
-            if len(curve) % 10 == 0:
+            updates, over, there = updates + 1, over + ended, there + arrived
+            if updates % 10 == 0:
+                curve.append(((time.time() - begin) / 60, done, there / over if over else math.nan))
                 say(f"{curve[-1][0]:6.1f} min {done:9d} decisions, stage {stage}: all arrived in {there} of {over} episodes")
                 over, there = 0, 0
     return policy, env, curve
@@ -167,9 +169,15 @@ def update(policy, optimiser, data, old_log_std, entropy, minibatch=1024):
 
 
 def export(file, policy, env):
-    """Writes the policy to a file that the program runs."""
+    """Writes the policy, with its deviations, to a file that the program runs. Robots sample: means can wait for each other."""
+    last = policy.decoder[-1]
+    four = nn.Linear(last.in_features, 4)
+    with torch.no_grad():
+        four.weight.copy_(torch.cat([last.weight, torch.zeros_like(last.weight)]))
+        four.bias.copy_(torch.cat([last.bias, policy.log_std]))
+    decoder = nn.Sequential(*policy.decoder[:-1], four)
     return murmurate.export(
-        file, policy.encoder, [policy.hop], policy.decoder, like=env, edge=["relative-position"]
+        file, policy.encoder, [policy.hop], decoder, like=env, edge=["relative-position"], draw="sample"
     )
 
 
@@ -180,8 +188,12 @@ if __name__ == "__main__":
     parser.add_argument("--conditions", default="perfect")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", default="policy.safetensors")
+    parser.add_argument("--curve", help="CSV file for minutes, decisions and the share of episodes in which all arrived")
     arguments = parser.parse_args()
     minutes = None if arguments.decisions else arguments.minutes
-    policy, env, _ = train(minutes, arguments.decisions, conditions=arguments.conditions, seed=arguments.seed)
+    policy, env, curve = train(minutes, arguments.decisions, conditions=arguments.conditions, seed=arguments.seed)
+    if arguments.curve:
+        with open(arguments.curve, "w", newline="") as out:
+            csv.writer(out).writerows([("minutes", "decisions", "all_arrived"), *curve])
     export(arguments.out, policy, env)
     print(murmurate.sim("passage", arguments.out, mode="sim", episodes=2000, repeats=1))

@@ -1,0 +1,58 @@
+"""The examples and the notebook, in a small form. Each is skipped where what it needs is not installed."""
+
+import pathlib
+import sys
+
+import pytest
+
+import murmurate
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("torch_geometric")
+EXAMPLES = pathlib.Path(__file__).parent.parent / "examples"
+
+
+@pytest.fixture(autouse=True)
+def beside_the_examples(monkeypatch):
+    threads = torch.get_num_threads()
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    yield
+    torch.set_num_threads(threads)
+    for name in ("ppo", "benchmarl_passage"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize("conditions", ["perfect", "late"])
+def test_a_loop_of_ones_own_trains_and_is_exported(conditions, tmp_path):
+    import ppo
+
+    policy, env, curve = ppo.train(decisions=20 * 32 * 16, teams=16, conditions=conditions, say=lambda line: None)
+    assert [row[1] for row in curve] == [10 * 32 * 16, 20 * 32 * 16]
+    file = ppo.export(tmp_path / "policy.safetensors", policy, env)
+    assert murmurate.sim("passage", file, mode="onboard-adhoc", episodes=1, repeats=1).episodes == 1
+
+
+@pytest.mark.parametrize("algorithm, kind", [("ippo", "graph"), ("mappo", "transformer")])
+def test_the_experiment_of_benchmarl_trains_and_is_exported(algorithm, kind, tmp_path, monkeypatch):
+    pytest.importorskip("benchmarl")
+    import benchmarl_passage
+
+    monkeypatch.setattr(benchmarl_passage, "TEAMS", 8)
+    monkeypatch.setattr(benchmarl_passage, "FRAMES", 64)
+    experiment, _ = benchmarl_passage.train(tmp_path, algorithm, kind, frames=256)
+    file = murmurate.export(tmp_path / "policy.safetensors", experiment)
+    assert murmurate.sim("passage", file, episodes=1, repeats=1).episodes == 1
+
+
+def test_the_notebook_runs_from_top_to_bottom(tmp_path, monkeypatch):
+    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
+    pytest.importorskip("ipykernel")
+    pytest.importorskip("matplotlib")
+    for name, value in (("MINUTES", "0.02"), ("TEAMS", "16"), ("LAYOUTS", "1")):
+        monkeypatch.setenv(f"MURMURATE_{name}", value)
+    monkeypatch.setenv("PYTHONPATH", str(EXAMPLES), prepend=":")
+    notebook = nbformat.read(EXAMPLES / "train_and_run.ipynb", as_version=4)
+    # What it writes goes to a folder of the test.
+    nbclient.NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    pictures = [output for cell in notebook.cells for output in cell.get("outputs", []) if "image/png" in output.get("data", {})]
+    assert len(pictures) == 2 and (tmp_path / "policy.safetensors").exists()
