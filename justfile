@@ -78,6 +78,8 @@ full-python:
         matplotlib nbclient nbformat ipykernel
     target/python/bin/python -m pytest python/tests
     target/python/bin/python python/tests/rates.py
+    target/python/bin/pip install --quiet ./tests/stranger/python
+    target/python/bin/python -m pytest python/tests/test_parts.py
 
 # The twin of a real run behind a relay between network namespaces: 64 episodes, fitted and predicted (12 minutes, root, ip)
 full-twin:

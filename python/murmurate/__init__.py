@@ -9,7 +9,7 @@
 """
 
 from ._export import export
-from ._murmurate import VecEnv, __version__
+from ._module import VecEnv, __version__
 from ._sim import Results, sim
 from ._study import Study, study
 from ._train import Training, sweep, train

@@ -3,7 +3,7 @@
 import signal
 import sys
 
-from ._murmurate import run_program
+from ._module import run_program
 
 
 def main() -> int:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ._actors import SOFTPLUS_BIAS, Actor, actor_of
 from ._hops import ACTIVATIONS, Refused, activation_of, edges_of, followed, hop_of, network_of
-from ._murmurate import VecEnv
+from ._module import VecEnv
 from ._program import finished
 
 if TYPE_CHECKING:

@@ -27,6 +27,10 @@ class VecEnv:
         gap_m: Width of the scenario's bottleneck [m]; None takes the scenario's own.
         episode_s: Longest duration of an episode [s]; None takes that of the configuration.
         config: Preset or TOML file of a training, which has reward, observation, ranges of conditions and limits.
+        radio: Medium of ``murmurate train --radio`` (a preset or a radio file), whose delay and loss late messages have;
+            None takes the ranges of the configuration.
+        filtered: Probability that the safety filter of real robots limits an episode's actions; None takes that of the
+            configuration, 0 in the presets.
 
     Raises:
         ValueError: An argument is wrong; the message names it.
@@ -61,6 +65,8 @@ class VecEnv:
         gap_m: float | None = None,
         episode_s: float | None = None,
         config: str = "robust",
+        radio: str | None = None,
+        filtered: float | None = None,
     ) -> None: ...
     def step(self, actions: NDArray[np.float32], messages: NDArray[np.float32] | None = None) -> None: ...
     def reset(self, mask: NDArray[np.bool_] | None = None, *, seed: int | None = None) -> None: ...

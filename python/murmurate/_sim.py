@@ -7,7 +7,7 @@ import json
 import os
 from typing import Any
 
-from ._murmurate import sim_json
+from ._module import sim_json
 from ._program import words_of
 
 

@@ -12,7 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from ._murmurate import VecEnv
+from ._module import VecEnv
 from .torchrl import Env
 
 #: Duration of a step [s].

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-from ._murmurate import VecEnv
+from ._module import VecEnv
 
 
 class TeamVectorEnv(VectorEnv):

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from ._murmurate import VecEnv
+from ._module import VecEnv
 
 
 class parallel_env(ParallelEnv):

@@ -10,7 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from ._murmurate import VecEnv
+from ._module import VecEnv
 
 
 class Env(EnvBase):

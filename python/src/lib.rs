@@ -1,15 +1,36 @@
 //! The Python module `murmurate._murmurate`: Murmurate's environments on numpy buffers, its simulations and its program.
-//! The package around it is in `murmurate/`.
+//! The package around it is in `murmurate/`. A crate with scenarios of its own fills a module with [`fill`].
 
 mod program;
 mod vec_env;
 
+use std::sync::OnceLock;
+
+use murmurate::registry::Registry;
 use pyo3::prelude::*;
 
-#[pymodule]
-fn _murmurate(module: &Bound<'_, PyModule>) -> PyResult<()> {
+/// Registry of this process, in which the module's classes and functions look up names.
+static REGISTRY: OnceLock<Registry> = OnceLock::new();
+
+/// Adds all classes and functions to the module. They know the parts of the registry.
+///
+/// # Panics
+/// If the process has filled a module before.
+pub fn fill(module: &Bound<'_, PyModule>, registry: Registry) -> PyResult<()> {
+    assert!(REGISTRY.set(registry).is_ok(), "a process has one module of murmurate");
     module.add_class::<vec_env::VecEnv>()?;
     module.add_function(wrap_pyfunction!(program::sim_json, module)?)?;
     module.add_function(wrap_pyfunction!(program::run_program, module)?)?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))
+}
+
+/// Returns the registry that the module was filled with.
+fn registry() -> &'static Registry {
+    REGISTRY.get().expect("the module was filled before anything in it is called")
+}
+
+#[cfg(feature = "module")]
+#[pymodule]
+fn _murmurate(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    fill(module, Registry::builtin())
 }

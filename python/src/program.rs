@@ -6,7 +6,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use murmurate::program::{self, BadInput};
-use murmurate::registry::Registry;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 
@@ -22,7 +21,7 @@ pub fn sim_json(py: Python<'_>, arguments: Vec<String>) -> PyResult<String> {
         let caller = std::thread::current();
         let (arguments, stop) = (&arguments, &stop);
         let work = move || {
-            let results = program::sim_results(arguments, &Registry::builtin(), stop);
+            let results = program::sim_results(arguments, crate::registry(), stop);
             caller.unpark();
             results
         };
@@ -40,17 +39,22 @@ pub fn sim_json(py: Python<'_>, arguments: Vec<String>) -> PyResult<String> {
         return Err(error);
     }
     let results = ended.map_err(|_| PyRuntimeError::new_err("a simulation has panicked: a defect of murmurate"))?;
-    results.map_err(|error| match error.downcast_ref::<BadInput>() {
+    results.map_err(exception)
+}
+
+/// Makes an exception of an error: a `ValueError` for a wrong flag or file, else a `RuntimeError`.
+pub fn exception(error: anyhow::Error) -> PyErr {
+    match error.downcast_ref::<BadInput>() {
         Some(bad) => PyValueError::new_err(bad.0.clone()),
         None => PyRuntimeError::new_err(format!("{error:#}")),
-    })
+    }
 }
 
 /// Runs the program with these arguments, which do not contain its name, and returns its exit code. `started_by` are the
 /// words of the command that starts it, for the processes of `launch`.
 #[pyfunction]
 pub fn run_program(py: Python<'_>, started_by: Vec<OsString>, arguments: Vec<OsString>) -> u8 {
-    let code = py.detach(|| program::main_within(&Registry::builtin(), started_by, arguments));
+    let code = py.detach(|| program::main_within(crate::registry(), started_by, arguments));
     // An exit code shows its number only to the operating system and in its text.
     (0..=u8::MAX).find(|number| ExitCode::from(*number) == code).unwrap_or(1)
 }

@@ -1,7 +1,6 @@
 //! The class `VecEnv`: a vectorised environment on numpy buffers that it owns.
 
 use murmurate::policy::manifest::Field;
-use murmurate::registry::Registry;
 use murmurate::scenario::Settings;
 use murmurate::train::config::{Conditions, Config};
 use murmurate::train::vector::{Autoreset, Buffers, Content, Options, VectorEnvironment};
@@ -135,7 +134,7 @@ impl VecEnv {
     #[pyo3(signature = (
         scenario = "passage", num_envs = 1, *, threads = 1, conditions = "perfect", message = None,
         message_size = 16, autoreset = "same-step", seed = 0, num_robots = None, gap_m = None, episode_s = None,
-        config = "robust",
+        config = "robust", radio = None, filtered = None,
     ))]
     #[expect(clippy::too_many_arguments, reason = "keyword arguments of Python")]
     fn new(
@@ -152,8 +151,10 @@ impl VecEnv {
         gap_m: Option<f32>,
         episode_s: Option<f32>,
         config: &str,
+        radio: Option<&str>,
+        filtered: Option<f32>,
     ) -> PyResult<VecEnv> {
-        let config = self::config(config)?;
+        let mut config = self::config(config)?;
         let content = match message {
             None => Content::Nothing,
             Some("observations") => Content::Observations,
@@ -176,7 +177,22 @@ impl VecEnv {
             return Err(wrong("episode_s", format!("{episode_s} is not 0.05 to 3600")));
         }
         let settings = Settings { robots: num_robots, gap_m };
-        let scenario = Registry::builtin().scenario(scenario, &settings).map_err(|error| wrong("scenario", error))?;
+        let scenario = crate::registry().scenario(scenario, &settings).map_err(|error| wrong("scenario", error))?;
+        for (argument, given) in [("radio", radio.is_some()), ("filtered", filtered.is_some())] {
+            if given && conditions == "perfect" {
+                return Err(wrong(argument, "it has no effect with conditions='perfect'; take 'late' or 'robust'"));
+            }
+        }
+        if let Some(radio) = radio {
+            murmurate::program::with_radio("radio", radio, scenario.robots(), &mut config.conditions)
+                .map_err(crate::program::exception)?;
+        }
+        if let Some(filtered) = filtered {
+            if !(0.0..=1.0).contains(&filtered) {
+                return Err(wrong("filtered", format!("{filtered} is not 0 to 1")));
+            }
+            config.conditions.filtered = filtered;
+        }
         let environments = VectorEnvironment::new(Options {
             scenario,
             environments: num_envs,

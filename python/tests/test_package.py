@@ -98,11 +98,44 @@ def test_wrong_actions_are_refused_by_name(change, words):
         ({"num_robots": 10_000}, "scenario"),
         ({"episode_s": float("nan")}, "episode_s"),
         ({"config": "nothing.toml"}, "config"),
+        ({"conditions": "late", "radio": "tin-cans"}, "radio"),
+        ({"conditions": "late", "radio": "nothing.toml"}, "cannot read the medium file 'nothing.toml'"),
+        ({"radio": "wifi"}, "radio"),
+        ({"filtered": 1.0}, "filtered"),
+        ({"conditions": "late", "filtered": 1.5}, "filtered"),
     ],
 )
 def test_wrong_arguments_are_refused_by_name(options, argument):
-    with pytest.raises(ValueError, match=f"^{argument}: "):
+    with pytest.raises(ValueError, match=f"^{argument}"):
         VecEnv(**options)
+
+
+def test_late_messages_are_those_of_the_medium_that_is_asked_for():
+    def age(radio):
+        env = VecEnv("passage", 200, conditions="late", message="observations", radio=radio)
+        ages = []
+        for _ in range(40):
+            env.step(zeros(env))
+            ages.extend(env.age[env.heard])
+        return np.mean(ages)
+
+    assert age("wifi") == age("wifi") < 0.8 * age("paper")
+
+
+def test_the_safety_filter_keeps_robots_apart_that_drive_at_each_other():
+    def nearest(filtered):
+        env = VecEnv("passage", 64, conditions="late", filtered=filtered, autoreset="disabled", seed=3)
+        at = env.observation_fields.index("position") * 2
+        least = np.inf
+        for _ in range(160):
+            where = env.obs[..., at : at + 2]
+            env.step(np.clip(where.mean(axis=1, keepdims=True) - where, -1, 1).astype(np.float32))
+            between = np.linalg.norm(env.obs[:, :, None, at : at + 2] - env.obs[:, None, :, at : at + 2], axis=-1)
+            least = min(least, (between + 10 * np.eye(env.num_robots)).min())
+        return least
+
+    # Robots touch at 0.4 m; of 100 000 observed distances the worst is some 0.06 m off.
+    assert nearest(1.0) > 0.33 and nearest(0.0) < 0.2
 
 
 def test_messages_and_masks_are_checked():

@@ -204,6 +204,19 @@ pub fn sim_results(arguments: &[String], registry: &Registry, stop: &AtomicBool)
     sim::results_of(arguments, registry, stop)
 }
 
+/// Sets the delay and loss of messages in a training's conditions to those of a medium, a preset or radio file as for
+/// `murmurate train --radio`, for a team of `robots` robots. An error about a wrong name or file is a `BadInput` that
+/// begins with `argument`, the name of the caller's argument.
+#[cfg(feature = "train")]
+pub fn with_radio(
+    argument: &str,
+    radio: &str,
+    robots: usize,
+    conditions: &mut crate::train::config::Conditions,
+) -> anyhow::Result<()> {
+    train::with_radio(argument, radio, robots, conditions)
+}
+
 /// Words of the command that starts this program, if it runs within another one, such as a Python interpreter.
 static STARTED_BY: OnceLock<Vec<OsString>> = OnceLock::new();
 

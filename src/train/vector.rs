@@ -328,13 +328,15 @@ impl Chunk {
 
     /// Writes the messages that an environment's robots use in their next decision.
     fn receive(&mut self, options: &Options, lengths: Lengths, row: usize, to: &mut Buffers) {
-        if options.content == Content::Nothing {
+        let Chunk { environments, streams, outputs, .. } = self;
+        // Safety filters know of other robots what messages say, whether or not there is a buffer for them.
+        let silent = options.content == Content::Nothing;
+        if silent && !environments.teams[row].episode.filtered {
             return;
         }
         to.heard.fill(false);
         to.age_s.fill(0.0);
         to.message.fill(0.0);
-        let Chunk { environments, streams, outputs, .. } = self;
         let (team, robots) = (&mut environments.teams[row], lengths.robots);
         let (step, first) = (team.step, team.first);
         let mut messages = std::mem::take(&mut team.messages);
@@ -343,6 +345,9 @@ impl Chunk {
         for receiver in 0..robots {
             let episode = &environments.teams[row].episode;
             let each = |messages: &super::message_buffer::MessageBuffer, message: HeldMessage| {
+                if silent {
+                    return;
+                }
                 let HeldMessage { sender, step: sent, age_s } = message;
                 let edge = receiver * robots + sender;
                 (to.heard[edge], to.age_s[edge]) = (true, age_s);
@@ -434,6 +439,36 @@ mod tests {
             }
         }
         seen
+    }
+
+    #[test]
+    fn filtered_robots_keep_apart_with_and_without_messages_of_their_policies() {
+        for content in [Content::Nothing, Content::Observations, Content::Actions(2)] {
+            let mut options = options(8, 1, content);
+            let conditions =
+                Conditions { clean: 0.0, deployed: 1.0, filtered: 1.0, wall_radius_m: 0.16, ..options.conditions };
+            options = Options { conditions, episode_s: 10.0, ..options };
+            let mut environment = VectorEnvironment::new(options);
+            let lengths = environment.lengths();
+            let mut memory = Memory::of(8, lengths);
+            let outputs = vec![0.0; if content == Content::Actions(2) { 8 * 3 * 2 } else { 0 }];
+            environment.look(memory.buffers(), |_| true);
+            for _ in 0..160 {
+                // Everybody drives at the middle of the team; observations have the position in floats 2 and 3.
+                let mut actions = Vec::new();
+                for team in memory.floats[0].chunks_exact(3 * lengths.observation) {
+                    let at = |robot: usize| {
+                        let from = robot * lengths.observation + 2;
+                        Vec2::new(team[from], team[from + 1])
+                    };
+                    let middle = (at(0) + at(1) + at(2)) / 3.0;
+                    actions.extend((0..3).flat_map(|robot| [middle.x - at(robot).x, middle.y - at(robot).y]));
+                }
+                environment.step(&actions, &outputs, memory.buffers());
+            }
+            let touched = environment.chunks[0].environments.teams.iter().filter(|team| team.touched).count();
+            assert_eq!(touched, 0, "{content:?}");
+        }
     }
 
     #[test]

@@ -27,6 +27,7 @@ use crate::program::drive;
 use crate::program::output::{print, talk};
 use curve::{Curve, Row};
 use folder::Folder;
+pub use plan::with_radio;
 
 /// Interval at which a training saves its files, and prints progress lines if there is no progress bar.
 const SAVE_EVERY: Duration = Duration::from_secs(30);

@@ -13,7 +13,7 @@ use crate::program::study;
 use crate::registry::Registry;
 use crate::scenario::Settings;
 use crate::study::network::conditions as of_medium;
-use crate::train::config::Config;
+use crate::train::config::{self, Config};
 use crate::train::trainer::{Plan, Trainer};
 
 /// Returns the training configuration that the flags define, as TOML with a heading. An error names the flag or the
@@ -53,11 +53,9 @@ fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
     config = with_fields(config, &args.set)?;
     config.body = args.drive.over(&config.body)?;
     if let Some(radio) = &args.radio {
-        let medium = study::medium("--radio", radio)?;
         let settings = Settings { robots: config.robots, gap_m: None };
         let scenario = registry.scenario(&args.scenario, &settings).map_err(|e| BadInput(e.to_string()))?;
-        of_medium::apply(&medium, scenario.robots(), &mut config.conditions)
-            .ok_or_else(|| BadInput(format!("--radio: none of a team's messages arrives on '{radio}'")))?;
+        with_radio("--radio", radio, scenario.robots(), &mut config.conditions)?;
     }
     if let Some(path) = &args.conditions {
         let Conditions { lag_s, delay_s, loss, .. } = conditions::file(path)?;
@@ -68,6 +66,14 @@ fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
     }
     let (scenario, preset) = (args.scenario.clone(), preset.to_owned());
     Ok(Plan { scenario, preset, config, seed: args.seed.unwrap_or(0) })
+}
+
+/// Sets the delay and loss of messages in the conditions to those of a medium (preset or radio file) for a team of
+/// `robots` robots. Errors begin with `flag`, the name of the flag or argument.
+pub fn with_radio(flag: &str, radio: &str, robots: usize, conditions: &mut config::Conditions) -> Result<()> {
+    let medium = study::medium(flag, radio)?;
+    of_medium::apply(&medium, robots, conditions)
+        .ok_or_else(|| BadInput(format!("{flag}: none of a team's messages arrives on '{radio}'")).into())
 }
 
 /// Returns the configuration with these fields set (`FIELD=VALUE`, the value as TOML or as plain text).
