@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use super::latch::second_largest;
 
-/// Largest term on the wire. At `Round::JUMP` for each of a state server's 20 decisions a second it is reached after
-/// 38 days.
+/// Largest term (number of a state server's start) that a message may contain. If forged messages raised the term by
+/// `Round::JUMP` (16) at each of the state server's 20 decisions a second, they would reach this limit after 38 days.
 pub(super) const MAX_TERM: u32 = 1 << 30;
 
 /// Number by which instructions of the state server, the coordinator of the team, are ordered. The larger term is the
@@ -21,11 +21,11 @@ pub struct Round {
 }
 
 impl Round {
-    /// Largest term that is accepted without a look at the known one: a state server that is started once an hour
+    /// Largest term that is accepted whatever term the receiver knows. A state server that is started once an hour
     /// reaches it after a century.
     const CREDIBLE: u32 = 1 << 20;
-    /// Most that a term beyond `CREDIBLE` may exceed the known one. Without these bounds, no later term could follow
-    /// one message with the largest term.
+    /// Most by which a received term above `CREDIBLE` may exceed the larger of `CREDIBLE` and the known term. Without
+    /// this bound, one corrupted message with the largest term would make receivers ignore all later ones.
     const JUMP: u32 = 16;
 
     /// Whether the term of `other` is so far above the term of this round that `other` must be corrupted or forged.
@@ -33,8 +33,8 @@ impl Round {
         other.term > self.term.max(Round::CREDIBLE) + Round::JUMP
     }
 
-    /// The latest of the received `rounds`; the default round if none is left. A single round with a term implausibly
-    /// far above `known` and above the other rounds is ignored.
+    /// Returns the latest of the received `rounds`. A single round is ignored if its term is implausibly far above the
+    /// term of `known`, the latest round so far, and above the other rounds. Returns term 0, episode 0 if none is left.
     pub fn latest(known: Round, rounds: impl Iterator<Item = Round> + Clone) -> Round {
         let second = second_largest(rounds.clone().map(|round| round.term.into()));
         let ceiling = u64::from(known.term).max(second).max(Round::CREDIBLE.into()) + u64::from(Round::JUMP) - 1;
@@ -46,7 +46,8 @@ impl Round {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RoundFollower {
     round: Round,
-    /// Term of the newest round, if that overshot.
+    /// Term of the round that arrived last, if it was refused because its term is implausibly high; otherwise `None`.
+    /// It is admitted if the next round confirms it with the same term or a slightly higher one.
     overshot: Option<u32>,
 }
 
@@ -56,9 +57,10 @@ impl RoundFollower {
         self.round
     }
 
-    /// Whether an instruction with this round is to be followed; an instruction with an earlier round is not. A round
-    /// with an implausibly high term is admitted the second time it arrives. An actor that has just started cannot know
-    /// the term, and a corrupted term does not repeat.
+    /// Returns whether the actor is to follow an instruction with this round. The round must not be earlier than that
+    /// of the instruction it follows. An implausibly high term is admitted only if the round that arrived just before
+    /// had about the same term. A corrupted term does not repeat; a high one may be right if the actor has just
+    /// started.
     pub fn admits(&mut self, round: Round) -> bool {
         let before = self.overshot.take();
         let repeated = before.is_some_and(|before| (before..=before.saturating_add(Round::JUMP)).contains(&round.term));

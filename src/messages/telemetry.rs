@@ -56,17 +56,19 @@ pub struct Condition {
     /// Reason of a hardware fault that lasts, from the host that drives the robot's motors. Each message gives at most
     /// one robot's reason, about once a second; otherwise the field is `None`.
     pub reason: Option<Reason>,
-    /// Actions of the robot's guard, from the host that runs the robot's agent; `None` from other hosts.
+    /// How often the robot's guard has stopped or slowed it, and why last, from the host that runs the robot's agent;
+    /// `None` from other hosts.
     #[serde(default)]
     pub guard: Option<GuardReport>,
-    /// Largest of the ages of the newest messages from other robots \[ms\], from the host that runs the robot's agent.
-    /// Robots that were not heard for 1.5 s do not count; `None` if no robot was heard since.
+    /// Time since the robot last heard that neighbour which has been silent longest \[ms\], from the host that runs the
+    /// robot's agent. Neighbours that were silent for 1.5 s or more do not count. `None` if none counts, and from other
+    /// hosts.
     #[serde(default)]
     pub link_age_ms: Option<u16>,
 }
 
-/// Conditions of some robots of one host. A host broadcasts them while an observer (a process that watches the team)
-/// asks.
+/// Conditions (such as phase, pose and battery) of the robots of one host, for observers, which are processes that
+/// watch the team. A host broadcasts them while an observer asks; one with many robots needs several messages.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Telemetry {
     /// Number of the host that sends the telemetry.

@@ -1,8 +1,8 @@
 //! Delay, loss and planned faults of the frames on one emulated link, as `tc netem` applies them on Linux.
 //!
-//! Delay is fixed, loss is independent for each receiver, and faults come from a fault plan. Frames that have come
-//! through a radio channel (`radio`) pass through the emulator afterwards. The code is pure: time and randomness are
-//! arguments.
+//! Delay is fixed, loss is independent for each receiver, and faults come from a fault plan. If the link has an
+//! emulated radio channel (module `radio`), the emulator handles only the frames that the channel has delivered. The
+//! code is pure: time and randomness are arguments.
 
 use std::collections::BTreeMap;
 
@@ -33,7 +33,8 @@ pub struct LinkEmulator {
     impairment: Impairment,
     faults: Vec<LinkFault>,
     manual: ManualLinkFault,
-    /// Start times of episodes, for faults that are timed from them.
+    /// Start time of each episode so far, by index of the episode. Planned faults may give their times from the start
+    /// of an episode.
     began: BTreeMap<u32, Time>,
     stream: Stream,
 }
@@ -45,7 +46,8 @@ impl LinkEmulator {
         LinkEmulator { impairment, faults, manual: ManualLinkFault::default(), began: BTreeMap::new(), stream }
     }
 
-    /// Sets the fault that a person has chosen, in addition to all others.
+    /// Sets the fault that a person has chosen while the program runs: a cut link, or more delay and loss for every
+    /// frame. It acts in addition to planned faults and replaces the one set before.
     pub fn set_manual(&mut self, manual: ManualLinkFault) {
         self.manual = manual;
     }
@@ -57,8 +59,8 @@ impl LinkEmulator {
     }
 
     /// Carries one frame, sent at time `now`, from the host `from` to the host `to`. Each copy that arrives is appended
-    /// to `arrivals` with its time of arrival; a lost frame appends none. `kind` is the kind of the frame's message,
-    /// which decides about delay, loss and faults.
+    /// to `arrivals` with its time of arrival; a lost frame appends none. `kind` is the kind of the frame's message.
+    /// Delay, loss and planned faults may be limited to some kinds.
     pub fn carry(
         &mut self,
         now: Time,
@@ -104,8 +106,8 @@ impl LinkEmulator {
     }
 }
 
-/// Returns the frame with one bit of its body flipped. The header is left alone: changing it would forge a frame, a
-/// different fault.
+/// Returns the frame with one random bit of its body flipped. The header stays as it is, since a changed header could
+/// turn the frame into a valid one of another sender. A frame without a body is returned unchanged.
 fn flip_a_bit(frame: &Frame, stream: &mut Stream) -> Frame {
     let mut bytes = frame.to_vec();
     if bytes.len() > HEADER_BYTES {

@@ -33,11 +33,13 @@ pub enum Out {
 pub struct Ether {
     emulator: LinkEmulator,
     radio: Option<RadioLink>,
-    /// Hosts within range; none if the range is unlimited.
+    /// Tells which hosts are in range of a sender; `None` if the range is unlimited. Not used with a radio.
     reach: Option<Reach>,
-    /// Receiving hosts by kind of message; last, the union of all, for the link layer's own blocks.
+    /// Numbers of the hosts that receive each kind of message, in the order of `KINDS`. One more entry has the hosts
+    /// that receive any kind, for frames that contain only data of the link layer itself, such as acknowledgements.
     listeners: Vec<Arc<[u16]>>,
-    /// Frames in flight, in order of arrival and, at one instant, of departure.
+    /// Frames that were sent and have not yet arrived. The key is the time of arrival, then the number of the
+    /// departure, which orders frames that arrive at one instant.
     in_flight: BTreeMap<(Time, u64), Arrive>,
     departures: u64,
     copies: Vec<(Time, Frame)>,
@@ -49,7 +51,7 @@ impl Ether {
     /// channel; without it (`None`), frames do not contend.
     ///
     /// `reach` limits the range; `None` means unlimited. It is ignored with a radio, whose own range then applies.
-    /// `listens` returns the hosts that receive a kind of message.
+    /// `listens` is a function that returns the hosts that receive messages of a given kind.
     pub fn new(
         emulator: LinkEmulator,
         radio: Option<RadioLink>,

@@ -13,7 +13,7 @@ use crate::net::transport::Transmit;
 use crate::random::Seed;
 use crate::time::{Span, Time};
 
-/// Period of the reports of radio counts.
+/// Period at which a radio link reports its counters of frames and airtime ([`RadioCounts`]).
 const COUNTS_PERIOD: Span = Span::from_millis(1000);
 
 /// Frame that a host has offered to a radio channel, with the kind of its first message.
@@ -29,7 +29,7 @@ pub struct Sent {
 #[derive(Debug)]
 pub struct RadioLink {
     channel: Channel<Sent>,
-    /// By robot: the hosts that it carries.
+    /// Hosts that are at the position of each robot, by number of the robot; an entry is empty if no host is there.
     hosts_of_robot: Vec<Vec<HostId>>,
     next_counts: Time,
 }

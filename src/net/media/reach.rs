@@ -11,13 +11,15 @@ use crate::messages::local::Truth;
 #[derive(Debug)]
 pub struct Reach {
     range_m: f32,
-    /// By robot: the hosts that it carries.
+    /// Hosts that are at the position of each robot, by number of the robot; an entry is empty if no host is there.
     hosts_of_robot: Vec<Vec<HostId>>,
-    /// By host: position \[m\], world frame; none before its robot was first located, or if it is on no robot.
+    /// Position of each host \[m\], world frame, by number of the host. `None` before the host's robot was first
+    /// located, and for a host that is on no robot.
     positions: Vec<Option<Vec2>>,
-    /// Uniform grid over the positions, rebuilt at the first query after a robot has moved.
+    /// Uniform grid over the positions of the hosts, for radius queries. `None` after a robot has moved, until the next
+    /// query rebuilds it.
     grid: Option<Cells>,
-    /// Hosts without a position: within range of all.
+    /// Numbers of the hosts without a known position, which are within range of all others; updated with the grid.
     unlocated: Vec<usize>,
     near: Vec<usize>,
 }

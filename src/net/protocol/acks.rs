@@ -1,4 +1,5 @@
-//! Pending acknowledgements of one link, collected for a short time so that one block acknowledges many datagrams.
+//! Acknowledgements that a host has still to send on one link. They are collected for a short time, so that one block
+//! acknowledges many datagrams.
 
 use std::collections::BTreeMap;
 
@@ -7,10 +8,10 @@ use super::report::{DatagramId, ID_BYTES, MAX_IDS, write_ids};
 use crate::messages::ids::HostId;
 use crate::time::{Span, Time};
 
-/// Time for which acknowledgements are collected.
+/// Time after the first pending acknowledgement at which all pending ones are sent.
 const ACK_WITHIN: Span = Span::from_millis(2);
 
-/// Ids of received datagrams that are to be acknowledged, by sender.
+/// Acknowledgements that a host has still to send on one link: the ids of the received datagrams, by their sender.
 #[derive(Clone, Debug, Default)]
 pub struct Acks {
     pending: BTreeMap<HostId, Vec<DatagramId>>,
@@ -18,7 +19,8 @@ pub struct Acks {
 }
 
 impl Acks {
-    /// Adds a received datagram that is to be acknowledged.
+    /// Adds the id of a received datagram that is to be acknowledged. It is ignored if `MAX_IDS` (64) datagrams of its
+    /// sender are already pending. If nothing was pending, the acknowledgements become due 2 ms after `now`.
     pub fn note(&mut self, now: Time, id: DatagramId) {
         let ids = self.pending.entry(id.host).or_default();
         if ids.len() < MAX_IDS {
@@ -27,22 +29,24 @@ impl Acks {
         self.due = self.due.or(Some(now + ACK_WITHIN));
     }
 
-    /// Whether no acknowledgement is pending.
+    /// Returns true if no acknowledgement is pending.
     pub fn is_empty(&self) -> bool {
         self.pending.is_empty()
     }
 
-    /// Time at which the pending acknowledgements are to be sent; `None` if there are none.
+    /// Returns the time at which the pending acknowledgements are to be sent; `None` if there are none.
     pub fn due(&self) -> Option<Time> {
         self.due
     }
 
-    /// First host with datagrams to acknowledge; `None` if there are none.
+    /// Returns the host with the lowest number among the senders of datagrams that are still to be acknowledged; `None`
+    /// if there are none.
     pub fn first_host(&self) -> Option<HostId> {
         self.pending.first_key_value().map(|(host, _)| *host)
     }
 
-    /// Appends acknowledgement blocks to a datagram to all hosts, as many as fit, and removes what it has appended.
+    /// Appends pending acknowledgements to `bytes`, a datagram that goes to all hosts: one block for each sender of
+    /// acknowledged datagrams, as many ids as fit. The appended ids are no longer pending.
     pub fn add_to(&mut self, bytes: &mut Vec<u8>) {
         while let Some(mut waiting) = self.pending.first_entry() {
             let room = MAX_PLAIN_BYTES.saturating_sub(bytes.len() + BLOCK_BYTES) / ID_BYTES;
@@ -59,7 +63,8 @@ impl Acks {
         self.due = None;
     }
 
-    /// Appends the acknowledgements for one host to an empty datagram, and removes them.
+    /// Appends all pending acknowledgements of datagrams of the host `host` to `bytes`, a datagram for that host that
+    /// has no other block yet. They are no longer pending.
     pub fn add_for(&mut self, host: HostId, bytes: &mut Vec<u8>) {
         if let Some(ids) = self.pending.remove(&host) {
             add(bytes, Content::Ack, |bytes| write_ids(&ids, bytes));

@@ -1,4 +1,5 @@
-//! Reliability mode of each kind of message, and setup of a link, as data.
+//! Reliability modes of kinds of messages, and the setup of a link: its modes, piggybacking, link reports and rate
+//! limit. Data only; the `link` module acts on it.
 
 use std::collections::BTreeMap;
 
@@ -8,18 +9,20 @@ use super::bucket::Rate;
 use crate::messages::wire::Kind;
 use crate::time::Span;
 
-/// Reliability mode of a kind of message. In every mode, new messages are sent without waiting for old ones.
+/// Reliability mode of a kind of message: what hosts do about lost messages. In every mode, new messages are sent
+/// without waiting for old ones, and a newer message replaces an older one of its stream.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Reliability {
     /// Each message is sent once.
     #[default]
     BestEffort,
-    /// Each message is repeated after a short delay, while receivers report loss.
+    /// Each message is repeated within 4 ms, once or twice by the loss, while a receiver reports in its link reports
+    /// that it loses 3 % or more.
     Repeat,
-    /// Receivers request missing messages (RFC 5401).
+    /// Receivers detect missing datagrams by their sequence numbers and request them again (RFC 5401).
     Nack,
-    /// Each message is retransmitted until it is acknowledged, up to a limit.
+    /// Each message is retransmitted until the receivers have acknowledged it, at most 5 times.
     Ack,
 }
 
@@ -39,11 +42,12 @@ pub type Reliabilities = BTreeMap<Kind, Reliability>;
 /// Which datagrams soft state may be piggybacked on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Piggyback {
-    /// None: soft state is sent at once and alone. For emulated links, which impair only some kinds of messages.
+    /// None: soft state is sent at once in a datagram of its own. Used for emulated links, which impair only some kinds
+    /// of messages.
     Never,
-    /// Datagrams to the same hosts. For links with unicast.
+    /// Datagrams to the same hosts as the soft state. Used for links with unicast.
     SameAudience,
-    /// All datagrams. For links on which every datagram reaches every host; every message is then sent to all.
+    /// All datagrams. Used for links on which every datagram reaches every host; every message is then sent to all.
     Any,
 }
 
@@ -56,34 +60,38 @@ pub enum Reports {
     On,
 }
 
-/// Usual age of the last report from which on the next one may be piggybacked.
+/// Age of a host's last link report from which on the next report may be appended to a datagram that is sent anyway
+/// (piggybacking). It holds for all hosts but operators, which use zero.
 pub const REPORT_PIGGYBACK_AGE: Span = Span::from_millis(150);
 
-/// Setup of a link. Equal on all hosts, except `report_piggyback_age`.
+/// Setup of a link: reliability modes, piggybacking, link reports and rate limit. Equal on all hosts, except
+/// `report_piggyback_age`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setup {
-    /// Reliability modes of messages on the link.
+    /// Reliability mode of each kind of message on the link; a kind that is left out is best effort.
     pub reliability: Reliabilities,
     /// Which datagrams soft state may be piggybacked on.
     pub piggyback: Piggyback,
     /// Whether hosts send link reports.
     pub reports: Reports,
-    /// Age of the last report from which on the next one may be piggybacked. Zero for an operator: each of its
-    /// datagrams has a report, so that hosts accept it at once.
+    /// Age of this host's last link report from which on the next one may be appended to a datagram that is sent anyway
+    /// (piggybacking). Zero for an operator: each of its datagrams has a report, so that hosts accept it at once.
     pub report_piggyback_age: Span,
-    /// Rate limit of a sender; `None` for no limit.
+    /// Limit on the datagrams that a host accepts from each other host; it refuses those beyond the limit. `None` for
+    /// no limit.
     pub rate: Option<Rate>,
-    /// Number of hosts in the team; their ids are smaller. `None` if unknown: then every id that is not an operator's
-    /// may be a host of the team.
+    /// Number of hosts in the team: ids below it are hosts of the team, all others guests. `None` if unknown: then
+    /// every id that is not an operator's may be a host of the team.
     pub hosts: Option<u16>,
 }
 
-/// Rate limit of a sender on real links: 8000 datagrams a second, and as many in a burst. A robot sends at most 5000
-/// messages a second and soft state.
+/// Limit on the datagrams that a host accepts from each other host on real links: 8000 a second, and as many in a
+/// burst. A robot sends at most 5000 messages a second and soft state.
 pub const RATE: Rate = Rate { per_s: 8000.0, burst: 8000.0 };
 
 impl Setup {
-    /// Returns the setup of an emulated link. Hosts send reports only if a reliability mode needs them.
+    /// Returns the setup of an emulated link: without piggybacking and rate limit. Hosts send link reports only if a
+    /// reliability mode other than best effort is used.
     pub fn emulated(reliability: Reliabilities) -> Setup {
         let plain = reliability.values().all(|one| *one == Reliability::BestEffort);
         let reports = if plain { Reports::Off } else { Reports::On };
@@ -97,23 +105,25 @@ impl Setup {
         }
     }
 
-    /// Returns the setup of a link on which every datagram reaches every host.
+    /// Returns the setup of a link on which every datagram reaches every host, such as UDP multicast: with link
+    /// reports, the rate limit `RATE`, and soft state in any datagram.
     pub fn multicast(reliability: Reliabilities) -> Setup {
         let (piggyback, reports, report_piggyback_age) = (Piggyback::Any, Reports::On, REPORT_PIGGYBACK_AGE);
         Setup { reliability, piggyback, reports, report_piggyback_age, rate: Some(RATE), hosts: None }
     }
 
-    /// Returns the setup of a link on which a datagram reaches only the host to which it is addressed.
+    /// Returns the setup of a link on which a datagram reaches only the host to which it is addressed: with link
+    /// reports, the rate limit `RATE`, and soft state only in datagrams to the same hosts.
     pub fn unicast(reliability: Reliabilities) -> Setup {
         Setup { piggyback: Piggyback::SameAudience, ..Setup::multicast(reliability) }
     }
 
-    /// Whether the link has datagrams that are addressed to one host.
+    /// Returns whether the link can send a datagram to one host alone; on other links every datagram goes to all hosts.
     pub fn is_addressed(&self) -> bool {
         self.piggyback != Piggyback::Any
     }
 
-    /// Returns the reliability mode of a kind of message.
+    /// Returns the reliability mode of messages of kind `kind` on this link.
     pub fn of(&self, kind: Kind) -> Reliability {
         self.reliability.get(&kind).copied().unwrap_or_default()
     }

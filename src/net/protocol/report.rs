@@ -1,8 +1,10 @@
-//! Control blocks of the link layer: link reports, acknowledgements, requests to retransmit. Encoding and decoding
-//! only; `link` uses them. Fields have fixed widths, little-endian.
+//! Control blocks of the link layer, which datagrams contain beside messages: link reports, acknowledgements, requests
+//! to retransmit and offers to do so. This module only encodes and decodes them; `link` uses them. Fields have fixed
+//! widths, little-endian.
 //!
-//! A report has the sender's stamp, and an entry for each host from which the sender receives. From its entry, a host
-//! learns that the sender is alive (it echoes a stamp of the host), how many datagrams are lost, and the clock offset.
+//! A link report has the sender's stamp, and an entry for each host from which the sender receives. From its entry, a
+//! host learns that the sender is alive (it echoes a stamp of the host), how many datagrams are lost, and the clock
+//! offset.
 
 use rand::RngExt;
 
@@ -11,104 +13,113 @@ use crate::messages::ids::HostId;
 use crate::random::Stream;
 use crate::time::{Span, Time};
 
-/// Length of a stamp \[bytes\].
+/// Length of a [`Stamp`] in a link report \[bytes\].
 const STAMP_BYTES: usize = 6;
-/// Length of a stamp \[bits\]. It wraps after 2^48 us, which is nine years.
+/// Length of a [`Stamp`] \[bits\]. The stamp wraps after 2^48 us, which is nine years.
 const STAMP_BITS: u32 = 48;
-/// Length of an entry in a report \[bytes\].
+/// Length of an [`Entry`] in a link report without numbers of unicast datagrams \[bytes\].
 pub const ENTRY_BYTES: usize = 12;
-/// Length of an entry that also has the number of the next unicast datagram to its host \[bytes\].
+/// Length of an [`Entry`] in a link report that also has the number of the sender's next unicast datagram to the
+/// entry's host \[bytes\].
 pub const NUMBERED_ENTRY_BYTES: usize = 16;
-/// Length of a report without entries \[bytes\].
+/// Length of a link report without entries \[bytes\].
 pub const REPORT_BYTES: usize = STAMP_BYTES;
-/// Length of a datagram's id \[bytes\].
+/// Length of an encoded [`DatagramId`] \[bytes\].
 pub const ID_BYTES: usize = 11;
-/// Longest time that the field `held` of an entry can express: three bytes of microseconds.
+/// Longest time that the field `held` of an [`Entry`] in a link report can express: three bytes of microseconds, 16.8
+/// s. Longer times are sent as this one.
 pub const MAX_HELD_FOR: Span = Span::from_nanos(0xff_ffff * 1000);
-/// Bit in the loss field of an entry by which the sender asks for a liveness proof.
+/// Bit in the loss field of an [`Entry`] by which the sender of a link report asks the entry's host for a liveness
+/// proof.
 const CHALLENGE: u8 = 0x80;
 
-/// Timestamp \[us\] on the clock of a report's sender. That clock starts at a random value. Differences are taken
-/// modulo 2^48. The default, zero, means no stamp.
+/// Timestamp \[us\] of a link report, on a clock of the report's sender that starts at a random value. Differences are
+/// taken modulo 2^48. The default, zero, means no stamp.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Stamp(u64);
 
 impl Stamp {
-    /// Returns the stamp of a number of microseconds. It is never zero, because zero means no stamp.
+    /// Returns the stamp for a clock that shows `micros` microseconds, modulo 2^48. It is never zero, because zero
+    /// means no stamp.
     pub fn new(micros: u64) -> Stamp {
         Stamp((micros % (1 << STAMP_BITS)).max(1))
     }
 
-    /// Difference from another stamp of the same clock \[us\]; negative if this stamp is earlier.
+    /// Returns how much later this stamp is than `other`, a stamp of the same clock \[us\]; negative if it is earlier.
     pub fn ahead_us(self, other: Stamp) -> i64 {
         let spare = u64::BITS - STAMP_BITS;
         (self.0.wrapping_sub(other.0) << spare).cast_signed() >> spare
     }
 }
 
-/// Clock for a host's stamps on one link. It starts at a random value, so that stamps of earlier runs are not valid.
+/// Clock from which a host takes the stamps of its link reports on one link. It starts at a random value, so that
+/// stamps of earlier runs are not valid.
 #[derive(Clone, Copy, Debug)]
 pub struct Stamps(u64);
 
 impl Stamps {
-    /// Returns a clock that starts at `base` microseconds.
+    /// Returns a clock for stamps that shows `base` microseconds at the start of the program.
     pub fn beginning_at(base: u64) -> Stamps {
         Stamps(base)
     }
 
-    /// Returns a clock that starts at a random value.
+    /// Returns a clock for stamps that shows a random value, drawn from `stream`, at the start of the program.
     pub fn random(stream: &mut Stream) -> Stamps {
         Stamps(stream.random_range(0..1 << STAMP_BITS))
     }
 
-    /// Returns the stamp of a time.
+    /// Returns the stamp that this clock gives at `time`.
     pub fn of(self, time: Time) -> Stamp {
         Stamp::new(self.0.wrapping_add(time.as_nanos() / 1000))
     }
 
-    /// Time since this host sent the stamp; `None` if the stamp is not from this clock.
+    /// Returns the time from `stamp`, which this host has sent, until `now`. `None` if this clock cannot have given the
+    /// stamp: it is zero, later than `now`, or from before the start of the program.
     pub fn age(self, now: Time, stamp: Stamp) -> Option<Span> {
         let micros = u64::try_from(self.of(now).ahead_us(stamp)).ok()?;
         (stamp != Stamp::default() && micros <= now.as_nanos() / 1000).then(|| Span::from_nanos(micros * 1000))
     }
 }
 
-/// Entry of a report about one host. The echoed stamp also identifies the incarnation, as each has a clock of its own.
+/// Entry of a link report about one host from which the report's sender receives: it echoes the host's newest stamp and
+/// gives the loss of its datagrams. The stamp also identifies the incarnation, as each has a clock of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Entry {
     /// Host that the entry is about. If it is the report's sender, the entry is about another live process with the
     /// sender's id.
     pub host: HostId,
-    /// Newest stamp that the sender has received from that host.
+    /// Newest stamp that the report's sender has received from the host that the entry is about.
     pub echo: Stamp,
-    /// Time since the sender received that stamp. In an entry about another process with the sender's id: the uptime of
-    /// the sender. At most `MAX_HELD_FOR`.
+    /// Time from the arrival of the echoed stamp at the report's sender until the report was sent. In an entry about
+    /// another process with the sender's id: the uptime of the sender. At most `MAX_HELD_FOR` (16.8 s) is sent.
     pub held: Span,
-    /// Number of that host's newest 64 datagrams that the sender did not receive.
+    /// Number of datagrams that the report's sender did not receive, among the newest 64 of the host that the entry is
+    /// about.
     pub lost: u8,
-    /// Whether the sender asks that host for a liveness proof.
+    /// Whether the report's sender asks the host that the entry is about for a liveness proof.
     pub challenge: bool,
-    /// Number of the sender's next unicast datagram to that host; `None` on links without unicast.
+    /// Sequence number of the sender's next unicast datagram to the host that the entry is about; `None` on links
+    /// without unicast or without a key.
     pub direct: Option<u32>,
 }
 
-/// Link report of a host.
+/// Link report: the stamp of the host that sends it, and an entry with echo, delay and loss for each listed host.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Report {
-    /// Time at which the report was written, on its sender's clock.
+    /// Time at which the report was written, on its sender's clock for stamps.
     pub stamp: Stamp,
-    /// Entries about hosts that the sender receives from.
+    /// Entries about hosts from which the sender receives; one report need not list all.
     pub heard: Vec<Entry>,
 }
 
 impl Report {
-    /// Returns the content type of the report's block. Either all entries have the number of the next unicast datagram,
-    /// or none.
+    /// Returns the content type of the block in which this report is sent: `NumberedReport` if an entry has the number
+    /// of the next unicast datagram to its host, otherwise `Report`. All entries are to have such a number, or none.
     pub fn content(&self) -> Content {
         if self.heard.iter().any(|entry| entry.direct.is_some()) { Content::NumberedReport } else { Content::Report }
     }
 
-    /// Appends the bytes of the report.
+    /// Appends the encoded report to `bytes`, as the body of a block.
     pub fn write(&self, bytes: &mut Vec<u8>) {
         let numbered = self.content() == Content::NumberedReport;
         bytes.extend_from_slice(&self.stamp.0.to_le_bytes()[..STAMP_BYTES]);
@@ -124,7 +135,8 @@ impl Report {
         }
     }
 
-    /// Decodes the body of a report block.
+    /// Decodes a link report from `bytes`, the body of a block with the content type `content`. Fails if the type is no
+    /// report or the length is wrong.
     pub fn read(content: Content, bytes: &[u8]) -> Result<Report, DecodeError> {
         let wrong = DecodeError::Link(content);
         let Some((stamp, rest)) = bytes.split_first_chunk::<STAMP_BYTES>() else { return Err(wrong) };
@@ -161,26 +173,28 @@ fn number(bytes: &[u8]) -> u64 {
 pub struct DatagramId {
     /// Host that sent the datagram.
     pub host: HostId,
-    /// Incarnation of that host.
+    /// Incarnation (random number of one run) of the host that sent the datagram.
     pub incarnation: u32,
-    /// Whether the datagram is unicast, so that its number counts those to one receiver.
+    /// Whether the datagram is unicast. Sequence numbers of unicast datagrams are counted for each receiver; all others
+    /// of the sender are counted together.
     pub direct: bool,
     /// Sequence number of the datagram.
     pub sequence: u32,
 }
 
 impl DatagramId {
-    /// Returns the id of the datagram with this header.
+    /// Returns the id of the datagram with the header `header`.
     pub fn of(header: &Header) -> DatagramId {
         let Header { sender: host, incarnation, sequence, flags, .. } = *header;
         DatagramId { host, incarnation, direct: flags.has(Flags::DIRECT), sequence }
     }
 }
 
-/// Largest number of ids in one block.
+/// Largest number of datagram ids in one block of acknowledgements or of requests to retransmit.
 pub const MAX_IDS: usize = 64;
 
-/// Appends the encoded ids.
+/// Appends the encoded datagram ids `ids` to `bytes`, as the body of a block of acknowledgements or of requests to
+/// retransmit.
 pub fn write_ids(ids: &[DatagramId], bytes: &mut Vec<u8>) {
     for id in ids {
         bytes.extend_from_slice(&id.host.0.to_le_bytes());
@@ -190,7 +204,8 @@ pub fn write_ids(ids: &[DatagramId], bytes: &mut Vec<u8>) {
     }
 }
 
-/// Decodes the ids in the body of a block. Fails if it is malformed.
+/// Decodes datagram ids from `bytes`, the body of a block of acknowledgements or of requests to retransmit. Fails if
+/// there are none, more than `MAX_IDS`, or malformed ones; the error names `content`, the type of the block.
 pub fn read_ids(content: Content, bytes: &[u8]) -> Result<Vec<DatagramId>, DecodeError> {
     let (ids, []) = bytes.as_chunks::<ID_BYTES>() else { return Err(DecodeError::Link(content)) };
     if ids.is_empty() || ids.len() > MAX_IDS || ids.iter().any(|id| id[6] > 1) {
@@ -205,15 +220,17 @@ pub fn read_ids(content: Content, bytes: &[u8]) -> Result<Vec<DatagramId>, Decod
     Ok(ids.iter().map(id).collect())
 }
 
-/// Largest number of datagrams that one block offers for retransmission.
+/// Largest number of sequence numbers in a block that offers earlier datagrams for retransmission.
 pub const MAX_HELD: usize = 16;
 
-/// Appends the sequence numbers of datagrams that the sender still holds, so that receivers may request them.
+/// Appends `held` to `bytes`, as the body of a block that offers retransmission: the sequence numbers of datagrams that
+/// the sender still keeps, so that receivers may request them.
 pub fn write_held(held: &[u32], bytes: &mut Vec<u8>) {
     held.iter().for_each(|sequence| bytes.extend_from_slice(&sequence.to_le_bytes()));
 }
 
-/// Decodes the sequence numbers of datagrams that may be requested.
+/// Decodes the sequence numbers of datagrams that the sender offers for retransmission from `bytes`, the body of such a
+/// block. Fails if there are more than `MAX_HELD`, or if the length is wrong.
 pub fn read_held(bytes: &[u8]) -> Result<Vec<u32>, DecodeError> {
     match bytes.as_chunks::<4>() {
         (held, []) if held.len() <= MAX_HELD => Ok(held.iter().map(|four| u32::from_le_bytes(*four)).collect()),

@@ -31,16 +31,18 @@ pub struct Lengths {
     pub payload: Span,
 }
 
-/// Returns tau as a function of p: equation (7). Its geometric series is summed term by term, so that p = 1/2 needs
-/// no special case.
+/// Returns the probability that a station transmits in a slot (tau), by Bianchi's equation (7). `p` is the probability
+/// that a frame collides; the initial contention window has `window` slots and is doubled at most `stages` times. The
+/// geometric series of the equation is summed term by term, so that p = 1/2 needs no special case.
 fn attempt(p: f64, window: f64, stages: i32) -> f64 {
     let series: f64 = (0..stages).map(|stage| (2.0 * p).powi(stage)).sum();
     2.0 / (1.0 + window + p * window * series)
 }
 
 impl Saturation {
-    /// Solves the model for `stations` stations with unlimited retries. The initial contention window has `window`
-    /// slots and is doubled at most `stages` times. `lengths` has the time intervals of the channel.
+    /// Solves Bianchi's model of a saturated channel for `stations` stations with unlimited retries. The initial
+    /// contention window has `window` slots and is doubled at most `stages` times. `lengths` has the time intervals of
+    /// the channel.
     pub fn of(stations: usize, window: u32, stages: i32, lengths: &Lengths) -> Saturation {
         let n = stations as f64;
         let window = f64::from(window);
@@ -67,9 +69,9 @@ impl Saturation {
         }
     }
 
-    /// Solves the model for `stations` stations on the channel `radio`. Each station always has a unicast datagram of
-    /// `datagram_bytes` bytes to send, which reaches its receiver in one hop. The retry limit of the channel is
-    /// ignored.
+    /// Solves Bianchi's model for `stations` stations on the channel `radio`. Each station always has a unicast
+    /// datagram of `datagram_bytes` bytes to send, which reaches its receiver in one hop. The retry limit of the
+    /// channel is ignored.
     pub fn of_radio(radio: &Radio, stations: usize, datagram_bytes: usize) -> Saturation {
         let times = radio.times();
         let frame = radio.frame_airtime(datagram_bytes);

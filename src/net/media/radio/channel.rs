@@ -16,8 +16,8 @@ use crate::random;
 use crate::random::{Seed, Stream};
 use crate::time::{Span, Time};
 
-/// Datagram length of frames of other networks: a full Ethernet payload (IEEE 802.3, 3.2.7) less the IP and UDP
-/// headers, which are part of `OVERHEAD_BYTES` \[bytes\].
+/// Length of the datagram in each simulated frame of other networks, which load the channel \[bytes\]. It is a full
+/// Ethernet payload (IEEE 802.3, 3.2.7) less the IP and UDP headers, which are part of `OVERHEAD_BYTES`.
 const FOREIGN_BYTES: usize = 1500 - 28;
 
 /// Frame that a station of a radio channel has received.
@@ -33,7 +33,7 @@ pub struct Delivery<T> {
     pub token: T,
 }
 
-/// Transmission in progress.
+/// Start and end of the transmission that is in progress; if several frames collide, the end is that of the longest.
 #[derive(Clone, Copy, Debug)]
 struct OnAir {
     since: Time,
@@ -46,14 +46,17 @@ struct OnAir {
 pub struct Channel<T> {
     radio: Radio,
     times: Times,
-    /// The members, then the access point and the station of another network, if there are such.
+    /// Stations of the channel: first the members, which are the caller's stations; then the access point, if there is
+    /// one; then a station that sends the frames of other networks, if they load the channel.
     stations: Vec<Station<T>>,
     members: u16,
-    /// Positions of the members \[m\]; a member without a position is within range of all.
+    /// Position \[m\] of each member (station of the caller), by its index; a member without a position is within range
+    /// of all.
     positions: Vec<Option<Vec2>>,
     on_air: Option<OnAir>,
     senders: Vec<usize>,
-    /// Start of slot counting: the medium is idle and the interframe space is over.
+    /// Time from which stations count backoff slots: the medium is idle, and the interframe space after the last frame
+    /// is over.
     free_at: Time,
     due: Option<Time>,
     foreign_due: Option<Time>,
@@ -173,7 +176,8 @@ impl<T: Clone> Channel<T> {
         self.push(now, self.stations.len() - 1, frame);
     }
 
-    /// Puts a frame into a station's queue, if there is room; the first one starts the contention for the medium.
+    /// Puts a frame into the transmit queue of the station with index `station`; counts it as lost if the queue is
+    /// full. If the queue was empty, schedules the station's transmission.
     fn push(&mut self, now: Time, station: usize, frame: QueuedFrame<T>) {
         let at = &mut self.stations[station];
         if at.queue.len() >= self.radio.queue {
@@ -203,7 +207,8 @@ impl<T: Clone> Channel<T> {
         self.due = [next, self.foreign_due].into_iter().flatten().min();
     }
 
-    /// Starts the transmissions of the stations whose backoff ends in this slot.
+    /// Starts, at time `now`, the transmissions of all stations whose backoff ends in the slot that begins then.
+    /// Updates the backoff of the other stations.
     fn begin(&mut self, now: Time) {
         let slot = now.since(self.free_at).as_nanos() / self.times.slot.as_nanos();
         self.senders.clear();
@@ -223,7 +228,8 @@ impl<T: Clone> Channel<T> {
         self.on_air = Some(OnAir { since: now, until: now + longest + self.times.propagation });
     }
 
-    /// Ends the transmission: its frames are received or have collided.
+    /// Ends the transmission `on_air`. A single frame is received, unless noise or range prevents it; several frames
+    /// have collided, and none is received. Appends the received frames to `deliveries`, and schedules retries.
     fn end(&mut self, on_air: OnAir, deliveries: &mut Vec<Delivery<T>>) {
         let OnAir { since, until } = on_air;
         let senders = std::mem::take(&mut self.senders);
@@ -260,7 +266,8 @@ impl<T: Clone> Channel<T> {
         *time += taken.as_nanos();
     }
 
-    /// Whether the receiver of a unicast frame without collision can decode it.
+    /// Returns whether the receiver of a unicast frame that did not collide can decode it: it is in range, and no noise
+    /// corrupts the frame. True for frames of other networks.
     fn receives(&mut self, frame: &QueuedFrame<T>) -> bool {
         match (frame.hop, &frame.to) {
             (Hop::Foreign, _) => true,
@@ -281,7 +288,8 @@ impl<T: Clone> Channel<T> {
         }
     }
 
-    /// Handles a unicast frame at its receiver: an access point relays it, a station delivers it.
+    /// Handles a unicast frame at its receiver: an access point queues it for its second transmission, and a station
+    /// delivers it to the caller.
     fn receive_unicast(&mut self, at: Time, frame: QueuedFrame<T>, deliveries: &mut Vec<Delivery<T>>) {
         match (frame.hop, &frame.to) {
             (Hop::Foreign, _) => {}

@@ -24,9 +24,10 @@ use crate::time::Span;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Topology {
-    /// Frames go through an access point, an additional station that transmits each of them a second time (4.3.5).
+    /// Frames go through an access point, an additional station that transmits each of them a second time (IEEE
+    /// 802.11-2016, 4.3.5).
     Infrastructure,
-    /// Frames go directly from station to station, in one hop (4.3.2).
+    /// Frames go directly from station to station, in one hop (IEEE 802.11-2016, 4.3.2).
     AdHoc,
 }
 
@@ -35,9 +36,11 @@ pub enum Topology {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Counting {
-    /// The counter is frozen: only an idle slot decrements it (distributed coordination function, DCF, 10.3.4.3).
+    /// The counter is frozen in such a slot: only an idle slot decrements it (distributed coordination function, DCF,
+    /// IEEE 802.11-2016, 10.3.4.3).
     Dcf,
-    /// The counter is decremented in that slot, too (EDCA, 10.22.2.4; and the model of Bianchi).
+    /// The counter is decremented also in a slot in which another station starts to transmit (EDCA, IEEE 802.11-2016,
+    /// 10.22.2.4; and the model of Bianchi).
     Edca,
 }
 
@@ -45,9 +48,10 @@ pub enum Counting {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Recovery {
-    /// The usual interframe space, as after any other frame (the model of Bianchi).
+    /// Stations wait the usual interframe space, as after any other frame (as in the model of Bianchi).
     Difs,
-    /// The extended interframe space (EIFS): the usual one and the time of an acknowledgement (10.3.2.3.7).
+    /// Stations wait the extended interframe space (EIFS): the usual one and the time of an acknowledgement (IEEE
+    /// 802.11-2016, 10.3.2.3.7).
     Eifs,
 }
 
@@ -72,7 +76,7 @@ pub struct Radio {
     /// Short interframe space (SIFS), the time between a frame and its acknowledgement \[us\].
     pub sifs_us: u32,
     /// Arbitration interframe space number: slots that the medium must be idle after a SIFS before stations count their
-    /// backoff. Two slots make a DIFS (10.3.7).
+    /// backoff. Two slots make a DIFS (IEEE 802.11-2016, 10.3.7).
     pub aifsn: u32,
     /// Propagation delay between any two stations \[us\].
     pub propagation_us: u32,
@@ -99,12 +103,14 @@ pub struct Radio {
     pub range_m: Option<f32>,
     /// Probability that noise corrupts a frame, 0 to 1, independently for each receiver.
     pub noise_loss: f64,
-    /// Load by stations of other networks, as a share of airtime that they offer to the channel, 0 to 1.
+    /// Load by stations of other networks: the airtime of the frames that they offer to the channel, as a share of all
+    /// time, 0 to 1.
     pub background: f64,
 }
 
-/// Bytes of headers and trailers that are transmitted with each UDP datagram \[bytes\]. They are: MAC header 24
-/// (9.2.3), QoS control 2 (9.2.4.5), FCS 4, LLC and SNAP 8 (RFC 1042), IPv4 20 (RFC 791), UDP 8 (RFC 768).
+/// Bytes of headers and trailers that are transmitted with each UDP datagram \[bytes\]. They are, by clauses of IEEE
+/// 802.11-2016: MAC header 24 (9.2.3), QoS control 2 (9.2.4.5), FCS 4; and LLC and SNAP 8 (RFC 1042), IPv4 20 (RFC
+/// 791), UDP 8 (RFC 768).
 pub const OVERHEAD_BYTES: usize = 24 + 2 + 4 + 8 + 20 + 8;
 /// Length of an acknowledgement (ACK) frame of IEEE 802.11 (9.3.1.4) \[bytes\].
 pub const ACK_BYTES: usize = 14;
@@ -113,7 +119,8 @@ pub const ACK_BYTES: usize = 14;
 pub const PRESETS: [&str; 4] = ["wifi", "wifi-n", "wifi-slow", "paper"];
 
 impl Default for Radio {
-    /// The preset `wifi`, with an access point.
+    /// Returns the predefined channel `wifi`: IEEE 802.11 at 2.4 GHz with an access point, unicast at 54 Mbit/s and
+    /// multicast at 1 Mbit/s.
     fn default() -> Radio {
         Radio {
             channel: Topology::Infrastructure,

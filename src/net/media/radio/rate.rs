@@ -9,15 +9,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::time::Span;
 
-/// Signal extension: silence after an ERP-OFDM or HT frame at 2.4 GHz (18.3.2.4, 19.4.3) \[ns\].
+/// Signal extension: silence that belongs to the airtime of each OFDM or HT frame at 2.4 GHz (IEEE 802.11-2016,
+/// 18.3.2.4, 19.4.3) \[ns\].
 const SIGNAL_EXTENSION_NS: u64 = 6_000;
-/// Bits of an OFDM frame beside its data: 16 of SERVICE before it and 6 of tail after it (17.3.5.2, 17.3.5.3).
+/// Number of bits of an OFDM frame beside its data: 16 of SERVICE before it and 6 of tail after it (IEEE 802.11-2016,
+/// 17.3.5.2, 17.3.5.3).
 const SERVICE_AND_TAIL_BITS: u64 = 22;
 
-/// Modulation family.
+/// Family of modulations of IEEE 802.11, which decides how the airtime of a frame follows from its length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Family {
-    /// Serial bits after a preamble of this length (DSSS, FHSS).
+    /// DSSS or FHSS: the bits follow one another after a preamble and header that take `preamble_ns` \[ns\].
     Serial { preamble_ns: u64 },
     /// OFDM symbols of 4 us at 20 MHz, longer in narrower channels (clause 17).
     Ofdm,
@@ -25,7 +27,8 @@ enum Family {
     Ht,
 }
 
-/// A rate by name, with its bits per two symbols; for a serial family, per two microseconds.
+/// Entry of the table of data rates: the name, the modulation family, and the data bits in two OFDM symbols; for DSSS
+/// and FHSS, in two microseconds. It counts two since 5.5 Mbit/s is no whole number of bits in one microsecond.
 struct Coding {
     name: &'static str,
     family: Family,
@@ -36,12 +39,15 @@ const fn coding(name: &'static str, family: Family, bits_in_two: u64) -> Coding 
     Coding { name, family, bits_in_two }
 }
 
-/// Long preamble of 144 us and header of 48 us (16.2.2.2, 16.3.4).
+/// Modulation family of the DSSS rates: long preamble of 144 us and header of 48 us before the data (IEEE 802.11-2016,
+/// 16.2.2.2, 16.3.4).
 const DSSS: Family = Family::Serial { preamble_ns: 192_000 };
-/// The 128 bits of PHY header of Bianchi's Table II (JSAC 18(3), 2000), at 1 Mbit/s.
+/// Modulation family of the FHSS rate: before the data, the PHY header of Bianchi's Table II (JSAC 18(3), 2000), 128
+/// bits at 1 Mbit/s.
 const FHSS: Family = Family::Serial { preamble_ns: 128_000 };
 
-/// DSSS and HR/DSSS: 16.3.4; OFDM: data bits per symbol, Table 17-4; HT: Table 19-27, 20 MHz.
+/// Table of all data rates that this program knows. Sources in IEEE 802.11-2016: 16.3.4 for DSSS and HR/DSSS; Table
+/// 17-4 (data bits per symbol) for OFDM; Table 19-27, at 20 MHz, for HT.
 const CODINGS: [Coding; 21] = [
     coding("fhss-1", FHSS, 2),
     coding("dsss-1", DSSS, 2),

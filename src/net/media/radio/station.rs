@@ -13,28 +13,29 @@ use crate::random::Stream;
 pub enum Destination {
     /// One station, by unicast: acknowledged, and retransmitted up to the retry limit.
     One(u16),
-    /// All these stations except the sender, by multicast: sent once at the basic rate, without acknowledgement. With
-    /// an access point, the frame first goes to it by unicast, and the access point multicasts it.
+    /// All stations with these indices except the sender, by multicast: sent once at the basic rate, without
+    /// acknowledgement. With an access point, the frame first goes to it by unicast, and the access point multicasts
+    /// it.
     Many(Arc<[u16]>),
 }
 
-/// Hop that one transmission makes.
+/// Part of a frame's way to its receivers that one transmission covers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Hop {
-    /// Station to station.
+    /// From the sending station directly to the receivers, without an access point.
     Direct,
-    /// Station to access point.
+    /// From the sending station to the access point, which then transmits the frame again.
     Up,
-    /// Access point to station.
+    /// From the access point to the final receivers, the second transmission of a frame.
     Down,
-    /// Between stations of another network.
+    /// Within another network, which only occupies the medium; the frame has no receiver on this channel.
     Foreign,
 }
 
-/// Frame in a transmit queue.
+/// Frame in the transmit queue of a station or of the access point.
 #[derive(Clone, Debug)]
 pub(super) struct QueuedFrame<T> {
-    /// Part of the way that the transmission covers.
+    /// Part of the frame's way that its next transmission covers, such as from the station to the access point.
     pub hop: Hop,
     /// Index of the station that offered the frame.
     pub from: u16,
@@ -65,15 +66,16 @@ impl<T> QueuedFrame<T> {
     }
 }
 
-/// State of one station.
+/// State of one station of a radio channel: its transmit queue, contention window and backoff counter.
 #[derive(Clone, Debug)]
 pub(super) struct Station<T> {
     /// Frames that wait for transmission, the next one first.
     pub queue: VecDeque<QueuedFrame<T>>,
     /// Frame that refills an empty queue if the station is saturated; `None` if it is not.
     pub refill: Option<QueuedFrame<T>>,
-    /// Backoff counter: slots after the medium becomes idle before the station transmits, or may again. None if it may
-    /// transmit at once.
+    /// Backoff counter: number of slots that the station still waits after the medium becomes idle before it transmits
+    /// or, with an empty queue, may transmit a new frame. `None` if no backoff is in progress: a new frame may be sent
+    /// at once.
     counter: Option<u64>,
     window: u32,
     failures: u32,
@@ -91,20 +93,22 @@ impl<T: Clone> Station<T> {
         self.counter.filter(|_| !self.queue.is_empty())
     }
 
-    /// Schedules a frame that came to an empty queue while the medium was idle, not before this slot (10.3.4.2).
+    /// Schedules the transmission of a frame that came to an empty queue while the medium was idle: in slot number
+    /// `slot` since the medium became idle, or later if a backoff is still in progress (IEEE 802.11-2016, 10.3.4.2).
     pub fn ready_at(&mut self, slot: u64) {
         self.counter = Some(self.counter.unwrap_or(0).max(slot));
     }
 
-    /// Schedules a frame that came to an empty queue while the medium was busy: draws a backoff, unless one is still in
-    /// progress (10.3.4.2, 10.3.4.3).
+    /// Schedules the transmission of a frame that came to an empty queue while the medium was busy: draws a backoff,
+    /// unless one is still in progress (IEEE 802.11-2016, 10.3.4.2, 10.3.4.3).
     pub fn ready_after(&mut self, stream: &mut Stream) {
         if self.counter.is_none() {
             self.draw(stream);
         }
     }
 
-    /// Updates the backoff counter for a transmission that starts in this slot; true if this station transmits, too.
+    /// Updates the station's backoff counter at the start of a transmission on the channel, in slot number `slot` since
+    /// the medium became idle. Returns true if this station transmits in that slot, too.
     pub fn pass(&mut self, slot: u64, counting: Counting) -> bool {
         let Some(counter) = self.counter.take() else { return false };
         if counter <= slot {
@@ -126,8 +130,9 @@ impl<T: Clone> Station<T> {
         }
     }
 
-    /// Handles a missing acknowledgement: doubles the contention window and requeues the frame (10.3.3, 10.3.4.4).
-    /// Returns the frame if it has reached the retry limit.
+    /// Handles a missing acknowledgement: doubles the contention window and puts the frame back at the front of the
+    /// queue (IEEE 802.11-2016, 10.3.3, 10.3.4.4). At the retry limit, returns the frame as lost instead; otherwise
+    /// `None`.
     pub fn failed(&mut self, frame: QueuedFrame<T>, radio: &Radio, stream: &mut Stream) -> Option<QueuedFrame<T>> {
         if self.failures >= radio.retries {
             self.done(radio, stream);
