@@ -5,7 +5,8 @@
 * :func:`study`: studies, in one process, in several, or on a Ray cluster.
 * :func:`export`: policies of PyTorch and PyTorch Geometric as policy files.
 * :func:`train` and :func:`sweep`: trainings of the program, and many of them.
-* :mod:`murmurate.pettingzoo`, :mod:`murmurate.gymnasium`, :mod:`murmurate.torchrl`: the same environments for other tools.
+* :mod:`murmurate.pettingzoo`, :mod:`murmurate.gymnasium`, :mod:`murmurate.torchrl`, :mod:`murmurate.benchmarl`: the same
+  environments for other tools.
 """
 
 from ._export import export

@@ -140,7 +140,9 @@ mod tests {
                         Folder::open(&path, "pieces", &7, other).map(drop)
                     })
                 });
-                opened.map(|opened| opened.join().unwrap().unwrap());
+                for opened in opened {
+                    opened.join().unwrap().unwrap();
+                }
             });
             std::fs::write(path.join(IDENTITY), "8").unwrap();
             assert!(Folder::open(&path, "pieces", &7, other).is_err());
