@@ -125,7 +125,7 @@ impl Layer {
         }
     }
 
-    /// The weight from an input to an output.
+    /// Returns the weight with which the input with index `input` enters the output with index `output`.
     fn entry(&self, output: usize, input: usize) -> f32 {
         self.weight[output / BLOCK * self.inputs + input][output % BLOCK]
     }
@@ -258,8 +258,8 @@ impl Mlp {
     }
 
     /// Applies all layers to `rows` independent inputs: `x` is \[rows, inputs\], and `y` receives \[rows, outputs\],
-    /// both row-major. A ReLU follows every layer but the last, and the activation `last` follows that one. `scratch`
-    /// comes from the method `scratch`, for at least as many rows.
+    /// both row-major. A ReLU follows every layer but the last, and the activation `last` follows the last layer.
+    /// `scratch` holds intermediate values; it comes from the method `scratch`, for at least as many rows.
     #[inline(always)]
     pub fn apply(&self, rows: usize, x: &[f32], y: &mut [f32], scratch: &mut Scratch, last: Relu) {
         let (mut from, mut to) = (&mut scratch.0, &mut scratch.1);

@@ -1,8 +1,8 @@
 //! Policies: functions that compute a robot's broadcast to its neighbours, and its velocity from their broadcasts.
 //!
-//! A new policy is one file and one line in `REGISTRY`. In another crate it is one line where that crate makes its
-//! `Registry`. A policy works in the policy frame only: the world frame, or the world frame turned by half a turn. The
-//! code of this folder knows no network, actor or clock.
+//! A new policy is one file here, and one entry in `REGISTRY`. A policy of another crate is one entry in the `Registry`
+//! that the crate makes. A policy works in the policy frame only: the world frame, or the world frame turned by half a
+//! turn. The code of this folder uses no network, actor or clock.
 
 pub mod gnn;
 pub mod hops;
@@ -63,8 +63,8 @@ pub trait Policy {
     /// Returns the parameters that the rest of the system needs to run the policy, such as message size and period.
     fn interface(&self) -> Interface;
 
-    /// Returns the number of hops, the exchanges of messages that one action is made of; 1 if the action needs the
-    /// neighbours' observations only.
+    /// Returns the number of hops: how many times the robots exchange messages for one action. The default is 1, for a
+    /// policy whose action depends on the observations of the robot and of its direct neighbours only.
     fn hops(&self) -> usize {
         1
     }
@@ -73,11 +73,12 @@ pub trait Policy {
     /// the robot's own state and goal, in the policy frame.
     fn encode(&mut self, own: &Observation, features: &mut [f32]);
 
-    /// Completes the robot's broadcast of this step by the input of the hop `hop`, counted from 0. It is called after
-    /// `encode` for each hop from 1 on, in their order, with the arguments of `act`.
+    /// Computes the part of the robot's broadcast that its neighbours need for the hop `hop`, from the neighbours'
+    /// broadcasts for the hop before, and writes it into `features`. Only policies of two or more hops implement this.
+    /// It is called after `encode`, once for each hop from 1 to `hops() - 1` in this order; `encode` serves hop 0.
     ///
-    /// `features` holds what `encode` and the hops before have written. A neighbour's `features` hold what it broadcast
-    /// for the hop before: in this step if the robots step together, otherwise in its newest message.
+    /// `features` already holds what `encode` and the calls for lower hops wrote. Each of `neighbours` has the features
+    /// that it broadcast for lower hops: in this step if the robots step together, otherwise in its newest message.
     fn relay(&mut self, _hop: usize, _own: &Observation, _features: &mut [f32], _neighbours: &[Neighbour]) {}
 
     /// Returns the robot's wanted velocity \[m/s\], policy frame. `own` is the robot's own state and goal, and

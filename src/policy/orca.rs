@@ -29,35 +29,40 @@ const BRAKING_M_S2: f32 = 0.85;
 /// Remaining path below which a robot counts as at its goal \[m\]. With twice this value, dense teams (12 in the
 /// passage) deadlock far more often.
 const AT_GOAL_M: f32 = 0.3;
-/// Difference of remaining paths from which a robot at its goal gives way to another \[m\].
+/// Smallest difference of two robots' remaining paths \[m\] from which the one at its goal gives way to the other.
 const PRIORITY_LEAD_M: f32 = 0.1;
-/// ORCA's responsibility of a robot that is underway, relative to 1 for one at its goal: a fifth of the avoidance.
+/// Responsibility in ORCA (share in avoiding a collision) of a robot that is underway, relative to 1 for a robot at its
+/// goal. With 0.25, the robot that is underway does a fifth of the avoidance.
 const UNDERWAY_SHARE: f32 = 0.25;
-/// Fraction of its cruising velocity that a robot at its goal assumes for one that is underway. With the true velocity,
-/// a blocked robot would wait for ever, because the other would see no reason to move.
+/// Velocity that a robot at its goal assumes for a robot that is underway, as a fraction of that robot's preferred
+/// velocity, limited to cruising speed. With the true velocity, a blocked robot would wait for ever, because the robot
+/// at its goal would have no reason to move.
 const UNDERWAY_SPEED_FRACTION: f32 = 0.5;
-/// Margin added to the radius toward neighbours \[m\].
+/// Margin \[m\] that is added to the radius of each robot when collisions between robots are avoided.
 const NEIGHBOUR_MARGIN_M: f32 = 0.02;
-/// Margin added to the radius toward walls \[m\].
+/// Margin \[m\] that is added to the robot's radius when collisions with walls are avoided.
 const WALL_MARGIN_M: f32 = 0.02;
-/// Time horizon for collisions with neighbours \[s\].
+/// Time horizon \[s\] of ORCA for neighbours: collisions that are expected within this time are avoided.
 const HORIZON_S: f32 = 1.2;
-/// Time horizon for collisions with walls \[s\].
+/// Time horizon \[s\] of ORCA for walls: collisions that are expected within this time are avoided.
 const WALL_HORIZON_S: f32 = 0.4;
-/// Time constant of the approach to a point \[s\].
+/// Time constant of the approach to a point \[s\]: the speed is at most the distance divided by this time.
 const APPROACH_S: f32 = 0.35;
 /// Distance kept to the robot ahead in the queue \[m\]: slightly more than avoidance keeps anyway.
 const FOLLOWING_M: f32 = 0.58;
-/// Distance kept to the middle of a bottleneck while others come the other way \[m\].
+/// Distance \[m\] that a robot keeps to the middle of a bottleneck while others come through it in the other direction.
 const ONCOMING_M: f32 = 1.5;
-/// Distance from a mouth within which a robot clears the way for others that come out \[m\].
+/// Distance \[m\] from a mouth (an end of a bottleneck) within which a robot that waits or has its goal there moves
+/// away from the mouth, so that other robots can come out of the bottleneck.
 const MOUTH_ROOM_M: f32 = 0.9;
 /// Rotation of the preferred velocity to the right \[rad\], so that two robots that meet head-on pass each other.
 const BEAR_RIGHT_RAD: f32 = 0.08;
 
-/// Largest plausible distance of a neighbour or from the origin \[m\].
+/// Largest plausible distance \[m\] of a robot from the origin, of a neighbour from the robot, and of a broadcast
+/// radius. A neighbour beyond it is ignored; a robot whose own position is beyond it stands.
 const MAX_DISTANCE_M: f32 = 1e3;
-/// Largest plausible speed \[m/s\].
+/// Largest plausible speed \[m/s\]. A neighbour that states a higher one is ignored; a robot whose own speed is higher
+/// is commanded to stand.
 const MAX_SPEED_M_S: f32 = 1e2;
 
 /// Parameters of scripted navigation that the rest of the system needs to run it: message size, communication radius,
@@ -78,12 +83,13 @@ pub struct Orca {
     obstacles: Vec<Obstacle>,
 }
 
-/// A robot's place in the queue at a bottleneck.
+/// A robot's place in the queue at a bottleneck. Of two robots, the one that is nearer to the middle goes first.
 struct QueuePlace {
     crossing: Crossing,
     /// Distance to the middle of the bottleneck \[m\].
     ahead_m: f32,
-    /// The robot's position, which breaks ties in the same way for both robots.
+    /// The robot's position \[m\]: of two robots at the same distance, the one with the lower x, then y, goes first. So
+    /// both compute the same order.
     tie: (f32, f32),
 }
 
@@ -112,7 +118,8 @@ impl Orca {
         Orca { arena: arena.clone(), obstacles }
     }
 
-    /// The preferred velocity along the path to the goal \[m/s\], without other robots and without a speed limit.
+    /// Returns the robot's preferred velocity \[m/s\] along the path to its goal, without other robots and without a
+    /// speed limit. Its norm encodes the length of the remaining path, as in `approach`.
     fn preferred(&self, own: &Observation) -> Vec2 {
         let at = own.motion.position;
         match next_leg(&self.arena, at, own.goal) {
@@ -124,7 +131,8 @@ impl Orca {
         }
     }
 
-    /// The queue place of a robot at `at` with this preferred velocity; `None` if it is not going to use a bottleneck.
+    /// Returns the place in the queue of a robot at `at` \[m\] with the preferred velocity `preferred` \[m/s\]; `None`
+    /// if it is not going to use a bottleneck.
     fn queue_place(&self, at: Vec2, preferred: Vec2) -> Option<QueuePlace> {
         let heading = preferred.try_normalize(1e-6)?;
         let path_m = remaining_path(preferred);
@@ -136,7 +144,9 @@ impl Orca {
         })
     }
 
-    /// The preferred velocity \[m/s\] with the speed reduced by the queue at a bottleneck, or away from its mouth.
+    /// Returns the robot's velocity \[m/s\] after it gave way at bottlenecks. In a queue it is `preferred` with a lower
+    /// speed. A robot that uses no bottleneck moves away from a mouth at which others come out; otherwise it takes
+    /// `preferred`.
     fn yielding(&self, own: &Observation, preferred: Vec2, neighbours: &[Neighbour]) -> Vec2 {
         let at = own.motion.position;
         let mut others = neighbours.iter().filter_map(|neighbour| {
@@ -159,8 +169,8 @@ impl Orca {
         preferred.normalize() * speed.max(-0.3)
     }
 
-    /// The velocity away from the mouth at which others come out \[m/s\]; `None` if neither the robot nor its goal is
-    /// in the way.
+    /// Returns the velocity \[m/s\] with which a robot moves away from the mouth (end of a bottleneck) at which another
+    /// robot ends its crossing `crossing`; `None` if neither the robot nor its goal is in the way.
     fn clear_mouth(&self, own: &Observation, crossing: Crossing) -> Option<Vec2> {
         let mouth = crossing.exit;
         let along = (crossing.exit - crossing.entry).normalize();
@@ -179,26 +189,28 @@ impl Orca {
     }
 }
 
-/// The velocity toward a point at `offset` \[m\] from which a robot can still stop there; it grows with the distance.
+/// Returns the velocity \[m/s\] toward the point at `offset` \[m\] from the robot. It grows with the distance, and is
+/// low enough that the robot can stop at that point.
 fn approach(offset: Vec2) -> Vec2 {
     let distance = offset.norm();
     let speed = (2.0 * BRAKING_M_S2 * distance).sqrt().min(distance / APPROACH_S);
     if distance < 1e-6 { Vec2::zeros() } else { offset * (speed / distance) }
 }
 
-/// Length of the remaining path of a robot with this preferred velocity \[m\]: the inverse of `approach`.
+/// Returns the length \[m\] of the remaining path of a robot whose preferred velocity is `preferred` \[m/s\]: the
+/// inverse of `approach`.
 fn remaining_path(preferred: Vec2) -> f32 {
     let speed = preferred.norm();
     (speed * speed / (2.0 * BRAKING_M_S2)).max(speed * APPROACH_S)
 }
 
-/// Returns the velocity, limited to cruising speed.
+/// Returns `velocity` \[m/s\], scaled down to the cruising speed if it is faster.
 fn limit_to_cruising(velocity: Vec2) -> Vec2 {
     velocity * (SPEED_M_S / velocity.norm().max(SPEED_M_S))
 }
 
-/// The velocity to assume for a neighbour \[m/s\], and its responsibility in ORCA relative to 1 for the robot itself,
-/// whose preferred velocity is `own`.
+/// Returns the velocity \[m/s\] that ORCA assumes for `neighbour`, and the neighbour's responsibility (its share in
+/// avoiding a collision) relative to 1 for the robot itself. `own` is the robot's own preferred velocity \[m/s\].
 fn assumed_motion(own: Vec2, neighbour: &Neighbour) -> (Vec2, f32) {
     let preferred = Vec2::new(neighbour.features[1], neighbour.features[2]);
     let (mine, theirs) = (remaining_path(own), remaining_path(preferred));
@@ -211,7 +223,8 @@ fn assumed_motion(own: Vec2, neighbour: &Neighbour) -> (Vec2, f32) {
     }
 }
 
-/// Whether a neighbour's position, velocity and broadcast are plausible.
+/// Returns true if a neighbour's position, velocity and broadcast are plausible; others are ignored, because messages
+/// can be corrupted and sensors broken.
 fn is_plausible(own: &Observation, neighbour: &Neighbour) -> bool {
     let broadcast = neighbour.features;
     let offset = neighbour.motion.position - own.motion.position;

@@ -27,7 +27,8 @@ impl Probe {
     /// another order differ by less.
     pub const TOLERANCE: f32 = 1e-4;
 
-    /// Runs `network` on the stored inputs and returns the largest differences of its outputs from the stored ones.
+    /// Runs `network` on the inputs of this test data and returns the largest differences of its latents and outputs
+    /// from the correct ones, which the test data contain.
     pub fn compare(&self, network: &Arc<Network>) -> Difference {
         let at = |floats: &[f32], robot: usize| Vec2::new(floats[2 * robot], floats[2 * robot + 1]);
         let robots = self.position.len() / 2;
@@ -54,8 +55,8 @@ impl Probe {
         Difference { robots, latent: largest(&latents.concat(), &self.latent), output: largest(&outputs, &self.output) }
     }
 
-    /// Runs `network` on the stored inputs and compares its outputs with the stored ones. Returns the differences, or
-    /// an error if one exceeds `TOLERANCE` or is NaN.
+    /// Runs `network` on the inputs of this test data and compares its latents and outputs with the correct ones, which
+    /// the test data contain. Returns the largest differences, or an error if one exceeds `TOLERANCE` or is NaN.
     pub fn check(&self, network: &Arc<Network>) -> Result<Difference, WeightsError> {
         let difference = self.compare(network);
         for (what, difference) in [("latents", difference.latent), ("outputs", difference.output)] {
@@ -79,7 +80,8 @@ pub fn network(mut file: PolicyFile) -> Result<(Arc<Network>, Option<Difference>
     Ok((network, difference))
 }
 
-/// The largest difference of two rows of numbers, relative to stored numbers above 1; NaN if one is.
+/// Returns the largest difference between the numbers of `found` and those of `stored` at the same index. Each is
+/// divided by the magnitude of the stored number if that is above 1. The result is NaN if a difference is NaN.
 pub(super) fn largest(found: &[f32], stored: &[f32]) -> f32 {
     let off = |(found, stored): (&f32, &f32)| (found - stored).abs() / stored.abs().max(1.0);
     found

@@ -1,4 +1,5 @@
-//! Path planning through an arena for scripted navigation, with geometry and kinematics only.
+//! Path planning of one robot through an arena with walls and bottlenecks, for scripted navigation (ORCA). Other robots
+//! are not considered.
 //!
 //! The functions give the next point to steer for and the crossings of bottlenecks. They also limit commands so that a
 //! robot can still brake before a wall.
@@ -6,19 +7,21 @@
 use crate::messages::geometry::{Motion, Vec2};
 use crate::scenario::{Arena, Portal};
 
-/// Extra clearance between a robot's hull and a block on a planned path \[m\].
+/// Clearance \[m\] that a planned path keeps between a robot's hull and a solid block (wall) of the arena.
 const MARGIN_M: f32 = 0.03;
-/// Smallest cosine between a heading and the direction to a point for which the robot heads there (6 degrees). The
-/// broadcast heading is slightly older than the position.
+/// Smallest cosine of the angle between a robot's heading and the direction to a point, from which the robot counts as
+/// heading for that point: 6 degrees. The broadcast heading is slightly older than the position.
 const HEADING_COS: f32 = 0.995;
-/// Tolerance for the length of a path that was broadcast as a velocity \[m\].
+/// Tolerance \[m\] for the length of a neighbour's remaining path, which is computed from the preferred velocity that
+/// the neighbour broadcast.
 const SLACK_M: f32 = 0.05;
 
 /// Acceleration available along each axis \[m/s^2\], for predicting braking.
 const ACCELERATION_M_S2: f32 = 1.0;
 /// Clearance between hull and wall that every command keeps \[m\], for rounding and for commands that take effect late.
 const TOUCH_MARGIN_M: f32 = 0.01;
-/// Number of periods within which a robot must be able to stop: more than from any plausible speed.
+/// Number of periods within which a robot must come to rest after a command; otherwise the command counts as unsafe. It
+/// is more than a robot needs from any plausible speed.
 const MAX_BRAKING_PERIODS: u32 = 200;
 /// Number of commands tried to each side of the current velocity, along each axis, if the wanted one is unsafe.
 const SEARCH_STEPS: i8 = 4;
@@ -85,8 +88,8 @@ impl Crossing {
     }
 }
 
-/// Returns true if a robot can move along the straight line from `from` to `to` \[m\] without touching a block of
-/// `arena`. Other robots are not considered.
+/// Returns true if a robot can move along the straight line from `from` to `to` \[m\] without touching a solid block
+/// (wall) of `arena`. Other robots are not considered.
 pub fn is_free(arena: &Arena, from: Vec2, to: Vec2) -> bool {
     // A robot that is nearer to a block than the margin must still be able to leave it.
     let margin = |block_distance: f32| (arena.robot_radius_m + MARGIN_M).min(block_distance - 1e-3);
@@ -111,8 +114,9 @@ pub fn next_leg(arena: &Arena, from: Vec2, to: Vec2) -> Leg {
     }
 }
 
-/// Whether a robot that follows this command for one period and then brakes touches no block and stays on the ground.
-/// Its acceleration is limited along each axis, so it does not brake along a straight line.
+/// Returns true if a robot that follows `command` \[m/s\] for one period and then brakes touches no solid block and
+/// does not leave the ground. Its acceleration is limited along each axis, so it does not brake along a straight line.
+/// A robot that is already too near a block or off the ground must only not get nearer to it or further off.
 fn is_safe(arena: &Arena, own: &Motion, command: Vec2, period_s: f32) -> bool {
     let step = ACCELERATION_M_S2 * period_s;
     let toward = |velocity: Vec2, wanted: Vec2| velocity + (wanted - velocity).map(|axis| axis.clamp(-step, step));
@@ -133,14 +137,15 @@ fn is_safe(arena: &Arena, own: &Motion, command: Vec2, period_s: f32) -> bool {
     false
 }
 
-/// Distance of a point outside the ground, along the axis where it is largest \[m\]; negative inside.
+/// Returns the distance \[m\] by which a point lies outside the ground, along the axis where this is largest; negative
+/// if it lies inside.
 fn distance_outside(arena: &Arena, point: Vec2) -> f32 {
     (point.abs() - arena.half_extent).max()
 }
 
 /// Returns the velocity command \[m/s\] nearest to `wanted` \[m/s\] after which a robot can still brake before it
-/// touches a block or leaves the ground. `own` is the robot's position \[m\] and velocity \[m/s\], and `period_s` the
-/// time until the next command \[s\].
+/// touches a solid block of `arena` or leaves the ground. `own` is the robot's position \[m\] and velocity \[m/s\], and
+/// `period_s` the time until the next command \[s\].
 ///
 /// The result is `wanted` itself if that is safe. Otherwise the function searches a grid of commands around the current
 /// velocity; if none is safe, it returns zero.

@@ -55,7 +55,7 @@ pub struct Tensor<'a> {
     pub data: &'a [u8],
 }
 
-/// The JSON header.
+/// JSON header of a safetensors file: metadata texts, and an entry for each tensor, by name.
 #[derive(Serialize, Deserialize)]
 struct Header {
     #[serde(rename = "__metadata__", default, skip_serializing_if = "Option::is_none")]
@@ -64,7 +64,7 @@ struct Header {
     tensors: BTreeMap<String, Entry>,
 }
 
-/// Entry of a tensor in the header.
+/// Entry of one tensor in the header of a safetensors file: data type, shape, and place of its data.
 #[derive(Serialize, Deserialize)]
 struct Entry {
     dtype: String,
@@ -105,7 +105,7 @@ pub fn read(bytes: &[u8]) -> Result<SafeTensors<'_>, String> {
     Ok(SafeTensors { metadata: header.metadata.unwrap_or_default(), tensors })
 }
 
-/// Returns the bytes of a safetensors file with this content; the tensors are in the order of their names.
+/// Returns the bytes of a safetensors file with the content `file`; the tensors are in the order of their names.
 ///
 /// # Panics
 /// If a tensor has an unknown data type, or if its data do not have the length that its shape gives.

@@ -16,12 +16,14 @@ use crate::config;
 
 /// Tensor name prefixes of the three networks, in the order of use.
 const NAMES: [&str; 3] = ["encoder", "message", "update"];
-/// Tensor name prefixes of the three networks in the published file.
+/// Tensor name prefixes of the three networks in the policy file published with the paper arXiv 2111.01777, in the
+/// order of use: encoder, message network, update network.
 const PUBLISHED_NAMES: [&str; 3] = ["encoder", "gnn", "post"];
 
 /// Prefix of the names of the tensors in a policy file that hold its test data ([`Probe`]: inputs and correct outputs).
 pub(super) const PROBE: &str = "probe.";
-/// Tensors of a probe, in the order of [`Probe`]'s fields; each has one row per robot.
+/// Names of the tensors that hold a policy file's test data, in the order of [`Probe`]'s fields; each tensor has one
+/// row per robot.
 pub(super) const PROBE_TENSORS: [&str; 6] =
     ["probe.position", "probe.velocity", "probe.goal", "probe.age", "probe.latent", "probe.output"];
 
@@ -133,9 +135,10 @@ pub enum WeightsError {
     Probe {
         /// Kind of numbers that differ: `latents` (the broadcast messages) or `outputs` (the parameters of the action).
         what: &'static str,
-        /// Largest difference found, relative to stored numbers above 1.
+        /// Largest difference found; each is divided by the magnitude of the stored number if that is above 1.
         difference: f32,
-        /// Largest difference that is accepted.
+        /// Largest difference that is accepted; each is divided by the magnitude of the stored number if that is above
+        /// 1.
         tolerance: f32,
     },
     /// The hash of the file's tensors differs from the hash in the manifest, so the file was changed.
@@ -202,8 +205,9 @@ pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
     Ok(PolicyFile { manifest, assumed, digest, networks, probe })
 }
 
-/// Assumptions about what a manifest leaves out. Files by this crate's trainer need none: it has one activation and one
-/// aggregation.
+/// Returns the assumptions made about entries that a manifest leaves out (activation, aggregation), as text for the
+/// user; `None` if nothing is assumed. For files of this crate's trainer nothing is: it has one activation and one
+/// aggregation only.
 fn assumed_of(manifest: &Manifest) -> Option<String> {
     let ours = manifest.training.as_ref().is_some_and(|training| training.program.starts_with(env!("CARGO_PKG_NAME")));
     let left_out: Vec<&str> = [
@@ -218,7 +222,8 @@ fn assumed_of(manifest: &Manifest) -> Option<String> {
     })
 }
 
-/// Reads the probe of a file that has one, with latents of `latent` floats.
+/// Reads a policy file's test data ([`Probe`]) from the file's tensors; each latent has `latent` floats. It is an error
+/// if a tensor of the test data is missing or has another shape.
 pub(super) fn probe(tensors: &TensorsByName, latent: usize) -> Result<Probe, WeightsError> {
     let first = tensors.get(PROBE_TENSORS[0]).and_then(|tensor| tensor.shape.first()).copied();
     // A wrong number of robots is refused as a shape below.
@@ -232,7 +237,8 @@ pub(super) fn probe(tensors: &TensorsByName, latent: usize) -> Result<Probe, Wei
     Ok(Probe { position: next()?, velocity: next()?, goal: next()?, age_s: next()?, latent: next()?, output: next()? })
 }
 
-/// Names and shape of each layer's tensors: name of the weight, name of the bias, \[out, in\].
+/// Returns, for each layer of the network `name`, the names of its two tensors in a policy file and its shape: name of
+/// the weights, name of the biases, and \[out, in\]. `widths` are the numbers of inputs and of each layer's outputs.
 pub(super) fn layer_names<'a>(
     name: &'a str,
     widths: &'a [usize],
@@ -243,7 +249,7 @@ pub(super) fn layer_names<'a>(
     })
 }
 
-/// Tensors by name.
+/// Tensors of a policy file, by name.
 pub(super) type TensorsByName<'a> = BTreeMap<String, Tensor<'a>>;
 
 fn network(tensors: &TensorsByName, name: &str, widths: &[usize], hint: &'static str) -> Result<Mlp, WeightsError> {
@@ -253,7 +259,8 @@ fn network(tensors: &TensorsByName, name: &str, widths: &[usize], hint: &'static
     Ok(Mlp::new(layers.collect::<Result<_, WeightsError>>()?))
 }
 
-/// Returns the numbers of the tensor `name`, which must have this shape; `hint` ends the error if it is missing.
+/// Returns the numbers of the tensor `name`. It is an error if the tensor is missing, is not of finite 32-bit floats,
+/// or does not have the shape `shape`. `hint` is a possible cause, which ends the message if the tensor is missing.
 pub(super) fn floats(
     tensors: &TensorsByName,
     name: &str,
@@ -275,7 +282,7 @@ pub(super) fn floats(
     Ok(floats)
 }
 
-/// SHA-256 of all tensors' bytes in the order of their names, in hexadecimal.
+/// Returns the SHA-256 of all tensors' bytes in the order of their names, in hexadecimal.
 pub(super) fn hash(tensors: &TensorsByName) -> String {
     let mut hash = Hash::new();
     tensors.values().for_each(|tensor| hash.update(tensor.data));

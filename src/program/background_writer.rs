@@ -21,22 +21,24 @@ const QUEUE_BYTES: usize = 1 << 18;
 /// Capacity of the queue \[records\], which bounds empty records, too.
 const QUEUE_RECORDS: usize = 16_384;
 
-/// Destination of a background writer.
+/// Destination of a background writer, a thread that writes queued records: a file, a terminal, a device or a pipe.
 pub enum Target {
     /// An open file descriptor.
     Open(File),
-    /// A pipe that may have no reader yet: the writer's thread opens it and waits for one. The optional descriptor is
-    /// held until then, so that an existing reader does not see an end of file before the first record.
+    /// A named pipe, by its path, that may have no reader yet: the writer's thread opens it and waits for a reader. The
+    /// open descriptor is there if the pipe already has a reader, and `None` otherwise. It is held until the thread has
+    /// opened the pipe, so that the reader does not see an end of file before the first record.
     Pipe(PathBuf, Option<File>),
 }
 
 impl Target {
-    /// Duplicates an open descriptor, such as stdout.
+    /// Makes a destination from an open file descriptor, such as stdout. It writes to a duplicate of the descriptor.
     pub fn copy_of(open: impl AsFd) -> io::Result<Target> {
         open.as_fd().try_clone_to_owned().map(|fd| Target::Open(File::from(fd)))
     }
 
-    /// Creates or truncates a file, or opens an existing pipe or device. Does not wait for a pipe's reader.
+    /// Makes a destination from a path: creates or truncates a file, or opens an existing pipe or device. Does not wait
+    /// for a pipe's reader.
     pub fn create(path: &Path) -> io::Result<Target> {
         let is_pipe = path.metadata().is_ok_and(|about| about.file_type().is_fifo());
         if !is_pipe {
@@ -49,7 +51,8 @@ impl Target {
         }
     }
 
-    /// Whether this target and `other` are the same open file, such as `/dev/stdout` and stdout.
+    /// Returns true if this destination and `other` are the same file, such as `/dev/stdout` and stdout. A pipe without
+    /// a reader is the same as nothing.
     pub fn is_same(&self, other: impl AsFd) -> bool {
         let place = |file: &File| file.metadata().map(|about| (about.dev(), about.ino()));
         let (Target::Open(file) | Target::Pipe(_, Some(file))) = self else { return false };
@@ -65,15 +68,16 @@ impl Target {
     }
 }
 
-/// Handle of a background writer; clones share its queue.
+/// Handle of a background writer: a bounded queue of records to one destination, and the thread that writes them there.
+/// So its users never wait for a disk or a terminal. Clones share the queue.
 #[derive(Clone)]
 pub struct BackgroundWriter(Arc<Shared>);
 
 struct Shared {
     state: Mutex<State>,
-    /// Notified when the queue is not empty.
+    /// Notified when a record is put into the queue.
     not_empty: Condvar,
-    /// Notified when everything is written.
+    /// Notified when all records are written, or when writing has failed.
     idle: Condvar,
     /// Formats the line that reports dropped records within the output; `None` if nothing may be inserted between
     /// records.
@@ -93,7 +97,10 @@ struct State {
 }
 
 impl BackgroundWriter {
-    /// Opens a destination and starts the writer thread, which ends with the process.
+    /// Starts the thread that writes queued records to `target`; it ends with the process, or when writing fails.
+    ///
+    /// `notice` formats the line that reports a number of dropped records; it is put before the next record that is
+    /// written. With `None`, nothing is put between records.
     pub fn open(target: Target, notice: Option<fn(u64) -> String>) -> io::Result<BackgroundWriter> {
         let shared =
             Arc::new(Shared { state: Mutex::default(), not_empty: Condvar::new(), idle: Condvar::new(), notice });
@@ -102,7 +109,8 @@ impl BackgroundWriter {
         Ok(writer)
     }
 
-    /// Appends a record to the queue, to be written whole. Returns `false`, without waiting, if the record was dropped.
+    /// Appends a record to the queue, to be written whole, and returns true. Returns false, without waiting, if the
+    /// record was dropped, because the queue is full or writing has failed.
     pub fn push(&self, record: Vec<u8>) -> bool {
         let mut state = self.0.lock();
         let full = state.bytes + record.len() > QUEUE_BYTES || state.queue.len() >= QUEUE_RECORDS;
@@ -147,7 +155,8 @@ impl Shared {
         self.state.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 
-    /// Loop of the writer thread: writes records until writing fails.
+    /// Runs the writer thread: opens `target` and writes records to it until that fails. Then it drops and counts the
+    /// queued records and keeps the error, except of a pipe that its reader closed.
     fn serve(&self, target: Target) {
         let written = target.open().and_then(|file| {
             loop {
@@ -186,7 +195,8 @@ impl Shared {
     }
 }
 
-/// Writes all bytes, even to a descriptor that another program has made non-blocking.
+/// Writes all of `bytes` to `file`, and waits as long as needed, even if another program has made the descriptor
+/// non-blocking.
 fn write_whole(mut file: &File, mut bytes: &[u8]) -> io::Result<()> {
     while !bytes.is_empty() {
         match file.write(bytes) {

@@ -1,5 +1,5 @@
-//! Reads the conditions of a simulation that flags name or set: a conditions file, a deployment file, a communication
-//! range, a fault plan.
+//! Reads what the flags of the simulating commands name or set: a conditions file, a deployment file, a communication
+//! range, a fault plan. An error names the flag or the file.
 
 use std::path::Path;
 
@@ -13,13 +13,13 @@ use crate::program::BadInput;
 use crate::program::output::read_text;
 use crate::trial::Trial;
 
-/// Reads a conditions file.
+/// Reads and checks a conditions file (TOML): plant, properties of the robots' motion, delay and loss of messages.
 pub fn file(path: &Path) -> Result<Conditions> {
     let text = read_text(path, "conditions file")?;
     Conditions::from_toml(&text).map_err(|e| BadInput(format!("the conditions file '{}': {e}", path.display())).into())
 }
 
-/// Reads a deployment file, in which all robots must be simulated.
+/// Reads and checks a deployment file (TOML). It is an error if the file has a real robot, as a simulation has none.
 pub fn deployment(path: &Path) -> Result<Deployment> {
     let text = read_text(path, "deployment file")?;
     let wrong = |error| BadInput(format!("the deployment file '{}': {error}", path.display()));
@@ -28,7 +28,9 @@ pub fn deployment(path: &Path) -> Result<Deployment> {
     Ok(deployment)
 }
 
-/// Returns the communication range that the flags set; `None` to use that of the policy.
+/// Returns the communication range that the flags `--comm-range-m` and `--comm-range-std-m` set: its mean `mean_m`
+/// \[m\] and its standard deviation `std_m` \[m\]. If only the deviation is set, the mean is the radius of the trial's
+/// policy. If neither is set, returns `None`, so that the policy's own range holds. An invalid value is an error.
 pub fn range(mean_m: Option<f32>, std_m: f32, trial: &Trial) -> Result<Option<CommRange>> {
     if !(0.0..=1e3).contains(&std_m) {
         return Err(BadInput(format!("--comm-range-std-m: {std_m} is not 0 to 1000")).into());
@@ -46,7 +48,8 @@ pub fn range(mean_m: Option<f32>, std_m: f32, trial: &Trial) -> Result<Option<Co
     Ok(Some(CommRange { mean_m, std_m }))
 }
 
-/// Returns the fault plan of `given`: a seed, or the path of a file.
+/// Returns the fault plan that `given` names. If it is a whole number, it is the seed from which faults for `trial` are
+/// drawn; otherwise it is the path of a fault plan file (TOML).
 pub fn faults(given: &str, trial: &Trial) -> Result<FaultPlan> {
     if let Ok(seed) = given.parse::<u64>() {
         return Ok(trial.clone().random_faults(seed).faults);

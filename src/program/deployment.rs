@@ -51,7 +51,7 @@ pub struct Args {
     radio: String,
 }
 
-/// Runs `deployment`: prints the deployment.
+/// Runs `deployment`: prints the preset mode that the arguments select, as a deployment file (TOML).
 pub fn run(args: &Args) -> Result<Ended> {
     let deployment =
         Deployment::preset(&args.mode, usize::from(args.robots)).expect("the parser lets only modes through");
@@ -85,7 +85,8 @@ pub fn with_radio(deployment: Deployment, given: &str) -> Result<Deployment> {
 }
 
 /// Describes the emulated network as text; `None` if it is ideal. `delay_ms` \[ms\] and `loss` (0 to 1) apply to all
-/// messages (`all`), or only to those between robots.
+/// messages if `all` is true, or else only to those between robots. `radio` is the name of a radio preset, the path of
+/// a radio file, or `none`.
 pub fn conditions(delay_ms: f64, loss: f64, all: bool, radio: &str) -> Option<String> {
     let of = if all { "all messages" } else { "messages between robots" };
     let parts = [

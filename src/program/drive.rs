@@ -31,7 +31,7 @@ fn kind(name: String) -> DriveKind {
 }
 
 impl DriveFlags {
-    /// Whether no flag of the drive is given.
+    /// Returns true if none of the flags about the robots' drive (`--drive`, `--speed-m-s`, ...) is given.
     pub fn is_empty(&self) -> bool {
         self.settings().is_empty()
     }
@@ -53,7 +53,8 @@ impl DriveFlags {
         Settings { drive, point_ahead_m, speed_m_s, yaw_rate_rad_s, ..Settings::default() }
     }
 
-    /// Returns `settings` with the given flags in place of their fields. An error names the flag.
+    /// Returns `settings` with the values of the given flags in place of those of its fields. If the result is not a
+    /// valid chassis, the error names the flag.
     pub fn over(&self, settings: &Settings) -> Result<Settings> {
         let all = self.settings().or(settings);
         let flag = |error: ConfigError| match error {

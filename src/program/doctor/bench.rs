@@ -1,4 +1,5 @@
-//! Opens the devices of one host for a while, collects all that they report, and runs a wiggle if requested.
+//! Opens the drivers and the source of readings of one host for a while, collects all that they report, and runs a
+//! wiggle (a short drive of each robot) if requested. The command `doctor` uses it.
 
 use std::cell::{Cell, RefCell};
 use std::io::Read;
@@ -26,26 +27,29 @@ use super::notes;
 use crate::program::output::talk;
 use crate::program::{BadInput, signals};
 
-/// Time for the last commands to the robots, which stop them.
+/// Time for which commands to stand are still sent to the robots, before the check of the devices ends.
 const STOPPING: Span = Span::from_millis(200);
 
-/// Longest time for devices to start, in addition to the listening time. Discovery of ROS 2 takes 1.3 s, and the SDK of
-/// a RoboMaster one second.
+/// Longest time for the drivers and the source to start, in addition to the listening time. Discovery of ROS 2 takes
+/// 1.3 s, and the SDK of a RoboMaster one second.
 const STARTING: Span = Span::from_millis(3000);
 
-/// Reason why the check of the devices ended.
+/// Reason why the check of a host's drivers and source ended.
 pub enum End {
     /// The listening time is over, or the wiggle has its last result.
     Done,
-    /// Ctrl-C or SIGTERM.
+    /// The user or the system interrupted the program by Ctrl-C or SIGTERM.
     Interrupted,
     /// The team has an emergency stop or an episode, as the text says, so no robot may be driven.
     Team(String),
 }
 
-/// Opens the devices of the team's host, and observes them for `seconds` after their first report. Then drives the
-/// robots if `wiggle` is given. While robots move, the operator in it listens to the team, whose stop or episode ends
-/// the wiggle.
+/// Opens the drivers and the source of the host `team.host`, and observes them for `seconds` \[s\] after their first
+/// report. Then runs the wiggle (a short drive of each robot) if `wiggle` is given. Returns what the devices reported,
+/// and why the check ended.
+///
+/// The operator in `wiggle` listens to the team; an emergency stop or an episode of the team ends the wiggle. It is
+/// `None` if the host has no link.
 pub fn look(
     team: &Team,
     registry: &Registry,
@@ -120,7 +124,8 @@ pub fn look(
     Ok((seen.take(), end))
 }
 
-/// Returns the reason to end a wiggle in an event of the operator that listens to the team; `None` if there is none.
+/// Returns the reason to end a wiggle that follows from an event of the operator that listens to the team: an emergency
+/// stop or an episode. `None` if the event is no reason.
 fn reason_to_end(said: &ProcessEvent) -> Option<String> {
     match said {
         ProcessEvent::Message(Wire::Mode(mode)) => hindrance(mode.phase, mode.latch),
@@ -135,7 +140,8 @@ fn tick(clock: &Clock) {
     clock.call(clock.now() + Span::from_millis(50), Box::new(move || tick(&again)));
 }
 
-/// Returns the reason why no robot may be driven after an emergency stop message; `None` if it is clear.
+/// Returns the reason why no robot may be driven after the emergency stop message `stop`; `None` if the message says
+/// that the stop is clear.
 fn hindrance_of_stop(stop: &Stop) -> Option<String> {
     (!stop.latch.is_clear()).then(|| "the emergency stop was engaged".to_owned())
 }

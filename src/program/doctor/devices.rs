@@ -1,4 +1,5 @@
-//! Findings about the devices of a host: what its source and its drivers report while the robots stand.
+//! Findings of `doctor` about the devices of a host: what its source of readings and its drivers report while the
+//! robots stand.
 
 use std::collections::BTreeMap;
 
@@ -11,22 +12,25 @@ use crate::time::{Span, Time};
 
 use super::{Found, Status, Subject, notes};
 
-/// Largest deviation between the rate of stamps and that of arrivals, as a share. Clocks deviate by far less; jitter
-/// over a second of readings causes a few percent.
+/// Largest accepted deviation from 1 of the advance of the readings' stamps per time between their arrivals; a larger
+/// one is a warning. Clocks deviate by far less; jitter over a second of readings causes a few percent.
 const SKEW: f64 = 0.1;
-/// Shortest time between first and last reading for which stamps are compared with arrivals.
+/// Shortest time between a robot's first and last reading from which the advance of the stamps is compared with the
+/// time between the arrivals.
 const COMPARED: Span = Span::from_millis(400);
 
-/// Readings of one robot, from the source or its odometry.
+/// Statistics of the readings of one robot, from the host's source or from the robot's odometry: number, first and last
+/// reading, longest gap.
 #[derive(Clone, Debug)]
 struct Track {
     first: (Time, u64),
     last: Reading,
     at: Time,
-    /// Number of readings, and of those with the same stamp as the previous one.
+    /// Number of all readings, including those with the same stamp as the reading before.
     count: u32,
+    /// Number of readings with the same stamp as the reading before.
     repeated: u32,
-    /// Longest time between two readings with different stamps.
+    /// Longest time between the arrivals of two successive readings with different stamps.
     gap: Span,
 }
 
@@ -46,12 +50,13 @@ impl Track {
         self.last = reading.clone();
     }
 
-    /// Rate of readings with new stamps \[Hz\].
+    /// Returns the rate of readings with new stamps \[Hz\].
     fn rate_hz(&self) -> f64 {
         f64::from(self.count - 1 - self.repeated) / self.at.since(self.first.0).as_secs().max(1e-9)
     }
 
-    /// Advance of the stamps per second of arrivals \[s\]; `None` if the readings span too little time.
+    /// Returns by how much the stamps advance \[s\] in one second of the receiver's clock; 1 if both clocks run equally
+    /// fast. `None` if the readings span too little time (`COMPARED`).
     fn pace(&self) -> Option<f64> {
         let arrived = self.at.since(self.first.0);
         let stamped = self.last.stamp_ns as f64 - self.first.1 as f64;
@@ -65,20 +70,24 @@ impl Track {
     }
 }
 
-/// All that the devices of a host have reported.
+/// All that a host's source and drivers have reported during `doctor`: readings, odometry, hardware conditions, and
+/// results of the wiggle (a short drive of each robot).
 #[derive(Debug, Default)]
 pub struct Seen {
     readings: BTreeMap<RobotId, Track>,
     odometry: BTreeMap<RobotId, Track>,
     hardware: BTreeMap<RobotId, Hardware>,
     source_ended: bool,
-    /// Whether the host has a source; then its first reading starts the listening time.
+    /// True if the host has a source of readings. Then the source's first reading starts the listening time; otherwise
+    /// the first robot that is ready starts it.
     localizes: bool,
-    /// Time of the first reading; without a source, of the first report of a robot that is ready.
+    /// Begin of the listening time: when the first reading of the host's source arrived or, if the host has no source,
+    /// when a driver first reported that its robot is ready. `None` before.
     pub began: Option<Time>,
-    /// Results of the wiggle, by robot.
+    /// Results of the wiggle (a short drive of each robot): the judgement of each driven robot's motion, in the order
+    /// of the drives.
     pub results: Vec<(RobotId, Verdict)>,
-    /// Whether the wiggle has ended.
+    /// True if the wiggle (a short drive of each robot) has ended.
     pub over: bool,
 }
 
@@ -90,12 +99,13 @@ fn note(tracks: &mut BTreeMap<RobotId, Track>, now: Time, reading: Reading) {
 }
 
 impl Seen {
-    /// Creates it without reports. `localizes`: whether the host has a source.
+    /// Creates the collection of device reports, without any report. `localizes` is true if the host has a source of
+    /// readings.
     pub fn new(localizes: bool) -> Seen {
         Seen { localizes, ..Seen::default() }
     }
 
-    /// Records an event of the bench.
+    /// Records `event`, which a device of the host or the wiggle has reported at the time `now`.
     pub fn note(&mut self, now: Time, event: Event) {
         let begins = match &event {
             Event::Reading(_) => self.localizes,
@@ -121,7 +131,8 @@ impl Seen {
         }
     }
 
-    /// Returns the findings about the devices of the team's host, which were observed for `seconds`.
+    /// Returns the findings about the devices of the host `team.host`, which were observed for `seconds` \[s\]: one or
+    /// more about its source, and for each robot that it drives those about the driver and the odometry.
     pub fn findings(&self, team: &Team, seconds: f64) -> Vec<Found> {
         let host = &team.deployment.hosts[usize::from(team.host.0)];
         let ids = |robots: &[u16]| robots.iter().copied().map(RobotId).collect::<Vec<_>>();
@@ -133,7 +144,8 @@ impl Seen {
         found
     }
 
-    /// Returns the findings about the source.
+    /// Returns the findings about the host's source of readings, which was observed for `seconds` \[s\]: a failure that
+    /// names those of `robots` without a reading, and a finding about the readings of each other robot.
     fn tracker(&self, team: &Team, robots: &[RobotId], seconds: f64) -> Vec<Found> {
         let host = &team.deployment.hosts[usize::from(team.host.0)];
         let name = host.source.as_ref().map_or("", |source| &source.name);
@@ -157,7 +169,7 @@ impl Seen {
         found
     }
 
-    /// Returns the finding about the driver of a robot.
+    /// Returns the finding about the driver of `robot`: ready or not, battery charge and temperature.
     fn robot(&self, team: &Team, robot: RobotId) -> Found {
         let host = &team.deployment.hosts[usize::from(team.host.0)];
         let name = host.driver.as_ref().map_or("", |driver| &driver.name);
@@ -192,7 +204,7 @@ impl Seen {
         }
     }
 
-    /// Returns the finding about a robot's odometry.
+    /// Returns the finding about the odometry of `robot`, whose readings are `track`: rate, gaps, stamps and pose.
     fn own_odometry(&self, team: &Team, robot: RobotId, track: &Track) -> Found {
         about_track(team, &format!("{robot}, odometry"), track)
     }

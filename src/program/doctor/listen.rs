@@ -28,22 +28,23 @@ use crate::program::key;
 
 /// Age of a host's last datagram below which the host is running \[s\]. Reports are sent four times a second.
 const RUNNING_S: f64 = 2.0;
-/// Loss from which on a warning is given: that at which the mode `repeat` begins to repeat (docs/wire.md).
+/// Share of lost datagrams (0 to 1) from which a warning is given: that at which the reliability mode `repeat` begins
+/// to repeat (docs/wire.md).
 const LOSSY: f64 = 2.0 / 64.0;
 
-/// Results of listening to the team.
+/// Results of listening to the team: findings, running hosts, and whether robots may be driven.
 #[derive(Default)]
 pub struct Heard {
-    /// Findings about reception and robots.
+    /// Findings about reception from each host on each link, refused datagrams, and the condition of each robot.
     pub found: Vec<Found>,
-    /// Hosts that are running.
+    /// Hosts of the team from which a datagram arrived within the last two seconds.
     pub hosts: BTreeSet<HostId>,
     /// Reason why no robot may be driven now; `None` if robots may be driven.
     pub hindrance: Option<String>,
 }
 
-/// Returns the reason why no robot may be driven while the team is in this phase with this latch. `None` if the team
-/// stands and will not continue by itself.
+/// Returns the reason why no robot may be driven while the team's episode is in phase `phase` and its emergency stop
+/// latch is `latch`. `None` if the team stands and will not continue by itself, so robots may be driven.
 pub fn hindrance(phase: Phase, latch: Latch) -> Option<String> {
     match phase {
         _ if latch.is_engaged() => Some("the emergency stop is engaged: re-arm and resume first".to_owned()),
@@ -59,7 +60,8 @@ pub fn hindrance(phase: Phase, latch: Latch) -> Option<String> {
 struct Received {
     peers: BTreeMap<(u16, u16), Peer>,
     counts: LinkCounts,
-    /// Id of the second operator, whose answers show the loopback.
+    /// Host id of the second of the two operators that `doctor` runs. If the first one receives its answers, then
+    /// datagrams that this machine sends come back to it (loopback).
     echo: u16,
     /// Condition of each robot, merged from all hosts that report it.
     robots: BTreeMap<RobotId, Condition>,
@@ -70,7 +72,8 @@ struct Received {
 }
 
 impl Received {
-    /// Merges a host's report on a robot with those of other hosts.
+    /// Merges a host's report on a robot into what other hosts reported about that robot: a value in `told` replaces
+    /// the known one, and a missing value leaves it. The reason of a fault is dropped once the robot is ready.
     fn learn(&mut self, told: &Condition) {
         let known = self.robots.entry(told.robot).or_insert_with(|| told.clone());
         known.phase = told.phase.or(known.phase);
@@ -82,7 +85,8 @@ impl Received {
     }
 }
 
-/// Listens for `seconds` on the links of `teams`, which are the hosts of this machine. `all` are all hosts of the team.
+/// Listens to the team for `seconds` \[s\] on the links of `teams`, which are the hosts of this machine, and returns
+/// findings, running hosts and any reason why no robot may be driven. `all` has an entry for each host of the team.
 pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Heard> {
     let first = &teams[0];
     let place = |at: usize| teams.iter().find_map(|team| Some(team.links[at].as_ref()?.for_guest(team.host)));
@@ -123,7 +127,8 @@ pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Heard> {
     Ok(Heard { found, hosts, hindrance: received.hindrance.or(begins) })
 }
 
-/// Opens an operator that listens on all links of the team's host; `None` if the host uses no link.
+/// Opens the sockets of an operator (a host outside the deployment) on all links of the host `team.host`, so that it
+/// can listen to the team; `None` if that host uses no link.
 pub fn operator(team: &Team) -> Result<Option<Operator>> {
     let places: Vec<Option<Place>> =
         team.links.iter().map(|place| place.as_ref().map(|place| place.for_guest(team.host))).collect();
@@ -290,7 +295,8 @@ fn phase_name(phase: Phase) -> &'static str {
     }
 }
 
-/// Returns findings about refused datagrams, for causes that indicate a mistake.
+/// Returns warnings about datagrams that were refused because of a wrong key, another version of the wire format, or an
+/// invalid content: each indicates a mistake in the team's setup. Causes without a refused datagram give none.
 fn refusals(counts: &LinkCounts) -> Vec<Found> {
     let all = [
         (counts.auth, "with another key or none", "compare the fingerprints that doctor shows on every host"),

@@ -54,11 +54,11 @@ pub struct Args {
     json: bool,
 }
 
-/// Log levels of `doctor`. Messages of drivers and sources are shown in the findings instead.
+/// Log filter of `doctor`, as `target=level` entries. Messages of drivers and sources are off; the findings show them.
 pub const LEVEL: &str = "error,murmurate::drivers=off,murmurate::localization=off,murmurate::edge=off,\
     murmurate::ros2=off,murmurate::actors=off,murmurate::safety=off";
 
-/// Severity of a check's result.
+/// Severity of a check's result, in rising order; `Fail` means that this machine is not fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum Status {
@@ -72,24 +72,24 @@ enum Status {
 struct Check {
     /// Severity of the result.
     status: Status,
-    /// Name of the checked host; "here" for the machine.
+    /// Name of the host to which the check belongs; "here" for a check of the machine.
     host: String,
-    /// Subject of the check.
+    /// Thing that was checked, such as the key, a link or a robot.
     what: Subject,
-    /// Observation.
+    /// Text that says what the check observed.
     found: String,
     /// Advice on what to do; empty if there is nothing to do.
     advice: String,
 }
 
-/// Subject of a check, displayed as `key`, `link infra, MTU` or `link infra, host world`.
+/// Thing that a check is about, displayed as `key`, `link infra, MTU` or `link infra, host world`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Subject {
-    /// Machine, team or robot.
+    /// Any thing but a link, by name, such as `key`, `policy` or a robot.
     General(String),
-    /// Property of a link on this machine.
+    /// Property `item` of the link `link` on this machine, such as its MTU.
     Link { link: String, item: String },
-    /// Another host, received on a link.
+    /// The host `host` as this machine hears it on the link `link`.
     Peer { link: String, host: String },
 }
 
@@ -174,7 +174,11 @@ fn check(host: &str, (status, what, found, advice): Found) -> Check {
     Check { status, host: host.to_owned(), what, found, advice }
 }
 
-/// Checks the devices of a host, and drives its robots if requested.
+/// Checks the drivers and the source of the host `team.host`, and drives its robots if `--wiggle` is given. Returns the
+/// findings, and why the check ended.
+///
+/// The devices are not opened if the host is running already, according to `heard`. With `--wiggle`, they are not
+/// opened either if `heard` has a reason why no robot may be driven, or if the user does not confirm the drive.
 fn look(args: &Args, team: &Team, registry: &Registry, heard: &Heard) -> Result<(Vec<Found>, bench::End)> {
     let host = wiggle::host_of(team);
     let wiggles = args.wiggle && !host.actuates.is_empty();
@@ -209,8 +213,8 @@ fn look(args: &Args, team: &Team, registry: &Registry, heard: &Heard) -> Result<
     Ok((found, end))
 }
 
-/// Returns the hosts that this machine is checked for: the one that a flag names, or all of a team that stays on one
-/// machine.
+/// Returns the hosts that `doctor` checks this machine for: the one that a flag names, or all if the team stays on one
+/// machine. Without such a flag, a team of several machines is an error.
 fn teams(args: &Args, file: &TeamFile) -> Result<Vec<Team>> {
     if let Some(host) = args.which.find(file)? {
         return Ok(vec![args.team.for_host(file, host)?]);

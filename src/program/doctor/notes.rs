@@ -16,17 +16,17 @@ use tracing_subscriber::registry::LookupSpan;
 /// Largest number of collected warnings. A faulty tracker may warn without end.
 const MOST: usize = 1000;
 
-/// Warning, with its origin: the name of a worker's thread or of an actor.
+/// Collected warning or error: its text, and its origin, the name of a worker's thread or of an actor.
 struct Note {
     from: String,
     text: String,
 }
 
 static NOTES: Mutex<Vec<Note>> = Mutex::new(Vec::new());
-/// Whether collection has ended.
+/// True while warnings are not collected.
 static CLOSED: AtomicBool = AtomicBool::new(false);
 
-/// Log layer that collects warnings and errors.
+/// Log layer that collects the warnings and errors of drivers and sources, for the findings of `doctor`.
 pub struct Notes;
 
 /// Visitor that extracts the message of a log event.
@@ -54,12 +54,14 @@ impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for Notes {
     }
 }
 
-/// Starts or ends collection. It ends before workers shut down, as their last messages are no findings.
+/// Starts the collection of warnings if `open` is true, and ends it otherwise. It is ended before workers shut down, as
+/// their last messages are no findings.
 pub fn take(open: bool) {
     CLOSED.store(!open, Ordering::Relaxed);
 }
 
-/// Returns the newest warning from one of these threads or actors.
+/// Returns the text of the newest collected warning from the threads or actors named in `from`; `None` if there is
+/// none.
 pub fn newest(from: &[&str]) -> Option<String> {
     let notes = NOTES.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
     notes.iter().rev().find(|note| from.contains(&note.from.as_str())).map(|note| note.text.clone())

@@ -3,16 +3,17 @@
 
 use super::{Check, Status, Subject};
 
-/// Line of the table: checks with the same result, of several hosts, links or items.
+/// Line of the table that `doctor` prints: one or more checks with the same result, for several hosts, links or items.
 pub struct Line<'a> {
     status: Status,
     /// Hosts that were checked.
     hosts: Vec<&'a str>,
     links: Vec<&'a str>,
-    /// Checked items of links, or other hosts on the links.
+    /// Names of what was checked: of things such as `key`, of properties of a link such as its MTU, or of the hosts
+    /// that were heard on a link.
     items: Vec<&'a str>,
     peers: bool,
-    /// Observation; `None` for items of links without defects.
+    /// Text that says what the checks observed; `None` for properties of links without defects.
     found: Option<&'a str>,
     advice: &'a str,
 }
@@ -38,7 +39,8 @@ impl<'a> Line<'a> {
         Line { status: *status, hosts: vec![host], links, items: vec![item], peers, found, advice }
     }
 
-    /// Whether another line has the same severity, observation and advice.
+    /// Returns true if another line has the same severity, observation and advice, and is about the same kind of thing
+    /// (a heard host or not).
     fn is_like(&self, other: &Line) -> bool {
         (self.status, self.found, self.advice, self.peers) == (other.status, other.found, other.advice, other.peers)
     }
@@ -49,7 +51,8 @@ impl<'a> Line<'a> {
         insert(&mut self.items, &other.items);
     }
 
-    /// Returns the text of the line, for a table about `hosts` hosts.
+    /// Returns the text of the line, for a table about `hosts` hosts. A line about all of them, or about the machine,
+    /// names no host.
     pub fn text(&self, hosts: usize) -> String {
         let status = match self.status {
             Status::Ok => "ok  ",
@@ -77,7 +80,8 @@ impl<'a> Line<'a> {
     }
 }
 
-/// Returns the lines of the table, in the order of the checks.
+/// Returns the lines of the table of `doctor`, in the order of the checks. Checks that differ only in their property,
+/// their link or their host are merged into one line.
 pub fn lines(checks: &[Check]) -> Vec<Line<'_>> {
     let by_link = gather(checks.iter().map(Line::of), |line, other| {
         line.is_like(other) && line.links == other.links && (!line.links.is_empty() || line.items == other.items)
@@ -97,7 +101,8 @@ fn gather<'a>(all: impl Iterator<Item = Line<'a>>, joins: impl Fn(&Line, &Line) 
     lines
 }
 
-/// Returns the final line: whether this machine can be the host, or all hosts of a team that stays on one machine.
+/// Returns the last line of the output of `doctor`. It says whether this machine can be the hosts named in `hosts`, one
+/// or all of a team, and how many checks failed or gave a warning.
 pub fn verdict(lines: &[Line], hosts: &[&str]) -> String {
     let count = |status| lines.iter().filter(|line| line.status == status).count();
     let (failed, warned) = (count(Status::Fail), count(Status::Warn));

@@ -21,12 +21,12 @@ use crate::program::output::talk;
 /// Period of motor commands: that of policies.
 const PERIOD: Span = Span::from_millis(50);
 
-/// Returns the deployment's entry of the team's host.
+/// Returns the deployment's entry of the host `team.host`.
 pub fn host_of(team: &Team) -> &Host {
     &team.deployment.hosts[usize::from(team.host.0)]
 }
 
-/// Returns the only one of these hosts that drives robots. Fails if there is none or several.
+/// Returns the only one of the hosts `teams` that drives real robots. It is an error if none or several do.
 pub fn only(teams: &[Team]) -> Result<&Team> {
     let names: Vec<&str> = teams.iter().map(|team| host_of(team).name.as_str()).collect();
     let real: Vec<&Team> = teams.iter().filter(|team| !host_of(team).actuates.is_empty()).collect();
@@ -38,7 +38,8 @@ pub fn only(teams: &[Team]) -> Result<&Team> {
     Err(BadInput(format!("--wiggle: {why}")).into())
 }
 
-/// Checks that the wiggle is confirmed by the flag `--yes`, or can be confirmed on a terminal.
+/// Checks that the flag `--yes` (`yes`) confirms the wiggle, which drives robots, or that a user can confirm it on a
+/// terminal; otherwise it is an error.
 pub fn check_confirmable(yes: bool) -> Result<()> {
     if !yes && !std::io::stdin().is_terminal() {
         let why = "--wiggle moves robots: confirm it by --yes, or on a terminal";
@@ -47,7 +48,8 @@ pub fn check_confirmable(yes: bool) -> Result<()> {
     Ok(())
 }
 
-/// Asks on the terminal whether robots may move. Returns the answer.
+/// Asks on the terminal whether the robots of the host `team.host` may be driven 10 cm and back. Returns true if the
+/// answer is yes.
 pub fn confirm(team: &Team) -> Result<bool> {
     let robots: Vec<String> = host_of(team).actuates.iter().map(u16::to_string).collect();
     talk(&format!(
@@ -60,7 +62,8 @@ pub fn confirm(team: &Team) -> Result<bool> {
     Ok(matches!(answer.trim(), "y" | "Y" | "yes"))
 }
 
-/// Returns the configuration of the wiggle for the team's host.
+/// Returns the configuration of the wiggle (the short drive of each robot) for the host `team.host`: its robots, their
+/// guard, and the arena, which has no walls if the robots are measured by their odometry only.
 pub fn config(team: &Team, registry: &Registry) -> Result<Config> {
     let settings = Settings::of(team.deployment.robots);
     let scenario = registry.scenario(&team.scenario, &settings).map_err(|e| BadInput(e.to_string()))?;
@@ -88,13 +91,13 @@ pub fn config(team: &Team, registry: &Registry) -> Result<Config> {
     Ok(Config { robots, guard, arena, valid_for: COMMAND_VALIDITY })
 }
 
-/// Returns a finding that the whole wiggle has failed, or was not run.
+/// Returns the finding that the whole wiggle has failed, or was not run, for the reason `why`.
 pub fn failed(why: &str, advice: &str) -> Found {
     (Status::Fail, Subject::General("wiggle".to_owned()), why.to_owned(), advice.to_owned())
 }
 
-/// Returns the finding about a robot that was driven. `localizes`: its motion was measured by a source, and not by its
-/// odometry.
+/// Returns the finding about a robot that was to be driven, from the judgement `verdict` of its motion. `localizes` is
+/// true if a source measured the motion, and not the robot's odometry.
 pub fn finding(robot: RobotId, verdict: &Verdict, localizes: bool) -> Found {
     let (status, said, advice) = words(robot, verdict);
     let frame = if localizes || status != Status::Ok { "" } else { ", by its own odometry" };

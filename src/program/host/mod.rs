@@ -78,7 +78,8 @@ pub struct Args {
     launched: bool,
 }
 
-/// Period of the event with all counts, so that they are known even if the host is killed.
+/// Period of the event [`HostEvent::Counted`], which has the host's counts of messages, datagrams and so on. It is
+/// printed periodically, so that the counts are known even if the host is killed.
 const COUNTED_PERIOD: Span = Span::from_millis(1000);
 
 /// Returns the description of the run for the table of results.
@@ -97,7 +98,8 @@ fn results_of(team: &Team, policy: String, began: Instant, interrupted: bool) ->
     }
 }
 
-/// Returns the team file and its flags, from the arguments of the command that made a record.
+/// Parses the arguments of the command `host` that made a record, and returns its flags about the team: the path of the
+/// team file and the changes to it. It is an error if the arguments are not understood.
 #[cfg(feature = "sim")]
 pub fn of_record(arguments: &[String]) -> Result<team::TeamArgs> {
     use clap::{Args as _, FromArgMatches};
@@ -106,7 +108,7 @@ pub fn of_record(arguments: &[String]) -> Result<team::TeamArgs> {
     Ok(Args::from_arg_matches(&found).map_err(wrong)?.team)
 }
 
-/// Runs `host` until the team has finished or a stop is requested.
+/// Runs the command `host`: the actors of one host of the team, until the team has finished or a stop is requested.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let began = Instant::now();
     #[cfg(feature = "watch")]
@@ -181,16 +183,17 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
 /// Number of the signal that ended the host, and the flag that requests to keep the last seconds of its record.
 type Signals = (Arc<AtomicUsize>, Arc<AtomicBool>);
 
-/// Checks that are made after every turn of the event loop. Prints new events, and decides whether the host ends.
+/// State of the work that a host does after every turn of its event loop: it prints new events, notifies the service
+/// manager, and decides whether the host ends.
 struct Watch {
     seen: Rc<Seen>,
     id: HostId,
     /// Time that the host runs on after the last episode.
     grace: Span,
     signal: Arc<AtomicUsize>,
-    /// Flag that a signal sets to request that the last seconds of the record are kept.
+    /// Flag that a signal sets to request that the last seconds of the record are kept; cleared when that is done.
     keep: Arc<AtomicBool>,
-    /// Whether the reader of the host's events has closed the pipe.
+    /// True if the reader of the events that the host prints has closed the pipe.
     abandoned: Rc<Cell<bool>>,
     /// Watchdog timeout of the service manager; `None` without one.
     watchdog: Option<Duration>,
@@ -202,7 +205,7 @@ struct Watch {
     counted: Time,
     over: Option<Time>,
     stopping: Option<Time>,
-    /// Error that has ended the host's output.
+    /// Error that has ended the host's output, such as of a full disk; `None` without one.
     lost: Option<anyhow::Error>,
 }
 
@@ -225,7 +228,8 @@ impl Watch {
         }
     }
 
-    /// Makes the checks once. Returns whether the host ends.
+    /// Prints new events, notifies the service manager, and handles requests to stop or to keep the record. It is
+    /// called after each turn of the event loop. Returns true if the host must end now.
     fn turn(&mut self, graph: &Graph, now: Time) -> bool {
         let seen = Rc::clone(&self.seen);
         let outlets = &seen.outlets;
@@ -309,7 +313,8 @@ impl Args {
     }
 }
 
-/// Fails unless the host simulates the whole team, since trajectories come from true states.
+/// Checks that the host simulates every robot of the team, which `--trajectories` needs, since trajectories come from
+/// true states. Otherwise it is an error.
 fn sees_whole_team(team: &Team) -> Result<()> {
     let host = &team.deployment.hosts[usize::from(team.host.0)];
     if host.simulates.len() != team.deployment.robots {
