@@ -16,7 +16,7 @@ let scene = null, goals = [], status = null, holder = false;
 let world = null, links = null, heardAt = -Infinity, dirty = true, stale = true;
 let chosen = null, colours = {}, trails = [], trailAt = 0, view = { k: 1, x: 0, y: 0 };
 let histogram = new Float32Array(BINS + 1);
-let dragging = false;
+let dragging = false, wanted = null; // The rate of a record that was chosen here and is not reported back yet.
 const counts = { bytes: 0, snapshots: 0, drawn: 0, drawMs: 0 };
 
 // ---- WebSockets
@@ -54,11 +54,11 @@ connect("view", () => {}, data => {
 connect("control", socket => { control = socket; if (stopWanted) send({ do: "stop" }); }, data => {
   counts.bytes += data.length;
   const { kind, body } = JSON.parse(data);
-  if (kind === "hello") holder = body.holder;
+  if (kind === "hello") { holder = body.holder; wanted = null; }
   if (kind === "scene") { scene = body; setUp(); }
   if (kind === "goals") { goals = body.goals; dirty = true; }
   if (kind === "status") { status = body; showStatus(); }
-  if (kind === "refused") { refusedUntil = performance.now() + 4000; notice(`Refused: ${body.why}`); }
+  if (kind === "refused") { wanted = null; refusedUntil = performance.now() + 4000; notice(`Refused: ${body.why}`); }
 });
 
 function send(command) {
@@ -145,7 +145,9 @@ function showStatus() {
   if (s.playback) {
     words.clear = s.playback.playing ? "playing" : "halted";
     set($("play"), s.playback.playing ? "Halt" : "Play");
-    if (document.activeElement !== $("rate")) $("rate").value = s.playback.rate;
+    // A status on its way while a rate is chosen still has the old one, which the next order would send again.
+    if (wanted === s.playback.rate) wanted = null;
+    if (wanted === null && document.activeElement !== $("rate")) $("rate").value = s.playback.rate;
     for (const id of ["play", "step", "step-back", "mark-on", "mark-back", "seek", "rate"]) $(id).disabled = !holder;
   }
   if (s.latch === "stopped") stopWanted = false;
@@ -561,8 +563,10 @@ $("step").onclick = () => step(false);
 $("step-back").onclick = () => step(true);
 $("mark-back").onclick = () => toMark(true);
 $("mark-on").onclick = () => toMark(false);
-$("rate").onchange = () => send({ do: "play", on: !!(status && status.playback && status.playback.playing),
-  rate: rate() });
+$("rate").onchange = () => {
+  const on = !!(status && status.playback && status.playback.playing);
+  if (send({ do: "play", on, rate: rate() })) wanted = rate();
+};
 $("seek").oninput = () => { dragging = true; seek(+$("seek").value); };
 $("seek").onchange = () => { dragging = false; };
 
