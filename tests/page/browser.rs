@@ -2,9 +2,12 @@
 
 use std::io::{BufRead, BufReader};
 use std::net::TcpStream;
+use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use nix::sys::signal::{Signal, killpg};
+use nix::unistd::Pid;
 use serde_json::{Value, json};
 use tungstenite::protocol::WebSocketConfig;
 use tungstenite::{Message, WebSocket, client};
@@ -31,7 +34,8 @@ impl Browser {
             command.args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run"]);
             command.args(["--hide-scrollbars", "--remote-debugging-port=0", "--window-size=1280,800"]);
             command.arg(format!("--user-data-dir={}", profile.path().display())).arg("about:blank");
-            command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().ok()
+            // A group of its own, since the browser may be started by a script and starts processes itself.
+            command.process_group(0).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().ok()
         };
         let Some(mut child) = PROGRAMS.iter().find_map(start) else {
             eprintln!("skipped: none of {} is installed", PROGRAMS.join(", "));
@@ -125,7 +129,8 @@ impl Browser {
 
 impl Drop for Browser {
     fn drop(&mut self) {
-        let _ = self.child.kill();
+        let group = Pid::from_raw(i32::try_from(self.child.id()).expect("a process id"));
+        let _ = killpg(group, Signal::SIGKILL);
         let _ = self.child.wait();
     }
 }
