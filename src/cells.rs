@@ -60,8 +60,8 @@ impl Cells {
     }
 
     /// Replaces the content of `found` by the indices, ascending, of the points around the position `at` \[m\]. The
-    /// search radius is that given to `new`. Indices count the points in the order given to `new`, from zero. Points up
-    /// to 0.1 % (1 mm for a tiny radius) farther away may be included.
+    /// search radius is that given to `new`, and indices count the points given to `new`, from zero. Points up to 0.1 %
+    /// (1 mm for a tiny radius) beyond the radius may be included.
     pub fn near(&self, at: Vec2, found: &mut Vec<usize>) {
         found.clear();
         let (x, y) = cell(at, self.cell_m);

@@ -7,7 +7,7 @@ use crate::messages::geometry::Vec2;
 use crate::random;
 use crate::random::Stream;
 
-/// Rule for how long an agent uses a received message of a neighbour after the first control step with it.
+/// Rule for how long a robot uses a received message of a neighbour: until it is too old, or for one control step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Handling {
     /// The newest message of each neighbour is used at every control step until it is older than the policy's hold

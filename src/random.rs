@@ -55,8 +55,8 @@ pub fn normals(stream: &mut Stream) -> [f64; 2] {
     NormalPair::draw(stream).numbers()
 }
 
-/// Returns `true` if a number of the standard normal distribution, drawn from `stream`, is at least `limit`. It draws
-/// what [`normals`] draws, and compares with the first of its numbers. Most comparisons need no logarithm.
+/// Draws a number of the standard normal distribution from `stream` and returns whether it is at least `limit`. The
+/// stream advances as in one call of [`normals`], whose first number is compared. Most calls need no logarithm.
 pub fn normal_reaches(limit: f64, stream: &mut Stream) -> bool {
     let pair = NormalPair::draw(stream);
     // Farther from zero than the number can be, with a margin for rounding, its sign or its bound decides.

@@ -183,7 +183,8 @@ impl Registry {
         &self.transports
     }
 
-    /// The transport called `name`; an error lists the names of all transports.
+    /// Returns the transport called `name`, which carries the datagrams of a link. An error lists the names of all
+    /// transports.
     pub fn transport(&self, name: &str) -> Result<&transport::Entry, Unknown> {
         find(&self.transports, name)
     }
@@ -218,15 +219,15 @@ impl Registry {
         &self.policies
     }
 
-    /// Makes the scenario (task of a team) called `name`, for the team size and other values in `settings`. The error
-    /// says that the name is unknown or the settings do not fit.
+    /// Makes the scenario (task of a team) called `name`, for the team size and other values in `settings`. An error
+    /// says that the name is unknown or that the settings do not fit.
     pub fn scenario(&self, name: &str, settings: &scenario::Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
         let scenario = scenario::build_of(&self.scenarios, name, settings)?;
         assert_eq!(scenario.name(), name, "a scenario goes by the name that it has in its registry");
         Ok(scenario)
     }
 
-    /// The plant (simulator of robots) called `name`; an error lists the names of all plants.
+    /// Returns the plant (simulator of robots) called `name`. An error lists the names of all plants.
     pub fn plant(&self, name: &str) -> Result<&world::Entry, Unknown> {
         find(&self.plants, name).map_err(|mut unknown| {
             if name == "rigid" {
@@ -236,14 +237,14 @@ impl Registry {
         })
     }
 
-    /// The estimator called `name`, which filters readings into a robot's state; an error lists the names of all
-    /// estimators.
+    /// Returns the estimator called `name`, which filters readings into a robot's state. An error lists the names of
+    /// all estimators.
     pub fn estimator(&self, name: &str) -> Result<&estimation::Entry, Unknown> {
         find(&self.estimators, name)
     }
 
-    /// Makes the driver of one real robot from its settings in a deployment. The error names the wrong field, as found
-    /// in the table of the robot's host.
+    /// Makes the driver of one real robot from its `settings` in a deployment. An error names the wrong field from
+    /// `driver` on, such as `driver.name`.
     pub fn driver(&self, settings: &Settings, robot: RobotId) -> Result<drivers::Parts, ConfigError> {
         let entry =
             find(&self.drivers, &settings.name).map_err(|e| ConfigError::field("driver.name", e.to_string()))?;
@@ -253,16 +254,15 @@ impl Registry {
 
     /// Makes the parts of a source of readings, such as a tracker: its state machine, and the worker that will
     /// communicate with the device. No device is opened yet. `settings` are those of the source in a deployment;
-    /// `robots` are the real robots that the source localizes. The error names the wrong field from `source` on, such
-    /// as `source.address`.
+    /// `robots` are the real robots that the source localizes. An error names the wrong field from `source` on, such as
+    /// `source.address`.
     pub fn source(&self, settings: &Settings, robots: &[RobotId]) -> Result<localization::Parts, ConfigError> {
         let entry =
             find(&self.sources, &settings.name).map_err(|e| ConfigError::field("source.name", e.to_string()))?;
         localization::fusion::make(settings, robots, entry.make).map_err(|error| error.within("source"))
     }
 
-    /// Returns the policy called `name`. `None` if the registry does not have it; the name may then be the path of a
-    /// policy file.
+    /// Returns the policy called `name`; `None` if the registry has no policy of that name.
     pub fn policy(&self, name: &str) -> Option<&policy::Entry> {
         find(&self.policies, name).ok()
     }

@@ -41,8 +41,8 @@ impl Time {
         Span(self.0.saturating_sub(earlier.0))
     }
 
-    /// Returns the first instant strictly after this one on the grid `phase + k * period`, k = 0, 1, ... The `phase`
-    /// counts from the start of the run.
+    /// Returns the first of the instants `phase + k * period`, k = 0, 1, ..., that is strictly after this one. The
+    /// `phase` counts from the start of the run.
     ///
     /// # Panics
     /// If `period` is zero.

@@ -70,14 +70,15 @@ pub struct Trial {
     pub repeat: u32,
     /// Range within which robots receive neighbours' messages; `None` for the range that the policy states.
     pub range: Option<CommRange>,
-    /// Rule for how long an agent uses a neighbour's message after the first control step with it.
+    /// How long a robot uses a neighbour's message: for the policy's whole hold time, or for one control step.
     pub handling: Handling,
     /// Estimator that filters readings into a robot's state.
     pub estimator: estimation::Entry,
-    /// Known delay of the readings; `None` for the latency of the simulated sensor.
+    /// Known delay from a measurement to the arrival of its reading, for which the estimator can compensate; `None` for
+    /// the latency of the simulated sensor.
     pub sensor_delay: Option<Span>,
-    /// Place of the acceleration limit: in the simulator, or in the robots' Controllers. The method `clamp` sets it
-    /// together with the matching physics.
+    /// Limit on the policy's velocities: that of training, where the simulator limits acceleration, or that of the
+    /// paper's robots. The method `clamp` sets it together with the matching `physics`.
     pub clamp: Clamp,
     /// Conditions in which robots are stopped or slowed, whatever the policy's output.
     pub safety: Safety,
@@ -88,7 +89,7 @@ pub struct Trial {
     pub faults: FaultPlan,
     /// Time at which the trial ends, even during an episode; `None` to end with the last episode.
     pub until: Option<Time>,
-    /// Whether the report contains every control step or discards them.
+    /// Whether the report contains the robots' true states after each step of the simulator, and the messages in use.
     pub steps: Steps,
 }
 
@@ -114,8 +115,8 @@ pub enum TrialError {
 pub enum Proceed {
     /// The trial continues with the next event.
     Continue,
-    /// The trial continues, and the time until its next event does not count toward the time at which it is given up:
-    /// a person holds the team.
+    /// The trial continues. The time until its next event is not counted in its time limit, because a person has paused
+    /// the team.
     Hold,
     /// The trial stops; the report holds the results up to that time.
     Stop,
@@ -129,20 +130,22 @@ fn physics(registry: &Registry, plant: &str, scenario: &dyn Scenario) -> Physics
 
 impl Trial {
     /// Makes a trial of one episode with the scripted policy, the scenario's default team size and seed 0. `mode` names
-    /// a preset deployment, such as `offboard`; `scenario` names a task of this crate.
+    /// a preset deployment, such as `offboard`; `scenario` names a task of this crate. An error says which name is
+    /// unknown.
     pub fn preset(mode: &str, scenario: &str) -> Result<Trial, TrialError> {
         Trial::of_team(mode, scenario, None)
     }
 
     /// Makes a trial of one episode for a team of `robots`, with the scripted policy and seed 0. `mode` names a preset
-    /// deployment, `scenario` a task of this crate. `None` as the size takes the scenario's default.
+    /// deployment, `scenario` a task of this crate. `None` as the size takes the scenario's default. An error names
+    /// what is unknown, or says that the size does not fit.
     pub fn of_team(mode: &str, scenario: &str, robots: impl Into<Option<usize>>) -> Result<Trial, TrialError> {
         Trial::from_registry(&Registry::builtin(), mode, scenario, robots)
     }
 
     /// Makes a trial of one episode, with scenario and plant (simulator) looked up in `registry`. `mode` names a preset
     /// deployment; `robots` is the team size, or `None` for the scenario's default. The policy is the scripted one, the
-    /// seed 0.
+    /// seed 0. An error names what is unknown, or says that the size does not fit.
     pub fn from_registry(
         registry: &Registry,
         mode: &str,
@@ -155,14 +158,14 @@ impl Trial {
         Ok(Trial::with_registry(registry, deployment, scenario, Model::Orca))
     }
 
-    /// Makes a trial of one episode with seed 0, with a plant (simulator) of this crate. The deployment must be checked
-    /// and made for the scenario's team size; otherwise the call may panic.
+    /// Makes a trial of one episode with seed 0, with a plant (simulator) of this crate. The deployment must have
+    /// passed `Deployment::check` and be made for the scenario's team size; another size panics.
     pub fn new(deployment: Deployment, scenario: Arc<dyn Scenario>, model: Model) -> Trial {
         Trial::with_registry(&Registry::builtin(), deployment, scenario, model)
     }
 
     /// Makes a trial of one episode with seed 0, with the plant (simulator) looked up in `registry`. The deployment
-    /// must be checked and made for the scenario's team size; another size panics.
+    /// must have passed `Deployment::check` and be made for the scenario's team size; another size panics.
     pub fn with_registry(
         registry: &Registry,
         deployment: Deployment,
@@ -192,8 +195,8 @@ impl Trial {
         }
     }
 
-    /// Makes the trial of a team file. Each host of the team makes the same trial and runs its own part of it, with the
-    /// policy `model`.
+    /// Makes the trial of a team file, with the policy `model`. Each host of the team makes the same trial and runs its
+    /// own part of it. An error names the wrong field.
     pub fn of_host(registry: &Registry, team: &Team, model: Model) -> Result<Trial, TrialError> {
         let scenario = registry.scenario(&team.scenario, &Settings::of(team.deployment.robots))?;
         let layouts = Layouts::of_scenario(&*scenario, team.seed, team.episodes);
@@ -232,8 +235,9 @@ impl Trial {
         self.episodes(episodes)
     }
 
-    /// Sets where the acceleration of robots is limited. In training the simulated World limits it; on the published
-    /// robots, only their Controllers do.
+    /// Sets the limit on the policy's velocities, and the largest acceleration of the simulated robots with it. With
+    /// `Clamp::Training` the simulator limits acceleration, as in training; with `Clamp::Deployed` only the robots'
+    /// Controllers do, as on the paper's robots.
     pub fn clamp(mut self, clamp: Clamp) -> Trial {
         self.clamp = clamp;
         self.physics.acceleration_m_s2 = match clamp {
@@ -255,15 +259,16 @@ impl Trial {
         self
     }
 
-    /// Draws faults from `seed`, over about the first half of the trial. The second half shows how the team recovers.
+    /// Draws faults from `seed` and injects them in about the first half of the trial. The second half shows how the
+    /// team recovers.
     pub fn random_faults(self, seed: u64) -> Trial {
         let half = Span::from_secs(EPISODE_S / 2.0 * f64::from(self.layouts.len()));
         let plan = FaultPlan::random(seed, &self.deployment.targets(), half);
         self.faults(plan)
     }
 
-    /// Sets the duration of the trial, with enough episodes to fill it. The report's totals then count the traffic of
-    /// this time, and `Cost::of` gives it per robot and second.
+    /// Sets the duration of the trial, with enough episodes to fill it. The totals in the report then count the traffic
+    /// of this time.
     pub fn lasting(mut self, lasts: Span) -> Trial {
         let episodes = 1 + lasts.as_nanos() / LEAST_EPISODE.as_nanos();
         // Events at the last instant are included.
@@ -271,7 +276,7 @@ impl Trial {
         self.episodes(u32::try_from(episodes).expect("a trial takes less than a century"))
     }
 
-    /// Sets that the report keeps every control step.
+    /// Sets that the report contains the robots' true states after each step of the simulator.
     pub fn keeping_steps(mut self) -> Trial {
         self.steps = Steps::Reported;
         self
@@ -283,14 +288,14 @@ impl Trial {
     }
 
     /// Runs the trial on the calling thread until its end, or until `proceed` returns [`Proceed::Stop`]. The function
-    /// `proceed` is called at every event with the results of the episodes so far.
+    /// `proceed` is called after each event of the simulation with the results of the episodes so far.
     pub fn run_while(&self, mut proceed: impl FnMut(&[Episode]) -> Proceed) -> TrialReport {
         self.run_observed(|_, _| {}, |_, _, episodes| proceed(episodes))
     }
 
-    /// Runs the trial on the calling thread until its end, or until `proceed` returns [`Proceed::Stop`], and reports
-    /// what happens in it. The function `report` is called with each event and the host where it happened. `proceed` is
-    /// called after the events of each instant, with the actors, the time, and the results of the episodes so far.
+    /// Runs the trial on the calling thread until its end, or until `proceed` returns [`Proceed::Stop`]. The function
+    /// `report` is called with each message and other event of the actors, and the host where it happened. `proceed` is
+    /// called after each event of the simulation, with the actors, the time, and the results of the episodes so far.
     pub fn run_observed(
         &self,
         report: impl Fn(HostId, ProcessEvent) + 'static,

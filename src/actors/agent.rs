@@ -23,25 +23,25 @@ use crate::time::{Span, Time};
 /// Largest distance between a robot and its start at which the robot counts as ready for the episode \[m\].
 pub const START_M: f32 = 0.05;
 
-/// Time from the start of a round (reset or episode) during which an Agent reports no robot as arrived. Its percept may
-/// still come from the round before.
+/// Time from the start of a round (reset or episode) during which an Agent reports no robot as arrived, because its
+/// percept may still come from the round before.
 pub const SETTLING: Span = Span::from_millis(300);
 
 /// Input message of an Agent.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Percept of one of the Agent's robots.
+    /// Inputs of the policy (percept) of one of the Agent's robots at a control tick.
     Percept(Percept),
-    /// Instruction of the state server.
+    /// Instruction of the state server: phase of the episode, and the robots' starts and goals.
     Mode(Mode),
 }
 
 /// Output message of an Agent.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// Latent of one of the Agent's robots, for the robot's neighbours.
+    /// Latent (policy message) of one of the Agent's robots, for the robot's neighbours.
     Latent(Latent),
-    /// Action of one of the Agent's robots, for the robot's Controller.
+    /// Action (desired velocity) of one of the Agent's robots, for the robot's Controller.
     Action(Action),
 }
 
@@ -105,7 +105,8 @@ impl Slot {
     }
 }
 
-/// Agent of one or more robots: computes their latents and actions from their percepts, with their policies.
+/// Agent: the actor that computes the latents (policy messages) and actions of one or more robots from their percepts,
+/// with their policies.
 pub struct Agent {
     scenario: Arc<dyn Scenario>,
     range: CommRange,
@@ -132,8 +133,9 @@ pub struct Agent {
 }
 
 impl Agent {
-    /// Creates an Agent of the robots in `robots`, which must be in the order of their ids. `range` is the
-    /// communication range between them, and `max_wait` the longest wait of a joint step for late percepts.
+    /// Creates an Agent of the robots in `robots`; panics if they are not in the order of their ids. `scenario` defines
+    /// what a policy observes, `range` is the communication range between the robots, and `max_wait` the longest time
+    /// for which a joint step waits for late percepts.
     pub fn new(scenario: Arc<dyn Scenario>, range: CommRange, max_wait: Span, robots: Vec<RobotPolicies>) -> Agent {
         assert!(robots.is_sorted_by_key(|policies| policies.robot), "sums run over robots in the order of their ids");
         Agent {

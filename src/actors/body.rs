@@ -31,15 +31,15 @@ pub enum In {
     MotorCommand(MotorCommand),
     /// Reading (measured state) of the Body's robot; sent only if the robot is not simulated.
     Reading(Reading),
-    /// Packet from the worker of the robot's driver.
+    /// Packet of bytes from the worker (I/O thread) of the robot's driver.
     Packet(Box<[u8]>),
-    /// The worker of the robot's driver has ended.
+    /// The worker (I/O thread) of the robot's driver has ended, so the robot can no longer be commanded.
     WorkerEnded,
     /// Emergency stop message: engage, re-arm or resume.
     Stop(Stop),
-    /// Emergency stop latch that an instruction of the state server contains.
+    /// Emergency stop state (latch) in an instruction of the state server.
     Latch(Latch),
-    /// The Body's host is shutting down.
+    /// The Body's host is shutting down; the Body stops the robot for good.
     Leave,
 }
 
@@ -48,21 +48,25 @@ pub enum In {
 pub enum Out {
     /// Command for the World that simulates the robot.
     Drive(Drive),
-    /// Packet for the worker of the robot's driver.
+    /// Packet of bytes for the worker (I/O thread) of the robot's driver.
     Send(Box<[u8]>),
     /// Pose and velocity from the robot's own sensors, for the Localizer of its host.
     Odometry(Reading),
-    /// Condition of the robot's hardware, for the host's Status and the results.
+    /// Condition of the robot's hardware (health, battery, temperature), for the Status of its host and for the code
+    /// that runs the process.
     Condition(Hardware),
-    /// Whether battery and temperature permit motion, sent on a change to the Controller of the same host.
+    /// Permission to move, which depends on battery and temperature; sent on a change to the robot's Controller if that
+    /// runs on the same host.
     Permit(Permit),
     /// State of the emergency stop latch that this Body obeys now, for the Status of its host.
     Follows(Latch),
-    /// The Body's emergency stop latch, for the whole team: sent when the state server's latch is older than it.
+    /// Stop message with the Body's emergency stop state, for the whole team; sent if the state server's state is
+    /// older.
     Stop(Stop),
 }
 
-/// Body of one robot: passes velocity commands to the robot's driver, or stops the robot.
+/// Body: the actor that passes velocity commands to the driver of one robot, and stops the robot when they expire or
+/// are not permitted.
 pub struct Body {
     robot: RobotId,
     /// Host of the Body.

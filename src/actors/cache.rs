@@ -14,15 +14,15 @@ use crate::messages::wire::{Latent, Reading};
 use crate::random::Stream;
 use crate::time::{Span, Time};
 
-/// Largest number of neighbours stored; far more than fit within any communication range.
+/// Largest number of neighbours whose latents a Cache stores; far more than fit within any communication range.
 pub const MAX_NEIGHBOURS: usize = 256;
 
 /// Input message of a Cache.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Reading of the Cache's robot.
+    /// Reading (measured pose and velocity) of the Cache's own robot.
     Reading(Reading),
-    /// Latent of another robot.
+    /// Latent (policy message) of another robot.
     Latent(Latent),
 }
 
@@ -35,11 +35,11 @@ pub struct Config {
     pub period: Span,
     /// Offset of the control tick within each period.
     pub phase: Span,
-    /// Communication range; may be drawn at random for each message.
+    /// Communication range: largest distance at which a latent is accepted; fixed, or drawn at random for each latent.
     pub range: CommRange,
     /// Hold time: largest age at which a latent is used.
     pub hold: Span,
-    /// Whether a latent is used in every step within the hold time, or only once.
+    /// Whether a latent is used in every control step within the hold time, or only once.
     pub handling: Handling,
     /// Estimator that computes the robot's state from its readings.
     pub estimator: estimation::Entry,
@@ -52,13 +52,14 @@ pub struct Config {
 /// Output message of a Cache.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Out {
-    /// Percept for the robot's Agent.
+    /// Percept (inputs of the policy at a control tick) for the robot's Agent.
     Percept(Percept),
     /// Notice to the robot's Controller that a new measurement of the robot has arrived.
     Fresh,
 }
 
-/// Cache of one robot: holds its estimator and the newest latent of each neighbour, and sends percepts to its Agent.
+/// Cache of one robot: an actor that holds the robot's estimator and the newest latent of each neighbour, and sends
+/// percepts to the robot's Agent.
 #[derive(Debug)]
 pub struct Cache {
     config: Config,
@@ -71,7 +72,8 @@ pub struct Cache {
 }
 
 impl Cache {
-    /// Creates an empty Cache. `stream` is the random stream of the communication ranges.
+    /// Creates an empty Cache. `stream` is the random stream from which the communication range of each latent is
+    /// drawn.
     pub fn new(config: Config, stream: Stream) -> Cache {
         let settings = estimation::Settings { delay: config.sensor_delay };
         let (next, estimator) = (Time::ZERO + config.phase, (config.estimator.make)(&settings));

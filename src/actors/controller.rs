@@ -24,26 +24,26 @@ pub enum In {
     Action(Action),
     /// A new measurement of the robot has arrived at its Cache.
     Fresh,
-    /// Instruction of the state server.
+    /// Instruction of the state server: round and phase of the episode, and the emergency stop state.
     Mode(Mode),
     /// Emergency stop message: engage, re-arm or resume.
     Stop(Stop),
-    /// Whether battery and temperature permit motion, from the Body of the same host.
+    /// Permission to move from the robot's Body on the same host; it depends on battery and temperature.
     Permit(Permit),
-    /// The Controller's host is shutting down.
+    /// The Controller's host is shutting down; the Controller stops the robot for good.
     Leave,
 }
 
 /// Output message of a Controller.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// Command for the robot's Body.
+    /// Velocity command for the robot's Body.
     MotorCommand(MotorCommand),
-    /// Heartbeat for the StateServer.
+    /// Heartbeat (phase of the robot and its emergency stop state) for the state server.
     Heartbeat(Heartbeat),
     /// Emergency stop latch that the Controller follows, for the host's Status.
     Follows(Latch),
-    /// Counts of stops and reduced velocities by the guard, for the Recorder; sent after a change.
+    /// Numbers of times that the guard has stopped or slowed the robot; sent after a change, for telemetry and results.
     Counts(SafetyCounts),
 }
 
@@ -60,7 +60,8 @@ pub struct Config {
     pub phase: Span,
 }
 
-/// Controller of one robot.
+/// Controller of one robot: an actor that passes the policy's actions through the robot's guard to its motors, and
+/// reports the robot's progress to the state server.
 #[derive(Debug)]
 pub struct Controller {
     config: Config,

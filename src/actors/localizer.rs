@@ -13,18 +13,18 @@ use crate::time::Time;
 /// Input message of a Localizer.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// True state of a simulated robot.
+    /// True state of a simulated robot, which the source turns into a reading.
     Sample(Sample),
-    /// Packet from the worker of the source of readings, such as a tracker's datagram.
+    /// Packet from the worker (I/O thread) of the source of readings, such as a tracker's datagram.
     Packet(Box<[u8]>),
     /// Pose and velocity from the own sensors of a robot whose Body runs on this host.
     Odometry(Reading),
 }
 
-/// Localizer that publishes the readings of one source.
+/// Localizer: an actor that publishes the readings (measured poses and velocities) of one source.
 pub struct Localizer {
     source: Box<dyn Source>,
-    /// Chassis of each robot that is not simulated, indexed by robot id.
+    /// Chassis of each robot, indexed by robot id.
     chassis: Rc<[Chassis]>,
     /// Number of packets that the source refused, and of readings without the heading that their chassis needs.
     refused: u64,
@@ -32,8 +32,8 @@ pub struct Localizer {
 }
 
 impl Localizer {
-    /// Creates a Localizer that has received no measurement yet. `source` measures the centres of robots, but readings
-    /// are published of the points that policies command; `chassis`, indexed by robot id, has their offset.
+    /// Creates a Localizer that has received no measurement yet. The `source` measures the centres of robots; readings
+    /// are published of the robots' commanded points, whose offsets `chassis` has, indexed by robot id.
     pub fn new(source: Box<dyn Source>, chassis: Rc<[Chassis]>) -> Localizer {
         Localizer { source, chassis, refused: 0, outputs: Vec::new() }
     }

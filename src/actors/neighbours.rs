@@ -18,29 +18,31 @@ pub(super) struct SharedData {
     pub robot: RobotId,
     /// Estimate of the robot's position \[m\] and velocity \[m/s\] in the world frame.
     pub motion: Motion,
-    /// Range of the robot's features in `Agent::features`; `None` if it broadcasts nothing.
+    /// Start and end of the robot's latent features within the list of all latents of the Agent's current step; `None`
+    /// if the robot broadcasts nothing.
     pub features: Option<[u32; 2]>,
 }
 
-/// Data of the current step that decide which messages a robot's policy gets.
+/// Data of an Agent's current step that decide which messages the policy of one robot gets.
 pub(super) struct Step<'a> {
     /// Communication range between the robots of the Agent.
     pub range: CommRange,
-    /// Round that the Agent follows; messages of others are not used.
+    /// Round that the Agent follows; messages that were sent in another round are not used.
     pub round: Round,
-    /// Phase that the Agent follows; messages of others are not used.
+    /// Phase of the episode that the Agent follows; messages that were sent in another phase are not used.
     pub phase: Phase,
-    /// Number of floats of a latent.
+    /// Number of floats in a latent of the policy; messages of another length are not used.
     pub width: usize,
-    /// Policy frame of the robot.
+    /// Policy frame of the robot, into which neighbours' motions are rotated.
     pub frame: Frame,
     /// Latent features of the Agent's robots, one after the other.
     pub shared: &'a [f32],
 }
 
 impl<'a> Step<'a> {
-    /// Returns the neighbours of the robot with this percept, in the order of their ids: senders of messages in its
-    /// percept, and those of `companions`, robots of the same Agent, that are within a range drawn from `ranges`.
+    /// Returns the neighbours of the robot with this percept, in the order of their ids: the senders of usable messages
+    /// in its percept, and those of `companions`, robots of the same Agent, that are within the communication range. A
+    /// random range is drawn from `ranges`.
     pub fn neighbours(
         &self,
         percept: &'a Percept,

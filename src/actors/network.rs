@@ -27,9 +27,9 @@ use crate::time::{Span, Time};
 pub enum In {
     /// Message that an actor of this host publishes.
     Publish(Wire),
-    /// Received datagram, with its source address unless the link is emulated.
+    /// Datagram that was received on the link, with its source address unless the link is emulated.
     Frame(LinkId, Frame, Option<SocketAddr>),
-    /// Number of datagrams that a transport has dropped because a queue was full.
+    /// Number of datagrams that a transport of the link has dropped because a queue was full, since it last told.
     Dropped(LinkId, u64),
 }
 
@@ -44,11 +44,12 @@ pub enum Out {
     Tap(Frame),
     /// Counts of datagrams (sent, received, refused and others), summed over all links of the host, for the Recorder.
     Counts(Box<LinkCounts>),
-    /// Peers of this host (incarnation, delay, loss), for display. Only of links with link reports.
+    /// Other hosts on links with link reports, with what is known of each (incarnation, delay, loss), for display.
     Peers(Vec<Peer>),
-    /// Another live host has the id of this one and was started earlier. Sent once.
+    /// Another live host has the id of this host and was started earlier. Sent once.
     Duplicate(DuplicateId),
-    /// Operator that is in no team file, with its address. The link's transport then also sends to that address.
+    /// Operator (host outside the deployment) from which a datagram has arrived, with its address. The transport of the
+    /// link then also sends to that address.
     Admit(LinkId, Guest),
 }
 
@@ -63,7 +64,7 @@ pub const COUNTS_PERIOD: Span = Span::from_millis(1000);
 pub struct Config {
     /// Identity of this host: its id, team number and incarnation.
     pub me: Identity,
-    /// Key of the team; with `None`, every sender is accepted.
+    /// Key that authenticates the team's datagrams; with `None`, datagrams are neither tagged nor authenticated.
     pub key: Option<Key>,
     /// Setup of each link, in the order of the deployment; `None` for a link on which this host neither sends nor
     /// receives.
@@ -72,7 +73,8 @@ pub struct Config {
     pub router: Router,
 }
 
-/// Network actor of one host: sends and receives the host's messages on its links.
+/// Network: the actor of one host that sends the messages of the host's other actors on its links, and receives those
+/// of other hosts.
 #[derive(Debug)]
 pub struct Network {
     router: Router,
@@ -119,8 +121,8 @@ impl UnauthorizedPublishers {
 }
 
 impl Network {
-    /// Creates the Network of a host that has just started. `stream` is the random stream for the random delays before
-    /// requests for retransmission and replies to them.
+    /// Creates the Network of a host that has just started. `stream` is the random stream from which the delays before
+    /// requests for retransmission and before replies are drawn.
     pub fn new(config: Config, mut stream: Stream) -> Network {
         let Config { me, key, links, router } = config;
         let shared =

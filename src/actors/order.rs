@@ -12,7 +12,7 @@ use crate::messages::latch::{self, Latch};
 use crate::messages::wire::{Following, Hindrance, Leading, Status, Stop};
 use crate::time::{Span, Time};
 
-/// Period at which an order repeats its message.
+/// Period at which an operator's order, such as a stop, repeats its message until the process ends.
 pub const PERIOD: Span = Span::from_millis(20);
 
 /// Time that an order waits after the first host's answer for the answers of other hosts. Then it fixes which stop or
@@ -49,11 +49,11 @@ impl OrderKind {
 pub enum Unconfirmed {
     /// Neither the robot's Controller nor its Body has answered.
     Silent,
-    /// The Body has confirmed; the Controller has not.
+    /// The Body has carried out the order; the Controller has not, or has not answered.
     Controller,
-    /// The Controller has confirmed; the Body has not.
+    /// The Controller has carried out the order; the Body has not, or has not answered.
     Body,
-    /// Controller and Body have answered, and neither has confirmed.
+    /// Controller and Body have answered, but neither has carried out the order.
     Both,
 }
 
@@ -75,7 +75,8 @@ pub struct Order {
 }
 
 impl Order {
-    /// Creates an order of which nothing was sent yet. `me` is the operator's host id, `robots` the number of robots.
+    /// Creates an order of the given kind, of which nothing was sent yet. `me` is the operator's host id, `robots` the
+    /// number of robots in the team.
     pub fn new(me: HostId, kind: OrderKind, robots: usize) -> Order {
         let (controllers, bodies) = (BTreeMap::new(), BTreeMap::new());
         Order {
@@ -92,8 +93,9 @@ impl Order {
         }
     }
 
-    /// Creates an order that refers to the known latch `target`: the stop to re-arm, the hold to end, or the clear
-    /// latch to hold. It is sent at once, without first asking the team for its latch.
+    /// Creates an order that refers to the known emergency stop state `target`: the stop to re-arm, the hold to end, or
+    /// the clear state to hold. It is sent at once, without first asking the team for its state. `me` is the operator's
+    /// host id, `robots` the number of robots in the team.
     pub fn meaning(me: HostId, kind: OrderKind, robots: usize, target: Latch) -> Order {
         Order { target: Some(target), ..Order::new(me, kind, robots) }
     }
@@ -104,14 +106,14 @@ impl Order {
         self.confirmed_at
     }
 
-    /// Returns the state server's last answer: its latch, and the robots that prevent a resume. `None` before the
-    /// first.
+    /// Returns the state server's last answer: its emergency stop state, and the robots that prevent a resume. `None`
+    /// before the first answer.
     pub fn leading(&self) -> Option<&Leading> {
         self.leading.as_ref()
     }
 
-    /// Returns the newest emergency stop latch that the state server or a robot has reported; `None` before an answer.
-    /// Ignores a latch whose number is too far ahead of the others to be accepted.
+    /// Returns the newest emergency stop state that the state server or a robot has reported; `None` before an answer.
+    /// A state whose number is implausibly far ahead of the others is ignored.
     pub fn latch(&self) -> Option<Latch> {
         let latches = self.controllers.values().chain(self.bodies.values()).copied();
         let known = match &self.leading {
@@ -127,7 +129,7 @@ impl Order {
         meant.zip(self.latch()).is_some_and(|(meant, latch)| latch.number() > meant)
     }
 
-    /// Returns the robots that have not confirmed, each with the reason.
+    /// Returns the robots that have not carried out the order as far as is known, each with the parts that have not.
     pub fn unconfirmed(&self) -> Vec<(RobotId, Unconfirmed)> {
         let reason = |robot: RobotId| {
             let done = |parts: &BTreeMap<RobotId, Latch>| parts.get(&robot).map(|latch| self.kind.is_done_by(*latch));

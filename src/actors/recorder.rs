@@ -43,15 +43,16 @@ pub enum In {
     Truth(Truth),
     /// Counts of datagrams on all links of a host, since its Network was started.
     Counts(HostId, Box<LinkCounts>),
-    /// Counts of the emulated radio of a link, since the start of the run.
+    /// Counts of the emulated radio channel of a link, such as frames sent and lost, since the start of the run.
     Radio(LinkId, Box<RadioCounts>),
     /// Counts of stops and reduced velocities by a robot's guard, since its Controller was started.
     Safety(RobotId, SafetyCounts),
-    /// Request for the final totals: the run ends now, even if an episode is running.
+    /// Request for the totals of the run, which ends now even if an episode is running.
     Closing,
     /// Datagram that a host of this process has received.
     Arrived(HostId, Frame),
-    /// Percept of a robot at a host: the neighbours in it, and the ages of their messages.
+    /// Percept (policy inputs) of a robot at its host: the neighbours whose messages are in it, and the ages of the
+    /// messages.
     Perceived(HostId, RobotId, Box<[(RobotId, Span)]>),
     /// Reading that the state server's host has received; readings are judged there.
     Reading(Reading),
@@ -68,7 +69,7 @@ pub struct Config {
     pub rules: Rules,
     /// Whether the report contains the states of the team at each step, and the messages in use.
     pub steps: Steps,
-    /// Number of other hosts that each broadcast latent should reach.
+    /// Number of other hosts that each broadcast latent should reach: the hosts with an Agent, without the sender.
     pub receivers: u64,
     /// Whether true states or readings are judged.
     pub judged: Judged,
@@ -88,15 +89,15 @@ pub struct Config {
 pub enum Steps {
     /// The report contains the steps, but not the messages that robots use.
     Reported,
-    /// The report contains the steps and, for each step, which robot uses whose messages, and their ages. Takes several
-    /// times the memory of `Reported`; for pictures.
+    /// The report contains the steps and, for each step, which robot uses the messages of which others, and their ages.
+    /// It takes several times the memory of `Reported`; it is for pictures.
     WithHearing,
-    /// The report does not contain the steps. They are judged all the same.
+    /// The report does not contain the steps; episodes are judged by them all the same.
     Discarded,
 }
 
 impl Steps {
-    /// Whether the report contains the steps.
+    /// Whether the report contains the steps, with or without the messages in use.
     pub fn kept(self) -> bool {
         self != Steps::Discarded
     }
@@ -105,8 +106,8 @@ impl Steps {
 /// Time since a robot's last control step after which it counts as using no messages.
 const HEARING_TIMEOUT: Span = Span::from_millis(250);
 
-/// Recorder of one trial: judges its episodes and sends their results, totals and steps as [`Out`]. The totals have a
-/// digest (trace) that is equal for equal runs.
+/// Recorder: the actor that judges the episodes of a trial and sends their results, totals and steps as [`Out`]. The
+/// totals have a digest (trace) that is equal for equal runs.
 pub struct Recorder {
     config: Config,
     digest: Xxh3,

@@ -19,21 +19,22 @@ use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
 use crate::world::Placement;
 
-/// Period of the StateServer's decisions: one step of a World.
+/// Period at which the state server decides whether to enter another phase; equal to one step of a World.
 pub const TICK: Span = Span::from_millis(50);
-/// Period at which the StateServer repeats an unchanged instruction. In a team of several blocks of robots, each
-/// repetition has the tasks of one block.
+/// Period at which the state server repeats an unchanged instruction. In a team of more than 64 robots, each repetition
+/// has the tasks of one block of 64.
 pub const MODE_PERIOD: Span = Span::from_millis(100);
-/// Number of times that a new instruction is sent with the tasks of all robots, so that the loss of all of them is
+/// Number of times that a new instruction is sent with the tasks of all robots, so that a loss of all copies is
 /// unlikely. Later repetitions have the tasks of one block of robots each.
 pub const NEW_MODE_REPEATS: u32 = 3;
 /// Time without a heartbeat after which a robot counts as missing: five heartbeat periods.
 pub const MISSING_AFTER: Span = Span::from_millis(1000);
-/// Longest wait for missing robots at the start and after an aborted episode. Then the StateServer continues without.
+/// Longest time for which the state server waits for missing robots, at the start and after an aborted episode. Then it
+/// continues without them.
 pub const MUSTER_LIMIT: Span = Span::from_millis(10_000);
 /// Longest duration of a reset; after it, the reset has failed.
 pub const RESET_LIMIT: Span = Span::from_millis(60_000);
-/// Time beyond the longest duration of an episode after which it is aborted; heartbeats may arrive late by as much.
+/// Time by which an episode may exceed its longest duration before it is aborted, since heartbeats may arrive late.
 pub const GRACE: Span = Span::from_millis(500);
 
 /// Input message of a StateServer.
@@ -45,16 +46,17 @@ pub enum In {
     Stop(Stop),
     /// Status report of a host, which says whether the host shuts down or is present.
     Status(Status),
-    /// The StateServer's host is shutting down.
+    /// The host of the state server is shutting down; the team is told to wait.
     Leave,
 }
 
 /// Output message of a StateServer.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// Instruction for the team.
+    /// Instruction for the team: reset, run or stop, and the episode.
     Mode(Mode),
-    /// Latch and reasons against a resume: answer to an operator, sent through the Status of the server's host.
+    /// Emergency stop state and robots that prevent a resume: answer to an operator, sent through the Status of the
+    /// server's host.
     Leading(Leading),
 }
 
@@ -67,15 +69,16 @@ pub struct Config {
     pub repeat: u32,
     /// Whether robots are placed at their starts or drive there.
     pub placement: Placement,
-    /// Longest duration of an episode.
+    /// Longest duration of an episode, after which it is aborted.
     pub limit: Span,
-    /// For each host: the robots whose Agents or Bodies it runs.
+    /// For each host, by its id: the robots whose Agents or Bodies it runs, or which it measures.
     pub hosts: Vec<Vec<RobotId>>,
     /// Robots that no World simulates, in ascending order of ids. They reach their starts only by driving or by hand.
     pub real: Vec<RobotId>,
 }
 
-/// State server of a team: decides when episodes and resets begin and end, and sends instructions to all robots.
+/// State server of a team: the actor that decides when resets and episodes begin and end, and sends instructions to all
+/// robots.
 #[derive(Debug)]
 pub struct StateServer {
     config: Config,
@@ -103,7 +106,8 @@ pub struct StateServer {
 }
 
 impl StateServer {
-    /// Creates a StateServer that does not know the team's state yet. `incarnation` counts the server's restarts.
+    /// Creates a state server that does not know the team's state yet. `robots` is the number of robots; `incarnation`
+    /// is the number of this start of the server within its process, from 1.
     pub fn new(config: Config, robots: usize, incarnation: u32) -> StateServer {
         StateServer {
             config,

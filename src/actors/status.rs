@@ -44,17 +44,17 @@ const REASON_PERIOD: Span = Span::from_millis(1000);
 /// Input message of a Status.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Message of an operator: question, stop, re-arm or resume.
+    /// Emergency stop message; one of an operator (question, stop, re-arm or resume) is answered.
     Stop(Stop),
     /// Emergency stop latch that a robot's Controller follows.
     Controller(RobotId, Latch),
     /// Emergency stop latch that a robot's Body follows.
     Body(RobotId, Latch),
-    /// Measured pose of a robot, on the host that runs its agent.
+    /// Measured pose of a robot whose agent runs on this host.
     Seen(RobotId, Pose),
     /// Phase of the episode that a robot reports, if its agent runs on this host.
     Phase(RobotId, Phase),
-    /// Answer of the state server to an operator, if it runs on this host.
+    /// Answer of the state server to an operator, to be passed on; received only on the state server's host.
     Leading(Leading),
     /// Phase of the team in an instruction of the state server.
     Mode(Phase),
@@ -66,14 +66,14 @@ pub enum In {
     Latent(RobotId),
     /// Message of an observer, which asks for telemetry.
     Observe,
-    /// The Status's host is shutting down.
+    /// The host is shutting down, which the Status tells the team until the process ends.
     Leave,
 }
 
 /// Configuration of a Status.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// Host of the Status.
+    /// Host whose state the actor reports.
     pub host: HostId,
     /// Robots whose Controllers run on this host.
     pub controllers: Vec<RobotId>,
@@ -98,13 +98,14 @@ struct RobotTelemetry {
 /// Output message of a Status.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Out {
-    /// Message for operators and the state server.
+    /// Status message for operators and the state server.
     Status(wire::Status),
     /// Telemetry of robots for observers.
     Telemetry(Telemetry),
 }
 
-/// Status of one host: answers operators and reports to the state server, and sends telemetry to observers.
+/// Status: the actor of one host that answers operators, reports the host's presence to the state server, and sends
+/// telemetry to observers.
 #[derive(Debug)]
 pub struct Status {
     host: HostId,

@@ -6,8 +6,8 @@ use crate::safety::guard::SafetyCounts;
 
 /// Commanded length of a test drive \[m\]: several times the noise of a tracker, and safe on a table.
 pub const DISTANCE_M: f32 = 0.1;
-/// Largest measured displacement of a robot at rest \[m\] with which it is driven. With more noise, a drive of 10 cm
-/// cannot be judged.
+/// Largest variation of a robot's measured position at rest \[m\] with which it is still driven. With more noise, a
+/// drive of 10 cm cannot be judged.
 pub const NOISE_M: f32 = 0.05;
 /// Largest deviation of a test drive's measured direction from the commanded one that counts as correct \[rad\].
 /// Mistakes in the axes give at least 45 degrees; the margin is for noise.
@@ -29,19 +29,19 @@ pub enum Verdict {
     Unseen,
     /// The robot's driver reports that it cannot follow commands, with the reason if it gave one.
     Unfit(Option<String>),
-    /// The measured position of the robot at rest varies by this distance \[m\], too much to judge its motion.
+    /// The measured position of the robot at rest varies by this distance \[m\], which is too much to judge its motion.
     Noisy(f32),
     /// Every direction leads too close to a wall, the edge of the ground or another robot.
     NoRoom,
-    /// The robot did not move. The list has the other robots that moved meanwhile; if it is empty, the robot's guard
-    /// did not stop it either.
+    /// The robot did not move. The list has the other robots that moved meanwhile; an empty list also means that the
+    /// robot's guard did not stop it.
     Still(Vec<RobotId>),
     /// The robot moved, and so did the other robots in the list.
     Together(Vec<RobotId>),
     /// The robot moved in a wrong direction: the mistake in the axes that fits best, and the deviation from the
     /// commanded direction \[rad\], positive to the left.
     Astray(Axes, f32),
-    /// The robot moved in the right direction, but the distance given here \[m\] instead of `DISTANCE_M`.
+    /// The robot moved in the right direction, but by the distance given here \[m\] instead of `DISTANCE_M` (0.1 m).
     Distance(f32),
     /// The robot's guard stopped or slowed it, so that it did not drive the distance. The text lists the reasons.
     Held(String),
@@ -102,14 +102,16 @@ impl Axes {
     }
 }
 
-/// Whether a displacement \[m\] exceeds the noise \[m\] of its robot, so that the robot has moved.
+/// Whether the displacement `way` \[m\] exceeds what noise can explain, so that the robot has moved. `noise_m` is the
+/// robot's largest measured displacement at rest \[m\].
 pub fn has_moved(way: Vec2, noise_m: f32) -> bool {
     way.norm() > MOVED_M.max(MOVED_NOISES * noise_m)
 }
 
-/// Judges a robot that was commanded to drive 0.1 m in the direction `along`, of any length, world frame. `way` is its
-/// measured displacement \[m\], world frame; `None` if it has not moved (see [`has_moved`]). `others` are the other
-/// robots that moved during the drive, and `counts` are the interventions of its guard.
+/// Judges the test drive of a robot that was commanded to drive 0.1 m in the direction `along`, of any length, world
+/// frame. `way` is its measured displacement \[m\], world frame; `None` if it has not moved (see [`has_moved`]).
+/// `others` are the other robots that moved during the drive, and `counts` says how often its guard stopped or slowed
+/// it.
 pub fn judge(along: Vec2, way: Option<Vec2>, others: Vec<RobotId>, counts: &SafetyCounts) -> Verdict {
     let held: Vec<&str> = counts.reasons().map(|(_, reason)| reason).collect();
     // The guard is the cause if it held the robot.

@@ -19,8 +19,8 @@ use crate::safety::limits::distance_outside;
 use crate::scenario::arena::Arena;
 use crate::time::{Span, Time};
 
-/// Speed of the test drive \[m/s\], if the robot's limits permit it: twice the smallest speed that a RoboMaster can be
-/// commanded (`drivers::robomaster`).
+/// Speed of a robot's test drive \[m/s\] unless the robot's limits are lower: twice the smallest speed that a
+/// RoboMaster can be commanded.
 pub const SPEED_M_S: f32 = 0.2;
 /// Longest time that a robot is driven in one direction \[s\].
 const LONGEST_S: f32 = 5.0;
@@ -34,7 +34,7 @@ const LOST: Span = Span::from_millis(600);
 /// Input message of a Wiggle.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Measured pose of any robot.
+    /// Measured pose of a robot, one to be driven or another.
     Reading(Reading),
     /// Condition of the hardware of a robot to be driven.
     Hardware(RobotId, Hardware),
@@ -53,7 +53,7 @@ pub enum Out {
     Begins(RobotId),
     /// Result of a robot's test drive.
     Result(RobotId, Verdict),
-    /// All robots have a result, or the wiggle was ended.
+    /// Notice that all robots have a result, or that the wiggle was ended.
     Over,
 }
 
@@ -64,20 +64,20 @@ pub struct Driven {
     pub robot: RobotId,
     /// Chassis of the robot.
     pub chassis: Chassis,
-    /// Largest speed of the robot's driver \[m/s\].
+    /// Largest speed that the robot's driver permits \[m/s\].
     pub limit_m_s: f32,
 }
 
 /// Configuration of a Wiggle.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// Robots to be tested, in order.
+    /// Robots to be driven and judged, in this order.
     pub robots: Vec<Driven>,
-    /// Configuration of the guard through which the velocities of each robot pass.
+    /// Configuration of the guard, which limits the velocities of every test drive for safety.
     pub guard: guard::Config,
-    /// Arena; robots are not driven toward its walls.
+    /// Ground with its walls; robots are not driven toward the walls or the edge.
     pub arena: Arena,
-    /// Validity of a motor command.
+    /// Time after arrival for which a motor command is valid.
     pub valid_for: Span,
 }
 

@@ -1,4 +1,5 @@
-//! World: one Plant with its step period. It steps the Plant, and sends true states to each Body and to the Recorder.
+//! World: one Plant with its step period. It steps the Plant, and sends true states to each Localizer and to the
+//! Recorder.
 //!
 //! Robots that it does not simulate, for example real ones, stand in its Plant where their readings say, so that
 //! simulated robots collide with them.
@@ -28,7 +29,7 @@ const MOVED_ON: Span = Span::from_millis(200);
 pub enum In {
     /// Command from the Body of a simulated robot.
     Drive(Drive),
-    /// Instruction of the state server.
+    /// Instruction of the state server, with the robots' starts and goals.
     Mode(Mode),
     /// Reading of a robot that the World does not simulate.
     Reading(Reading),
@@ -37,14 +38,14 @@ pub enum In {
 /// Output message of a World.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// True state of a simulated robot, for the robot's Body.
+    /// True state of a simulated robot, for the robot's Localizer, which makes readings of it.
     Sample(Sample),
     /// True states of all robots that the World simulates, after one step of the plant, for the Recorder.
     Truth(Truth),
 }
 
-/// State that survives a crash of the World actor: the plant, and the round for which each robot was last placed. Real
-/// robots survive a crash of a process, too. Without a World the plant does not advance.
+/// State that survives a crash of the World actor: the plant (simulator), and the round for which each robot was last
+/// placed. Without a running World the plant does not advance.
 pub struct PersistentPlant {
     plant: Box<dyn Plant>,
     placed: Vec<Round>,
@@ -55,14 +56,14 @@ pub struct PersistentPlant {
 }
 
 impl PersistentPlant {
-    /// Creates the state of a plant in which no robot was placed yet.
+    /// Wraps a plant in which no robot was placed at a start yet.
     pub fn new(plant: Box<dyn Plant>) -> PersistentPlant {
         let placed = vec![Round::default(); plant.states().len()];
         PersistentPlant { plant, placed, last_mode: (Round::default(), Phase::NeedReset), repair_from: None }
     }
 }
 
-/// World: steps the plant that simulates all or some robots of a team, and publishes their true states.
+/// World: the actor that steps the plant (simulator) of all or some robots of a team, and publishes their true states.
 pub struct World {
     persistent: Rc<RefCell<PersistentPlant>>,
     period: Span,
@@ -107,8 +108,9 @@ impl Other {
 }
 
 impl World {
-    /// Creates a World that simulates `robots`; `others` stand where their readings say. Both are in the order of their
-    /// ids. The plant holds the robots first, then the others, in the same order.
+    /// Creates a World that simulates `robots`; `others` stand in the plant where their readings say. Both are in the
+    /// order of their ids, and the plant holds `robots` first, then `others`. `placement` says how robots come to their
+    /// starts.
     pub fn new(
         persistent: Rc<RefCell<PersistentPlant>>,
         placement: Placement,

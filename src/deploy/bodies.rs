@@ -20,7 +20,8 @@ impl Deployment {
         })
     }
 
-    /// Checks that real robots drive to their starts, as they cannot be placed.
+    /// Checks that the deployment does not place real robots at their starts, since they have to drive there. An error
+    /// names the field `placement`.
     pub(super) fn check_placement(&self) -> Result<(), ConfigError> {
         let real = self.hosts.iter().find(|host| !host.actuates.is_empty());
         match real.filter(|_| self.placement == Placement::Exact) {
@@ -33,12 +34,14 @@ impl Deployment {
         }
     }
 
-    /// Returns the chassis of a robot. The deployment must be checked.
+    /// Returns the chassis (drive and limits of speed) of a robot. Panics if its settings are invalid, which
+    /// `Deployment::check` excludes.
     pub fn chassis(&self, robot: RobotId) -> Chassis {
         self.body_settings(robot).chassis().expect("a checked deployment has sound chassis")
     }
 
-    /// Returns the hardware limits of a robot. The deployment must be checked.
+    /// Returns the limits of battery charge and temperature of a robot. Panics if its settings are invalid, which
+    /// `Deployment::check` excludes.
     pub fn hardware_limits(&self, robot: RobotId) -> HardwareLimits {
         HardwareLimits::of(&self.body_settings(robot)).expect("a checked deployment has sound limits")
     }
@@ -48,12 +51,14 @@ impl Deployment {
         own.map_or_else(|| self.body.clone(), |own| own.or(&self.body))
     }
 
-    /// Returns the chassis of all robots, indexed by robot. The deployment must be checked.
+    /// Returns the chassis (drive and limits of speed) of all robots, indexed by robot. Panics if settings are invalid,
+    /// which `Deployment::check` excludes.
     pub fn team_chassis(&self) -> Rc<[Chassis]> {
         RobotId::team(self.robots).map(|robot| self.chassis(robot)).collect()
     }
 
-    /// Checks that a plant can simulate the drive of every simulated robot. An error names the robot.
+    /// Checks that the plant (simulator) supports the drive, holonomic or differential, of every simulated robot. An
+    /// error names the robot.
     pub fn check_drives(&self, plant: &world::Entry) -> Result<(), ConfigError> {
         let mut simulated = self.hosts.iter().flat_map(|host| &host.simulates);
         let other = |robot: &&u16| !plant.drives.contains(&self.chassis(RobotId(**robot)).drive);
@@ -63,7 +68,7 @@ impl Deployment {
         })
     }
 
-    /// Checks the chassis and hardware limits of all robots.
+    /// Checks the chassis and hardware limits of all robots. An error names the field.
     pub(super) fn check_bodies(&self) -> Result<(), ConfigError> {
         let team = |number: &String| number.parse::<usize>().is_ok_and(|robot| robot < self.robots);
         if let Some(number) = self.bodies.keys().find(|number| !team(number)) {
@@ -83,7 +88,8 @@ impl Deployment {
 }
 
 impl Host {
-    /// Checks that the host has a driver if it actuates robots, and a source if it localizes robots.
+    /// Checks that the host has a driver exactly if it actuates robots, and a source of readings exactly if it
+    /// localizes robots. An error names the field.
     pub(super) fn check_devices(&self) -> Result<(), ConfigError> {
         for (robots, settings, role, what) in [
             (&self.actuates, &self.driver, "actuates", "driver"),

@@ -12,7 +12,7 @@ use crate::world::Physics;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Conditions {
-    /// Name of the plant that simulates the robots.
+    /// Name of the plant (simulator) that moves the simulated robots.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plant: Option<String>,
     /// Time constant of the first-order lag from commanded to true velocity of the robots \[s\].
@@ -33,8 +33,8 @@ pub struct Conditions {
 }
 
 impl Conditions {
-    /// Reads conditions from TOML and checks their ranges; an error names the line or the field. The registry checks
-    /// the plant's name.
+    /// Reads conditions from TOML and checks the ranges of the numbers; an error names the line or the field. The
+    /// plant's name is not checked.
     pub fn from_toml(text: &str) -> Result<Conditions, ConfigError> {
         let conditions: Conditions = config::from_toml(text)?;
         let fields = [
@@ -57,8 +57,8 @@ impl Conditions {
         toml::to_string(self).expect("conditions are TOML")
     }
 
-    /// Returns `physics` with the lag and wheel slip that these conditions set. A lag \[s\] in `lag_s`, from a command
-    /// line flag, overrides that of the conditions.
+    /// Returns the properties `physics` of simulated robots with the lag and wheel slip that these conditions set. A
+    /// `lag_s` \[s\], from a command line flag, takes precedence over that of the conditions.
     pub fn physics(&self, physics: Physics, lag_s: Option<f32>) -> Physics {
         Physics {
             lag_s: lag_s.or(self.lag_s).unwrap_or(physics.lag_s),
@@ -73,8 +73,8 @@ impl Conditions {
         self.delay_s.is_some() || self.loss.is_some()
     }
 
-    /// Returns the deployment with the delay and loss of these conditions set for messages between robots (latents).
-    /// Fails if no latent crosses a link, or if a value is out of range.
+    /// Returns `deployment` with the delay and loss of these conditions on messages between robots (latents). Fails if
+    /// no latent crosses a link, or if a value is out of range.
     pub fn links(&self, deployment: Deployment) -> Result<Deployment, ImpairError> {
         deployment.impaired(self.delay_s, self.loss, Impair::Latent)
     }

@@ -6,8 +6,8 @@ use crate::messages::wire::Kind;
 use crate::report::episode::Judged;
 
 impl Deployment {
-    /// Returns the kind of data from which episodes are judged: true states if one World simulates all robots,
-    /// otherwise readings.
+    /// Returns the kind of data from which episodes are judged: true states if one World (simulator) has all robots of
+    /// the team, otherwise readings.
     pub fn judged(&self) -> Judged {
         match self.hosts.iter().any(|host| host.simulates.len() == self.robots) {
             true => Judged::Truth,
@@ -15,7 +15,7 @@ impl Deployment {
         }
     }
 
-    /// Returns the host that judges episodes: the one whose World simulates all robots, or else the host of the state
+    /// Returns the host that judges episodes: the one whose World simulates all robots, or else that of the state
     /// server, which then receives all readings. Panics without a state server, which [`Deployment::check`] excludes.
     pub fn judge(&self) -> HostId {
         let judges = |host: &Host| match self.judged() {
@@ -32,8 +32,8 @@ impl Deployment {
         (self.judged() == Judged::Readings).then(|| self.judge())
     }
 
-    /// Returns the end of an error text, which explains that the judging host needs all readings, if `kind` is readings
-    /// and episodes are judged from them; empty otherwise.
+    /// Returns the end of an error text about messages of the kind `kind` that no link carries: that the judging host
+    /// needs all readings. Empty unless `kind` is readings and episodes are judged from them.
     pub(super) fn needed_by_judge(&self, kind: Kind) -> String {
         match (kind, self.judged()) {
             (Kind::Reading, Judged::Readings) => {

@@ -30,32 +30,35 @@ use crate::net::protocol::reliability::Reliabilities;
 use crate::time::Span;
 use crate::world::{self, Placement};
 
-/// Rule for the times, within the control period, at which Agents step.
+/// Rule for the times, within the control period, at which Agents run their policies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Stepping {
-    /// All Agents step at the same time, halfway between two World steps, as in training.
+    /// All Agents run at the same time, halfway between two steps of the World (simulator), as in training.
     Lockstep,
-    /// Each Agent steps with an offset of its own within the period, set by the deployment or drawn from the seed.
+    /// Each Agent runs with an offset of its own within the period, which the deployment sets or which is drawn from
+    /// the seed.
     Seeded,
 }
 
-/// Host of a team: a process, with the actors that it runs.
+/// Host of a team: a process, with the actors that run in it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Host {
     /// Name of the host.
     pub name: String,
-    /// Agents of this host, each as a list of robots. Their Caches and Controllers also run on this host.
+    /// Agents (actors that run the policy) of this host, each given by the ids of its robots. The Caches and
+    /// Controllers of these robots also run on this host.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub agents: Vec<Vec<u16>>,
-    /// Robots that the World of this host simulates; empty for none. Their Bodies and Localizers also run on this host.
+    /// Ids of the robots that the World (simulator) of this host moves; empty for none. Their Bodies and Localizers
+    /// also run on this host.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub simulates: Vec<u16>,
-    /// Real robots whose motors this host drives. Their Bodies run on this host.
+    /// Ids of the real robots whose motors this host drives. Their Bodies run on this host.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub actuates: Vec<u16>,
-    /// Real robots whose poses this host measures.
+    /// Ids of the real robots whose poses this host measures.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub localizes: Vec<u16>,
     /// Driver of the robots in `actuates`; `None` if that is empty.
@@ -71,14 +74,14 @@ pub struct Host {
     /// Whether this host runs the team's state server.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub state_server: bool,
-    /// Tick offset of each agent \[s\]: time of its ticks within their period, in the order of `agents`. Used only with
-    /// `Stepping::Seeded`. If empty, offsets are drawn from the seed.
+    /// For each agent, in the order of `agents`: time of its ticks within their period \[s\]. Used only with
+    /// `Stepping::Seeded`. If empty, the times are drawn from the seed.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub tick_offsets_s: Vec<f64>,
 }
 
-/// Medium of a link: cable, loopback or kind of radio. It determines which effects are simulated on the link's frames.
-/// Real sockets are set in the team file.
+/// Medium of a link: cable, loopback or kind of radio. It determines which effects are simulated on the link; the
+/// sockets of real hosts are set in the team file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LinkMedium {
@@ -87,9 +90,9 @@ pub enum LinkMedium {
     AccessPoint,
     /// Radio between robots, without an access point (ad hoc mode).
     AdHoc,
-    /// Cable, such as to a simulated World: never impaired, and without a radio.
+    /// Cable, such as to a simulated World: no delay, loss or radio is ever emulated on it.
     Cable,
-    /// Loopback interface between processes of one machine: can be impaired, but has no radio.
+    /// Loopback interface between processes of one machine: delay and loss can be emulated on it, a radio cannot.
     Loopback,
 }
 
@@ -113,7 +116,7 @@ pub struct Link {
     /// Medium of the link.
     #[serde(default)]
     pub medium: LinkMedium,
-    /// Kinds of messages that the link carries. Each kind is carried by one link.
+    /// Kinds of messages that the link carries. A kind is carried by at most one link of a deployment.
     pub carries: Vec<Kind>,
     /// Emulated delay of frames of the kinds in `impairs` \[s\].
     #[serde(default)]
@@ -124,7 +127,7 @@ pub struct Link {
     /// Kinds of messages to which `delay_s` and `loss` apply.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub impairs: Vec<Kind>,
-    /// Reliability mode of each kind of message; kinds not listed are best effort.
+    /// Reliability mode of each kind of message on the link; kinds that are not listed are best effort.
     #[serde(default, skip_serializing_if = "Reliabilities::is_empty")]
     pub reliability: Reliabilities,
     /// Transmission range of a robot's frames under emulation \[m\]; `None` for unlimited. A link with a radio uses the
@@ -140,15 +143,15 @@ pub struct Link {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Deployment {
-    /// Name of the mode in reports.
+    /// Name of the deployment's mode in reports, such as `offboard`.
     pub mode: String,
     /// Number of robots.
     pub robots: usize,
-    /// Whether robots are placed exactly at their starts or drive there.
+    /// Whether robots are placed exactly at their starts before an episode, or drive there.
     pub placement: Placement,
-    /// Rule for the times, within the control period, at which the team's Agents step.
+    /// Rule for the times, within the control period, at which the team's Agents run their policies.
     pub stepping: Stepping,
-    /// Name of the plant that simulates robots.
+    /// Name of the plant (simulator) that moves the simulated robots.
     #[serde(default = "kinematic")]
     pub plant: String,
     /// Chassis and hardware limits of all robots, unless `bodies` overrides them.
@@ -183,7 +186,7 @@ pub enum ImpairError {
         /// Word for the kinds of messages to be impaired, for the error text.
         kinds: &'static str,
     },
-    /// A delay or a probability is out of range.
+    /// A delay, probability or range is invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
 }
@@ -212,7 +215,7 @@ impl Deployment {
     }
 
     /// Checks that every robot has one Agent, one Body and one source of readings, that every message has a route, and
-    /// that all settings are valid. An error names the field. The plant's name is checked by the registry.
+    /// that all settings are valid. An error names the field. The plant's name is not checked.
     pub fn check(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         if self.robots == 0 || self.robots > usize::from(u16::MAX) {
@@ -322,7 +325,7 @@ impl Deployment {
     }
 
     /// Limits the transmission range of every link that carries latents to `range_m` \[m\]. Fails if no latent crosses
-    /// a link.
+    /// a link, or if the range is invalid.
     pub fn ranged(mut self, range_m: f32) -> Result<Deployment, ImpairError> {
         let crosses = Routes::of(&self).crosses(Kind::Latent);
         let links = self.links.iter_mut().filter(|link| crosses && link.carries.contains(&Kind::Latent));
@@ -334,7 +337,7 @@ impl Deployment {
     }
 
     /// Sets delay \[s\] and loss (0 to 1) of all links that carry messages of the kinds in `impair`, except cables.
-    /// `None` leaves a value unchanged. Fails if no such message crosses a link.
+    /// `None` leaves a value unchanged. Fails if no such message crosses a link, or if a value is out of range.
     pub fn impaired(
         mut self,
         delay_s: Option<f64>,

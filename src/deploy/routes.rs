@@ -9,7 +9,8 @@ use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{KINDS, Kind};
 use crate::net::protocol::router::{Audience, Publishers, Route, Router};
 
-/// Hosts of all actors in a checked deployment, and the routes of all messages.
+/// For all actors of a checked deployment, the hosts on which they run; for all messages, the hosts and links between
+/// which they go.
 #[derive(Clone, Debug)]
 pub struct Routes {
     robots: usize,
@@ -65,8 +66,8 @@ fn readers(agent: HostId, driver: HostId, own_world: Option<HostId>, worlds: &[H
 }
 
 impl Routes {
-    /// Computes the routes of a deployment. Panics if a robot has no Agent or no Body, which `Deployment::check`
-    /// excludes.
+    /// Computes the routes of a deployment. Panics if a robot has no Agent, Body or source of readings, which
+    /// `Deployment::check` excludes.
     pub fn of(deployment: &Deployment) -> Routes {
         let robots = deployment.robots;
         let number = |index: usize| u16::try_from(index).expect("a checked deployment has few hosts and links");
@@ -157,7 +158,7 @@ impl Routes {
         Receivers { hosts, except }
     }
 
-    /// Returns the robots whose Agents or Bodies a host runs, or which it measures.
+    /// Returns the robots whose Agents or Bodies the host with this index runs, or which it measures.
     pub fn robots_of(&self, host: usize) -> &[RobotId] {
         &self.robots_of[host]
     }
@@ -225,7 +226,7 @@ impl Routes {
         })
     }
 
-    /// Returns all hosts that receive messages of kind `kind`, about any robot.
+    /// Returns all hosts that receive messages of the kind `kind`, whichever robot these are about.
     pub fn listeners(&self, kind: Kind) -> Vec<HostId> {
         let receivers = |robot| self.receivers(kind, robot);
         // These lists are the same for all robots, except that one host may be left out for a robot.

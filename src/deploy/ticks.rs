@@ -6,9 +6,8 @@ use crate::messages::ids::RobotId;
 use crate::time::Span;
 
 impl Deployment {
-    /// Returns the tick offset that the deployment sets for an Agent: the time of its control ticks within their
-    /// period. `first` is the Agent's robot with the smallest id. `None` if it is not set or agents step at the same
-    /// time.
+    /// Returns the time of an Agent's control ticks within their period, as the deployment sets it; `None` if it sets
+    /// none or agents step at the same time. `first` is the Agent's robot with the smallest id.
     pub fn tick_offset(&self, first: RobotId) -> Option<Span> {
         let of = |host: &Host| {
             let agent = host.agents.iter().position(|robots| robots.iter().min() == Some(&first.0))?;
@@ -19,6 +18,8 @@ impl Deployment {
 }
 
 impl Host {
+    /// Checks that the host has one tick offset for each of its agents or none, and that each is 0 to 1 s. An error
+    /// names the field.
     pub(super) fn check_offsets(&self) -> Result<(), ConfigError> {
         let (offsets, agents) = (&self.tick_offsets_s, self.agents.len());
         let wrong = |reason: String| Err(ConfigError::field("host.tick_offsets_s", reason));

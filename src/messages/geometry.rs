@@ -287,21 +287,21 @@ impl Motion {
         Motion { position, velocity: Vec2::zeros() }
     }
 
-    /// Whether all components of position and velocity are finite and at most `MAX_SIZE` in absolute value.
+    /// Whether all components of position and velocity are finite and at most `MAX_SIZE` (1e5) in absolute value.
     pub fn is_sound(&self) -> bool {
         is_sound(self.position) && is_sound(self.velocity)
     }
 }
 
 impl Pose {
-    /// Whether the coordinates are finite and at most `MAX_SIZE` in size, and the heading, if known, at most
-    /// `MAX_HEADING`.
+    /// Whether the coordinates are finite and at most `MAX_SIZE` (1e5) in absolute value, and the heading, if known, at
+    /// most `MAX_HEADING` (pi).
     pub fn is_sound(&self) -> bool {
         is_sound(self.position) && self.heading.is_none_or(|heading| heading.abs() <= MAX_HEADING)
     }
 
-    /// Converts a velocity \[m/s\] from the world frame into the frame of a robot with this pose: x ahead, y to the
-    /// left. Returns `None` if the heading is unknown.
+    /// Converts a velocity \[m/s\] from the world frame into the frame of a robot with this pose, in which x points
+    /// ahead and y to the left. Returns `None` if the heading is unknown.
     pub fn into_body(&self, velocity: Vec2) -> Option<Vec2> {
         let (sin, cos) = libm::sincosf(self.heading?);
         Some(Vec2::new(cos * velocity.x + sin * velocity.y, cos * velocity.y - sin * velocity.x))
@@ -309,15 +309,15 @@ impl Pose {
 }
 
 impl Twist {
-    /// Whether the velocity's components and the yaw rate, if known, are finite and at most `MAX_SIZE` in absolute
-    /// value.
+    /// Whether the velocity's components and the yaw rate, if known, are finite and at most `MAX_SIZE` (1e5) in
+    /// absolute value.
     pub fn is_sound(&self) -> bool {
         is_sound(self.velocity) && self.yaw_rate.is_none_or(|rate| rate.abs() <= MAX_SIZE)
     }
 }
 
 impl Deviation {
-    /// Whether every known standard deviation is finite, not negative and at most `MAX_SIZE`.
+    /// Whether every known standard deviation is finite, not negative and at most `MAX_SIZE` (1e5).
     pub fn is_sound(&self) -> bool {
         let all = [self.position_m, self.heading_rad, self.velocity_m_s, self.yaw_rate_rad_s];
         all.into_iter().flatten().all(|deviation| (0.0..=MAX_SIZE).contains(&deviation))
@@ -326,7 +326,7 @@ impl Deviation {
 
 /// Largest absolute heading \[rad\] that a valid pose has: pi as an f32, which is slightly more than pi.
 pub const MAX_HEADING: f32 = std::f32::consts::PI;
-/// Largest absolute coordinate \[m\], velocity component \[m/s\] or yaw rate \[rad/s\] that a valid message has.
+/// Largest absolute value of a coordinate \[m\], velocity component \[m/s\] or yaw rate \[rad/s\] in a valid message.
 /// Computations in f32 stay finite up to this bound.
 pub const MAX_SIZE: f32 = 1e5;
 
@@ -337,13 +337,13 @@ pub fn rotated(angle: f64, x: f64, y: f64) -> (f64, f64) {
     (cos * x - sin * y, sin * x + cos * y)
 }
 
-/// Reduces an angle \[rad\] by whole turns to the range from -pi to pi. Rounded to f32, the result is within
-/// `MAX_HEADING`.
+/// Reduces an angle \[rad\] by whole turns to the range from -pi to pi. Rounded to f32, the result is at most
+/// `MAX_HEADING` (pi as an f32) in absolute value.
 pub fn wrapped(angle: f64) -> f64 {
     libm::remainder(angle, std::f64::consts::TAU)
 }
 
-/// Whether both components of a vector are finite and at most `MAX_SIZE` in absolute value.
+/// Whether both components of a vector are finite and at most `MAX_SIZE` (1e5) in absolute value.
 pub fn is_sound(v: Vec2) -> bool {
     v.x.abs() <= MAX_SIZE && v.y.abs() <= MAX_SIZE
 }

@@ -61,7 +61,7 @@ impl fmt::Display for Celsius {
 /// Longest text of a [`Reason`] \[bytes\]: one line of a terminal.
 pub const MAX_REASON: usize = 80;
 
-/// Reason of a hardware fault in a few words: 1 to `MAX_REASON` bytes of printable ASCII.
+/// Reason of a hardware fault in a few words: 1 to 80 (`MAX_REASON`) bytes of printable ASCII.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Reason(Box<str>);
 
@@ -70,7 +70,7 @@ const CUT: &str = "...";
 
 impl Reason {
     /// Makes a reason from `text`, without surrounding whitespace. Characters other than printable ASCII become `?`,
-    /// and a text longer than `MAX_REASON` is cut. Returns `None` if the text is empty.
+    /// and a text longer than `MAX_REASON` (80 bytes) is cut. Returns `None` if the text is empty.
     pub fn new(text: &str) -> Option<Reason> {
         let printable = |c: char| if c == ' ' || c.is_ascii_graphic() { c } else { '?' };
         let clean: String = text.trim().chars().take(MAX_REASON + 1).map(printable).collect();
@@ -136,7 +136,8 @@ impl Hardware {
         Hardware { health, battery: None, temperature: None, reason: None }
     }
 
-    /// Returns this condition with the given reason of a fault. The reason becomes `None` if the text is empty.
+    /// Returns this condition with the text `reason` as the reason of the fault. An empty text sets the reason to
+    /// `None`.
     pub fn because(self, reason: &str) -> Hardware {
         Hardware { reason: Reason::new(reason), ..self }
     }

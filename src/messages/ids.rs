@@ -28,8 +28,8 @@ impl HostId {
     /// orders or observe.
     pub const OPERATORS: u16 = u16::MAX - FIRST_OPERATOR;
 
-    /// Returns the host number of an operator, a process outside the deployment that gives orders or observes. `number`
-    /// is taken modulo `OPERATORS`; each operator process draws one at random.
+    /// Returns the host number of an operator, a process outside the deployment that gives orders or observes.
+    /// `number`, which each operator process draws at random, is reduced modulo `OPERATORS` (16 383).
     pub const fn operator(number: u16) -> HostId {
         HostId(FIRST_OPERATOR + number % HostId::OPERATORS)
     }

@@ -86,13 +86,14 @@ impl Latch {
         }
     }
 
-    /// Whether the number of `other` is so far above the number of this latch that `other` must be corrupted or forged.
+    /// Whether the number of `other` is so far above the number of this latch (by more than 1024, and above 2^32) that
+    /// `other` must be corrupted or forged.
     pub fn is_overshot_by(self, other: Latch) -> bool {
         other.number > ceiling(self.number)
     }
 
-    /// Returns the later of this latch and `other`, a latch in a message of another host. If the number of `other` is
-    /// implausibly high, this latch is returned.
+    /// Returns the later of this latch and `other`, a latch in another host's message. If the number of `other` is
+    /// implausibly far above that of this latch, this latch is returned.
     pub fn joined(self, other: Latch) -> Latch {
         if self.is_overshot_by(other) { self } else { self.max(other) }
     }
@@ -140,14 +141,15 @@ impl LatchFollower {
         self.informed
     }
 
-    /// Applies a stop, re-arm or resume from an operator or a host. Returns whether the followed latch changed.
+    /// Applies a stop, re-arm or resume from an operator or a host. Returns whether the emergency stop state that the
+    /// actor obeys changed.
     pub fn apply(&mut self, other: Latch) -> bool {
         self.set(self.latch.after(other))
     }
 
-    /// Applies a latch that the state server repeats, and returns whether the followed latch changed. A latch with an
-    /// implausibly high number counts the second time it arrives. An actor that has just started cannot know the
-    /// number, and a corrupted number does not repeat.
+    /// Applies a latch that the state server repeats, and returns whether the state that the actor obeys changed. A
+    /// latch with an implausibly high number is accepted only when it arrives a second time: a corrupted number does
+    /// not repeat, and an actor that has just started cannot know the true one.
     pub fn update(&mut self, other: Latch) -> bool {
         let before = self.overshot.take();
         let later = if !self.latch.is_overshot_by(other) {

@@ -19,7 +19,7 @@ pub struct Percept {
     pub estimate: Motion,
     /// Standard deviation of the estimated position along each axis \[m\]; 0 if unknown.
     pub deviation_m: f32,
-    /// Newest messages of the neighbours that the policy may use, in the order of robot ids.
+    /// Newest messages of the neighbours, as far as the policy may still use them, in the order of robot ids.
     pub heard: Vec<NeighbourLatent>,
 }
 
@@ -43,7 +43,8 @@ pub struct NeighbourLatent {
 /// Distance beyond which two robots do not affect each other's safety \[m\].
 pub const NEAR_M: f32 = 5.0;
 
-/// Last known position and velocity of another robot, whatever round and phase it is in.
+/// Last known position and velocity of another robot. It is kept even if that robot is in another round or phase of the
+/// episode, since the two may still collide.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OtherRobot {
     /// Number of the other robot.
@@ -54,12 +55,12 @@ pub struct OtherRobot {
     pub age: Span,
 }
 
-/// Whether a robot has reached its target: the start position during a reset, the goal while an episode runs.
+/// Whether a robot has reached its target: its start position during a reset, its goal while an episode runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Progress {
-    /// The robot has not reached its target yet.
+    /// The robot has not reached its target (start position in a reset, goal in an episode) yet.
     Underway,
-    /// The robot has reached its target: its start position during a reset, its goal while an episode runs.
+    /// The robot has reached its target: its start position in a reset, its goal in an episode.
     Reached,
 }
 
@@ -78,9 +79,9 @@ pub struct Action {
     pub velocity: Vec2,
     /// Estimated position and velocity of the robot in the world frame, from which the action was computed.
     pub estimate: Motion,
-    /// Last known motions of the other robots within `NEAR_M` (5 m) of this robot.
+    /// Last known motions of the other robots that are within `NEAR_M` (5 m) of this robot.
     pub others: Vec<OtherRobot>,
-    /// Whether the robot has reached its target.
+    /// Whether the robot has reached its target: its start position in a reset, its goal in an episode.
     pub progress: Progress,
 }
 
@@ -109,13 +110,16 @@ pub struct BodyTwist {
 /// Contacts of a simulated robot during the last step of its World, the simulator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct Contacts {
-    /// Whether the robot touched another one or, where plants block moves, was blocked by it.
+    /// Whether the robot touched another robot. In a plant that blocks colliding moves: whether its move was blocked by
+    /// another robot.
     pub robot: bool,
-    /// Whether the robot touched a wall or, where plants block moves, was blocked by it.
+    /// Whether the robot touched a wall. In a plant that blocks colliding moves: whether its move was blocked by a
+    /// wall.
     pub wall: bool,
 }
 
-/// True state of one simulated robot, sent from the World (simulator) to the robot's Localizer and to the Recorder.
+/// True state of one simulated robot, sent from the World (simulator) to the robot's Localizer, which makes readings of
+/// it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
     /// Number of the robot.

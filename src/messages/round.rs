@@ -28,7 +28,8 @@ impl Round {
     /// this bound, one corrupted message with the largest term would make receivers ignore all later ones.
     const JUMP: u32 = 16;
 
-    /// Whether the term of `other` is so far above the term of this round that `other` must be corrupted or forged.
+    /// Whether the term of `other` is so far above the term of this round (by more than 16, and above 2^20) that
+    /// `other` must be corrupted or forged.
     pub fn is_overshot_by(self, other: Round) -> bool {
         other.term > self.term.max(Round::CREDIBLE) + Round::JUMP
     }
@@ -57,10 +58,9 @@ impl RoundFollower {
         self.round
     }
 
-    /// Returns whether the actor is to follow an instruction with this round. The round must not be earlier than that
-    /// of the instruction it follows. An implausibly high term is admitted only if the round that arrived just before
-    /// had about the same term. A corrupted term does not repeat; a high one may be right if the actor has just
-    /// started.
+    /// Returns whether the actor is to follow an instruction with this round: one that is not earlier than the round it
+    /// follows. An implausibly high term is admitted only if the round that arrived just before had about the same
+    /// term, since a corrupted term does not repeat.
     pub fn admits(&mut self, round: Round) -> bool {
         let before = self.overshot.take();
         let repeated = before.is_some_and(|before| (before..=before.saturating_add(Round::JUMP)).contains(&round.term));

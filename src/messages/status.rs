@@ -27,7 +27,7 @@ pub enum Hindrance {
     Missing,
     /// A host of the robot has announced that it shuts down, and is not back.
     Left,
-    /// The robot still follows an earlier state of the emergency stop than the re-arm.
+    /// The robot has not yet taken over the re-arm: it still follows an earlier state of the emergency stop.
     Latched,
 }
 
@@ -51,7 +51,8 @@ impl TryFrom<u8> for Hindrance {
 pub struct Leading {
     /// Emergency stop state that the state server follows.
     pub latch: Latch,
-    /// Robots that prevent a resume, each with the reason: the first `MAX_HINDRANCES` of them. Empty if none does.
+    /// Robots that prevent a resume, each with the reason; empty if none does. At most the first 16 (`MAX_HINDRANCES`)
+    /// are listed.
     pub hindrances: Vec<(RobotId, Hindrance)>,
 }
 
@@ -66,7 +67,7 @@ pub struct Status {
     pub host: HostId,
     /// Whether the host is shutting down: its robots stand, and the host will send nothing more.
     pub leaves: bool,
-    /// Emergency stop states of the robots of the host, in the order of robot ids; at most `MAX_BLOCK` (64).
+    /// Emergency stop states of the robots of the host, in the order of robot ids; at most 64 (`MAX_BLOCK`).
     pub robots: Vec<Following>,
     /// Emergency stop state of the state server, sent by the host that runs it; `None` from every other host.
     pub leading: Option<Leading>,

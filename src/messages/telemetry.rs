@@ -25,12 +25,12 @@ pub struct Seen {
     pub age_ms: u32,
 }
 
-/// What a robot's guard has done since its Controller was started.
+/// Counts of a robot's guard, the part that stops or slows the robot for safety, since its Controller was started.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GuardReport {
-    /// Number of times that the guard has begun to stop or slow the robot; 65 535 or more is 65 535.
+    /// Number of times that the guard has begun to stop or slow the robot; 65 535 stands for that number or more.
     pub acted: u16,
-    /// Number of times that control ticks began to be late or missing; 65 535 or more is 65 535.
+    /// Number of times that control ticks began to be late or missing; 65 535 stands for that number or more.
     pub late_ticks: u16,
     /// Trigger for which the guard has acted last; `None` if it has never acted.
     pub last: Option<Trigger>,
@@ -60,9 +60,9 @@ pub struct Condition {
     /// `None` from other hosts.
     #[serde(default)]
     pub guard: Option<GuardReport>,
-    /// Time since the robot last heard that neighbour which has been silent longest \[ms\], from the host that runs the
-    /// robot's agent. Neighbours that were silent for 1.5 s or more do not count. `None` if none counts, and from other
-    /// hosts.
+    /// Time since the last message of that neighbour which has been silent longest \[ms\], from the host that runs the
+    /// robot's agent. Neighbours that have been silent for 1.5 s or more are ignored. `None` if no neighbour is left,
+    /// and from other hosts.
     #[serde(default)]
     pub link_age_ms: Option<u16>,
 }
@@ -73,7 +73,7 @@ pub struct Condition {
 pub struct Telemetry {
     /// Number of the host that sends the telemetry.
     pub host: HostId,
-    /// Conditions of robots of the host, at most `MAX_CONDITIONS` in one message.
+    /// Conditions of robots of the host, at most 24 (`MAX_CONDITIONS`) in one message.
     pub robots: Vec<Condition>,
 }
 

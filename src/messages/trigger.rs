@@ -52,7 +52,7 @@ impl Trigger {
         Trigger::Walls,
     ];
 
-    /// Returns the short name of the trigger for reports and pages.
+    /// Returns the short name of the trigger for reports and pages, such as `late ticks`.
     pub fn name(self) -> &'static str {
         match self {
             Trigger::Stop => "emergency stops",

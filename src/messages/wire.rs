@@ -25,7 +25,7 @@ pub const MAX_FEATURE: f32 = 1e6;
 /// Largest number of robots in one [`Mode`] or [`Status`] message. The starts and goals of so many robots take 64 x 16
 /// bytes and fit into one datagram.
 pub const MAX_BLOCK: usize = 64;
-/// Longest validity of a motor command. A robot that no longer hears its team must not drive on for longer.
+/// Longest validity of a motor command: 1 s. A robot that no longer receives commands must stop within this time.
 pub const MAX_VALIDITY: Span = Span::from_millis(1000);
 
 /// Measurement of a robot's pose and velocity by a sensor, in the world frame.
@@ -58,7 +58,8 @@ impl Reading {
         }
     }
 
-    /// Reason why a number of the reading is out of range; `None` if the reading is valid and may be published.
+    /// Returns the reason why a number of the reading is out of range; `None` if the reading is valid and may be
+    /// published.
     pub fn unfit(&self) -> Option<&'static str> {
         match () {
             () if !is_sound(self.pose.position) => Some("a position is not finite, or beyond 100 km"),
@@ -69,7 +70,7 @@ impl Reading {
         }
     }
 
-    /// Measured position and velocity, without heading and yaw rate, which policies do not use.
+    /// Returns the measured position and velocity, without heading and yaw rate, which policies do not use.
     pub fn motion(&self) -> Motion {
         Motion { position: self.pose.position, velocity: self.twist.velocity }
     }
@@ -185,7 +186,8 @@ impl Stop {
 /// A message that may cross hosts, of any kind. Each variant names the sending and receiving actors.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Wire {
-    /// Measurement of a robot's pose and velocity, from the robot's Body to its Cache.
+    /// Measurement of a robot's pose and velocity, from the Localizer that measures the robot to its Cache and other
+    /// users.
     Reading(Reading),
     /// Features of a robot's policy and its motion, from the robot's Agent to the Caches of its neighbours.
     Latent(Latent),
@@ -193,7 +195,7 @@ pub enum Wire {
     MotorCommand(MotorCommand),
     /// Progress of a robot in the episode, from the robot's Controller to the state server.
     Heartbeat(Heartbeat),
-    /// Instruction for the team's episode, from the state server (the team's coordinator) to everyone.
+    /// Instruction for the team's episode, from the state server (the team's coordinator) to every host.
     Mode(Mode),
     /// Emergency stop, re-arm or resume, from an operator or any host to every host.
     Stop(Stop),
@@ -232,8 +234,8 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Whether messages of this kind travel on the link of the emergency stop, without an entry of their own in the
-    /// deployment. True for `Status`, `Observe` and `Telemetry`.
+    /// Whether messages of this kind always travel on the link that carries the emergency stop, so that a deployment
+    /// does not list them. True for `Status`, `Observe` and `Telemetry`.
     pub fn follows_the_stop(self) -> bool {
         matches!(self, Kind::Status | Kind::Observe | Kind::Telemetry)
     }
@@ -272,8 +274,8 @@ pub enum Unfit {
     Term,
 }
 
-/// Whether no number in `floats` is NaN, infinite or larger than [`MAX_FEATURE`] in absolute value. There is no early
-/// return, so the function compiles to a few vector instructions.
+/// Whether no number in `floats` is NaN, infinite or larger than [`MAX_FEATURE`] (1e6) in absolute value. There is no
+/// early return, so the function compiles to a few vector instructions.
 pub fn all_sound(floats: &[f32]) -> bool {
     floats.iter().fold(true, |all, float| all & (float.abs() <= MAX_FEATURE))
 }

@@ -58,7 +58,7 @@ pub fn team_fields() -> impl Iterator<Item = &'static str> {
     TEAM.iter().map(|(name, ..)| *name)
 }
 
-/// Permitted fields of a team file.
+/// All fields that a team file may have, with their types and defaults; it depends on the transports.
 #[derive(Clone, Debug)]
 pub struct Fields {
     /// Fields of links that the transports define; a name that several transports define occurs once.
@@ -77,12 +77,12 @@ impl Fields {
         Fields { own }
     }
 
-    /// Returns the names of the fields of a link that have a single value.
+    /// Returns the names of the fields of a link that have one value for all hosts, such as `transport`.
     pub fn of_link(&self) -> impl Iterator<Item = &'static str> {
         ["transport"].into_iter().chain(self.own.iter().filter(|field| !field.by_host).map(|field| field.name))
     }
 
-    /// Returns the names of the fields of a link that have a value for each host.
+    /// Returns the names of the fields of a link that are tables with one value for each host, such as `peers`.
     pub fn by_host(&self) -> impl Iterator<Item = &'static str> {
         self.own.iter().filter(|field| field.by_host).map(|field| field.name)
     }
@@ -92,8 +92,8 @@ impl Fields {
         self.own.iter().find(named).map(|field| field.takes)
     }
 
-    /// Returns type and default of the field with this key; `None` if there is no such field. Defaults of a transport's
-    /// fields are not included; they are in the transport's entry.
+    /// Returns type and default of the field with this key, such as `seed` or `link.radio.transport`; `None` if there
+    /// is no such field. Defaults of a transport's fields are not included; they are in the transport's entry.
     pub fn field(&self, key: &str) -> Option<(FieldType, Option<&'static str>)> {
         let of_team =
             |name: &str| TEAM.iter().find(|(field, ..)| *field == name).map(|(_, takes, default)| (*takes, *default));
@@ -113,7 +113,7 @@ impl Fields {
         }
     }
 
-    /// Returns the list of permitted fields at the place of `key`, for the error about an unknown field.
+    /// Returns a text that lists the permitted fields beside the unknown field `key`, for the error about it.
     pub fn siblings(&self, key: &str) -> String {
         let names = match key.split('.').collect::<Vec<_>>()[..] {
             ["link", _, "reliability", ..] => return "a kind of message is followed by its reliability".to_owned(),
@@ -127,7 +127,7 @@ impl Fields {
         format!("there are {}", names.collect::<Vec<_>>().join(", "))
     }
 
-    /// Whether a table with this key, such as `link.radio` or `host.pc`, may occur in a team file, with fields in it.
+    /// Whether a table with this key, such as `link.radio` or `host.pc`, may occur in a team file with fields in it.
     pub fn holds_fields(&self, key: &str) -> bool {
         let parts: Vec<&str> = key.split('.').collect();
         match parts[..] {

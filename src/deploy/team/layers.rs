@@ -39,7 +39,7 @@ impl fmt::Display for Origin {
     }
 }
 
-/// Value of a field with its origin.
+/// Value of a field of a team file, with the origin of the value.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LayerValue {
     /// Value of the field.
@@ -48,21 +48,22 @@ pub struct LayerValue {
     pub origin: Origin,
 }
 
-/// Value that a command line flag sets.
+/// Command line flag that sets a field of the team file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Flag {
     /// Name of the flag, for errors and as the origin of the value.
     pub flag: &'static str,
-    /// Key of the field.
+    /// Key of the field that the flag sets, such as `link.radio.interface`.
     pub key: String,
-    /// Value as text.
+    /// Value of the field as text, as written on the command line.
     pub value: String,
 }
 
 /// Environment variables with the prefix `MURMURATE_` that set no field of a team file.
 const OTHER_VARIABLES: [&str; 1] = ["MURMURATE_LOG"];
 
-/// Returns the name of a field in errors: its key or flag, with the origin of its value.
+/// Returns the name of a field in error texts: its key with the origin of its value, or the name of the flag that sets
+/// it.
 pub fn place(key: &str, origin: &Origin) -> String {
     match origin {
         Origin::Default => key.to_owned(),
@@ -71,7 +72,8 @@ pub fn place(key: &str, origin: &Origin) -> String {
     }
 }
 
-/// Values of the fields of a team file, from three layers: the file, the environment and command line flags.
+/// Values of the fields of a team file in three layers, of which a later one takes precedence: the file, the
+/// environment and command line flags.
 #[derive(Clone, Debug)]
 pub struct Layers {
     fields: Fields,
@@ -84,7 +86,8 @@ pub struct Layers {
 
 impl Layers {
     /// Reads the team file `text` and the flags. An error names the line, the field or the flag. The tables named in
-    /// `whole` are left to the caller. The environment is read later, when the links are known.
+    /// `whole` are left to the caller, `transports` define the fields of links. Environment variables are read later,
+    /// when the links are known.
     pub fn read(
         text: &str,
         flags: &[Flag],
@@ -150,8 +153,8 @@ impl Layers {
         self.take(variables, &fields)
     }
 
-    /// Reads the fields of links from environment variables. Refuses every unknown variable that begins with
-    /// `MURMURATE_`.
+    /// Reads the fields of links, with the keys `fields`, from environment variables. An error names a variable with a
+    /// wrong value, or an unknown one that begins with `MURMURATE_`.
     pub fn read_link_environment(
         &mut self,
         variables: &[(String, String)],
@@ -196,8 +199,8 @@ impl Layers {
 
     /// Returns the value of a field with its origin; `None` if it is not set and has no default. `scopes` are prefixes
     /// such as `host.pc.`, the narrowest first and the empty one last. A higher layer (flag, environment, file) takes
-    /// precedence over a narrower scope. Defaults of a transport's fields are not included; they are in the transport's
-    /// entry.
+    /// precedence over a narrower prefix. Defaults of a transport's fields are not included; they are in the
+    /// transport's entry.
     pub fn find(&self, scopes: &[String], key: &str) -> Option<LayerValue> {
         let every = (key.starts_with("link.") && key.ends_with(".interface")).then_some(EVERY_INTERFACE);
         for layer in [&self.flags, &self.environment, &self.file] {
@@ -211,8 +214,8 @@ impl Layers {
         Some(LayerValue { value, origin: Origin::Default })
     }
 
-    /// Returns key and value of every field that is set and whose key begins with `prefix`, in each layer (flag,
-    /// environment, file) that sets it.
+    /// Returns key and value of every field whose key begins with `prefix`, once for each layer (flag, environment,
+    /// file) that sets it.
     pub fn below<'a>(&'a self, prefix: &'a str) -> impl Iterator<Item = (&'a str, &'a LayerValue)> {
         let layers = [&self.flags, &self.environment, &self.file];
         layers
@@ -222,8 +225,8 @@ impl Layers {
             .map(|(key, entry)| (key.as_str(), entry))
     }
 
-    /// Returns the line number in the file of the table `name` (one that the caller parses as a whole), or of its field
-    /// if `name` is `table.field`; `None` if the file does not contain it.
+    /// Returns the line number in the file of the table `name` (one of those left to the caller of `read`), or of its
+    /// field if `name` is `table.field`; `None` if the file does not contain it.
     pub fn table(&self, name: &str) -> Option<usize> {
         self.tables.get(name).copied()
     }

@@ -39,11 +39,11 @@ use crate::world::{Clamp, ContactRule, Overrides, Physics, Sensor};
 /// Configuration of one host of a team, with all values resolved.
 #[derive(Clone, Debug)]
 pub struct Team {
-    /// Id of the host.
+    /// Id of the host that this configuration is for.
     pub host: HostId,
     /// Hosts and links of the team.
     pub deployment: Deployment,
-    /// Team number on the wire.
+    /// Team number in every datagram, which keeps teams on one network apart.
     pub number: u16,
     /// Path of the team's key file; `None` for a team on one machine, which needs no authentication.
     pub key_file: Option<PathBuf>,
@@ -55,7 +55,7 @@ pub struct Team {
     pub episodes: u32,
     /// Seed of the random numbers of the trial.
     pub seed: u64,
-    /// Properties of simulated robots, and the handling of messages and commands.
+    /// Properties of simulated robots, and settings of how policies' messages and velocities are treated.
     pub simulated: SimulationSettings,
     /// Estimator that computes robots' states from readings on this host.
     pub estimator: estimation::Entry,
@@ -74,22 +74,23 @@ pub struct Team {
     pub links: Vec<Option<Place>>,
 }
 
-/// Properties of simulated robots, and the handling of messages and commands.
+/// Properties of simulated robots, and settings of how policies' messages and velocities are treated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulationSettings {
     /// Properties of simulated robots and their sensors.
     pub physics: Physics,
-    /// Form in which Controllers limit the policy's output. Also determines whether the World limits acceleration.
+    /// Limit on the policy's velocities: that of training, where the simulator limits acceleration, or that of the
+    /// paper's robots.
     pub clamp: Clamp,
-    /// Whether a neighbour's message is used for the whole hold time or in one control step.
+    /// Whether a neighbour's message is used in every control step within the hold time, or only once.
     pub handling: Handling,
 }
 
 /// Tables of a team file that are read as a whole, not field by field.
 const WHOLE_TABLES: [&str; 2] = ["deployment", "safety"];
 
-/// Team file, with the environment variables and flags that override its fields. The settings common to all hosts are
-/// checked when it is read.
+/// Content of a team file, with the environment variables and flags that override its fields. Settings common to all
+/// hosts were checked when it was read.
 #[derive(Clone, Debug)]
 pub struct TeamFile {
     registry: Registry,
@@ -150,7 +151,7 @@ impl TeamFile {
         &self.deployment
     }
 
-    /// Returns the ids of all hosts.
+    /// Returns the ids of all hosts of the team, from 0.
     pub fn hosts(&self) -> impl Iterator<Item = HostId> + use<> {
         (0..self.deployment.hosts.len()).map(|index| HostId(index as u16))
     }
@@ -172,12 +173,12 @@ impl TeamFile {
         Err(ConfigError::field("robot", format!("there is no {robot}; they are 0 to {}", self.deployment.robots - 1)))
     }
 
-    /// Checks the configuration of every host. An error names the field.
+    /// Checks the configuration of every host of the team. An error names the field.
     pub fn check(&self) -> Result<(), ConfigError> {
         self.hosts().try_for_each(|host| self.for_host(host).map(drop))
     }
 
-    /// Returns the configuration of the host `host`, with all values resolved. An error names the field.
+    /// Returns the configuration of the host `host`, with the values that apply to it. An error names the field.
     pub fn for_host(&self, host: HostId) -> Result<Team, ConfigError> {
         let scopes = self.scopes(Some(host));
         let find = |key: &str| self.layers.find(&scopes, key);

@@ -19,27 +19,27 @@ use crate::net::transport::{Field, LinkSettings, Place};
 /// Settings with which an operator joins the link that carries emergency stop messages, from any machine.
 #[derive(Clone, Debug)]
 pub struct OperatorAccess {
-    /// Link that carries `Stop`.
+    /// Link that carries emergency stop messages (`Stop`).
     pub link: LinkId,
-    /// Team number on the wire.
+    /// Team number in every datagram, which keeps teams on one network apart.
     pub number: u16,
     /// Path of the team's key file; `None` for a team without a key.
     pub key_file: Option<PathBuf>,
-    /// Places of the operator on the link: one for each network interface that a host uses on it, or a single one if it
-    /// addresses every host.
+    /// Endpoints of the operator on the link: one for each network interface that hosts of the team use, or a single
+    /// one if the transport sends to each host's address.
     pub places: Vec<Place>,
 }
 
 impl TeamFile {
-    /// Returns the transport that the team file chooses for a link. `scopes` are the prefixes of keys for one host, the
-    /// narrowest first.
+    /// Returns the transport that the team file chooses for a link. `scopes` are the prefixes of one host's keys, such
+    /// as `host.pc.`, the narrowest first.
     pub(super) fn transport(&self, scopes: &[String], link: &Link) -> &transport::Entry {
         let name = self.layers.find(scopes, &format!("link.{}.transport", link.name)).expect("it has a default");
         self.registry.transport(text(&name)).expect("its name was checked when the file was read")
     }
 
-    /// Returns the keys of a link's field within the link: its name, or `name.host` for each host if it has a value for
-    /// each host.
+    /// Returns the names that `field` has in its link's table: its own name, or `name.host` for every host if it has a
+    /// value for each host.
     pub(super) fn names_of(&self, field: &Field) -> Vec<String> {
         let hosts = self.deployment.hosts.iter().filter(|_| field.by_host);
         let names: Vec<String> = hosts.map(|host| format!("{}.{}", field.name, host.name)).collect();
@@ -47,7 +47,8 @@ impl TeamFile {
     }
 
     /// Returns the value of a field of the transport of the link with index `at`; `None` if it is not set and has no
-    /// default.
+    /// default. The field is given with its name in the link's table. `scopes` are the prefixes of one host's keys, the
+    /// narrowest first.
     pub(super) fn of_link(&self, scopes: &[String], at: usize, (field, name): (&Field, &str)) -> Option<LayerValue> {
         let key = format!("link.{}.{name}", self.deployment.links[at].name);
         self.layers.find(scopes, &key).or_else(|| {
@@ -80,8 +81,8 @@ impl TeamFile {
         Ok(Place { endpoint, reliability: reliability.collect() })
     }
 
-    /// Returns the operator's access to the link that carries the emergency stop. An operator opens no other link. An
-    /// error names the field, such as `carries` if no link carries `stop`.
+    /// Returns the settings with which an operator joins the link that carries the emergency stop. An operator opens no
+    /// other link. An error names the field, such as `carries` if no link carries `stop`.
     pub fn operator_access(&self) -> Result<OperatorAccess, ConfigError> {
         let carries = |link: &Link| link.carries.contains(&Kind::Stop);
         let at = self.deployment.links.iter().position(carries).ok_or_else(|| {
@@ -108,7 +109,8 @@ impl TeamFile {
         })
     }
 
-    /// Checks that no two links of a host would receive each other's frames. An error names the field.
+    /// Checks that no two links of a host would receive each other's frames. `places` has the host's endpoint on each
+    /// link. An error names the field.
     pub(super) fn check_apart(&self, host: HostId, places: &[Option<Place>]) -> Result<(), ConfigError> {
         let scopes = self.scopes(Some(host));
         let mut seen: BTreeMap<(String, String), &str> = BTreeMap::new();

@@ -6,10 +6,10 @@ use super::{TeamFile, kebab};
 use crate::messages::ids::HostId;
 use crate::world::{ContactRule, Sensor};
 
-/// One line of `config show`: a field of a team file with its value in effect and the origin of the value.
+/// One line of the command `config show`: a field of a team file with its value in effect and the origin of the value.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shown {
-    /// Key of the field.
+    /// Key of the field, such as `link.radio.transport`.
     pub key: String,
     /// Value in effect, as text.
     pub value: String,
@@ -33,7 +33,7 @@ impl TeamFile {
         }
     }
 
-    /// Returns all values in effect with their origins: of a host, or of the whole team if `host` is `None`.
+    /// Returns all values in effect with their origins, for one host, or for the whole team if `host` is `None`.
     pub fn values(&self, host: Option<HostId>) -> Vec<Shown> {
         let scopes = self.scopes(host);
         let mut all = Vec::new();
