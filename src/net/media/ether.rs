@@ -28,7 +28,8 @@ pub enum Out {
     Counts(Box<RadioCounts>),
 }
 
-/// Actor that emulates the medium of one link: it carries frames from host to host, with delay, loss, range and faults.
+/// Ether: the actor that emulates the medium of one link. It carries frames from host to host, with delay, loss, range
+/// and faults.
 #[derive(Debug)]
 pub struct Ether {
     emulator: LinkEmulator,

@@ -16,7 +16,7 @@ use crate::time::{Span, Time};
 /// Period at which a radio link reports its counters of frames and airtime ([`RadioCounts`]).
 const COUNTS_PERIOD: Span = Span::from_millis(1000);
 
-/// Frame that a host has offered to a radio channel, with the kind of its first message.
+/// Frame that a host of an emulated link has handed to the radio channel, with the kind of its first message.
 #[derive(Clone, Debug)]
 pub struct Sent {
     /// Kind of the frame's first message, by which the link emulator delays or loses the frame.

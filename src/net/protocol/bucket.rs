@@ -19,7 +19,7 @@ pub struct Bucket {
 }
 
 impl Bucket {
-    /// Returns a bucket that holds `rate.burst` tokens at `now`.
+    /// Returns a bucket that is full at `now`: it holds `rate.burst` tokens.
     pub fn full(now: Time, rate: &Rate) -> Bucket {
         Bucket { tokens: rate.burst, at: now }
     }
@@ -30,13 +30,14 @@ impl Bucket {
         self.at = self.at.max(now);
     }
 
-    /// Returns the number of whole tokens that the bucket holds at `now`.
+    /// Returns the number of whole tokens that the bucket holds at `now`, after it was refilled at the rate `rate`.
     pub fn left(&mut self, now: Time, rate: &Rate) -> usize {
         self.fill(now, rate);
         self.tokens as usize
     }
 
-    /// Takes one token; returns `false` if there was none.
+    /// Takes one token at `now`, after the bucket was refilled at the rate `rate`. Returns `false` if there was none:
+    /// the limit is exceeded.
     pub fn take(&mut self, now: Time, rate: &Rate) -> bool {
         self.fill(now, rate);
         let left = self.tokens >= 1.0;

@@ -19,8 +19,8 @@ const MAX_GUESTS: usize = 256;
 /// Part of a full table of candidates that is removed at once, as a divisor: 16 removes one sixteenth. So a flood of
 /// datagrams does not cause a search of the table for each of them.
 const REMOVED_SHARE: usize = 16;
-/// Largest number of candidates of one host: more earlier runs than are likely to be recorded with the same key and
-/// link.
+/// Largest number of stored candidates (incarnations that have not proved their liveness) of one host: more earlier
+/// runs than are likely to be recorded with the same key and link.
 pub const MAX_CANDIDATES: usize = 32;
 /// Difference \[us\] beyond which two stamps belong to different runs, even with equal incarnations: an hour.
 const SAME_CLOCK_US: i64 = 3_600_000_000;
@@ -30,9 +30,9 @@ const SAME_CLOCK_US: i64 = 3_600_000_000;
 pub struct Candidate {
     /// Incarnation of the host.
     pub incarnation: u32,
-    /// Largest stamp received from the incarnation.
+    /// Latest stamp that was received from the incarnation.
     pub stamp: Stamp,
-    /// Arrival time of that stamp.
+    /// Time at which the stamp in `stamp` arrived.
     pub at: Time,
     /// Number of this host's link reports that have echoed the candidate's stamp, to let it prove its liveness.
     pub echoed: u32,
@@ -51,14 +51,15 @@ impl Candidate {
     }
 }
 
-/// Result of receiving a candidate's stamp.
+/// Whether a stamp received from a candidate (incarnation that has not proved its liveness) is later than those before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Novelty {
-    /// The candidate is new or its stamp has advanced, so the sender may wait for an echo.
+    /// The candidate is new, or the stamp is later than all before: the sender may be live and wait for an echo.
     New,
-    /// The stamp has not advanced; the candidate is still fresh.
+    /// The stamp is not later than those before; the last later one arrived less than 2 s ago.
     Repeated,
-    /// The stamp has not advanced; the candidate has expired.
+    /// The stamp is not later than those before; the last later one arrived 2 s ago or more, so the sender may be a
+    /// recording.
     Expired,
 }
 
@@ -151,13 +152,14 @@ impl Candidates {
         if host < self.first_guest { &mut self.hosts } else { &mut self.guests }
     }
 
-    /// Records the stamp in a link report of an incarnation without a liveness proof; adds it as a candidate if it is
-    /// new. Returns whether the stamp was new.
+    /// Records the `stamp` in a link report of an incarnation that has not proved its liveness, and adds the
+    /// incarnation as a candidate if it is new. Returns whether the stamp was new.
     pub fn note(&mut self, now: Time, host: HostId, incarnation: u32, stamp: Stamp) -> Novelty {
         self.table(host).note(now, host, Candidate { incarnation, stamp, at: now, echoed: 0 })
     }
 
-    /// Removes an incarnation that has proved its liveness. Returns the removed candidate; `None` if it was none.
+    /// Removes an incarnation that has proved its liveness. Returns the removed candidate; `None` if it was not in the
+    /// table.
     pub fn forget(&mut self, host: HostId, incarnation: u32) -> Option<Candidate> {
         let table = self.table(host);
         let all = table.by_host.get(&host)?.iter();
@@ -179,7 +181,7 @@ impl Candidates {
         waiting
     }
 
-    /// Counts a report that echoes this stamp of the host.
+    /// Counts that a link report of this host has echoed this stamp of the host `host`.
     pub fn echoed(&mut self, host: HostId, stamp: Stamp) {
         let all = self.table(host).by_host.get_mut(&host);
         if let Some(one) = all.and_then(|all| all.iter_mut().find(|one| one.stamp == stamp)) {
@@ -187,7 +189,7 @@ impl Candidates {
         }
     }
 
-    /// Returns for each host the candidate whose stamp has advanced last.
+    /// Returns for each host the candidate from which a later stamp has arrived last.
     pub fn newest(&self) -> impl Iterator<Item = (HostId, Candidate)> {
         let all = self.hosts.by_host.iter().chain(&self.guests.by_host);
         all.filter_map(|(&host, all)| Some((host, *all.iter().max_by_key(|one| one.at)?)))

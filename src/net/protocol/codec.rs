@@ -25,35 +25,35 @@ use crate::messages::wire::{KINDS, Kind, Unfit, Wire};
 
 /// Version of the wire format; a receiver refuses all others.
 pub const VERSION: u8 = 4;
-/// Length of a tag \[bytes\]: keyed BLAKE3, truncated to 128 bits.
+/// Length of the authentication tag at the end of a datagram \[bytes\]: keyed BLAKE3, truncated to 128 bits.
 pub const TAG_BYTES: usize = 16;
-/// Length of the header \[bytes\].
+/// Length of the header at the start of a datagram \[bytes\].
 pub const HEADER_BYTES: usize = 14;
-/// Offset of the flags in the header \[bytes\].
+/// Offset of the flags within the header of a datagram \[bytes\].
 pub const FLAGS_AT: usize = 1;
-/// Length of a block's header: content byte and body length \[bytes\].
+/// Length of the header of a block within a datagram \[bytes\]: type of the content, and length of the body.
 pub const BLOCK_BYTES: usize = 3;
-/// Largest datagram with its tag \[bytes\]. It is below the 1280 bytes that every IPv6 link carries (RFC 8200, section
-/// 5), with room for the headers of IP and UDP.
+/// Largest datagram with its authentication tag \[bytes\]. It is below the 1280 bytes that every IPv6 link carries (RFC
+/// 8200, section 5), with room for the headers of IP and UDP.
 pub const MAX_FRAME_BYTES: usize = 1200;
-/// Largest datagram without its tag \[bytes\].
+/// Largest datagram without its authentication tag \[bytes\].
 pub const MAX_PLAIN_BYTES: usize = MAX_FRAME_BYTES - TAG_BYTES;
 
-/// Encoded datagram, shared without copies.
+/// Bytes of an encoded datagram; clones share them.
 pub type Frame = Arc<[u8]>;
 
-/// Flags of a datagram, one bit for each.
+/// Flags in the header of a datagram, one bit for each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Flags(pub u8);
 
 impl Flags {
-    /// The datagram ends with a tag.
+    /// Flag bit: the datagram ends with an authentication tag.
     pub const TAGGED: u8 = 1;
-    /// The datagram is for one host, and numbered in the sequence space of that host.
+    /// Flag bit: the datagram is for one host, and numbered in the sequence space of that host.
     pub const DIRECT: u8 = 2;
-    /// The datagram is a retransmission.
+    /// Flag bit: the datagram is a retransmission.
     pub const COPY: u8 = 4;
-    /// The sender asks the receiver to acknowledge the datagram.
+    /// Flag bit: the sender asks the receiver to acknowledge the datagram.
     pub const ACK: u8 = 8;
 
     /// Whether the flag `bit` is set.
@@ -78,21 +78,21 @@ pub struct Header {
     pub sequence: u32,
 }
 
-/// Type of a block's content.
+/// Type of the content of a block, the unit of which datagrams consist: a message, or control data of the link layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Content {
-    /// Message of this kind.
+    /// Message of this kind, such as a latent.
     Message(Kind),
     /// Link report.
     Report,
-    /// Link report on a link with unicast datagrams: each entry also has the number of the next unicast datagram to its
-    /// host.
+    /// Link report on a link with unicast datagrams: each entry also has the sequence number of the sender's next
+    /// unicast datagram to its host.
     NumberedReport,
     /// Acknowledgements of datagrams.
     Ack,
-    /// Requests to retransmit.
+    /// Requests to retransmit datagrams that have not arrived.
     Nack,
-    /// Sequence numbers of earlier datagrams that receivers may request.
+    /// Sequence numbers of earlier datagrams that their sender still keeps, so that receivers may request them.
     Held,
 }
 
@@ -132,7 +132,7 @@ pub enum EncodeError {
     /// The message is outside the ranges of its kind.
     #[error("a {0:?} is unfit to send: {1}")]
     Unfit(Kind, Unfit),
-    /// The message does not fit into one datagram; its size \[bytes\].
+    /// The message takes the given number of bytes, too many for one datagram.
     #[error("a {0:?} takes {1} bytes; there is room for {MAX_PLAIN_BYTES}")]
     TooLong(Kind, usize),
 }
@@ -140,16 +140,16 @@ pub enum EncodeError {
 /// Reason why bytes are not a valid datagram.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DecodeError {
-    /// The length is below that of a header or above that of the largest datagram \[bytes\].
+    /// The number of bytes (given) is below that of a header or above that of the largest datagram.
     #[error("{0} bytes are no frame")]
     Length(usize),
-    /// The datagram has another version of the wire format.
+    /// The datagram has another version of the wire format, given here.
     #[error("version {0} of the wire format; this program speaks {VERSION}")]
     Version(u8),
-    /// The datagram has undefined flags.
+    /// The datagram has undefined flags; all flags are given here.
     #[error("no datagram has the flags {0:#04x}")]
     Flags(u8),
-    /// The kind of message or the content of a block is undefined.
+    /// A block has an undefined content type, given here as its byte.
     #[error("no message has the kind {0}")]
     Kind(u8),
     /// A block is longer than the datagram, or the number of blocks is wrong.
@@ -169,7 +169,7 @@ pub enum DecodeError {
     Unfit(Kind, Unfit),
 }
 
-/// Returns a new datagram that contains only the header.
+/// Returns a new datagram that contains only the given header.
 pub fn start(header: &Header) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(256);
     bytes.extend_from_slice(&[VERSION, header.flags.0]);
@@ -180,7 +180,7 @@ pub fn start(header: &Header) -> Vec<u8> {
     bytes
 }
 
-/// Appends a block to a datagram; `write` appends the block's body.
+/// Appends a block with content of the type `content` to a datagram; `write` appends the block's body.
 pub fn add(datagram: &mut Vec<u8>, content: Content, write: impl FnOnce(&mut Vec<u8>)) {
     let at = datagram.len();
     datagram.extend_from_slice(&[content.byte(), 0, 0]);
@@ -189,7 +189,8 @@ pub fn add(datagram: &mut Vec<u8>, content: Content, write: impl FnOnce(&mut Vec
     datagram[at + 1..at + BLOCK_BYTES].copy_from_slice(&length.to_le_bytes());
 }
 
-/// Encodes a message as a datagram without a tag.
+/// Encodes a message as a datagram without an authentication tag. Fails if the message is outside the ranges of its
+/// kind or too long.
 pub fn encode(header: &Header, message: &Wire) -> Result<Frame, EncodeError> {
     let kind = message.kind();
     message.check().map_err(|unfit| EncodeError::Unfit(kind, unfit))?;
@@ -214,7 +215,7 @@ pub fn encode(header: &Header, message: &Wire) -> Result<Frame, EncodeError> {
     Ok(bytes.into())
 }
 
-/// Decodes only the header of a datagram.
+/// Decodes only the header of a datagram. Fails if the length, version or flags are invalid.
 pub fn peek(datagram: &[u8]) -> Result<Header, DecodeError> {
     let header = datagram.first_chunk::<HEADER_BYTES>().filter(|_| datagram.len() <= MAX_FRAME_BYTES);
     let Some(&[version, flags, t0, t1, s0, s1, e0, e1, e2, e3, n0, n1, n2, n3]) = header else {
@@ -232,7 +233,8 @@ pub fn peek(datagram: &[u8]) -> Result<Header, DecodeError> {
     Ok(Header { flags, team, sender, incarnation, sequence })
 }
 
-/// Returns the blocks of a datagram without tag. Ends at the first error.
+/// Returns the blocks of a datagram without authentication tag, each as type of content and body. Ends at the first
+/// error.
 pub fn blocks(plain: &[u8]) -> impl Iterator<Item = Result<(Content, &[u8]), DecodeError>> {
     let mut rest = plain.get(HEADER_BYTES..).unwrap_or_default();
     std::iter::from_fn(move || {
@@ -252,12 +254,12 @@ fn split(bytes: &[u8]) -> Result<(Content, &[u8], &[u8]), DecodeError> {
     Ok((content, body, rest))
 }
 
-/// Returns the content type of a datagram's first block, which determines how an emulated medium handles the datagram.
+/// Returns the type of the first block in a datagram, by which an emulated medium decides how to treat the datagram.
 pub fn first(datagram: &[u8]) -> Result<Content, DecodeError> {
     split(datagram.get(HEADER_BYTES..).unwrap_or_default()).map(|(content, ..)| content)
 }
 
-/// Decodes the body of a message and checks its ranges.
+/// Decodes the body of a message of kind `kind`, and checks that its values are in range.
 pub fn message(kind: Kind, bytes: &[u8]) -> Result<Wire, DecodeError> {
     let message = match kind {
         Kind::Reading => Wire::Reading(body(kind, bytes)?),
@@ -274,7 +276,7 @@ pub fn message(kind: Kind, bytes: &[u8]) -> Result<Wire, DecodeError> {
     Ok(message)
 }
 
-/// Decodes a datagram without tag that contains exactly one message.
+/// Decodes a datagram without authentication tag that contains exactly one message. Fails on any other datagram.
 pub fn decode(plain: &[u8]) -> Result<(Header, Wire), DecodeError> {
     let header = peek(plain)?;
     let mut all = blocks(plain);

@@ -26,9 +26,10 @@ counts! {
     sent,
     /// Retransmissions: timed repeats, requested ones, and retries without an acknowledgement.
     copies,
-    /// Datagrams sent with only soft state: heartbeats, instructions, link reports, acknowledgements, requests.
+    /// Datagrams sent with only soft state: heartbeats, instructions, telemetry, link reports, acknowledgements,
+    /// requests.
     soft,
-    /// Messages given up: not acknowledged by all receivers after all retries.
+    /// Messages that were given up: not acknowledged by all receivers after all retransmissions.
     lapsed,
     /// Messages not sent, because they are outside the ranges of their kind.
     unfit,
@@ -36,7 +37,8 @@ counts! {
     accepted,
     /// Messages accepted from a retransmission, because the first transmission was lost.
     repaired,
-    /// Messages ignored, because they are addressed to another host that receives the same datagrams. Not a fault.
+    /// Messages ignored: they are for another host, and arrive here because datagrams on this link reach all hosts. Not
+    /// a fault.
     aside,
     /// Datagrams refused: sent by this process itself.
     own,
@@ -44,8 +46,8 @@ counts! {
     auth,
     /// Datagrams refused on a link with authentication: older than the replay window, or of an earlier incarnation.
     replay,
-    /// Datagrams refused: delayed. Either sent before a report that arrived long ago, or a report that was long in
-    /// transit.
+    /// Datagrams refused: held back on the way. Either sent before a link report that arrived long ago, or a link
+    /// report that was long in transit.
     late,
     /// Datagrams refused: their sender has not proved its liveness yet.
     unproven,
@@ -62,9 +64,9 @@ counts! {
     duplicate,
     /// Messages refused: older than the newest message of their stream.
     stale,
-    /// Datagrams refused: their sender exceeds its rate limit.
+    /// Datagrams refused: their sender sends more than the rate limit permits.
     rate,
-    /// Datagrams refused: the table of senders is full.
+    /// Datagrams refused: the table of accepted senders is full.
     crowd,
     /// Datagrams dropped: a queue of the transport was full.
     queue,

@@ -8,8 +8,8 @@ use super::report::MAX_HELD_FOR;
 use crate::messages::ids::{HostId, LinkId};
 use crate::time::{Span, Time};
 
-/// Uptime after which a process no longer ends because of a duplicate id. Every member with the key can claim an
-/// earlier start, and a false claim must not end a team.
+/// Time since its start after which a process no longer ends because another host has the same id. Every member with
+/// the key can claim an earlier start, and a false claim must not end a team.
 pub const SETTLED: Span = Span::from_millis(10_000);
 /// Difference of uptimes below which the incarnations decide which process ends.
 const TIE_MARGIN: Span = Span::from_millis(50);
@@ -26,7 +26,7 @@ pub struct DuplicateId {
     pub incarnation: u32,
 }
 
-/// State of the detection of duplicate ids on one link.
+/// Detection of other live processes with the host id of this process, on one link.
 #[derive(Clone, Copy, Debug)]
 pub struct DuplicateIds {
     me: (LinkId, HostId, u32),
@@ -36,7 +36,7 @@ pub struct DuplicateIds {
 }
 
 impl DuplicateIds {
-    /// Returns the initial state. `host` is this process's id, and `incarnation` its incarnation.
+    /// Returns the state before any datagram. `host` is the id of this process, and `incarnation` its incarnation.
     pub fn new(link: LinkId, host: HostId, incarnation: u32) -> DuplicateIds {
         const { assert!(SETTLED.as_nanos() < MAX_HELD_FOR.as_nanos(), "a report can say that it has run for so long") };
         DuplicateIds { me: (link, host, incarnation), began: None, claims: 0, duplicate: None }
@@ -47,8 +47,8 @@ impl DuplicateIds {
         now.since(*self.began.get_or_insert(now))
     }
 
-    /// Handles the claim of another process with this id that its uptime is `theirs`. The caller has checked that the
-    /// claim echoes a recent stamp of this process.
+    /// Handles a link report of another process with the same host id: its incarnation, and its uptime `theirs` as
+    /// stated in the report. The caller has checked that the report echoes a recent stamp of this process.
     pub fn claim(&mut self, now: Time, incarnation: u32, theirs: Span) {
         let ours = self.uptime(now);
         let (link, host, mine) = self.me;
@@ -64,7 +64,7 @@ impl DuplicateIds {
         }
     }
 
-    /// Returns the process with the same id that started earlier, because of which this process has to end. `None` if
+    /// Returns the process with the same host id that was started earlier, so that this process has to end. `None` if
     /// none was found.
     pub fn duplicate(&self) -> Option<DuplicateId> {
         self.duplicate

@@ -13,8 +13,8 @@ const MAX_GAPS: usize = 256;
 /// Largest number of requests for a datagram. At 30 % loss of requests and answers, 7 % of the missing datagrams stay
 /// missing.
 const ASKS: u32 = 4;
-/// Largest random backoff before a request. The first receiver that requests a datagram suppresses the requests of
-/// others (RFC 5401, section 3.2).
+/// Longest random wait before a receiver requests a missing datagram. The first receiver that requests it suppresses
+/// the requests of others (RFC 5401, section 3.2).
 pub const BACKOFF: Span = Span::from_millis(10);
 
 /// State of a missing datagram.
@@ -29,9 +29,9 @@ struct Gap {
 pub struct Gaps(BTreeMap<DatagramId, Gap>);
 
 impl Gaps {
-    /// Removes a received datagram, and adds the numbers in `held` that have not arrived: those that the datagram
-    /// offers for retransmission. `backoff` draws the wait before a request. Only offered datagrams are requested, so
-    /// that lost requests cause no further requests.
+    /// Removes a datagram that has arrived from the missing ones, and adds those that it offers for retransmission
+    /// (sequence numbers `held`) and that `window` has not received. `backoff` draws the wait before a request. Only
+    /// offered datagrams are requested, so that lost requests cause no further requests.
     pub fn note(
         &mut self,
         now: Time,
@@ -54,14 +54,14 @@ impl Gaps {
         self.0.is_empty()
     }
 
-    /// Returns whether the datagram is a retransmission of a tracked missing one. Such a datagram is accepted at any
-    /// age.
+    /// Returns whether the datagram with this header is the retransmission of one that is missing. It is then accepted
+    /// at any age.
     pub fn awaits(&self, header: &Header) -> bool {
         header.flags.has(Flags::COPY) && self.0.contains_key(&DatagramId::of(header))
     }
 
-    /// Postpones requests for datagrams that another host has just requested. Only for datagrams to all hosts: each
-    /// receiver has its own sequence space for unicast datagrams.
+    /// Postpones requests for the datagrams `ids`, which another host has just requested. It concerns only datagrams to
+    /// all hosts: each receiver has its own sequence space for unicast datagrams.
     pub fn asked_by_others(&mut self, now: Time, ids: &[DatagramId]) {
         for id in ids.iter().filter(|id| !id.direct) {
             if let Some(gap) = self.0.get_mut(id) {
@@ -75,7 +75,8 @@ impl Gaps {
         self.0.values().map(|gap| gap.due).min()
     }
 
-    /// Returns the datagrams to request now, at most `room`. `backoff` draws the wait before the next request.
+    /// Returns the datagrams to request at `now`, at most `room`. `backoff` draws the wait before the next request for
+    /// each.
     pub fn ask(&mut self, now: Time, room: usize, mut backoff: impl FnMut() -> Span) -> Vec<DatagramId> {
         let mut ids = Vec::new();
         self.0.retain(|_, gap| gap.asked < ASKS || gap.due > now);

@@ -27,29 +27,30 @@ use crate::time::{Span, Time};
 /// that restarts within the time `SILENT` causes fewer.
 const DUPLICATES_TO_LOG: u64 = 8;
 
-/// Urgency of this host's next report to another host.
+/// How soon this host has to send its next link report because another host needs it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Urgency {
-    /// Send the report with the next regular reports.
+    /// With the next regular report.
     #[default]
     Regular,
-    /// Append the report to the next datagram, whatever it is for.
+    /// In the next datagram, whatever that is for.
     NextDatagram,
-    /// Send the report immediately, in a datagram of its own if need be.
+    /// At once, in a datagram of its own if need be.
     Immediate,
 }
 
-/// Outcome of the admission of a datagram.
+/// Decision on a received datagram: whether it is accepted, and how soon its sender needs a link report of this host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// The datagram is new.
+    /// The datagram is accepted: it is new. The urgency is that of this host's next link report.
     New(Urgency),
-    /// The datagram is a duplicate. If its sender asks for acknowledgements, one was lost.
+    /// The datagram has arrived before. If its sender asks for acknowledgements, the one for it was lost and is sent
+    /// again.
     Duplicate,
-    /// The datagram is refused, because its sender has to prove its liveness first. For that it needs a report of this
-    /// host.
+    /// The datagram is refused, because its sender has not proved its liveness. For that it needs a link report of this
+    /// host, with this urgency.
     Candidate(Urgency),
-    /// The datagram is refused.
+    /// The datagram is refused for another reason, which is counted.
     Refused,
 }
 
@@ -62,13 +63,14 @@ pub struct LocalEnd {
     pub incarnation: u32,
     /// Id of the link.
     pub link: LinkId,
-    /// Whether senders have to prove their liveness; so on links with a key.
+    /// Whether senders have to prove their liveness before they are accepted: true on links with a key.
     pub authenticated: bool,
-    /// Smallest id of a guest; hosts of the team have smaller ids.
+    /// Smallest host id of a guest (operator, or host that the deployment does not know); hosts of the team have
+    /// smaller ids.
     pub first_guest: HostId,
-    /// Length of an entry in this host's reports \[bytes\].
+    /// Length of an entry in this host's link reports \[bytes\].
     pub entry_bytes: usize,
-    /// Clock of this host's stamps.
+    /// Clock from which this host's link reports take their stamps.
     pub stamps: Stamps,
 }
 
@@ -80,14 +82,15 @@ struct LivenessProof {
     age: Span,
 }
 
-/// Reception state of one link.
+/// State of the reception on one link: accepted senders, candidates that have not proved their liveness, and missing
+/// datagrams.
 #[derive(Clone, Debug)]
 pub struct Incoming {
     local: LocalEnd,
     rate: Option<Rate>,
     senders: Senders,
     candidates: Candidates,
-    /// Gaps in the senders' sequence numbers: datagrams that have not arrived and can still be requested again.
+    /// Datagrams that have not arrived, as sequence numbers show, and can still be requested.
     pub gaps: Gaps,
     schedule: ReportSchedule,
     /// Detection of other processes with the id of this host.
@@ -95,7 +98,7 @@ pub struct Incoming {
 }
 
 impl Incoming {
-    /// Returns the initial state. `rate` limits the datagrams of each sender.
+    /// Returns the state before any datagram. `rate` limits the datagrams that are accepted from each sender.
     pub fn new(local: LocalEnd, rate: Option<Rate>) -> Incoming {
         let schedule = ReportSchedule::new(local.host, local.authenticated, local.entry_bytes);
         let duplicate_ids = DuplicateIds::new(local.link, local.host, local.incarnation);
@@ -103,7 +106,8 @@ impl Incoming {
         Incoming { local, rate, senders, candidates, gaps: Gaps::default(), schedule, duplicate_ids }
     }
 
-    /// Decides on a datagram of this team with a valid tag. `report` is the report in it.
+    /// Decides whether to accept a datagram of this team whose tag was valid. `report` is the link report in the
+    /// datagram, if any; a refusal is counted in `counts` by its cause.
     pub fn admit(&mut self, now: Time, header: &Header, report: Option<&Report>, counts: &mut LinkCounts) -> Verdict {
         let proof = report.and_then(|report| self.liveness_proof(now, report));
         let known = match self.local.authenticated {
@@ -297,7 +301,7 @@ impl Incoming {
         Ok(())
     }
 
-    /// Handles a report of another process with this host's id: a live one, or a recording of a former run.
+    /// Handles the link report of another process with this host's id: a live one, or a recording of an earlier run.
     #[cold]
     pub fn note_duplicate_id(&mut self, now: Time, header: &Header, report: &Report, counts: &mut LinkCounts) {
         self.candidates.note(now, header.sender, header.incarnation, report.stamp);
@@ -318,8 +322,8 @@ impl Incoming {
             .find(|proof| proof.age <= FRESH)
     }
 
-    /// Returns whether a message about `robot` is the newest of its stream, and records it if so. All kinds of messages
-    /// are state, so older messages are useless.
+    /// Returns whether a message about `robot` is newer than all others of its stream (kind and robot), and records it
+    /// if so. All kinds of messages are state, so older messages are useless.
     pub fn accept(&mut self, header: &Header, kind: Kind, robot: RobotId, counts: &mut LinkCounts) -> bool {
         let Some(sender) = self.senders.get_mut((header.sender, header.incarnation)) else { return false };
         let newest = &mut sender.spaces[usize::from(header.flags.has(Flags::DIRECT))].newest;
@@ -339,8 +343,8 @@ impl Incoming {
         true
     }
 
-    /// Records as gaps those datagrams that have not arrived, of those whose sequence numbers a new datagram lists
-    /// (`held`) as still held by its sender for retransmission. `backoff` draws the wait before each request.
+    /// Records as missing those datagrams that their sender still keeps for retransmission, by the sequence numbers
+    /// `held` in a datagram of it, and that have not arrived. `backoff` draws the wait before each request.
     pub fn note_gaps(&mut self, now: Time, header: &Header, held: &[u32], backoff: impl FnMut() -> Span) {
         if held.is_empty() && self.gaps.is_empty() {
             return;
@@ -356,7 +360,7 @@ impl Incoming {
         self.gaps.asked_by_others(now, ids);
     }
 
-    /// Returns the next report of at most `room` bytes; `None` if not even its stamp fits.
+    /// Returns this host's next link report, of at most `room` bytes; `None` if not even its stamp fits.
     pub fn report(&mut self, now: Time, room: usize, occasion: Occasion) -> Option<Report> {
         let places = room.checked_sub(REPORT_BYTES)? / self.local.entry_bytes;
         let uptime = self.duplicate_ids.uptime(now);
@@ -365,12 +369,13 @@ impl Incoming {
         Some(Report { stamp: self.local.stamps.of(now), heard })
     }
 
-    /// Returns how many times a message to the hosts in `audience` is repeated, 0 to 2, by the loss that they report.
+    /// Returns how many times a message to the hosts in `audience` is to be repeated, 0 to 2, by the loss that they
+    /// report.
     pub fn repeats(&self, now: Time, audience: Audience) -> u8 {
         self.senders.repeats(now, audience)
     }
 
-    /// Returns the state of each other host: of its accepted incarnations, or else of its newest candidate.
+    /// Returns a summary of each other host on the link: of its accepted incarnations, or else of its newest candidate.
     pub fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
         let link = self.local.link;
         let accepted = self.senders.iter().map(move |(id, sender)| {

@@ -13,7 +13,8 @@ use crate::messages::ids::{HostId, LinkId};
 /// Length of what is hashed together with a datagram, the id of the link and that of the receiver \[bytes\].
 const ASSOCIATED_BYTES: usize = 4;
 
-/// Secret of a team, known to all its members. In a replay: a list of the datagrams that had a valid tag.
+/// Secret key of a team, known to all its members, which authenticates datagrams. In a replay, a list of the datagrams
+/// that had a valid tag takes its place.
 #[derive(Clone)]
 pub struct Key(Secret);
 
@@ -25,18 +26,19 @@ enum Secret {
 }
 
 impl Key {
-    /// Creates the key from its bytes.
+    /// Creates the key from its 32 bytes.
     pub fn new(bytes: [u8; 32]) -> Key {
         Key(Secret::Bytes(bytes))
     }
 
-    /// Creates a substitute for a key, for replays of records only: it accepts the datagrams with these [`digest`]s,
-    /// and makes tags of zeros. It gives no protection on a link.
+    /// Creates a substitute for a key, for replays of records only: it accepts exactly the datagrams with these
+    /// [`digest`]s, and makes tags of zeros. It gives no protection on a link.
     pub fn trusting(accepted: BTreeSet<[u8; 16]>) -> Key {
         Key(Secret::Accepted(Arc::new(accepted)))
     }
 
-    /// Appends the tag to a datagram for the host `to`, or for all hosts if `to` is `None`.
+    /// Appends the authentication tag to a datagram on the link `link`, for the host `to`, or for all hosts if `to` is
+    /// `None`.
     pub fn seal(&self, datagram: &mut Vec<u8>, link: LinkId, to: Option<HostId>) {
         datagram[FLAGS_AT] |= Flags::TAGGED;
         match &self.0 {
@@ -48,8 +50,8 @@ impl Key {
         }
     }
 
-    /// Returns the datagram without its tag; `None` if the tag is not valid. It is valid for `link` and, for a unicast
-    /// datagram, for the host `here`.
+    /// Returns the datagram without its authentication tag; `None` if the tag is not valid for the link `link` and, in
+    /// a unicast datagram, for the receiver `here`.
     pub fn open<'a>(&self, datagram: &'a [u8], link: LinkId, here: HostId) -> Option<&'a [u8]> {
         if datagram.len() < HEADER_BYTES + TAG_BYTES || datagram.len() > MAX_FRAME_BYTES {
             return None;
@@ -79,7 +81,7 @@ fn tag_of(secret: &[u8; 32], datagram: &mut Vec<u8>, link: LinkId, to: Option<Ho
     hash
 }
 
-/// Returns the digest of a datagram with its tag and of its link, by which a replay identifies it.
+/// Returns a digest of a datagram with its tag and of its link, by which a replay recognizes the datagram.
 pub fn digest(datagram: &[u8], link: LinkId) -> [u8; 16] {
     let mut all = datagram.to_vec();
     all.extend_from_slice(&link.0.to_le_bytes());

@@ -7,13 +7,14 @@ use std::collections::VecDeque;
 
 use crate::time::{Span, Time};
 
-/// Time after a report during which datagrams sent before it are accepted. It covers a jitter of 100 ms, and all
-/// retransmissions of a lost datagram: these take 155 ms, or 174 ms if each timer is an eighth late to share a wake-up.
+/// Time after the arrival of a link report during which datagrams that were sent before it are still accepted. It
+/// covers a jitter of 100 ms, and all retransmissions of a lost datagram: these take 155 ms, or 174 ms if each timer is
+/// an eighth late to share a wake-up.
 pub const LATE: Span = Span::from_millis(280);
 /// Smallest interval between stored reports, which bounds their number.
 const MIN_SPACING: Span = Span::from_nanos(LATE.as_nanos() / 16);
 
-/// Recent reports of one sender, and the datagram numbers that are late.
+/// Recent link reports of one sender, from which datagrams that were held back on the way are recognized.
 #[derive(Clone, Debug, Default)]
 pub struct Lateness {
     /// For each report: its arrival time, and the numbers of the next datagrams to all hosts and to this host.
@@ -23,8 +24,9 @@ pub struct Lateness {
 }
 
 impl Lateness {
-    /// Records a report. Datagrams with smaller numbers than `numbers` were sent before it: the numbers of the next
-    /// datagrams to all hosts and to this host, each `None` if unknown.
+    /// Records a link report that arrived at `now`. `numbers` are the sequence numbers of the sender's next datagrams
+    /// to all hosts and to this host when it sent the report, each `None` if unknown; datagrams with smaller numbers
+    /// were sent before.
     pub fn reported(&mut self, now: Time, numbers: [Option<u32>; 2]) {
         self.advance(now);
         if self.reports.back().is_none_or(|(at, _)| now.since(*at) >= MIN_SPACING) {
@@ -44,8 +46,8 @@ impl Lateness {
         }
     }
 
-    /// Returns whether the datagram with this number was sent before a report that arrived more than [`LATE`] ago.
-    /// `space` is 0 for datagrams to all hosts, 1 for those to this host.
+    /// Returns whether the datagram with this sequence number was sent before a link report that arrived more than 280
+    /// ms ([`LATE`]) ago. `space` is 0 for datagrams to all hosts, 1 for those to this host.
     pub fn is_late(&mut self, now: Time, space: usize, sequence: u32) -> bool {
         self.advance(now);
         self.least[space].is_some_and(|least| is_before(sequence, least))

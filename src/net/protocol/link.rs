@@ -33,12 +33,12 @@ pub struct Identity {
     pub incarnation: u32,
 }
 
-/// Whether a link accepts an operator.
+/// Whether an operator's datagrams are accepted on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Standing {
-    /// The operator has to prove its liveness first, and needs reports of this host to do so.
+    /// The operator has not proved its liveness yet, and needs reports of this host to do so.
     Candidate,
-    /// The operator is accepted, and its newest datagram was new.
+    /// The operator has proved its liveness or the link has no key, and its last datagram was new.
     Accepted,
 }
 
@@ -47,13 +47,13 @@ pub enum Standing {
 pub struct Guest {
     /// Id of the host.
     pub host: HostId,
-    /// Source address of the host's datagram.
+    /// Source address of the host's last datagram.
     pub at: SocketAddr,
     /// Whether the host is accepted, or has to prove its liveness first.
     pub standing: Standing,
 }
 
-/// State of one link of one host.
+/// State of one link of one host: transmission, reception and counters.
 #[derive(Clone, Debug)]
 pub struct LinkState {
     me: Identity,
@@ -71,9 +71,8 @@ pub struct LinkState {
 }
 
 impl LinkState {
-    /// Returns the state of a link at the start of this host's incarnation. With a key, link reports are always on,
-    /// since they prove liveness. Stamps start at a number drawn from `stream`, which must be unpredictable on a real
-    /// host.
+    /// Returns the state of a link at the start of this host. With a `key`, link reports are always sent, since they
+    /// prove liveness. Stamps start at a number drawn from `stream`, which must be unpredictable on a real host.
     pub fn new(me: Identity, id: LinkId, key: Option<Key>, mut setup: Setup, stream: &mut Stream) -> LinkState {
         if key.is_some() {
             setup.reports = Reports::On;
@@ -113,8 +112,8 @@ impl LinkState {
         self.due = [self.outgoing.due(), self.incoming.gaps.due()].into_iter().flatten().min();
     }
 
-    /// Sends a message to the hosts in `audience`: appends the datagrams that are due to `out`. Returns the encoded
-    /// message. Fails if the message is out of range or too long.
+    /// Sends a message to the hosts in `audience`: appends the datagrams that are due at `now` to `out`. Returns the
+    /// message as a datagram without tag. Fails if the message is out of range or too long.
     pub fn send(
         &mut self,
         now: Time,
@@ -128,8 +127,8 @@ impl LinkState {
         encoded
     }
 
-    /// Handles a received datagram. Returns its header and its bytes without the tag; `None` if it is refused or a
-    /// duplicate. Appends replies to `out`.
+    /// Handles the received datagram `frame`. Returns its header and its bytes without the tag; `None` if it is refused
+    /// or a duplicate. Appends replies to `out`; random waits are drawn from `stream`.
     pub fn admit<'a>(
         &mut self,
         now: Time,
@@ -237,24 +236,24 @@ impl LinkState {
         }
     }
 
-    /// Returns the other live host with the id of this one, if that started earlier; `None` otherwise.
+    /// Returns another live host that has the id of this host and was started earlier; `None` if there is none.
     pub fn duplicate(&self) -> Option<DuplicateId> {
         self.incoming.duplicate_ids.duplicate()
     }
 
-    /// Returns whether a decoded message about `robot` is the newest of its stream, and records it if so.
+    /// Returns whether a decoded message about `robot` is newer than all others of its stream (kind and robot), and
+    /// records it if so.
     pub fn accept(&mut self, header: &Header, kind: Kind, robot: RobotId) -> bool {
         self.incoming.accept(header, kind, robot, &mut self.counts)
     }
 
-    /// Returns the operator that sent the last datagram, and whether it is accepted; `None` if a host of the team sent
-    /// it, or if it was neither new nor of an operator that still has to prove its liveness. The transport stores its
-    /// address, so that reports reach the operator.
+    /// Returns the operator that sent the last datagram, and whether it is accepted. `None` if the datagram was of a
+    /// host of the team, refused or a duplicate.
     pub fn operator(&self) -> Option<(HostId, Standing)> {
         self.operator
     }
 
-    /// Counts a datagram that could not be decoded.
+    /// Counts a datagram that could not be decoded, by the cause `error`.
     #[cold]
     pub fn refuse(&mut self, error: &DecodeError) {
         match error {
@@ -264,28 +263,29 @@ impl LinkState {
         }
     }
 
-    /// Counters of the link, to be changed.
+    /// Returns the counters of the link, to be changed.
     pub fn counts(&mut self) -> &mut LinkCounts {
         &mut self.counts
     }
 
-    /// Counters of the link so far.
+    /// Returns the counters of the link so far.
     pub fn counted(&self) -> LinkCounts {
         self.counts
     }
 
-    /// Returns the state of each other host; nothing on a link without reports.
+    /// Returns a summary of each other host (such as delay and loss); nothing on a link without link reports.
     pub fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
         let told = self.reports == Reports::On;
         self.incoming.peers(now).filter(move |_| told)
     }
 
-    /// Time at which `wake` has to be called next; `None` if nothing is due.
+    /// Returns the time at which `wake` has to be called next; `None` if nothing is due.
     pub fn due(&self) -> Option<Time> {
         self.due
     }
 
-    /// Performs the actions that are due at `now`, and appends datagrams to `out`.
+    /// Sends what is due at `now`, such as reports and retransmissions: appends the datagrams to `out`. Random waits
+    /// are drawn from `stream`.
     pub fn wake(&mut self, now: Time, stream: &mut Stream, out: &mut Vec<Outbound>) {
         self.incoming.duplicate_ids.uptime(now);
         self.outgoing.wake(now, &mut self.incoming, &mut self.counts, out);

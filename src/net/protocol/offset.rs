@@ -24,13 +24,13 @@ pub struct Offset {
     pub round_trip_s: f64,
 }
 
-/// Newest measurements of the offset from another host: time, offset \[s\], round trip \[s\].
+/// Recent measurements of the offset between the stamps of another host and those of this host.
 #[derive(Clone, Debug, Default)]
 pub struct Offsets(VecDeque<(Time, f64, f64)>);
 
 impl Offsets {
-    /// Adds a measurement from a report's entry about this host. `theirs` is the stamp of the report; `here` is this
-    /// host's stamp at `now`.
+    /// Adds a measurement from a link report of the other host that arrived at `now`. `entry` is its entry about this
+    /// host, `theirs` its stamp, and `here` the stamp of this host's clock at `now`.
     pub fn measure(&mut self, now: Time, here: Stamp, theirs: Stamp, entry: &Entry) {
         let round_trip = here.ahead_us(entry.echo) as f64 * 1e-6 - entry.held.as_secs();
         // A negative round trip means that the sender claims to have held the stamp for longer than possible.
@@ -43,15 +43,16 @@ impl Offsets {
         }
     }
 
-    /// Returns whether a report was certainly in transit for longer than `most`, or was stamped by another clock than
-    /// the measured one. `theirs` is its stamp, `here` this host's stamp at its arrival. `false` without a measurement.
+    /// Returns whether a link report that arrived at `now` was certainly in transit for longer than `most`, or was
+    /// stamped by another clock than the measured one. `theirs` is its stamp, `here` the stamp of this host's clock at
+    /// `now`. `false` without a measurement.
     pub fn is_off(&self, now: Time, here: Stamp, theirs: Stamp, most: Span) -> bool {
         let Some(offset) = self.estimate(now) else { return false };
         let delay_s = offset.ahead_s - theirs.ahead_us(here) as f64 * 1e-6;
         delay_s.abs() > most.as_secs() + offset.uncertainty_s
     }
 
-    /// Returns the measurement with the smallest error bound at `now`; `None` if there is none.
+    /// Returns the estimate of the offset with the smallest error bound at `now`; `None` without a measurement.
     pub fn estimate(&self, now: Time) -> Option<Offset> {
         let of = |&(at, ahead_s, round_trip_s): &(Time, f64, f64)| {
             let uncertainty_s = 0.5 * round_trip_s + DRIFT * now.since(at).as_secs() + 1e-6;

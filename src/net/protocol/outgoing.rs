@@ -20,11 +20,12 @@ use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Wire};
 use crate::time::{Span, Time};
 
-/// Longest time that soft state (messages that are repeated, such as `Mode` and heartbeats) waits to be appended to a
-/// datagram with data, if data was sent within this time. With data twelve times a second, all soft state is appended.
-/// Messages that may not wait, such as `Stop`, are no soft state and are sent at once.
+/// Longest time that soft state (repeated messages: instructions, heartbeats, telemetry) waits for a datagram with data
+/// to which it can be appended, if such a datagram was sent within this time. With data twelve times a second, all soft
+/// state is appended.
 pub const PIGGYBACK_WAIT: Span = Span::from_millis(100);
-/// Smallest interval between datagrams with only soft state; half of it if they contain an instruction (`Mode`).
+/// Smallest interval between datagrams that contain only soft state (repeated messages); half of it if they contain an
+/// instruction of the state server.
 pub const SOFT_PERIOD: Span = Span::from_millis(200);
 /// Longest time between two link reports; then the next one is sent, in a datagram of its own if need be.
 pub const REPORT_PERIOD: Span = Span::from_millis(250);
@@ -38,10 +39,11 @@ const URGENT_RATE: Rate = Rate { per_s: 4.0, burst: 25.0 };
 /// Interval of urgent reports of an operator, which a whole team has to accept soon.
 const EAGER_PERIOD: Span = Span::from_millis(5);
 
-/// Datagram with its tag, and its receivers, for a transport.
+/// Receivers of a datagram, and the datagram with its authentication tag, as given to a transport.
 pub type Outbound = (Audience, Frame);
 
-/// Transmission state of one link.
+/// State of the transmission on one link: sequence numbers, waiting soft state, link reports and datagrams to
+/// retransmit.
 #[derive(Clone, Debug)]
 pub struct Outgoing {
     me: Header,
@@ -74,7 +76,8 @@ pub struct Outgoing {
 }
 
 impl Outgoing {
-    /// Returns the initial state. `first_report` is the time until the first report.
+    /// Returns the state before any datagram. `me` is the header from which those of all datagrams are made, and
+    /// `first_report` the time until the first link report.
     pub fn new(me: Header, link: LinkId, key: Option<Key>, setup: Setup, first_report: Span) -> Outgoing {
         let report_due = (setup.reports == Reports::On).then_some(Time::ZERO + first_report);
         let numbered = key.is_some() && setup.is_addressed();
@@ -102,8 +105,9 @@ impl Outgoing {
         }
     }
 
-    /// Sends a message: at once, or with the next datagram if it is soft state. Returns the encoded message. Fails if
-    /// it is out of range or too long.
+    /// Sends a message to the hosts in `audience`: at once, or with the next datagram if it is soft state. Appends the
+    /// datagrams that are due to `out`. Returns the message as a datagram without tag; fails if it is out of range or
+    /// too long.
     pub fn send(
         &mut self,
         now: Time,
@@ -275,7 +279,8 @@ impl Outgoing {
         true
     }
 
-    /// Schedules a report that another host needs, to prove its liveness or to accept this host.
+    /// Schedules a link report that another host needs, to prove its liveness or to accept this host. `urgency` says
+    /// how soon.
     pub fn request_report(&mut self, now: Time, urgency: Urgency) {
         if urgency == Urgency::Regular || self.setup.reports == Reports::Off {
             return;
@@ -329,17 +334,17 @@ impl Outgoing {
         counts.copies += 1;
     }
 
-    /// Schedules the acknowledgement of a datagram.
+    /// Schedules the acknowledgement of a datagram that has arrived.
     pub fn acknowledge(&mut self, now: Time, id: DatagramId) {
         self.acks.note(now, id);
     }
 
-    /// Handles acknowledgements of the host `from`.
+    /// Handles acknowledgements that the host `from` has sent for datagrams of this host.
     pub fn acknowledged(&mut self, now: Time, from: HostId, ids: &[DatagramId]) {
         self.retransmitter.acknowledged(now, from, ids);
     }
 
-    /// Retransmits the datagrams that the host `from` requests.
+    /// Retransmits the datagrams that the host `from` requests: appends those that are still kept to `out`.
     pub fn requested(
         &mut self,
         now: Time,
@@ -353,21 +358,22 @@ impl Outgoing {
         }
     }
 
-    /// Sends a request for missing datagrams.
+    /// Sends a request for missing datagrams to all hosts: appends it to `out`.
     pub fn ask(&mut self, ids: &[DatagramId], counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
         let mut bytes = codec::start(&self.header(Audience::All, 0));
         add(&mut bytes, Content::Nack, |bytes| write_ids(ids, bytes));
         self.send_alone(Audience::All, bytes, counts, out);
     }
 
-    /// Time at which `wake` has to be called next; `None` if nothing is due.
+    /// Returns the time at which `wake` has to be called next; `None` if nothing is due.
     pub fn due(&self) -> Option<Time> {
         let dues = [self.retransmitter.due(), self.soft_due, self.acks.due(), self.report_due, self.urgent_due];
         let first = dues.map(|due| due.unwrap_or(Time::MAX)).into_iter().fold(Time::MAX, Time::min);
         Some(first).filter(|due| *due < Time::MAX)
     }
 
-    /// Performs the actions that are due at `now`, and appends datagrams to `out`.
+    /// Sends what is due at `now` (retransmissions, soft state, acknowledgements, link reports): appends the datagrams
+    /// to `out`.
     pub fn wake(&mut self, now: Time, incoming: &mut Incoming, counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
         while let Some(datagram) = self.retransmitter.next(now, counts) {
             self.send_copy(datagram, counts, out);

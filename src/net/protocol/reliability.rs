@@ -17,8 +17,8 @@ pub enum Reliability {
     /// Each message is sent once.
     #[default]
     BestEffort,
-    /// Each message is repeated within 4 ms, once or twice by the loss, while a receiver reports in its link reports
-    /// that it loses 3 % or more.
+    /// While a receiver reports that it loses 3 % or more of the datagrams, each message is sent again after 4 ms; from
+    /// 40 % on, once more after another 4 ms.
     Repeat,
     /// Receivers detect missing datagrams by their sequence numbers and request them again (RFC 5401).
     Nack,
@@ -39,19 +39,19 @@ impl Reliability {
 /// Reliability modes by kind of message; kinds that are left out are best effort.
 pub type Reliabilities = BTreeMap<Kind, Reliability>;
 
-/// Which datagrams soft state may be piggybacked on.
+/// To which datagrams soft state (repeated messages such as heartbeats) may be appended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Piggyback {
-    /// None: soft state is sent at once in a datagram of its own. Used for emulated links, which impair only some kinds
-    /// of messages.
+    /// To none: soft state is sent at once in a datagram of its own. Used for emulated links, which impair only some
+    /// kinds of messages.
     Never,
-    /// Datagrams to the same hosts as the soft state. Used for links with unicast.
+    /// To datagrams for the same hosts as the soft state. Used for links with unicast.
     SameAudience,
-    /// All datagrams. Used for links on which every datagram reaches every host; every message is then sent to all.
+    /// To all datagrams. Used for links on which every datagram reaches every host; every message is then sent to all.
     Any,
 }
 
-/// Whether hosts send link reports.
+/// Whether hosts send link reports, with stamp, echo, delay and loss.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reports {
     /// Hosts send no reports.
@@ -70,7 +70,7 @@ pub const REPORT_PIGGYBACK_AGE: Span = Span::from_millis(150);
 pub struct Setup {
     /// Reliability mode of each kind of message on the link; a kind that is left out is best effort.
     pub reliability: Reliabilities,
-    /// Which datagrams soft state may be piggybacked on.
+    /// To which datagrams soft state (repeated messages such as heartbeats) may be appended.
     pub piggyback: Piggyback,
     /// Whether hosts send link reports.
     pub reports: Reports,

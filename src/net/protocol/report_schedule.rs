@@ -25,16 +25,16 @@ const MIN_INTERVAL: Span = Span::from_millis(400);
 /// Change of loss \[of 64 datagrams\] that is reported with priority.
 const LOSS_STEP: u8 = 4;
 
-/// Reason why a report is sent.
+/// Reason why a link report is sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Occasion {
-    /// A regular report is due.
+    /// The period of link reports is over.
     Regular,
-    /// Another host needs a report at once. Only hosts that wait for an entry are listed.
+    /// Another host needs a link report at once. Only hosts that wait for an entry are listed.
     Urgent,
 }
 
-/// Turns and byte budget of the entries in one link's reports.
+/// Order of the hosts in one link's reports, which list them in turn, and the byte budget of the reports.
 #[derive(Clone, Debug)]
 pub struct ReportSchedule {
     me: HostId,
@@ -47,14 +47,16 @@ pub struct ReportSchedule {
 }
 
 impl ReportSchedule {
-    /// Returns the initial state with a full budget. `entry_bytes` is the length of an entry.
+    /// Returns the state before any report, with a full budget. `me` is this host, `authenticated` says whether the
+    /// link has a key, and `entry_bytes` is the length of an entry.
     pub fn new(me: HostId, authenticated: bool, entry_bytes: usize) -> ReportSchedule {
         let size = entry_bytes as f64;
         let rate = Rate { per_s: ENTRY_BYTES_PER_S / size, burst: ENTRY_BYTES_AT_ONCE / size };
         ReportSchedule { me, rate, budget: Bucket::full(Time::ZERO, &rate), odd: false, authenticated }
     }
 
-    /// Returns the entries of a report that is sent now, at most `places`. `uptime` is the uptime of this process.
+    /// Returns the entries of a link report that is sent at `now`, at most `places`: about candidates and about
+    /// accepted senders. `uptime` is the time since the start of this process.
     pub fn entries(
         &mut self,
         (now, uptime): (Time, Span),

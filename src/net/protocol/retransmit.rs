@@ -14,18 +14,20 @@ use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::Kind;
 use crate::time::{Span, Time};
 
-/// Delay of a repeat. It is sent earlier if the next message of its stream comes earlier.
+/// Time after which a message in the reliability mode `repeat` is sent again; earlier if the next message of its stream
+/// comes earlier.
 pub const REPEAT_AFTER: Span = Span::from_millis(4);
-/// Time without an acknowledgement after which a message is first retransmitted. Each further wait is twice as long.
+/// Time without an acknowledgement after which a message in the reliability mode `ack` is first retransmitted. Each
+/// further wait is twice as long.
 pub const RETRY_AFTER: Span = Span::from_millis(5);
-/// Largest number of retransmissions of a message without an acknowledgement.
+/// Largest number of retransmissions of a message in the reliability mode `ack` that is not acknowledged.
 pub const RETRIES: u8 = 5;
 /// Interval within which several requests for one datagram are answered once.
 const REQUEST_INTERVAL: Span = Span::from_millis(2);
 
-/// Stream of messages: one kind about one robot.
+/// Identity of a stream of messages: the kind of the messages, and the robot that they are about.
 pub type StreamId = (Kind, RobotId);
-/// Datagram to retransmit: its receivers, and its bytes without a tag.
+/// Receivers of a datagram, and the datagram without its authentication tag.
 pub type Untagged = (Audience, Frame);
 
 /// Newest datagram of a stream, kept for retransmission.
@@ -45,7 +47,7 @@ struct Kept {
     acked: BTreeSet<HostId>,
 }
 
-/// Datagrams of one link that may be retransmitted.
+/// Newest datagram of each stream of one link, kept as long as it may be retransmitted.
 #[derive(Clone, Debug, Default)]
 pub struct Retransmitter {
     kept: BTreeMap<StreamId, Kept>,
@@ -57,8 +59,8 @@ pub struct Retransmitter {
 }
 
 impl Retransmitter {
-    /// Removes the kept datagram of a stream because a newer message replaces it. Returns it if a repeat of it is
-    /// pending, which has to be sent now.
+    /// Removes the kept datagram of a stream because a newer message replaces it. Returns it if it was to be repeated:
+    /// it has to be sent before the newer one. `None` otherwise.
     pub fn supersede(&mut self, now: Time, stream: StreamId) -> Option<Untagged> {
         let kept = self.kept.get(&stream)?;
         let before = kept.reliability == Reliability::Repeat && kept.due.is_some() && kept.sent_at < now;
@@ -73,8 +75,8 @@ impl Retransmitter {
         }
     }
 
-    /// Keeps a datagram that was sent with a message of this stream. `repeats` is the number of repeats that receivers
-    /// need.
+    /// Keeps a datagram that was sent at `now` with a message of this stream, as the stream's reliability mode
+    /// requires. `repeats` is the number of times that a message in the mode `repeat` is sent again.
     pub fn keep(
         &mut self,
         now: Time,
@@ -140,7 +142,8 @@ impl Retransmitter {
         found.map(|(stream, _)| *stream)
     }
 
-    /// Returns the datagrams that the host `from` requests, except those that newer messages have replaced.
+    /// Returns the datagrams that the host `from` requests, except those that newer messages have replaced, and those
+    /// retransmitted within the last 2 ms.
     pub fn requested(&mut self, now: Time, from: HostId, ids: &[DatagramId]) -> Vec<Untagged> {
         let mut answer = |id: &DatagramId| {
             let stream = self.find(from, id, Reliability::Nack)?;
@@ -151,8 +154,8 @@ impl Retransmitter {
         ids.iter().filter_map(&mut answer).collect()
     }
 
-    /// Returns the numbers of the datagrams to `audience` that receivers may request, at most `MAX_HELD`. Those offered
-    /// longest ago come first.
+    /// Returns the sequence numbers of the kept datagrams to `audience` that receivers may request, at most 16
+    /// (`MAX_HELD`). Those offered longest ago come first.
     pub fn held(&mut self, audience: Audience) -> Vec<u32> {
         let repaired = |kept: &&mut Kept| kept.reliability == Reliability::Nack && kept.audience == audience;
         let mut all: Vec<&mut Kept> = self.kept.values_mut().filter(repaired).collect();
@@ -167,13 +170,13 @@ impl Retransmitter {
         all.iter().map(|kept| kept.sequence).collect()
     }
 
-    /// Time of the next retransmission; `None` if none is pending.
+    /// Returns the time of the next retransmission; `None` if none is pending.
     pub fn due(&self) -> Option<Time> {
         self.dues.first().map(|(due, _)| *due)
     }
 
-    /// Returns the next datagram that is due for retransmission; `None` if none is. Datagrams that have reached their
-    /// limit are removed and counted.
+    /// Returns the next datagram that is due for retransmission at `now`; `None` if none is. Datagrams that were
+    /// retransmitted as often as permitted are removed, and counted in `counts`.
     pub fn next(&mut self, now: Time, counts: &mut LinkCounts) -> Option<Untagged> {
         while let Some(&(_, stream)) = self.dues.first().filter(|(due, _)| *due <= now) {
             if self.kept[&stream].count < self.kept[&stream].limit {

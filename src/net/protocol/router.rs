@@ -25,7 +25,7 @@ pub struct Route {
     pub leaves: Option<(LinkId, Audience)>,
 }
 
-/// Hosts of a team and the messages that each may publish. Equal on all hosts.
+/// Names of a team's hosts, and the messages that each may publish. Equal on all hosts.
 #[derive(Clone, Debug)]
 pub struct Publishers {
     /// Names of the hosts, indexed by host id.
@@ -41,7 +41,7 @@ pub struct Publishers {
 }
 
 impl Publishers {
-    /// Whether `sender` may publish this message.
+    /// Returns whether the host `sender` may publish this message.
     pub fn permit(&self, sender: HostId, message: &Wire) -> bool {
         let of = |hosts: &[HostId]| hosts.get(message.robot().index()) == Some(&sender);
         match message {
@@ -82,7 +82,8 @@ impl Publishers {
     }
 }
 
-/// Routes of all messages that this host publishes or receives.
+/// Routing table of one host: for each kind of message and robot, whether messages are delivered on the host, and on
+/// which link they are sent.
 #[derive(Clone, Debug)]
 pub struct Router {
     robots: usize,
@@ -96,13 +97,14 @@ pub struct Router {
 }
 
 impl Router {
-    /// Creates a table for `robots` robots; `route` gives each route.
+    /// Creates a table for a team of `robots` robots; `route` is called for the route of each kind of message about
+    /// each robot.
     pub fn new(robots: usize, route: impl FnMut(Kind, RobotId) -> Route) -> Router {
         Router::of(robots, RobotId::team(robots).collect(), route)
     }
 
-    /// Creates a table for `robots` robots; `route` gives each route, and must return the same one for all robots
-    /// outside `mine`.
+    /// Creates a table for a team of `robots` robots, of which `mine` have routes of their own. `route` is called for
+    /// the routes, and must return the same ones for all robots outside `mine`.
     pub fn of(robots: usize, mut mine: Vec<RobotId>, mut route: impl FnMut(Kind, RobotId) -> Route) -> Router {
         mine.sort();
         mine.dedup();
@@ -117,12 +119,12 @@ impl Router {
         Router { robots, mine, routes, publishers: None }
     }
 
-    /// Returns the table with the hosts that may publish each message.
+    /// Returns the table with the restriction that hosts may publish only the messages in `publishers`.
     pub fn with_publishers(self, publishers: Arc<Publishers>) -> Router {
         Router { publishers: Some(publishers), ..self }
     }
 
-    /// Number of hosts in the team; `None` if unknown.
+    /// Returns the number of hosts in the team; `None` if unknown.
     pub fn hosts(&self) -> Option<u16> {
         self.publishers.as_ref().and_then(|publishers| u16::try_from(publishers.names.len()).ok())
     }

@@ -24,47 +24,50 @@ const REPEATS_FOR: Span = Span::from_millis(4000);
 /// Time for which repeats continue after a report without loss.
 const STOPS_AFTER: Span = Span::from_millis(2000);
 
-/// Datagrams of a sender with common sequence numbers: those to all hosts, or those to this host.
+/// Datagrams of one sender that are numbered together: either those to all hosts, or those to this host alone.
 #[derive(Clone, Debug, Default)]
 pub struct SequenceSpace {
-    /// Replay window of these datagrams.
+    /// Replay window, which tells new datagrams from duplicates.
     pub window: Window,
     /// Newest sequence number of each stream (kind and robot).
     pub newest: BTreeMap<(Kind, RobotId), u32>,
 }
 
-/// State of an accepted incarnation of a host.
+/// State of another host whose datagrams this host accepts on one link.
 #[derive(Clone, Debug)]
 pub struct Sender {
     /// Time at which this host accepted the sender.
     pub since: Time,
-    /// Time at which the sender last proved its liveness.
+    /// Time at which the sender last proved its liveness by the echo of a recent stamp.
     pub proved: Time,
-    /// Time at which the sender's last report was admitted.
+    /// Time at which the last link report of the sender arrived and was accepted.
     pub reported: Time,
-    /// State of its datagrams to all hosts, and of those to this host.
+    /// State of the sender's datagrams to all hosts (index 0), and of those to this host alone (index 1).
     pub spaces: [SequenceSpace; 2],
-    /// Detection of the sender's late datagrams.
+    /// Recent link reports of the sender, from which datagrams that were held back on the way are recognized.
     pub lateness: Lateness,
-    /// Rate limiter of the sender's datagrams.
+    /// Token bucket that limits the rate of the sender's datagrams.
     pub bucket: Bucket,
-    /// Newest stamp of the sender, and its arrival time.
+    /// Newest stamp in the sender's link reports, and its arrival time; `None` before the first report.
     pub stamp: Option<(Stamp, Time)>,
-    /// Measured offset between the sender's stamps and this host's.
+    /// Measurements of the offset between the sender's stamps and this host's.
     pub offsets: Offsets,
-    /// Time at which a report of this host last listed the sender; `None` if none has.
+    /// Time of this host's last link report with an entry about the sender; `None` if there was none.
     pub listed: Option<Time>,
-    /// Loss of the sender's datagrams as stated in that report \[of 64 datagrams\].
+    /// Number of lost datagrams among the sender's newest 64, as stated in this host's last link report about the
+    /// sender.
     pub loss_sent: u8,
-    /// Whether the sender waits for a proof that this host is alive.
+    /// Whether the sender has asked for a proof that this host is alive and has not got it yet.
     pub challenged: bool,
-    /// Number of this host's newest 64 datagrams that the sender reports as lost.
+    /// Number of lost datagrams among this host's newest 64, as stated in the sender's last link report about this
+    /// host.
     pub reported_lost: u8,
-    /// Times until which messages are repeated once and twice because of the reported loss.
+    /// Times until which messages in the reliability mode `repeat` are sent a second and a third time, because of the
+    /// loss that the sender reports.
     pub repeat_until: [Time; 2],
-    /// Incarnation that this one has replaced; `None` if there was none.
+    /// Incarnation of the same host that was accepted before and that this one has replaced; `None` if there was none.
     pub predecessor: Option<u32>,
-    /// Number of datagrams refused because they are from a second live host with this id.
+    /// Number of refused datagrams of a second live host with the same id.
     pub duplicate_ids: u64,
     heard: Option<Time>,
     spacing_s: f64,
@@ -72,7 +75,8 @@ pub struct Sender {
 }
 
 impl Sender {
-    /// Returns the state of a sender that is accepted at `now`.
+    /// Returns the state of a sender that is accepted at `now`. `rate` is the limit on its datagrams; `None` for no
+    /// limit.
     pub fn new(now: Time, rate: Option<&Rate>) -> Sender {
         Sender {
             since: now,
@@ -96,7 +100,7 @@ impl Sender {
         }
     }
 
-    /// Records the arrival of an admitted report with this stamp.
+    /// Records a link report of the sender with the stamp `stamp`, which arrived at `now` and was accepted.
     pub fn stamped(&mut self, now: Time, stamp: Stamp) {
         self.reported = now;
         if self.stamp.is_none_or(|(before, _)| stamp.ahead_us(before) > 0) {
@@ -104,7 +108,8 @@ impl Sender {
         }
     }
 
-    /// Records that the sender reports the loss of `lost` of this host's newest 64 datagrams.
+    /// Records that the sender reports the loss of `lost` of this host's newest 64 datagrams, which decides about
+    /// repeats.
     pub fn note_reported_loss(&mut self, now: Time, lost: u8) {
         self.reported_lost = lost.min(LOSS_SPAN as u8);
         for (until, bar) in self.repeat_until.iter_mut().zip([LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE]) {
@@ -112,7 +117,7 @@ impl Sender {
         }
     }
 
-    /// Records the arrival of a datagram.
+    /// Records the arrival of a datagram of the sender, for age, mean interval and jitter.
     pub fn heard(&mut self, now: Time) {
         if let Some(before) = self.heard.replace(now) {
             let gap = now.since(before).as_secs();
@@ -124,17 +129,18 @@ impl Sender {
         }
     }
 
-    /// Time since the sender's last datagram; `None` if there was none.
+    /// Returns the time since the sender's last datagram; `None` if there was none.
     pub fn age(&self, now: Time) -> Option<Span> {
         self.heard.map(|heard| now.since(heard))
     }
 
-    /// Number of the sender's newest 64 datagrams whose first transmission was lost.
+    /// Returns the number of the sender's newest 64 datagrams whose first transmission was lost.
     pub fn lost(&self) -> u8 {
         self.spaces.iter().map(|space| space.window.lost()).max().unwrap_or(0)
     }
 
-    /// Returns a summary of this sender. `accepted`: whether it is accepted at `now`.
+    /// Returns a summary of this sender on the link `link` at `now`, for display. `accepted` says whether it is
+    /// accepted.
     pub fn peer(&self, now: Time, link: LinkId, (host, incarnation): (HostId, u32), accepted: bool) -> Peer {
         let (passed, missing) = self
             .spaces
@@ -162,14 +168,14 @@ impl Sender {
 }
 
 impl Peer {
-    /// Returns a summary of a candidate: an incarnation that has not proved its liveness yet.
+    /// Returns a summary of a candidate, an incarnation of the host `host` that has not proved its liveness yet.
     pub fn candidate(now: Time, link: LinkId, host: HostId, candidate: &Candidate) -> Peer {
         let unknown = Sender::new(now, None).peer(now, link, (host, candidate.incarnation), false);
         Peer { age_s: Some(now.since(candidate.at).as_secs()), ..unknown }
     }
 }
 
-/// State of another host on one link, for display and reports.
+/// Summary of another host on one link (such as delay and loss), for display and reports.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Peer {
     /// Id of the link.
@@ -182,7 +188,7 @@ pub struct Peer {
     /// Whether the host is accepted, because it has proved its liveness. Messages of other hosts are refused.
     #[serde(rename = "proven")]
     pub accepted: bool,
-    /// Time since the host's last datagram \[s\]; null if there was none.
+    /// Time since the host's last datagram \[s\]; `None` if there was none.
     pub age_s: Option<f64>,
     /// Mean time between datagrams of the host \[s\].
     pub spacing_s: f64,
@@ -190,19 +196,19 @@ pub struct Peer {
     pub jitter_s: f64,
     /// Share of the host's newest 64 datagrams whose first transmission was lost.
     pub loss: f64,
-    /// Number of the host's datagrams that should have arrived so far.
+    /// Number of the host's datagrams that should have arrived so far, by their sequence numbers.
     pub passed: u64,
     /// Number of the host's datagrams that never arrived, not even as a retransmission.
     pub missing: u64,
     /// Share of this host's newest 64 datagrams that the other host reports as lost.
     #[serde(rename = "told_loss")]
     pub reported_loss: f64,
-    /// Bound on the error of one-way delays from the host \[s\]: half of the round trip, and the clock drift since;
-    /// null without a measurement.
+    /// Bound on the error of one-way delays from the host \[s\]: half of the round trip, and the clock drift since it
+    /// was measured; `None` without a measurement.
     pub uncertainty_s: Option<f64>,
-    /// Round trip time \[s\]; half of it approximates the latency of the link. Null without a measurement.
+    /// Round trip time \[s\]; half of it approximates the latency of the link. `None` without a measurement.
     pub round_trip_s: Option<f64>,
-    /// Number of datagrams refused because they are from a second live host with the same id.
+    /// Number of datagrams that were refused because they are of a second live host with the same id.
     #[serde(rename = "twins")]
     pub duplicate_ids: u64,
 }

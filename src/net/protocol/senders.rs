@@ -12,16 +12,16 @@ use crate::time::{Span, Time};
 
 /// Largest number of hosts of the team that are accepted on a link.
 pub const MAX_SENDERS: usize = 1024;
-/// Largest number of guests that are accepted in addition to the hosts of the team. Few enough to search all of them
-/// whenever one is accepted.
+/// Largest number of guests (operators, and hosts that the deployment does not know) that are accepted in addition to
+/// the hosts of the team.
 pub const MAX_GUESTS: usize = 128;
 /// Time without a datagram after which a host is removed if the table is full.
 const FORGET: Span = Span::from_millis(20_000);
 
-/// Identity of a sender: host and incarnation.
+/// Identity of a sender: its host id, and its incarnation (random number of one run).
 pub type SenderId = (HostId, u32);
 
-/// Accepted senders of one link.
+/// Table of the senders that are accepted on one link, of limited size.
 #[derive(Clone, Debug)]
 pub struct Senders {
     all: BTreeMap<SenderId, Sender>,
@@ -35,17 +35,18 @@ fn ids(from: HostId, to: HostId) -> RangeInclusive<SenderId> {
 }
 
 impl Senders {
-    /// Returns an empty table. Hosts of the team have ids below `first_guest`.
+    /// Returns an empty table. Hosts of the team have ids below `first_guest`; guests (operators, and hosts that the
+    /// deployment does not know) have the others.
     pub fn new(first_guest: HostId) -> Senders {
         Senders { all: BTreeMap::new(), first_guest, forgot: Time::ZERO }
     }
 
-    /// Returns a sender; `None` if it is not accepted.
+    /// Returns the state of a sender; `None` if it is not accepted.
     pub fn get(&self, id: SenderId) -> Option<&Sender> {
         self.all.get(&id)
     }
 
-    /// Returns a sender to be changed; `None` if it is not accepted.
+    /// Returns the state of a sender, to be changed; `None` if it is not accepted.
     pub fn get_mut(&mut self, id: SenderId) -> Option<&mut Sender> {
         self.all.get_mut(&id)
     }
@@ -65,26 +66,25 @@ impl Senders {
         self.all.range(ids(host, host)).next().is_some()
     }
 
-    /// Returns an accepted incarnation of the host other than this one; `None` if there is none. Always `None` for an
-    /// operator, whose incarnations do not replace each other.
+    /// Returns another accepted incarnation of the host of `(host, incarnation)`; `None` if there is none. Always
+    /// `None` for an operator, since several operators may have drawn the same id.
     pub fn other_incarnation(&self, (host, incarnation): SenderId) -> Option<SenderId> {
         let mut all = self.all.range(ids(host, host)).map(|(id, _)| *id);
         all.find(|id| id.1 != incarnation).filter(|_| !host.is_operator())
     }
 
-    /// Adds or replaces a sender.
+    /// Adds an accepted sender to the table, or replaces its state.
     pub fn insert(&mut self, id: SenderId, sender: Sender) {
         self.all.insert(id, sender);
     }
 
-    /// Removes a sender.
+    /// Removes a sender from the table, so that it is no longer accepted.
     pub fn remove(&mut self, id: SenderId) {
         self.all.remove(&id);
     }
 
-    /// Makes room for a new sender; returns `false` if there is none. With too many guests, the one that has been
-    /// silent longest is removed, among equals the one accepted first. A live guest is accepted again with its next
-    /// datagram.
+    /// Makes room in the table for a new sender of the host `host`; returns `false` if there is none. Among too many
+    /// guests, the one that has been silent longest is removed; it is accepted again with its next datagram.
     pub fn make_room(&mut self, now: Time, host: HostId) -> bool {
         let guests = || ids(self.first_guest, HostId(u16::MAX));
         let count = self.all.range(guests()).count();
@@ -108,7 +108,8 @@ impl Senders {
         !full(self)
     }
 
-    /// Returns how many times a message to `audience` is repeated, 0 to 2, from the loss that those hosts report.
+    /// Returns how many times a message to the hosts in `audience` is to be sent again, 0 to 2, by the loss that they
+    /// report.
     pub fn repeats(&self, now: Time, audience: Audience) -> u8 {
         let asked = |sender: &Sender| sender.repeat_until.iter().filter(|until| **until > now).count() as u8;
         let asking = match audience {

@@ -1,9 +1,9 @@
 //! Replay window of one sequence space, and measurement of loss. Pure.
 
-/// Size of the replay window \[datagrams\].
+/// Size of the replay window \[datagrams\]: older datagrams can no longer be told from duplicates.
 pub const WINDOW: u32 = 1024;
 const WORDS: usize = WINDOW as usize / 64;
-/// Number of newest datagrams over which loss is measured.
+/// Number of newest datagrams of a sender over which loss is measured.
 pub const LOSS_SPAN: u32 = 64;
 
 /// Position of a received datagram relative to the replay window.
@@ -13,11 +13,11 @@ pub enum Position {
     New,
     /// The datagram has arrived before.
     Seen,
-    /// The datagram is older than the window.
+    /// The datagram is older than the window, so it cannot be told whether it has arrived before.
     Behind,
 }
 
-/// Replay window of one sequence space.
+/// Replay window of one sequence space: which of its newest datagrams have arrived, and how many were lost.
 #[derive(Clone, Debug, Default)]
 pub struct Window {
     newest: Option<u32>,
@@ -31,14 +31,15 @@ pub struct Window {
 }
 
 impl Window {
-    /// Returns a window that begins at the number `first`; smaller numbers are behind it.
+    /// Returns a window that begins at the sequence number `first`; smaller numbers are behind the window.
     pub fn starting(first: u32) -> Window {
         let mut window = Window { newest: Some(first.wrapping_sub(1)), ..Window::default() };
         window.seen = [u64::MAX; WORDS];
         window
     }
 
-    /// Records a datagram and returns its position. `copy`: the datagram is a retransmission.
+    /// Records the arrival of a datagram and returns its position relative to the window. `copy` says that it is a
+    /// retransmission, which does not count for loss.
     pub fn record(&mut self, sequence: u32, copy: bool) -> Position {
         let Some(newest) = self.newest else {
             *self = Window::starting(sequence);
@@ -92,19 +93,19 @@ impl Window {
         self.seen[word(sequence)] & bit(sequence) != 0
     }
 
-    /// Whether the datagram with this number is within the window and has not arrived.
+    /// Returns whether the datagram with this sequence number is within the window and has not arrived.
     pub fn misses(&self, sequence: u32) -> bool {
         self.newest.is_some_and(|newest| newest.wrapping_sub(sequence) < WINDOW) && !self.has(sequence)
     }
 
-    /// Number of the newest `LOSS_SPAN` datagrams whose first transmission was lost.
+    /// Returns the number of the newest 64 (`LOSS_SPAN`) datagrams whose first transmission was lost.
     pub fn lost(&self) -> u8 {
         let span = self.passed.min(u64::from(LOSS_SPAN)) as u32;
         (span - self.originals.count_ones().min(span)) as u8
     }
 
-    /// Returns the number of datagrams that should have arrived, and the number of those that have not, not even as a
-    /// retransmission.
+    /// Returns two numbers of datagrams since the window began: those that should have arrived, and of these the ones
+    /// that have not, not even as a retransmission.
     pub fn missing(&self) -> (u64, u64) {
         (self.passed, self.passed.saturating_sub(self.arrived))
     }

@@ -8,7 +8,7 @@ use nix::net::if_::{InterfaceFlags, if_nametoindex};
 
 /// Name of the loopback interface.
 pub const LOOPBACK: &str = "lo";
-/// Interface name in a team file that selects the only suitable interface.
+/// Value for a network interface in a team file that selects the only interface that is suitable.
 pub const AUTO: &str = "auto";
 
 /// Network interface of this machine.
@@ -16,7 +16,7 @@ pub const AUTO: &str = "auto";
 pub struct Interface {
     /// Name of the interface.
     pub name: String,
-    /// Index of the interface in the kernel.
+    /// Number of the interface in the kernel.
     pub index: u32,
     /// Whether the interface is up and has a carrier.
     pub up: bool,
@@ -70,7 +70,7 @@ pub enum InterfaceError {
     },
 }
 
-/// Returns all interfaces, sorted by name.
+/// Returns all network interfaces of this machine, sorted by name. Fails if the kernel does not list them.
 pub fn interfaces() -> Result<Vec<Interface>, InterfaceError> {
     let mut all: BTreeMap<String, Interface> = BTreeMap::new();
     for address in getifaddrs().map_err(|errno| InterfaceError::Unknown(errno.to_string()))? {
@@ -109,8 +109,8 @@ fn known(all: &[Interface]) -> String {
     all.iter().map(one).collect::<Vec<_>>().join(", ")
 }
 
-/// Returns the interface with this name (or the only suitable one for `auto`), which must be up. `v6`: an IPv6 address
-/// is required, otherwise an IPv4 address.
+/// Returns the interface called `name` among `all`, or the only suitable one if `name` is `auto`. It must be up and
+/// have an IPv6 address if `v6` is set, otherwise an IPv4 address; an error says what is missing.
 pub fn find(all: &[Interface], name: &str, v6: bool) -> Result<Interface, InterfaceError> {
     let fits = |interface: &&Interface| {
         let addresses = if v6 { interface.v6.len() } else { interface.v4.len() };

@@ -29,29 +29,29 @@ use crate::time::Time;
 /// Open link of one host, used by the thread that drives the robot: no method may block. Blocking work belongs on
 /// another thread, connected by a channel of `edge`, whose event descriptor is then watched.
 pub trait Transport {
-    /// Returns the descriptor to watch; `receive` is called while it is readable.
+    /// Returns the file descriptor for the event loop to watch, which calls `receive` while it is readable.
     fn descriptor(&self) -> Rc<dyn AsFd>;
 
-    /// Passes received frames to `take`, each with its source address if the transport has addresses. Runs for a
+    /// Passes received frames to `take`, each with its source address if the transport has addresses. Returns after a
     /// quarter of a millisecond at most, so that other actors are not delayed. The descriptor stays readable while
     /// frames are left.
     fn receive(&mut self, now: Time, take: &mut dyn FnMut(Option<SocketAddr>, &[u8]));
 
-    /// Time until which `receive` must not be called, because frames arrive too fast for a wake-up each; `None`
-    /// otherwise.
+    /// Returns the time until which `receive` must not be called, because frames arrive too fast for a wake-up each;
+    /// `None` without such a pause.
     fn paused_until(&self) -> Option<Time> {
         None
     }
 
-    /// Handles an input: sends a frame to all hosts or to one, or adds a guest as a receiver. A frame that cannot be
-    /// sent is counted and dropped.
+    /// Handles an input: sends a frame to all hosts or to one, or adds a guest (such as an operator) as a receiver. A
+    /// frame that cannot be sent is counted and dropped.
     fn handle(&mut self, now: Time, input: In);
 
-    /// Returns the counters of the transport.
+    /// Returns the counters of frames that were not sent or dropped.
     fn counts(&self) -> Counts;
 }
 
-/// Counters of a transport.
+/// Counters of a transport on one link of one host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
     /// Number of frames that could not be sent.
@@ -60,40 +60,42 @@ pub struct Counts {
     pub dropped: u64,
 }
 
-/// Registry entry of a transport.
+/// Registry entry of a transport, such as `multicast`.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
-    /// Name of the transport in a team file.
+    /// Name of the transport, by which a team file selects it.
     pub name: &'static str,
     /// Description in one line: which hosts a frame reaches.
     pub about: &'static str,
-    /// Fields of a link that belong to this transport, in addition to `transport` and `reliability`.
+    /// Fields of a link in a team file that this transport reads, in addition to `transport` and `reliability`.
     pub fields: &'static [Field],
-    /// Reads the endpoint of one host on a link. An error names the field.
+    /// Makes the endpoint (socket configuration) of one host on a link from the settings in a team file. An error names
+    /// the field.
     pub read: fn(&LinkSettings) -> Result<Arc<dyn Endpoint>, ConfigError>,
 }
 
 /// All transports of this crate.
 pub const REGISTRY: &[Entry] = &[udp::multicast::ENTRY, udp::unicast::ENTRY];
 
-/// Names of a link's fields that no transport may define.
+/// Names of fields of a link that no transport may define, since every link has them.
 pub const RESERVED: [&str; 2] = ["transport", "reliability"];
 
-/// Default transport of a link.
+/// Name of the transport that a link has if the team file names none.
 pub const USUAL: &str = "multicast";
 
-/// Input of a transport.
+/// Input of a transport: a frame to send, or, on an emulated link, what affects the emulation.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Frame to send.
+    /// Frame to send, with its receivers.
     Transmit(Transmit),
-    /// True positions of the robots, from a simulated World. Only for emulated links with a limited range.
+    /// True positions of the robots, from a simulated World; used only by emulated links with a limited range.
     Truth(Truth),
-    /// Number of the episode that begins. Only for emulated links with faults timed from it.
+    /// Number of the episode that begins; used only by emulated links, for faults that are timed from it.
     EpisodeBegins(u32),
-    /// Fault set by hand. Only for emulated links.
+    /// Fault that a person sets during the run, such as a cut link; used only by emulated links.
     Manual(ManualLinkFault),
-    /// Host that is not in the team file, to which frames are sent for a while. Only for unicast links.
+    /// Host that is not in the team file, such as an operator, to which frames are sent for a while; used only by
+    /// unicast links.
     Admit(Guest),
 }
 

@@ -6,14 +6,14 @@ use crate::config::ConfigError;
 use crate::config::fields::{FieldType, Value};
 use crate::messages::ids::HostId;
 
-/// Field of the table `[link.NAME]` that a transport reads. Transports with a field of the same name share it.
+/// Field of a link in a team file that a transport reads. Transports with a field of the same name share it.
 #[derive(Clone, Copy, Debug)]
 pub struct Field {
-    /// Name of the field.
+    /// Name of the field, such as `group`.
     pub name: &'static str,
     /// Type of the values that the field takes.
     pub takes: FieldType,
-    /// Default as it would be written in a team file, for the link with this index in the deployment; `None` for no
+    /// Function that returns the default, as written in a team file, for the link with the given index; `None` for no
     /// default.
     pub default: Option<fn(usize) -> String>,
     /// Whether the field is a table with a value for each host of the team, by the host's name.
@@ -21,7 +21,7 @@ pub struct Field {
 }
 
 impl Field {
-    /// Returns a field with one value and no default.
+    /// Returns a field that takes one value of the type `takes` for all hosts and has no default.
     pub const fn new(name: &'static str, takes: FieldType) -> Field {
         Field { name, takes, default: None, by_host: false }
     }
@@ -32,7 +32,7 @@ impl Field {
     }
 }
 
-/// Value of a field, with the field's name for errors.
+/// Value of a field of a team file, with the field's name for errors.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FieldValue {
     /// Value of the field.
@@ -46,7 +46,7 @@ pub struct FieldValue {
 pub struct LinkSettings<'a> {
     /// Name of the link.
     pub link: &'a str,
-    /// Id of the host.
+    /// Id of the host that the settings are for.
     pub host: HostId,
     /// Names of all hosts, indexed by id.
     pub hosts: Vec<&'a str>,
@@ -56,23 +56,23 @@ pub struct LinkSettings<'a> {
 }
 
 impl LinkSettings<'_> {
-    /// Returns the value of a field; `None` if it is not set and has no default.
+    /// Returns the value of a field of the link; `None` if it is not set and has no default.
     pub fn find(&self, field: &str) -> Option<&Value> {
         self.values.get(field).map(|field| &field.value)
     }
 
-    /// Returns the value of a required field. If it is missing, the error ends with `advice`.
+    /// Returns the value of a field that must be set. If it is missing, the error names it and ends with `advice`.
     pub fn need(&self, field: &str, advice: impl FnOnce() -> String) -> Result<&Value, ConfigError> {
         self.find(field).ok_or_else(|| self.wrong(field, format!("missing{}", advice())))
     }
 
-    /// Returns an error about a field.
+    /// Returns an error that names the field `field` and gives the reason `why`.
     pub fn wrong(&self, field: &str, why: impl Into<String>) -> ConfigError {
         let place = self.values.get(field).map(|field| field.place.clone());
         ConfigError::field(place.unwrap_or_else(|| format!("link.{}.{field}", self.link)), why)
     }
 
-    /// Returns the name of this host.
+    /// Returns the name of the host that the settings are for.
     pub fn host_name(&self) -> &str {
         self.hosts[usize::from(self.host.0)]
     }

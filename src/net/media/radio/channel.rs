@@ -29,7 +29,7 @@ pub struct Delivery<T> {
     pub from: u16,
     /// Index of the station that received the frame.
     pub to: u16,
-    /// Payload with which the caller offered the frame to the channel.
+    /// The caller's payload, a copy of the one given when the frame was offered.
     pub token: T,
 }
 

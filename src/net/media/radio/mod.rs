@@ -95,7 +95,7 @@ pub struct Radio {
     /// Capacity of the transmit queue of each station and of the access point \[frames\]. A frame that finds the queue
     /// full is lost.
     pub queue: usize,
-    /// Bytes of headers and trailers that are transmitted with each datagram \[bytes\].
+    /// Length of the headers and trailers that are transmitted with each datagram \[bytes\].
     pub overhead_bytes: usize,
     /// Transmission range of a station \[m\]; `None` for unlimited. It must be `None` with an access point, which
     /// reaches all stations.

@@ -19,7 +19,7 @@ const FEW: usize = 2;
 /// Size of the buffer for one datagram \[bytes\]: one more than the longest, so that a longer one is recognized.
 const ROOM: usize = MAX_FRAME_BYTES + 1;
 
-/// Receive buffers for datagrams.
+/// Buffers into which datagrams are read from a socket, for as many as one system call reads.
 #[derive(Debug)]
 pub(super) struct Batch {
     bytes: Box<[u8]>,
@@ -32,14 +32,15 @@ impl Batch {
         Batch { bytes: vec![0; MANY * ROOM].into_boxed_slice(), headers: MultiHeaders::preallocate(MANY, None) }
     }
 
-    /// Reads one datagram, if there is one. On a quiet socket this is cheaper than reading several.
+    /// Reads one datagram and passes it to `take`; the error `WouldBlock` says that there is none. On a quiet socket
+    /// this is cheaper than reading several.
     pub(super) fn one(&mut self, socket: &UdpSocket, mut take: impl FnMut(SocketAddr, &[u8])) -> io::Result<()> {
         let (length, from) = socket.recv_from(&mut self.bytes[..ROOM])?;
         take(from, &self.bytes[..length]);
         Ok(())
     }
 
-    /// Reads datagrams until none is left or about `limit` were read. Returns their number.
+    /// Reads datagrams until none is left or about `limit` were read, and passes each to `take`. Returns their number.
     pub(super) fn many(
         &mut self,
         socket: &UdpSocket,

@@ -23,8 +23,8 @@ const GREATER: u16 = 0x25;
 const AT_LEAST: u16 = 0x35;
 const RETURN: u16 = 0x06;
 
-/// Attaches a filter to a socket. Datagrams from the address `own` are those of this process, and are also dropped. If
-/// the kernel refuses the filter, the link layer drops the same datagrams at a higher cost.
+/// Attaches a packet filter to a socket: the kernel drops what `filter` excludes, and datagrams from the address `own`,
+/// which are those of this process. If the kernel refuses it, the link layer drops the same datagrams at a higher cost.
 pub(super) fn attach(filter: Filter, socket: &Socket, own: Option<SocketAddr>) {
     if let Err(error) = socket.attach_filter(&program(filter, own)) {
         tracing::debug!("the kernel takes no filter: {error}");

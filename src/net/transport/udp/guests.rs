@@ -12,16 +12,19 @@ use crate::messages::ids::HostId;
 use crate::net::protocol::link::{Guest, Standing};
 use crate::time::{Span, Time};
 
-/// Largest number of accepted guests. Each costs an additional datagram for every one that is sent to all hosts.
+/// Largest number of accepted guests (operators) that a unicast link sends to. Each costs an additional datagram for
+/// every one that is sent to all hosts.
 pub const MAX_GUESTS: usize = 32;
-/// Time for which an accepted guest is kept after its last datagram: at least a hundred datagrams of a live operator.
+/// Time after an accepted operator's last datagram for which a unicast link goes on sending to it: at least a hundred
+/// datagrams of a live operator.
 pub const GUEST_LIFETIME: Span = Span::from_millis(10_000);
-/// Largest number of addresses of guests that have not proved their liveness. Each costs a datagram for every report.
+/// Largest number of addresses of operators that have not proved their liveness, to which a unicast link sends reports.
+/// Each costs a datagram for every report.
 pub const MAX_CANDIDATES: usize = 32;
-/// Time for which the address of a guest that has not proved its liveness is kept: as long as a stamp is echoed.
+/// Time for which the address of an operator that has not proved its liveness is kept: as long as its stamp is echoed.
 pub const CANDIDATE_LIFETIME: Span = Span::from_millis(2000);
 
-/// Addresses of the guests of one link.
+/// Addresses of the guests (operators, which are not in the team file) of one unicast link.
 #[derive(Clone, Debug, Default)]
 pub struct Guests {
     accepted: BTreeMap<HostId, (SocketAddr, Time)>,
@@ -29,9 +32,9 @@ pub struct Guests {
 }
 
 impl Guests {
-    /// Records the address `at` of a guest that was received at `now`. An accepted guest, which has proved its
-    /// liveness, is sent all datagrams at this address from now on. A candidate is sent only what it needs to prove its
-    /// liveness. If there are too many accepted guests, the one received longest ago is removed.
+    /// Records the address `at` of a guest from which a datagram arrived at `now`. An accepted guest is sent all
+    /// datagrams at this address from now on; one that has not proved its liveness (a candidate), only link reports.
+    /// Beyond 32 accepted guests, the one received longest ago is removed.
     pub fn admit(&mut self, now: Time, Guest { host, at, standing }: Guest) {
         match standing {
             Standing::Accepted => {
@@ -63,18 +66,20 @@ impl Guests {
         weakest.and_then(|place| self.candidates.remove(&place));
     }
 
-    /// Returns the address of an accepted guest; `None` if there is none or it has expired.
+    /// Returns the address of an accepted guest; `None` if it is not accepted or its last datagram arrived 10 s ago or
+    /// more.
     pub fn find(&self, now: Time, host: HostId) -> Option<SocketAddr> {
         self.accepted.get(&host).filter(|(_, admitted)| now.since(*admitted) < GUEST_LIFETIME).map(|(at, _)| *at)
     }
 
-    /// Removes expired guests, and returns the addresses of all accepted ones.
+    /// Removes accepted guests that have been silent for 10 s, and returns the addresses of the others.
     pub fn accepted(&mut self, now: Time) -> impl Iterator<Item = SocketAddr> {
         self.accepted.retain(|_, (_, admitted)| now.since(*admitted) < GUEST_LIFETIME);
         self.accepted.values().map(|(at, _)| *at)
     }
 
-    /// Removes expired candidates, and returns the addresses of the remaining ones.
+    /// Removes addresses of guests without a liveness proof that have been silent for 2 s, and returns the remaining
+    /// ones.
     pub fn candidates(&mut self, now: Time) -> impl Iterator<Item = SocketAddr> {
         self.candidates.retain(|_, admitted| now.since(*admitted) < CANDIDATE_LIFETIME);
         self.candidates.keys().map(|(_, at)| *at)

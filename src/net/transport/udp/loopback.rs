@@ -10,7 +10,7 @@ const PRESENT: Span = Span::from_millis(1000);
 /// processes that receive each other's datagrams keep the loopback on.
 const PROBE: Span = Span::from_millis(1000);
 
-/// Loopback state of one socket; the loopback is on at first.
+/// Whether the kernel loops back one socket's multicast datagrams to other processes of the machine; on at first.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Loopback {
     /// Whether the loopback stays on, because the socket is on the loopback interface.
@@ -21,17 +21,19 @@ pub(super) struct Loopback {
 }
 
 impl Loopback {
-    /// Returns the state for a socket on the loopback interface (`always`) or on any other.
+    /// Returns the state of a new socket. If `always` is set, for a socket on the loopback interface, the loopback
+    /// stays on.
     pub(super) fn new(always: bool) -> Loopback {
         Loopback { always, on: true, heard: None, probed: None }
     }
 
-    /// Records a datagram of another process of this machine.
+    /// Records that a datagram of another process of this machine arrived at `now`.
     pub(super) fn heard(&mut self, now: Time) {
         self.heard = Some(now);
     }
 
-    /// Returns the setting to switch to before a datagram is sent at `now`; `None` if it stays.
+    /// Returns whether the loopback is to be switched on (`true`) or off (`false`) before a datagram is sent at `now`;
+    /// `None` if it stays as it is.
     pub(super) fn switch(&mut self, now: Time) -> Option<bool> {
         if self.always {
             return None;

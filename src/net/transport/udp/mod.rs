@@ -38,8 +38,8 @@ const READ_AT_ONCE: usize = 128;
 /// turn of the event loop and than the delay by another link's flood. A link read once per event would otherwise never
 /// catch up if more than one datagram arrives between two events.
 const BUSY: Span = Span::from_millis(10);
-/// Pause of a flooded link after each read. With `READ_AT_ONCE` it bounds the cost of a flood to 128 000 datagrams a
-/// second in 1000 turns. Further datagrams are lost once the kernel's buffer is full.
+/// Time for which a flooded link is not read after each read. With at most 128 datagrams a read, it bounds the cost of
+/// a flood to 128 000 datagrams a second; further ones are lost once the kernel's buffer is full.
 pub const REST: Span = Span::from_millis(1);
 /// Number of datagrams within `REST` from which on a link is flooded: four times what the fastest team sends.
 const FLOOD: usize = 20;
@@ -74,7 +74,7 @@ enum To {
 }
 
 impl Udp {
-    /// Opens the sockets of a link for this host.
+    /// Opens the sockets of a link for the host `host`, as `config` says.
     pub(super) fn open(host: HostId, config: &SocketConfig, filter: Filter) -> Result<Udp, OpenError> {
         let (address, peers) = match &config.addressing {
             Addressing::Multicast(group) if !group.ip().is_multicast() => return Err(OpenError::NoGroup(*group)),

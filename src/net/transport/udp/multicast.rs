@@ -12,7 +12,7 @@ use crate::net::transport::{Endpoint, Entry, Field, LinkSettings};
 /// UDP port of the default groups.
 const PORT: u16 = 7700;
 
-/// Registry entry of the transport.
+/// Registry entry of the transport `multicast`, which sends to a UDP multicast group that all hosts of a link join.
 pub const ENTRY: Entry = Entry {
     name: "multicast",
     about: "UDP to a group that all hosts listen to",
@@ -44,8 +44,8 @@ fn read(settings: &LinkSettings) -> Result<Arc<dyn Endpoint>, ConfigError> {
     Ok(Arc::new(SocketConfig { addressing: Addressing::Multicast(group), interface, receive_buffer_bytes }))
 }
 
-/// Returns an endpoint in this group on this interface, without a team file. The receive buffer is requested from the
-/// kernel \[bytes\].
+/// Returns an endpoint in the multicast group `group` on the named network interface, without a team file.
+/// `receive_buffer_bytes` is the size of the receive buffer that is requested from the kernel.
 pub fn endpoint(group: SocketAddr, interface: &str, receive_buffer_bytes: usize) -> Arc<dyn Endpoint> {
     let interface = interface.to_owned();
     Arc::new(SocketConfig { addressing: Addressing::Multicast(group), interface, receive_buffer_bytes })

@@ -40,7 +40,7 @@ impl From<OpenError> for transport::OpenError {
     }
 }
 
-/// Returns the group with the interface, which an IPv6 group address requires.
+/// Returns the address `group`; an IPv6 group gets the interface as its scope, which the kernel requires.
 pub(super) fn scoped(group: SocketAddr, interface: &Interface) -> SocketAddr {
     match group {
         SocketAddr::V6(v6) => SocketAddrV6::new(*v6.ip(), v6.port(), 0, interface.index).into(),
@@ -69,7 +69,8 @@ fn first_v4(interface: &Interface) -> Ipv4Addr {
     interface.v4.first().copied().unwrap_or(Ipv4Addr::UNSPECIFIED)
 }
 
-/// Opens a socket that receives datagrams to `address`: a multicast group, or an address of this host.
+/// Opens a socket that receives datagrams to `address`, a multicast group or an address of this host, on one network
+/// interface. `buffer_bytes` is the receive buffer requested from the kernel.
 pub(super) fn receiving_socket(address: SocketAddr, interface: &Interface, buffer_bytes: usize) -> io::Result<Socket> {
     let socket = socket(address)?;
     pin(&socket, interface)?;
@@ -95,8 +96,8 @@ pub(super) fn receiving_socket(address: SocketAddr, interface: &Interface, buffe
     Ok(socket)
 }
 
-/// Opens a socket that sends to a multicast group. It is connected, so that the kernel looks up the route once and not
-/// for each datagram.
+/// Opens a socket that sends to a multicast group through one network interface. It is connected, so that the kernel
+/// looks up the route once and not for each datagram.
 pub(super) fn sending_socket(group: SocketAddr, interface: &Interface) -> io::Result<UdpSocket> {
     let socket = socket(group)?;
     pin(&socket, interface)?;
@@ -121,8 +122,8 @@ pub(super) fn sending_socket(group: SocketAddr, interface: &Interface) -> io::Re
     Ok(socket.into())
 }
 
-/// Opens a socket that sends and receives at a port that the kernel chooses, on any interface with a route to the
-/// peers.
+/// Opens the socket of an operator on a unicast link: it sends and receives at a port that the kernel chooses, on any
+/// interface with a route to the hosts. `buffer_bytes` is the receive buffer requested from the kernel.
 pub(super) fn guest_socket(v6: bool, buffer_bytes: usize) -> io::Result<Socket> {
     let any: IpAddr = if v6 { Ipv6Addr::UNSPECIFIED.into() } else { Ipv4Addr::UNSPECIFIED.into() };
     let any = SocketAddr::from((any, 0));

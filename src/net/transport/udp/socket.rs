@@ -12,16 +12,17 @@ use crate::net::protocol::reliability::{Reliabilities, Setup};
 use crate::net::transport::interface::{self, LOOPBACK};
 use crate::net::transport::{Claim, Endpoint, Field, Filter, Finding, LinkSettings, OpenError, Transport};
 
-/// Field of the team file for the network interface, of both UDP transports.
+/// Field `interface` of a link in a team file: the network interface. Both UDP transports have it.
 pub(super) const INTERFACE: Field = Field::new("interface", FieldType::Interface);
 
-/// Field of the team file for the receive buffer that is requested from the kernel \[bytes\].
+/// Field `receive_buffer_bytes` of a link in a team file: the receive buffer requested from the kernel, 4 MiB by
+/// default. Both UDP transports have it.
 pub(super) const RECEIVE_BUFFER: Field = Field {
     default: Some(|_| (4 << 20).to_string()),
     ..Field::new("receive_buffer_bytes", FieldType::Whole(4096, 1 << 30))
 };
 
-/// Reads both fields: interface and receive buffer \[bytes\].
+/// Reads the network interface and the size of the receive buffer \[bytes\] of a link. An error names a missing field.
 pub(super) fn bound(settings: &LinkSettings) -> Result<(String, usize), ConfigError> {
     let advice = || {
         let (link, host) = (settings.link, settings.host_name());
@@ -32,21 +33,21 @@ pub(super) fn bound(settings: &LinkSettings) -> Result<(String, usize), ConfigEr
     Ok((interface, usize::try_from(bytes).expect("its range is smaller")))
 }
 
-/// Configuration of a host's UDP sockets on a link.
+/// Configuration of a host's UDP sockets on a link: addresses, network interface and receive buffer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SocketConfig {
-    /// Addresses that the link uses.
+    /// Addresses to which datagrams are sent, and at which they are received.
     pub addressing: Addressing,
-    /// Name of the network interface.
+    /// Name of the network interface that the sockets use.
     pub interface: String,
-    /// Requested receive buffer of the socket \[bytes\].
+    /// Size of the receive buffer that is requested from the kernel \[bytes\].
     pub receive_buffer_bytes: usize,
 }
 
-/// Addresses that a link uses.
+/// Addresses that the UDP sockets of a link use: a multicast group, or one address for each host.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Addressing {
-    /// Multicast group.
+    /// Multicast: address and port of the group that all hosts of the link join.
     Multicast(SocketAddr),
     /// Unicast to the address of each host.
     Unicast {
@@ -55,8 +56,8 @@ pub enum Addressing {
         /// Addresses of the other hosts.
         peers: BTreeMap<HostId, SocketAddr>,
     },
-    /// Unicast from a guest to each host. It uses a port that the kernel chooses, on the interface with a route to the
-    /// host; hosts answer to that port.
+    /// Unicast from an operator, whose address is not in the team file, to each host. It uses a port that the kernel
+    /// chooses, on the interface with a route to the host; hosts answer to that port.
     Guest {
         /// Addresses of all hosts of the link.
         peers: BTreeMap<HostId, SocketAddr>,

@@ -10,7 +10,7 @@ use crate::config::fields::FieldType;
 use crate::messages::ids::HostId;
 use crate::net::transport::{Endpoint, Entry, Field, LinkSettings};
 
-/// Registry entry of the transport.
+/// Registry entry of the transport `unicast`, which sends to each host of a link at its own UDP address.
 pub const ENTRY: Entry = Entry {
     name: "unicast",
     about: "UDP to each host by itself",
