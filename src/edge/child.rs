@@ -13,7 +13,8 @@ use super::{Packet, PacketSender, Port, Worker};
 /// Longest line of the program's output \[bytes\]. A longer line is split, so its reader refuses the parts.
 const LONGEST: u64 = 4096;
 
-/// Worker that runs a user's program and exchanges packets with it, one a line, over stdin and stdout.
+/// Worker that runs a user's program as a child process and exchanges packets with it, one a line, over stdin and
+/// stdout.
 #[derive(Clone, Debug)]
 pub struct Program {
     /// The program file, followed by its arguments.

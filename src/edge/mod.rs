@@ -22,30 +22,31 @@ use crate::config::ConfigError;
 /// One message between the control thread and a worker (I/O thread), as bytes.
 pub type Packet = Box<[u8]>;
 
-/// Largest number of waiting packets in each direction of a channel between the control thread and a worker: three
-/// seconds' packets at 20 a second.
+/// Largest number of waiting packets in each direction of a channel between the control thread and a worker: those of
+/// three seconds at 20 a second.
 pub const ROOM: usize = 64;
 
-/// I/O of a driver or of a source of readings. It runs on its own thread, where it may start an asynchronous runtime.
+/// Input and output of a driver or of a source of readings. It runs on a thread of its own, where it may start an
+/// asynchronous runtime.
 pub trait Worker: Send {
-    /// Checks that this machine has what the worker needs, such as a program file. It is called before the worker is
-    /// started. It is not part of the check of a team file, which may be valid although this host lacks something.
+    /// Checks that this machine has what the worker needs, such as a program file; called before the worker is started.
+    /// It is no part of the check of a team file, which may be valid although this host lacks something.
     fn check(&self) -> Result<(), ConfigError> {
         Ok(())
     }
 
-    /// Runs the worker until `port` is closed. Then the worker has one second to end, in which a driver must stop its
-    /// robot.
+    /// Does the input and output until the control thread closes `port`. Then the worker has one second to return, in
+    /// which a driver must stop its robot.
     fn run(self: Box<Self>, port: Port);
 
-    /// Returns the description of a resource that only one robot of the host may use, such as a robot's network
-    /// address; `None` if the worker needs no such resource.
+    /// Returns the name of a resource that only one robot of the host may use, such as a network address; `None` if the
+    /// worker needs no such resource.
     fn claim(&self) -> Option<String> {
         None
     }
 }
 
-/// Worker's end of the channel between the control thread and a worker (I/O thread).
+/// Worker's end of the channel between the control thread and the worker (I/O thread).
 #[derive(Debug)]
 pub struct Port {
     rx: mpsc::Receiver<Packet>,
@@ -122,7 +123,7 @@ impl Port {
         self.rx.recv().await
     }
 
-    /// Returns a further sender of packets from this worker to the control thread.
+    /// Returns a further sender of packets from this worker to the control thread, for another thread of the worker.
     pub fn sender(&self) -> PacketSender {
         self.sender.clone()
     }
@@ -146,7 +147,7 @@ impl PacketSender {
         }
     }
 
-    /// Whether the control thread has closed its end of the channel.
+    /// Whether the control thread has closed its end of the channel, so that the worker is to end.
     pub fn is_closed(&self) -> bool {
         self.tx.is_closed()
     }
@@ -163,8 +164,8 @@ impl Gate {
         }
     }
 
-    /// Calls `each` with the waiting packets of the worker, at most `ROOM` of them, and returns whether the worker
-    /// still runs. The bound keeps a worker that never stops from delaying other actors.
+    /// Calls `each` with the waiting packets of the worker, at most 64 (`ROOM`) of them, and returns whether the worker
+    /// still runs. The bound keeps a worker that sends without pause from delaying other actors.
     pub fn take(&mut self, mut each: impl FnMut(Packet)) -> WorkerState {
         // Read before the packets are taken, so that a packet that arrives meanwhile signals again.
         let _ = self.event_fd.read();
@@ -179,8 +180,8 @@ impl Gate {
         WorkerState::Running
     }
 
-    /// Returns the numbers of packets that were dropped because the channel was full: first of those to the worker,
-    /// then of those from the worker.
+    /// Returns two numbers of packets that were dropped because the channel was full: of those to the worker, and of
+    /// those from the worker.
     pub fn dropped(&self) -> (u64, u64) {
         (self.refused, self.dropped.load(Ordering::Relaxed))
     }

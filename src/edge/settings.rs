@@ -7,7 +7,7 @@ use crate::config::{self, ConfigError};
 use crate::messages::ids::RobotId;
 
 /// Settings of a driver or a source of readings in a deployment: its name, and a table that only the driver or source
-/// interprets.
+/// reads.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// Name of the driver or source in the registry.
@@ -21,8 +21,9 @@ pub struct Settings {
 const BY_ROBOT: &str = "robot";
 
 impl Settings {
-    /// Returns the settings for one robot: those of the sub-table `robot.N` (N is the robot's number), completed by the
-    /// settings for all robots. A key `robot` that is no table of numbers is an ordinary setting of the driver.
+    /// Returns the settings for one robot: those in the sub-table `robot.N` (N is the robot's number), completed by the
+    /// settings for all robots. Fails if `robot.N` is no table. A key `robot` whose keys are not all numbers is an
+    /// ordinary setting.
     pub fn for_robot(&self, robot: RobotId) -> Result<Settings, ConfigError> {
         let by_number = |robots: &toml::Table| robots.keys().all(|number| number.parse::<u16>().is_ok());
         let Some(robots) = self.table.get(BY_ROBOT).and_then(toml::Value::as_table).filter(|robots| by_number(robots))
@@ -42,8 +43,8 @@ impl Settings {
         Ok(merged)
     }
 
-    /// Converts the table to the type `T` of the driver or source. The error names the driver or source and the wrong
-    /// field, but quotes no value.
+    /// Converts the table to the type `T`, which the driver or source defines. An error names the driver or source and
+    /// the wrong field, but quotes no value.
     pub fn read<T: DeserializeOwned>(&self) -> Result<T, ConfigError> {
         config::from_table(&self.table).map_err(|error| match error {
             ConfigError::Syntax(why) => ConfigError::field(&self.name, why),

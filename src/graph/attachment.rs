@@ -20,10 +20,10 @@ use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
 use crate::runtime::shell::{Mailbox, start};
 
-/// Configuration of the Network, the actor that connects a host with its links.
+/// Configuration of a Network, the actor that connects a host with its links, before it is started.
 pub struct Attachment {
-    /// Identity of the host on its links. At each start of the Network, the number of starts is added to the
-    /// incarnation number.
+    /// Identity of the host on its links. At each start of the Network, the number of starts so far is added to the
+    /// incarnation in it.
     pub me: Identity,
     /// Key that authenticates the host's datagrams; `None` for datagrams without authentication.
     pub key: Option<Key>,
@@ -39,26 +39,27 @@ pub struct Attachment {
     pub span: tracing::Span,
 }
 
-/// Output of a Network, the actor that connects a host with its links, for the process in which it runs.
+/// Output of a host's Network (the actor that connects the host with its links) to the other actors of its process.
 #[derive(Debug)]
 pub enum Out {
     /// Message that has to be delivered to actors of this host.
     Deliver(Wire),
-    /// Copy of a message that this host has published, one for each datagram, without the authentication tag.
+    /// Copy of a datagram that this host has published, without its authentication tag, for the Recorder.
     Tap(Frame),
-    /// Copy of a datagram that leaves on a link.
+    /// Copy of a datagram that is handed to the transport of this link.
     Sent(LinkId, Frame),
-    /// Traffic counts of all links of this host together.
+    /// Numbers of datagrams that were sent, received and refused since the start of the Network, on all links of this
+    /// host together.
     Counts(Box<LinkCounts>),
-    /// Other hosts on links with link reports, with what is known of them: incarnation, delay and loss.
+    /// Other hosts on links with link reports, with incarnation, delay and loss of each.
     Peers(Vec<Peer>),
     /// Another running host uses the id of this host and was started earlier.
     Duplicate(DuplicateId),
 }
 
 impl Attachment {
-    /// Starts the Network behind the mailbox `network`. Frames go to the transport of their link; `transports` has the
-    /// order of the links. All other output is passed to the function `output`.
+    /// Starts the Network with the mailbox `network`. Datagrams to send go to the transport of their link in
+    /// `transports`, which has the order of the links. All other output is passed to the function `output`.
     pub fn start(
         self,
         clock: &Clock,
@@ -88,8 +89,8 @@ impl Attachment {
     }
 
     /// Starts the Network and the open transports of its links in real time, and returns the Network's mailbox. A link
-    /// may have several transports, one for each network interface. Messages and reports are passed to the function
-    /// `output`.
+    /// may have several transports in `open`, one for each network interface. Messages and reports are passed to the
+    /// function `output`.
     pub fn open(
         self,
         (clock, readers): (&Clock, &mut Readers),

@@ -24,12 +24,12 @@ use crate::time::Span;
 /// Period and validity of commands to stand still. A command expires just when the next one is sent.
 const STAND_PERIOD: Span = Span::from_millis(100);
 
-/// Event of a bench, the operation of one host's devices without a team, for checks.
+/// Event of a bench, on which the devices of one host run without a team, for checks.
 #[derive(Clone, Debug)]
 pub enum Event {
     /// Reading of a robot from the host's source of readings.
     Reading(Reading),
-    /// Odometry, the robot's own measurement of its motion, from a robot's driver.
+    /// Odometry (the robot's own measurement of its motion) from the driver of a robot.
     Odometry(Reading),
     /// Condition of a robot's hardware, as reported by the Body, the actor that drives the motors.
     Hardware(RobotId, Hardware),
@@ -43,7 +43,7 @@ pub enum Event {
     Over,
 }
 
-/// Running bench: the devices of one host without a team, with the mailboxes of their actors.
+/// Bench: the running devices of one host without a team, for checks, with the mailboxes of their actors.
 pub struct Bench {
     bodies: BTreeMap<RobotId, Mailbox<body::In>>,
     wiggle: Option<Mailbox<wiggle::In>>,
@@ -53,7 +53,7 @@ pub struct Bench {
 }
 
 impl Bench {
-    /// Starts the Wiggle, a check that drives each robot a short way. Does nothing without a configured Wiggle.
+    /// Starts the Wiggle, a check that drives each robot a short way. Without a configured Wiggle, nothing happens.
     pub fn begin(&self) {
         self.send(wiggle::In::Begin);
     }
@@ -79,8 +79,8 @@ impl Bench {
     }
 }
 
-/// Starts the bench: the given devices of one host, without a team. If `wiggle` is given, that check drives the robots
-/// after [`Bench::begin`] is called. `report` is called with each event.
+/// Starts a bench in real time: the given devices of one host of a deployment, without a team. If `wiggle` is given,
+/// that check drives the robots after [`Bench::begin`] is called. `report` is called with each event.
 pub fn wire(
     (clock, readers): (&Clock, &mut Readers),
     (deployment, host): (&Deployment, HostId),

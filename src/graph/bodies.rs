@@ -24,8 +24,8 @@ use crate::net::transport;
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::{Mailbox, start};
 
-/// Starts the Body actor of one robot and connects its output to the mailboxes of the other actors. The Body gets the
-/// robot's driver from `process.devices`, or the driver of a simulated robot if there is none.
+/// Starts the Body of one robot (the actor that drives its motors), and passes its output to the other actors. The
+/// driver is the robot's own in `process.devices`, or that of a simulated robot if there is none.
 pub(super) fn wire_body(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId, process: &Process) {
     let host = graph.routes.actuator_host(robot);
     let (network, status) = (graph.network_of(host), graph.status_of(host));
@@ -58,8 +58,8 @@ pub(super) fn wire_body(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotI
     }
 }
 
-/// Starts the Body actor of a real robot with the driver in `device`. Packets from the driver go to the driver's worker
-/// (I/O thread); `out` receives all other output of the Body.
+/// Starts the Body of a real robot (the actor that drives its motors) with the driver in `device`. Packets from the
+/// driver go to the driver's worker (I/O thread); `out` receives all other output of the Body.
 pub(super) fn start_body(
     clock: &Clock,
     mailbox: &Mailbox<body::In>,
@@ -77,8 +77,8 @@ pub(super) fn start_body(
     });
 }
 
-/// Starts the Localizer actor of one simulated robot, which makes its readings from samples of the World. `chassis`
-/// holds the chassis of every robot of the team.
+/// Starts the Localizer of one simulated robot, the actor that makes its readings from the true states of the World.
+/// `chassis` holds the chassis of every robot of the team.
 pub(super) fn wire_sensor(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId, chassis: &Rc<[Chassis]>) {
     let network = graph.network_of(graph.routes.localizer_host(robot));
     let (sensor, seed, chassis) = (plan.physics.sensor, plan.seed, Rc::clone(chassis));
@@ -92,8 +92,8 @@ pub(super) fn wire_sensor(clock: &Clock, plan: &Plan, graph: &Graph, robot: Robo
     });
 }
 
-/// Starts the Localizer actor of the real source of readings in `process`, and publishes its readings. Does nothing if
-/// the process has no source.
+/// Starts the Localizer of a process, the actor that runs its source of readings of real robots, and publishes the
+/// readings. Does nothing if the process has no source.
 pub(super) fn wire_source(clock: &Clock, plan: &Plan, graph: &Graph, process: &Process) {
     let (Some(host), Some(device)) = (process.only, &process.devices.source) else { return };
     let network = graph.network_of(host);
@@ -102,7 +102,7 @@ pub(super) fn wire_source(clock: &Clock, plan: &Plan, graph: &Graph, process: &P
     });
 }
 
-/// Starts the Localizer actor of the real source of readings in `device`; `out` receives the readings.
+/// Starts the Localizer (actor) that runs the source of readings in `device`; `out` receives the readings.
 pub(super) fn start_source(
     clock: &Clock,
     mailbox: &Mailbox<localizer::In>,
@@ -115,8 +115,8 @@ pub(super) fn start_source(
     start(clock, mailbox, info_span!("localizer"), make, out);
 }
 
-/// Starts the World actor of a host. `simulated` holds the robots that it simulates, in ascending order; it must not be
-/// empty.
+/// Starts the World of a host, the actor that runs its simulator. `simulated` holds the robots to simulate, in
+/// ascending order; it must not be empty.
 pub(super) fn wire_world(
     clock: &Clock,
     plan: &Plan,

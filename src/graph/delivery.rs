@@ -45,8 +45,8 @@ impl Followers {
     }
 }
 
-/// Returns the function that delivers a received message to the actors of a host that use it. `agents` and `bodies` are
-/// the robots whose Agents and Bodies the host runs, `simulated` those that the host's World simulates.
+/// Returns a function that delivers each received message to the actors of a host that use it. `agents` and `bodies`
+/// are the robots whose Agents and Bodies the host runs, `simulated` those that the host's World simulates.
 pub(super) fn deliveries(
     graph: &Graph,
     host: HostId,
@@ -117,7 +117,8 @@ pub(super) fn deliveries(
     }
 }
 
-/// Starts the Status actor of one host. Its answers to operators and its telemetry are published by the host's Network.
+/// Starts the Status of one host, the actor that answers operators and sends telemetry; its messages are published by
+/// the host's Network.
 pub(super) fn wire_status(clock: &Clock, graph: &Graph, host: HostId, config: status::Config) {
     let network = graph.network_of(host);
     let make = move |_| Status::new(&config);
@@ -129,7 +130,8 @@ pub(super) fn wire_status(clock: &Clock, graph: &Graph, host: HostId, config: st
     });
 }
 
-/// Starts the state server. Its instructions are published by the Network of its host.
+/// Starts the state server, the actor that leads the episodes; its instructions are published by the Network of its
+/// host.
 pub(super) fn wire_server(clock: &Clock, plan: &Plan, graph: &Graph) {
     let config = state_server::Config {
         layouts: plan.layouts.clone(),

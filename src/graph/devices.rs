@@ -17,17 +17,18 @@ use crate::registry::Registry;
 use crate::ros2::observe::{self, Observation};
 use crate::runtime::real::Readers;
 
-/// Driver or source of readings: a constructor of its logic, and the channel to its worker (I/O thread).
+/// Driver of a robot or source of readings: a function that makes its state machine, and the channel to its worker (I/O
+/// thread).
 pub struct Device<T: ?Sized> {
-    /// Creates a new driver or source; called at each start of the actor that uses it.
+    /// Function that makes a new driver or source; it is called at each start of the actor that uses it.
     pub make: Rc<dyn Fn() -> Box<T>>,
     /// Channel to the worker (I/O thread) of the driver or source; `None` if there is no worker.
     pub gate: Option<Rc<RefCell<Gate>>>,
 }
 
 impl<T: ?Sized> Device<T> {
-    /// Calls `take` with each packet from the worker (I/O thread), and `ended` once when the worker has ended. The
-    /// calls are made by the real-time loop that watches `readers`.
+    /// Registers the device with the event loop of `readers`: it calls `take` with each packet from the worker (I/O
+    /// thread), and `ended` once when the worker has ended. Does nothing if there is no worker.
     pub fn watch(&self, readers: &mut Readers, take: impl Fn(Packet) + 'static, ended: impl Fn() + 'static) {
         let Some(gate) = self.gate.clone() else { return };
         let (event_fd, over) = (gate.borrow().event_fd(), Cell::new(false));
@@ -53,12 +54,13 @@ pub struct Devices {
     pub drivers: BTreeMap<RobotId, Device<dyn Driver>>,
     /// Source of readings of the robots that this process localizes; `None` if there is none.
     pub source: Option<Device<dyn Source>>,
-    /// Publication of received messages as ROS messages, with the channel to its worker (I/O thread); `None` if not
+    /// Publication of received messages for ROS, with the channel to its worker (I/O thread); `None` if it is not
     /// configured.
     pub observation: Option<(Rc<Observation>, Rc<RefCell<Gate>>)>,
 }
 
-/// Threads of the workers, which do the I/O of drivers and sources. The threads end after the [`Devices`] are dropped.
+/// Threads of the workers, which do the input and output of drivers and sources. They end after the [`Devices`] are
+/// dropped.
 pub struct Workers(Vec<JoinHandle<()>>);
 
 impl Workers {
@@ -67,7 +69,8 @@ impl Workers {
         Workers(Vec::new())
     }
 
-    /// Waits for up to a second until all worker threads have ended. The [`Devices`] must be dropped before.
+    /// Waits until all worker threads have ended, for up to a second in total. The [`Devices`] must be dropped before,
+    /// since only then the workers end.
     pub fn join(self) {
         let mut rests = (0..200).map(|_| thread::park_timeout(Duration::from_millis(5)));
         for worker in self.0 {
@@ -93,13 +96,15 @@ pub enum DeviceError {
     Machine(#[from] std::io::Error),
 }
 
-/// Creates the drivers and the source of one host of a checked deployment without their workers, for a replay.
+/// Creates the drivers and the source of one host of a checked deployment, without workers and so without access to
+/// hardware, for a replay. An error names the wrong setting.
 pub fn closed(host: &Host, registry: &Registry) -> Result<Devices, DeviceError> {
     make(host, registry, |_, _, _| Ok(None))
 }
 
 /// Creates the drivers and the source of one host of a checked deployment, and starts their workers (I/O threads).
-/// `robots` is the number of robots of the team.
+/// `robots` is the number of robots of the team. An error names the wrong setting, or says that a worker cannot be
+/// started.
 pub fn open(host: &Host, robots: usize, registry: &Registry) -> Result<(Devices, Workers), DeviceError> {
     let mut workers = Workers(Vec::new());
     let mut devices = make(host, registry, |worker, field, name| {

@@ -18,13 +18,13 @@ use crate::random::Seed;
 use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
 
-/// Identity, links and devices of one host that runs as a process of its own.
+/// Identity, links and devices of one host that runs as a process of its own, opened and ready to start.
 pub struct Host {
     /// Id of the host: its index in the deployment.
     pub id: HostId,
     /// Number of the team, which keeps teams on the same network apart.
     pub team: u16,
-    /// Random number that distinguishes processes of the same host, such as before and after a restart.
+    /// Incarnation: random number that distinguishes successive processes of the same host.
     pub incarnation: u32,
     /// Seed of the random streams of the host's link layer, drawn from the operating system.
     pub secret: Seed,
@@ -34,7 +34,7 @@ pub struct Host {
     pub links: Vec<Option<Setup>>,
     /// Drivers and source of readings of the host's robots.
     pub devices: Devices,
-    /// Open transports of the host's links; several for a link that is used on several network interfaces.
+    /// Open transports, each with its link; a link that is used on several network interfaces has several.
     pub transports: Vec<(LinkId, Box<dyn Transport>)>,
 }
 

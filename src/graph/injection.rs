@@ -9,9 +9,9 @@ use crate::net::transport;
 use crate::runtime::clock::Clock;
 use crate::time::Time;
 
-/// Schedules the injection of the faults in `plan.faults`. Faults of actors are injected at their times from the start
-/// of the trial or of an episode. Links get a notice when an episode with link faults begins; they inject link faults
-/// themselves.
+/// Schedules the planned faults in `plan.faults`. Faults of actors are injected at their times from the start of the
+/// trial or of an episode. Emulated links inject link faults themselves, and get a notice when an episode with such
+/// faults begins.
 pub(super) fn schedule(clock: &Clock, plan: &Rc<Plan>, graph: &Rc<Graph>) {
     for fault in plan.faults.actors.iter().filter(|fault| fault.episode.is_none()) {
         inject(clock, graph, fault, fault.at);

@@ -16,19 +16,19 @@ pub enum DeviceId {
     Source,
 }
 
-/// Input of a host from outside its actor graph.
+/// Input of a host from outside its actors: datagrams, packets of its devices, and orders of its own process.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Input {
-    /// Datagram that has arrived on a link, with its source address if the transport has addresses.
+    /// Datagram that has arrived on a link, with its source address if the link's transport has addresses.
     Frame(LinkId, Frame, Option<SocketAddr>),
-    /// Number of datagrams that a transport of the link has dropped since the last such input, because a queue was
-    /// full.
+    /// Number of datagrams that a transport of the link has dropped because a queue was full, since the last such
+    /// input.
     Dropped(LinkId, u64),
-    /// Packet that the worker (I/O thread) of a driver or of the source has passed on, such as data of its hardware.
+    /// Packet that the worker (I/O thread) of a driver or source has passed on, such as data from the hardware.
     Packet(DeviceId, Packet),
     /// Notice that the worker (I/O thread) of a driver or of the source has ended; no more packets arrive from it.
     Ended(DeviceId),
-    /// Order of the host's own process to shut down: its robots stop, and then it tells the team that it leaves.
+    /// Order of the host's own process to shut down: its robots stop, and it tells the team that it leaves.
     Leave,
     /// Order of the host's own process to engage the team's emergency stop.
     Stop,

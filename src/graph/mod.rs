@@ -51,35 +51,36 @@ use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
 use crate::world::{Clamp, Entry, Physics, Placement};
 
-/// Time after arrival for which a motor command is valid: four control periods of the published system.
+/// Time after its arrival for which a motor command is valid: four control periods (50 ms) of the paper's system.
 pub const COMMAND_VALIDITY: Span = Span::from_millis(200);
 
-/// All inputs from which the actor graph of a run is made.
+/// All settings of a run, from which its actors are made and connected.
 #[derive(Clone)]
 pub struct Plan {
     /// Hosts with their actors, and links between hosts.
     pub deployment: Deployment,
     /// Scenario: the task of the team, with its arena and rules.
     pub scenario: Arc<dyn Scenario>,
-    /// Plant that simulates the robots that are not real.
+    /// Registry entry of the plant (simulator) that moves the simulated robots.
     pub plant: Entry,
     /// Properties of the simulated robots, such as the errors of their sensors.
     pub physics: Physics,
     /// Policy that drives the robots while an episode runs.
     pub run: Model,
-    /// Policy that drives robots to their starts.
+    /// Policy that drives the robots to their starts before an episode.
     pub reset: Model,
     /// Communication range: largest distance at which a robot uses a neighbour's message.
     pub range: CommRange,
     /// Hold time: age up to which a neighbour's message is used.
     pub hold: Span,
-    /// Whether a neighbour's message is used for the whole hold time or in one control step.
+    /// Whether a neighbour's message is used in every control step within the hold time, or only once.
     pub handling: Handling,
     /// Estimator that computes a robot's state from its readings.
     pub estimator: estimation::Entry,
-    /// Known delay of readings, from the measurement to the arrival.
+    /// Known delay from a measurement to the arrival of its reading, for which the estimator can compensate.
     pub sensor_delay: Span,
-    /// Limit that Controllers apply to the velocities that policies command.
+    /// Limit on the velocities of policies: that of training, where the simulator limits acceleration, or that of the
+    /// paper's robots.
     pub clamp: Clamp,
     /// Conditions in which robots are stopped or slowed.
     pub safety: Safety,
@@ -95,13 +96,14 @@ pub struct Plan {
     pub faults: FaultPlan,
     /// Time at which the run ends, even during an episode; `None` to end with the last episode.
     pub until: Option<Time>,
-    /// Whether the Recorder reports single steps of the run, and which messages it reports with them.
+    /// Whether the Recorder reports the robots' states after each step of the simulator, and the messages in use with
+    /// them.
     pub steps: recorder::Steps,
 }
 
 /// Starts and connects the actors of all hosts of a plan in one process, with emulated links. They run on `clock`.
-/// `report` is called with each event of the process, `output` with each output of the Recorder, such as the result of
-/// an episode.
+/// `report` is called with each event of the process, such as a message, and `output` with the results of episodes and
+/// steps.
 pub fn wire(clock: &Clock, plan: Plan, report: Report, output: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
     let plan = &Rc::new(plan);
     let process = Process::all_hosts(report);
@@ -121,7 +123,8 @@ pub fn wire(clock: &Clock, plan: Plan, report: Report, output: impl FnMut(record
     graph
 }
 
-/// Starts the actors of the hosts that run in this process: all hosts, or only `process.only`.
+/// Starts the actors of the hosts that run in this process: of the host `process.only`, or of all hosts if that is
+/// `None`.
 pub(super) fn wire_hosts(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, process: &Process) {
     let here = |host: HostId| process.only.is_none_or(|only| only == host);
     let chassis = plan.deployment.team_chassis();
@@ -147,8 +150,8 @@ pub(super) fn wire_hosts(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, process:
     }
 }
 
-/// Starts the Recorder, the actor that collects the results of the run; `output` receives its output. Panics if this
-/// process has no Recorder.
+/// Starts the Recorder, the actor that judges episodes and collects the results of the run; `output` receives them.
+/// Panics if this process has no Recorder.
 pub(super) fn wire_recorder(
     clock: &Clock,
     plan: &Plan,

@@ -25,7 +25,7 @@ use crate::runtime::real::Readers;
 use crate::runtime::shell::{Mailbox, start};
 use crate::time::Span;
 
-/// Identity and links of an operator, a process outside the deployment that gives orders or observes.
+/// Identity and links of an operator, a process outside the deployment that gives orders to a team or observes it.
 pub struct Operator {
     /// Identity of the operator on its links: host number, team number and a random incarnation number.
     pub me: Identity,
@@ -33,20 +33,20 @@ pub struct Operator {
     pub seed: Seed,
     /// Number of robots in the team.
     pub robots: usize,
-    /// Kinds of messages that each host of the team may publish; others are refused.
+    /// Kinds of messages that each host of the team may publish; the operator refuses all others.
     pub publishers: Arc<Publishers>,
     /// Key that authenticates the team's datagrams; `None` if the team has no key.
     pub key: Option<Key>,
     /// Setup of each link, in the order of the deployment; `None` for a link in which the operator does not take part.
     pub links: Vec<Option<Setup>>,
-    /// Open transports of the operator's links; several for a link that is used on several network interfaces.
+    /// Open transports, each with its link; a link that is used on several network interfaces has several.
     pub transports: Vec<(LinkId, Box<dyn Transport>)>,
-    /// Link of the emergency stop, if the operator sends on that link; otherwise `None`.
+    /// Link that carries the emergency stop, if the operator gives orders on it; `None` for one that only receives.
     pub stop: Option<LinkId>,
 }
 
-/// Starts the Network and links of an operator in real time, and returns the Network's mailbox. The function `report`
-/// is called with received messages and other events.
+/// Starts the Network and the links of an operator in real time, and returns the Network's mailbox. `report` is called
+/// with received messages and other events.
 pub fn wire(
     (clock, readers): (&Clock, &mut Readers),
     operator: Operator,
@@ -79,15 +79,15 @@ pub fn wire(
 /// Period at which an observer asks all hosts for telemetry (an `Observe` message).
 const OBSERVE_PERIOD: Span = Span::from_millis(1000);
 
-/// Makes the operator `by` an observer: it asks all hosts for telemetry through `network` while the process runs.
+/// Makes the operator `by` an observer: from now on it asks all hosts for telemetry once a second, through `network`.
 pub fn observe(clock: &Clock, network: &Mailbox<network::In>, by: HostId) {
     network.send(network::In::Publish(Wire::Observe(Observe { by })));
     let (again, network) = (clock.clone(), network.clone());
     clock.call(clock.now() + OBSERVE_PERIOD, Box::new(move || observe(&again, &network, by)));
 }
 
-/// Starts an operator that carries out an order, such as an emergency stop. The caller can read the progress from
-/// `order`.
+/// Starts an operator that carries out the order `order`, such as an emergency stop. The caller can read its progress
+/// there.
 pub fn command((clock, readers): (&Clock, &mut Readers), operator: Operator, order: &Rc<RefCell<Order>>) {
     let answers: Mailbox<Status> = Mailbox::new("order");
     let to_order = answers.clone();

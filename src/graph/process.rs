@@ -28,16 +28,16 @@ use crate::safety::guard::SafetyCounts;
 /// Team number of runs in one process, where no other team can interfere.
 const TEAM: u16 = 0;
 
-/// Part of a deployment that runs in one process, with its identity on the links.
+/// Which part of a deployment runs in this process, with its identity on the links and its devices.
 #[derive(Clone)]
 pub struct Process {
     /// The one host that runs in this process; `None` if all hosts do.
     pub only: Option<HostId>,
     /// Number of the team, which keeps teams on the same network apart.
     pub team: u16,
-    /// Incarnation: random number that differs between processes of the same host, such as before and after a restart.
+    /// Incarnation: random number that distinguishes successive processes of the same host.
     pub incarnation: u32,
-    /// Secret seed of the link layer's random streams; `None` to use the seed of the run.
+    /// Secret seed from which the random numbers of the link layer are drawn; `None` to use the seed of the run.
     pub secret: Option<Seed>,
     /// Key that authenticates the team's datagrams; `None` if they are not authenticated.
     pub key: Option<Key>,
@@ -52,19 +52,20 @@ pub struct Process {
     pub report: Report,
 }
 
-/// Function that is called with each event of a process, and the host of this process where it happened.
+/// Function that is called with each event of a process, and with the host at which the event happened.
 pub type Report = Rc<dyn Fn(HostId, ProcessEvent)>;
 
 /// Event in a process, reported to the code that started it.
 #[derive(Clone, Copy, Debug)]
 pub enum ProcessEvent<'a> {
-    /// An actor of this process has published a message: its datagram, without a tag.
+    /// An actor of this process has published a message: the datagram, without its authentication tag.
     Published(&'a Frame),
-    /// A datagram leaves on a link, with its tag if the team has a key.
+    /// A datagram is sent on a link, with its authentication tag if the team has a key.
     Sent(LinkId, &'a Frame),
     /// A datagram arrives over an emulated link.
     Arrived(LinkId, &'a Frame),
-    /// Input from outside the graph. Does not occur if all hosts run in one process with emulated links.
+    /// Input from outside the actors, such as a datagram. Does not occur if all hosts run in one process with emulated
+    /// links.
     Input(&'a Input),
     /// True states of simulated robots after a step of their World.
     Truth(&'a Truth),
@@ -72,20 +73,20 @@ pub enum ProcessEvent<'a> {
     Recorded(&'a recorder::Out),
     /// Message that was delivered to actors of this process.
     Message(&'a Wire),
-    /// State of the other hosts, such as delay and loss, from links with link reports.
+    /// State of the other hosts on links with link reports, such as delay and loss.
     Peers(&'a [Peer]),
-    /// Counts of datagrams on the links since the Network was started.
+    /// Numbers of datagrams sent, received and refused on the links of a host since its Network was started.
     Counts(&'a LinkCounts),
     /// Another running host uses the id of this host and was started earlier.
     Duplicate(DuplicateId),
-    /// Counts of stops and reduced velocities by a robot's guard since its Controller was started.
+    /// Numbers of times that a robot's guard has stopped or slowed it since the robot's Controller was started.
     Safety(RobotId, SafetyCounts),
     /// Condition of the hardware of a real robot, as its driver reports it.
     Hardware(RobotId, &'a Hardware),
 }
 
 impl Process {
-    /// Creates the process that runs every host of a deployment.
+    /// Returns the process that runs every host of a deployment, with emulated links and simulated robots.
     pub(super) fn all_hosts(report: Report) -> Process {
         Process {
             only: None,
@@ -100,7 +101,8 @@ impl Process {
         }
     }
 
-    /// Returns the setup of each link for a host; `None` for a link in which it neither sends nor receives.
+    /// Returns the setup of each link for a host, in the order of the deployment; `None` for a link on which the host
+    /// neither sends nor receives.
     pub(super) fn setups(&self, deployment: &Deployment, routes: &Routes, host: HostId) -> Vec<Option<Setup>> {
         let emulated = |link: &Link| {
             let partakes = link.carries.iter().any(|kind| routes.exchanges(host, *kind));
@@ -110,13 +112,17 @@ impl Process {
     }
 }
 
-/// Mailboxes of all actors of a run, by which the actors send messages to each other.
+/// Actors of a run, held by their mailboxes, through which messages and faults reach them.
 pub struct Graph {
+    /// Hosts of all actors, and the routes of all messages.
     pub(super) routes: Routes,
+    /// Mailboxes of Caches, indexed by robot.
     pub(super) caches: Rc<[Mailbox<cache::In>]>,
     /// Mailboxes of Agents, indexed by robot; the robots of one Agent share a mailbox.
     pub(super) agents: Vec<Mailbox<agent::In>>,
+    /// Mailboxes of Controllers, indexed by robot.
     pub(super) controllers: Rc<[Mailbox<controller::In>]>,
+    /// Mailboxes of Bodies, indexed by robot.
     pub(super) bodies: Rc<[Mailbox<body::In>]>,
     /// Mailboxes of the Localizers of simulated robots, indexed by robot.
     pub(super) sensors: Rc<[Mailbox<localizer::In>]>,
@@ -124,14 +130,17 @@ pub struct Graph {
     pub(super) source: Mailbox<localizer::In>,
     /// Mailboxes of Worlds, indexed by robot; the robots of one World share a mailbox.
     pub(super) worlds: Vec<Mailbox<world::In>>,
+    /// Mailbox of the state server.
     pub(super) server: Mailbox<state_server::In>,
     /// Mailboxes of the Status actors, indexed by host.
     pub(super) statuses: Rc<[Mailbox<status::In>]>,
+    /// Mailboxes of Networks, indexed by host.
     pub(super) networks: Rc<[Mailbox<network::In>]>,
+    /// Mailboxes of the transports or emulated links, indexed by link.
     pub(super) transports: Rc<[Mailbox<transport::In>]>,
     /// Mailbox of the Recorder; `None` in a process without a Recorder.
     pub(super) recorder: Option<Mailbox<recorder::In>>,
-    /// Calls a listener when an episode begins, so that faults timed from the start of an episode can be injected.
+    /// Notice of the start of each episode, for faults that are timed from it.
     pub(super) episodes: EpisodeNotice,
     /// Function that is called with each event of this process.
     pub(super) report: Report,
@@ -140,7 +149,7 @@ pub struct Graph {
 /// Function that is called with the number of an episode when it begins.
 type EpisodeListener = Box<dyn Fn(u32)>;
 
-/// Calls one listener, a function, with the number of each episode that begins.
+/// Calls a function that was set before with the number of each episode that begins. Clones share it.
 #[derive(Clone, Default)]
 pub(super) struct EpisodeNotice {
     listener: Rc<OnceCell<EpisodeListener>>,
@@ -148,7 +157,8 @@ pub(super) struct EpisodeNotice {
 }
 
 impl EpisodeNotice {
-    /// Reports that an episode runs. The listener is called at the first report of each episode.
+    /// Tells that the episode with this number runs; the function that `listen` has set is called at the first call for
+    /// each episode.
     pub(super) fn runs(&self, episode: u32) {
         if self.newest.get() < Some(episode) {
             self.newest.set(Some(episode));
@@ -156,13 +166,14 @@ impl EpisodeNotice {
         }
     }
 
-    /// Sets the function that is called with the number of each episode that begins. Panics if it was set before.
+    /// Sets the function to call with the number of each episode that begins. Panics if one was set before.
     pub(super) fn listen(&self, listener: impl Fn(u32) + 'static) {
         assert!(self.listener.set(Box::new(listener)).is_ok(), "a plan is scheduled once");
     }
 }
 
 impl Graph {
+    /// Makes the mailboxes of all actors of a plan, before the actors are started.
     pub(super) fn new(plan: &Plan, process: &Process) -> Graph {
         let deployment = &plan.deployment;
         let routes = Routes::of(deployment);
@@ -199,10 +210,12 @@ impl Graph {
         }
     }
 
+    /// Returns the mailbox of the Network of a host.
     pub(super) fn network_of(&self, host: HostId) -> Mailbox<network::In> {
         self.networks[usize::from(host.0)].clone()
     }
 
+    /// Returns the mailbox of the Status of a host.
     pub(super) fn status_of(&self, host: HostId) -> Mailbox<status::In> {
         self.statuses[usize::from(host.0)].clone()
     }
@@ -217,8 +230,8 @@ impl Graph {
         }
     }
 
-    /// Returns two numbers of messages since the start of the run: those that full mailboxes have refused, and those
-    /// that were lost when their actor crashed.
+    /// Returns two numbers of messages between actors since the start of the run: those refused because a mailbox was
+    /// full, and those lost when an actor crashed.
     pub fn undelivered(&self) -> (u64, u64) {
         fn of<I>(mailboxes: &[Mailbox<I>]) -> impl Iterator<Item = (&str, (u64, u64))> {
             mailboxes.iter().map(|mailbox| (mailbox.name(), (mailbox.refused(), mailbox.lost())))
@@ -240,7 +253,7 @@ impl Graph {
         counts.values().fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1))
     }
 
-    /// Engages the team's emergency stop: the host `by`, which runs in this process, publishes a `Stop` message.
+    /// Engages the team's emergency stop through the host `by` of this process.
     pub fn stop(&self, by: HostId) {
         self.take(by, Input::Stop);
     }
@@ -250,7 +263,7 @@ impl Graph {
         self.take(host, Input::Leave);
     }
 
-    /// Injects a fault into an actor of this process at once. The time in `fault` is ignored.
+    /// Injects a fault into an actor of this process now; the time in `fault` is ignored.
     pub fn inject(&self, fault: ActorFault) {
         self.change_fault(fault.role, fault.robot, Some(&fault));
     }
@@ -260,7 +273,8 @@ impl Graph {
         self.change_fault(role, robot, None);
     }
 
-    /// Replaces the faults that were set on an emulated link during the run (not planned ones) by `fault`.
+    /// Sets a fault on an emulated link during the run, in addition to planned ones. It replaces the one that was set
+    /// before.
     pub fn impair(&self, link: LinkId, fault: ManualLinkFault) {
         self.transports[usize::from(link.0)].send(transport::In::Manual(fault));
     }
@@ -295,8 +309,8 @@ impl Graph {
 }
 
 impl Graph {
-    /// Reports an input from outside the graph as an event, and passes it to the actors of `host`, a host of this
-    /// process.
+    /// Passes an input from outside the actors, such as a datagram, to the actors of `host`, a host of this process.
+    /// The input is reported as an event first.
     pub fn take(&self, host: HostId, input: Input) {
         (self.report)(host, ProcessEvent::Input(&input));
         match input {

@@ -20,9 +20,9 @@ use crate::time::{Span, Time};
 /// Function that is called with each input from outside the actor graph, such as a received datagram ([`Input`]).
 pub type Take = Rc<dyn Fn(Input)>;
 
-/// Starts the transports of a host, each behind the mailbox of its link. `mailboxes` are in the order of the
-/// deployment. Received frames are passed to `take`. A link may have several transports, one per interface; each frame
-/// is sent through all of them.
+/// Starts an actor for each link that sends the datagrams in its mailbox through the link's open transports, one for
+/// each network interface. `mailboxes` are in the order of the deployment's links. Received datagrams are passed to
+/// `take`.
 pub fn wire_all(
     (clock, readers): (&Clock, &mut Readers),
     open: Vec<(LinkId, Box<dyn Transport>)>,
@@ -123,7 +123,7 @@ impl Core for Fan {
     fn wake(&mut self, _: Time, _: &mut Vec<transport::In>) {}
 }
 
-/// State machine of an actor (a [`Core`]) that its owner can read while the actor runs and after it has ended.
+/// Actor's state machine ([`Core`]) that its owner can read while the actor runs and after it has ended.
 pub struct Shared<C>(pub Rc<RefCell<C>>);
 
 impl<C: Core> Core for Shared<C> {

@@ -15,7 +15,7 @@ use crate::time::Span;
 /// Reason why a process cannot open its links.
 #[derive(Debug, thiserror::Error)]
 pub enum LinkError {
-    /// A setting of the link in the team file or in a flag is wrong on this machine; the text says why.
+    /// A setting of the link, in the team file or in a flag, does not fit this machine; the text says why.
     #[error("{0}")]
     Wrong(String),
     /// The link may be opened later, for example when an interface is up; the text says why it failed now.
@@ -23,7 +23,7 @@ pub enum LinkError {
     NotNow(String),
 }
 
-/// Id of a link, and an open transport that carries its datagrams.
+/// Link, and an open transport that carries its datagrams.
 pub type Open = (LinkId, Box<dyn Transport>);
 
 /// Random numbers of the operating system that identify a process.
@@ -33,14 +33,14 @@ pub struct ProcessIdentity {
     pub incarnation: u32,
     /// Seed of the random streams of the process's link layer, which others cannot predict.
     pub seed: Seed,
-    /// Bytes from which `seed` was made, for a record of the process.
+    /// Bytes from which `seed` was made, to be kept in a record of the process.
     pub bytes: [u8; 32],
-    /// Host number of the process if it is an operator, a process outside the deployment.
+    /// Host number of the process in case it is an operator, a process outside the deployment.
     pub operator: HostId,
 }
 
 impl ProcessIdentity {
-    /// Draws all numbers from the random generator of the operating system.
+    /// Draws all numbers from the random generator of the operating system. Fails if that gives none.
     pub fn draw() -> Result<ProcessIdentity, LinkError> {
         let no_random = |e| LinkError::NotNow(format!("the operating system gives no random bytes: {e}"));
         let (mut seed, mut numbers) = ([0; 32], [0; 8]);
@@ -60,15 +60,16 @@ impl ProcessIdentity {
     }
 }
 
-/// Returns the setup of each link: that of the deployment, overridden by the team file. `places` has one entry for each
-/// link of the deployment; a `None` entry is a link in which the process does not take part, and its setup is `None`.
+/// Returns the setup of each link as the deployment and then the team file define it. `places` has one entry for each
+/// link of the deployment; for a `None` entry, a link in which the process does not take part, the setup is `None`.
 pub fn setups<'a>(deployment: &Deployment, places: impl IntoIterator<Item = Option<&'a Place>>) -> Vec<Option<Setup>> {
     let setup = |(link, place): (&Link, Option<&Place>)| place.map(|place| place.setup(&link.reliability));
     deployment.links.iter().zip(places).map(setup).collect()
 }
 
-/// Returns the link setups of an operator, one for each link of the deployment; `None` for a link in which it does not
-/// take part. Every datagram carries a link report, so that hosts accept the operator at once.
+/// Returns the setup of each link for an operator. `places` has one entry for each link of the deployment; for a `None`
+/// entry, a link in which the operator does not take part, the setup is `None`. Every datagram carries a link report,
+/// so that hosts accept the operator at once.
 pub fn of_operator<'a>(
     deployment: &Deployment,
     places: impl IntoIterator<Item = Option<&'a Place>>,
@@ -77,20 +78,21 @@ pub fn of_operator<'a>(
     setups.map(|setup| setup.map(|setup| Setup { report_piggyback_age: Span::ZERO, ..setup })).collect()
 }
 
-/// Returns the entry of an operator for each link of the deployment: its endpoint and settings for the link that
-/// carries `Stop`, and `None` for all other links, in which it does not take part.
+/// Returns, for each link of the deployment, how an operator takes part: its endpoint and reliability modes on the link
+/// that carries the emergency stop, and `None` on all others.
 pub fn places_of<'a>(access: &'a OperatorAccess, deployment: &Deployment) -> impl Iterator<Item = Option<&'a Place>> {
     let at = usize::from(access.link.0);
     (0..deployment.links.len()).map(move |link| (link == at).then(|| &access.places[0]))
 }
 
-/// Returns the packet filter that accepts only datagrams with the team's number, and tagged ones if the team has a key.
+/// Returns the packet filter for the sockets of a team: it accepts only datagrams with the team's number, and only
+/// those long enough for a tag if the team has a key.
 pub fn filter(team: &Team) -> Filter {
     Filter::Team { number: team.number, tagged: team.key_file.is_some() }
 }
 
-/// Opens the network links in which this machine takes part according to the team file. `me` is the id of this host,
-/// the sender of its datagrams.
+/// Opens all network links in which this host takes part according to the team file. `me` is the id of this host. An
+/// error names the link.
 pub fn open(team: &Team, me: HostId) -> Result<Vec<Open>, LinkError> {
     let mut open = Vec::new();
     for (at, (link, place)) in team.deployment.links.iter().zip(&team.links).enumerate() {
@@ -109,9 +111,9 @@ fn failed(link: &str, error: OpenError) -> LinkError {
     }
 }
 
-/// Opens the link that carries `Stop` for an operator, on every network interface of the team file that this machine
-/// has. If it has none of those, opens the link on all interfaces. If `named`, the user has chosen the interface by a
-/// flag, and the link is opened only there.
+/// Opens the link that carries the emergency stop for the operator `me`, on every network interface of the team file
+/// that this machine has, or on all of its interfaces if it has none of those. If `named`, the user has chosen the
+/// interface by a flag, and the link is opened only there.
 pub fn join(access: &OperatorAccess, link: &Link, me: HostId, named: bool) -> Result<Vec<Open>, LinkError> {
     let all = || access.places.iter().map(|place| &place.endpoint);
     let mut endpoints: Vec<Arc<dyn Endpoint>> = all().filter(|endpoint| endpoint.is_available()).cloned().collect();

@@ -34,8 +34,8 @@ const GRACE: Span = Span::from_millis(500);
 /// because the state server announces the end.
 const SERVER_GRACE: Span = Span::from_millis(2000);
 
-/// Returns how long the host of `team` on this machine continues after the last episode, so that hosts that missed the
-/// end receive it again. It is longer for the host of the state server.
+/// Returns how long this host of a team continues to run after the last episode, so that hosts that missed the end
+/// receive it again. It is longer for the host of the state server, which announces the end.
 pub fn grace(team: &Team) -> Span {
     if team.deployment.hosts[usize::from(team.host.0)].state_server { SERVER_GRACE } else { GRACE }
 }
@@ -46,13 +46,13 @@ pub enum OpenError {
     /// A link of the host cannot be opened.
     #[error(transparent)]
     Link(#[from] LinkError),
-    /// A driver or source of the host cannot be created or started.
+    /// A driver or the source of readings of the host cannot be created or started.
     #[error(transparent)]
     Device(#[from] DeviceError),
 }
 
 impl OpenError {
-    /// Returns whether the cause is a mistake in the user's settings, and not the state of the machine.
+    /// Returns whether the cause is a mistake in the user's settings, in contrast to the state of the machine.
     pub fn is_wrong_input(&self) -> bool {
         matches!(self, OpenError::Link(LinkError::Wrong(_)) | OpenError::Device(DeviceError::Config(_)))
     }
@@ -69,8 +69,9 @@ pub struct LiveHost {
 }
 
 impl LiveHost {
-    /// Opens the sockets, drivers and source of the host that `team` describes. Drivers and sources are looked up in
-    /// `registry` by name. `key` authenticates the team's datagrams; `None` only if no link leaves this machine.
+    /// Opens the sockets, drivers and source of the host that `team` describes; `trial` is the team's trial. Drivers
+    /// and sources are looked up in `registry` by name. `key` authenticates the team's datagrams; `None` only if no
+    /// link leaves this machine.
     pub fn open(team: &Team, trial: &Trial, key: Option<Key>, registry: &Registry) -> Result<LiveHost, OpenError> {
         let links = links::setups(&team.deployment, team.links.iter().map(Option::as_ref));
         let transports = links::open(team, team.host)?;
@@ -81,24 +82,23 @@ impl LiveHost {
         Ok(LiveHost { host, workers, plan: trial.plan(), grace: grace(team), seed })
     }
 
-    /// Returns the plan from which the actor graph of the whole team is made. This host runs its own part of that
-    /// graph.
+    /// Returns the settings of the whole team's run. This host runs its own part of it.
     pub fn plan(&self) -> &Plan {
         &self.plan
     }
 
-    /// Returns what a replay needs of this process: its incarnation, the seed of its link layer's random streams, and
+    /// Returns what a replay needs of this process: its incarnation, the 32 bytes of its link layer's random seed, and
     /// the number of transports of each link.
     pub fn process(&self) -> (u32, [u8; 32], Vec<usize>) {
         let transports = |link: usize| self.host.transports.iter().filter(|(id, _)| usize::from(id.0) == link).count();
         (self.host.incarnation, self.seed, (0..self.host.links.len()).map(transports).collect())
     }
 
-    /// Runs the host on this thread, and returns its actor graph at the end. Its time counts from `origin`. `heard` is
-    /// called with each event of the host (see [`ProcessEvent`]), `said` with each output of the Recorder, which runs
-    /// only on the host that judges episodes (`Deployment::judge`). `begun` is called once, after the actors have
-    /// started, with the event loop's file descriptors and the time. `done` is called after every turn; the run ends
-    /// when it returns `true`.
+    /// Runs the host on this thread, and returns its actors at the end. Its time counts from `origin`. `heard` is
+    /// called with each event of the host, such as a message; `said` with each result of the Recorder, which runs only
+    /// on the host that judges episodes. `begun` is called once, after the actors have started, with the event loop's
+    /// file descriptors and the time. `done` is called after every turn of the event loop; the run ends when it returns
+    /// `true`.
     pub fn run(
         self,
         origin: Instant,
@@ -129,7 +129,7 @@ impl LiveHost {
     }
 
     /// Runs the host on this thread until its team has finished all episodes. The report has episodes only on the host
-    /// that judges (`Deployment::judge`); its counters are those of this host alone.
+    /// that judges them; its counters are those of this host alone.
     pub fn run_to_the_end(self) -> TrialReport {
         let (report, news) = (Rc::new(RefCell::new(TrialReport::default())), Rc::new(Cell::new(false)));
         let (told, grace) = (Rc::clone(&news), self.grace);

@@ -17,7 +17,7 @@ use crate::time::{Span, Time};
 /// with each reading.
 const PERIOD: Span = Span::from_millis(100);
 
-/// Forwards the readings and latents that one host receives to the worker (I/O thread) that publishes them as ROS
+/// Passes the readings and latents that one host receives to the worker (I/O thread) that publishes them as ROS
 /// messages.
 pub(super) struct Observer {
     observation: Rc<Observation>,
@@ -29,13 +29,13 @@ pub(super) struct Observer {
 }
 
 impl Observer {
-    /// Creates an observer that has received nothing.
+    /// Creates an observer that has received nothing, from the encoder of ROS messages and the channel to the worker.
     pub fn new((observation, gate): (Rc<Observation>, Rc<RefCell<Gate>>)) -> Observer {
         let (team, latents) = (RefCell::default(), RefCell::default());
         Observer { observation, gate, team, latents, next: Cell::new(Time::ZERO) }
     }
 
-    /// Forwards a message that has reached this host to the worker, if it is a reading or a latent. Never waits:
+    /// Passes a message that has reached this host at `now` to the worker, if it is a reading or a latent. Never waits:
     /// packets that do not fit into the worker's queue are dropped.
     pub fn hear(&self, now: Time, message: &Wire) {
         let send = |packet: Option<Vec<u8>>| packet.into_iter().for_each(|one| self.gate.borrow_mut().send(one.into()));

@@ -41,7 +41,7 @@ impl Transport for Silent {
 
 impl LiveHost {
     /// Creates the host of a recorded process for [`LiveHost::run_again`], without opening sockets, drivers or sources.
-    /// The last argument has the recorded identity of the process, and the number of transports of each link.
+    /// The recorded identity of the process and the number of transports of each link are in the last argument.
     pub fn closed(
         team: &Team,
         trial: &Trial,
@@ -70,9 +70,9 @@ impl LiveHost {
         Ok(LiveHost { host, workers: Workers::none(), plan: trial.plan(), grace: grace(team), seed: identity.bytes })
     }
 
-    /// Replays the host from recorded turns of its event loop, and returns its actor graph. `begun` is the time at
-    /// which the recorded run began; `turns` has the time and the inputs of each turn. `heard` is called with each
-    /// event of the host, `said` with each output of its Recorder, and `ended` with the time at the end of each turn.
+    /// Replays the host from the recorded turns of its event loop, and returns its actors. `begun` is the time at which
+    /// the recorded run began; `turns` has the time and the inputs of each turn. `heard` is called with each event of
+    /// the host, `said` with each output of its Recorder, and `ended` with the time at the end of each turn.
     pub fn run_again(
         self,
         begun: Time,

@@ -9,7 +9,7 @@ use std::rc::Rc;
 
 use crate::time::Time;
 
-/// Current time, event queue and queue of woken tasks of one run. Clones share them.
+/// Clock of a run: its current time, the queue of scheduled events and the queue of woken actors. Clones share them.
 #[derive(Clone, Default)]
 pub struct Clock {
     now: Rc<Cell<Time>>,
@@ -32,8 +32,7 @@ struct Task {
     latest: Time,
 }
 
-/// Handle of a task that is registered with a [`Clock`]: a function that runs an actor after a mailbox or the clock has
-/// woken it.
+/// Handle of a task that is registered with a [`Clock`]: a function that runs one actor each time the actor is woken.
 #[derive(Clone, Copy, Debug)]
 pub struct TaskId(usize);
 
@@ -75,7 +74,7 @@ impl Clock {
         self.now.get()
     }
 
-    /// Registers a task with the function `run`, which is called once after each time that the task was woken.
+    /// Registers a task with the function `run`, which is called once each time that the task was woken.
     pub fn register(&self, run: Rc<dyn Fn()>) -> TaskId {
         let mut queue = self.queue.borrow_mut();
         queue.tasks.push(Task { run, woken: false, latest: Time::MAX });
@@ -114,8 +113,8 @@ impl Clock {
         self.push(at, Action::Wake(task));
     }
 
-    /// Sets the latest time to which the wake-ups of `task` may be delayed in real time; `None` if no wake-up is
-    /// expected.
+    /// Sets the latest time to which wake-ups of `task` may be delayed in real time, so that several are served at
+    /// once; `None` if no wake-up is expected.
     pub fn expect(&self, latest: Option<Time>, task: TaskId) {
         if let Some(task_entry) = self.queue.borrow_mut().tasks.get_mut(task.0) {
             task_entry.latest = latest.unwrap_or(Time::MAX);
@@ -150,9 +149,8 @@ impl Clock {
         self.queue.borrow().events.peek().map(|event| event.at)
     }
 
-    /// Returns the latest time until which the event loop may sleep in real time: the earliest of the times given to
-    /// [`Clock::expect`] and of the scheduled calls; `None` if there is none. A wake-up that its task no longer expects
-    /// does not count.
+    /// Returns the latest time until which the event loop may sleep in real time: the earliest of the latest times of
+    /// all tasks' wake-ups and of the scheduled calls; `None` if there is none.
     pub(super) fn latest(&self) -> Option<Time> {
         let queue = self.queue.borrow();
         let calls = queue.events.iter().filter(|event| matches!(event.action, Action::Call(_))).map(|event| event.at);

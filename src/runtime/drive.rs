@@ -16,12 +16,13 @@ use crate::time::Time;
 pub enum End {
     /// The caller's function `done` returned true.
     Done,
-    /// No event was left in the queue of the clock.
+    /// No event was left in the queue of the clock, so nothing would happen any more.
     Idle,
 }
 
 /// Runs actors in virtual time on the calling thread. `build` starts the actors and returns their owner. Time advances
-/// from event to event until `done` returns true or no event is left. Returns the owner and why the run has ended.
+/// from event to event; `done` is called after each, and ends the run by returning true. Returns the owner and why the
+/// run has ended.
 pub fn run_virtual<W>(build: impl FnOnce(&Clock) -> W, mut done: impl FnMut(&W, Time) -> bool) -> (W, End) {
     in_system(|| {
         let clock = Clock::default();
@@ -44,7 +45,7 @@ pub fn run_virtual<W>(build: impl FnOnce(&Clock) -> W, mut done: impl FnMut(&W, 
     })
 }
 
-/// Tasks by which the actor library starts and restarts actors, with a flag that says whether they have to run.
+/// Tasks of the actor library, which starts and restarts actors in them, and whether they have to run.
 pub(super) struct Tasks {
     tasks: LocalSet,
     signal: Arc<Signal>,
@@ -62,16 +63,17 @@ impl Wake for Signal {
 }
 
 impl Tasks {
+    /// Creates an empty set of tasks.
     pub(super) fn new() -> Tasks {
         Tasks { tasks: LocalSet::new(), signal: Arc::new(Signal(AtomicBool::new(true))) }
     }
 
-    /// Makes it possible to start actors, until the returned guard is dropped.
+    /// Returns a guard; until it is dropped, actors can be started in this set of tasks.
     pub(super) fn enter(&self) -> LocalEnterGuard {
         self.tasks.enter()
     }
 
-    /// Runs the actors until every mailbox is empty.
+    /// Runs the actors until every mailbox is empty and no task is left to run.
     pub(super) fn drain(&mut self, clock: &Clock) {
         loop {
             clock.run_woken();

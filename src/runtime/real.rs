@@ -25,7 +25,8 @@ const MAX_EVENTS: usize = 16;
 /// Key of the timer in the `epoll` of a [`Readers`]; other descriptors have their index.
 const TIMER: u64 = u64::MAX;
 
-/// File descriptors that a run in real time watches, each with a callback for when it is readable.
+/// File descriptors that the event loop of a run in real time watches, each with a function to call when it is
+/// readable.
 pub struct Readers {
     readers: Vec<Reader>,
     /// Watches all file descriptors, and the timer.
@@ -52,6 +53,7 @@ struct Reader {
 }
 
 impl Readers {
+    /// Creates an empty set of file descriptors. Panics if the kernel has no descriptor left.
     pub(super) fn new() -> Readers {
         let epoll = || Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).expect("a process may watch descriptors");
         let flags = TimerFlags::TFD_NONBLOCK | TimerFlags::TFD_CLOEXEC;
@@ -65,8 +67,8 @@ impl Readers {
         Readers { readers: Vec::new(), all, never_paused, timer, timer_at: None, ready: Vec::new() }
     }
 
-    /// Registers the descriptor `source`: `notify` is called in each turn of the event loop in which it is readable, so
-    /// again until it has been read empty.
+    /// Registers the file descriptor `source`: `notify` is called in each turn of the event loop in which it is
+    /// readable, so again and again until all of it has been read.
     pub fn watch(&mut self, source: Rc<dyn AsFd>, notify: impl Fn() + 'static) {
         self.add(Reader {
             source,
@@ -77,9 +79,9 @@ impl Readers {
         });
     }
 
-    /// Registers the descriptor `source` of a link: `notify` is called in each turn of the event loop in which it is
-    /// readable. A link is paused until the time that its `paused_until` returns; `None` means no pause. While any link
-    /// is paused, no link is read.
+    /// Registers the file descriptor `source` of a link: `notify` is called in each turn of the event loop in which it
+    /// is readable. `paused_until` returns the time until which the link is paused, or `None`. While any link is
+    /// paused, no link is read.
     pub fn watch_link(
         &mut self,
         source: Rc<dyn AsFd>,
@@ -172,8 +174,8 @@ impl Readers {
     }
 }
 
-/// Runs actors in real time on the calling thread. `build` starts the actors, registers the file descriptors to watch
-/// and returns the actors' owner, which `run_real` returns at the end. Time counts from `origin`. The run ends when
+/// Runs actors in real time on the calling thread. `build` starts the actors, registers the file descriptors to watch,
+/// and returns the owner of the actors, which is returned at the end. Time counts from `origin`. The run ends when
 /// `done`, called in each turn of the event loop, returns true.
 pub fn run_real<W>(
     origin: Instant,

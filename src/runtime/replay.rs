@@ -9,9 +9,9 @@ use super::shell::in_system;
 use crate::time::Time;
 
 /// Runs actors on the calling thread through the recorded turns of an event loop. `build` starts the actors at the time
-/// `begun` and returns their owner, which `run_replayed` returns at the end; file descriptors that it registers are
-/// never read. A turn is a time and the inputs at that time. In each turn, due events are executed, `arrive` passes the
-/// inputs on to the actors, and after the actors have run, `end` is called.
+/// `begun` and returns their owner, which is returned at the end; file descriptors that it registers are never read. A
+/// turn is a time and the inputs at that time. In each turn, due events are executed, `arrive` passes the inputs on to
+/// the actors, and after the actors have run, `end` is called.
 pub fn run_replayed<W, T>(
     begun: Time,
     build: impl FnOnce(&Clock, &mut Readers) -> W,

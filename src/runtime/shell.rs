@@ -33,8 +33,8 @@ enum Envelope<I> {
     Recover,
 }
 
-/// Address of one actor on this thread, with the queue of its messages. Clones are cheap and share the queue. A mailbox
-/// is made before its actor, so actors can hold each other's mailboxes.
+/// Queue of the messages for one actor, and the address by which others send them, on one thread. Clones are cheap and
+/// share the queue. A mailbox is made before its actor, so actors can hold each other's mailboxes.
 pub struct Mailbox<I>(Rc<Slot<I>>);
 
 struct Slot<I> {
@@ -53,7 +53,7 @@ impl<I> Clone for Mailbox<I> {
 }
 
 impl<I> Mailbox<I> {
-    /// Makes a mailbox for an actor called `name`, which is started later.
+    /// Makes a mailbox for an actor called `name`, which [`start`] starts later.
     pub fn new(name: impl Into<String>) -> Mailbox<I> {
         Mailbox(Rc::new(Slot {
             name: name.into(),
@@ -64,7 +64,7 @@ impl<I> Mailbox<I> {
         }))
     }
 
-    /// Returns the name of the actor that the mailbox belongs to.
+    /// Returns the name of the actor whose mailbox this is.
     pub fn name(&self) -> &str {
         &self.0.name
     }
@@ -74,17 +74,17 @@ impl<I> Mailbox<I> {
         self.post(Envelope::Deliver(input));
     }
 
-    /// Injects a fault, such as a crash or a delay, into the actor of the mailbox.
+    /// Injects a fault, such as a crash or a delay, into the actor of this mailbox.
     pub fn inject(&self, fault: ActorFault) {
         self.post(Envelope::Inject(fault));
     }
 
-    /// Ends all injected faults of the actor of the mailbox; a crashed actor restarts.
+    /// Ends all injected faults of the actor of this mailbox; a crashed actor restarts.
     pub fn recover(&self) {
         self.post(Envelope::Recover);
     }
 
-    /// Returns the number of messages that were dropped because the mailbox was full.
+    /// Returns the number of messages that were dropped because this mailbox was full.
     pub fn refused(&self) -> u64 {
         self.0.refused.get()
     }
@@ -156,8 +156,9 @@ impl Faults {
     }
 }
 
-/// Starts an actor behind `mailbox`. The function `make` builds its core (state machine) at each start or restart, with
-/// the number of the start, from 1. The core's output is passed to the function `sink`.
+/// Starts an actor that takes its messages from `mailbox`. The function `make` builds its core (state machine) at each
+/// start or restart, with the number of the start, from 1. Each output of the core is passed to `sink`. Log lines of
+/// the actor belong to `span`. Panics if the mailbox already has an actor.
 pub fn start<C: Core + 'static>(
     clock: &Clock,
     mailbox: &Mailbox<C::In>,
@@ -391,7 +392,8 @@ impl ExitOnPanic<'_> {
     }
 }
 
-/// Runs the function `inside` on this thread in a new system of the actor library, in which actors can be started.
+/// Runs the function `inside` on this thread in a new system of the actor library, so that it can start actors, and
+/// returns its result.
 pub(super) fn in_system<R>(inside: impl FnOnce() -> R) -> R {
     let system = System::with_tokio_rt(|| {
         tokio::runtime::Builder::new_current_thread().build().expect("a runtime without I/O or timers needs nothing")
