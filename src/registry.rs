@@ -267,8 +267,8 @@ impl Registry {
         find(&self.policies, name).ok()
     }
 
-    /// Name of the policy that a scenario uses if the user gives none. It is the shipped trained policy if it can be
-    /// made for the scenario, otherwise the scripted one.
+    /// Returns the name of the policy that a scenario uses if the user gives none: the shipped trained policy if it can
+    /// be made for the scenario, otherwise the scripted one.
     pub fn default_policy(&self, scenario: &dyn Scenario) -> &'static str {
         let shipped = self.policy(policy::SHIPPED).is_some_and(|entry| (entry.build)(scenario).is_ok());
         if shipped { policy::SHIPPED } else { policy::SCRIPTED }

@@ -99,7 +99,7 @@ pub enum TrialError {
     /// The scenario cannot be made.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
-    /// The deployment cannot be used.
+    /// A setting of the deployment is invalid; the error names the field.
     #[error(transparent)]
     Deployment(#[from] ConfigError),
     /// No preset deployment mode has the given name.
@@ -209,7 +209,8 @@ impl Trial {
         Ok(trial)
     }
 
-    /// Sets the plant (simulator) by name, and the robots' properties to the defaults of that plant.
+    /// Sets the plant (simulator) by name, and the robots' properties to the defaults of that plant. The method `check`
+    /// refuses an unknown name.
     pub fn plant(mut self, name: &str) -> Trial {
         (self.physics, self.deployment.plant) = (physics(&self.registry, name, &*self.scenario), name.to_owned());
         let clamp = self.clamp;
@@ -353,7 +354,7 @@ impl Trial {
         report.finished = true;
     }
 
-    /// Checks the deployment and the safety limits, and that stops and faults fit the hosts, links and episodes. The
+    /// Checks the deployment and the safety limits, and that stops and faults fit the hosts, links and episodes. An
     /// error names the wrong field.
     pub fn check(&self) -> Result<(), ConfigError> {
         let deployment = self.placed();
@@ -379,7 +380,7 @@ impl Trial {
         deployment
     }
 
-    /// Makes the inputs of the actor graph that runs this trial.
+    /// Makes the settings from which the actors of this trial are made and connected.
     ///
     /// # Panics
     /// If the deployment's plant (simulator) is not in the registry; the method `check` refuses such a trial.

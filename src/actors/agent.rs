@@ -27,7 +27,7 @@ pub const START_M: f32 = 0.05;
 /// percept may still come from the round before.
 pub const SETTLING: Span = Span::from_millis(300);
 
-/// Input message of an Agent.
+/// Input message of an Agent, the actor that runs the policy of one or more robots.
 #[derive(Clone, Debug)]
 pub enum In {
     /// Inputs of the policy (percept) of one of the Agent's robots at a control tick.
@@ -36,7 +36,7 @@ pub enum In {
     Mode(Mode),
 }
 
-/// Output message of an Agent.
+/// Output message of an Agent, the actor that runs the policy of one or more robots.
 #[derive(Clone, Debug)]
 pub enum Out {
     /// Latent (policy message) of one of the Agent's robots, for the robot's neighbours.
@@ -45,7 +45,7 @@ pub enum Out {
     Action(Action),
 }
 
-/// Policies of one robot and their random streams, given to its Agent.
+/// Policies of one robot and their random streams, which its Agent runs.
 pub struct RobotPolicies {
     /// Robot that the policies control.
     pub robot: RobotId,
@@ -53,7 +53,7 @@ pub struct RobotPolicies {
     pub run: Box<dyn Policy>,
     /// Policy that drives the robot to its start in a reset.
     pub reset: Box<dyn Policy>,
-    /// Random stream for the sampled actions of both policies.
+    /// Random stream from which both policies sample their actions.
     pub actions: Stream,
     /// Random stream of the communication ranges between this robot and the others of the same Agent.
     pub ranges: Stream,

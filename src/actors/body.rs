@@ -24,7 +24,7 @@ const CORRECTION_PERIOD: Span = Span::from_millis(200);
 /// driver. Without it, a tracker of 100 Hz or more would flood the robot.
 const FOLLOW_PERIOD: Span = Span::from_millis(20);
 
-/// Input message of a Body.
+/// Input message of a Body, the actor that drives the motors of one robot.
 #[derive(Clone, Debug)]
 pub enum In {
     /// Velocity command from the robot's Controller.
@@ -43,7 +43,7 @@ pub enum In {
     Leave,
 }
 
-/// Output message of a Body.
+/// Output message of a Body, the actor that drives the motors of one robot.
 #[derive(Clone, Debug)]
 pub enum Out {
     /// Command for the World that simulates the robot.

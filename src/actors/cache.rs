@@ -17,7 +17,7 @@ use crate::time::{Span, Time};
 /// Largest number of neighbours whose latents a Cache stores; far more than fit within any communication range.
 pub const MAX_NEIGHBOURS: usize = 256;
 
-/// Input message of a Cache.
+/// Input message of a Cache, the actor that stores one robot's readings and its neighbours' messages.
 #[derive(Clone, Debug)]
 pub enum In {
     /// Reading (measured pose and velocity) of the Cache's own robot.
@@ -26,14 +26,14 @@ pub enum In {
     Latent(Latent),
 }
 
-/// Configuration of a Cache.
+/// Configuration of a Cache, the actor that stores one robot's readings and its neighbours' messages.
 #[derive(Clone, Copy, Debug)]
 pub struct Config {
-    /// Robot of the Cache.
+    /// Robot whose readings and neighbours' messages the Cache stores.
     pub robot: RobotId,
     /// Control period of the robot.
     pub period: Span,
-    /// Offset of the control tick within each period.
+    /// Time of the control tick within each period, at which the Cache sends a percept.
     pub phase: Span,
     /// Communication range: largest distance at which a latent is accepted; fixed, or drawn at random for each latent.
     pub range: CommRange,
@@ -43,18 +43,18 @@ pub struct Config {
     pub handling: Handling,
     /// Estimator that computes the robot's state from its readings.
     pub estimator: estimation::Entry,
-    /// Known delay from the measurement of a reading to its arrival.
+    /// Known delay from a measurement to the arrival of its reading, for which the estimator can compensate.
     pub sensor_delay: Span,
     /// Largest age of the robot's newest reading. If it is older, the Cache sends no percept, so that the robot stops.
     pub own_age: Span,
 }
 
-/// Output message of a Cache.
+/// Output message of a Cache, the actor that stores one robot's readings and its neighbours' messages.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Out {
     /// Percept (inputs of the policy at a control tick) for the robot's Agent.
     Percept(Percept),
-    /// Notice to the robot's Controller that a new measurement of the robot has arrived.
+    /// Notice to the robot's Controller that a new reading of the robot has arrived.
     Fresh,
 }
 

@@ -14,15 +14,15 @@ use crate::safety::guard::{self, Decision, Granted, Guard, SafetyCounts};
 use crate::safety::hardware::Permit;
 use crate::time::{Span, Time};
 
-/// Period of a robot's heartbeats.
+/// Period at which a robot sends heartbeats (reports to the state server).
 pub const HEARTBEAT_PERIOD: Span = Span::from_millis(200);
 
-/// Input message of a Controller.
+/// Input message of a Controller, the actor that passes one robot's actions through its guard to its motors.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Action of the robot's Agent.
+    /// Action (desired velocity) from the robot's Agent.
     Action(Action),
-    /// A new measurement of the robot has arrived at its Cache.
+    /// Notice that a new reading of the robot has arrived at its Cache.
     Fresh,
     /// Instruction of the state server: round and phase of the episode, and the emergency stop state.
     Mode(Mode),
@@ -34,7 +34,7 @@ pub enum In {
     Leave,
 }
 
-/// Output message of a Controller.
+/// Output message of a Controller, the actor that passes one robot's actions through its guard to its motors.
 #[derive(Clone, Debug)]
 pub enum Out {
     /// Velocity command for the robot's Body.
@@ -47,16 +47,16 @@ pub enum Out {
     Counts(SafetyCounts),
 }
 
-/// Configuration of a Controller.
+/// Configuration of a Controller, the actor that passes one robot's actions through its guard to its motors.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// Robot of the Controller.
+    /// Robot that the Controller is for.
     pub robot: RobotId,
-    /// Configuration of the robot's guard.
+    /// Configuration of the robot's guard, which limits its velocity for safety.
     pub guard: guard::Config,
-    /// Validity of a motor command, from its arrival at the Body.
+    /// Time after its arrival at the Body for which a motor command is valid.
     pub valid_for: Span,
-    /// Offset of the heartbeats within their period.
+    /// Time of the heartbeat within each period of heartbeats.
     pub phase: Span,
 }
 

@@ -10,7 +10,7 @@ use crate::messages::local::Sample;
 use crate::messages::wire::Reading;
 use crate::time::Time;
 
-/// Input message of a Localizer.
+/// Input message of a Localizer, the actor that publishes the readings of one source.
 #[derive(Clone, Debug)]
 pub enum In {
     /// True state of a simulated robot, which the source turns into a reading.

@@ -22,7 +22,7 @@ use crate::net::protocol::sender::Peer;
 use crate::random::Stream;
 use crate::time::{Span, Time};
 
-/// Input message of a Network.
+/// Input message of a Network, the actor that sends and receives one host's messages on its links.
 #[derive(Clone, Debug)]
 pub enum In {
     /// Message that an actor of this host publishes.
@@ -33,16 +33,18 @@ pub enum In {
     Dropped(LinkId, u64),
 }
 
-/// Output message of a Network.
+/// Output message of a Network, the actor that sends and receives one host's messages on its links.
 #[derive(Clone, Debug)]
 pub enum Out {
     /// Message for those actors of this host that handle messages of its kind.
     Deliver(Wire),
     /// Datagram that the transport of the given link has to send, to all hosts or to one.
     Transmit(LinkId, Audience, Frame),
-    /// Copy of a published datagram, without its authentication tag, for the Recorder.
+    /// Copy of the datagram of a message that this host has published, without its authentication tag, for the
+    /// Recorder.
     Tap(Frame),
-    /// Counts of datagrams (sent, received, refused and others), summed over all links of the host, for the Recorder.
+    /// Numbers of datagrams that were sent, received and refused since the start of the Network, summed over all links
+    /// of the host, for the Recorder.
     Counts(Box<LinkCounts>),
     /// Other hosts on links with link reports, with what is known of each (incarnation, delay, loss), for display.
     Peers(Vec<Peer>),
@@ -59,7 +61,7 @@ const MAX_LATE: Span = Span::from_millis(25);
 /// Period at which a Network sends the counts of its links to the Recorder.
 pub const COUNTS_PERIOD: Span = Span::from_millis(1000);
 
-/// Configuration of a Network.
+/// Configuration of a Network, the actor that sends and receives one host's messages on its links.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// Identity of this host: its id, team number and incarnation.

@@ -22,7 +22,7 @@ const SETTLING: Span = Span::from_millis(200);
 /// Kind of an operator's order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OrderKind {
-    /// All robots stop.
+    /// Stop: all robots stop.
     Stop,
     /// Re-arm: the stop ends, and the team stays held.
     Rearm,
@@ -44,7 +44,7 @@ impl OrderKind {
     }
 }
 
-/// Which parts of a robot have not confirmed an operator's order.
+/// Parts of a robot that have not carried out an operator's order, or have not answered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unconfirmed {
     /// Neither the robot's Controller nor its Body has answered.

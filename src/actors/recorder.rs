@@ -32,20 +32,21 @@ use crate::scenario::sightings::{Sighting, Sightings, Spot};
 use crate::scenario::{Arena, Rules};
 use crate::time::{Span, Time};
 
-/// Input message of a Recorder.
+/// Input message of a Recorder, the actor that judges episodes and collects the results of a trial.
 #[derive(Clone, Debug)]
 pub enum In {
     /// Datagram that a Network of this process has published.
     Tap(Frame),
-    /// Message that another process has published and this process has received.
+    /// Message that another process has published and this process has received; sent where hosts run in processes of
+    /// their own.
     Received(Wire),
     /// True states after a step of a World.
     Truth(Truth),
-    /// Counts of datagrams on all links of a host, since its Network was started.
+    /// Numbers of datagrams that were sent, received and refused on all links of a host, since its Network was started.
     Counts(HostId, Box<LinkCounts>),
     /// Counts of the emulated radio channel of a link, such as frames sent and lost, since the start of the run.
     Radio(LinkId, Box<RadioCounts>),
-    /// Counts of stops and reduced velocities by a robot's guard, since its Controller was started.
+    /// Numbers of times that a robot's guard has stopped or slowed it, since its Controller was started.
     Safety(RobotId, SafetyCounts),
     /// Request for the totals of the run, which ends now even if an episode is running.
     Closing,
@@ -58,12 +59,12 @@ pub enum In {
     Reading(Reading),
 }
 
-/// Configuration of a Recorder.
+/// Configuration of a Recorder, the actor that judges episodes and collects the results of a trial.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// Starts and goals of all episodes of the trial, in order.
     pub layouts: Layouts,
-    /// Index of this repeat of the experiment.
+    /// Index of this trial among the repeats of the experiment, from zero.
     pub repeat: u32,
     /// Rules by which an episode is judged.
     pub rules: Rules,
@@ -71,9 +72,9 @@ pub struct Config {
     pub steps: Steps,
     /// Number of other hosts that each broadcast latent should reach: the hosts with an Agent, without the sender.
     pub receivers: u64,
-    /// Whether true states or readings are judged.
+    /// Whether episodes are judged from true states or from readings.
     pub judged: Judged,
-    /// Whether robots are placed at their starts (`true`) or drive there (`false`).
+    /// Whether robots are placed at their starts before an episode (`true`) or drive there (`false`).
     pub placed: bool,
     /// Ground and walls of the scenario.
     pub arena: Arena,

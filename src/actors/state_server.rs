@@ -37,7 +37,7 @@ pub const RESET_LIMIT: Span = Span::from_millis(60_000);
 /// Time by which an episode may exceed its longest duration before it is aborted, since heartbeats may arrive late.
 pub const GRACE: Span = Span::from_millis(500);
 
-/// Input message of a StateServer.
+/// Input message of a state server, the actor that leads the episodes of a team.
 #[derive(Clone, Debug)]
 pub enum In {
     /// Heartbeat of a robot: its round, its phase of the episode, and the emergency stop latch that it follows.
@@ -50,7 +50,7 @@ pub enum In {
     Leave,
 }
 
-/// Output message of a StateServer.
+/// Output message of a state server, the actor that leads the episodes of a team.
 #[derive(Clone, Debug)]
 pub enum Out {
     /// Instruction for the team: reset, run or stop, and the episode.
@@ -60,14 +60,14 @@ pub enum Out {
     Leading(Leading),
 }
 
-/// Configuration of a StateServer.
+/// Configuration of a state server, the actor that leads the episodes of a team.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// Starts and goals of all episodes of the trial, in order.
     pub layouts: Layouts,
-    /// Index of this repeat of the experiment.
+    /// Index of this trial among the repeats of the experiment, from zero.
     pub repeat: u32,
-    /// Whether robots are placed at their starts or drive there.
+    /// Whether robots are placed at their starts before an episode, or drive there.
     pub placement: Placement,
     /// Longest duration of an episode, after which it is aborted.
     pub limit: Span,

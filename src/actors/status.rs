@@ -41,7 +41,8 @@ const ROBOTS_PER_MESSAGE: usize = 2;
 /// such a message the host waits two telemetry periods, which keeps it within its budget of bytes.
 const REASON_PERIOD: Span = Span::from_millis(1000);
 
-/// Input message of a Status.
+/// Input message of a Status, the actor that reports the state of one host to operators, observers and the state
+/// server.
 #[derive(Clone, Debug)]
 pub enum In {
     /// Emergency stop message; one of an operator (question, stop, re-arm or resume) is answered.
@@ -60,7 +61,7 @@ pub enum In {
     Mode(Phase),
     /// Condition of the hardware of a robot whose Body runs on this host.
     Condition(RobotId, Hardware),
-    /// Counts of the guard of a robot whose agent runs on this host.
+    /// Numbers of times that the guard of a robot whose agent runs on this host has stopped or slowed it.
     Guard(RobotId, SafetyCounts),
     /// A latent of this robot has arrived for the agents of this host.
     Latent(RobotId),
@@ -70,7 +71,8 @@ pub enum In {
     Leave,
 }
 
-/// Configuration of a Status.
+/// Configuration of a Status, the actor that reports the state of one host to operators, observers and the state
+/// server.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// Host whose state the actor reports.
@@ -95,7 +97,8 @@ struct RobotTelemetry {
     reason_sent: Option<Time>,
 }
 
-/// Output message of a Status.
+/// Output message of a Status, the actor that reports the state of one host to operators, observers and the state
+/// server.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Out {
     /// Status message for operators and the state server.

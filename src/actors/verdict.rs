@@ -50,7 +50,7 @@ pub enum Verdict {
 /// Mistake in the axes of a robot or of the source of its readings: a rotation or reflection of vectors in the plane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Axes {
-    /// No mistake.
+    /// The axes have no mistake.
     Right,
     /// The sign of x is wrong.
     MirroredX,
@@ -60,9 +60,9 @@ pub enum Axes {
     Reversed,
     /// x and y are swapped.
     Swapped,
-    /// Rotation by a quarter turn to the left.
+    /// Vectors are rotated by a quarter turn to the left.
     Left,
-    /// Rotation by a quarter turn to the right.
+    /// Vectors are rotated by a quarter turn to the right.
     RightTurn,
     /// x and y are swapped, and both signs are wrong.
     SwappedReversed,

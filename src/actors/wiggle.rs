@@ -31,7 +31,7 @@ const SETTLE: Span = Span::from_millis(400);
 /// Age of a robot's newest reading from which the robot counts as not measured.
 const LOST: Span = Span::from_millis(600);
 
-/// Input message of a Wiggle.
+/// Input message of a Wiggle, the actor that drives robots a short way to check them.
 #[derive(Clone, Debug)]
 pub enum In {
     /// Measured pose of a robot, one to be driven or another.
@@ -44,7 +44,7 @@ pub enum In {
     End,
 }
 
-/// Output message of a Wiggle.
+/// Output message of a Wiggle, the actor that drives robots a short way to check them.
 #[derive(Clone, Debug)]
 pub enum Out {
     /// Command for a robot's Body.
@@ -68,7 +68,7 @@ pub struct Driven {
     pub limit_m_s: f32,
 }
 
-/// Configuration of a Wiggle.
+/// Configuration of a Wiggle, the actor that drives robots a short way to check them.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// Robots to be driven and judged, in this order.

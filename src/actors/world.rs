@@ -24,7 +24,7 @@ use crate::world::{Placement, Plant, PlantState};
 /// reading; then that robot stands still in the plant. It is twice the age of own readings at which a robot stops.
 const MOVED_ON: Span = Span::from_millis(200);
 
-/// Input message of a World.
+/// Input message of a World, the actor that steps the plant (simulator) of simulated robots.
 #[derive(Clone, Debug)]
 pub enum In {
     /// Command from the Body of a simulated robot.
@@ -35,7 +35,7 @@ pub enum In {
     Reading(Reading),
 }
 
-/// Output message of a World.
+/// Output message of a World, the actor that steps the plant (simulator) of simulated robots.
 #[derive(Clone, Debug)]
 pub enum Out {
     /// True state of a simulated robot, for the robot's Localizer, which makes readings of it.

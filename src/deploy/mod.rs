@@ -61,10 +61,10 @@ pub struct Host {
     /// Ids of the real robots whose poses this host measures.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub localizes: Vec<u16>,
-    /// Driver of the robots in `actuates`; `None` if that is empty.
+    /// Settings of the driver that moves the robots in `actuates`; `None` if that is empty.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub driver: Option<Settings>,
-    /// Source of the readings of the robots in `localizes`; `None` if that is empty.
+    /// Settings of the source of readings of the robots in `localizes`; `None` if that is empty.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<Settings>,
     /// Settings with which the host publishes received messages for other programs, such as ROS tools; `None` if it
@@ -113,7 +113,7 @@ impl LinkMedium {
 pub struct Link {
     /// Name of the link.
     pub name: String,
-    /// Medium of the link.
+    /// Medium of the link, such as an access point or a cable.
     #[serde(default)]
     pub medium: LinkMedium,
     /// Kinds of messages that the link carries. A kind is carried by at most one link of a deployment.
@@ -145,7 +145,7 @@ pub struct Link {
 pub struct Deployment {
     /// Name of the deployment's mode in reports, such as `offboard`.
     pub mode: String,
-    /// Number of robots.
+    /// Number of robots in the team.
     pub robots: usize,
     /// Whether robots are placed exactly at their starts before an episode, or drive there.
     pub placement: Placement,
@@ -191,13 +191,13 @@ pub enum ImpairError {
     Config(#[from] ConfigError),
 }
 
-/// Selection of the messages to which an impairment applies.
+/// Selection of the messages that emulated delay and loss apply to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Impair {
-    /// The impairment applies to latents, the messages between robots.
+    /// Delay and loss apply to latents, the messages between robots.
     Latent,
-    /// The impairment applies to all messages on every link except cables.
+    /// Delay and loss apply to all messages on every link except cables.
     All,
 }
 

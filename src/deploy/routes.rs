@@ -208,7 +208,7 @@ impl Routes {
         }
     }
 
-    /// Whether messages of this kind are sent from one host to another.
+    /// Whether messages of this kind are sent from one host to another in this deployment.
     pub fn crosses(&self, kind: Kind) -> bool {
         RobotId::team(self.robots).any(|robot| {
             let from = self.publisher(kind, robot);

@@ -28,7 +28,7 @@ pub struct Host {
     pub incarnation: u32,
     /// Seed of the random streams of the host's link layer, drawn from the operating system.
     pub secret: Seed,
-    /// Key that authenticates the team's datagrams; `None` if links stay within one machine.
+    /// Key that authenticates the team's datagrams; `None` only if no link leaves this machine.
     pub key: Option<Key>,
     /// Setup of each link, in the order of the deployment; `None` for a link in which the host does not take part.
     pub links: Vec<Option<Setup>>,

@@ -88,7 +88,7 @@ pub struct Plan {
     pub stops: Vec<(Time, Stop)>,
     /// Starts and goals of the robots in each episode.
     pub layouts: Layouts,
-    /// Index of this repeat of the experiment.
+    /// Index of this run among the repeats of the experiment, from zero.
     pub repeat: u32,
     /// Seed from which all random streams of the run are derived.
     pub seed: Seed,

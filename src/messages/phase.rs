@@ -21,7 +21,8 @@ pub enum Phase {
     AbortRunning,
     /// All episodes are done; the whole team stops for good.
     EpisodesFinished,
-    /// A host has left; the whole team stands until it is back, and then runs the interrupted episode again.
+    /// The whole team stands, because a host has left or an operator holds the team during a reset; afterwards the
+    /// interrupted episode begins again.
     Waiting,
 }
 

@@ -53,7 +53,7 @@ pub struct RoundFollower {
 }
 
 impl RoundFollower {
-    /// Round of the instruction that the actor follows at present.
+    /// Returns the round of the instruction that the actor follows at present.
     pub fn round(&self) -> Round {
         self.round
     }

@@ -139,7 +139,7 @@ pub struct Mode {
 }
 
 impl Mode {
-    /// Start and goal of `robot`; `None` if the robot is not in the block of this message.
+    /// Returns start and goal of `robot`; `None` if the robot is not in the block of this message.
     pub fn task_of(&self, robot: RobotId) -> Option<Task> {
         robot.0.checked_sub(self.first.0).and_then(|offset| self.tasks.get(usize::from(offset))).copied()
     }
@@ -260,7 +260,8 @@ pub enum Unfit {
     /// A position, velocity or feature is NaN, infinite or too large.
     #[error("a number is not finite or out of range")]
     Number,
-    /// A list of the message is longer than its limit, or empty where at least one entry is needed.
+    /// A list of the message is longer than its limit, or empty where at least one entry is needed; or a telemetry
+    /// message has more than one fault reason.
     #[error("a list is empty or too long")]
     Length,
     /// The validity of a motor command exceeds [`MAX_VALIDITY`].
@@ -281,7 +282,7 @@ pub fn all_sound(floats: &[f32]) -> bool {
 }
 
 impl Wire {
-    /// The kind of this message, as used by routing tables.
+    /// Returns the kind of this message, as used by routing tables.
     pub fn kind(&self) -> Kind {
         match self {
             Wire::Reading(_) => Kind::Reading,
@@ -296,8 +297,8 @@ impl Wire {
         }
     }
 
-    /// Number of the robot that sends the message or that it is for. For `Mode`, `Status` and `Telemetry`, the first
-    /// robot of the message's list; robot 0 for `Stop`, `Observe` and an empty list.
+    /// Returns the robot that sends the message or that it is for. For `Mode`, `Status` and `Telemetry` it is the first
+    /// robot of the message's list; for `Stop`, `Observe` and an empty list, robot 0.
     pub fn robot(&self) -> RobotId {
         match self {
             Wire::Reading(m) => m.robot,

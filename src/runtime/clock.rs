@@ -107,8 +107,8 @@ impl Clock {
         Some(Rc::clone(&task_entry.run))
     }
 
-    /// Schedules a wake-up of `task` at time `at`. In real time the wake-up may be delayed until the time given to
-    /// [`Clock::expect`].
+    /// Schedules a wake-up of `task` at time `at`. In real time the wake-up may be delayed up to the latest time that
+    /// `expect` has set.
     pub fn arm(&self, at: Time, task: TaskId) {
         self.push(at, Action::Wake(task));
     }

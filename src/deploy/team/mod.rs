@@ -36,7 +36,7 @@ use crate::scenario::{Scenario, Settings};
 use crate::time::Span;
 use crate::world::{Clamp, ContactRule, Overrides, Physics, Sensor};
 
-/// Configuration of one host of a team, with all values resolved.
+/// Configuration of one host of a team, with the values that apply to this host.
 #[derive(Clone, Debug)]
 pub struct Team {
     /// Id of the host that this configuration is for.
@@ -61,7 +61,7 @@ pub struct Team {
     pub estimator: estimation::Entry,
     /// Known delay from a measurement to the arrival of its reading; `None` for the latency of the simulated sensor.
     pub sensor_delay: Option<Span>,
-    /// Limits of motion, and conditions in which robots are stopped.
+    /// Conditions in which robots are stopped or slowed, and the limits of their motion.
     pub safety: Safety,
     /// Folder for the host's records; `None` if nothing is recorded.
     pub record: Option<PathBuf>,
@@ -70,7 +70,8 @@ pub struct Team {
     pub record_last_s: Option<f64>,
     /// Size of a record's file at which the next file begins \[MB\]; `None` for a single file.
     pub record_size_mb: Option<f64>,
-    /// Place of this host on each link of the deployment; `None` for a link on which it neither sends nor receives.
+    /// Endpoint and reliability modes of this host on each link of the deployment; `None` for a link on which it
+    /// neither sends nor receives.
     pub links: Vec<Option<Place>>,
 }
 

@@ -57,8 +57,8 @@ impl TeamFile {
         })
     }
 
-    /// Returns the place of a host on the link with index `at`: its endpoint, and the reliability mode of each kind of
-    /// message. An error names the wrong field.
+    /// Returns how a host takes part in the link with index `at`: its endpoint, and the reliability mode of each kind
+    /// of message. An error names the wrong field.
     pub(super) fn place(&self, host: HostId, at: usize) -> Result<Place, ConfigError> {
         let link = &self.deployment.links[at];
         let scopes = self.scopes(Some(host));

@@ -23,8 +23,8 @@ use crate::time::Time;
 pub enum Out {
     /// A frame that arrives at the Network actor of a host.
     Arrive(Arrive),
-    /// Counts of frames and airtime of the ether's radio, for the Recorder, the actor that keeps the results. The value
-    /// is boxed because it is large and rare.
+    /// Counters of frames and airtime of the link's emulated radio, for the Recorder, the actor that collects the
+    /// results. Boxed because it is large and rare.
     Counts(Box<RadioCounts>),
 }
 

@@ -25,10 +25,10 @@ pub const MAX_CANDIDATES: usize = 32;
 /// Difference \[us\] beyond which two stamps belong to different runs, even with equal incarnations: an hour.
 const SAME_CLOCK_US: i64 = 3_600_000_000;
 
-/// Incarnation of a host that has not proved its liveness yet.
+/// Incarnation (one run) of another host that has not proved its liveness yet, with the last stamp received from it.
 #[derive(Clone, Copy, Debug)]
 pub struct Candidate {
-    /// Incarnation of the host.
+    /// Incarnation: random number of one run of the host.
     pub incarnation: u32,
     /// Latest stamp that was received from the incarnation.
     pub stamp: Stamp,

@@ -56,13 +56,13 @@ impl Flags {
     /// Flag bit: the sender asks the receiver to acknowledge the datagram.
     pub const ACK: u8 = 8;
 
-    /// Whether the flag `bit` is set.
+    /// Whether the flag `bit`, one of the constants of this type, is set.
     pub fn has(self, bit: u8) -> bool {
         self.0 & bit != 0
     }
 }
 
-/// Header of a datagram.
+/// Header of a datagram: flags, sender and sequence number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Header {
     /// Flags of the datagram.
@@ -83,12 +83,12 @@ pub struct Header {
 pub enum Content {
     /// Message of this kind, such as a latent.
     Message(Kind),
-    /// Link report.
+    /// Link report: the sender's stamp, and an entry with echo, delay and loss for each listed host.
     Report,
     /// Link report on a link with unicast datagrams: each entry also has the sequence number of the sender's next
     /// unicast datagram to its host.
     NumberedReport,
-    /// Acknowledgements of datagrams.
+    /// Acknowledgements of datagrams that have arrived.
     Ack,
     /// Requests to retransmit datagrams that have not arrived.
     Nack,
@@ -152,16 +152,16 @@ pub enum DecodeError {
     /// A block has an undefined content type, given here as its byte.
     #[error("no message has the kind {0}")]
     Kind(u8),
-    /// A block is longer than the datagram, or the number of blocks is wrong.
+    /// A block is longer than the datagram, or there are too few or too many blocks.
     #[error("the blocks are not what their lengths say")]
     Blocks,
-    /// The body of a control block does not match its content byte.
+    /// A block with control data of the link layer is malformed; its type is given.
     #[error("the body is not a {0:?}")]
     Link(Content),
-    /// The body of a message does not match its kind.
+    /// The body of a message of the given kind is malformed.
     #[error("the body is not a {0:?}")]
     Body(Kind),
-    /// Bytes follow the message within its block.
+    /// A block has bytes after its message; the message's kind is given.
     #[error("bytes follow the {0:?}")]
     Trailing(Kind),
     /// The message is outside the ranges of its kind.

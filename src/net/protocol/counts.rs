@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 macro_rules! counts {
     ($($(#[$doc:meta])* $name:ident,)*) => {
-        /// Datagrams and messages of one link, as counted by one host.
+        /// Counters of the datagrams and messages of one host, on one link or summed over its links.
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
         #[serde(default)]
         pub struct LinkCounts {
@@ -22,7 +22,7 @@ macro_rules! counts {
 }
 
 counts! {
-    /// Datagrams sent with data, retransmissions not counted; and messages that stayed on the host.
+    /// Datagrams sent with data, without retransmissions; plus the messages that were published and stayed on the host.
     sent,
     /// Retransmissions: timed repeats, requested ones, and retries without an acknowledgement.
     copies,

@@ -27,7 +27,8 @@ pub const PIGGYBACK_WAIT: Span = Span::from_millis(100);
 /// Smallest interval between datagrams that contain only soft state (repeated messages); half of it if they contain an
 /// instruction of the state server.
 pub const SOFT_PERIOD: Span = Span::from_millis(200);
-/// Longest time between two link reports; then the next one is sent, in a datagram of its own if need be.
+/// Longest time between two link reports of a host on a link; then the next one is sent, in a datagram of its own if
+/// need be.
 pub const REPORT_PERIOD: Span = Span::from_millis(250);
 /// Age of the last report from which on a report that another host waits for may be piggybacked.
 const PENDING_PIGGYBACK_AGE: Span = Span::from_millis(10);

@@ -54,9 +54,9 @@ pub enum Piggyback {
 /// Whether hosts send link reports, with stamp, echo, delay and loss.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reports {
-    /// Hosts send no reports.
+    /// Hosts send no link reports.
     Off,
-    /// Hosts send reports several times a second.
+    /// Hosts send link reports several times a second.
     On,
 }
 

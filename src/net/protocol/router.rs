@@ -16,7 +16,7 @@ pub enum Audience {
     Host(HostId),
 }
 
-/// Route of one message.
+/// Route of a message at one host: whether it is delivered there, and on which link it is sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Route {
     /// Whether the message is delivered on this host.

@@ -51,12 +51,12 @@ impl Senders {
         self.all.get_mut(&id)
     }
 
-    /// Returns all senders, to be changed.
+    /// Returns all accepted senders, to be changed.
     pub fn iter_mut(&mut self) -> IterMut<'_, SenderId, Sender> {
         self.all.iter_mut()
     }
 
-    /// Returns all senders in the order of host and incarnation.
+    /// Returns all accepted senders in the order of host and incarnation.
     pub fn iter(&self) -> impl Iterator<Item = (SenderId, &Sender)> {
         self.all.iter().map(|(id, sender)| (*id, sender))
     }

@@ -127,11 +127,11 @@ pub enum OpenError {
 /// Result of a check whether a machine is fit to be a host: no defect, a limiting one or a preventing one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fitness {
-    /// No defect.
+    /// The check has found no defect.
     Ok,
-    /// A defect that limits operation.
+    /// The check has found a defect that limits operation.
     Warn,
-    /// A defect that prevents operation.
+    /// The check has found a defect that prevents operation.
     Fail,
 }
 
