@@ -96,7 +96,7 @@ pub struct Trial {
 /// Error of a trial that cannot be set up.
 #[derive(Debug, thiserror::Error)]
 pub enum TrialError {
-    /// The scenario cannot be made.
+    /// The scenario cannot be made: its name is unknown, or its settings do not fit.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
     /// A setting of the deployment is invalid; the error names the field.

@@ -31,7 +31,7 @@ pub enum In {
 pub struct Config {
     /// Robot whose readings and neighbours' messages the Cache stores.
     pub robot: RobotId,
-    /// Control period of the robot.
+    /// Control period of the robot: time between two of its control ticks.
     pub period: Span,
     /// Time of the control tick within each period, at which the Cache sends a percept.
     pub phase: Span,

@@ -71,7 +71,7 @@ pub struct Config {
     /// Setup of each link, in the order of the deployment; `None` for a link on which this host neither sends nor
     /// receives.
     pub links: Vec<Option<Setup>>,
-    /// Routing table of this host.
+    /// Routing table of this host, which says where each message goes.
     pub router: Router,
 }
 

@@ -19,7 +19,7 @@ pub const PERIOD: Span = Span::from_millis(20);
 /// hold it refers to.
 const SETTLING: Span = Span::from_millis(200);
 
-/// Kind of an operator's order.
+/// Kind of an operator's order to the team about the emergency stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OrderKind {
     /// Stop: all robots stop.

@@ -103,7 +103,7 @@ struct RobotTelemetry {
 pub enum Out {
     /// Status message for operators and the state server.
     Status(wire::Status),
-    /// Telemetry of robots for observers.
+    /// Telemetry (condition of the host's robots) for observers.
     Telemetry(Telemetry),
 }
 

@@ -19,7 +19,7 @@ const MOVED_M: f32 = 0.03;
 /// Smallest displacement that counts as motion, in multiples of the robot's largest displacement at rest.
 const MOVED_NOISES: f32 = 1.2;
 
-/// Result of a robot's test drive.
+/// Result of the short test drive of one robot: whether it moved as commanded, or why not.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Verdict {
     /// The robot moved correctly: measured distance \[m\], and deviation from the commanded direction \[rad\], positive
@@ -52,19 +52,19 @@ pub enum Verdict {
 pub enum Axes {
     /// The axes have no mistake.
     Right,
-    /// The sign of x is wrong.
+    /// The sign of the x component of vectors is wrong.
     MirroredX,
-    /// The sign of y is wrong.
+    /// The sign of the y component of vectors is wrong.
     MirroredY,
-    /// Both signs are wrong: rotation by half a turn.
+    /// Both components of vectors have the wrong sign, which is a rotation by half a turn.
     Reversed,
-    /// x and y are swapped.
+    /// The x and y components of vectors are swapped.
     Swapped,
     /// Vectors are rotated by a quarter turn to the left.
     Left,
     /// Vectors are rotated by a quarter turn to the right.
     RightTurn,
-    /// x and y are swapped, and both signs are wrong.
+    /// The x and y components of vectors are swapped, and both signs are wrong.
     SwappedReversed,
 }
 

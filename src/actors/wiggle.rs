@@ -47,11 +47,11 @@ pub enum In {
 /// Output message of a Wiggle, the actor that drives robots a short way to check them.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// Command for a robot's Body.
+    /// Velocity command for a robot's Body.
     Command(MotorCommand),
     /// Notice that the test drive of the robot begins.
     Begins(RobotId),
-    /// Result of a robot's test drive.
+    /// Result of the test drive of this robot.
     Result(RobotId, Verdict),
     /// Notice that all robots have a result, or that the wiggle was ended.
     Over,
@@ -62,7 +62,7 @@ pub enum Out {
 pub struct Driven {
     /// Id of the robot.
     pub robot: RobotId,
-    /// Chassis of the robot.
+    /// Chassis of the robot: its drive, holonomic or differential, and its limits of speed.
     pub chassis: Chassis,
     /// Largest speed that the robot's driver permits \[m/s\].
     pub limit_m_s: f32,

@@ -45,7 +45,7 @@ pub enum Stepping {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Host {
-    /// Name of the host.
+    /// Name of the host, by which team files and logs refer to it.
     pub name: String,
     /// Agents (actors that run the policy) of this host, each given by the ids of its robots. The Caches and
     /// Controllers of these robots also run on this host.
@@ -111,7 +111,7 @@ impl LinkMedium {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Link {
-    /// Name of the link.
+    /// Name of the link, by which team files and fault plans refer to it.
     pub name: String,
     /// Medium of the link, such as an access point or a cable.
     #[serde(default)]

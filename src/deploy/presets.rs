@@ -6,7 +6,7 @@ use crate::messages::wire::Kind;
 use crate::net::protocol::reliability::Reliabilities;
 use crate::world::Placement;
 
-/// Names of the preset modes.
+/// Names of the preset deployment modes.
 pub const MODES: [&str; 5] = ["sim", "centralized", "offboard", "onboard-infra", "onboard-adhoc"];
 
 impl Deployment {

@@ -13,7 +13,7 @@ pub struct Vec2 {
 }
 
 impl Vec2 {
-    /// Returns the vector with these coordinates.
+    /// Returns the vector with the coordinates `x` and `y`.
     #[inline(always)]
     pub const fn new(x: f32, y: f32) -> Vec2 {
         Vec2 { x, y }
@@ -227,16 +227,16 @@ impl SubAssign for Vec2 {
 /// Position \[m\] and velocity \[m/s\] of a robot, in the world frame unless a field of this type says otherwise.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Motion {
-    /// Position of the centre \[m\].
+    /// Position \[m\] of the robot's centre or, in readings for policies, of its commanded point.
     pub position: Vec2,
-    /// Velocity of the centre \[m/s\].
+    /// Velocity \[m/s\] of the point that `position` gives.
     pub velocity: Vec2,
 }
 
 /// Position and heading of a robot in the world frame (REP-103).
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Pose {
-    /// Position of the centre \[m\].
+    /// Position \[m\], world frame, of the robot's centre or, in readings for policies, of its commanded point.
     pub position: Vec2,
     /// Heading \[rad\], counter-clockwise from the x axis, from -pi to pi; `None` if no heading was measured.
     pub heading: Option<f32>,
@@ -245,7 +245,7 @@ pub struct Pose {
 /// Linear velocity and yaw rate of a robot in the world frame.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Twist {
-    /// Velocity of the centre \[m/s\].
+    /// Velocity \[m/s\], world frame, of the robot's centre or, in readings for policies, of its commanded point.
     pub velocity: Vec2,
     /// Yaw rate \[rad/s\], counter-clockwise; `None` if no yaw rate was measured.
     pub yaw_rate: Option<f32>,

@@ -66,7 +66,7 @@ impl Latch {
         self.state == State::Held
     }
 
-    /// Whether the emergency stop is engaged.
+    /// Whether the emergency stop is engaged: it is in force, and all robots stand.
     pub fn is_engaged(self) -> bool {
         self.state == State::Engaged
     }

@@ -99,9 +99,9 @@ pub struct Drive {
 /// Velocity and yaw rate of a robot in its own frame: x forward, y left, counter-clockwise rotation (REP-103).
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct BodyTwist {
-    /// Speed ahead \[m/s\].
+    /// Speed forward \[m/s\], along the robot's heading; negative backward.
     pub forward: f32,
-    /// Speed to the left \[m/s\].
+    /// Speed to the left of the robot's heading \[m/s\]; negative to the right.
     pub left: f32,
     /// Yaw rate \[rad/s\], counter-clockwise.
     pub yaw_rate: f32,

@@ -14,7 +14,7 @@ use crate::time::Time;
 /// Reason for which a run in virtual time has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// The caller's function `done` returned true.
+    /// The function `done`, which the caller gave, returned true.
     Done,
     /// No event was left in the queue of the clock, so nothing would happen any more.
     Idle,

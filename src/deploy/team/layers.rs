@@ -18,11 +18,11 @@ use crate::net::transport;
 /// Origin of the value of a field: command line flag, environment variable, team file or default.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Origin {
-    /// Command line flag with this name.
+    /// The value was set by the command line flag with this name.
     Flag(&'static str),
-    /// Environment variable with this name.
+    /// The value was set by the environment variable with this name.
     Environment(String),
-    /// Team file, at this line.
+    /// The value was set in the team file, at this line.
     File(usize),
     /// The value is the default of the field.
     Default,
@@ -42,9 +42,9 @@ impl fmt::Display for Origin {
 /// Value of a field of a team file, with the origin of the value.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LayerValue {
-    /// Value of the field.
+    /// Value of the field of the team file.
     pub value: Value,
-    /// Origin of the value.
+    /// Origin of the value: file, environment variable, flag or default.
     pub origin: Origin,
 }
 

@@ -11,9 +11,9 @@ use crate::world::{ContactRule, Sensor};
 pub struct Shown {
     /// Key of the field, such as `link.radio.transport`.
     pub key: String,
-    /// Value in effect, as text.
+    /// Value of the field that is in effect, as text.
     pub value: String,
-    /// Origin of the value.
+    /// Origin of the value: file, environment variable, flag or default.
     pub origin: Origin,
 }
 

@@ -5,9 +5,9 @@ use crate::time::{Span, Time};
 /// Rate limit that a receiver applies to the datagrams of one sender: sustained rate and burst size of a token bucket.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rate {
-    /// Sustained rate of datagrams \[1/s\].
+    /// Sustained rate that is permitted \[datagrams/s\].
     pub per_s: f64,
-    /// Burst size \[datagrams\].
+    /// Largest number of datagrams that may arrive at once after a pause.
     pub burst: f64,
 }
 

@@ -33,14 +33,14 @@ counts! {
     lapsed,
     /// Messages not sent, because they are outside the ranges of their kind.
     unfit,
-    /// Messages that were received and accepted.
+    /// Messages that were received and accepted, for actors of this host.
     accepted,
     /// Messages accepted from a retransmission, because the first transmission was lost.
     repaired,
     /// Messages ignored: they are for another host, and arrive here because datagrams on this link reach all hosts. Not
     /// a fault.
     aside,
-    /// Datagrams refused: sent by this process itself.
+    /// Datagrams refused: they were sent by this process itself.
     own,
     /// Datagrams refused: the tag is missing or wrong, or there is a tag and no key to check it.
     auth,
@@ -51,16 +51,16 @@ counts! {
     late,
     /// Datagrams refused: their sender has not proved its liveness yet.
     unproven,
-    /// Datagrams refused: from a second live host with the same id.
+    /// Datagrams refused: they are from a second live host with the same id.
     #[serde(rename = "twin")]
     duplicate_id,
-    /// Datagrams refused: from another team.
+    /// Datagrams refused: they are from another team.
     team,
-    /// Datagrams refused: another version of the wire format.
+    /// Datagrams refused: they have another version of the wire format.
     version,
     /// Messages refused: outside the ranges of their kind.
     range,
-    /// Datagrams and messages refused: received before.
+    /// Datagrams and messages refused: they were received before.
     duplicate,
     /// Messages refused: older than the newest message of their stream.
     stale,
@@ -70,7 +70,7 @@ counts! {
     crowd,
     /// Datagrams dropped: a queue of the transport was full.
     queue,
-    /// Datagrams refused: malformed.
+    /// Datagrams refused: their bytes do not have the form of the wire format.
     malformed,
     /// Messages refused: from a host that may not publish them, or about a robot that is not on this host.
     misrouted,

@@ -59,7 +59,7 @@ pub enum Verdict {
 pub struct LocalEnd {
     /// Id of this host.
     pub host: HostId,
-    /// Incarnation of this host.
+    /// Incarnation of this host: random number of this run.
     pub incarnation: u32,
     /// Id of the link.
     pub link: LinkId,

@@ -7,12 +7,12 @@ use std::sync::Arc;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{Condition, KINDS, Kind, Wire};
 
-/// Receivers of a datagram.
+/// Hosts that a datagram is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Audience {
     /// Every other host on the link.
     All,
-    /// The host with this id.
+    /// The one host with this id.
     Host(HostId),
 }
 

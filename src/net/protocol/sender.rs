@@ -178,11 +178,11 @@ impl Peer {
 /// Summary of another host on one link (such as delay and loss), for display and reports.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Peer {
-    /// Id of the link.
+    /// Id of the link on which the other host is received.
     pub link: u16,
     /// Id of the other host.
     pub host: u16,
-    /// Incarnation of the other host.
+    /// Incarnation of the other host: random number of its run.
     #[serde(rename = "epoch")]
     pub incarnation: u32,
     /// Whether the host is accepted, because it has proved its liveness. Messages of other hosts are refused.

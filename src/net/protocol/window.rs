@@ -9,9 +9,9 @@ pub const LOSS_SPAN: u32 = 64;
 /// Position of a received datagram relative to the replay window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Position {
-    /// The datagram has not arrived before.
+    /// The datagram has not arrived before, so it is accepted.
     New,
-    /// The datagram has arrived before.
+    /// The datagram has arrived before, so it is a duplicate.
     Seen,
     /// The datagram is older than the window, so it cannot be told whether it has arrived before.
     Behind,

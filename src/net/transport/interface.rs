@@ -34,7 +34,7 @@ pub enum InterfaceError {
     /// The kernel does not list the interfaces.
     #[error("cannot list the network interfaces: {0}")]
     Unknown(String),
-    /// There is no interface with the configured name.
+    /// This machine has no network interface with the configured name.
     #[error("there is no network interface '{name}'; there are: {known}")]
     Missing {
         /// Configured name.
@@ -42,7 +42,7 @@ pub enum InterfaceError {
         /// List of the existing interfaces.
         known: String,
     },
-    /// The configured interface is down.
+    /// The configured network interface is down.
     #[error("the network interface '{name}' is down; there are: {known}")]
     Down {
         /// Configured name.
@@ -60,7 +60,7 @@ pub enum InterfaceError {
         /// List of the existing interfaces.
         known: String,
     },
-    /// `auto` matches several interfaces, or none.
+    /// The interface is configured as `auto`, and several network interfaces are suitable, or none.
     #[error("'auto' finds {found} interfaces that are up and no loopback; name one of: {known}")]
     Ambiguous {
         /// Number of suitable interfaces.

@@ -74,7 +74,7 @@ pub struct Entry {
     pub read: fn(&LinkSettings) -> Result<Arc<dyn Endpoint>, ConfigError>,
 }
 
-/// All transports of this crate.
+/// Registry entries of all transports of this crate.
 pub const REGISTRY: &[Entry] = &[udp::multicast::ENTRY, udp::unicast::ENTRY];
 
 /// Names of fields of a link that no transport may define, since every link has them.

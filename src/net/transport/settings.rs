@@ -35,7 +35,7 @@ impl Field {
 /// Value of a field of a team file, with the field's name for errors.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FieldValue {
-    /// Value of the field.
+    /// Value of the field of the team file.
     pub value: Value,
     /// Name of the field for errors, with the line, flag or variable that set it.
     pub place: String,
