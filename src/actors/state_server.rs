@@ -19,22 +19,20 @@ use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
 use crate::world::Placement;
 
-/// Period at which the state server decides whether to enter another phase; equal to one step of a World.
+/// Period at which the state server decides whether to enter another phase: one step of a World.
 pub const TICK: Span = Span::from_millis(50);
-/// Period at which the state server repeats an unchanged instruction. In a team of more than 64 robots, each repetition
-/// has the tasks of one block of 64.
+/// Period at which the state server repeats an unchanged instruction, in teams of more than 64 robots to 64 at a time.
 pub const MODE_PERIOD: Span = Span::from_millis(100);
-/// Number of times that a new instruction is sent with the tasks of all robots, so that a loss of all copies is
-/// unlikely. Later repetitions have the tasks of one block of robots each.
+/// Number of times that a new instruction is sent with the tasks of all robots, in case copies are lost. Later ones
+/// have the tasks of one block of robots each.
 pub const NEW_MODE_REPEATS: u32 = 3;
 /// Time without a heartbeat after which a robot counts as missing: five heartbeat periods.
 pub const MISSING_AFTER: Span = Span::from_millis(1000);
-/// Longest time for which the state server waits for missing robots, at the start and after an aborted episode. Then it
-/// continues without them.
+/// Longest wait for missing robots at the start and after an aborted episode; then the team continues without them.
 pub const MUSTER_LIMIT: Span = Span::from_millis(10_000);
 /// Longest duration of a reset; after it, the reset has failed.
 pub const RESET_LIMIT: Span = Span::from_millis(60_000);
-/// Time by which an episode may exceed its longest duration before it is aborted, since heartbeats may arrive late.
+/// Time by which an episode may exceed its longest duration before it is aborted: heartbeats may be late.
 pub const GRACE: Span = Span::from_millis(500);
 
 /// Input message of a state server, the actor that leads the episodes of a team.
@@ -55,8 +53,7 @@ pub enum In {
 pub enum Out {
     /// Instruction for the team: reset, run or stop, and the episode.
     Mode(Mode),
-    /// Emergency stop state and robots that prevent a resume: answer to an operator, sent through the Status of the
-    /// server's host.
+    /// Emergency stop state and robots that prevent a resume: answer to an operator, sent through the Status.
     Leading(Leading),
 }
 
@@ -77,8 +74,7 @@ pub struct Config {
     pub real: Vec<RobotId>,
 }
 
-/// State server of a team: the actor that decides when resets and episodes begin and end, and sends instructions to all
-/// robots.
+/// State server: the actor that decides when resets and episodes begin and end, and sends instructions to robots.
 #[derive(Debug)]
 pub struct StateServer {
     config: Config,

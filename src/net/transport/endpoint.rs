@@ -142,7 +142,7 @@ pub struct Finding {
     pub fitness: Fitness,
     /// Subject of the check, such as "MTU".
     pub what: &'static str,
-    /// What was found on this machine, such as `1500 bytes`.
+    /// Observation on this machine, such as `1500 bytes`.
     pub found: String,
     /// Advice on how to remove the defect; empty if there is none.
     pub advice: String,
