@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 #: Bias of TorchRL's "biased_softplus_1.0".
 SOFTPLUS_BIAS = math.log(math.expm1(1.0 - 0.01))
-#: How far a robot hears whose network joins all robots [m].
+#: Communication range of an exported policy whose network takes the messages of all robots [m].
 EVERYWHERE_M = 100.0
 #: Models of BenchMARL that a policy file can hold.
 MODELS = ("Mlp", "Gnn", "SequenceModel")
@@ -25,11 +25,13 @@ class Actor:
     """An actor in the parts of a policy file.
 
     Attributes:
-        encoder, hops, decoder: Its networks and convolutions.
-        loops: Which of the convolutions have robots as neighbours of their own, by number.
+        encoder, hops, decoder: Network before the convolutions; the convolutions, with the layers that follow each;
+            network after the convolutions.
+        loops: Numbers, from 0, of the convolutions in which a robot is one of its own neighbours.
         edge: Features of an edge, by the names of a policy file.
         manifest: Fields of the manifest that the actor decides.
-        whole: What answers for a team of (R, F) observations: means, deviations and the action that it takes, each (R, 2).
+        whole: Function that runs the original actor on the observations (R, F) of a team. It returns mean and standard
+            deviation of the normal distribution, and the deterministic action, each (R, 2). None without such an actor.
     """
 
     encoder: nn.Module
@@ -42,7 +44,16 @@ class Actor:
 
 
 def actor_of(policy: Any, fields: Sequence[str], limit_m_s: float) -> Actor:
-    """Takes an actor apart. ``fields`` are those of its observation, ``limit_m_s`` the largest velocity along an axis."""
+    """Takes a policy of BenchMARL or TorchRL apart into the parts of a policy file.
+
+    Args:
+        policy: Policy of one group of robots.
+        fields: Names of the entries of an observation, in order; each has two floats.
+        limit_m_s: Largest velocity along an axis [m/s].
+
+    Raises:
+        Refused: A policy file cannot hold the policy.
+    """
     import torch
     from torch import nn
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 #: Largest difference between what PyTorch and the program compute for the robots of the probe.
 TOLERANCE = 1e-5
-#: Widths of the features of a message's edge.
+#: Number of floats of each feature of an edge: of the pair of a message's sender and receiver.
 EDGE_WIDTHS = {"age": 1, "relative-position": 2, "distance": 1, "relative-velocity": 2}
 #: Log standard deviation of a policy whose decoder has the velocity alone.
 LOG_STD = -2.0
@@ -44,12 +44,12 @@ def export(
 ) -> pathlib.Path:
     """Writes a policy of PyTorch modules to a policy file, for ``sim``, ``study`` and robots.
 
-    The policy is ``decoder(hops(encoder(observation)))``. The file holds the answers of the modules for eight robots, of
-    which one hears nobody, one hears one and the others hear four. The program computes them again from the file; without
-    agreement within 1e-5 there is no file.
+    The policy is ``decoder(hops(encoder(observation)))``. The file holds the outputs of the modules for eight robots, of
+    which one receives no message, one receives one and the others four. The program computes them again from the file;
+    without agreement within 1e-5 there is no file.
 
     Without ``hops`` and ``decoder`` the second argument is a whole actor of BenchMARL or TorchRL, which is taken apart. It must
-    itself agree within 1e-5 with the program, for a team in which everybody hears everybody.
+    itself agree within 1e-5 with the program, for a team in which every robot receives the messages of all others.
 
     Args:
         file: File to write, or to replace.
@@ -57,7 +57,7 @@ def export(
             whole actor: an ``Experiment`` of BenchMARL or its policy, whose models are ``Mlp`` and ``Gnn`` with the topology
             "full", or a ``ProbabilisticActor`` of TorchRL. ``edge``, ``distribution`` and ``deviation`` are then its own.
         hops: Convolutions of PyTorch Geometric (``GraphConv``, ``GATv2Conv``, ``GINEConv``, ``TransformerConv``), each
-            followed by an activation or a network if there is one. Empty for a policy that hears nobody.
+            followed by an activation or a network if there is one. Empty for a policy without messages.
         decoder: As the encoder; its outputs are the velocity along x and y [m/s], policy frame, and the parameters of
             their standard deviations. With two outputs alone these are constant.
         like: Environment in which the policy was trained, a :class:`murmurate.VecEnv` or :class:`murmurate.torchrl.Env`: it
@@ -141,7 +141,7 @@ def _asked(
 
 
 def biased_softplus(x: Tensor) -> Tensor:
-    """Deviations of TorchRL's "biased_softplus_1.0", which makes 1 of 0 and at least 0.01 of everything."""
+    """Returns the standard deviations that TorchRL's "biased_softplus_1.0" makes of outputs: 1 of 0, never below 0.01."""
     import torch
 
     return torch.nn.functional.softplus(x + SOFTPLUS_BIAS) + 0.01

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 class Refused(Exception):
-    """A module that a policy file cannot hold."""
+    """Error of a module that a policy file cannot hold; it names the argument of ``export``, the module and the reason."""
 
     def __init__(self, argument: str, module: nn.Module | None, why: str):
         super().__init__(f"{argument}: {'' if module is None else type(module).__name__ + ': '}{why}")
@@ -57,7 +57,7 @@ def linear(module: nn.Linear) -> tuple[Tensor, Tensor]:
 def network_of(module: nn.Module, argument: str) -> tuple[dict[str, Any], list[tuple[Tensor, Tensor]]]:
     """Returns the form and the layers of a network of linear layers with one kind of activation between them.
 
-    A layer is a pair of a weight (out, in) and a bias (out).
+    The form is its entry in the manifest: widths and activations. A layer is a pair of a weight (out, in) and a bias (out).
     """
     from torch import nn
 
@@ -91,7 +91,10 @@ def network_of(module: nn.Module, argument: str) -> tuple[dict[str, Any], list[t
 def followed(
     form: dict[str, Any], layers: list[tuple[Tensor, Tensor]], after: nn.Module, argument: str
 ) -> tuple[dict[str, Any], list[tuple[Tensor, Tensor]]]:
-    """Returns the form and the layers of a network with another behind it."""
+    """Returns one network for a network, of this form and these layers, and the module ``after`` on its outputs.
+
+    Form (an entry of the manifest) and layers are as :func:`network_of` returns them.
+    """
     more, behind = network_of(after, argument)
     between = form.get("output_activation")
     if between is None:
@@ -118,7 +121,7 @@ def edges_of(conv: Any) -> int:
 
 
 def hop_of(conv: nn.Module, width: int, edge: int, argument: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Returns the form of a convolution as a hop, and the layers of its networks.
+    """Returns the entry of the manifest for a convolution as a hop, and the layers of each of its networks by name.
 
     ``width`` is the number of floats of a robot's input, ``edge`` that of an edge's features.
     """

@@ -4,6 +4,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+#: Version of the package.
 __version__: str
 
 class VecEnv:
@@ -31,6 +32,23 @@ class VecEnv:
             None takes the ranges of the configuration.
         filtered: Probability that the safety filter of real robots limits an episode's actions; None takes that of the
             configuration, 0 in the presets.
+
+    Attributes:
+        obs: Observations (N, R, F): pairs of floats [m], policy frame, in the order of ``observation_fields``.
+        last_obs: Observations (N, R, F) before an automatic reset: where an episode has ended, its last ones.
+        reward: Rewards of the step (N, R).
+        terminated: Whether the episode has ended because all robots have arrived (N).
+        truncated: Whether the episode has ended because its time is over (N).
+        arrived: Whether each robot has arrived at its goal (N, R).
+        heard: Whether a receiver uses a message of a sender (N, R, R), by receiver and then by sender; (0, R, R) without
+            messages.
+        age: Time since the message in use arrived [s] (N, R, R), by receiver and then by sender.
+        said: Content of the message in use (N, R, R, M), by receiver and then by sender.
+        num_envs: Number of environments N.
+        num_robots: Number of robots R of each environment.
+        limit_m_s: Largest commanded velocity along each axis [m/s].
+        radius_m: Largest distance between two robots that receive each other's messages [m].
+        observation_fields: Names of the entries of an observation, each with two floats [m].
 
     Raises:
         ValueError: An argument is wrong; the message names it.
@@ -68,8 +86,38 @@ class VecEnv:
         radio: str | None = None,
         filtered: float | None = None,
     ) -> None: ...
-    def step(self, actions: NDArray[np.float32], messages: NDArray[np.float32] | None = None) -> None: ...
-    def reset(self, mask: NDArray[np.bool_] | None = None, *, seed: int | None = None) -> None: ...
+    def step(self, actions: NDArray[np.float32], messages: NDArray[np.float32] | None = None) -> None:
+        """Advances every environment by 50 ms.
 
-def sim_json(arguments: Sequence[str]) -> str: ...
-def run_program(started_by: Sequence[str], arguments: Sequence[str]) -> int: ...
+        Args:
+            actions: Velocities [m/s], policy frame (N, R, 2).
+            messages: Floats that the policies put out (N, R, M), only with ``message="action"``.
+
+        Raises:
+            ValueError: An array has another type, shape or order, or a value that is not finite.
+        """
+
+    def reset(self, mask: NDArray[np.bool_] | None = None, *, seed: int | None = None) -> None:
+        """Starts new episodes in the environments where ``mask`` (N) is true, or in all.
+
+        With ``seed`` all random numbers begin anew, which is possible only for all environments together.
+
+        Raises:
+            ValueError: The mask has another type or shape, or is given with a seed.
+        """
+
+def sim_json(arguments: Sequence[str]) -> str:
+    """Runs ``murmurate sim`` with these arguments and returns its results as JSON.
+
+    Raises:
+        ValueError: A flag or a file is wrong.
+        RuntimeError: The simulation has failed.
+        KeyboardInterrupt: Ctrl-C.
+    """
+
+def run_program(started_by: Sequence[str], arguments: Sequence[str]) -> int:
+    """Runs ``murmurate`` with these arguments and returns its exit code.
+
+    ``started_by`` are the words of the command that starts the program, such as ``python -m murmurate``, with which
+    ``launch`` starts the processes of a team.
+    """

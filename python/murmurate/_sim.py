@@ -23,13 +23,13 @@ class Results:
         episodes: Number of episodes with a result.
         successes: Number of successful episodes.
         success_rate: Share of successful episodes, 0 to 1.
-        success_ci95: Ends of its 95 % Wilson interval.
+        success_ci95: Ends of the 95 % Wilson interval of the success rate.
         makespan_median_s: Median time until all robots had arrived [s]; None without a success.
         robot_collisions: Episodes that failed because robots touched each other.
         wall_collisions: Episodes that failed because a robot touched a wall.
-        timeouts: Episodes whose time was over.
+        timeouts: Episodes that ran out of time.
         aborted: Episodes that were aborted.
-        trace_hash: Digest of all messages and motions, equal to that of the program.
+        trace_hash: Digest of all messages and motions; the command line prints the same for the same flags.
         report: Everything that ``murmurate sim --json`` prints.
     """
 
@@ -59,7 +59,8 @@ def sim(
     """Runs episodes in one process under virtual time.
 
     Every flag of ``murmurate sim`` is a keyword: ``--delay-ms 20`` is ``delay_ms=20``, a switch such as ``--watch`` is
-    ``watch=True``, and a list repeats its flag. Ctrl-C ends the run with ``KeyboardInterrupt``. The interpreter's lock is free while it runs.
+    ``watch=True``, and a list repeats its flag. Ctrl-C ends the run with ``KeyboardInterrupt``. Other threads of Python go
+    on while it runs.
 
     Args:
         scenario: Task of the team.

@@ -23,7 +23,7 @@ class Training:
         folder: Folder with policy, checkpoint, curve and configuration.
         policy: Policy file, for ``sim``, ``study`` and robots.
         decisions: Number of decisions that it was trained on.
-        evaluation: One dictionary for each condition and kind of action, of a quick evaluation at the end.
+        evaluation: Results of a quick evaluation at the end, one dictionary for each condition and kind of action.
         report: Everything that ``murmurate train --json`` prints.
     """
 

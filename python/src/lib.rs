@@ -12,7 +12,11 @@ use pyo3::prelude::*;
 /// Registry of this process, in which the module's classes and functions look up names.
 static REGISTRY: OnceLock<Registry> = OnceLock::new();
 
-/// Adds all classes and functions to the module. They know the parts of the registry.
+/// Adds the classes and functions of Murmurate to a Python module. They find scenarios, policies and other parts by
+/// name in `registry`.
+///
+/// # Errors
+/// An exception of Python while the module is filled.
 ///
 /// # Panics
 /// If the process has filled a module before.

@@ -12,7 +12,8 @@ use pyo3::prelude::*;
 /// Time between two checks for a signal such as Ctrl-C.
 const SIGNALS: Duration = Duration::from_millis(50);
 
-/// Runs `murmurate sim` with these arguments and returns its results as JSON. Ctrl-C ends it early, with an exception.
+/// Runs `murmurate sim` with these arguments (those after `sim`) and returns its results as JSON. A wrong flag or file
+/// is a `ValueError`, a failure a `RuntimeError`; Ctrl-C ends the run with `KeyboardInterrupt`.
 #[pyfunction]
 pub fn sim_json(py: Python<'_>, arguments: Vec<String>) -> PyResult<String> {
     let stop = AtomicBool::new(false);
@@ -42,7 +43,8 @@ pub fn sim_json(py: Python<'_>, arguments: Vec<String>) -> PyResult<String> {
     results.map_err(exception)
 }
 
-/// Makes an exception of an error: a `ValueError` for a wrong flag or file, else a `RuntimeError`.
+/// Converts an error of the program to an exception of Python: a `ValueError` for a wrong flag or file, else a
+/// `RuntimeError`.
 pub fn exception(error: anyhow::Error) -> PyErr {
     match error.downcast_ref::<BadInput>() {
         Some(bad) => PyValueError::new_err(bad.0.clone()),
@@ -50,8 +52,9 @@ pub fn exception(error: anyhow::Error) -> PyErr {
     }
 }
 
-/// Runs the program with these arguments, which do not contain its name, and returns its exit code. `started_by` are the
-/// words of the command that starts it, for the processes of `launch`.
+/// Runs the program `murmurate` with these arguments, which do not contain its name, and returns its exit code.
+/// `started_by` are the words of the command that starts the program, such as `python -m murmurate`, with which `launch`
+/// starts the processes of a team.
 #[pyfunction]
 pub fn run_program(py: Python<'_>, started_by: Vec<OsString>, arguments: Vec<OsString>) -> u8 {
     let code = py.detach(|| program::main_within(crate::registry(), started_by, arguments));

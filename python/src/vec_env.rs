@@ -11,14 +11,15 @@ use numpy::{
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-/// Vectorised environment of one scenario. docs/python.md describes its buffers.
+/// Vectorised environment of one scenario: N teams of R robots each, advanced together, with results in numpy arrays
+/// that every step writes again. docs/python.md describes the arrays.
 #[pyclass]
 pub struct VecEnv {
     environments: VectorEnvironment,
     /// Observations (N, R, F), float32: goal minus position, position, position plus velocity [m], policy frame.
     #[pyo3(get)]
     obs: Py<PyArray3<f32>>,
-    /// Observations (N, R, F) before a reset: where an episode has ended, its last ones.
+    /// Observations (N, R, F) before an automatic reset: where an episode has ended, its last ones.
     #[pyo3(get)]
     last_obs: Py<PyArray3<f32>>,
     /// Rewards (N, R), float32.
@@ -37,10 +38,10 @@ pub struct VecEnv {
     /// messages.
     #[pyo3(get)]
     heard: Py<PyArray3<bool>>,
-    /// Time since that message arrived [s] (N, R, R).
+    /// Time since the message in use arrived [s] (N, R, R), by receiver and then by sender.
     #[pyo3(get)]
     age: Py<PyArray3<f32>>,
-    /// Content of that message (N, R, R, M).
+    /// Content of the message in use (N, R, R, M), by receiver and then by sender.
     #[pyo3(get)]
     said: Py<PyArray4<f32>>,
 }

@@ -1,6 +1,6 @@
 //! Drivers: access of a Body to its robot's motors. A driver is one file and one line in `REGISTRY`.
 //!
-//! A driver is pure: it turns velocities into packets for its worker, and the worker's packets into the robot's
+//! A driver does no I/O: it turns velocities into packets for its worker, and the worker's packets into the robot's
 //! condition. The Body handles expiry of commands and the emergency stop, for all drivers alike.
 
 pub mod program;
@@ -22,8 +22,8 @@ pub enum Out {
     Drive(Drive),
     /// Packet for the driver's worker, the thread that does its input and output.
     Send(Packet),
-    /// Pose and velocity that the robot has measured itself, in a frame of its own that drifts: odometry. The host's
-    /// source may use it.
+    /// Pose and velocity that the robot has measured itself, in a frame of its own that drifts: odometry. The source of
+    /// readings of the robot's host may use it.
     Odometry(Reading),
     /// Condition of the robot: health, and charge, temperature and the reason of a fault where they are known.
     Condition(Hardware),
@@ -48,7 +48,7 @@ pub struct Command {
     pub body: Option<BodyTwist>,
 }
 
-/// Pure part of the driver of one robot: turns velocities into packets for the driver's worker, and the worker's
+/// Part of one robot's driver that does no I/O: turns velocities into packets for the driver's worker, and the worker's
 /// packets into the robot's condition.
 pub trait Driver {
     /// Returns the limits of the robot's motion. A Body caps every commanded speed at them.
@@ -70,10 +70,10 @@ pub trait Driver {
     fn wake(&mut self, _now: Time, _out: &mut Vec<Out>) {}
 }
 
-/// The two parts of a driver, made from its settings: a constructor of the pure part, which is called at each start of
-/// the robot's Body, and the worker.
+/// The two parts of a robot's driver, made from its settings: a constructor of the part without I/O, which is called at
+/// each start of the robot's Body, and the worker.
 pub struct Parts {
-    /// Makes a new instance of the driver's pure part.
+    /// Makes a new instance of the part without I/O.
     pub driver: Box<dyn Fn() -> Box<dyn Driver>>,
     /// Worker that does the driver's I/O; `None` if the driver needs none.
     pub worker: Option<Box<dyn Worker>>,

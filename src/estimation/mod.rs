@@ -1,7 +1,8 @@
 //! Estimators: compute a robot's state at a tick of its agent from the robot's readings. An estimator is one file and
 //! one line in `REGISTRY`.
 //!
-//! An estimator is pure. It uses arrival times on this host only, because a sensor's clock is compared with no other.
+//! An estimator does no I/O. Ages of readings count from their arrival on this host: an estimator that uses a sensor's
+//! stamps estimates the offset of the sensor's clock from arrival times.
 
 pub mod constant_velocity;
 pub mod kalman;
@@ -25,7 +26,8 @@ pub trait Estimator: std::fmt::Debug {
     /// Updates the estimate with a reading that has arrived at `now`.
     fn take(&mut self, now: Time, reading: &Reading);
 
-    /// Returns the estimated position and velocity at `now`; `None` before the first reading.
+    /// Returns the estimated position and velocity at `now`, in the frame of the readings; `None` before the first
+    /// reading.
     fn at(&self, now: Time) -> Option<Motion>;
 
     /// Returns the standard deviation of the estimated position along each axis at `now` \[m\]; 0 for an estimator that

@@ -84,7 +84,7 @@ pub enum LinkFaultKind {
     Reorder,
     /// One bit in the body of each affected frame is flipped; headers stay intact.
     Corrupt,
-    /// Frames between the named hosts and all other hosts are lost.
+    /// Frames between the hosts that the fault names and all other hosts are lost.
     Partition,
 }
 

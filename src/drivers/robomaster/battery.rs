@@ -21,8 +21,8 @@ pub struct Battery {
 }
 
 impl Battery {
-    /// Makes a battery of unknown charge. The robot stops at the charge `least` (0 to 1, 0 for never) and is asked
-    /// every `period_s` \[s\].
+    /// Makes the state of a battery of unknown charge. The robot stops at the charge `least` (0 to 1; 0 for never), and
+    /// its charge is queried every `period_s` \[s\].
     pub fn new(least: f32, period_s: f64) -> Battery {
         let least = (least * 100.0).round() as u8;
         Battery { least, period: Span::from_secs(period_s), charge: None, due: Time::ZERO, low: false }

@@ -1,5 +1,5 @@
-//! Packets between the pure part of the RoboMaster driver and its worker, encoded as bytes so that they can be recorded
-//! and replayed.
+//! Packets between the RoboMaster driver, which does no I/O, and its worker, encoded as bytes so that they can be
+//! recorded and replayed.
 
 use crate::edge::Packet;
 use crate::time::Span;
@@ -16,7 +16,7 @@ pub enum Hold {
     For(Span),
 }
 
-/// Packet from the driver's pure part to its worker. The worker numbers its connections with the robot.
+/// Packet from the RoboMaster driver to its worker. The worker numbers its connections with the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ToWorker<'a> {
     /// Open a new connection. The old one is closed once the new one is open.
@@ -32,7 +32,7 @@ pub enum ToWorker<'a> {
     },
 }
 
-/// Packet from the driver's worker to its pure part. Connections with the robot are numbered.
+/// Packet from the RoboMaster driver's worker to the driver. Connections with the robot are numbered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FromWorker<'a> {
     /// The connection with this number was opened.
@@ -43,7 +43,7 @@ pub enum FromWorker<'a> {
     Control(u32, &'a [u8]),
     /// Bytes received on the event connection, with the number of the connection.
     Event(u32, &'a [u8]),
-    /// Arrival time \[ns\], on the worker's clock, and content of a datagram with the robot's state (a push).
+    /// Datagram with the robot's state (a push): its arrival time \[ns\], on the worker's clock, and its content.
     Push(u64, &'a [u8]),
 }
 

@@ -33,7 +33,7 @@ impl Motion {
         (self.wanted, self.fresh, self.standing) = (None, false, true);
     }
 
-    /// Sets the wanted velocity and the time of its expiry.
+    /// Sets the wanted velocity of the robot, and `until`, the time of its expiry.
     pub fn want(&mut self, speed: ChassisSpeed, until: Time) {
         (self.wanted, self.fresh) = (Some((speed, until)), true);
     }
@@ -67,8 +67,8 @@ impl Motion {
         }
     }
 
-    /// Returns the next line to send, with the validity of the motion: the wanted velocity, or a stand command if there
-    /// is none or it has expired.
+    /// Returns the next line to send, with the validity of the motion: the wanted velocity, or a stand command if no
+    /// velocity is wanted or it has expired at `now`.
     pub fn next(&mut self, now: Time) -> (Line, Hold) {
         match self.wanted {
             Some((speed, until)) if until > now => {

@@ -54,7 +54,7 @@ pub struct Odometry {
 }
 
 impl Odometry {
-    /// Makes an odometry that has received nothing yet.
+    /// Makes the odometry of `robot` for a new connection, on which nothing has been received yet.
     pub fn new(robot: RobotId) -> Odometry {
         Odometry { robot, positions: Track::default(), headings: Track::default() }
     }
@@ -93,7 +93,7 @@ impl Odometry {
     }
 }
 
-/// Whether all numbers of the reading are in the range that messages permit.
+/// Whether all numbers of the reading are in the ranges that are permitted in messages between hosts.
 pub fn is_sound(reading: &Reading) -> bool {
     reading.unfit().is_none()
 }

@@ -121,8 +121,8 @@ pub struct Splitter {
 }
 
 impl Splitter {
-    /// Takes bytes of the stream, and calls `each` with every statement that they complete, without its semicolon.
-    /// Empty statements are skipped.
+    /// Takes bytes of the stream, and calls `each` with every statement that they complete, without its semicolon, or
+    /// with the reason why it is refused. Empty statements are skipped.
     pub fn take(&mut self, bytes: &[u8], mut each: impl FnMut(Result<&str, Malformed>)) {
         for &byte in bytes {
             if byte != b';' {
@@ -155,7 +155,8 @@ pub struct Answer<'a> {
     pub seq: Option<u32>,
 }
 
-/// Decodes a statement of the control connection; an error if it is malformed.
+/// Decodes a statement of the control connection, without its semicolon, to the robot's answer; an error if it is
+/// malformed.
 pub fn decode_answer(statement: &str) -> Result<Answer<'_>, Malformed> {
     let Some((result, seq)) = statement.rsplit_once("seq ") else {
         return Ok(Answer { result: statement.trim(), seq: None });

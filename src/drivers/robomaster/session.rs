@@ -1,4 +1,4 @@
-//! Session with one robot: the pure part of the driver.
+//! Session with one robot: the part of the driver that does no I/O.
 //!
 //! A session consists of opening, the lines of the set-up, and driving. One line at a time waits for its answer,
 //! because the robot queues lines and executes them late; only the newest velocity is kept to be sent next. A stand

@@ -2,7 +2,7 @@
 
 use serde::Deserialize;
 
-/// Reason for which a line of gpsd could not be decoded.
+/// Reason for which a line of gpsd could not be decoded, or for which its fix gives no reading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct Malformed(pub &'static str);
