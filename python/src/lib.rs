@@ -1,5 +1,5 @@
-//! The Python module `murmurate._murmurate`: Murmurate's environments on numpy buffers, its simulations and its program.
-//! The package around it is in `murmurate/`. A crate with scenarios of its own fills a module with [`fill`].
+//! The Python module `murmurate._murmurate`: Murmurate's environments on numpy buffers, its simulations and its
+//! program. The package around it is in `murmurate/`. A crate with scenarios of its own fills a module with [`fill`].
 
 mod program;
 mod vec_env;

@@ -53,8 +53,8 @@ pub fn exception(error: anyhow::Error) -> PyErr {
 }
 
 /// Runs the program `murmurate` with these arguments, which do not contain its name, and returns its exit code.
-/// `started_by` are the words of the command that starts the program, such as `python -m murmurate`, with which `launch`
-/// starts the processes of a team.
+/// `started_by` are the words of the command that starts the program, such as `python -m murmurate`, with which
+/// `launch` starts the processes of a team.
 #[pyfunction]
 pub fn run_program(py: Python<'_>, started_by: Vec<OsString>, arguments: Vec<OsString>) -> u8 {
     let code = py.detach(|| program::main_within(crate::registry(), started_by, arguments));

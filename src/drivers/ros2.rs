@@ -1,7 +1,8 @@
 //! Driver of ROS 2 robots that receive `geometry_msgs/Twist` or `TwistStamped` and report `nav_msgs/Odometry`.
 //!
-//! The driver does no I/O: the DDS process and its supervisor are in `ros2`. Silence of the odometry is a fault, and the
-//! robot is told to stand. Zeros are repeated at full rate until the odometry says that the robot stands, then five times a second.
+//! The driver does no I/O: the DDS process and its supervisor are in `ros2`. Silence of the odometry is a fault, and
+//! the robot is told to stand. Zeros are repeated at full rate until the odometry says that the robot stands, then five
+//! times a second.
 
 use std::collections::BTreeMap;
 
@@ -157,8 +158,8 @@ fn plan(config: &Config, robot: RobotId) -> Result<Plan, ConfigError> {
     Ok(Plan { name: robot.to_string(), domain, interface, memory_mib, writers, readers })
 }
 
-/// Part without I/O of the ROS 2 driver of one robot: turns commands into velocities for the DDS process, and watches the
-/// robot's odometry.
+/// Part without I/O of the ROS 2 driver of one robot: turns commands into velocities for the DDS process, and watches
+/// the robot's odometry.
 struct Ros2 {
     robot: RobotId,
     limits: Limits,

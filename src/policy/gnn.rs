@@ -220,8 +220,8 @@ impl Gnn {
     /// Returns the network's raw outputs: mean_x, mean_y, log_std_x and log_std_y of the distribution of a velocity
     /// \[m/s\], policy frame. The manifest's upper limit of the log standard deviation is not applied.
     ///
-    /// The arguments are those of [`Policy::act`]: the robot's observation, the features just encoded, and the
-    /// neighbours' messages.
+    /// `own` is the robot's observation, `features` its own latent, which `encode` has just computed, and `neighbours`
+    /// are the neighbours' messages in use.
     pub fn outputs(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour]) -> [f32; 4] {
         self.reserve(neighbours.len());
         let (network, space) = (&*self.network, &mut self.space);

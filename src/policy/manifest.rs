@@ -13,8 +13,8 @@ use crate::scenario::Observation;
 
 /// Key of the safetensors metadata under which a policy file stores its manifest.
 pub const KEY: &str = "murmurate";
-/// Version of the manifest's format that this module reads, and that the trainer writes. The other one that this
-/// program reads is `hops::manifest::FORMAT`.
+/// Version of the manifest's format that this module reads, and that the trainer writes. The other format that this
+/// program reads is that of policies with several hops, `hops::manifest::FORMAT`.
 pub const FORMAT: u32 = 1;
 
 /// Layout of the message-passing network: how the messages of a robot's neighbours lead to its action.

@@ -72,7 +72,7 @@ impl Probe {
 /// value has the differences found; it is `None` if the file has no test data.
 ///
 /// # Errors
-/// If the network computes other numbers than those stored.
+/// If the network's outputs differ from the correct ones of the test data by more than `Probe::TOLERANCE`.
 pub fn network(mut file: PolicyFile) -> Result<(Arc<Network>, Option<Difference>), WeightsError> {
     let probe = file.probe.take();
     let network = Arc::new(Network::new(file));

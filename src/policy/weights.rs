@@ -55,7 +55,7 @@ impl Probe {
     pub const MOST_ROBOTS: usize = 64;
 }
 
-/// Content of a policy file that has been checked: metadata, weights and test data.
+/// Content of a policy file of format 1 that has been checked: metadata, weights and test data.
 #[derive(Debug)]
 pub struct PolicyFile {
     /// Manifest (metadata) of the policy file. For a file without a manifest, it is that of the policy published with
@@ -151,8 +151,8 @@ pub enum WeightsError {
     },
 }
 
-/// Parses and checks a policy file, of which `bytes` is the whole content. An error describes the first fault found.
-/// The networks are not compared with the file's test data; `probe::network` does that.
+/// Parses and checks a policy file of format 1, of which `bytes` is the whole content. An error describes the first
+/// fault found. The networks are not compared with the file's test data; `probe::network` does that.
 pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
     let SafeTensors { metadata, tensors } = safetensors::read(bytes).map_err(WeightsError::Format)?;
     let (manifest, names, assumed) = match metadata.get(manifest::KEY) {
@@ -293,8 +293,8 @@ pub(super) fn hash(tensors: &TensorsByName) -> String {
 /// of layers, and each layer a pair of row-major weights \[out, in\] and biases \[out\].
 pub type Tensors = [Vec<(Vec<f32>, Vec<f32>)>; 3];
 
-/// Returns the bytes of a policy file with this manifest and these weights. The field `sha256` of the manifest is
-/// replaced by the hash of the weights.
+/// Returns the bytes of a policy file of format 1 with this manifest and these weights. The field `sha256` of the
+/// manifest is replaced by the hash of the weights.
 ///
 /// # Panics
 /// If the weights do not have the shapes that the manifest states.

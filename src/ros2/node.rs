@@ -40,7 +40,7 @@ const SPARE_REPORT: Duration = Duration::from_millis(200);
 const ROOM: usize = 64;
 
 /// Runs the DDS process of a host until its input (stdin) ends. Returns the exit code: `REFUSED` if DDS cannot be
-/// opened.
+/// opened, 2 if the input does not begin with a plan, 1 if the memory cannot be limited.
 pub fn run() -> ExitCode {
     let mut stdin = BufReader::new(io::stdin());
     let mut line = Vec::new();

@@ -14,40 +14,41 @@ use crate::scenario::KeepOut;
 /// Length below which an offset has no direction \[m\].
 const LEAST_M: f32 = 1e-6;
 
-/// Parameters of the barriers of one robot.
+/// Parameters from which the safety filter of one robot computes the limits that neighbours and walls set.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Barrier {
-    /// Model of the robot, and of its neighbours.
+    /// Model of how the velocities of the robot and of its neighbours follow their commands.
     pub model: Model,
     /// Least distance between the positions of two robots \[m\].
     pub distance_min_m: f32,
     /// Least distance of the robot's position from a wall \[m\].
     pub wall_min_m: f32,
-    /// Speed of the stopping point toward a neighbour for each metre that is left \[1/s\]; twice that toward a wall.
+    /// Largest speed at which the robot's stopping point may approach a neighbour, for each metre of distance beyond
+    /// the least one \[1/s\]; twice that for a wall.
     pub gain_per_s: f32,
-    /// Longest time from a neighbour's estimate to the arrival of the message with it \[s\].
+    /// Longest time from a neighbour's estimate of its own state to the arrival of the message with it \[s\].
     pub delay_s: f32,
 }
 
 impl Barrier {
-    /// Returns the limits of the velocity of the stopping point, along both axes, that are due to the drive of a robot
-    /// with this `velocity` \[m/s\], and on which neighbours rely.
+    /// Returns the limits, one in each direction along both axes, within which the drive of a robot that moves at
+    /// `velocity` \[m/s\], world frame, can move the robot's stopping point. Its neighbours rely on these limits.
     pub fn drive(&self, velocity: Vec2) -> [Limit; 4] {
         let ((left, right), (down, up)) = (self.model.reach(velocity.x), self.model.reach(velocity.y));
         [(-Vec2::x(), -left), (Vec2::x(), right), (-Vec2::y(), -down), (Vec2::y(), up)]
             .map(|(along, most_m_s)| Limit { along, most_m_s })
     }
 
-    /// Returns the limits of the velocity of the stopping point of robot `own` that a neighbour sets, of which `other`
-    /// was heard `age_s` \[s\] ago.
+    /// Returns the limits that a neighbour sets to the velocity of a robot's stopping point. `own` is the robot's
+    /// motion, `other` that of the neighbour in its newest message, which arrived `age_s` \[s\] ago; world frame.
     ///
-    /// The message took an unknown time to arrive, so there is one limit for none and one for the longest: beside a
-    /// neighbour at speed, a few centimetres along its way turn the direction to it.
+    /// The message took an unknown time to arrive, so there is one limit for a delay of zero and one for the longest
+    /// delay: a few centimetres along the way of a fast neighbour change the direction to it.
     pub fn neighbour(&self, own: &Motion, other: &Motion, age_s: f32) -> [Limit; 2] {
         [age_s, age_s + self.delay_s].map(|known_s| self.neighbour_since(own, other, known_s))
     }
 
-    /// Returns the limit of a neighbour that moved as `other` for `known_s` \[s\].
+    /// Returns the limit that a neighbour sets whose motion was `other` at a time `known_s` \[s\] ago.
     fn neighbour_since(&self, own: &Motion, other: &Motion, known_s: f32) -> Limit {
         let position = other.position + other.velocity * known_s - own.position;
         let stopping = position + self.model.travel(other.velocity) - self.model.travel(own.velocity);
@@ -55,7 +56,7 @@ impl Barrier {
         let direction = nearest.try_normalize(LEAST_M).or_else(|| position.try_normalize(LEAST_M));
         // Coincident centres define no direction; any will do.
         let along = direction.unwrap_or_else(Vec2::x);
-        // How much nearer than predicted the neighbour's stopping point may have come since its message.
+        // Distance by which the neighbour's stopping point may have come nearer than predicted since its message.
         let nearer = |n: f32, v: f32| {
             let (low, high) = self.model.reach(v);
             (n * (v - low)).max(n * (v - high))
@@ -66,7 +67,8 @@ impl Barrier {
         Limit { along, most_m_s: self.gain_per_s * room_m.max(0.0) }
     }
 
-    /// Returns the limit of the velocity of the stopping point of robot `own` that a solid block sets.
+    /// Returns the limit that a solid block sets to the velocity of a robot's stopping point. `own` is the robot's
+    /// motion, world frame.
     pub fn wall(&self, own: &Motion, block: &KeepOut) -> Limit {
         let from = own.position;
         let to = from + self.model.travel(own.velocity);
@@ -78,8 +80,9 @@ impl Barrier {
         Limit { along, most_m_s: 2.0 * self.gain_per_s * room_m.max(0.0) }
     }
 
-    /// Returns the limits of the velocity of the stopping point of robot `own` that the edge of its ground sets, which
-    /// is `half_extent` \[m\] from the origin.
+    /// Returns the limits that the four edges of the ground set to the velocity of a robot's stopping point. `own` is
+    /// the robot's motion, world frame, and `half_extent` the distance of the edges from the origin along x and y
+    /// \[m\].
     pub fn edge(&self, own: &Motion, half_extent: Vec2) -> [Limit; 4] {
         geofence(half_extent, 0.5 / self.gain_per_s, own.position + self.model.travel(own.velocity))
     }

@@ -50,7 +50,7 @@ impl SafetyCounts {
         }
     }
 
-    /// Returns the count of a trigger, to change it.
+    /// Returns a mutable reference to the count of a trigger.
     pub fn of_mut(&mut self, trigger: Trigger) -> &mut u64 {
         match trigger {
             Trigger::Stop => &mut self.stop,

@@ -2,7 +2,7 @@
 //! geofence.
 //!
 //! The limits are those of the velocity of the robot's stopping point (`stopping`). Zero satisfies them all, so there
-//! always is an answer. The filter is pure and allocates nothing once it is made.
+//! always is an answer. The filter does no I/O, and allocates nothing once it is made.
 
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ use crate::scenario::KeepOut;
 use crate::time::Span;
 use crate::world::Clamp;
 
-/// What the filter of one robot has to know of the robot and its ground.
+/// Settings of the safety filter of one robot: thresholds, ground, walls, and limits of the robot's commands.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// Thresholds and switches of the filter.
@@ -27,13 +27,14 @@ pub struct Settings {
     pub walls: Arc<[KeepOut]>,
     /// Largest commanded speed along each axis \[m/s\].
     pub limit_m_s: f32,
-    /// Limit of the velocity before the filter, in this robot and in its neighbours.
+    /// Limit of acceleration and speed that is applied to a policy's velocity before the filter, on this robot and on
+    /// its neighbours.
     pub clamp: Clamp,
-    /// Time for which a command is held.
+    /// Time from one command to the next, for which the robot follows it.
     pub period: Span,
 }
 
-/// Velocity after the filter, and what has taken away from it.
+/// Result of the safety filter: the velocity to command, and the kinds of limits that have changed it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Filtered {
     /// Velocity to command \[m/s\], world frame.
@@ -69,12 +70,13 @@ impl Filter {
         Filter { settings, barrier, yielding: Yielding::default() }
     }
 
-    /// Returns how long the robot has been held, to continue from.
+    /// Returns the state of the filter that changes from step to step: for how long the limits have kept the robot from
+    /// moving. The method `restore` continues from it.
     pub fn yielding(&self) -> Yielding {
         self.yielding
     }
 
-    /// Continues with a state from the method `yielding`.
+    /// Replaces the state of the filter that changes from step to step by one that the method `yielding` has returned.
     pub fn restore(&mut self, yielding: Yielding) {
         self.yielding = yielding;
     }
@@ -96,7 +98,7 @@ impl Filter {
             let before = std::mem::replace(&mut result, limits.nearest(turned));
             result != before
         };
-        // What the drive cannot do is no limit of the filter.
+        // A limit of the drive is not counted as a limit of the filter.
         reduce(&limits);
         if fence == Switch::On {
             let edge = settings.half_extent.map(|axis| axis + settings.safety.geofence_margin_m);

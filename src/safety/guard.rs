@@ -72,7 +72,8 @@ pub struct Config {
     pub walls: Arc<[KeepOut]>,
     /// Largest commanded speed along each axis \[m/s\].
     pub limit_m_s: f32,
-    /// Limit of the policy's velocity, possibly relative to the measured one, in episodes and in resets.
+    /// Limit of speed, and possibly of the difference from the measured velocity, that is applied to the policy's
+    /// velocity, in episodes and in resets.
     pub clamp: Clamp,
     /// Time between two control ticks, the steps of the policy.
     pub period: Span,
@@ -178,7 +179,8 @@ impl Guard {
         self.end(Trigger::Output);
     }
 
-    /// Takes the decision of the robot's hardware limits; the guard stops the robot while the permit is withdrawn.
+    /// Applies the decision of the limits of battery and temperature: the guard stops the robot while `permit` is
+    /// `Permit::Withdrawn`.
     pub fn hardware(&mut self, permit: Permit) {
         self.unfit = permit == Permit::Withdrawn;
         self.set(Trigger::Hardware, self.unfit);

@@ -24,7 +24,7 @@ impl Limit {
     }
 }
 
-/// Limits of one velocity, in a store of fixed size.
+/// Limits of one velocity, up to 64, stored without memory allocation.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     limits: [Limit; MOST],
@@ -48,7 +48,7 @@ impl Limits {
         }
     }
 
-    /// Adds limits, as the method `push` does.
+    /// Adds limits. If there is no room for all, the only velocity that satisfies all is zero.
     pub fn extend(&mut self, limits: impl IntoIterator<Item = Limit>) {
         limits.into_iter().for_each(|limit| self.push(limit));
     }
@@ -59,7 +59,7 @@ impl Limits {
     }
 
     /// Returns the velocity nearest to `wanted` \[m/s\], world frame, that satisfies all limits; `wanted` itself if it
-    /// does.
+    /// does, and zero if there was no room for all limits.
     ///
     /// This is the incremental quadratic program in two dimensions, as in ORCA (van den Berg et al., 2011, section
     /// 5.3): if the solution so far violates the next limit, the new one is on its boundary.
@@ -112,8 +112,8 @@ pub fn distance_outside(half_extent: Vec2, point: Vec2) -> f32 {
 }
 
 /// Returns the limits of velocity that keep a point from passing a rectangular boundary (geofence) within `horizon_s`
-/// \[s\]. `edge` is the distance of the boundary from the origin along x and y \[m\], and `position` the point's
-/// position \[m\], world frame. A point outside may still return.
+/// \[s\], one for each side. `edge` is the distance of the boundary from the origin along x and y \[m\], and `position`
+/// the point's position \[m\], world frame. A point outside may still return.
 pub fn geofence(edge: Vec2, horizon_s: f32, position: Vec2) -> [Limit; 4] {
     [Vec2::x(), -Vec2::x(), Vec2::y(), -Vec2::y()].map(|along| {
         let room = edge.dot(&along.abs()) - position.dot(&along);

@@ -70,9 +70,9 @@ pub struct Safety {
     pub distance: Switch,
     /// Minimum distance between the centres of two robots \[m\], for the limit of their approach.
     pub distance_min_m: f32,
-    /// Maximum speed at which the point where the robot can stop approaches a neighbour, for each metre of distance
-    /// beyond the minimum \[1/s\]; twice that for a wall. Half a control period's inverse is the most that two robots
-    /// can share.
+    /// Maximum speed at which the robot's stopping point may approach a neighbour, for each metre of distance beyond
+    /// the minimum \[1/s\]; twice that for a wall. Above 1 / (2 control periods), two robots that approach each other
+    /// may come closer than the minimum.
     pub distance_gain_per_s: f32,
     /// Maximum age of a neighbour's last known position \[s\]. An older position is ignored in keeping the minimum
     /// distance.
@@ -142,22 +142,22 @@ impl Safety {
     }
 
     /// Returns these settings for robots that follow their commands with the lag `lag_s` \[s\] and accelerate by
-    /// `acceleration_m_s2` \[m/s^2\] at the most, as far as their ranges go.
+    /// `acceleration_m_s2` \[m/s^2\] at the most. Values outside the ranges of the settings are clamped to them.
     pub fn driving(self, lag_s: f32, acceleration_m_s2: f32) -> Safety {
         let acceleration_m_s2 = acceleration_m_s2.clamp(LEAST_ACCELERATION_M_S2, MOST_ACCELERATION_M_S2);
         Safety { lag_s: lag_s.clamp(0.0, MOST_LAG_S), acceleration_m_s2, ..self }
     }
 
-    /// Returns these settings for simulated robots with these properties: their drives, and a distance to walls beyond
-    /// that of a contact.
+    /// Returns these settings for simulated robots: lag and acceleration are those of `physics`, and the minimum
+    /// distance to walls is at least 2 cm more than that of a contact.
     pub fn simulated(self, physics: &Physics) -> Safety {
         let safety = self.driving(physics.lag_s, physics.acceleration_m_s2.min(physics.traction_m_s2));
         Safety { walls_min_m: self.walls_min_m.max(physics.wall_radius_m + WALL_MARGIN_M), ..safety }
     }
 
-    /// Returns these settings for a robot that is commanded by a point `own_m` \[m\] ahead of its centre, among others
-    /// whose points are `others_m` ahead at the most. Minimum distances between points are larger by that, so the hulls
-    /// keep theirs.
+    /// Returns these settings for a robot whose commanded point is `own_m` \[m\] ahead of its centre, among robots
+    /// whose points are `others_m` \[m\] ahead at the most. The minimum distances are larger by that, since they are
+    /// then distances of points.
     pub fn about_point(self, own_m: f32, others_m: f32) -> Safety {
         let distance_min_m = self.distance_min_m + own_m + others_m;
         Safety { distance_min_m, walls_min_m: self.walls_min_m + own_m, ..self }

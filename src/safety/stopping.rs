@@ -19,15 +19,15 @@ pub struct Model {
 }
 
 impl Model {
-    /// Makes the model of a robot with the time constant `lag_s` \[s\] and the acceleration `acceleration_m_s2`
-    /// \[m/s^2\]. Commands are held for `period_s` \[s\], so no lag is shorter. They differ from the velocity by
-    /// `step_m_s` \[m/s\] at most along each axis, unless they brake.
+    /// Makes the model of a robot with the time constant `lag_s` \[s\] and the largest acceleration `acceleration_m_s2`
+    /// \[m/s^2\]. A lag shorter than `period_s` \[s\], for which a command is held, is replaced by that. Commands that
+    /// do not brake differ from the velocity by `step_m_s` \[m/s\] at most along each axis.
     pub fn new(lag_s: f32, acceleration_m_s2: f32, period_s: f32, step_m_s: f32) -> Model {
         let lag_s = lag_s.max(period_s);
         Model { lag_s, acceleration_m_s2, step_m_s: step_m_s.min(acceleration_m_s2 * lag_s) }
     }
 
-    /// Returns the way from a robot with this `velocity` \[m/s\] to its stopping point \[m\].
+    /// Returns the vector \[m\] from the position of a robot that moves at `velocity` \[m/s\] to its stopping point.
     pub fn travel(&self, velocity: Vec2) -> Vec2 {
         let Model { lag_s, acceleration_m_s2: most, .. } = *self;
         velocity.map(|v| match v.abs() <= most * lag_s {
@@ -36,8 +36,8 @@ impl Model {
         })
     }
 
-    /// Returns how far the way from a robot with this `velocity` \[m/s\] to its stopping point may bend away from the
-    /// straight line between them \[m\]; 0 if the acceleration stays below its limit along both axes.
+    /// Returns an upper bound \[m\] of the distance between the path of a robot that moves at `velocity` \[m/s\] to its
+    /// stopping point and the straight line there; 0 if the acceleration stays below its limit along both axes.
     ///
     /// Two axes that brake at the limit until they stand, for `k T` and for `T`, differ in the covered share of their
     /// travel by `(1 - k) / (1 + k)` at most. Their ends are exponential, and both would cover their travel in
@@ -57,23 +57,23 @@ impl Model {
         (v.abs() / (self.acceleration_m_s2 * self.lag_s)).max(1.0)
     }
 
-    /// Returns the velocity of the stopping point \[m/s\] of a robot with this `velocity` that is given this `command`
-    /// \[m/s\].
+    /// Returns the velocity \[m/s\] of the stopping point of a robot that moves at `velocity` and is commanded the
+    /// velocity `command`, both \[m/s\].
     pub fn advance(&self, velocity: Vec2, command: Vec2) -> Vec2 {
         let most = self.acceleration_m_s2 * self.lag_s;
         let axis = |v: f32, u: f32| v + (u - v).clamp(-most, most) * self.ratio(v);
         Vec2::new(axis(velocity.x, command.x), axis(velocity.y, command.y))
     }
 
-    /// Returns the command \[m/s\] that moves the stopping point of a robot with this `velocity` at `advance` \[m/s\]:
-    /// the inverse of the method `advance`.
+    /// Returns the velocity \[m/s\] to command to a robot that moves at `velocity`, so that its stopping point moves at
+    /// `advance`, both \[m/s\]: the inverse of the method `advance`.
     pub fn command(&self, velocity: Vec2, advance: Vec2) -> Vec2 {
         let axis = |v: f32, w: f32| v + (w - v) / self.ratio(v);
         Vec2::new(axis(velocity.x, advance.x), axis(velocity.y, advance.y))
     }
 
-    /// Returns the least and the largest velocity \[m/s\], along one axis, that the stopping point of a robot has in
-    /// the next moment if the robot moves at `v` \[m/s\] along the axis. Zero is between them.
+    /// Returns the least and the largest velocity \[m/s\], along one axis, that the stopping point of a robot can have
+    /// under its next command if the robot moves at `v` \[m/s\] along the axis. Zero is between them.
     pub fn reach(&self, v: f32) -> (f32, f32) {
         let step = self.step_m_s * self.ratio(v);
         (v.min(0.0) - step, v.max(0.0) + step)

@@ -8,7 +8,7 @@ use crate::messages::geometry::Vec2;
 /// Smallest speed that a robot's policy has to want for the robot to count as held, which means that the safety filter
 /// keeps it from moving \[m/s\]. A robot whose policy wants less is at rest by its own choice.
 const AIMS_M_S: f32 = 0.1;
-/// Share of the aimed speed below which a robot is held.
+/// Share of the wanted speed below which a robot counts as held.
 const HELD: f32 = 0.2;
 /// Turn of the aim for each second in which the robot was held \[rad/s\].
 const TURN_RAD_S: f32 = 0.5;
@@ -16,12 +16,13 @@ const TURN_RAD_S: f32 = 0.5;
 const MOST_RAD: f32 = 1.57;
 /// Time for which a robot is held on one side before it tries the other \[s\].
 const SIDE_S: f32 = 8.0;
-/// Time by which a second in motion shortens the time held.
+/// Time by which the time of being held is shortened for each second in which the robot moves \[s\].
 const RELEASE: f32 = 2.0;
 /// Sine of the angle between aim and limited velocity above which a robot is held more on one side than on the other.
 const SKEW: f32 = 0.05;
 
-/// How long a robot has been held by its limits, and to which side it turns.
+/// State of a robot's way out of deadlocks: for how long its safety limits have kept it from moving, and the side to
+/// which its wanted velocity is turned.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Yielding {
     held_s: f32,
@@ -29,7 +30,8 @@ pub struct Yielding {
 }
 
 impl Yielding {
-    /// Returns the velocity `aim` \[m/s\], turned aside by how long the robot has been held.
+    /// Returns the wanted velocity `aim` \[m/s\], turned aside by an angle that grows with the time for which the robot
+    /// has been kept from moving, up to a right angle.
     pub fn turned(&self, aim: Vec2) -> Vec2 {
         if self.held_s <= 0.0 {
             return aim;
@@ -39,10 +41,11 @@ impl Yielding {
         Vec2::new(cos * aim.x - sin * aim.y, sin * aim.x + cos * aim.y)
     }
 
-    /// Records for a control period of `period_s` \[s\] that the robot aimed at the velocity `aim`, and got `limited`
-    /// \[m/s\].
+    /// Records a control period of `period_s` \[s\] in which the robot wanted the velocity `aim` \[m/s\] and its limits
+    /// left `limited` \[m/s\] of it.
     ///
-    /// A robot turns to the side to which its limits let it slide; to the right if there is none, as two that meet do.
+    /// A robot that is kept from moving turns to the side to which its limits let it slide, otherwise to the right. So
+    /// two robots that meet turn to different sides of the line between them.
     pub fn update(&mut self, aim: Vec2, limited: Vec2, period_s: f32) {
         let square = aim.norm_squared();
         if square < AIMS_M_S * AIMS_M_S || limited.norm_squared() > HELD * HELD * square {

@@ -29,7 +29,7 @@ pub const SIGHT: Span = Span::from_millis(1000);
 /// there. A reading from farther away is one from before.
 const PLACED_M: f32 = 0.25;
 
-/// One step for the judge: the robots that were seen in it, with their measured positions.
+/// One step for the judge of an episode: the robots of which a reading arrived in it, with their measured positions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sighting {
     /// Time at which the last reading of the step arrived.

@@ -25,7 +25,7 @@ impl Adam {
         self.first.len() == parameters && self.second.len() == parameters
     }
 
-    /// Updates the parameters in place by one step against the gradient.
+    /// Updates `parameters` in place by one step against `gradient`, which has one number per parameter.
     pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32], learning_rate: f32) {
         self.steps += 1;
         let (correct_1, correct_2) = (1.0 - BETA_1.powi(self.steps), 1.0 - BETA_2.powi(self.steps));

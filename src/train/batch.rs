@@ -8,7 +8,8 @@ use std::ops::Range;
 
 use super::matrix::Real;
 
-/// A recorded sequence of graphs, each the observations and used messages of one decision.
+/// Recorded sequence of graphs. A graph has the observations and the used messages of one decision of one team: its
+/// nodes are robots, its sources observations, and its edges messages.
 #[derive(Clone, Debug, Default)]
 pub struct Graphs {
     /// Number of robots in each graph.
@@ -36,7 +37,7 @@ impl Graphs {
         Graphs { robots, inputs, edge_inputs, source_start: vec![0], edge_start: vec![0], ..Graphs::default() }
     }
 
-    /// Number of complete graphs.
+    /// Returns the number of complete graphs.
     pub fn len(&self) -> usize {
         self.source_start.len() - 1
     }
@@ -67,8 +68,8 @@ impl Graphs {
         self.edges.extend_from_slice(&other.edges);
     }
 
-    /// Adds a source to the unfinished graph. Returns the source's number within the graph, and its observation, zero
-    /// until the caller writes it.
+    /// Adds a source, an observation from which a message is made, to the unfinished graph. Returns the source's number
+    /// within the graph, and its observation, zero until the caller writes it. The robots' own come first.
     pub fn source(&mut self) -> (u16, &mut [f32]) {
         let at = self.observations.len();
         let first = self.source_start[self.source_start.len() - 1] as usize;
@@ -77,8 +78,8 @@ impl Graphs {
         (index, &mut self.observations[at..])
     }
 
-    /// Adds an edge to the unfinished graph: robot `receiver` uses the message of source `sender`. Returns the edge's
-    /// features, zero until the caller writes them.
+    /// Adds an edge to the unfinished graph: the robot with index `receiver` uses the message made from the source with
+    /// number `sender`. Returns the edge's features, zero until the caller writes them.
     pub fn edge(&mut self, receiver: usize, sender: u16) -> &mut [f32] {
         self.receivers.push(u16::try_from(receiver).expect("a graph has few robots"));
         self.senders.push(sender);
@@ -88,6 +89,9 @@ impl Graphs {
     }
 
     /// Completes the unfinished graph.
+    ///
+    /// # Panics
+    /// If the graph has fewer sources than robots.
     pub fn end(&mut self) {
         let count = |len: usize| u32::try_from(len).expect("a rollout is far below 2^32 edges");
         self.source_start.push(count(self.observations.len() / self.inputs));
@@ -98,23 +102,24 @@ impl Graphs {
     }
 }
 
-/// A batch of graphs as input of a network.
+/// Batch of graphs as input of a network: the observations (sources) from which messages are made, and the messages
+/// (edges) that robots use.
 #[derive(Clone, Debug, Default)]
 pub struct Batch<T> {
     /// Number of robots, summed over all graphs.
     pub nodes: usize,
-    /// Observations, \[sources, inputs\], row-major. The robots' current observations come first.
+    /// Observations of all sources, \[sources, inputs\], row-major. The robots' current observations come first.
     pub x: Vec<T>,
     /// Index of each robot's first edge in `sender`, and last the number of edges: one entry more than `nodes`.
     pub first: Vec<u32>,
-    /// Index of each edge's source in `x`.
+    /// Row in `x` of each edge's source, the observation from which the message was made.
     pub sender: Vec<u32>,
-    /// Edge features, \[edges, edge inputs\].
+    /// Edge features, \[edges, edge inputs\], row-major.
     pub e: Vec<T>,
 }
 
 impl<T: Real> Batch<T> {
-    /// Number of sources; `inputs` is the number of floats in one observation.
+    /// Returns the number of observations from which messages are made; `inputs` is the number of floats in one.
     pub fn sources(&self, inputs: usize) -> usize {
         self.x.len() / inputs
     }

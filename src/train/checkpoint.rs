@@ -31,7 +31,8 @@ struct State {
 }
 
 impl Trainer {
-    /// Returns the complete state as bytes, from which [`Trainer::resume`] continues with identical results.
+    /// Returns the complete state of the training as bytes, from which [`Trainer::resume`] continues with identical
+    /// results.
     pub fn checkpoint(&self) -> Vec<u8> {
         let of = |learner: &Learner| (learner.parameters.clone(), learner.adam.clone());
         let state = State {
@@ -52,8 +53,9 @@ impl Trainer {
         rmp_serde::to_vec_named(&state).expect("a state is plain data")
     }
 
-    /// Replaces the weights of policy and critic by those of another training's checkpoint, to continue under other
-    /// conditions. Both networks must have the same shape as there. The optimiser's state is not taken over.
+    /// Replaces the weights of policy and critic by those of another training's checkpoint, of which `bytes` is the
+    /// content, to continue under other conditions. The optimiser's state is not taken over. It is an error if the
+    /// bytes are not a checkpoint, or if the networks have other shapes there.
     pub fn initialize_from(&mut self, bytes: &[u8]) -> Result<(), SetupError> {
         let state = read_state(bytes)?;
         let config = &self.plan.config;
@@ -72,11 +74,11 @@ impl Trainer {
         Ok(())
     }
 
-    /// Restores a trainer from a checkpoint. The registry must have the checkpoint's scenario.
+    /// Restores a trainer from the content `bytes` of a checkpoint. `registry` must have the checkpoint's scenario.
     ///
     /// # Errors
     /// If the bytes are not a checkpoint of this version, the scenario is not in the registry, or the checkpoint is of
-    /// a processor with other vector instructions: results would be those of neither.
+    /// a processor with other vector instructions, with which the last bits of results would differ.
     pub fn resume(bytes: &[u8], registry: &Registry) -> Result<Trainer, SetupError> {
         let state = read_state(bytes)?;
         let ours = vector_instructions();

@@ -9,17 +9,17 @@ use crate::scenario::Arena;
 use crate::world::kinematic::{MAX_ACCELERATION_M_S2, PERIOD};
 use crate::world::{Clamp, ContactRule, Physics};
 
-/// Conditions of one episode of one team: messages, sensor noise and physics.
+/// Conditions of one training episode of one team: messages, sensor noise and physics.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Episode {
     /// Whether all robots act at the same time, on messages without delay or loss.
     pub lockstep: bool,
-    /// Time constant of the drivetrain lag \[s\] in deployed physics; `None` selects the training environment's
-    /// physics.
+    /// Time constant \[s\] of the lag of the robots' drives, for deployed physics. `None` selects the physics of the
+    /// paper's environment, without lag.
     pub lag_s: Option<f32>,
     /// Distance between a robot's centre and a wall below which the robot touches the wall \[m\], in deployed physics.
     pub wall_radius_m: f32,
-    /// Time from its arrival for which a message is used \[s\].
+    /// Age, counted from its arrival, up to which a message is used \[s\].
     pub hold_s: f32,
     /// Standard deviation of the communication radius, drawn anew for each message \[m\].
     pub range_std_m: f32,
@@ -27,14 +27,15 @@ pub struct Episode {
     pub position_noise_m: f32,
     /// Standard deviation of the noise on each axis of a measured velocity \[m/s\].
     pub velocity_noise_m_s: f32,
-    /// Time from the start of a step to each robot's action in the step \[s\].
+    /// Time from the start of a step to the action in the step, one for each robot \[s\].
     pub phase_s: Vec<f32>,
     /// Delay \[s\] and loss probability of messages for each pair of robots: by receiver, then by sender.
     pub edges: Vec<(f32, f32)>,
-    /// Range of communication.
+    /// Range of communication: the policy's radius, or unlimited.
     #[serde(default)]
     pub connectivity: Connectivity,
-    /// Limit on the acceleration of robots with deployed physics.
+    /// Limit that is applied to the policy's velocities. In deployed physics it says what limits acceleration: the
+    /// simulated wheels (`Clamp::Training`) or the robot's controller (`Clamp::Deployed`).
     #[serde(default)]
     pub clamp: Clamp,
     /// Whether the safety filter limits the policy's velocities.
@@ -57,8 +58,8 @@ fn draw([low, high]: Range, stream: &mut Stream) -> f32 {
 }
 
 impl Episode {
-    /// Returns the conditions of the published training: all robots act at the same time, and messages have neither
-    /// delay nor loss.
+    /// Returns the conditions of the paper's own training for a team of `robots` robots: all act at the same time, and
+    /// messages have neither delay nor loss.
     pub fn perfect(robots: usize) -> Episode {
         Episode {
             lockstep: true,
@@ -69,7 +70,8 @@ impl Episode {
         }
     }
 
-    /// Draws the conditions of one episode of a team of `robots` robots from `stream`.
+    /// Draws the conditions of one episode of a team of `robots` robots from the distributions `conditions`, with the
+    /// random numbers of `stream`.
     pub fn draw(conditions: &Conditions, robots: usize, stream: &mut Stream) -> Episode {
         let mut episode = Episode::perfect(robots);
         // Nothing is drawn for a probability of zero. So a configuration that lacks a newer field, whose default is
@@ -104,7 +106,7 @@ impl Episode {
         episode
     }
 
-    /// Returns the physical parameters of the robots in this episode.
+    /// Returns the physical parameters of the robots in this episode; `arena` gives their radius.
     pub fn physics(&self, arena: &Arena) -> Physics {
         match self.lag_s {
             None => Physics::published(arena),
@@ -121,7 +123,7 @@ impl Episode {
         }
     }
 
-    /// Mean delay \[s\] and mean loss probability of the episode's messages.
+    /// Returns the mean delay \[s\] and the mean loss probability of the episode's messages.
     pub fn mean_edge(&self) -> (f32, f32) {
         let count = self.edges.len().max(1) as f32;
         let sum = self.edges.iter().fold((0.0, 0.0), |sum, edge| (sum.0 + edge.0, sum.1 + edge.1));

@@ -50,7 +50,7 @@ pub struct Config {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Policy {
-    /// Layout of the message passing.
+    /// Layout of the message-passing network.
     pub architecture: Architecture,
     /// Fields of a robot's observation, in the order of the network's inputs.
     pub observation: Vec<Field>,
@@ -156,10 +156,10 @@ pub struct Reward {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Conditions {
-    /// Probability that all robots act at the same time, with messages that have neither delay nor loss.
+    /// Probability that all robots of an episode act at the same time, with messages that have neither delay nor loss.
     pub clean: f32,
-    /// Probability of deployed physics: the drivetrain lags, and a contact makes the episode fail but does not block
-    /// the move. All other episodes have the training environment's physics.
+    /// Probability that an episode has deployed physics: the drivetrain lags, and a contact makes the episode fail but
+    /// does not block the move. All other episodes have the physics of the paper's environment.
     pub deployed: f32,
     /// Distance between a robot's centre and a wall below which the robot touches the wall \[m\], in deployed physics.
     pub wall_radius_m: f32,
@@ -191,7 +191,7 @@ pub struct Conditions {
     pub filtered: f32,
 }
 
-/// A stage of the curriculum.
+/// One stage of the curriculum: settings that hold for a part of the training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stage {
@@ -200,7 +200,7 @@ pub struct Stage {
     /// Ways to split an environment's robots into teams, each a list of team sizes. Environments take the entries in
     /// turn.
     pub groups: Vec<Vec<usize>>,
-    /// Number of world steps for which an action is held.
+    /// Number of simulated steps of 50 ms for which an action is held.
     pub repeat: u32,
     /// Width of the scenario's bottleneck \[m\]; the scenario's default if left out.
     #[serde(default)]
@@ -237,13 +237,14 @@ impl Config {
         Ok(config)
     }
 
-    /// Index of the stage at this progress of the training, 0 to 1.
+    /// Returns the index of the curriculum's stage at the completed fraction `progress` of the training, 0 to 1.
     pub fn stage(&self, progress: f64) -> usize {
         let last = self.curriculum.len() - 1;
         self.curriculum.iter().position(|stage| progress < stage.until).unwrap_or(last)
     }
 
-    /// Returns the manifest of a policy trained with this configuration, without the data of the training and the hash.
+    /// Returns the manifest (metadata) of a policy trained with this configuration for the scenario named `scenario`,
+    /// without the data of the training and the hash of the weights.
     pub fn manifest(&self, scenario: &str) -> Manifest {
         let policy = &self.policy;
         let shape = self.actor();
@@ -266,7 +267,10 @@ impl Config {
         }
     }
 
-    /// Returns the chassis of the robots. The configuration must have been checked.
+    /// Returns the chassis (kind of drive and limits) of the robots.
+    ///
+    /// # Panics
+    /// If the settings `body` are wrong, which `check` excludes.
     pub fn chassis(&self) -> Chassis {
         self.body.chassis().expect("a checked configuration has a sound chassis")
     }

@@ -4,7 +4,7 @@
 //! For a robot with a differential drive, observation, reward and arrival refer to the point that the policy commands;
 //! contacts refer to the robot's centre, as in a run. The heading is drawn at the start of each episode.
 //!
-//! A row has as many robots as the configured team. These robots are one team, or several teams that do not interact.
+//! A row (environment) has as many robots as the configured team: one team, or several teams that do not interact.
 
 use std::f32::consts::PI;
 use std::sync::Arc;
@@ -29,7 +29,7 @@ use crate::scenario::{Scenario, Stage, TeamAfterStep};
 use crate::world::kinematic::{self, PERIOD};
 use crate::world::{Clamp, Physics};
 
-/// A team and the state of its episode.
+/// One team in the training environments, with the state of its episode.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Team {
     /// Index of the team's first robot among all robots.
@@ -40,7 +40,7 @@ pub struct Team {
     pub step: u32,
     /// Conditions of the episode.
     pub episode: Episode,
-    /// Messages of the episode.
+    /// Estimates of the robots' motions in the last steps, and the messages that the robots hold.
     pub messages: MessageBuffer,
     /// Whether any robot of the team has touched a wall or, with deployed physics, another robot in the episode.
     pub touched: bool,
@@ -51,34 +51,35 @@ pub struct Team {
 }
 
 impl Team {
-    /// Indices of the team's robots among all robots.
+    /// Returns the indices of the team's robots among all robots.
     pub fn range(&self) -> std::ops::Range<usize> {
         self.first..self.first + self.robots
     }
 }
 
-/// The environments of many teams. Each list has one entry per robot unless it says otherwise.
+/// Training environments of many teams: the states of all their robots. Public lists of robots' states have one entry
+/// per robot, by its index among all robots.
 #[derive(Clone, Debug)]
 pub struct Environments {
     /// The teams, in the order of their robots.
     pub teams: Vec<Team>,
-    /// True positions of the centres \[m\], world frame.
+    /// True position of each robot's centre \[m\], world frame.
     pub position: Vec<Vec2>,
-    /// True velocities of the centres \[m/s\], world frame.
+    /// True velocity of each robot's centre \[m/s\], world frame.
     pub velocity: Vec<Vec2>,
     /// Wheels and commanded points of all robots; `None` for holonomic robots with the default chassis.
     rolling: Option<Rolling>,
-    /// Contacts in the last step.
+    /// Contacts of each robot with walls and other robots in the last step.
     pub contacts: Vec<Contacts>,
-    /// Tasks in the current episodes.
+    /// Start and goal of each robot in its current episode \[m\], world frame.
     pub tasks: Vec<Task>,
-    /// States of the scenario's reward.
+    /// Stage of each robot's progress, which the scenario's reward uses.
     pub stage: Vec<Stage>,
-    /// Whether each robot has arrived.
+    /// Whether each robot has arrived at its goal in its current episode.
     pub arrived: Vec<bool>,
-    /// Lengths of the remaining paths \[m\].
+    /// Length of each robot's remaining path \[m\].
     pub to_go_m: Vec<f32>,
-    /// Rewards of the last step.
+    /// Reward of each robot for the last step.
     pub reward: Vec<f32>,
     /// Scenario for each team size that occurs, indexed by the team size.
     scenarios: Vec<Option<Arc<dyn Scenario>>>,
@@ -93,7 +94,7 @@ pub struct Environments {
     reached: Vec<bool>,
 }
 
-/// State of environments, from which they continue exactly.
+/// Saved state of training environments, from which [`Environments::restore`] continues exactly.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Snapshot {
     teams: Vec<Team>,
@@ -105,14 +106,14 @@ pub struct Snapshot {
     /// Heading \[rad\] and yaw rate \[rad/s\] of each robot; empty for robots with the default chassis.
     #[serde(default)]
     turned: Vec<[f32; 2]>,
-    /// How long the safety filter of each robot has held it; empty in snapshots of older programs.
+    /// State of the safety filter of each robot; empty in snapshots of older programs.
     #[serde(default)]
     yielding: Vec<Yielding>,
 }
 
 impl Environments {
-    /// Returns `rows` rows of robots. Each entry of `groups` lists the team sizes of one row; rows take the entries in
-    /// turn. `start` or `place` must be called for every team before its first step.
+    /// Makes `rows` environments. Each entry of `groups` lists the team sizes of one of them; they take the entries in
+    /// turn, and `scenarios` has a scenario for each size. Each team needs `start` or `place` before its first step.
     pub fn new(rows: usize, groups: &[Vec<usize>], scenarios: &[Arc<dyn Scenario>]) -> Environments {
         let largest = scenarios.iter().map(|scenario| scenario.robots()).max().unwrap_or(0);
         let mut by_size = vec![None; largest + 1];
@@ -162,13 +163,13 @@ impl Environments {
         }
     }
 
-    /// Returns the environments with this chassis for all robots. All episodes must be started afterwards.
+    /// Returns the environments with `chassis` for all robots. All episodes must be started afterwards.
     pub fn equipped(mut self, chassis: &Chassis) -> Environments {
         self.rolling = Rolling::new(chassis, self.position.len());
         self
     }
 
-    /// Returns the true motion of the point that the policy commands and observes on a robot, in the world frame.
+    /// Returns the true motion, world frame, of the commanded point of the robot with index `robot` among all robots.
     pub fn point(&self, robot: usize) -> Motion {
         match &self.rolling {
             None => Motion { position: self.position[robot], velocity: self.velocity[robot] },
@@ -176,17 +177,17 @@ impl Environments {
         }
     }
 
-    /// Heading of a robot \[rad\], counter-clockwise from the x axis of the world frame.
+    /// Returns the heading of a robot \[rad\], counter-clockwise from the x axis of the world frame.
     pub fn heading(&self, robot: usize) -> f32 {
         self.rolling.as_ref().map_or(0.0, |rolling| rolling.wheels[robot].heading())
     }
 
-    /// The scenario of a team.
+    /// Returns the scenario of the team with index `team`.
     pub fn scenario(&self, team: usize) -> &dyn Scenario {
         &**self.scenarios[self.teams[team].robots].as_ref().expect("every team has a scenario")
     }
 
-    /// Starts an episode of a team, with a layout and conditions drawn from `stream`.
+    /// Starts an episode of the team with index `team`, with a layout and conditions drawn from `stream`.
     pub fn start(&mut self, team: usize, conditions: &Conditions, stream: &mut Stream) {
         let episode = Episode::draw(conditions, self.teams[team].robots, stream);
         // Episodes with even and odd numbers start on different sides of the arena.
@@ -194,7 +195,8 @@ impl Environments {
         self.place(team, layout, episode, stream);
     }
 
-    /// Starts an episode of a team under these conditions, with the layout of the given seed and episode number.
+    /// Starts an episode of a team under the conditions `episode`. `layout` has the seed and the episode number from
+    /// which the scenario draws starts and goals; headings and noise are drawn from `stream`.
     pub fn place(&mut self, team: usize, layout: (u64, u32), episode: Episode, stream: &mut Stream) {
         let tasks = self.scenario(team).tasks(layout.0, layout.1);
         self.set_episode(team, layout, &tasks, episode);
@@ -234,8 +236,8 @@ impl Environments {
         self.teams[team].episode.lag_s.is_some()
     }
 
-    /// Advances a team by one step. `actions` are commanded velocities \[m/s\] in the world frame, one for each robot
-    /// of all teams.
+    /// Advances a team by one step of 50 ms. `actions` are commanded velocities \[m/s\], world frame, one for each
+    /// robot of all teams, limited to `limit_m_s` along each axis. `weights` are those of the reward's terms.
     pub fn step(&mut self, team: usize, actions: &[Vec2], weights: &Reward, limit_m_s: f32, stream: &mut Stream) {
         let range = self.teams[team].range();
         let (judged, clamp) = (self.is_judged(team), self.teams[team].episode.clamp);
@@ -337,23 +339,23 @@ impl Environments {
         }
     }
 
-    /// Current estimate of the motion of a robot; `robot` is its index among all robots.
+    /// Returns a robot's estimate of its own motion, world frame; `robot` is its index among all robots.
     pub fn estimate(&self, team: usize, robot: usize) -> Motion {
         let team = &self.teams[team];
         team.messages.estimate(team.step, robot - team.first)
     }
 
-    /// Whether all robots of a team have arrived.
+    /// Whether all robots of the team with index `team` have arrived.
     pub fn all_arrived(&self, team: usize) -> bool {
         self.arrived[self.teams[team].range()].iter().all(|&arrived| arrived)
     }
 
-    /// Time since the start of a team's episode \[s\].
+    /// Returns the time since the start of a team's episode \[s\].
     pub fn elapsed_s(&self, team: usize) -> f32 {
         self.teams[team].step as f32 * PERIOD.as_secs() as f32
     }
 
-    /// Returns the state from which `restore` continues exactly.
+    /// Returns the state of the environments, from which `restore` continues exactly.
     pub fn snapshot(&self) -> Snapshot {
         let pairs = |vectors: &[Vec2]| vectors.iter().map(|v| [v.x, v.y]).collect();
         Snapshot {

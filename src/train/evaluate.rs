@@ -20,10 +20,10 @@ use crate::world::kinematic::PERIOD;
 /// Seed of the layouts of a quick evaluation.
 const QUICK_SEED: u64 = 0x9a11_e7a1;
 
-/// Parameters of an evaluation.
+/// Evaluation of a policy in the trainer's environments: its parameters.
 #[derive(Debug)]
 pub struct Evaluation<'a> {
-    /// Rollout settings; an action must be held for one step.
+    /// Settings of the rollout, in which an action must be held for one step (`repeat` 1).
     pub settings: &'a RolloutSettings<'a>,
     /// Weights and biases of the policy.
     pub parameters: &'a [f32],
@@ -38,8 +38,8 @@ pub struct Evaluation<'a> {
 }
 
 impl Evaluation<'_> {
-    /// Runs one episode of every layout. Returns the findings in the order of the layouts. `conditions` returns the
-    /// conditions of the episode with the given index.
+    /// Runs one episode of every layout, on up to `threads` threads. Returns the findings in the order of the layouts.
+    /// `conditions` returns the conditions of the episode with the given index.
     pub fn run(&self, conditions: impl Fn(u32) -> Episode + Sync, threads: usize) -> Vec<Finding> {
         let firsts: Vec<u32> = (0..self.episodes).step_by(CHUNK).collect();
         let mut findings: Vec<Vec<Finding>> = firsts.iter().map(|_| Vec::new()).collect();
@@ -89,7 +89,7 @@ impl Evaluation<'_> {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Score {
     /// Name of the conditions. `perfect`: all robots act at the same time, without delay or loss of messages;
-    /// `disturbed`: drawn as in training.
+    /// `disturbed`: drawn as in training, but never with simultaneous actions on perfect messages.
     pub conditions: &'static str,
     /// Method of drawing actions: `mean` or `sample`.
     pub action: &'static str,
@@ -100,7 +100,8 @@ pub struct Score {
 }
 
 impl Score {
-    /// Returns the score of these findings. `conditions` is the name of the conditions under which they were found.
+    /// Returns the score of `findings`, one per episode. `conditions` is the name of the conditions of these episodes,
+    /// and `draw` their method of drawing actions.
     pub fn of(conditions: &'static str, draw: Draw, findings: &[Finding]) -> Score {
         let successes = findings.iter().filter(|finding| finding.verdict == Verdict::Success);
         let makespans: Vec<f64> = successes.map(|finding| finding.after.as_secs()).collect();
@@ -116,14 +117,15 @@ impl Score {
 pub struct Scores(pub Vec<Score>);
 
 impl Scores {
-    /// Returns the score under these conditions with the draw method of the policy's manifest; `None` if there is no
-    /// such score.
+    /// Returns the score under the conditions with the name `conditions`, with the draw method of the policy's
+    /// manifest; `None` if there is no such score.
     pub fn with_default_draw(&self, conditions: &str) -> Option<&Score> {
         self.0.iter().find(|score| score.conditions == conditions)
     }
 }
 
-/// Evaluates a training's current policy on layouts from a seed of their own, which the training draws only by chance.
+/// Evaluates a training's current policy on `episodes` layouts of a fixed seed, which the training draws only by
+/// chance: with both methods of drawing actions, and with disturbed conditions if the training has any.
 pub fn quick_evaluation(trainer: &Trainer, episodes: u32, threads: usize) -> Scores {
     let settings = trainer.settings();
     let (settings, config) = (without_repeat(&settings), settings.config);

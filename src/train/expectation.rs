@@ -3,10 +3,10 @@
 //! Each number is from its own run of `murmurate train passage --preset NAME --steps DECISIONS --seed 1`. A shorter
 //! training is not the beginning of a longer one, because the curriculum depends on the completed fraction.
 
-/// Scenario of the measured trainings.
+/// Name of the scenario in which the trainings of this module's table were measured.
 pub const SCENARIO: &str = "passage";
 
-/// Result of one training.
+/// Measured result of one training.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measured {
     /// Number of decisions in the training: one per environment and step of the policy.
@@ -15,7 +15,8 @@ pub struct Measured {
     pub success: f64,
 }
 
-/// Returns the results with the preset of this name, by increasing number of decisions; `None` if none were measured.
+/// Returns the measured results of trainings with the preset named `preset`, by increasing number of decisions; `None`
+/// if none were measured.
 pub fn measured(preset: &str) -> Option<&'static [Measured]> {
     MEASURED.iter().find(|(name, _)| *name == preset).map(|(_, measured)| *measured)
 }

@@ -8,8 +8,8 @@ use crate::scenario::Arena;
 use crate::world::Physics;
 use crate::world::kinematic::{MAX_SPEED_M_S, PERIOD};
 
-/// Returns the safety filter of a robot in this episode, whose commanded point is `ahead_m` \[m\] ahead of its centre;
-/// `None` in an episode without filters.
+/// Returns the safety filter of a robot in an episode with the conditions `episode`; `None` if they are without
+/// filters. The commanded points of all robots are `ahead_m` \[m\] ahead of their centres.
 pub fn filter(episode: &Episode, arena: &Arena, physics: &Physics, ahead_m: f32) -> Option<Filter> {
     episode.filtered.then(|| {
         Filter::new(Settings {
@@ -23,12 +23,13 @@ pub fn filter(episode: &Episode, arena: &Arena, physics: &Physics, ahead_m: f32)
     })
 }
 
-/// Returns how long each robot's filter has held it, for a checkpoint.
+/// Returns, for a checkpoint, the state of each robot's safety filter that changes from step to step; the initial state
+/// for a robot without a filter.
 pub fn yielding(filters: &[Option<Filter>]) -> Vec<Yielding> {
     filters.iter().map(|filter| filter.as_ref().map(Filter::yielding).unwrap_or_default()).collect()
 }
 
-/// Restores what the function `yielding` has returned.
+/// Restores the states of safety filters, one per robot, that the function `yielding` has returned.
 pub fn restore(filters: &mut [Option<Filter>], yielding: &[Yielding]) {
     for (filter, yielding) in filters.iter_mut().zip(yielding) {
         filter.iter_mut().for_each(|filter| filter.restore(*yielding));

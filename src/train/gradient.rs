@@ -8,7 +8,8 @@ use crate::policy::mlp::Instructions;
 
 impl Network {
     /// Adds the gradient of a loss with respect to the parameters to `gradient`. `space` must hold the forward pass of
-    /// the same batch. `d_outputs` are the derivatives of the loss with respect to the network's outputs.
+    /// the same batch. `d_outputs` are the derivatives of the loss with respect to the network's outputs, \[robots,
+    /// outputs\], row-major.
     pub fn backward<T: Real>(
         &self,
         parameters: &[T],

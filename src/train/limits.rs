@@ -4,7 +4,7 @@ use super::config::{Conditions, Config, Critic, Ppo, Reward};
 use crate::config::ConfigError;
 
 impl Config {
-    /// Checks all fields; the error names the field.
+    /// Checks the values of all fields of the configuration. The error names the first wrong one.
     pub fn check(&self) -> Result<(), ConfigError> {
         within("episode_s", self.episode_s, 0.1, 3600.0)?;
         self.body.chassis().map_err(|error| error.within("body"))?;

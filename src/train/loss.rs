@@ -3,21 +3,21 @@
 use super::matrix::Real;
 use super::record::HALF_LOG_TWO_PI;
 
-/// A recorded action with its advantage.
+/// Recorded action of one robot with its advantage, from which the policy's loss is computed.
 #[derive(Clone, Copy, Debug)]
 pub struct Sample<T> {
     /// The action as drawn \[m/s\], policy frame.
     pub action: [T; 2],
-    /// Log density of the action under the policy that drew it.
+    /// Natural logarithm of the action's probability density under the policy that drew it.
     pub log_density: T,
     /// Advantage of the action, normalised to mean 0 and standard deviation 1 over the rollout.
     pub advantage: T,
 }
 
-/// Current coefficients of the policy's loss.
+/// Coefficients of the policy's loss in one update.
 #[derive(Clone, Copy, Debug)]
 pub struct Terms<T> {
-    /// Clipping range of the probability ratio around 1.
+    /// Half width of the interval around 1 to which the probability ratio is clipped.
     pub clip: T,
     /// Weight of the entropy.
     pub entropy: T,
@@ -25,7 +25,7 @@ pub struct Terms<T> {
     pub log_std_max: T,
 }
 
-/// The policy's loss for one sample.
+/// The policy's loss for one recorded action of one robot, with its derivatives.
 #[derive(Clone, Copy, Debug)]
 pub struct PolicyLoss<T> {
     /// The loss, to be minimised.
@@ -38,8 +38,9 @@ pub struct PolicyLoss<T> {
     pub entropy: T,
 }
 
-/// Computes the clipped surrogate loss (Schulman et al., arXiv 1707.06347, equation 7) minus the weighted entropy of a
-/// diagonal normal distribution.
+/// Computes the policy's loss for one recorded action: the clipped surrogate loss (Schulman et al., arXiv 1707.06347,
+/// equation 7) minus the weighted entropy of a diagonal normal distribution. `outputs` are those of the policy's
+/// network now: mean_x, mean_y, log_std_x and log_std_y.
 pub fn policy<T: Real>(outputs: &[T], sample: &Sample<T>, terms: &Terms<T>) -> PolicyLoss<T> {
     let half = T::of(0.5);
     let (mut log_density, mut entropy) = (T::zero(), T::zero());
@@ -75,7 +76,8 @@ pub fn policy<T: Real>(outputs: &[T], sample: &Sample<T>, terms: &Terms<T>) -> P
     }
 }
 
-/// Computes the critic's loss, half the squared error, and its derivative with respect to the estimate.
+/// Returns the critic's loss for one estimate, half its squared error from `target`, and the derivative of the loss
+/// with respect to the estimate.
 pub fn value<T: Real>(estimate: T, target: T) -> (T, T) {
     let error = estimate - target;
     (T::of(0.5) * error * error, error)

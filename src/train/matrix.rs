@@ -36,7 +36,7 @@ impl Real for f64 {
     }
 }
 
-/// A read-only matrix.
+/// Read-only view of a slice as a matrix.
 #[derive(Clone, Copy, Debug)]
 pub struct View<'a, T> {
     data: &'a [T],
@@ -47,13 +47,19 @@ pub struct View<'a, T> {
 }
 
 impl<'a, T> View<'a, T> {
-    /// Returns a view of a row-major matrix of `rows` x `columns` without gaps.
+    /// Returns a view of `data` as a row-major matrix of `rows` x `columns` without gaps.
+    ///
+    /// # Panics
+    /// If `data` is too short.
     pub fn new(data: &'a [T], rows: usize, columns: usize) -> View<'a, T> {
         View::strided(data, rows, columns, columns)
     }
 
-    /// Returns a view of `rows` x `columns` whose rows begin `stride` entries apart, for some columns of a wider
-    /// matrix.
+    /// Returns a view of `data` as a matrix of `rows` x `columns` whose rows begin `stride` entries apart, for some
+    /// columns of a wider matrix.
+    ///
+    /// # Panics
+    /// If `data` is too short, or if the rows overlap.
     pub fn strided(data: &'a [T], rows: usize, columns: usize, stride: usize) -> View<'a, T> {
         let view = View { data, rows, columns, row_stride: stride, column_stride: 1 };
         assert!(within(data.len(), rows, columns, stride), "a view lies inside its slice");
@@ -85,7 +91,8 @@ pub enum Output {
     Add,
 }
 
-/// Computes the product of `a` and `b`, and writes or adds it to `into`, whose rows begin `stride` entries apart.
+/// Computes the product of the matrices `a` and `b`. Writes it into the slice `into`, whose rows begin `stride` entries
+/// apart, or adds it there, as `output` says.
 ///
 /// # Panics
 /// If the shapes do not match each other or the slice.

@@ -13,10 +13,12 @@ use crate::messages::geometry::{Motion, Vec2};
 use crate::random::Stream;
 use crate::world::kinematic::PERIOD;
 
-/// Number of past steps with stored estimates: enough for the longest delay plus the longest hold time, and one more.
+/// Number of past steps of 50 ms of which estimates are stored: enough for the longest delay plus the longest hold
+/// time.
 pub const HISTORY_STEPS: usize = 24;
 
-/// Estimates of a team over the last steps, and the newest message that each robot holds from each other robot.
+/// Messages of one team in training: the robots' estimates of their own motions in the last steps, and the newest
+/// message that each robot holds from each other robot.
 #[derive(Clone, Debug, Default, serde::Serialize, serde::Deserialize)]
 pub struct MessageBuffer {
     robots: usize,
@@ -44,8 +46,8 @@ pub struct HeldMessage {
 }
 
 impl MessageBuffer {
-    /// Removes all messages and estimates, for a team of `robots` robots. In lock step, only the current step's
-    /// estimates are stored from then on.
+    /// Removes all messages and estimates, for an episode of a team of `robots` robots. If they act in lock step, only
+    /// the current step's estimates are stored from then on.
     pub fn restart(&mut self, robots: usize, lockstep: bool) {
         self.robots = robots;
         self.history = if lockstep { 1 } else { HISTORY_STEPS };
@@ -57,20 +59,21 @@ impl MessageBuffer {
         self.undrawn.resize(robots * robots, 0);
     }
 
-    /// Stores a robot's estimate in a step.
+    /// Stores the estimate of its own motion, world frame, that the robot with index `robot` in the team has in `step`.
     pub fn store(&mut self, step: u32, robot: usize, estimate: &Motion) {
         let (p, v) = (estimate.position, estimate.velocity);
         self.estimates[step as usize % self.history * self.robots + robot] = [p.x, p.y, v.x, v.y];
     }
 
-    /// Returns a robot's estimate in a step, which must be among the stored steps.
+    /// Returns the estimate of its own motion, world frame, that the robot with index `robot` in the team had in
+    /// `step`, which must be among the stored steps.
     pub fn estimate(&self, step: u32, robot: usize) -> Motion {
         let [x, y, vx, vy] = self.estimates[step as usize % self.history * self.robots + robot];
         Motion { position: Vec2::new(x, y), velocity: Vec2::new(vx, vy) }
     }
 
-    /// Returns the last known motions of the other robots, each with the time since its message arrived \[s\], at the
-    /// action of robot `receiver` in `step`. Messages arrive when they are received for a decision.
+    /// Returns the last known motions of the other robots, world frame, each with the time since its message arrived
+    /// \[s\], at the action of robot `receiver` in `step`. Only messages that `receive` has found to arrive are known.
     pub fn known<'a>(
         &'a self,
         episode: &'a Episode,
@@ -86,10 +89,10 @@ impl MessageBuffer {
         })
     }
 
-    /// Draws the arrivals of messages at robot `receiver` up to the receiver's action in `step`. Then calls `each` with
-    /// every message that the receiver uses, in the order of the senders. `radius_m` is the range of communication
-    /// \[m\]. The newest message that may be used was sent `behind` steps before: 0 if messages are made from
-    /// observations, 1 if policies put them out with their actions.
+    /// Draws which messages arrive at robot `receiver` up to its action in `step`. Then calls `each` with every message
+    /// that the robot uses, in the order of the senders. `radius_m` is the communication radius \[m\]. The newest
+    /// message that may be used was sent `behind` steps before: 0 if messages are made from observations, 1 if policies
+    /// put them out with their actions.
     pub fn receive(
         &mut self,
         (episode, radius_m): (&Episode, f32),

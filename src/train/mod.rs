@@ -1,8 +1,8 @@
 //! Training: proximal policy optimisation over many teams at once. Dynamics and rewards are those of a run, with delay,
 //! loss, asynchrony and lag from the start.
 //!
-//! Pure: no clock, file or actor. `trainer` is the entry point. Its caller passes in the progress, writes the files,
-//! and decides when to stop.
+//! The code uses no clock, file or actor. `trainer` is the entry point. Its caller passes in the progress, writes the
+//! files, and decides when to stop.
 
 pub mod adam;
 pub mod batch;

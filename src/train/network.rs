@@ -14,7 +14,7 @@ use crate::policy::mlp::Instructions;
 /// Layer widths of a network. Each list begins with the number of inputs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Shape {
-    /// Layout of the message passing.
+    /// Layout of the message-passing network.
     pub architecture: Architecture,
     /// Widths of the encoder, inputs first.
     pub encoder: Vec<usize>,
@@ -36,78 +36,102 @@ impl fmt::Display for Shape {
 /// Position of a layer in the parameter vector: weight \[outputs, inputs\], then bias \[outputs\].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Layer {
+    /// Number of inputs of the layer.
     pub(super) inputs: usize,
+    /// Number of outputs of the layer.
     pub(super) outputs: usize,
+    /// Index of the layer's first weight in the parameter vector.
     pub(super) at: usize,
 }
 
 impl Layer {
+    /// Returns the index of the layer's first bias in the parameter vector.
     pub(super) fn bias(&self) -> usize {
         self.at + self.inputs * self.outputs
     }
 
+    /// Returns the index after the layer's last bias in the parameter vector.
     pub(super) fn end(&self) -> usize {
         self.bias() + self.outputs
     }
 
+    /// Returns the layer's weight matrix, \[outputs, inputs\].
     pub(super) fn w<'a, T>(&self, parameters: &'a [T]) -> View<'a, T> {
         View::new(&parameters[self.at..self.bias()], self.outputs, self.inputs)
     }
 
-    /// View of the columns `from..from + width` of the layer's weight matrix.
+    /// Returns the columns `from..from + width` of the layer's weight matrix, \[outputs, width\].
     pub(super) fn columns<'a, T>(&self, parameters: &'a [T], from: usize, width: usize) -> View<'a, T> {
         View::strided(&parameters[self.at + from..self.bias()], self.outputs, width, self.inputs)
     }
 
+    /// Returns the layer's biases, \[outputs\].
     pub(super) fn b<'a, T>(&self, parameters: &'a [T]) -> &'a [T] {
         &parameters[self.bias()..self.end()]
     }
 }
 
-/// Layout of a network. The parameters are one flat vector, which the caller passes to each function.
+/// Layer widths of a message-passing network, with the place of each layer in its parameters. The parameters are one
+/// flat vector, which the caller passes to each function.
 #[derive(Clone, Debug)]
 pub struct Network {
+    /// Layer widths of the network.
     pub(super) shape: Shape,
+    /// Layers of the encoder, in the order of application.
     pub(super) encoder: Vec<Layer>,
+    /// Layers of the message network, in the order of application.
     pub(super) message: Vec<Layer>,
+    /// Layers of the update network, in the order of application.
     pub(super) update: Vec<Layer>,
     parameters: usize,
 }
 
-/// Buffers for the activations and derivatives of one batch.
+/// Buffers for the activations of a network and the derivatives of a loss on one batch; all matrices are row-major.
 #[derive(Debug, Default)]
 pub struct Space<T> {
+    /// Outputs of each layer of the encoder, \[sources, outputs\].
     pub(super) encoder: Vec<Vec<T>>,
     /// Each source's contribution to the first message layer as a sender.
     theirs: Vec<T>,
     /// Each robot's contribution to the first message layer as the receiver.
     own: Vec<T>,
     edge_weight: Vec<T>,
+    /// Outputs of each message layer but the last, \[messages, outputs\].
     pub(super) message: Vec<Vec<T>>,
+    /// Sum of the messages of each robot, before the last message layer.
     pub(super) sum: Vec<T>,
+    /// Weights of the last message layer and the first update layer, folded into one layer.
     pub(super) folded: Vec<T>,
     folded_bias: Vec<T>,
+    /// Derivatives of the loss with respect to `folded`.
     pub(super) d_folded: Vec<T>,
+    /// Derivatives of the loss with respect to the bias of the folded layer.
     pub(super) d_folded_bias: Vec<T>,
+    /// Outputs of each layer of the update network, \[robots, outputs\].
     pub(super) update: Vec<Vec<T>>,
+    /// Derivatives with respect to the outputs of the current layer in the backward pass, and a buffer for the next
+    /// ones.
     pub(super) back: [Vec<T>; 2],
+    /// Derivatives of the loss with respect to the latents, \[sources, latent\].
     pub(super) d_hidden: Vec<T>,
+    /// Derivatives with respect to each source's contribution to the first message layer as a sender.
     pub(super) d_theirs: Vec<T>,
+    /// Derivatives with respect to each robot's contribution to the first message layer as the receiver.
     pub(super) d_own: Vec<T>,
 }
 
 impl<T> Space<T> {
-    /// Outputs of the last forward pass, \[robots, outputs\], row-major.
+    /// Returns the network's outputs of the last forward pass, \[robots, outputs\], row-major.
     pub fn outputs(&self) -> &[T] {
         self.update.last().map_or(&[], |outputs| outputs)
     }
 }
 
 impl Network {
-    /// Returns the layout for these widths.
+    /// Makes a network with the layer widths `shape`, and gives each layer its place in the parameter vector.
     ///
     /// # Panics
-    /// If the widths of the three parts do not fit each other; those of a checked configuration do.
+    /// If the widths of encoder, message and update network do not fit each other; those of a checked configuration do.
     pub fn new(shape: Shape) -> Network {
         let mut at = 0;
         let mut layers = |widths: &[usize]| -> Vec<Layer> {
@@ -130,42 +154,45 @@ impl Network {
         network
     }
 
-    /// Number of weights and biases.
+    /// Returns the number of weights and biases of the network.
     pub fn parameters(&self) -> usize {
         self.parameters
     }
 
-    /// Number of floats in an observation.
+    /// Returns the number of floats in an observation, the input of the encoder.
     pub fn inputs(&self) -> usize {
         self.encoder[0].inputs
     }
 
-    /// Number of outputs per robot.
+    /// Returns the number of outputs of the network for each robot.
     pub fn outputs(&self) -> usize {
         self.update[self.update.len() - 1].outputs
     }
 
-    /// Layer widths of the network.
+    /// Returns the layer widths of the network.
     pub fn shape(&self) -> &Shape {
         &self.shape
     }
 
+    /// Returns the number of floats of a latent, the output of the encoder.
     pub(super) fn hidden(&self) -> usize {
         self.encoder[self.encoder.len() - 1].outputs
     }
 
-    /// Layers of the encoder, message and update network. Each layer is (number of inputs, index of its first weight,
-    /// index of its first bias, index after its last bias), with indices in the parameter vector.
+    /// Returns the layers of the encoder, message and update network. Each layer is (number of inputs, index of its
+    /// first weight, index of its first bias, index after its last bias), with indices in the parameter vector.
     pub fn layers(&self) -> [Vec<(usize, usize, usize, usize)>; 3] {
         [&self.encoder, &self.message, &self.update]
             .map(|layers| layers.iter().map(|layer| (layer.inputs, layer.at, layer.bias(), layer.end())).collect())
     }
 
+    /// Whether the network has the full architecture of the paper's equation (1), and not the published one.
     pub(super) fn is_full(&self) -> bool {
         self.shape.architecture == Architecture::Full
     }
 
-    /// Computes all activations and outputs of a batch and stores them in `space`.
+    /// Computes all activations and outputs of the network for `batch`, with the weights and biases `parameters`, and
+    /// stores them in `space`.
     pub fn forward<T: Real>(&self, parameters: &[T], batch: &Batch<T>, space: &mut Space<T>) {
         Instructions::Detected.run(
             #[inline(always)]
@@ -173,8 +200,8 @@ impl Network {
         );
     }
 
-    /// Number of rows of messages: one per edge. The published architecture has one row more, the message of each robot
-    /// to itself: its input, a difference, is zero, so it is the same for all robots.
+    /// Returns the number of rows of messages: one per edge. The published architecture has one row more, the message
+    /// of each robot to itself: its input, a difference, is zero, so it is the same for all robots.
     #[inline(always)]
     pub(super) fn rows<T>(&self, batch: &Batch<T>) -> usize {
         batch.sender.len() + usize::from(!self.is_full())
@@ -303,7 +330,7 @@ impl Network {
         add_bias(first.b(p), to, self.update.len() > 1);
     }
 
-    /// Number of messages in a robot's sum.
+    /// Returns the number of messages in the sum of the robot with index `node` in the batch.
     #[inline(always)]
     pub(super) fn terms<T: Real>(&self, batch: &Batch<T>, node: usize) -> T {
         let terms = batch.first[node + 1] - batch.first[node] + u32::from(!self.is_full());
@@ -316,12 +343,13 @@ fn relu<T: Real>(x: T) -> T {
     if x > T::zero() { x } else { T::zero() }
 }
 
-/// Resizes a vector whose content the caller overwrites.
+/// Resizes a buffer whose content the caller overwrites.
 #[inline(always)]
 pub(super) fn resize<T: Real>(vector: &mut Vec<T>, length: usize) {
     vector.resize(length, T::zero());
 }
 
+/// Adds each number of `from` to the number of `to` at the same index.
 #[inline(always)]
 pub(super) fn add<T: Real>(to: &mut [T], from: &[T]) {
     to.iter_mut().zip(from).for_each(|(to, from)| *to += *from);

@@ -8,7 +8,8 @@ use crate::scenario::{Scenario, Stage};
 /// Number of inputs of the critic per robot in addition to the policy's observation.
 pub const PRIVILEGED: usize = 8;
 
-/// Writes a robot's observation in the policy frame, two floats for each field.
+/// Writes a robot's observation into `to`, two floats for each of `fields`, in the robot's policy frame. `task` is the
+/// robot's start and goal, and `estimate` its motion, both in the world frame.
 pub fn own(fields: &[Field], scenario: &dyn Scenario, task: &Task, estimate: &Motion, to: &mut [f32]) {
     let observation = scenario.observe(task, estimate);
     for (entry, field) in to.chunks_exact_mut(2).zip(fields) {
@@ -27,7 +28,7 @@ pub struct Privileged {
     pub passed: f32,
     /// Length of the robot's remaining path \[m\].
     pub to_go_m: f32,
-    /// Time constant of the drivetrain lag \[s\]; 0 for the training environment's physics.
+    /// Time constant of the drivetrain lag \[s\]; 0 for the physics of the paper's environment, without lag.
     pub lag_s: f32,
     /// Mean delay of the team's messages \[s\].
     pub delay_s: f32,

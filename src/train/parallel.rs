@@ -2,7 +2,7 @@
 
 use std::sync::Mutex;
 
-/// Runs `work` on every job, on the calling thread and up to `threads - 1` others; returns when all are done.
+/// Runs `work` on every job of `jobs`, on the calling thread and `threads - 1` others; returns when all are done.
 pub fn in_parallel<J: Send>(threads: usize, jobs: impl Iterator<Item = J> + Send, work: impl Fn(J) + Sync) {
     if threads <= 1 {
         jobs.for_each(work);

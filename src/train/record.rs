@@ -2,7 +2,7 @@
 
 use super::batch::Graphs;
 
-/// Half of log(2 pi), a term of the normal density's logarithm.
+/// Half of the natural logarithm of 2 pi, a term of the normal density's logarithm.
 pub const HALF_LOG_TWO_PI: f32 = 0.918_938_5;
 
 /// State of a robot's episode after an action.
@@ -17,8 +17,8 @@ pub enum EpisodeState {
     Truncated(u32),
 }
 
-/// All decisions of a chunk since the last update. Lists with one entry per action are ordered by decision, then by
-/// row, then by robot.
+/// All decisions of a chunk (rows of robots that one thread steps together) since the last update. Lists with one entry
+/// per action are ordered by decision, then by row, then by robot.
 #[derive(Debug, Default)]
 pub struct Record {
     /// Observations of the policy, one graph per row and decision.
@@ -28,17 +28,17 @@ pub struct Record {
     pub critic: Graphs,
     /// Actions as drawn \[m/s\], policy frame.
     pub action: Vec<[f32; 2]>,
-    /// Log densities of the actions under the policy that drew them.
+    /// Natural logarithms of the actions' probability densities under the policy that drew them.
     pub log_density: Vec<f32>,
     /// Rewards from each action until the next decision.
     pub reward: Vec<f32>,
-    /// State of the episode after each action.
+    /// State of the robot's episode after each action.
     pub state: Vec<EpisodeState>,
     /// Values that the critic estimates, one for each robot of each graph in `critic`.
     pub value: Vec<f32>,
-    /// Advantages of the actions.
+    /// Advantages of the actions, one per action.
     pub advantage: Vec<f32>,
-    /// Targets for the critic's estimates.
+    /// Targets for the critic's estimates at the decisions, one per action.
     pub target: Vec<f32>,
     /// Totals of the episodes that ended during the record.
     pub ended: EpisodeTotals,
@@ -71,7 +71,7 @@ impl EpisodeTotals {
 }
 
 impl Record {
-    /// Removes all data and keeps the allocated memory.
+    /// Removes all decisions and totals, and keeps the allocated memory.
     pub fn clear(&mut self) {
         self.actor.clear();
         self.critic.clear();
@@ -85,8 +85,8 @@ impl Record {
     /// Computes each robot's generalised advantage estimates (Schulman et al., arXiv 1506.02438, equation 16), and the
     /// critic's targets.
     ///
-    /// Every decision has `width` robots. `gamma` is the discount factor per decision. `decay` is the factor on the
-    /// next advantage, gamma * lambda.
+    /// `width` is the number of robots in all rows of the chunk together. `gamma` is the discount factor per decision,
+    /// and `decay` the factor on the next advantage, gamma * lambda.
     pub fn compute_advantages(&mut self, width: usize, gamma: f32, decay: f32) {
         let (count, robots) = (self.reward.len(), self.actor.robots);
         self.advantage.resize(count, 0.0);

@@ -9,15 +9,15 @@ use crate::world::kinematic::PERIOD;
 /// State of one robot before and after a step, as input of the reward.
 #[derive(Debug)]
 pub struct RobotStep<'a> {
-    /// The robot's task.
+    /// Start and goal of the robot \[m\], world frame.
     pub task: &'a Task,
-    /// Position of the centre after the step \[m\], world frame.
+    /// Position of the robot's centre after the step \[m\], world frame.
     pub position: Vec2,
     /// Position of the point that the policy commands after the step \[m\], world frame.
     pub point: Vec2,
-    /// Contacts in the step.
+    /// Contacts of the robot with walls and other robots in the step.
     pub contacts: Contacts,
-    /// Reward of the scenario for the step.
+    /// The scenario's own reward of the robot for the step, before weighting.
     pub scenario_reward: f32,
     /// Whether the robot is at its goal after the step.
     pub reached: bool,
@@ -28,7 +28,7 @@ pub struct RobotStep<'a> {
     pub arrived: &'a mut bool,
 }
 
-/// Whether `Scenario::reward` returns a reward for this scenario.
+/// Whether the scenario has a reward of its own: whether its method `reward` returns one.
 pub fn has_reward(scenario: &dyn Scenario) -> bool {
     let tasks = scenario.tasks(0, 0);
     let reward =
@@ -36,7 +36,8 @@ pub fn has_reward(scenario: &dyn Scenario) -> bool {
     tasks.first().and_then(reward).is_some()
 }
 
-/// Returns the reward of one robot for a step, without the terms that depend on other robots' positions or rewards.
+/// Returns the reward of one robot for a step: the terms with these `weights`, without those that depend on other
+/// robots' positions or rewards.
 pub fn robot_reward(weights: &Reward, scenario: &dyn Scenario, step: RobotStep) -> f32 {
     let position = step.position;
     let mut reward = 0.0;
@@ -69,8 +70,8 @@ pub fn robot_reward(weights: &Reward, scenario: &dyn Scenario, step: RobotStep) 
     reward * weights.scale
 }
 
-/// Returns the penalty in a step for the distances of robot `robot` to the other robots of the team. `positions` are
-/// those of the team's robots \[m\].
+/// Returns the penalty, zero or more, of robot `robot` in a step for its nearness to the other robots of its team.
+/// `positions` are those of the centres of the team's robots \[m\].
 pub fn proximity_penalty(weights: &Reward, robot: usize, positions: &[Vec2]) -> f32 {
     let mut near = 0.0;
     for (other, position) in positions.iter().enumerate() {

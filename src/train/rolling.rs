@@ -1,4 +1,5 @@
-//! Wheels of robots in training environments that are not holonomic without limits.
+//! Wheels of robots in training environments whose chassis is not the default one: robots with a differential drive, or
+//! with limits of their own.
 
 use crate::chassis::Chassis;
 use crate::messages::geometry::{Motion, Vec2};
@@ -26,12 +27,13 @@ impl Rolling {
         })
     }
 
-    /// Returns the distance of the commanded points ahead of the centres \[m\].
+    /// Returns the distance of the commanded points ahead of the robots' centres \[m\]; 0 for holonomic robots.
     pub fn ahead_m(&self) -> f32 {
         self.wheels.first().map_or(0.0, |wheels| wheels.chassis().point_ahead_m)
     }
 
-    /// Updates the commanded point of a robot from the motion of its centre.
+    /// Updates the commanded point of the robot with index `robot` from `centre`, the motion of its centre, world
+    /// frame.
     pub fn update(&mut self, robot: usize, centre: &Motion) {
         let point = self.wheels[robot].point(centre);
         (self.position[robot], self.velocity[robot]) = (point.position, point.velocity);

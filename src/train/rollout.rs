@@ -19,8 +19,8 @@ use crate::random;
 use crate::random::Stream;
 use crate::scenario::Scenario;
 
-/// Largest number of rows in a chunk. The network evaluates all rows of a chunk at once, and their activations fit into
-/// a processor core's private cache.
+/// Largest number of rows (environments) in a chunk, which one thread steps together. The network evaluates all rows of
+/// a chunk at once, and their activations fit into a processor core's private cache.
 pub const CHUNK: usize = 32;
 
 /// Settings of a rollout that are the same for all chunks. A chunk is a group of environments that one thread steps
@@ -35,7 +35,7 @@ pub struct RolloutSettings<'a> {
     pub critic: &'a Network,
     /// Weights of the reward's terms.
     pub reward: Reward,
-    /// Number of world steps for which an action is held.
+    /// Number of simulated steps of 50 ms for which an action is held.
     pub repeat: u32,
     /// Upper limit of the actions' log standard deviation.
     pub log_std_max: f32,
@@ -44,13 +44,13 @@ pub struct RolloutSettings<'a> {
 /// Rows of teams that are simulated together, with their rollout data. A row has the robots of one environment.
 #[derive(Debug)]
 pub struct Chunk {
-    /// Environments of the teams.
+    /// Training environments of the chunk's teams.
     pub environments: Environments,
-    /// Number of rows.
+    /// Number of rows in the chunk.
     pub rows: usize,
     /// Number of robots in a row.
     pub robots: usize,
-    /// Decisions recorded since the last update.
+    /// Decisions of the chunk's rows since the last update.
     pub record: Record,
     batch: Batch<f32>,
     space: Space<f32>,
@@ -63,8 +63,8 @@ pub struct Chunk {
 }
 
 impl Chunk {
-    /// Returns a chunk of `rows` rows whose episodes are not started. Each entry of `groups` lists the team sizes of
-    /// one row; rows take the entries in turn.
+    /// Makes a chunk of `rows` rows whose episodes are not started. Each entry of `groups` lists the team sizes of one
+    /// row; rows take the entries in turn. `scenarios` has a scenario for each of these sizes.
     pub fn new(
         rows: usize,
         groups: &[Vec<usize>],
@@ -98,7 +98,8 @@ impl Chunk {
             .for_each(|team| self.environments.start(team, &settings.config.conditions, stream));
     }
 
-    /// Makes and records `decisions` decisions of every row. Then computes the values and advantages of all.
+    /// Makes and records `decisions` decisions of every row, then computes the values and advantages of all. `actor`
+    /// and `critic` are the weights and biases of both networks.
     pub fn collect(
         &mut self,
         settings: &RolloutSettings,
@@ -144,7 +145,8 @@ impl Chunk {
         self.compute_values(settings, critic);
     }
 
-    /// Makes one decision of every row without recording it, for an evaluation.
+    /// Makes one decision of every row without recording it, for an evaluation. `actor` are the weights and biases of
+    /// the policy's network, and `draw` is the method of drawing actions.
     pub fn decide_unrecorded(&mut self, settings: &RolloutSettings, actor: &[f32], draw: Draw, stream: &mut Stream) {
         self.record.clear();
         for team in 0..self.environments.teams.len() {
@@ -162,7 +164,7 @@ impl Chunk {
         }
     }
 
-    /// Advances a team by one step with its current actions.
+    /// Advances the team with index `team` by one step of 50 ms, with the actions of its last decision.
     pub fn step(&mut self, settings: &RolloutSettings, team: usize, stream: &mut Stream) {
         let limit = settings.config.policy.limit_m_s;
         self.environments.step(team, &self.velocities, &settings.reward, limit, stream);

@@ -35,13 +35,14 @@ pub struct Metrics {
     pub env_steps: u64,
     /// Index of the curriculum's stage, from zero.
     pub stage: usize,
-    /// Mean return of a robot in the episodes that ended in the iteration; NaN if none ended.
+    /// Mean return of a robot in the episodes that ended in the iteration; NaN if none ended in it.
     pub earned: f32,
-    /// Fraction of the episodes that ended in which all robots arrived and touched nothing.
+    /// Fraction of the episodes that ended in the iteration in which all robots arrived and none had a contact that
+    /// makes an episode fail; NaN if none ended.
     pub success: f32,
-    /// Fraction of the episodes that ended in which all robots arrived.
+    /// Fraction of the episodes that ended in the iteration in which all robots arrived; NaN if none ended.
     pub arrived: f32,
-    /// Mean duration of the episodes that ended \[s\].
+    /// Mean duration of the episodes that ended in the iteration \[s\]; NaN if none ended.
     pub length_s: f32,
     /// Number of epochs in the update; fractional if the update stopped within an epoch.
     pub epochs: f32,
@@ -80,10 +81,10 @@ pub enum SetupError {
     /// The scenario cannot be built.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
-    /// The bytes are not a checkpoint.
+    /// The bytes are not a checkpoint of this version of the program; the text says why.
     #[error("not a complete checkpoint of this version of the program: {0}")]
     Format(String),
-    /// The checkpoint is of another training.
+    /// The checkpoint is of a training with another network, or of a processor with other vector instructions.
     #[error("it is of another training: {what} is {theirs} there and {ours} here")]
     Other {
         /// Name of the property that differs.
@@ -99,9 +100,9 @@ pub enum SetupError {
          'murmurate train SCENARIO --print-config' prints"
     )]
     Groups {
-        /// Number of robots in a group.
+        /// Number of robots in the groups of one environment together.
         found: usize,
-        /// Number of robots in the scenario.
+        /// Number of robots in the scenario's team.
         robots: usize,
     },
     /// The configuration sets a weight for the scenario's own reward, but the scenario has none.
@@ -109,12 +110,12 @@ pub enum SetupError {
     NoReward {
         /// Name of the scenario.
         scenario: String,
-        /// Configured weight of that reward.
+        /// Configured weight of the scenario's own reward.
         weight: f32,
     },
 }
 
-/// Parameters of a training that stay fixed.
+/// Parameters of a training, which do not change from its start to its end.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Plan {
     /// Name of the scenario.
@@ -130,16 +131,25 @@ pub struct Plan {
 /// State of a training between two iterations.
 #[derive(Debug)]
 pub struct Trainer {
+    /// Parameters of the training, fixed at its start.
     pub(super) plan: Plan,
     registry: Registry,
     scenario: Arc<dyn Scenario>,
+    /// Network of the policy, with its parameters and its optimiser's state.
     pub(super) actor: Learner,
+    /// Network of the critic, with its parameters and its optimiser's state.
     pub(super) critic: Learner,
+    /// Environments of the current stage, in groups that one thread steps together.
     pub(super) chunks: Vec<Chunk>,
+    /// Index of the curriculum's current stage, from zero.
     pub(super) stage: usize,
+    /// Number of iterations so far.
     pub(super) iteration: u64,
+    /// Number of decisions so far: one per environment and step of the policy.
     pub(super) decisions: u64,
+    /// Number of simulated steps of 50 ms so far, summed over all environments.
     pub(super) env_steps: u64,
+    /// Completed fraction of the training, 0 to 1, that was passed to the last iteration.
     pub(super) progress: f64,
     /// Factor on the scheduled learning rate, adapted to the KL divergence of updates; at most 1.
     pub(super) rate_factor: f32,
@@ -150,7 +160,8 @@ impl Trainer {
     /// Starts a training with random weights.
     ///
     /// # Errors
-    /// If the registry does not have the scenario, or a stage of the curriculum cannot be set up.
+    /// If the registry does not have the scenario, the scenario has no reward of its own although the configuration
+    /// weights it, or a stage of the curriculum cannot be set up.
     pub fn new(plan: Plan, registry: &Registry) -> Result<Trainer, SetupError> {
         let settings = Settings { robots: plan.config.robots, gap_m: None };
         let scenario = registry.scenario(&plan.scenario, &settings)?;
@@ -189,6 +200,8 @@ impl Trainer {
         Ok(trainer)
     }
 
+    /// Makes the environments of the current stage, whose episodes are not started. It is an error if the stage's
+    /// groups do not fit the scenario.
     pub(super) fn make_chunks(&self) -> Result<Vec<Chunk>, SetupError> {
         let stage = &self.plan.config.curriculum[self.stage];
         let (found, robots) = (stage.groups[0].iter().sum(), self.scenario.robots());
@@ -219,7 +232,7 @@ impl Trainer {
         Seed::of_run(self.plan.seed).stream(&format!("train/{name}"))
     }
 
-    /// Rollout settings at the current stage and progress.
+    /// Returns the settings of a rollout at the current stage and progress.
     pub fn settings(&self) -> RolloutSettings<'_> {
         let config = &self.plan.config;
         RolloutSettings {
@@ -232,8 +245,8 @@ impl Trainer {
         }
     }
 
-    /// Performs one iteration: a rollout and an update. `progress` is the completed fraction of the training, 0 to 1,
-    /// on which the schedules depend.
+    /// Performs one iteration, a rollout and an update, on up to `threads` threads. `progress` is the completed
+    /// fraction of the training, 0 to 1, on which stage, learning rate and limits depend.
     ///
     /// # Errors
     /// If a value is NaN or infinite. The training cannot continue then.
@@ -320,42 +333,42 @@ impl Trainer {
         }
     }
 
-    /// Parameters of the training, fixed at its start.
+    /// Returns the parameters of the training, fixed at its start.
     pub fn plan(&self) -> &Plan {
         &self.plan
     }
 
-    /// The scenario of the whole team.
+    /// Returns the scenario of the training, with the team of the configured size.
     pub fn scenario(&self) -> &Arc<dyn Scenario> {
         &self.scenario
     }
 
-    /// Whether the scenario's own reward is a term of the reward.
+    /// Whether the scenario's own reward is a term of the training's reward.
     pub fn uses_scenario_reward(&self) -> bool {
         self.plan.config.reward.scenario > 0.0
     }
 
-    /// Weights and biases of the policy.
+    /// Returns the weights and biases of the policy's network as one vector.
     pub fn parameters(&self) -> &[f32] {
         &self.actor.parameters
     }
 
-    /// Number of decisions so far.
+    /// Returns the number of decisions so far: one per environment and step of the policy.
     pub fn decisions(&self) -> u64 {
         self.decisions
     }
 
-    /// Number of iterations so far.
+    /// Returns the number of iterations (a rollout and an update) so far.
     pub fn iterations(&self) -> u64 {
         self.iteration
     }
 
-    /// Progress passed to the last iteration, 0 to 1.
+    /// Returns the completed fraction of the training, 0 to 1, that was passed to the last iteration.
     pub fn progress(&self) -> f64 {
         self.progress
     }
 
-    /// Returns the bytes of a policy file with the current weights.
+    /// Returns the bytes of a policy file of format 1 with the current weights of the policy.
     pub fn policy_file(&self) -> Vec<u8> {
         let config = &self.plan.config;
         let mut manifest = config.manifest(&self.plan.scenario);

@@ -23,15 +23,15 @@ const SHARDS: usize = 8;
 /// A network with its parameters and its optimiser's state.
 #[derive(Clone, Debug)]
 pub struct Learner {
-    /// Layout of the network.
+    /// Layer widths of the network, and the places of its layers in `parameters`.
     pub network: Network,
-    /// All weights and biases.
+    /// All weights and biases of the network, in one vector.
     pub parameters: Vec<f32>,
     /// State of the optimiser.
     pub adam: Adam,
 }
 
-/// Statistics of one update.
+/// Statistics of one update of policy and critic.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
     /// Number of epochs; fractional if the update stopped within an epoch.
@@ -46,7 +46,7 @@ pub struct Outcome {
     pub gradient: f32,
 }
 
-/// Error of an update with a value that is NaN or infinite.
+/// Error of an update in which a value became NaN or infinite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotFinite {
     /// Name of the first quantity that was not finite.
@@ -69,15 +69,15 @@ struct Shard {
     value_loss: f32,
 }
 
-/// Buffers that are reused from update to update.
+/// Buffers of an update, reused from one update to the next.
 #[derive(Debug, Default)]
 pub struct Workspace {
     shards: Vec<Shard>,
     order: Vec<(u32, u32)>,
 }
 
-/// Updates policy and critic from the decisions of all records. The pair of floats is (learning rate, weight of the
-/// entropy).
+/// Updates `actor`, the policy, and `critic` by proximal policy optimisation from the decisions of all records, on up
+/// to `threads` threads. The pair of floats is (learning rate, weight of the entropy); `stream` shuffles the decisions.
 ///
 /// # Errors
 /// If a value is NaN or infinite; the error names the first one.
@@ -233,9 +233,9 @@ impl Shard {
     }
 }
 
-/// Returns initial parameters, drawn from normal distributions whose variance preserves the size of activations (He et
-/// al., arXiv 1502.01852). The last layer's weights are near zero, so that an untrained policy stands still; `bias` is
-/// the bias of that layer.
+/// Returns initial parameters of `network`, drawn from normal distributions whose variance preserves the size of
+/// activations (He et al., arXiv 1502.01852). The weights of the output layer are near zero, so that an untrained
+/// policy stands still; `bias` is the bias of that layer, and all other biases are zero.
 pub fn initial(network: &Network, seed: Seed, bias: &[f32]) -> Vec<f32> {
     let mut stream = seed.stream("train/initial");
     let mut parameters = vec![0.0; network.parameters()];

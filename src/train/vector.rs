@@ -20,12 +20,12 @@ use crate::scenario::Scenario;
 /// Number of environments that a thread takes at a time.
 const CHUNK: usize = 32;
 
-/// What becomes of an environment whose episode has ended.
+/// Treatment of an environment whose episode has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Autoreset {
     /// The next episode starts in the same step.
     SameStep,
-    /// The environment waits for a reset.
+    /// No episode starts until the caller resets the environment.
     Disabled,
 }
 
@@ -34,7 +34,7 @@ pub enum Autoreset {
 pub enum Content {
     /// No message is delivered.
     Nothing,
-    /// The observation that the sender had when it sent. So the sender's encoder can be trained through it.
+    /// The observation that the sender had when it sent, from which a training computes the sender's latent itself.
     Observations,
     /// This number of floats, which the sender's policy has put out with its action.
     Actions(usize),
@@ -43,11 +43,11 @@ pub enum Content {
 /// Settings of a vectorised environment.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Task of every team.
+    /// Scenario of every environment, with the number of robots R of a team.
     pub scenario: Arc<dyn Scenario>,
-    /// Number of environments.
+    /// Number of environments N, each with one team.
     pub environments: usize,
-    /// Number of threads.
+    /// Number of threads that step the environments; the data do not depend on it.
     pub threads: usize,
     /// Distributions from which each episode's conditions are drawn.
     pub conditions: Conditions,
@@ -65,7 +65,7 @@ pub struct Options {
     pub episode_s: f32,
     /// Content of the messages between robots.
     pub content: Content,
-    /// What becomes of an environment whose episode has ended.
+    /// Treatment of an environment whose episode has ended.
     pub autoreset: Autoreset,
     /// Seed of all random numbers.
     pub seed: u64,
@@ -75,11 +75,11 @@ pub struct Options {
 /// floats of an observation, and M that of floats of a message.
 #[derive(Debug)]
 pub struct Buffers<'a> {
-    /// Observations \[N, R, F\], after a reset where there was one.
+    /// Observations \[N, R, F\]: pairs of floats \[m\] in the policy frame, after a reset where there was one.
     pub observation: &'a mut [f32],
     /// Observations \[N, R, F\] before a reset: where an episode has ended, its last ones.
     pub last_observation: &'a mut [f32],
-    /// Rewards \[N, R\].
+    /// Rewards of the robots for the step \[N, R\].
     pub reward: &'a mut [f32],
     /// Whether the episode has ended because all robots have arrived \[N\].
     pub terminated: &'a mut [bool],
@@ -90,20 +90,22 @@ pub struct Buffers<'a> {
     /// Whether a receiver uses a message of a sender \[N, R, R\], by receiver and then by sender; empty without
     /// messages.
     pub heard: &'a mut [bool],
-    /// Time since the arrival of that message \[s\] \[N, R, R\]; empty without messages.
+    /// Time \[s\] since the arrival of the message in use, \[N, R, R\], by receiver and then by sender; empty without
+    /// messages.
     pub age_s: &'a mut [f32],
-    /// Content of that message \[N, R, R, M\], zeros where there is none; empty without messages.
+    /// Content of the message in use, \[N, R, R, M\], by receiver and then by sender, zeros where there is none; empty
+    /// without messages.
     pub message: &'a mut [f32],
 }
 
-/// Lengths of one environment's part of each buffer.
+/// Numbers of robots and floats that give the lengths of one environment's part of each buffer.
 #[derive(Clone, Copy, Debug)]
 pub struct Lengths {
-    /// Number of robots R.
+    /// Number R of robots in an environment.
     pub robots: usize,
-    /// Number of floats of an observation F.
+    /// Number F of floats of an observation.
     pub observation: usize,
-    /// Number of floats of a message M; 0 without messages.
+    /// Number M of floats of a message; 0 without messages.
     pub message: usize,
 }
 
@@ -150,7 +152,7 @@ struct Chunk {
     outputs: Vec<f32>,
 }
 
-/// Vectorised environment.
+/// Vectorised environment: N teams of R robots each, stepped together, with results in flat buffers of the caller.
 #[derive(Debug)]
 pub struct VectorEnvironment {
     options: Options,
@@ -189,26 +191,29 @@ impl VectorEnvironment {
         VectorEnvironment { options, lengths, chunks }
     }
 
-    /// Lengths of one environment's part of each buffer.
+    /// Returns the numbers of robots and floats that give the lengths of one environment's part of each buffer.
     pub fn lengths(&self) -> Lengths {
         self.lengths
     }
 
-    /// Settings of the environments.
+    /// Returns the settings from which the environments were made; the seed is that of the last call of `reseed`.
     pub fn options(&self) -> &Options {
         &self.options
     }
 
-    /// Replaces the seed, and starts a new episode in every environment.
+    /// Begins all random streams anew from `seed`, starts a new episode in every environment, and fills all buffers.
     pub fn reseed(&mut self, seed: u64, buffers: Buffers) {
         let options = Options { seed, ..self.options.clone() };
         *self = VectorEnvironment::new(options);
         self.look(buffers, |_| true);
     }
 
-    /// Advances every environment by one step of 50 ms. `actions` are the robots' velocities \[m/s\], policy frame,
-    /// \[N, R, 2\]; `outputs` the floats of their messages, \[N, R, M\], empty unless the content is `Actions`. All
-    /// must be finite; lengths that do not fit panic.
+    /// Advances every environment by one step of 50 ms and fills the buffers. `actions` are the robots' velocities
+    /// \[m/s\], policy frame, \[N, R, 2\]; `outputs` the floats of their messages, \[N, R, M\], empty unless the
+    /// content is `Content::Actions`. All must be finite.
+    ///
+    /// # Panics
+    /// If an array or a buffer has another length.
     pub fn step(&mut self, actions: &[f32], outputs: &[f32], mut buffers: Buffers) {
         let VectorEnvironment { options, lengths, chunks } = self;
         let lengths = *lengths;
@@ -231,8 +236,8 @@ impl VectorEnvironment {
         });
     }
 
-    /// Starts a new episode in the environments that `mask` selects, and fills their observations and messages. Other
-    /// environments and their parts of the buffers do not change.
+    /// Starts a new episode in each environment for whose index `mask` returns true, and fills its parts of the
+    /// buffers. Other environments and their parts of the buffers do not change.
     pub fn reset(&mut self, mask: impl Fn(usize) -> bool, buffers: Buffers) {
         let mut first = 0;
         for chunk in &mut self.chunks {
@@ -265,7 +270,7 @@ impl VectorEnvironment {
         }
     }
 
-    /// Returns the conditions of the running episode of an environment.
+    /// Returns the conditions of the current episode of the environment with index `environment`.
     pub fn episode(&self, environment: usize) -> &Episode {
         &self.chunks[environment / CHUNK].environments.teams[environment % CHUNK].episode
     }
@@ -340,7 +345,7 @@ impl Chunk {
         let (team, robots) = (&mut environments.teams[row], lengths.robots);
         let (step, first) = (team.step, team.first);
         let mut messages = std::mem::take(&mut team.messages);
-        // What a policy puts out with its action is sent after the decision: the step before is the newest there is.
+        // Floats that a policy puts out with its action are sent after the decision, so the newest are a step old.
         let behind = u32::from(matches!(options.content, Content::Actions(_)));
         for receiver in 0..robots {
             let episode = &environments.teams[row].episode;

@@ -34,6 +34,7 @@ pub(super) struct StepParameters {
 }
 
 impl StepParameters {
+    /// Computes the parameters for steps of duration `step`, from the physical parameters of the world's robots.
     pub(super) fn new(physics: &Physics, step: Span) -> StepParameters {
         let step_s = step.as_secs() as f32;
         let slip_decay =
@@ -51,6 +52,7 @@ impl StepParameters {
 }
 
 impl Drivetrain {
+    /// Makes a drivetrain that is commanded to stand and does not slip. Its slip is drawn from `stream`.
     pub(super) fn new(stream: Stream) -> Drivetrain {
         Drivetrain { command: Vec2::zeros(), slip: Vec2::zeros(), stream }
     }

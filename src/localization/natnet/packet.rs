@@ -2,17 +2,17 @@
 //!
 //! Layouts and numbers are those of the manufacturer's sample client for direct depacketisation.
 
-/// Message number of a client's request for the server's description; in unicast it also subscribes to frames.
+/// NatNet message number of a client's request for the server's description; in unicast it also subscribes to frames.
 pub const CONNECT: u16 = 0;
-/// Message number of the server's description.
+/// NatNet message number of the datagram in which the server describes itself.
 pub const SERVER_INFO: u16 = 1;
-/// Message number of a client's request for model definitions.
+/// NatNet message number of a client's request for model definitions, the names and IDs of rigid bodies.
 pub const REQUEST_MODEL: u16 = 4;
-/// Message number of model definitions.
+/// NatNet message number of model definitions, the names and IDs of rigid bodies.
 pub const MODEL: u16 = 5;
-/// Message number of a frame of motion capture data.
+/// NatNet message number of a frame of motion capture data.
 pub const FRAME: u16 = 7;
-/// Message number of a client's request that renews its subscription at a unicast server.
+/// NatNet message number of a client's request that renews its subscription at a unicast server.
 pub const KEEP_ALIVE: u16 = 10;
 
 /// Size of a header \[bytes\]: message number and length of the payload.
@@ -32,7 +32,7 @@ pub struct Malformed(pub &'static str);
 /// Error of bytes that end within a field.
 const TRUNCATED: Malformed = Malformed("a NatNet packet ends too early");
 
-/// Version of an application or of the bitstream: major and minor number.
+/// Version of an application or of the NatNet format (bitstream): major and minor number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Version {
     /// Major version number: 3 in version 3.1.
@@ -52,7 +52,7 @@ impl std::fmt::Display for Version {
 pub struct ServerInfo {
     /// Name of the server's application.
     pub name: String,
-    /// Version of the application.
+    /// Version of the server's application.
     pub version: Version,
     /// NatNet version of the server. In unicast, the server may send an older bitstream on request.
     pub natnet: Version,
@@ -78,14 +78,14 @@ impl<'a> Reader<'a> {
         self.rest.len()
     }
 
-    /// Reads the next `count` bytes.
+    /// Reads the next `count` bytes; an error if fewer are left.
     pub fn bytes(&mut self, count: usize) -> Result<&'a [u8], Malformed> {
         let (taken, rest) = self.rest.split_at_checked(count).ok_or(TRUNCATED)?;
         self.rest = rest;
         Ok(taken)
     }
 
-    /// Skips `count` elements of `size` bytes each.
+    /// Skips `count` elements of `size` bytes each; an error if fewer bytes are left.
     pub fn skip(&mut self, count: usize, size: usize) -> Result<(), Malformed> {
         self.bytes(count.checked_mul(size).ok_or(TRUNCATED)?).map(|_| ())
     }
@@ -96,32 +96,33 @@ impl<'a> Reader<'a> {
         Ok(*taken)
     }
 
-    /// Reads an i16.
+    /// Reads the next two bytes as a little-endian i16; an error if fewer are left.
     pub fn i16(&mut self) -> Result<i16, Malformed> {
         self.array().map(i16::from_le_bytes)
     }
 
-    /// Reads an i32.
+    /// Reads the next four bytes as a little-endian i32; an error if fewer are left.
     pub fn i32(&mut self) -> Result<i32, Malformed> {
         self.array().map(i32::from_le_bytes)
     }
 
-    /// Reads an i32 that is a count. A negative one is an error.
+    /// Reads the next four bytes as a little-endian i32 that is a count. An error if it is negative, or if fewer bytes
+    /// are left.
     pub fn count(&mut self) -> Result<usize, Malformed> {
         usize::try_from(self.i32()?).map_err(|_| Malformed("a count in a NatNet packet is negative"))
     }
 
-    /// Reads an f32.
+    /// Reads the next four bytes as a little-endian f32; an error if fewer are left.
     pub fn f32(&mut self) -> Result<f32, Malformed> {
         self.array().map(f32::from_le_bytes)
     }
 
-    /// Reads an f64.
+    /// Reads the next eight bytes as a little-endian f64; an error if fewer are left.
     pub fn f64(&mut self) -> Result<f64, Malformed> {
         self.array().map(f64::from_le_bytes)
     }
 
-    /// Reads N values of type f32 as f64.
+    /// Reads N little-endian values of type f32 and converts them to f64; an error if fewer bytes are left.
     pub fn vector<const N: usize>(&mut self) -> Result<[f64; N], Malformed> {
         let mut vector = [0.0; N];
         for number in &mut vector {
@@ -130,7 +131,8 @@ impl<'a> Reader<'a> {
         Ok(vector)
     }
 
-    /// Reads a text that ends with a zero byte. Returns the bytes before the zero byte.
+    /// Reads a text that ends with a zero byte, and returns the bytes before the zero byte; an error if no zero byte
+    /// follows.
     pub fn text(&mut self) -> Result<&'a [u8], Malformed> {
         let end = self.rest.iter().position(|byte| *byte == 0).ok_or(TRUNCATED)?;
         let text = self.bytes(end)?;

@@ -5,7 +5,7 @@
 use super::manifest::Aggregation;
 
 /// Writes the sum, the mean or the maximum of the first `count` rows of `messages` into `sum`, whose length is that of
-/// a row; zero without any row. Attentions are a matter of [`weighted_sum`].
+/// a row; zero without any row. Any other aggregation is computed as the sum.
 #[inline(always)]
 pub fn plain(aggregation: Aggregation, count: usize, messages: &[f32], sum: &mut [f32]) {
     let is_max = aggregation == Aggregation::Max;
@@ -37,8 +37,9 @@ pub fn softmax(count: usize, heads: usize, scores: &mut [f32]) {
     }
 }
 
-/// Writes the scores of scaled dot-product attention into `scores`, with one row for each of the first `count` rows of
-/// `keys` and one score for each head. Query and keys consist of `heads` equal parts.
+/// Writes the scores of scaled dot-product attention into `scores`: one row for each of the first `count` rows of
+/// `keys`, with one score for each head. Query and keys consist of `heads` equal parts; a score is the dot product of a
+/// part of the query and of a key, divided by the square root of the part's width.
 #[inline(always)]
 pub fn dot_products(count: usize, heads: usize, query: &[f32], keys: &[f32], scores: &mut [f32]) {
     let width = query.len() / heads;

@@ -42,7 +42,7 @@ pub struct PolicyFile {
 /// after the other from messages of the same step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TeamProbe {
-    /// The inputs and correct outputs; a latent holds the inputs of all hops.
+    /// Inputs and correct outputs of the team's robots; each latent holds the inputs of all hops, one after the other.
     pub team: Probe,
     /// Whether a message was received, with shape \[robots, robots\]: the row is the receiver, the column the sender. A
     /// robot's message to itself does not count.
@@ -121,8 +121,8 @@ fn unknown(tensors: &TensorsByName, manifest: &Manifest) -> Option<String> {
 /// weights \[out, in\] and biases \[out\].
 pub type Tensors = Vec<Vec<(Vec<f32>, Vec<f32>)>>;
 
-/// Returns the bytes of a policy file with this manifest and these weights. The field `sha256` of the manifest is
-/// replaced by the hash of the weights.
+/// Returns the bytes of a policy file of format 2 with this manifest and these weights. The field `sha256` of the
+/// manifest is replaced by the hash of the weights.
 ///
 /// # Panics
 /// If the weights do not have the shapes that the manifest states.

@@ -6,7 +6,7 @@ use super::perceptron::{Buffers, Perceptron};
 use crate::messages::geometry::Motion;
 use crate::policy::Neighbour;
 
-/// Network of a hop with the parts of its input.
+/// Network of a hop, such as the message network, with the parts of its input.
 #[derive(Debug)]
 pub struct Part {
     /// Parts of the input, one after the other.
@@ -15,7 +15,8 @@ pub struct Part {
     pub perceptron: Perceptron,
 }
 
-/// Hop with its weights.
+/// One hop of a policy with the weights of its networks: computes the hop's output for a robot from the messages of its
+/// neighbours.
 #[derive(Debug)]
 pub struct Hop {
     /// First float of the hop's input in a latent.
@@ -55,11 +56,12 @@ pub struct Space {
 }
 
 impl Hop {
-    /// Makes a hop as `form` says, whose input has `input` floats, from index `begins` in a latent. `edge` are the
-    /// policy's edge features, and `load` returns the weights of a network of the hop by its name.
+    /// Makes a hop with the networks and the aggregation that `form` states. Its input is `input` floats of a latent,
+    /// from the index `begins`. `edge` are the policy's edge features, and `load` returns the weights of a network of
+    /// the hop by the network's name.
     ///
     /// # Errors
-    /// If `load` returns one.
+    /// The error of `load`.
     pub fn new<E>(
         form: &manifest::Hop,
         (begins, input): (usize, usize),
@@ -92,7 +94,7 @@ impl Hop {
         self.begins
     }
 
-    /// Returns the width of the hop's output.
+    /// Returns the number of floats of the hop's output.
     pub fn outputs(&self) -> usize {
         self.update.as_ref().map_or(self.messages, |update| update.perceptron.outputs())
     }
@@ -106,7 +108,7 @@ impl Hop {
         [&self.message, &self.score, &self.query, &self.key, &self.update].into_iter().flatten()
     }
 
-    /// Makes room in `space` for the given number of neighbours.
+    /// Enlarges the buffers `space` so that `apply` can be called with the given number of neighbours.
     pub fn reserve(&self, space: &mut Space, neighbours: usize) {
         let senders = neighbours + usize::from(self.self_loop.is_some());
         if space.capacity >= senders.max(1) {
@@ -134,7 +136,7 @@ impl Hop {
 
     /// Computes the hop for a robot with the state `motion` in the policy frame. `latent` is the robot's own, which
     /// holds the hop's input, and `neighbours` are those in range, in the order of their ids. `out` receives the
-    /// hop's output. `space` has been given room for as many neighbours.
+    /// hop's output. `space` has room for as many neighbours, made by `reserve`.
     #[inline(always)]
     pub fn apply(&self, motion: &Motion, latent: &[f32], neighbours: &[Neighbour], space: &mut Space, out: &mut [f32]) {
         let own = &latent[self.begins..self.begins + self.input];

@@ -8,7 +8,7 @@ use crate::messages::wire::MAX_FEATURES;
 use crate::policy::Draw;
 use crate::policy::manifest::{self, Field, Training};
 
-/// Version of the manifest's format that this module reads.
+/// Version of the manifest's format of policies with several hops, which this module reads.
 pub const FORMAT: u32 = 2;
 /// Largest number of hops of a policy.
 pub const MAX_HOPS: usize = 8;
@@ -45,11 +45,11 @@ impl EdgeFeature {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Input {
-    /// The robot's own input of this hop, h_i.
+    /// The robot's own input of this hop, called h_i in equations.
     Own,
-    /// The neighbour's input of this hop, h_j, as it was broadcast.
+    /// The neighbour's input of this hop as the neighbour broadcast it, called h_j in equations.
     Sender,
-    /// The features of the edge from the neighbour, e_ij.
+    /// The features of the edge from the neighbour to the robot, called e_ij in equations.
     Edge,
     /// The aggregated messages of all neighbours, an input of the update network only.
     Messages,
@@ -78,7 +78,7 @@ fn is_linear(activation: &Activation) -> bool {
 }
 
 impl Layers {
-    /// Returns the width of the output.
+    /// Returns the number of outputs of the last layer.
     pub fn outputs(&self) -> usize {
         self.widths.last().copied().unwrap_or(0)
     }
@@ -97,8 +97,9 @@ pub enum Aggregation {
     /// Attention by a score: the sum of the messages, weighted by the softmax of the network `score`, for each head
     /// (GAT, arXiv 1710.10903; GATv2, arXiv 2105.14491).
     Softmax,
-    /// Scaled dot-product attention: like `Softmax`, with the score query(h_i) . key(h_j, e_ij) / sqrt(width of a
-    /// head's query) (arXiv 1706.03762; as a graph convolution arXiv 2009.03509).
+    /// Scaled dot-product attention: the sum of the messages, weighted for each head by the softmax of the scores
+    /// query . key / sqrt(width of a head's query). The networks `query` and `key` compute the factors from the robot's
+    /// and the neighbour's input (arXiv 1706.03762; as a graph convolution arXiv 2009.03509).
     DotProduct,
 }
 
@@ -106,33 +107,36 @@ pub enum Aggregation {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SelfLoop {
-    /// All zero.
+    /// All edge features of the robot itself are zero.
     ZeroEdge,
     /// The mean of the features of all edges from neighbours; zero without any. It is what PyTorch Geometric does.
     MeanEdge,
 }
 
-/// One exchange of messages between neighbours, and what a robot makes of it.
+/// One hop in a manifest: the networks and the aggregation that turn the messages of a robot's neighbours into the
+/// hop's output.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Hop {
     /// Network that makes the message of each neighbour, of the inputs `own`, `sender` and `edge`. `None`: the message
-    /// is the neighbour's input h_j itself.
+    /// is the neighbour's input of this hop, unchanged.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub message: Option<Layers>,
     /// Method of combining the messages.
     pub aggregation: Aggregation,
     /// Number of heads of an attention: messages, queries and keys consist of as many equal parts, one for each head.
-    /// Attentions have one if it is left out.
+    /// `None`: one head.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub heads: Option<usize>,
-    /// `Aggregation::Softmax`: network of the scores, one for each head, of the inputs `own`, `sender` and `edge`.
+    /// Network of the scores, one for each head, of the inputs `own`, `sender` and `edge`; for `Aggregation::Softmax`
+    /// only, otherwise `None`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub score: Option<Layers>,
-    /// `Aggregation::DotProduct`: network of the query, of the input `own`.
+    /// Network of the query, of the input `own`; for `Aggregation::DotProduct` only, otherwise `None`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub query: Option<Layers>,
-    /// `Aggregation::DotProduct`: network of the keys, of the inputs `own`, `sender` and `edge`.
+    /// Network of the keys, of the inputs `own`, `sender` and `edge`; for `Aggregation::DotProduct` only, otherwise
+    /// `None`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub key: Option<Layers>,
     /// Whether the robot itself is one of its neighbours, after all others, and with which edge; `None`: it is not.
@@ -145,17 +149,17 @@ pub struct Hop {
 }
 
 impl Hop {
-    /// Returns the width of a message, if the hop's input has the given width.
+    /// Returns the number of floats of a message, if the hop's input has `input` floats.
     pub fn message_width(&self, input: usize) -> usize {
         self.message.as_ref().map_or(input, Layers::outputs)
     }
 
-    /// Returns the width of the hop's output, if its input has the given width.
+    /// Returns the number of floats of the hop's output, if its input has `input` floats.
     pub fn outputs(&self, input: usize) -> usize {
         self.update.as_ref().map_or(self.message_width(input), Layers::outputs)
     }
 
-    /// Returns the networks of the hop, each with its name.
+    /// Returns the possible networks of the hop, each with its name; `None` for one that the hop does not have.
     pub fn networks(&self) -> [(&'static str, Option<&Layers>); 5] {
         let Hop { message, score, query, key, update, .. } = self;
         [("message", message), ("score", score), ("query", query), ("key", key), ("update", update)]
@@ -168,10 +172,10 @@ impl Hop {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Distribution {
-    /// Independent normal distributions of both components.
+    /// Independent normal distributions of both components of the velocity.
     DiagonalNormal,
-    /// The velocity limit times the hyperbolic tangent of independent normal distributions; its "mean" is that of the
-    /// normal distributions, sent through the tangent.
+    /// The velocity limit times the hyperbolic tangent of independent normal variables. A policy that takes the mean
+    /// takes the limit times the tangent of their means.
     TanhNormal,
 }
 
@@ -238,7 +242,8 @@ impl Manifest {
         self.edge.iter().map(|feature| feature.floats()).sum()
     }
 
-    /// Returns the widths of the hops' inputs, and last the width of the decoder's input.
+    /// Returns the number of floats of each hop's input, in the order of the hops, and last that of the decoder's
+    /// input.
     pub fn widths(&self) -> Vec<usize> {
         let mut widths = vec![self.encoder.outputs()];
         widths.extend(self.hops.iter().scan(self.encoder.outputs(), |width, hop| {
@@ -248,7 +253,7 @@ impl Manifest {
         widths
     }
 
-    /// Returns the width of a latent: the inputs of all hops together.
+    /// Returns the number of floats of a latent, which holds the inputs of all hops.
     pub fn latent(&self) -> usize {
         self.widths()[..self.hops.len()].iter().sum()
     }

@@ -16,10 +16,15 @@ use crate::time::Span;
 /// Weights and parameters of a policy of several hops, which all robots of a team share.
 #[derive(Debug)]
 pub struct Network {
+    /// Manifest (metadata) of the policy file.
     pub(super) manifest: Manifest,
+    /// Digest of the policy file: the first 64 bits of its BLAKE3 hash, in hexadecimal.
     pub(super) digest: String,
+    /// Network that turns an observation into the input of the first hop.
     pub(super) encoder: Perceptron,
+    /// Hops in their order.
     pub(super) hops: Vec<Hop>,
+    /// Network that turns the output of the last hop into the parameters of the action.
     pub(super) decoder: Perceptron,
     interface: Interface,
 }
@@ -99,9 +104,10 @@ impl Hops {
     }
 
     /// Returns the decoder's raw outputs, the parameters of the distribution of a velocity in the policy frame: mean_x,
-    /// mean_y, and two of its standard deviations. The manifest's upper limit of these is not applied.
+    /// mean_y, and a parameter of each standard deviation. The manifest's limit `log_std_max` is not applied.
     ///
-    /// The arguments are those of [`Policy::act`]; `features` holds the inputs of all hops.
+    /// `own` is the robot's observation, `features` its own latent, which holds the inputs of all hops, and
+    /// `neighbours` are the neighbours' messages in use.
     pub fn outputs(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour]) -> [f32; OUTPUTS] {
         let at = self.network.hops.len() - 1;
         let (network, space) = (&*self.network, &mut self.spaces[at]);

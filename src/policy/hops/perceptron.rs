@@ -51,7 +51,7 @@ pub struct Perceptron {
 pub struct Buffers(Vec<f32>, Vec<f32>);
 
 impl Buffers {
-    /// Makes room for `rows` inputs at once of the given perceptron.
+    /// Enlarges the buffers so that `perceptron` can be applied to `rows` independent inputs at once.
     pub fn reserve(&mut self, perceptron: &Perceptron, rows: usize) {
         let widest = perceptron.layers.iter().map(Layer::outputs).max().unwrap_or(0) * rows;
         [&mut self.0, &mut self.1]
@@ -89,7 +89,7 @@ impl Perceptron {
     }
 
     /// Applies all layers to `rows` independent inputs: `x` is \[rows, inputs\], and `y` receives \[rows, outputs\],
-    /// both row-major. `buffers` has been given room for as many rows of this perceptron.
+    /// both row-major. `buffers` has room for as many rows of this perceptron, made by [`Buffers::reserve`].
     #[inline(always)]
     pub fn apply(&self, rows: usize, x: &[f32], y: &mut [f32], buffers: &mut Buffers) {
         let (mut from, mut to) = (&mut buffers.0, &mut buffers.1);
