@@ -211,9 +211,9 @@ impl Settings {
 }
 
 impl Chassis {
-    /// Returns the motion in the robot's own frame, within the limits of the chassis, that carries out `velocity`
-    /// \[m/s\]: that of the commanded point in the world frame. `heading` is the robot's heading \[rad\]. Returns
-    /// `None` if the heading is unknown and the velocity is not zero; then the robot has to stand.
+    /// Returns the motion in the robot's own frame, within the limits of the chassis, with which its commanded point
+    /// moves at `velocity` \[m/s\], world frame. `heading` is the robot's heading \[rad\]. Returns `None` if the
+    /// heading is unknown and the velocity is not zero; then the robot has to stand.
     pub fn twist(&self, velocity: Vec2, heading: Option<f32>) -> Option<BodyTwist> {
         if velocity == Vec2::zeros() {
             return Some(BodyTwist::default());

@@ -18,7 +18,7 @@ use crate::time::Time;
 /// Output of a driver.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Out {
-    /// Command for the World, if the robot is simulated.
+    /// Velocity command for the World, the actor that simulates the robot; only the driver of simulated robots has it.
     Drive(Drive),
     /// Packet for the driver's worker, the thread that does its input and output.
     Send(Packet),
@@ -84,13 +84,13 @@ pub struct Parts {
 pub struct Entry {
     /// Name by which a deployment selects the driver.
     pub name: &'static str,
-    /// Description in one line, for the help.
+    /// Description of the driver in one line, for the program's help text.
     pub about: &'static str,
     /// Makes the driver of a robot from its settings; an error names the wrong setting.
     pub make: fn(&Settings, RobotId) -> Result<Parts, ConfigError>,
 }
 
-/// All drivers of real robots.
+/// All drivers of real robots in this crate, from which a deployment selects one by name.
 pub const REGISTRY: &[Entry] = &[
     Entry { name: "program", about: program::ABOUT, make: program::make },
     robomaster::ENTRY,

@@ -12,7 +12,7 @@ use crate::messages::geometry::Motion;
 use crate::messages::wire::Reading;
 use crate::time::{Span, Time};
 
-/// Settings from which an estimator is made.
+/// Settings from which an estimator of a robot's state is made.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Settings {
     /// Known, constant part of the delay from a measurement to the arrival of its reading: a property of the source,
@@ -54,7 +54,7 @@ impl PartialEq for Entry {
     }
 }
 
-/// All estimators; the first is the default.
+/// All estimators of this crate, from which a user selects one by name; the first is the default.
 pub const REGISTRY: &[Entry] = &[
     Entry { name: "none", about: "the last reading, unchanged", make: none::make },
     Entry {

@@ -74,11 +74,11 @@ pub struct ActorFault {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LinkFaultKind {
-    /// Frames are lost.
+    /// Frames on the link are lost.
     Drop,
-    /// Frames are delayed by a fixed time.
+    /// Frames on the link are delayed by a fixed time.
     Delay,
-    /// Frames are duplicated.
+    /// Frames on the link arrive twice.
     Duplicate,
     /// Each frame is delayed by a random time, so that frames are reordered.
     Reorder,
@@ -159,9 +159,9 @@ pub struct Targets<'a> {
 /// Fault of one link that a person sets while a simulation runs. It acts on every frame, until it is changed.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ManualLinkFault {
-    /// Whether the link loses every frame.
+    /// Whether the link loses every frame, as if it were cut.
     pub cut: bool,
-    /// Additional delay of every frame.
+    /// Delay of every frame on the link, in addition to other delays.
     pub delay: Span,
     /// Probability, 0 to 1, that a receiver loses a frame, in addition to other losses.
     pub loss: f64,

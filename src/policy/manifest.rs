@@ -68,7 +68,7 @@ pub enum EdgeField {
 }
 
 impl EdgeField {
-    /// Returns the number of floats of the feature.
+    /// Returns the number of floats of this edge feature.
     pub const fn floats(self) -> usize {
         match self {
             EdgeField::Age => 1,
@@ -146,7 +146,7 @@ impl TryFrom<String> for Activation {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", try_from = "String")]
 pub enum Aggregation {
-    /// The sum of the messages.
+    /// The sum of the messages is the input of the update network.
     Sum,
 }
 
@@ -158,11 +158,11 @@ impl TryFrom<String> for Aggregation {
     }
 }
 
-/// Metadata of a policy file: how its network is built, what it observes, and how it was trained.
+/// Metadata of a policy file of format 1: how its network is built, what it observes, and how it was trained.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
-    /// Version of the manifest's format; must be `FORMAT`.
+    /// Version of the manifest's format; must be `FORMAT`, which is 1.
     pub format: u32,
     /// Name of the scenario (the team's task) for which the policy was trained.
     pub scenario: String,
@@ -202,7 +202,7 @@ pub struct Manifest {
     /// Default communication radius \[m\]: a robot uses messages only of neighbours within this distance, unless the
     /// trial sets another range.
     pub radius_m: f32,
-    /// Steps of the policy per second \[Hz\].
+    /// Steps of the policy per second \[Hz\], each of which gives one action.
     pub rate_hz: f64,
     /// Largest commanded speed along each axis \[m/s\].
     pub limit_m_s: f32,

@@ -26,12 +26,12 @@ const MAX_BRAKING_PERIODS: u32 = 200;
 /// Number of commands tried to each side of the current velocity, along each axis, if the wanted one is unsafe.
 const SEARCH_STEPS: i8 = 4;
 
-/// Next part of a robot's planned path.
+/// Next part of a robot's planned path through an arena.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Leg {
-    /// Straight to the destination of the path.
+    /// The robot drives straight to the destination of its path.
     Direct,
-    /// Through a bottleneck, by this crossing.
+    /// The robot drives through a bottleneck, by this crossing.
     Through(Crossing),
 }
 

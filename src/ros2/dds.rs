@@ -170,7 +170,7 @@ impl Dds {
     }
 
     /// Takes received messages and calls `each` with the index of the topic in the plan's list `readers` and the
-    /// message. A message that cannot be read becomes the topic's `problem`.
+    /// message. A message that cannot be read is recorded as the problem in the topic's state.
     pub fn take(&mut self, mut each: impl FnMut(usize, Sample)) {
         for (index, (inlet, link)) in self.readers.iter_mut().enumerate() {
             inlet.take(&mut |sample| match sample {

@@ -79,9 +79,9 @@ pub struct Pose {
 /// ROS message `geometry_msgs/Twist`: linear and angular velocity, here in the frame of the robot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Twist {
-    /// Linear velocity \[m/s\].
+    /// Linear velocity \[m/s\] along the robot's axes.
     pub linear: Vector3,
-    /// Angular velocity \[rad/s\].
+    /// Angular velocity \[rad/s\] about the robot's axes.
     pub angular: Vector3,
 }
 
@@ -204,7 +204,7 @@ pub struct Layout {
 /// ROS message `std_msgs/Float32MultiArray`: an array of 32-bit floats with its shape.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Float32MultiArray {
-    /// Shape of the array.
+    /// Shape of the array: its dimensions, and where its numbers begin.
     pub layout: Layout,
     /// Numbers of the array in one list, the last dimension varying fastest.
     pub data: Vec<f32>,

@@ -102,7 +102,7 @@ pub struct Plan {
 pub struct Writer {
     /// Full ROS name of the topic, such as `/r1/cmd_vel`.
     pub topic: String,
-    /// Type of the messages on the topic.
+    /// Type of the ROS messages on the topic.
     pub kind: Written,
 }
 
@@ -135,7 +135,7 @@ impl Written {
 pub struct Reader {
     /// Full ROS name of the topic, such as `/r1/odom`.
     pub topic: String,
-    /// Type of the messages on the topic.
+    /// Type of the ROS messages on the topic.
     pub kind: Read,
 }
 
@@ -175,7 +175,7 @@ pub struct Drive {
 pub struct Publish {
     /// Index of the topic in the list `writers` of the [`Plan`] of the DDS process.
     pub topic: u16,
-    /// Content of the message.
+    /// Content of the message to publish.
     pub message: Outgoing,
 }
 
@@ -183,7 +183,7 @@ pub struct Publish {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outgoing {
-    /// Pose and velocity of a robot.
+    /// Pose and velocity of a robot, published as `nav_msgs/Odometry`.
     Pose(PoseSample),
     /// Table of numbers: the number of columns, then the numbers row by row.
     Floats(u32, Vec<f32>),
@@ -205,7 +205,7 @@ pub struct Vitals {
 pub struct Heard {
     /// Index of the topic in the list `readers` of the [`Plan`] of the DDS process.
     pub topic: u16,
-    /// Content of the received message.
+    /// Content of the received ROS message.
     pub sample: Sample,
 }
 

@@ -17,8 +17,7 @@ pub type Line = Box<[u8]>;
 
 /// Period of the heartbeats that a host and its DDS processes send to each other.
 pub const BEAT: Span = Span::from_millis(50);
-/// Time without a line from a DDS process after which the process counts as halted: two lost heartbeats and half a
-/// period of jitter.
+/// Time without a line from a DDS process after which the process counts as halted: three periods of its heartbeats.
 pub const SILENCE: Span = Span::from_millis(150);
 /// Time without a line from a DDS process after which it counts as halted if the other process of the pair is not
 /// alive. It is longer than `SILENCE`, because a busy machine delays both, and a restart takes a second.
@@ -60,7 +59,7 @@ pub enum Event<'a> {
 /// Output of a pair of DDS processes, which the supervisor carries out.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Action {
-    /// Start a new DDS process with this number.
+    /// Start a new DDS process, which gets this number.
     Start(Id),
     /// Kill the DDS process with this number.
     Kill(Id),

@@ -34,7 +34,7 @@ pub struct SafetyCounts {
 }
 
 impl SafetyCounts {
-    /// Returns the count of a trigger.
+    /// Returns the number of times that `trigger` has become active.
     pub fn of(&self, trigger: Trigger) -> u64 {
         match trigger {
             Trigger::Stop => self.stop,
@@ -50,7 +50,7 @@ impl SafetyCounts {
         }
     }
 
-    /// Returns a mutable reference to the count of a trigger.
+    /// Returns a mutable reference to the number of times that `trigger` has become active.
     pub fn of_mut(&mut self, trigger: Trigger) -> &mut u64 {
         match trigger {
             Trigger::Stop => &mut self.stop,

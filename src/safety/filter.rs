@@ -19,7 +19,7 @@ use crate::world::Clamp;
 /// Settings of the safety filter of one robot: thresholds, ground, walls, and limits of the robot's commands.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// Thresholds and switches of the filter.
+    /// Thresholds of the safety filter, and the switches of its limits.
     pub safety: Safety,
     /// Half the size of the robot's ground along x and y \[m\], world frame; the ground is centred at the origin.
     pub half_extent: Vec2,
@@ -43,11 +43,12 @@ pub struct Filtered {
     pub fence: bool,
     /// Whether a wall or the edge of the ground has changed the velocity.
     pub walls: bool,
-    /// Whether a neighbour has changed the velocity.
+    /// Whether the minimum distance to a neighbour has changed the velocity.
     pub distance: bool,
 }
 
-/// Safety filter of one robot.
+/// Safety filter of one robot: changes a velocity command to the nearest one after which the robot can stop before
+/// neighbours, walls and the geofence.
 #[derive(Clone, Debug)]
 pub struct Filter {
     settings: Settings,
@@ -56,7 +57,7 @@ pub struct Filter {
 }
 
 impl Filter {
-    /// Makes the filter of a robot.
+    /// Makes the safety filter of a robot from its settings.
     pub fn new(settings: Settings) -> Filter {
         let Settings { safety, limit_m_s, clamp, period, .. } = &settings;
         let step_m_s = clamp.step_m_s().min(2.0 * limit_m_s);

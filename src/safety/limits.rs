@@ -53,7 +53,7 @@ impl Limits {
         limits.into_iter().for_each(|limit| self.push(limit));
     }
 
-    /// Returns the limits that were added.
+    /// Returns the limits that were added, in their order.
     pub fn as_slice(&self) -> &[Limit] {
         &self.limits[..self.len]
     }

@@ -38,12 +38,11 @@ impl Model {
 
     /// Returns an upper bound \[m\] of the distance between the path of a robot that moves at `velocity` \[m/s\] to its
     /// stopping point and the straight line there; 0 if the acceleration stays below its limit along both axes.
-    ///
-    /// Two axes that brake at the limit until they stand, for `k T` and for `T`, differ in the covered share of their
-    /// travel by `(1 - k) / (1 + k)` at most. Their ends are exponential, and both would cover their travel in
-    /// `(r + 1 / r) / 2` of the lag at their first speed, `r` times the speed from which the limit is reached. With the
-    /// ratio of these times for `k`, the difference is less than that: compared in a test for all speeds up to 3 m/s.
     pub fn bend(&self, velocity: Vec2) -> f32 {
+        // Two axes that brake at the limit until they stand, for the times k T and T, differ in the covered share of
+        // their travel by (1 - k) / (1 + k) at most. Here both ends are exponential. At its first speed, r times that
+        // from which the limit is reached, an axis would cover its travel in (r + 1 / r) / 2 times the lag. With the
+        // ratio of these times as k, the difference is less than that: a test compares it for all speeds up to 3 m/s.
         let [x, y] = [velocity.x, velocity.y].map(|v| self.ratio(v)).map(|r| r + 1.0 / r);
         let (short, long, travel) = (x.min(y), x.max(y), self.travel(velocity));
         if short == long {

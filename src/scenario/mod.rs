@@ -262,13 +262,13 @@ pub const REGISTRY: &[Entry] = &[
     Entry { name: "swap", about: "robots exchange places on open ground of constant density", build: swap::build },
 ];
 
-/// Error of a scenario that cannot be made.
+/// Error of a scenario that cannot be made from its name and settings.
 #[derive(Debug, thiserror::Error)]
 pub enum ScenarioError {
-    /// No scenario has the requested name.
+    /// There is no scenario with the requested name.
     #[error("there is no scenario '{name}'; there are: {known}")]
     Unknown {
-        /// Name that was requested.
+        /// Name of the requested scenario.
         name: String,
         /// Names of the existing scenarios, separated by commas.
         known: String,
@@ -288,7 +288,7 @@ pub enum ScenarioError {
     Gap {
         /// Name of the scenario.
         scenario: &'static str,
-        /// Width that was requested \[m\].
+        /// Width of the bottleneck that was requested \[m\].
         gap_m: f32,
         /// Supported widths, or the reason why there are none; a text that ends the error message.
         hint: &'static str,
@@ -298,7 +298,7 @@ pub enum ScenarioError {
     Refused {
         /// Name of the scenario.
         scenario: &'static str,
-        /// Reason, for the user.
+        /// Reason of the refusal, for the user.
         why: String,
     },
 }

@@ -1,22 +1,23 @@
 //! Observation graphs of many decisions, and batches of them as input of a network.
 //!
-//! A graph is one decision of one team. Its nodes are the robots; an edge is a message that a robot uses. A source is
-//! an observation from which a message is encoded. A graph's first sources are the robots' current observations, in the
-//! order of the robots. Further ones are earlier observations whose messages are still in use.
+//! A graph is one decision of one row, the robots of one environment. Its nodes are the robots; an edge is a message
+//! that a robot uses. A source is an observation from which a message is encoded. A graph's first sources are the
+//! robots' current observations, in the order of the robots. Further ones are earlier observations whose messages are
+//! still in use.
 
 use std::ops::Range;
 
 use super::matrix::Real;
 
-/// Recorded sequence of graphs. A graph has the observations and the used messages of one decision of one team: its
-/// nodes are robots, its sources observations, and its edges messages.
+/// Recorded sequence of graphs. A graph has the observations and the used messages of one decision of one row (the
+/// robots of one environment): its nodes are robots, its sources observations, and its edges messages.
 #[derive(Clone, Debug, Default)]
 pub struct Graphs {
-    /// Number of robots in each graph.
+    /// Number of robots (nodes) in each graph.
     pub robots: usize,
-    /// Number of floats in one observation.
+    /// Number of floats in the observation of one source.
     pub inputs: usize,
-    /// Number of floats in the features of one edge.
+    /// Number of floats in the features of one edge (message).
     pub edge_inputs: usize,
     /// Index of each graph's first source in `observations`, and last the number of sources.
     source_start: Vec<u32>,
@@ -57,7 +58,7 @@ impl Graphs {
         self.edges.clear();
     }
 
-    /// Appends all graphs of another sequence.
+    /// Appends all graphs of the sequence `other`.
     pub fn append(&mut self, other: &Graphs) {
         let (sources, edges) = (self.source_start[self.len()], self.edge_start[self.len()]);
         self.source_start.extend(other.source_start[1..].iter().map(|start| sources + start));
@@ -106,7 +107,7 @@ impl Graphs {
 /// (edges) that robots use.
 #[derive(Clone, Debug, Default)]
 pub struct Batch<T> {
-    /// Number of robots, summed over all graphs.
+    /// Number of robots in the batch, summed over all graphs.
     pub nodes: usize,
     /// Observations of all sources, \[sources, inputs\], row-major. The robots' current observations come first.
     pub x: Vec<T>,
@@ -124,7 +125,7 @@ impl<T: Real> Batch<T> {
         self.x.len() / inputs
     }
 
-    /// Replaces the content of the batch by the given graphs, each a sequence of graphs and an index in that sequence.
+    /// Replaces the content of the batch by the graphs `which`, each given by a sequence of graphs and an index in it.
     pub fn gather<'a>(&mut self, which: impl Iterator<Item = (&'a Graphs, usize)> + Clone) {
         self.x.clear();
         self.first.clear();

@@ -21,7 +21,7 @@ pub struct Episode {
     pub wall_radius_m: f32,
     /// Age, counted from its arrival, up to which a message is used \[s\].
     pub hold_s: f32,
-    /// Standard deviation of the communication radius, drawn anew for each message \[m\].
+    /// Standard deviation of the communication radius \[m\], which is drawn anew for each message.
     pub range_std_m: f32,
     /// Standard deviation of the noise on each axis of a measured position \[m\].
     pub position_noise_m: f32,
@@ -49,7 +49,7 @@ pub enum Connectivity {
     /// Robots within the policy's communication radius receive each other's messages.
     #[default]
     Radius,
-    /// All robots receive each other's messages.
+    /// All robots receive each other's messages, at any distance.
     Everyone,
 }
 

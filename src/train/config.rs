@@ -9,7 +9,7 @@ use crate::config::{self, ConfigError};
 use crate::policy::Draw;
 use crate::policy::manifest::{Activation, Aggregation, Architecture, EdgeField, Field, Manifest};
 
-/// Name and TOML text of each preset.
+/// Name and TOML text of each preset, a predefined configuration of a training.
 pub const PRESETS: &[(&str, &str)] = &[
     ("published", include_str!("../../policies/published.toml")),
     ("robust", include_str!("../../policies/robust.toml")),
@@ -18,7 +18,7 @@ pub const PRESETS: &[(&str, &str)] = &[
 /// Bounds of a uniform distribution: \[low, high\].
 pub type Range = [f32; 2];
 
-/// Configuration of a training.
+/// Configuration of a training: team, networks, algorithm, reward, conditions and curriculum.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
@@ -36,9 +36,9 @@ pub struct Config {
     /// Layer widths of the critic's network; the policy's widths if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub critic: Option<Critic>,
-    /// Parameters of proximal policy optimisation.
+    /// Parameters of proximal policy optimisation, the learning algorithm.
     pub ppo: Ppo,
-    /// Weights of the reward's terms.
+    /// Weights of the terms of a robot's reward.
     pub reward: Reward,
     /// Distributions from which each episode's conditions are drawn.
     pub conditions: Conditions,
@@ -59,9 +59,9 @@ pub struct Policy {
     pub edge: Vec<EdgeField>,
     /// Widths of the encoder's layers. The last width is that of the latent that a robot broadcasts.
     pub encoder: Vec<usize>,
-    /// Widths of the message network's layers.
+    /// Widths of the layers of the policy's message network.
     pub message: Vec<usize>,
-    /// Widths of the update network's layers without the output layer.
+    /// Widths of the layers of the policy's update network, without the output layer.
     pub update: Vec<usize>,
     /// Largest distance between two robots that receive each other's messages \[m\].
     pub radius_m: f32,
@@ -78,11 +78,11 @@ pub struct Policy {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Critic {
-    /// Widths of the encoder's layers.
+    /// Widths of the layers of the critic's encoder.
     pub encoder: Vec<usize>,
-    /// Widths of the message network's layers. With two layers, no matrix product is computed per edge.
+    /// Widths of the layers of the critic's message network. With two layers, no matrix product is computed per edge.
     pub message: Vec<usize>,
-    /// Widths of the update network's layers without the output layer.
+    /// Widths of the layers of the critic's update network, without the output layer.
     pub update: Vec<usize>,
 }
 
@@ -95,9 +95,9 @@ pub struct Ppo {
     pub environments: usize,
     /// Number of decisions of each environment in a rollout.
     pub decisions: usize,
-    /// Number of decisions in a minibatch.
+    /// Number of decisions from which one step of the optimiser is computed.
     pub minibatch: usize,
-    /// Largest number of epochs in an update.
+    /// Largest number of passes over a rollout in one update.
     pub epochs: usize,
     /// KL divergence from the policy before the update at which the update stops early; may be infinite.
     pub kl_stop: f32,
@@ -124,19 +124,19 @@ pub struct Ppo {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Reward {
-    /// Factor on the sum of all terms.
+    /// Factor on the sum of all terms of the reward.
     pub scale: f32,
     /// Weight of the scenario's own reward; 0 if the scenario has none.
     pub scenario: f32,
     /// Reward per metre by which the remaining path becomes shorter \[1/m\].
     pub progress: f32,
-    /// Reward for the arrival, given once per episode.
+    /// Reward for the arrival at the goal, given once per episode.
     pub arrival: f32,
-    /// Penalty per second until the arrival \[1/s\].
+    /// Penalty per second until the robot has arrived at its goal \[1/s\].
     pub time: f32,
-    /// Penalty for each step with a wall contact.
+    /// Penalty for each step in which the robot touches a wall.
     pub wall: f32,
-    /// Penalty for each step with a robot contact.
+    /// Penalty for each step in which the robot touches another robot.
     pub robot: f32,
     /// Penalty per second for another robot at distance zero \[1/s\]; decreases linearly to zero at distance
     /// `proximity_m`.
@@ -171,7 +171,7 @@ pub struct Conditions {
     pub loss: Range,
     /// Largest relative deviation of the delay and loss between two robots from the episode's means, 0 to 1.
     pub edge_spread: f32,
-    /// Age up to which a robot uses a message \[s\].
+    /// Age up to which a robot uses a message \[s\], counted from its arrival.
     pub hold_s: Range,
     /// Standard deviation of the communication radius \[m\].
     pub range_std_m: Range,
@@ -224,7 +224,7 @@ impl Reward {
 }
 
 impl Config {
-    /// Returns the preset of this name; `None` if there is no such preset.
+    /// Returns the predefined configuration named `name`; `None` if there is none of this name.
     pub fn preset(name: &str) -> Option<Config> {
         let (_, text) = PRESETS.iter().find(|(preset, _)| *preset == name)?;
         Some(Config::from_toml(text).expect("the committed presets are valid; a test reads them all"))

@@ -36,9 +36,9 @@ pub struct Team {
     pub first: usize,
     /// Number of robots in the team.
     pub robots: usize,
-    /// Number of steps of the episode so far.
+    /// Number of steps of 50 ms since the start of the team's episode.
     pub step: u32,
-    /// Conditions of the episode.
+    /// Conditions of the team's current episode: messages, noise and physics.
     pub episode: Episode,
     /// Estimates of the robots' motions in the last steps, and the messages that the robots hold.
     pub messages: MessageBuffer,
@@ -61,7 +61,7 @@ impl Team {
 /// per robot, by its index among all robots.
 #[derive(Clone, Debug)]
 pub struct Environments {
-    /// The teams, in the order of their robots.
+    /// Teams of all environments, in the order of their robots.
     pub teams: Vec<Team>,
     /// True position of each robot's centre \[m\], world frame.
     pub position: Vec<Vec2>,
@@ -79,7 +79,7 @@ pub struct Environments {
     pub arrived: Vec<bool>,
     /// Length of each robot's remaining path \[m\].
     pub to_go_m: Vec<f32>,
-    /// Reward of each robot for the last step.
+    /// Reward of each robot for the last step, with all terms.
     pub reward: Vec<f32>,
     /// Scenario for each team size that occurs, indexed by the team size.
     scenarios: Vec<Option<Arc<dyn Scenario>>>,

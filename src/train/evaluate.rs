@@ -20,18 +20,18 @@ use crate::world::kinematic::PERIOD;
 /// Seed of the layouts of a quick evaluation.
 const QUICK_SEED: u64 = 0x9a11_e7a1;
 
-/// Evaluation of a policy in the trainer's environments: its parameters.
+/// Parameters of an evaluation of a policy in the trainer's environments.
 #[derive(Debug)]
 pub struct Evaluation<'a> {
     /// Settings of the rollout, in which an action must be held for one step (`repeat` 1).
     pub settings: &'a RolloutSettings<'a>,
-    /// Weights and biases of the policy.
+    /// Weights and biases of the policy's network, as one vector.
     pub parameters: &'a [f32],
-    /// The scenario whose layouts are run.
+    /// Scenario whose layouts (starts and goals) are run.
     pub scenario: &'a Arc<dyn Scenario>,
     /// Seed of the layouts and of all other random numbers.
     pub seed: u64,
-    /// Number of layouts, each run for one episode.
+    /// Number of layouts (starts and goals), each run for one episode.
     pub episodes: u32,
     /// Method of drawing an action from the policy's distribution.
     pub draw: Draw,
@@ -93,7 +93,7 @@ pub struct Score {
     pub conditions: &'static str,
     /// Method of drawing actions: `mean` or `sample`.
     pub action: &'static str,
-    /// Success rate over all layouts, 0 to 1.
+    /// Share of the layouts in which the episode succeeded, 0 to 1.
     pub success: f64,
     /// Median makespan of the successful episodes \[s\]; `None` if there are none.
     pub makespan_s: Option<f64>,

@@ -19,22 +19,23 @@ pub struct Sample<T> {
 pub struct Terms<T> {
     /// Half width of the interval around 1 to which the probability ratio is clipped.
     pub clip: T,
-    /// Weight of the entropy.
+    /// Weight of the entropy of the action's distribution in the loss.
     pub entropy: T,
-    /// Upper limit of the log standard deviation.
+    /// Upper limit of the log standard deviations that the network puts out.
     pub log_std_max: T,
 }
 
 /// The policy's loss for one recorded action of one robot, with its derivatives.
 #[derive(Clone, Copy, Debug)]
 pub struct PolicyLoss<T> {
-    /// The loss, to be minimised.
+    /// Value of the loss, which the training minimises.
     pub loss: T,
     /// Derivatives of the loss with respect to the outputs \[mean_x, mean_y, log_std_x, log_std_y\].
     pub d_outputs: [T; 4],
-    /// Estimate of the KL divergence from the old policy (Schulman, "Approximating KL divergence", k3).
+    /// Estimate, from this action, of the KL divergence from the policy that drew the action (Schulman, "Approximating
+    /// KL divergence", k3).
     pub divergence: T,
-    /// Entropy of the action's distribution.
+    /// Entropy of the action's distribution under the current policy.
     pub entropy: T,
 }
 

@@ -66,7 +66,7 @@ impl<'a, T> View<'a, T> {
         view
     }
 
-    /// Returns the transposed matrix.
+    /// Returns the transpose of the matrix, as a view of the same slice.
     pub fn t(self) -> View<'a, T> {
         View {
             rows: self.columns,

@@ -34,14 +34,14 @@ pub struct MessageBuffer {
     undrawn: Vec<u32>,
 }
 
-/// A message that a robot uses in a decision.
+/// Message that a robot uses in a decision: its sender, the step of its sending, and its age.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HeldMessage {
-    /// Index of the sender in the team.
+    /// Index of the sending robot in the team.
     pub sender: usize,
-    /// Step in which the message was sent.
+    /// Number of the step of the episode in which the message was sent.
     pub step: u32,
-    /// Time since the message arrived \[s\].
+    /// Time since the message arrived at the robot \[s\].
     pub age_s: f32,
 }
 

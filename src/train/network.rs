@@ -16,11 +16,12 @@ use crate::policy::mlp::Instructions;
 pub struct Shape {
     /// Layout of the message-passing network.
     pub architecture: Architecture,
-    /// Widths of the encoder, inputs first.
+    /// Widths of the encoder's layers, preceded by the number of its inputs.
     pub encoder: Vec<usize>,
-    /// Widths of the message network, inputs first; it has at least two layers.
+    /// Widths of the message network's layers, preceded by the number of its inputs. The network has at least two
+    /// layers.
     pub message: Vec<usize>,
-    /// Widths of the update network, inputs first.
+    /// Widths of the update network's layers, preceded by the number of its inputs.
     pub update: Vec<usize>,
     /// Number of edge features, which are inputs of the message network.
     pub edge: usize,
@@ -330,7 +331,8 @@ impl Network {
         add_bias(first.b(p), to, self.update.len() > 1);
     }
 
-    /// Returns the number of messages in the sum of the robot with index `node` in the batch.
+    /// Returns the number of messages in the sum of the robot with index `node` in the batch, including its own in the
+    /// published architecture.
     #[inline(always)]
     pub(super) fn terms<T: Real>(&self, batch: &Batch<T>, node: usize) -> T {
         let terms = batch.first[node + 1] - batch.first[node] + u32::from(!self.is_full());

@@ -20,7 +20,7 @@ pub fn own(fields: &[Field], scenario: &dyn Scenario, task: &Task, estimate: &Mo
 /// Privileged information about a robot and its episode. It is an input of the critic only.
 #[derive(Clone, Copy, Debug)]
 pub struct Privileged {
-    /// Stage of the scenario's reward.
+    /// Stage of the robot's progress, which the scenario's reward uses.
     pub stage: Stage,
     /// Whether the robot has arrived at its goal.
     pub arrived: bool,

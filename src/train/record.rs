@@ -26,7 +26,7 @@ pub struct Record {
     /// Observations of the critic: those of the decisions, then each row's state after the last decision, then the last
     /// states of truncated episodes.
     pub critic: Graphs,
-    /// Actions as drawn \[m/s\], policy frame.
+    /// Actions as drawn from the policy's distribution \[m/s\], policy frame.
     pub action: Vec<[f32; 2]>,
     /// Natural logarithms of the actions' probability densities under the policy that drew them.
     pub log_density: Vec<f32>,
@@ -47,20 +47,20 @@ pub struct Record {
 /// Totals over the episodes that ended during a record.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct EpisodeTotals {
-    /// Number of episodes.
+    /// Number of episodes that ended.
     pub episodes: u32,
-    /// Number of episodes in which all robots arrived without a contact that makes the episode fail.
+    /// Number of episodes that ended with the arrival of all robots, without a contact that makes an episode fail.
     pub clean: u32,
-    /// Number of episodes in which all robots arrived.
+    /// Number of episodes that ended with the arrival of all robots.
     pub arrived: u32,
-    /// Sum of the episodes' lengths \[s\].
+    /// Sum of the durations of the episodes that ended \[s\].
     pub length_s: f32,
-    /// Sum of the episodes' returns. An episode's return is the mean over its robots.
+    /// Sum of the returns of the episodes that ended. An episode's return is the mean over its robots.
     pub returns: f32,
 }
 
 impl EpisodeTotals {
-    /// Adds the totals of other episodes.
+    /// Adds the totals `other` of other episodes to these.
     pub fn add(&mut self, other: &EpisodeTotals) {
         self.episodes += other.episodes;
         self.clean += other.clean;

@@ -8,7 +8,7 @@ use crate::world::Wheels;
 /// Wheels of robots, and true motions of the points that the policy commands, one entry per robot.
 #[derive(Clone, Debug)]
 pub struct Rolling {
-    /// Wheels of each robot.
+    /// Chassis, heading and yaw rate of each robot.
     pub wheels: Vec<Wheels>,
     /// Positions of the commanded points \[m\], world frame.
     pub position: Vec<Vec2>,

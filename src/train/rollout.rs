@@ -29,11 +29,11 @@ pub const CHUNK: usize = 32;
 pub struct RolloutSettings<'a> {
     /// Configuration of the training.
     pub config: &'a Config,
-    /// Network of the policy.
+    /// Layout of the policy's network; its weights are passed separately.
     pub actor: &'a Network,
-    /// Network of the critic.
+    /// Layout of the critic's network; its weights are passed separately.
     pub critic: &'a Network,
-    /// Weights of the reward's terms.
+    /// Weights of the terms of a robot's reward in the current stage of the curriculum.
     pub reward: Reward,
     /// Number of simulated steps of 50 ms for which an action is held.
     pub repeat: u32,
@@ -46,9 +46,9 @@ pub struct RolloutSettings<'a> {
 pub struct Chunk {
     /// Training environments of the chunk's teams.
     pub environments: Environments,
-    /// Number of rows in the chunk.
+    /// Number of rows (environments) in the chunk.
     pub rows: usize,
-    /// Number of robots in a row.
+    /// Number of robots in a row (environment).
     pub robots: usize,
     /// Decisions of the chunk's rows since the last update.
     pub record: Record,

@@ -24,16 +24,16 @@ const RATE_DECREASE: f32 = 0.9;
 /// Factor on the learning rate after an update whose KL divergence stayed below half of the limit.
 const RATE_INCREASE: f32 = 1.05;
 
-/// Metrics of one iteration.
+/// Metrics of one iteration of a training, a rollout and an update.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Metrics {
-    /// Number of iterations so far.
+    /// Number of iterations (a rollout and an update) so far.
     pub iteration: u64,
     /// Number of decisions so far: one per environment and step of the policy.
     pub decisions: u64,
     /// Number of steps of 50 ms of all environments so far.
     pub env_steps: u64,
-    /// Index of the curriculum's stage, from zero.
+    /// Index of the curriculum's stage in the iteration, from zero.
     pub stage: usize,
     /// Mean return of a robot in the episodes that ended in the iteration; NaN if none ended in it.
     pub earned: f32,
@@ -78,7 +78,7 @@ pub struct Diverged {
 /// Error of a training that cannot be set up or resumed.
 #[derive(Debug, thiserror::Error)]
 pub enum SetupError {
-    /// The scenario cannot be built.
+    /// The scenario does not exist, or cannot be built with the configured settings.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
     /// The bytes are not a checkpoint of this version of the program; the text says why.
@@ -124,11 +124,11 @@ pub struct Plan {
     pub preset: String,
     /// Configuration of the training.
     pub config: Config,
-    /// Seed of all random numbers.
+    /// Seed of all random numbers of the training.
     pub seed: u64,
 }
 
-/// State of a training between two iterations.
+/// Training of a policy and its critic, with its complete state between two iterations.
 #[derive(Debug)]
 pub struct Trainer {
     /// Parameters of the training, fixed at its start.

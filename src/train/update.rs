@@ -27,7 +27,7 @@ pub struct Learner {
     pub network: Network,
     /// All weights and biases of the network, in one vector.
     pub parameters: Vec<f32>,
-    /// State of the optimiser.
+    /// State of the network's optimiser.
     pub adam: Adam,
 }
 
@@ -40,7 +40,7 @@ pub struct Outcome {
     pub divergence: f32,
     /// Mean entropy of the policy's action distribution.
     pub entropy: f32,
-    /// Mean loss of the critic.
+    /// Mean loss of the critic over the update.
     pub value_loss: f32,
     /// Mean norm of the policy's gradient before clipping.
     pub gradient: f32,

@@ -23,16 +23,16 @@ const CHUNK: usize = 32;
 /// Treatment of an environment whose episode has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Autoreset {
-    /// The next episode starts in the same step.
+    /// The next episode starts in the same step in which one ends.
     SameStep,
     /// No episode starts until the caller resets the environment.
     Disabled,
 }
 
-/// Content of the messages between robots.
+/// Content of the messages that the robots of a vectorised environment receive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Content {
-    /// No message is delivered.
+    /// Robots receive no messages.
     Nothing,
     /// The observation that the sender had when it sent, from which a training computes the sender's latent itself.
     Observations,
@@ -51,11 +51,11 @@ pub struct Options {
     pub threads: usize,
     /// Distributions from which each episode's conditions are drawn.
     pub conditions: Conditions,
-    /// Weights of the reward's terms.
+    /// Weights of the terms of a robot's reward.
     pub reward: Reward,
-    /// Chassis of all robots.
+    /// Chassis (kind of drive and limits) of all robots.
     pub chassis: Chassis,
-    /// Fields of a robot's observation.
+    /// Entries of a robot's observation, two floats each, in their order.
     pub observation: Vec<Field>,
     /// Largest distance between two robots that receive each other's messages \[m\].
     pub radius_m: f32,
@@ -63,11 +63,11 @@ pub struct Options {
     pub limit_m_s: f32,
     /// Longest duration of an episode \[s\]; an episode that reaches it is truncated.
     pub episode_s: f32,
-    /// Content of the messages between robots.
+    /// Content of the messages that robots receive.
     pub content: Content,
     /// Treatment of an environment whose episode has ended.
     pub autoreset: Autoreset,
-    /// Seed of all random numbers.
+    /// Seed from which the random streams of all environments are made.
     pub seed: u64,
 }
 
@@ -196,7 +196,7 @@ impl VectorEnvironment {
         self.lengths
     }
 
-    /// Returns the settings from which the environments were made; the seed is that of the last call of `reseed`.
+    /// Returns the settings of the environments, with the seed from which their random streams last began anew.
     pub fn options(&self) -> &Options {
         &self.options
     }
@@ -213,7 +213,7 @@ impl VectorEnvironment {
     /// content is `Content::Actions`. All must be finite.
     ///
     /// # Panics
-    /// If an array or a buffer has another length.
+    /// If `actions` or `outputs` has another length, or if a buffer is too short.
     pub fn step(&mut self, actions: &[f32], outputs: &[f32], mut buffers: Buffers) {
         let VectorEnvironment { options, lengths, chunks } = self;
         let lengths = *lengths;

@@ -1,4 +1,4 @@
-//! Model of a holonomic robot's drivetrain, from commanded to true velocity: a first-order lag, limits of speed,
+//! Model of a robot's drivetrain, from commanded to true velocity: a first-order lag, limits of speed,
 //! acceleration and traction, and wheel slip.
 
 use super::Physics;
@@ -7,10 +7,11 @@ use crate::messages::geometry::Vec2;
 use crate::random::Stream;
 use crate::time::Span;
 
-/// State of the simulated drivetrain of one holonomic robot: its commanded velocity and its wheel slip.
+/// State of the simulated drivetrain of one robot: the velocity that its commanded point is commanded, and its wheel
+/// slip.
 #[derive(Debug)]
 pub(super) struct Drivetrain {
-    /// Commanded velocity \[m/s\].
+    /// Velocity that the robot's commanded point is commanded \[m/s\], world frame.
     pub(super) command: Vec2,
     /// Slip velocity as a fraction of the commanded speed.
     slip: Vec2,
@@ -57,8 +58,8 @@ impl Drivetrain {
         Drivetrain { command: Vec2::zeros(), slip: Vec2::zeros(), stream }
     }
 
-    /// Draws the slip of one step and returns the change of velocity \[m/s\] of a robot that moves at `velocity`
-    /// \[m/s\].
+    /// Draws the slip of one step and returns the change of velocity \[m/s\] in the step of a commanded point that
+    /// moves at `velocity` \[m/s\], world frame.
     pub(super) fn velocity_change(&mut self, parameters: &StepParameters, velocity: Vec2) -> Vec2 {
         if parameters.slip_noise > 0.0 {
             let noise = standard_normals(&mut self.stream) * parameters.slip_noise;

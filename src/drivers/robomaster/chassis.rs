@@ -9,7 +9,7 @@ const LEAST_M_S: f32 = 0.1;
 /// Smallest yaw rate that is sent \[degrees/s\]. The robot ignored yaw rates up to 1 degree/s (RoboMaster-SDK#11).
 const LEAST_YAW_DEG_S: f32 = 1.5;
 
-/// Limits and grid of the velocities that a RoboMaster's chassis is commanded.
+/// Limits of the velocities that are sent to a RoboMaster's chassis, and the grid to which they are rounded.
 #[derive(Clone, Copy, Debug)]
 pub struct Chassis {
     /// Largest speed that the chassis is commanded \[m/s\].
@@ -21,9 +21,10 @@ pub struct Chassis {
 }
 
 impl Chassis {
-    /// Returns the nearest velocity that the chassis can follow, in the chassis' own axes; `None` to stand. Each speed
-    /// is rounded to the grid, to zero below half a step. Without a grid, a speed below 0.1 m/s becomes 0 or 0.1 m/s in
-    /// its direction. A yaw rate below 1.5 degrees/s becomes 0 or 1.5. A velocity that is not finite gives `None`.
+    /// Returns the velocity that the chassis can follow, in the chassis' own axes, nearest to the wanted `twist`, a
+    /// motion in the robot's own frame; `None` to stand. Each speed is rounded to the grid, to zero below half a step.
+    /// Without a grid, a speed below 0.1 m/s becomes 0 or 0.1 m/s in its direction. A yaw rate below 1.5 degrees/s
+    /// becomes 0 or 1.5. A velocity that is not finite gives `None`.
     pub fn follow(&self, twist: &BodyTwist) -> Option<ChassisSpeed> {
         let wanted = Vec2::new(twist.forward, twist.left).cap_magnitude(self.speed_m_s);
         let yaw = twist.yaw_rate.clamp(-self.yaw_rate_rad_s, self.yaw_rate_rad_s).to_degrees();

@@ -48,7 +48,7 @@ pub enum FromWorker<'a> {
 }
 
 impl ToWorker<'_> {
-    /// Returns the packet as bytes.
+    /// Returns the packet to the worker as bytes.
     pub fn encode(&self) -> Packet {
         match self {
             ToWorker::Open => Box::new([b'O']),
@@ -85,7 +85,7 @@ impl ToWorker<'_> {
 }
 
 impl FromWorker<'_> {
-    /// Returns the packet as bytes.
+    /// Returns the packet of the worker as bytes.
     pub fn encode(&self) -> Packet {
         let numbered = |tag: u8, connection: &u32, bytes: &[u8]| {
             Packet::from([&[tag], &connection.to_le_bytes()[..], bytes].concat())

@@ -43,7 +43,7 @@ impl<const N: usize> Track<N> {
     }
 }
 
-/// Odometry of one robot over one connection.
+/// Odometry of one RoboMaster over one connection: makes readings from the state datagrams that the robot sends.
 #[derive(Clone, Debug)]
 pub struct Odometry {
     robot: RobotId,

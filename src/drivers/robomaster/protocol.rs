@@ -9,13 +9,13 @@
 use std::fmt::Write;
 use std::net::Ipv4Addr;
 
-/// TCP port of the robot for commands and answers.
+/// TCP port of a RoboMaster EP for commands and answers.
 pub const CONTROL_PORT: u16 = 40923;
-/// UDP port to which the robot pushes its state.
+/// UDP port of the host to which a RoboMaster EP sends (pushes) its state.
 pub const PUSH_PORT: u16 = 40924;
-/// TCP port on which the robot reports events.
+/// TCP port of a RoboMaster EP on which it reports events, such as hits on its armour.
 pub const EVENT_PORT: u16 = 40925;
-/// UDP port to which a robot on a router announces its address, every 2 s until a program connects.
+/// UDP port to which a RoboMaster EP on a router's network announces its address, every 2 s until a program connects.
 pub const ANNOUNCEMENT_PORT: u16 = 40926;
 
 /// Longest statement that is accepted from the robot \[bytes\]: eight times the longest line that is sent.
@@ -30,7 +30,7 @@ const LARGEST_ANGLE_DEG: f64 = 3600.0;
 pub enum Line {
     /// Enters SDK mode. Outside this mode the robot ignores all other lines.
     Enter,
-    /// Leaves SDK mode, which stops the robot.
+    /// Leaves SDK mode, the mode in which the robot obeys lines; this stops the robot.
     Quit,
     /// Lets chassis and gimbal turn independently. In its other modes, the robot ignores yaw rates.
     Free,
@@ -38,7 +38,7 @@ pub enum Line {
     Pushes(u8),
     /// Switches on reports of hits on the armour.
     HitEvents,
-    /// Sets the velocity of the chassis.
+    /// Sets the velocity of the robot's chassis.
     Speed(ChassisSpeed),
     /// Stops all wheels. With speed zero instead, the robot creeps, because it controls a heading that drifts
     /// (RoboMaster-SDK#11).
@@ -92,7 +92,7 @@ pub enum Malformed {
     /// A statement that is longer than the accepted length without a semicolon at its end.
     #[error("the robot's statement is too long")]
     Length,
-    /// Too few words, or words in the wrong place.
+    /// Statement with too few words, or with words in the wrong place.
     #[error("the robot's statement has words that are missing or out of place")]
     Words,
     /// A number that is missing, not finite or out of range.
@@ -146,10 +146,10 @@ impl Splitter {
     }
 }
 
-/// Answer of the robot to a line.
+/// Answer of a RoboMaster to one line, a command or query.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Answer<'a> {
-    /// Result: `ok`, an error, or values.
+    /// Result as text: `ok`, an error, or the values that a query asked for.
     pub result: &'a str,
     /// Sequence number of the answered line; `None` if the robot does not repeat it.
     pub seq: Option<u32>,
@@ -167,7 +167,8 @@ pub fn decode_answer(statement: &str) -> Result<Answer<'_>, Malformed> {
 }
 
 impl Answer<'_> {
-    /// Whether the robot has carried out the line. A robot in SDK mode answers so when it is asked to enter SDK mode.
+    /// Whether the answer says that the robot has carried out the line: `ok`, or `Already in SDK mode` where the line
+    /// was to enter this mode.
     pub fn is_ok(&self) -> bool {
         self.result == "ok" || self.result == "Already in SDK mode"
     }
@@ -222,7 +223,7 @@ pub fn decode_push(datagram: &[u8]) -> Result<Push, Malformed> {
     if module.is_none() { Err(Malformed::Words) } else { Ok(push) }
 }
 
-/// Kind of a hit on the armour.
+/// Cause of a hit on the robot's armour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hit {
     /// Hit by a gel bead.

@@ -62,7 +62,7 @@ impl Default for Fields {
     }
 }
 
-/// Checked settings of the source `gpsd`.
+/// Checked settings of the source `gpsd`, which localizes a robot by its own satellite receiver.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// Address and TCP port of gpsd.

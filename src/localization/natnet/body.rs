@@ -32,7 +32,7 @@ const MOST: usize = 256;
 pub struct Pose {
     /// Time of measurement on the tracker's clock \[s\].
     pub stamp_s: f64,
-    /// Position \[m\].
+    /// Position of the body \[m\], in the team's frame.
     pub position: [f64; 2],
     /// Heading \[rad\], counter-clockwise from the x axis, within -pi and pi; `None` if the body is not level.
     pub heading: Option<f64>,

@@ -29,7 +29,7 @@ pub enum Event {
     Server(ServerInfo),
     /// Frames have begun to arrive, at first or after a silence.
     Frames,
-    /// No frame has arrived for one second.
+    /// No frame of motion capture data has arrived for one second.
     Silent,
     /// Frames arrive, but the server does not answer requests for model definitions.
     Unanswered,

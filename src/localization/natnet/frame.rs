@@ -17,12 +17,12 @@ pub enum Layout {
     Sized,
 }
 
-/// Pose of a rigid body in the tracker's frame.
+/// Pose of a rigid body, such as a robot with markers, in the tracker's own frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RigidBody {
     /// Streaming ID: number by which the tracker identifies the body.
     pub id: i32,
-    /// Position \[m\].
+    /// Position of the body \[m\] in the tracker's own frame.
     pub position: [f64; 3],
     /// Rotation as a quaternion (x, y, z, w); of unit length if the body is tracked.
     pub rotation: [f64; 4],

@@ -9,7 +9,7 @@ use super::packet::{Malformed, Reader, Version};
 /// Definition of a rigid body in the tracker: its name, and the ID by which frames identify it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Definition {
-    /// Name of the body in the tracker.
+    /// Name of the rigid body in the tracker.
     pub name: String,
     /// Streaming ID of the rigid body, which identifies it in frames of motion capture data.
     pub id: i32,

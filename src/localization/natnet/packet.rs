@@ -47,7 +47,7 @@ impl std::fmt::Display for Version {
     }
 }
 
-/// Description that a server sends of itself.
+/// Description that a motion capture server sends of itself.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ServerInfo {
     /// Name of the server's application.

@@ -17,7 +17,7 @@ const DATA_PORT: u16 = 1511;
 /// Default UDP port of commands in Motive (its manual).
 const COMMAND_PORT: u16 = 1510;
 
-/// Vertical axis of the tracker's frame.
+/// Axis of the tracker's frame that points up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Up {
@@ -27,13 +27,13 @@ pub enum Up {
     Z,
 }
 
-/// Method by which the server sends frames.
+/// Method by which the motion capture server sends frames to its clients.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Transmission {
-    /// Frames are sent to a multicast group.
+    /// Frames of motion capture data are sent to a multicast group.
     Multicast,
-    /// Frames are sent to each client that requests them.
+    /// Frames of motion capture data are sent to each client that requests them.
     Unicast,
 }
 
@@ -54,13 +54,13 @@ pub struct Network {
     /// Name of the network interface on which the server's data arrive, such as `eth0`. `None` selects the interface of
     /// the operating system's route to the server.
     pub interface: Option<String>,
-    /// Method by which the server sends frames.
+    /// Method by which the motion capture server sends frames.
     pub transmission: Transmission,
-    /// Multicast group of the frames.
+    /// Multicast group to which the server sends frames.
     pub group: Ipv4Addr,
     /// UDP port of the frames; used for multicast only.
     pub data_port: u16,
-    /// UDP port of the server for commands.
+    /// UDP port of the server for requests of clients.
     pub command_port: u16,
 }
 
@@ -123,7 +123,7 @@ impl Default for Fields {
     }
 }
 
-/// Checked settings of the source `natnet`.
+/// Checked settings of the source `natnet`, which localizes robots by motion capture.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// Network addresses of the server and of its frames.

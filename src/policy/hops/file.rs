@@ -30,7 +30,7 @@ pub struct PolicyFile {
     pub digest: String,
     /// Network that turns an observation into the input of the first hop.
     pub encoder: Perceptron,
-    /// Hops in their order.
+    /// Hops of the policy in the order in which they are computed.
     pub hops: Vec<Hop>,
     /// Network that turns the output of the last hop into the parameters of the action.
     pub decoder: Perceptron,

@@ -9,9 +9,9 @@ use crate::policy::Neighbour;
 /// Network of a hop, such as the message network, with the parts of its input.
 #[derive(Debug)]
 pub struct Part {
-    /// Parts of the input, one after the other.
+    /// Parts of the network's input, which lie one after the other.
     pub inputs: Vec<Input>,
-    /// Layers of the network.
+    /// Layers of the network with their weights.
     pub perceptron: Perceptron,
 }
 

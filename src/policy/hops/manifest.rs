@@ -12,7 +12,7 @@ use crate::policy::manifest::{self, Field, Training};
 pub const FORMAT: u32 = 2;
 /// Largest number of hops of a policy.
 pub const MAX_HOPS: usize = 8;
-/// Largest number of heads of an attention.
+/// Largest number of heads of an attention, an aggregation that is weighted by scores.
 pub const MAX_HEADS: usize = 64;
 /// Number of raw outputs of the decoder: two means and two parameters of standard deviations.
 pub const OUTPUTS: usize = 4;
@@ -32,7 +32,7 @@ pub enum EdgeFeature {
 }
 
 impl EdgeFeature {
-    /// Returns the number of floats of the feature.
+    /// Returns the number of floats of this edge feature.
     pub const fn floats(self) -> usize {
         match self {
             EdgeFeature::Age | EdgeFeature::Distance => 1,
@@ -88,11 +88,11 @@ impl Layers {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Aggregation {
-    /// The sum of the messages.
+    /// The aggregated message is the sum of the messages.
     Sum,
-    /// The mean of the messages.
+    /// The aggregated message is the mean of the messages.
     Mean,
-    /// The largest of the messages, in each component.
+    /// The aggregated message is the largest of the messages in each component.
     Max,
     /// Attention by a score: the sum of the messages, weighted by the softmax of the network `score`, for each head
     /// (GAT, arXiv 1710.10903; GATv2, arXiv 2105.14491).
@@ -122,7 +122,7 @@ pub struct Hop {
     /// is the neighbour's input of this hop, unchanged.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub message: Option<Layers>,
-    /// Method of combining the messages.
+    /// Method by which the messages of the neighbours are combined.
     pub aggregation: Aggregation,
     /// Number of heads of an attention: messages, queries and keys consist of as many equal parts, one for each head.
     /// `None`: one head.
@@ -179,23 +179,24 @@ pub enum Distribution {
     TanhNormal,
 }
 
-/// Meaning of the decoder's outputs for the standard deviation.
+/// Meaning of the decoder's last two outputs, from which the standard deviations of an action are computed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Deviation {
-    /// The natural logarithm of the standard deviation.
+    /// An output is the natural logarithm of a standard deviation.
     #[default]
     Log,
-    /// softplus(x + c) + 0.01, with c such that x = 0 gives 1: TorchRL's `biased_softplus_1.0`.
+    /// A standard deviation is softplus(x + c) + 0.01 for the output x, with c such that x = 0 gives 1: TorchRL's
+    /// `biased_softplus_1.0`.
     BiasedSoftplus,
 }
 
-/// Metadata of a policy file of format 2: how its networks are built, what it observes, how it was trained. Fields that
-/// format 1 has, too, mean the same.
+/// Metadata of a policy file of format 2, with several hops: how its networks are built, what it observes, and how it
+/// was trained.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
-    /// Version of the manifest's format; must be `FORMAT`.
+    /// Version of the manifest's format; must be `FORMAT`, which is 2.
     pub format: u32,
     /// Name of the scenario (the team's task) for which the policy was trained.
     pub scenario: String,
@@ -210,9 +211,9 @@ pub struct Manifest {
     pub hops: Vec<Hop>,
     /// Network that turns the output of the last hop into the parameters of the action.
     pub decoder: Layers,
-    /// Probability distribution of the action.
+    /// Probability distribution of a robot's action, of which the decoder's outputs are the parameters.
     pub distribution: Distribution,
-    /// Meaning of the decoder's outputs for the standard deviation.
+    /// Meaning of the decoder's last two outputs, from which the standard deviations of an action are computed.
     #[serde(default)]
     pub deviation: Deviation,
     /// Default method of drawing an action from the distribution: its mean or a random sample.
@@ -221,9 +222,10 @@ pub struct Manifest {
     /// sampled. `None` means no limit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub log_std_max: Option<f32>,
-    /// Default communication radius \[m\].
+    /// Default communication radius \[m\]: a robot uses messages only of neighbours within this distance, unless the
+    /// trial sets another range.
     pub radius_m: f32,
-    /// Steps of the policy per second \[Hz\].
+    /// Steps of the policy per second \[Hz\], each of which gives one action.
     pub rate_hz: f64,
     /// Largest commanded speed along each axis \[m/s\].
     pub limit_m_s: f32,

@@ -22,7 +22,7 @@ pub struct Network {
     pub(super) digest: String,
     /// Network that turns an observation into the input of the first hop.
     pub(super) encoder: Perceptron,
-    /// Hops in their order.
+    /// Hops of the policy in the order in which they are computed.
     pub(super) hops: Vec<Hop>,
     /// Network that turns the output of the last hop into the parameters of the action.
     pub(super) decoder: Perceptron,

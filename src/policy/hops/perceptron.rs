@@ -11,7 +11,7 @@ use crate::policy::mlp::{Layer, Relu};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Activation {
-    /// None: outputs stay as they are.
+    /// No activation: outputs stay as they are.
     #[default]
     Linear,
     /// Rectified linear unit: max(x, 0).
