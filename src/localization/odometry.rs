@@ -48,7 +48,7 @@ impl Alignment {
         Vec2::new(cos * vector.x - sin * vector.y, sin * vector.x + cos * vector.y)
     }
 
-    /// Converts a reading from the frame of the odometry to the team's frame.
+    /// Converts the reading `odometry` from the frame of the robot's odometry to the team's frame.
     pub fn apply(&self, odometry: &Reading) -> Reading {
         let mut reading = odometry.clone();
         reading.pose.position = self.origin + self.turned(odometry.pose.position);

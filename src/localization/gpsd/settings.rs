@@ -65,7 +65,7 @@ impl Default for Fields {
 /// Checked settings of the source `gpsd`, which localizes a robot by its own satellite receiver.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// Address and TCP port of gpsd.
+    /// Address and TCP port of gpsd, the daemon that reads the receiver.
     pub address: SocketAddr,
     /// Path of the receiver's device at gpsd; `None` for all its devices.
     pub device: Option<String>,

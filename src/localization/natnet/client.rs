@@ -27,7 +27,7 @@ const BITSTREAM: Version = Version { major: 4, minor: 1 };
 pub enum Event {
     /// The server has sent its first description, or a changed one.
     Server(ServerInfo),
-    /// Frames have begun to arrive, at first or after a silence.
+    /// Frames of motion capture data have begun to arrive, for the first time or after a silence.
     Frames,
     /// No frame of motion capture data has arrived for one second.
     Silent,
@@ -142,7 +142,7 @@ impl Client {
         self.newest.iter().flatten().cloned().collect()
     }
 
-    /// Returns the requests that are due now, as datagrams.
+    /// Returns the requests to the server that are due now, as datagrams.
     pub fn requests(&mut self, now: Time) -> Vec<Vec<u8>> {
         let mut due = Vec::new();
         if (self.server.is_none() || self.silent) && now >= self.connect_at {

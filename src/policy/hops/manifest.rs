@@ -94,8 +94,8 @@ pub enum Aggregation {
     Mean,
     /// The aggregated message is the largest of the messages in each component.
     Max,
-    /// Attention by a score: the sum of the messages, weighted by the softmax of the network `score`, for each head
-    /// (GAT, arXiv 1710.10903; GATv2, arXiv 2105.14491).
+    /// Attention by scores: the sum of the messages, weighted for each head by the softmax of the scores that the
+    /// network `score` computes (GAT, arXiv 1710.10903; GATv2, arXiv 2105.14491).
     Softmax,
     /// Scaled dot-product attention: the sum of the messages, weighted for each head by the softmax of the scores
     /// query . key / sqrt(width of a head's query). The networks `query` and `key` compute the factors from the robot's
