@@ -186,7 +186,7 @@ def _written(actor: Actor, team: _Team) -> tuple[dict[str, np.ndarray], dict[str
         hops.append(form)
         x = part(x, index, edge) if edge.shape[1] > 0 else part(x, index)
     if not hops:
-        # A policy without messages sends what it would, and nobody takes it.
+        # A policy without messages gets a hop that ignores messages: its update returns the robot's own input.
         width = x.shape[1]
         sent = [x]
         hops = [{"aggregation": "sum", "update": {"inputs": ["own"], "widths": [width, width]}}]

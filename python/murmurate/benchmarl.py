@@ -50,7 +50,7 @@ class _Env(Env):
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         result = super()._step(tensordict)
         for _ in range(1, self._repeat):
-            # What comes after the end of an episode is left out: it goes on until the step is over.
+            # Rewards and states after the end of an episode are discarded; the environment runs on to the end of the step.
             ended = result["done"]
             if ended.all():
                 break

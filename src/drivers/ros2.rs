@@ -227,7 +227,7 @@ impl Ros2 {
             (Some(_), None) => (Health::Silent, reason("no odometry is heard")),
             (Some(_), Some(_)) if self.is_silent(now) => (Health::Faulty, reason("its odometry is silent")),
             _ if obeyed => (Health::Ready, None),
-            // It reports, and takes no commands yet.
+            // The robot reports odometry, but nothing subscribes to its commands yet.
             _ => (Health::Silent, reason("no subscriber of its commands")),
         }
     }
@@ -301,7 +301,7 @@ impl Ros2 {
     fn topic(&mut self, state: TopicState) {
         let known = self.topics.get(&state.topic);
         let robot = self.robot;
-        // A problem of the participant is that of all topics, and one line.
+        // A problem of the participant concerns all topics, and is logged once.
         let new = state
             .problem
             .as_ref()

@@ -170,7 +170,7 @@ impl Poses {
         }
         let last = track.last;
         let Some(velocity) = reading::velocity(&pose).or_else(|| difference(last?, (stamp_ns, &pose))) else {
-            // Too close to the one before it: that one stays, and the next has its chance.
+            // A pose too soon after the stored one gives no velocity: the stored one is kept for the next message.
             if last.is_none_or(|(before, _)| seconds(before, stamp_ns) >= SHORTEST_S) {
                 track.last = Some((stamp_ns, pose));
             }

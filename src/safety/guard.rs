@@ -157,7 +157,7 @@ impl Guard {
             self.driving = None;
             let number = latch.number();
             if latch.is_held() {
-                // Nobody has stopped the team: it is held as it is after a failed reset.
+                // No operator has stopped the team: it is held, as after a failed reset.
                 let why = if before.is_clear() { "held" } else { "re-armed" };
                 tracing::warn!(number, "{why}: the robot stands until a resume");
             } else if !before.is_engaged() {

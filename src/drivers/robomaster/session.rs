@@ -241,7 +241,7 @@ impl Session {
         // An error about what an earlier program left behind comes without a number (see `Line::Enter`).
         let stray = self.numbers || (flight.line == Line::Enter && !answer.is_ok());
         if answer.seq.map_or(stray, |seq| seq != flight.seq) {
-            // A sign of life all the same.
+            // An unrelated answer still shows that the robot is alive.
             flight.since = now;
             return;
         }
@@ -353,7 +353,7 @@ impl Driver for Session {
         self.motion.want(speed, until);
         self.advance(now, out);
         if self.motion.waits() {
-            // It waits for an answer. Meanwhile the motion in force is wanted further.
+            // The new velocity waits for an answer. Until it is sent, the old one stays valid for as long.
             let (connection, hold) = (self.connection, Hold::For(until.since(now)));
             out.push(Out::Send(ToWorker::Write { connection, hold, line: "" }.encode()));
         }

@@ -204,7 +204,7 @@ impl Links {
 
     /// Begins to open a new connection, after a stand command on the present one.
     fn open(&mut self) {
-        // If the connection is dead, it takes the line along when it comes back to life; a new one may come later.
+        // A dead connection delivers this line if it comes back to life, which may be before a new one is open.
         self.write(Line::Stand.encode(0).as_bytes());
         self.number = self.number.wrapping_add(1);
         self.stop_at = None;
