@@ -18,10 +18,10 @@ use crate::trial::Trial;
 pub struct Column {
     /// Name of the column in the study's results, such as `onboard-adhoc-noise`.
     pub name: String,
-    /// Mode of the deployment. `sim` has the conditions of training; columns with other modes share one simulated
-    /// world.
+    /// Mode of the deployment, such as `offboard`. `sim` has the conditions of training; all columns with other modes
+    /// share one simulated world.
     pub mode: String,
-    /// Communication range of the robots.
+    /// Communication range of the robots in this column.
     pub range: Range,
     /// Model of the links between robots: the radio, or a fixed delay and loss.
     pub medium: LinkModel,
@@ -54,10 +54,11 @@ impl Range {
     }
 }
 
-/// Name of the column with the conditions of training, with which a study compares its other columns.
+/// Name of the column of a study that has the conditions of training. The other columns are compared with it.
 pub const BASELINE: &str = "sim";
 
-/// Names of the columns of the paper's Table I, in its order.
+/// Names of the columns of the study `modes`, in the order of the paper's Table I: deployment modes, some with another
+/// communication range.
 pub const MODES: [&str; 7] = [
     BASELINE,
     "centralized",
@@ -77,11 +78,11 @@ pub const DELAYS_S: [f64; 5] = [0.0, 0.02, 0.05, 0.1, 0.2];
 /// Probabilities of the loss of messages between robots in the study `delay`, 0 to 1.
 pub const LOSSES: [f64; 4] = [0.0, 0.16, 0.3, 0.56];
 
-/// Communication ranges of the study `range` \[m\]. One more column has an unlimited range.
+/// Communication ranges \[m\] of the columns of the study `range`. One more column has an unlimited range.
 pub const RANGES_M: [f32; 8] = [0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0];
 
 impl Column {
-    /// Returns the column of the paper's Table I with this name; `None` if there is none.
+    /// Returns the column of the study `modes` with this name, one of [`MODES`]; `None` if there is none.
     pub fn of_table(name: &str) -> Option<Column> {
         let name = MODES.into_iter().find(|other| *other == name)?;
         let (mode, range) = match name {
@@ -96,8 +97,8 @@ impl Column {
         Column { name, mode: "onboard-adhoc".to_owned(), range, medium }
     }
 
-    /// Returns a column for each combination of a delay \[s\] and a loss probability (0 to 1) of messages between
-    /// robots, in mode `onboard-adhoc`.
+    /// Returns a study's columns, one for each combination of a delay \[s\] and a loss probability (0 to 1) of messages
+    /// between robots, all in mode `onboard-adhoc`.
     pub fn delays(delays_s: &[f64], losses: &[f64]) -> Vec<Column> {
         let cell = |&delay_s: &f64, &loss: &f64| {
             let name = format!("{:.0}ms-{:.0}%", 1000.0 * delay_s, 100.0 * loss);
@@ -106,8 +107,8 @@ impl Column {
         losses.iter().flat_map(|loss| delays_s.iter().map(move |delay| cell(delay, loss))).collect()
     }
 
-    /// Returns a column for each of these communication ranges \[m\], and one more with an unlimited range, all in mode
-    /// `onboard-adhoc`.
+    /// Returns a study's columns, one for each of these communication ranges \[m\] and one more with an unlimited
+    /// range, all in mode `onboard-adhoc`.
     pub fn ranges(ranges_m: &[f32]) -> Vec<Column> {
         let within = |&mean_m: &f32| {
             let range = Range::Within { mean_m, std_m: 0.0 };
@@ -117,8 +118,8 @@ impl Column {
         ranges_m.iter().map(within).chain([everyone]).collect()
     }
 
-    /// Returns the delay \[s\] and the loss probability of messages between robots, in a column that has them in place
-    /// of the radio; `None` for a column with the radio.
+    /// Returns the fixed delay \[s\] and the loss probability (0 to 1) of messages between robots in this column;
+    /// `None` if its links use the radio.
     pub fn impairment(&self) -> Option<(f64, f64)> {
         match self.medium {
             LinkModel::Radio => None,
@@ -126,8 +127,9 @@ impl Column {
         }
     }
 
-    /// Returns a trial of the policy `tested` in `scenario` under the conditions of this column. `shared` is the world
-    /// and radio that all columns except `sim` have in common.
+    /// Returns a trial of the policy `tested` in `scenario` under the conditions of this column. `shared` is the
+    /// simulated world and radio of all columns except `sim`. Panics if the column's mode is not one of the program's
+    /// modes.
     pub fn trial(&self, scenario: Arc<dyn Scenario>, tested: &PolicyUnderTest, shared: &Deployed) -> Trial {
         let mut deployment = Deployment::preset(&self.mode, scenario.robots()).expect("columns name modes");
         deployment.body = shared.body.clone();

@@ -21,28 +21,28 @@ use crate::world::{Clamp, Placement};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Deployed {
-    /// Name of the plant; the plant sets the physics of the robots (`Physics::robomaster`, `docs/world.md`).
+    /// Name of the plant (simulator of the robots' motion), such as `rigid`.
     pub plant: String,
-    /// Radio of every wireless link, a preset of `net::media::radio` (`docs/radio.md`).
+    /// Name of a preset of the radio, such as `paper`, for every wireless link (`docs/radio.md`).
     pub radio: String,
-    /// Conditions from a file, such as those fitted to a recorded run: they change the physics of the plant, and
-    /// may replace the radio by a delay and loss of messages between robots. `None` for plant and radio alone.
+    /// Conditions from a file, such as those fitted to a recorded run. They change the plant's physics, and may replace
+    /// the radio by a delay and loss of messages between robots. `None` if no file is used.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fitted: Option<Conditions>,
-    /// Chassis of all robots, in the column `sim`, too: a robot keeps its wheels. The default is holonomic and
-    /// without limits.
+    /// Chassis of all robots, with its limits of speed. It applies to all columns of the study, the column `sim`
+    /// included. The default is holonomic and without limits.
     #[serde(default, skip_serializing_if = "chassis::Settings::is_empty")]
     pub body: chassis::Settings,
 }
 
 impl Deployed {
-    /// Returns the default world and radio of all deployed columns: plant `rigid` and radio `paper`.
+    /// Returns the default world and radio of the deployed columns (all but `sim`): plant `rigid` and radio `paper`.
     pub fn shared() -> Deployed {
         Deployed { plant: "rigid".to_owned(), radio: "paper".to_owned(), fitted: None, body: Default::default() }
     }
 
-    /// Returns this world and radio with the conditions of a file (`fitted`). If the file names a plant, it
-    /// replaces the plant.
+    /// Returns this world and radio, changed by the conditions of a file. A plant that the file names replaces this
+    /// one.
     pub fn with(self, conditions: Conditions) -> Deployed {
         let plant = conditions.plant.clone().unwrap_or(self.plant);
         Deployed { plant, fitted: Some(conditions), ..self }
@@ -53,7 +53,7 @@ impl Deployed {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LinkModel {
-    /// The radio that all deployed columns share.
+    /// The radio that all columns of the study share, except `sim`.
     Radio,
     /// Fixed delay and independent loss for messages between robots; all other messages are perfect.
     Impaired {
@@ -64,9 +64,9 @@ pub enum LinkModel {
     },
 }
 
-/// Returns a trial of one episode of the policy `tested` in a deployed column of a study, which is any column
-/// except `sim`. `medium` is the model of its links, `range` the communication range (`None` for that of the policy),
-/// `shared` the world and radio.
+/// Returns a trial of the policy `tested` in `deployment`, for a column of a study other than `sim`. `medium` is the
+/// model of the links between robots, `range` the communication range (`None` for the policy's own), and `shared` the
+/// simulated world and radio. Panics if a radio, delay or loss is invalid.
 pub fn deployed(
     mut deployment: Deployment,
     medium: LinkModel,
@@ -93,9 +93,9 @@ pub fn deployed(
     trial
 }
 
-/// Returns a trial of one episode of the policy `tested` under the conditions of training: lock step, exact
-/// placement, perfect messages, and the training world with its limit of acceleration. Panics unless the deployment has
-/// lock step and exact placement.
+/// Returns a trial of the policy `tested` under the conditions of training: lock step, exact placement, perfect
+/// messages, and the training world with its limit of acceleration. Panics unless `deployment` has lock step and exact
+/// placement.
 pub fn training(deployment: Deployment, scenario: Arc<dyn Scenario>, tested: &PolicyUnderTest) -> Trial {
     assert_eq!((deployment.stepping, deployment.placement), (Stepping::Lockstep, Placement::Exact));
     let mut trial = Trial::new(deployment, scenario, tested.model.clone()).clamp(Clamp::Training);

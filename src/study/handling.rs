@@ -14,13 +14,14 @@ pub struct Preset {
     pub name: &'static str,
     /// Description in one sentence, for reports and help texts.
     pub about: &'static str,
-    /// Whether a neighbour's message is used for the whole hold time or in one control step.
+    /// Use of neighbours' messages: each for the whole hold time, or in one control step only.
     pub messages: Handling,
-    /// Whether actions are the mean or samples of their distribution.
+    /// Choice of actions: the mean of their distribution, or a sample.
     pub draw: Draw,
     /// What limits the acceleration of velocity commands in the deployed columns of a study.
     pub clamp: Clamp,
-    /// Setting of the safety filter, which stops robots and limits their motion whatever the policy's output.
+    /// Setting of the safety filter, which changes commanded velocities to keep robots apart, off walls and within the
+    /// geofence.
     pub safety: Safety,
 }
 

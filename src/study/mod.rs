@@ -31,8 +31,8 @@ use crate::scenario::Scenario;
 use crate::scenario::layout::Layouts;
 use crate::trial::Trial;
 
-/// Policy under test in a study: a policy with one handling (use of messages, choice of actions, limits of
-/// commands).
+/// Policy under test in a study: a policy with one handling (use of messages, choice of actions, limit of commands,
+/// safety filter).
 #[derive(Clone)]
 pub struct PolicyUnderTest {
     /// Name of the policy in reports.
@@ -41,7 +41,7 @@ pub struct PolicyUnderTest {
     pub model: Model,
     /// Digest of the policy's file; empty for scripted navigation.
     pub digest: String,
-    /// Handling of the policy.
+    /// Preset of the policy's handling: use of messages, choice of actions, limit of commands, safety filter.
     pub handling: &'static Preset,
 }
 
@@ -57,13 +57,13 @@ impl PolicyUnderTest {
 pub struct Study {
     /// Name of the study: `modes`, `delay` or `range`.
     pub name: &'static str,
-    /// Columns of conditions.
+    /// Columns of the study, each with one set of conditions.
     pub columns: Vec<Column>,
     /// Policies to compare.
     pub policies: Vec<PolicyUnderTest>,
     /// Scenario of all trials.
     pub scenario: Arc<dyn Scenario>,
-    /// Width of the scenario's bottleneck \[m\]; `None` for the scenario's default.
+    /// Width \[m\] of the scenario's bottleneck (the gap between its walls); `None` for the scenario's default.
     pub gap_m: Option<f32>,
     /// World and radio of all columns but `sim`, which has the conditions of training.
     pub conditions: conditions::Deployed,
@@ -81,18 +81,19 @@ pub struct Study {
     pub build: String,
 }
 
-/// Names one trial of a study by its column, policy and repeat.
+/// Indices that identify one trial of a study: its column, policy and repeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Job {
-    /// Index of the trial's column.
+    /// Index of the trial's column in the study.
     pub column: usize,
-    /// Index of the trial's policy under test.
+    /// Index of the trial's policy under test in the study.
     pub policy: usize,
-    /// Index of the trial's repeat.
+    /// Index of the trial's repeat, from 0. Repeats have the same layouts and other random numbers.
     pub repeat: u32,
 }
 
-/// Properties that determine all results of a study. Stored results are only valid under the same identity.
+/// Identity of a study: everything that determines its results. Stored results are reused only if their identity is the
+/// same, except for the command.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Identity {
@@ -100,21 +101,21 @@ pub struct Identity {
     pub study: String,
     /// Version of the program.
     pub version: String,
-    /// Digest of the program's sources.
+    /// Digest of the program's sources: programs with equal digests compute the same numbers.
     pub build: String,
-    /// Scenario, team size and bottleneck width, as text.
+    /// Scenario, number of robots and width of the bottleneck (if it is not the default), as text.
     pub scenario: String,
-    /// Number of layouts (starts and goals of an episode), and their digest.
+    /// Number of layouts (starts and goals of an episode) and a digest of all of them, as text.
     pub layouts: String,
     /// Number of trials of every policy in every column.
     pub repeats: u32,
     /// Seed of all random numbers.
     pub seed: u64,
-    /// Columns of conditions.
+    /// Columns of the study, each with one set of conditions.
     pub columns: Vec<Column>,
-    /// World and radio of the deployed columns.
+    /// World and radio of all columns but `sim`.
     pub conditions: conditions::Deployed,
-    /// Names of the policies under test, with handlings and the digests of their files.
+    /// Names of the policies under test, each with its handling and the digest of its file.
     #[serde(rename = "entrants")]
     pub policies: Vec<String>,
     /// Command that reproduces this study.
@@ -151,7 +152,7 @@ impl Identity {
 }
 
 impl Study {
-    /// Returns all trials of the study as jobs, ordered by column, policy and repeat.
+    /// Returns all trials of the study by their indices, ordered by column, then policy, then repeat.
     pub fn jobs(&self) -> Vec<Job> {
         let policies = self.policies.len();
         let of = |column| (0..policies).flat_map(move |policy| (0..self.repeats).map(move |r| (column, policy, r)));
@@ -159,7 +160,7 @@ impl Study {
         all.map(|(column, policy, repeat)| Job { column, policy, repeat }).collect()
     }
 
-    /// Builds the trial of a job: its column's conditions, policy, seed, repeat and layouts.
+    /// Builds one trial of the study, ready to run: with its column's conditions, its policy, seed, repeat and layouts.
     pub fn trial(&self, job: Job) -> Trial {
         let (column, tested) = (&self.columns[job.column], &self.policies[job.policy]);
         let mut trial = column.trial(Arc::clone(&self.scenario), tested, &self.conditions);
@@ -167,13 +168,13 @@ impl Study {
         trial.keeping_steps()
     }
 
-    /// Checks the configuration of every trial. An error names the field.
+    /// Checks the configuration of the study's trials. An error names the field at fault.
     pub fn check(&self) -> Result<(), ConfigError> {
         let first = self.jobs().into_iter().filter(|job| job.repeat == 0);
         first.map(|job| self.trial(job)).try_for_each(|trial| trial.check())
     }
 
-    /// Returns the identity of the study.
+    /// Returns the identity of the study, by which stored results are recognised as its own.
     pub fn identity(&self) -> Identity {
         let tested = |tested: &PolicyUnderTest| {
             let digest = if tested.digest.is_empty() { String::new() } else { format!(" [{}]", tested.digest) };
@@ -194,8 +195,8 @@ impl Study {
         }
     }
 
-    /// Returns the origin of the record of one trial. It is independent of the other columns and policies, and of the
-    /// number of repeats.
+    /// Returns the origin of the record of one trial: study, version, build, seed, policy and conditions. It does not
+    /// depend on the study's other columns and policies, nor on the number of repeats.
     pub fn origin(&self, job: Job) -> Origin {
         let (column, tested) = (&self.columns[job.column], &self.policies[job.policy]);
         let conditions =

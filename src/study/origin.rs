@@ -8,15 +8,16 @@ pub use crate::record::identity::BUILD;
 /// Version of the program.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// Properties that determine the numbers in a trial's record. Records of the same repeat with equal origins are equal.
+/// Origin of a trial's record: the properties that determine its numbers. Records of the same repeat with equal origins
+/// are equal.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Origin {
-    /// Name of the study.
+    /// Name of the study that the trial belongs to.
     pub study: String,
-    /// Version of the program.
+    /// Version of the program that computed the record.
     pub version: String,
-    /// Digest of the program's sources.
+    /// Digest of the program's sources: programs with equal digests compute the same numbers.
     pub build: String,
     /// Seed of all random numbers.
     pub seed: u64,
@@ -27,8 +28,8 @@ pub struct Origin {
 }
 
 impl Origin {
-    /// Returns the origin of a record that this program computes for a study with this seed. `policy` is the digest
-    /// of the policy's file; `conditions` is all else on which the numbers depend, and is digested.
+    /// Returns the origin of a record that this program computes for a study with this seed. `policy` is the digest of
+    /// the policy's file; `conditions` is everything else on which the numbers depend, and is stored as a digest.
     pub fn here(study: &str, seed: u64, policy: &str, conditions: &impl Serialize) -> Origin {
         let conditions = serde_json::to_vec(conditions).expect("conditions are plain data");
         Origin {

@@ -201,7 +201,7 @@ fn delays(number: usize, name: &str, cells: &[&Cell]) -> Result<Figure, FigureEr
     })
 }
 
-/// Returns the HTML page of a study.
+/// Returns the report page of a study as HTML, with its figures and tables.
 pub fn page(study: &Study, results: &Results, figures: &[Figure]) -> String {
     let mut parts = vec![Part::Text(format!(
         "{}; {} layouts, each repeated {} times; seed {}.",

@@ -5,10 +5,10 @@
 //! repeated 12 times; `sim` is the published environment. The layouts of a study are the paper's only if they are read
 //! from its published episodes.
 
-/// Published results of a column of Table I.
+/// Published results of one column of the paper's Table I.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Published {
-    /// Name of the column in the study `modes`.
+    /// Name of the column, as in the study `modes`.
     pub column: &'static str,
     /// Success rate, 0 to 1; `None` if the paper does not give it.
     pub success: Option<f64>,
@@ -34,7 +34,7 @@ pub const TABLE_I: [Published; 7] = [
 /// Largest drop of the success rate from simulation to real robots, from the paper's text \[percentage points\].
 pub const LARGEST_DROP_POINTS: f64 = 36.4;
 
-/// Returns the published results of a column; without values if the column is not in the table.
+/// Returns the paper's results of the column with this name; results without values if the column is not in Table I.
 pub fn of(column: &str) -> Published {
     TABLE_I.into_iter().find(|entry| entry.column == column).unwrap_or(Published {
         column: "-",

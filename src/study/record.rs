@@ -19,21 +19,21 @@ const MOST_BINS: usize = 80;
 /// Largest distance between robots in the histogram \[m\]; larger ones count as this one.
 const FAR_M: f32 = 2.0;
 
-/// Record of a trial.
+/// Record of one trial of a study: results of its episodes and histograms of its steps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Record {
-    /// Origin of the record.
+    /// Origin of the record: study, version, build, seed, policy and conditions that it was computed for.
     pub origin: Origin,
     /// Name of the trial's column.
     pub column: String,
     /// Name of the trial's policy.
     pub policy: String,
-    /// Name of the policy's handling.
+    /// Name of the handling of the policy: use of messages, choice of actions, limit of commands, safety filter.
     pub handling: String,
-    /// Index of the repeat.
+    /// Index of the trial's repeat, from 0.
     pub repeat: u32,
-    /// Results of the episodes.
+    /// Results of the trial's episodes.
     pub episodes: Vec<Episode>,
     /// Delivery and age of messages between robots.
     pub listening: Listening,
@@ -41,18 +41,19 @@ pub struct Record {
     pub traces: Traces,
 }
 
-/// Histograms of the robots' positions in running episodes, one count per robot and World step.
+/// Histograms of the robots' positions in running episodes, with one count per robot and step of the World (the
+/// simulation of the bodies).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Traces {
-    /// Position x and y \[m\], world frame.
+    /// Histogram of the robots' positions x and y \[m\], world frame.
     pub position: Grid,
-    /// Distance of a robot from the origin (d_origin), and to the nearest other robot (d_min) \[m\].
+    /// Histogram of the distance of a robot from the origin (d_origin) and to the nearest other robot (d_min) \[m\].
     pub separation: Grid,
 }
 
 impl Traces {
-    /// Returns empty histograms for an arena.
+    /// Returns empty histograms for robots on the ground of this arena.
     pub fn new(arena: &Arena) -> Traces {
         let half = arena.half_extent;
         let axis = |half: f32| Axis::new(-half, half, CELL_M, MOST_BINS);
@@ -85,7 +86,7 @@ impl Traces {
 }
 
 impl Record {
-    /// Returns the record of a finished trial.
+    /// Returns the record of the finished trial `job` of a study. `report` has its results and steps.
     pub fn of(study: &Study, job: Job, report: &TrialReport) -> Record {
         let mut traces = Traces::new(study.scenario.arena());
         report.steps.iter().for_each(|step| traces.add_step(step));

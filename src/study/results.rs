@@ -13,11 +13,11 @@ use crate::time::Span;
 /// Results of one policy in one column, as `--json` prints them. Later versions may add fields and remove none.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
-    /// Name of the column.
+    /// Name of the column, which stands for one set of conditions.
     pub name: String,
     /// Name of the policy.
     pub policy: String,
-    /// Name of the policy's handling.
+    /// Name of the handling of the policy: use of messages, choice of actions, limit of commands, safety filter.
     pub handling: String,
     /// Success, makespan and failures over all episodes.
     #[serde(flatten)]
@@ -34,11 +34,11 @@ pub struct Row {
     pub range_m: Option<f32>,
     /// Share of messages between robots that arrived; null if no message crosses a link.
     pub delivered: Option<f64>,
-    /// Share of the arrived messages that arrived within 20 ms of publication.
+    /// Share of the arrived messages with at most 20 ms from publication to arrival; null if none crossed a link.
     pub within_20ms: Option<f64>,
-    /// Share of the arrived messages that arrived within 50 ms of publication.
+    /// Share of the arrived messages with at most 50 ms from publication to arrival; null if none crossed a link.
     pub within_50ms: Option<f64>,
-    /// Mean number of neighbours with a usable message at a control step.
+    /// Mean number of neighbours whose messages a control step uses; null if no message crosses a link.
     pub neighbours: Option<f64>,
     /// Median age of neighbours' messages at control steps, since publication \[ms\]; null if no message crosses a
     /// link.
@@ -48,9 +48,9 @@ pub struct Row {
 /// Results of one policy in one column, with the data of its figures.
 #[derive(Clone, Debug)]
 pub struct Cell {
-    /// Row of the results table.
+    /// Row of the results table: success, makespan, failures and messages.
     pub row: Row,
-    /// Makespans of the successful episodes \[s\], by repeat and episode.
+    /// Makespans of the successful episodes \[s\], ordered by repeat and episode.
     pub makespans_s: Vec<f64>,
     /// Delivery and age of messages between robots.
     pub listening: Listening,
@@ -58,15 +58,16 @@ pub struct Cell {
     pub traces: Traces,
 }
 
-/// Results of a study in columns.
+/// Results of a study: one entry for each column and policy.
 #[derive(Clone, Debug)]
 pub struct Results {
-    /// Results, ordered by column and then by policy. Pairs without a result are left out.
+    /// Results of each policy in each column, ordered by column and then by policy. Pairs without a record are left
+    /// out.
     pub cells: Vec<Cell>,
 }
 
 impl Results {
-    /// Aggregates the records of trials.
+    /// Aggregates the records of a study's trials to results, one for each column and policy.
     ///
     /// # Panics
     /// If `records` are not in the order of their trials, which determines the order of float sums.
@@ -81,7 +82,7 @@ impl Results {
         Results { cells: pairs.filter_map(cell).collect() }
     }
 
-    /// Returns the results of the policy with the index `policy`, in the order of the columns.
+    /// Returns the results of the study's policy with the index `policy`, in the order of the columns.
     pub fn of_policy<'a>(&'a self, study: &'a Study, policy: usize) -> Vec<&'a Cell> {
         let tested = &study.policies[policy];
         let is = |row: &Row| row.policy == tested.policy && row.handling == tested.handling.name;
@@ -93,8 +94,9 @@ impl Results {
         self.cells.iter().map(|cell| &cell.row)
     }
 
-    /// Returns the largest drop of a policy's success rate from the column [`BASELINE`] to any column \[percentage
-    /// points\]; `None` without a result in the column [`BASELINE`]. `cells` are the policy's results.
+    /// Returns the largest drop of one policy's success rate from the column [`BASELINE`] (conditions of training) to
+    /// any column \[percentage points\]; `None` without a result in [`BASELINE`]. `cells` are the results of that
+    /// policy.
     pub fn largest_drop_points(cells: &[&Cell]) -> Option<f64> {
         let baseline = cells.iter().find(|cell| cell.row.name == BASELINE)?.row.outcomes.success_rate;
         cells.iter().map(|cell| 100.0 * (baseline - cell.row.outcomes.success_rate)).reduce(f64::max)

@@ -31,8 +31,8 @@ const PAPER: [usize; 2] = [3, 6];
 /// Heads of the table's columns with text instead of numbers.
 const WORDS: [&str; 2] = ["column", "failures"];
 
-/// Returns column heads and rows of the results table of the policy with the index `policy`. The paper's results are
-/// only shown in the study `modes`.
+/// Returns column heads and rows of the results table of the study's policy with the index `policy`. It has the paper's
+/// results beside them only in the study `modes`.
 pub fn of_policy(study: &Study, results: &Results, policy: usize) -> (Vec<&'static str>, Vec<Vec<String>>) {
     let compared = study.name == "modes";
     let shown = |at: &usize| compared || !PAPER.contains(at);
@@ -44,7 +44,7 @@ pub fn of_policy(study: &Study, results: &Results, policy: usize) -> (Vec<&'stat
     (heads, results.of_policy(study, policy).into_iter().map(|cell| row(&cell.row)).collect())
 }
 
-/// Formats the tables of all policies for the terminal.
+/// Formats the results tables of all policies of a study for the terminal.
 pub fn text(study: &Study, results: &Results) -> String {
     let mut text = format!(
         "study {}: {}, {} layouts x {} repeats, seed {}\n",

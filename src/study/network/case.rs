@@ -8,7 +8,7 @@ use crate::config::ConfigError;
 use crate::messages::wire::MAX_FEATURES;
 use crate::net::media::radio::Topology;
 
-/// Addressing of messages in a network study: to each receiver, or to all at once.
+/// Addressing of messages in a network study: a datagram for each receiver, or one for all.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Addressing {
@@ -45,7 +45,7 @@ impl ReliabilityMode {
     ];
 }
 
-/// Kind of network between the stations.
+/// Kind of network between the stations of a network study.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum NetworkKind {
@@ -61,9 +61,9 @@ pub enum NetworkKind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum History {
-    /// This number of newest samples (KEEP_LAST).
+    /// This number of newest samples (KEEP_LAST of DDS).
     Last(u32),
-    /// All samples that are not acknowledged by all readers (KEEP_ALL).
+    /// All samples that are not yet acknowledged by all readers (KEEP_ALL of DDS).
     All,
 }
 
@@ -71,18 +71,18 @@ pub enum History {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Source {
-    /// Emulation of the case.
+    /// The case was emulated.
     Emulated,
-    /// Measurement between hosts.
+    /// The case was measured between hosts.
     Live,
 }
 
 impl Source {
-    /// Both sources.
+    /// Both sources of outcomes.
     pub const ALL: [Source; 2] = [Source::Emulated, Source::Live];
 }
 
-/// One combination of the parameters of a network study.
+/// Case of a network study: one combination of its parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Case {
@@ -90,7 +90,7 @@ pub struct Case {
     pub network: NetworkKind,
     /// Addressing of messages.
     pub addressing: Addressing,
-    /// Reliability of messages.
+    /// Reliability mode of messages.
     pub reliability: ReliabilityMode,
     /// Retry limit of unicast frames (802.11). Multicast frames are not retransmitted, except on their way to an access
     /// point.
@@ -99,7 +99,8 @@ pub struct Case {
     pub rate: f64,
 }
 
-/// Parameters of a network study. Its cases are all combinations of the lists.
+/// Parameters of a network study; its cases are all combinations of the lists. A station is a host that sends and
+/// receives messages.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Sweep {
@@ -112,23 +113,24 @@ pub struct Sweep {
     pub medium: Medium,
     /// Message rates of all stations together \[1/s\].
     pub rates: Vec<f64>,
-    /// Kinds of networks to vary.
+    /// Kinds of networks of which the study has cases.
     pub networks: Vec<NetworkKind>,
-    /// Addressings to vary.
+    /// Addressings of which the study has cases.
     pub addressings: Vec<Addressing>,
-    /// Reliability modes to vary.
+    /// Reliability modes of which the study has cases.
     pub reliabilities: Vec<ReliabilityMode>,
-    /// Retry limits of unicast frames to vary.
+    /// Retry limits (802.11) of unicast frames of which the study has cases.
     pub retries: Vec<u32>,
-    /// Number of samples that RTPS writers keep.
+    /// Samples that RTPS writers keep for retransmission.
     pub history: History,
-    /// Duration of the measurement of each case, without warm-up and drain \[s\].
+    /// Duration \[s\] of the measurement in each case. Each case begins 3 s earlier (warm-up), and runs for another 2 s
+    /// in which late messages arrive (drain).
     pub seconds: f64,
     /// Seed of all random numbers.
     pub seed: u64,
 }
 
-/// Payload of a network study's message without features \[bytes\].
+/// Payload of a network study's message without features \[bytes\]: sender, sequence number, timestamp and position.
 pub const FIXED_BYTES: usize = 24;
 /// Default message rates of a network study, of all stations together \[1/s\]; 60 and 200 are those of the paper's
 /// figures.
@@ -137,7 +139,7 @@ pub const RATES: [f64; 8] = [10.0, 20.0, 60.0, 100.0, 200.0, 300.0, 400.0, 500.0
 pub const RETRIES: [u32; 4] = [1, 3, 5, 7];
 
 impl Sweep {
-    /// Returns the network study over all default values of its parameters on this medium.
+    /// Returns a network study of 5 stations on this medium, over the default values of all parameters.
     pub fn whole(medium: Medium) -> Sweep {
         let networks = match &medium {
             Medium::Radio(_) => vec![NetworkKind::Infrastructure, NetworkKind::AdHoc],
@@ -158,12 +160,12 @@ impl Sweep {
         }
     }
 
-    /// Returns the number of features in a message, from its payload.
+    /// Returns the number of features in a message of `bytes` payload; a feature is a float of 4 bytes.
     pub fn features(&self) -> usize {
         (self.bytes.saturating_sub(FIXED_BYTES) / 4).min(MAX_FEATURES)
     }
 
-    /// Checks the ranges of all parameters. An error names the field.
+    /// Checks the ranges of the study's parameters. An error names the field.
     pub fn check(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         if !(2..=200).contains(&self.stations) {
@@ -230,7 +232,8 @@ impl Sweep {
         }
     }
 
-    /// Returns the study's medium with the topology (access point or one hop) and the retry limit of a case.
+    /// Returns the study's medium as it is in `case`: with the topology (access point or one hop) and the retry limit
+    /// of the case.
     pub fn medium_of(&self, case: &Case) -> Medium {
         let mut medium = self.medium.clone();
         if let Medium::Radio(radio) = &mut medium {
@@ -272,7 +275,7 @@ impl std::fmt::Display for History {
 }
 
 impl Case {
-    /// Returns all parameters of the case except the message rate as text.
+    /// Returns the case's network, addressing, reliability mode and retry limit as text, without the message rate.
     pub fn combination(&self) -> String {
         let Case { network, addressing, reliability, retries, .. } = self;
         match addressing {

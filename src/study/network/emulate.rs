@@ -11,13 +11,14 @@ use crate::net::media::radio::Destination;
 use crate::random::Seed;
 use crate::time::{Span, Time};
 
-/// Returns the seed of a case. Cases with equal message rates have equal seeds, and thus equal publication schedules.
+/// Returns the seed of a case's random numbers, derived from the study's seed `seed`. Cases of equal message rate have
+/// equal seeds, and thus the same publication times.
 pub fn seed(seed: u64, case: &Case) -> Seed {
     Seed::of_run(seed).child(&format!("network/{}", case.rate))
 }
 
-/// Emulates a case of a network study and returns its outcome. Calls `proceed` every 4096 events, and returns
-/// `None` as soon as that returns `false`.
+/// Emulates `case` of the network study `sweep` and returns its outcome. Calls `proceed` every 4096 events; returns
+/// `None` as soon as `proceed` returns `false`.
 pub fn run(sweep: &Sweep, case: &Case, proceed: &dyn Fn() -> bool) -> Option<Outcome> {
     let seed = seed(sweep.seed, case);
     match case.reliability {

@@ -2,14 +2,16 @@
 
 use crate::time::{Span, Time};
 
-/// Time before the measurement window, in which hosts authenticate and queues fill.
+/// Duration of the warm-up of a network study's case: the time before its measurement, in which hosts authenticate and
+/// queues fill.
 pub const WARM_UP: Span = Span::from_millis(3000);
-/// Time after the measurement window, in which messages of the window may still arrive.
+/// Duration of the drain of a network study's case: the time after its measurement, in which late messages may still
+/// arrive.
 pub const DRAIN: Span = Span::from_millis(2000);
 /// Control period of robots: 20 Hz, as in the paper.
 pub const STEP: Span = Span::from_millis(50);
 
-/// Value that is counted as the age of another station's newest message if none was received yet.
+/// Age that counts for a station from which no message was received yet: 1000 s, more than every limit.
 pub const NEVER: Span = Span::from_millis(1_000_000);
 
 /// Output of a station's protocol in a network study: a datagram to send, or a message for the application.
@@ -33,14 +35,14 @@ pub enum Output<P> {
     },
 }
 
-/// Protocol at one station of a network study, such as the link layer or RTPS: turns publications, datagrams and
-/// timers into outputs.
+/// Protocol at one station of a network study, such as the link layer or RTPS: turns publications, received datagrams
+/// and timers into outputs.
 pub trait Endpoint {
     /// Content of a datagram.
     type Packet: Clone;
-    /// Publishes the station's message with this sequence number: appends the datagrams to send to `out`.
+    /// Publishes the station's message with the number `sequence`: appends the datagrams to send to `out`.
     fn publish(&mut self, now: Time, sequence: u32, out: &mut Vec<Output<Self::Packet>>);
-    /// Handles a received datagram: appends delivered messages and replies to `out`.
+    /// Handles a received datagram: appends the messages that it delivers, and replies, to `out`.
     fn receive(&mut self, now: Time, packet: &Self::Packet, out: &mut Vec<Output<Self::Packet>>);
     /// Returns the time at which `wake` has to be called next; `None` if nothing is due.
     fn wake_at(&self) -> Option<Time>;

@@ -14,7 +14,8 @@ use super::outcome::{Outcome, Row};
 use crate::net::media::radio::rate::{self, Rate};
 use crate::net::media::radio::{Radio, Topology};
 
-/// Observed values of a case: a row of a network study, or a part of one.
+/// Observed values of one case of a network study, to which a radio is fitted. Values that were not observed are
+/// `None`.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct Observed {
     #[serde(default)]
@@ -48,14 +49,15 @@ pub struct Fitted {
     pub shares: f64,
     /// Root mean square of the residuals of the logarithms of all delays (median and 90 % quantile).
     pub delays: f64,
-    /// Other data rates of the radio that fit almost as well as the fitted one; the rows do not distinguish them.
+    /// Other data rates of the radio with which it fits almost as well as with the fitted one; the rows do not
+    /// distinguish them.
     pub alternatives: Vec<Rate>,
-    /// Each observed row, with the emulated row at the fitted parameters.
+    /// Each observed row, with the row that the emulation gives for the same case and the fitted radio.
     pub rows: Vec<(Observed, Row)>,
 }
 
-/// Function that runs cases of a network study, in any order and on any number of threads, and returns their
-/// outcomes; `None` for interrupted cases.
+/// Function that runs cases of a network study, in any order and on any number of threads. It returns their outcomes in
+/// the order of the cases, and `None` for each interrupted case.
 pub type Runner<'a> = &'a dyn Fn(&[(Sweep, Case)]) -> Vec<Option<Outcome>>;
 
 /// Residuals of one row of a network study: of three shares of deliveries (delivered, within 20 ms, within 50 ms), and
@@ -110,8 +112,8 @@ struct Fit<'a> {
     tolerances: Vec<[f64; 5]>,
 }
 
-/// Fits noise loss, background load and rate of the radio `base` to the observed rows. `sweep` has the number of
-/// stations, the message size and the history. Returns `None` if `runner` was interrupted.
+/// Fits noise loss, background load and data rate of the radio `base` to the observed rows. `sweep` has the number of
+/// stations, message size and RTPS history of the rows' study. Returns `None` if `runner` was interrupted.
 ///
 /// # Panics
 /// If `observed` is empty.
@@ -297,7 +299,7 @@ impl Fit<'_> {
 }
 
 impl Observed {
-    /// Returns the parameters of the row's case.
+    /// Returns the observed row's case: network, addressing, reliability mode, retry limit and message rate.
     pub fn case(&self) -> Case {
         let Observed { network, addressing, reliability, retries, rate, .. } = *self;
         Case { network, addressing, reliability, retries, rate }
@@ -336,12 +338,13 @@ impl Observed {
         ]
     }
 
-    /// Returns whether the row was measured between hosts, not emulated.
+    /// Returns whether the row was measured between hosts; `false` if it was emulated or has no source.
     pub fn is_live(&self) -> bool {
         self.source == Some(Source::Live)
     }
 
-    /// Checks that the observed row can belong to this sweep. The error is a text.
+    /// Checks that the observed row can belong to the network study `sweep` and that a radio can be fitted to it. The
+    /// error is a text that says what is wrong.
     pub fn check(&self, sweep: &Sweep) -> Result<(), String> {
         let seconds = self.seconds.unwrap_or(sweep.seconds);
         let (rates, retries) = (vec![self.rate], vec![self.retries]);
@@ -382,8 +385,8 @@ impl From<&Row> for Observed {
 }
 
 impl Fitted {
-    /// Returns the fitted radio as the text of a TOML file, with its origin as a comment. `command` is the command
-    /// of the fit.
+    /// Returns the fitted radio as the text of a TOML file. A comment in it says what it was fitted to and gives
+    /// `command`, the command of the fit.
     pub fn to_toml(&self, command: &str) -> String {
         let mut radio = self.radio.clone();
         let adhoc = self.rows.iter().all(|(observed, _)| observed.network == NetworkKind::AdHoc);

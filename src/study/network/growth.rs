@@ -11,14 +11,15 @@ use crate::report::cost::Cost;
 use crate::time::Span;
 use crate::trial::{Trial, TrialError};
 
-/// Modes of the deployments: one Agent for all robots in lock step, and one host per robot.
+/// Modes in which the cost of growing teams is computed: `sim`, with one agent for all robots, and `onboard-adhoc`,
+/// with one host per robot.
 pub const MODES: [&str; 2] = ["sim", "onboard-adhoc"];
 /// Default simulated time of a trial of a growing team \[s\].
 pub const DURATION_S: f64 = 10.0;
 /// Transmission range beyond the communication range \[m\]: the distance by which two robots may have approached since
 /// they were measured.
 const MARGIN_M: f32 = 0.25;
-/// Ground area per robot in the scenario \[m²\].
+/// Ground area per robot \[m²\] in the trials of growing teams, in the scenario `swap`.
 pub const GROUND_M2: f64 = 4.0;
 
 /// Returns the transmission range of robots in the trials of growing teams \[m\]: the communication range with a
@@ -27,8 +28,8 @@ pub fn range_m() -> f32 {
     orca::INTERFACE.radius_m + MARGIN_M
 }
 
-/// Returns a trial of a team of `robots` robots in the scenario `swap`, which lasts for the simulated time `lasts`.
-/// `mode` is one of [`MODES`]. Links between hosts have the range [`range_m`].
+/// Returns a trial of `robots` robots in the scenario `swap` that runs for the simulated time `lasts`. `mode` is one of
+/// [`MODES`]. Frames between hosts reach as far as [`range_m`]. An error says that the team cannot be made.
 pub fn trial(mode: &str, robots: usize, lasts: Span) -> Result<Trial, TrialError> {
     let trial = Trial::of_team(mode, "swap", robots)?.lasting(lasts);
     if trial.deployment.hosts.len() == 1 {
@@ -38,30 +39,31 @@ pub fn trial(mode: &str, robots: usize, lasts: Span) -> Result<Trial, TrialError
     Ok(Trial { deployment, ..trial })
 }
 
-/// Cost per robot of a team of one size, per simulated second.
+/// Cost of a team of one size, per robot and simulated second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Growth {
     /// Mode of the deployment, one of [`MODES`].
     pub mode: String,
     /// Number of robots.
     pub robots: usize,
-    /// Messages published, of all kinds \[1/s\].
+    /// Messages of all kinds that are published, per robot \[1/s\].
     pub messages: f64,
-    /// Bytes published \[1/s\].
+    /// Bytes of the published messages, without authentication tags, per robot \[1/s\].
     pub bytes: f64,
-    /// Datagrams that the hosts receive, per robot \[1/s\]; 0 if there is only one host.
+    /// Datagrams that hosts receive, per robot \[1/s\]; 0 if there is only one host.
     pub deliveries: f64,
     /// Share of time in which a robot's own latents occupy the radio channel by multicast; `None` without a radio.
     pub airtime: Option<f64>,
     /// Share of time in which the latents of a robot and of all robots within its transmission range occupy the
     /// radio channel; `None` without a radio.
     pub airtime_around: Option<f64>,
-    /// Processor time of the simulation \[µs\], per robot and simulated second.
+    /// Processor time of the simulation \[µs\] per robot and simulated second.
     pub cpu_us: f64,
 }
 
 impl Growth {
-    /// Returns the cost per robot of a trial in the mode `mode` that took `cpu_s` of processor time \[s\].
+    /// Returns the cost per robot of a trial from its counts `cost` and its processor time `cpu_s` \[s\]. `mode` is the
+    /// trial's mode. Airtimes are those of `radio`; without a radio they are `None`.
     pub fn of(mode: &str, cost: &Cost, cpu_s: f64, radio: Option<&Radio>) -> Growth {
         let latents = cost.kinds.iter().find(|kind| kind.kind == Kind::Latent).expect("all kinds are counted");
         let on_air = |radio: &Radio| {
@@ -82,7 +84,8 @@ impl Growth {
     }
 }
 
-/// Returns the mean number of robots within transmission range of a robot, far from the edge of the ground.
+/// Returns the mean number of other robots within transmission range of a robot far from the edge of the ground, in the
+/// trials of growing teams.
 pub fn neighbours_in_range() -> f64 {
     std::f64::consts::PI * f64::from(range_m()).powi(2) / GROUND_M2
 }

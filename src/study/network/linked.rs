@@ -26,8 +26,8 @@ pub struct Linked {
     leaving: Vec<(Audience, Frame)>,
 }
 
-/// Returns the setup of the link layer of a study's stations, with this addressing and reliability. Panics for the
-/// reliability modes of RTPS.
+/// Returns the configuration of the link layer for the stations of a network study. Panics if `reliability` is a mode
+/// of RTPS, which the link layer does not have.
 pub fn setup(addressing: Addressing, reliability: ReliabilityMode) -> Setup {
     let reliability = match reliability {
         ReliabilityMode::BestEffort => Reliability::BestEffort,
@@ -43,8 +43,8 @@ pub fn setup(addressing: Addressing, reliability: ReliabilityMode) -> Setup {
 }
 
 impl Linked {
-    /// Returns the station with the index `station`. Its messages have `features` features, and it authenticates
-    /// its datagrams with a key.
+    /// Returns the station with the index `station`. `setup` configures its link layer; its messages have `features`
+    /// features, and its datagrams a keyed tag.
     pub fn new(station: u16, setup: Setup, features: usize, seed: &Seed) -> Linked {
         let mut stream = seed.stream(&format!("link/{station}"));
         let me = Identity { host: HostId(station), team: 1, incarnation: 1 };

@@ -12,9 +12,9 @@ use crate::time::Time;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Medium {
-    /// Channel of 802.11 that all stations share.
+    /// Channel of IEEE 802.11 that all stations share.
     Radio(Radio),
-    /// Shaped link for each station.
+    /// Wired network with a link for each station, shaped by a token bucket.
     Shaped(Shaped),
 }
 
@@ -22,7 +22,7 @@ pub enum Medium {
 const SHAPED: &str = "shaped";
 
 impl Medium {
-    /// Returns the preset medium with this name, a radio or `shaped`; `None` if there is none.
+    /// Returns the preset medium with this name: a preset of the radio, or `shaped`. `None` if there is none.
     pub fn named(name: &str) -> Option<Medium> {
         if name == SHAPED {
             return Some(Medium::Shaped(Shaped::megabit()));
@@ -35,8 +35,8 @@ impl Medium {
         radio::PRESETS.into_iter().chain([SHAPED]).collect::<Vec<_>>().join(", ")
     }
 
-    /// Reads a medium from TOML and checks it: a radio, or shaped links if there is `rate_bit_s`. An error names the
-    /// field.
+    /// Reads a medium from TOML and checks it: shaped links if the text has the field `rate_bit_s`, otherwise a radio.
+    /// An error names the field.
     pub fn from_toml(text: &str) -> Result<Medium, ConfigError> {
         let table: toml::Table = config::from_toml(text)?;
         if !table.contains_key("rate_bit_s") {
@@ -47,7 +47,7 @@ impl Medium {
         Ok(Medium::Shaped(shaped))
     }
 
-    /// Checks the ranges of all parameters. An error names the field.
+    /// Checks the ranges of the medium's parameters. An error names the field.
     pub fn check(&self) -> Result<(), ConfigError> {
         match self {
             Medium::Radio(radio) => radio.check(),
@@ -56,7 +56,8 @@ impl Medium {
     }
 }
 
-/// Emulator of a medium between stations: carries their datagrams, with delay and loss. `T` identifies a datagram.
+/// Emulator of the medium between the stations of a network study: delivers their datagrams with delay and loss. `T` is
+/// what identifies a datagram in its deliveries.
 pub enum MediumEmulator<T> {
     /// Emulator of a radio channel.
     Radio(Box<Channel<T>>),
@@ -65,7 +66,7 @@ pub enum MediumEmulator<T> {
 }
 
 impl<T: Clone> MediumEmulator<T> {
-    /// Returns an emulator of the medium with this number of stations, none of which is sending.
+    /// Returns an emulator of the medium with this number of stations and empty queues.
     pub fn new(medium: Medium, stations: u16, seed: &Seed) -> MediumEmulator<T> {
         match medium {
             Medium::Radio(radio) => MediumEmulator::Radio(Box::new(Channel::new(radio, stations, seed))),
@@ -73,9 +74,8 @@ impl<T: Clone> MediumEmulator<T> {
         }
     }
 
-    /// Queues a datagram at the station with the index `from`, for the receivers `to`. `bytes` is its length; the
-    /// medium adds headers. `token` identifies the datagram in its deliveries. The datagram is dropped if the station's
-    /// queue is full.
+    /// Queues a datagram of `bytes` bytes at the station `from`, for the receivers `to`; the medium adds headers to it.
+    /// `token` is returned in its deliveries. The datagram is dropped if the station's queue is full.
     pub fn offer(&mut self, now: Time, from: u16, to: Destination, bytes: usize, token: T) {
         match self {
             MediumEmulator::Radio(channel) => channel.offer(now, from, to, bytes, token),
@@ -83,7 +83,7 @@ impl<T: Clone> MediumEmulator<T> {
         }
     }
 
-    /// Returns the time at which `wake` has to be called next; `None` if nothing is in flight.
+    /// Returns the time at which `wake` has to be called next; `None` if there is nothing to do without a new datagram.
     pub fn wake_at(&self) -> Option<Time> {
         match self {
             MediumEmulator::Radio(channel) => channel.wake_at(),
@@ -91,7 +91,7 @@ impl<T: Clone> MediumEmulator<T> {
         }
     }
 
-    /// Advances the medium to `now`, and appends the datagrams that stations received to `deliveries`.
+    /// Advances the medium to the time `now`, and appends the datagrams that have arrived to `deliveries`.
     pub fn wake(&mut self, now: Time, deliveries: &mut Vec<Delivery<T>>) {
         match self {
             MediumEmulator::Radio(channel) => channel.wake(now, deliveries),
@@ -99,7 +99,8 @@ impl<T: Clone> MediumEmulator<T> {
         }
     }
 
-    /// Returns the time in which the medium was busy with the stations' frames, from the start until `now` \[s\].
+    /// Returns the time \[s\] in which the medium was busy with the stations' frames, from the start until `now`; for
+    /// shaped links the mean over the stations.
     pub fn busy_s(&self, now: Time) -> f64 {
         match self {
             MediumEmulator::Radio(channel) => channel.counts(now).airtime_ns as f64 * 1e-9,

@@ -11,33 +11,33 @@ use crate::report::ages::Ages;
 use crate::report::statistics::quantile;
 use crate::time::{Span, Time};
 
-/// Largest age of a message that a control step uses: the hold time of the policies.
+/// Largest age of a message that a control step uses: 200 ms, the hold time of the policies.
 pub const USABLE: Span = Span::from_millis(200);
-/// Delays for which the paper's network study reports shares.
+/// Delays of which the paper's network study reports the share of messages that were faster: 20 and 50 ms.
 pub const MARKS: [Span; 2] = [Span::from_millis(20), Span::from_millis(50)];
 
 /// Outcome of a case of a network study, emulated or measured.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Outcome {
-    /// Duration of the measurement \[s\].
+    /// Duration of the measurement \[s\], without warm-up and drain.
     pub seconds: f64,
     /// Number of expected deliveries: each message published in the window, at every other station.
     pub due: u64,
-    /// Number of deliveries.
+    /// Number of messages that arrived, counted at each receiver.
     pub arrived: u64,
-    /// Numbers of deliveries within 20 ms and within 50 ms.
+    /// Number of deliveries with a delay of at most 20 ms, and of at most 50 ms.
     pub within: [u64; 2],
     /// Quantiles of the delay of deliveries \[s\]: 10, 50, 90 and 99 %; `None` without deliveries.
     pub quantiles_s: Option<[f64; 4]>,
-    /// Histogram of the delays.
+    /// Histogram of the delays of deliveries.
     pub delays: Ages,
     /// Histogram of the age of each other station's newest message at each control step.
     pub ages: Ages,
-    /// Quantiles of the age of other stations' newest messages at control steps \[s\]: 50 and 90 %; `None` if the
-    /// quantile falls on a pair of stations without a message.
+    /// Quantiles (50 and 90 %) of the age \[s\] of other stations' newest messages at control steps; `None` if so many
+    /// stations had no message yet that a quantile does not exist.
     pub age_quantiles_s: Option<[f64; 2]>,
-    /// Share of the ages of other stations' newest messages at control steps that are at most `USABLE`.
+    /// Share (0 to 1) of the ages of other stations' newest messages at control steps that are at most 200 ms.
     pub usable: f64,
     /// Datagrams sent by all stations \[1/s\]; `None` in a measurement between hosts.
     pub datagrams_per_s: Option<f64>,
@@ -47,7 +47,8 @@ pub struct Outcome {
     pub airtime: Option<f64>,
 }
 
-/// Counters of a case of a network study that is running, from which its outcome is computed.
+/// Counters of a running case of a network study, from which its outcome is computed. Its measurement window is the
+/// time of the case without warm-up and drain.
 #[derive(Clone, Debug)]
 pub struct Tally {
     window: (Time, Time),
@@ -71,8 +72,8 @@ pub struct Tally {
 const REMEMBERED: usize = 100_000;
 
 impl Tally {
-    /// Returns empty counters for this number of stations. `window` is start and end of the measurement; only
-    /// messages published in it are counted.
+    /// Returns empty counters for this number of stations. `window` has the start and end of the measurement; messages
+    /// that are published outside of it are not counted.
     pub fn new(stations: u16, window: (Time, Time)) -> Tally {
         let stations = usize::from(stations);
         Tally {
@@ -92,7 +93,7 @@ impl Tally {
         }
     }
 
-    /// Returns start and end of the window in which published messages are counted.
+    /// Returns start and end of the measurement, outside of which published messages are not counted.
     pub fn window(&self) -> (Time, Time) {
         self.window
     }
@@ -101,7 +102,8 @@ impl Tally {
         at >= self.window.0 && at < self.window.1
     }
 
-    /// Counts a message that the station publishes. Panics unless the station's sequence numbers are consecutive.
+    /// Counts a message that `station` publishes at `now`. Panics unless the station's sequence numbers are
+    /// consecutive.
     pub fn published(&mut self, now: Time, station: u16, sequence: u32) {
         let (first, times) = &mut self.published_at[usize::from(station)];
         assert_eq!(sequence as usize, *first as usize + times.len(), "numbers follow each other");
@@ -115,7 +117,7 @@ impl Tally {
         }
     }
 
-    /// Counts a message that the station `station` receives for the first time.
+    /// Counts the delivery of a message from the station `from` at `station`. The caller leaves out duplicates.
     pub fn received(&mut self, now: Time, station: u16, from: u16, sequence: u32) {
         let (first, times) = &self.published_at[usize::from(from)];
         let place = sequence.checked_sub(*first).and_then(|place| times.get(place as usize));
@@ -127,7 +129,7 @@ impl Tally {
         }
     }
 
-    /// Counts the delay of a message that was published in the window.
+    /// Counts the delay of a delivered message that was published within the measurement.
     pub fn add_delay(&mut self, delay: Span) {
         self.delays.add(delay);
         for (within, mark) in self.within.iter_mut().zip(MARKS) {
@@ -136,7 +138,7 @@ impl Tally {
         self.delays_s.push(delay.as_secs());
     }
 
-    /// Counts a control step of a station: the age of each other station's newest message.
+    /// Counts a control step of `station` at `now`: the age of each other station's newest message.
     pub fn step(&mut self, now: Time, station: u16) {
         for from in (0..self.stations).filter(|from| *from != usize::from(station)) {
             // If there is no message of a station, its age exceeds every limit.
@@ -145,14 +147,15 @@ impl Tally {
         }
     }
 
-    /// Counts the age of another station's newest message at a control step.
+    /// Counts `age`, the age of another station's newest message at a control step.
     pub fn add_age(&mut self, age: Span) {
         self.ages.add(age);
         self.ages_s.push(age.as_secs());
         self.usable += u64::from(age <= USABLE);
     }
 
-    /// Counts datagrams, and their `bytes`, that a station has sent, if `now` is within the measurement window.
+    /// Counts datagrams that a station sends at `now`, with the sum of their `bytes`, if `now` is within the
+    /// measurement.
     pub fn sent(&mut self, now: Time, datagrams: u64, bytes: usize) {
         if self.counts(now) {
             self.sent.0 += datagrams;
@@ -160,8 +163,8 @@ impl Tally {
         }
     }
 
-    /// Samples the busy time of the medium when `now` passes an end of the measurement window. `busy_s` returns the
-    /// busy time \[s\].
+    /// Stores the medium's busy time \[s\] at the start and at the end of the measurement, as soon as `now` has passed
+    /// each. `busy_s` returns the busy time so far.
     pub fn sample_airtime(&mut self, now: Time, busy_s: impl Fn() -> f64) {
         for (seen, edge) in self.busy_s.iter_mut().zip([self.window.0, self.window.1]) {
             if seen.is_none() && now >= edge {
@@ -170,13 +173,13 @@ impl Tally {
         }
     }
 
-    /// Adds `due` to the number of expected deliveries. Used for measurements, in which each station counts its own
-    /// messages.
+    /// Adds `due` to the number of expected deliveries. It is for measurements between hosts, in which each station
+    /// counts its own messages.
     pub fn add_due(&mut self, due: u64) {
         self.due += due;
     }
 
-    /// Returns the outcome of the case.
+    /// Returns the outcome of the case from the counts so far.
     pub fn outcome(self) -> Outcome {
         let window_s = self.window.1.since(self.window.0).as_secs();
         let (arrived, seen) = (self.delays_s.len() as u64, self.sent.0 > 0);
@@ -202,7 +205,8 @@ impl Tally {
     }
 }
 
-/// Row of the results of a network study, as `--json` prints it. Later versions may add fields and remove none.
+/// Row of the results of a network study: one case, as `--json` prints it. Later versions may add fields and remove
+/// none.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// Whether the case was emulated or measured.
@@ -211,7 +215,7 @@ pub struct Row {
     pub addressing: Addressing,
     /// Reliability mode of messages.
     pub reliability: ReliabilityMode,
-    /// Retry limit of unicast frames.
+    /// Retry limit (802.11) of unicast frames.
     pub retries: u32,
     /// Kind of network.
     pub network: NetworkKind,
@@ -219,11 +223,11 @@ pub struct Row {
     pub rate: f64,
     /// Duration of the measurement \[s\].
     pub seconds: f64,
-    /// Share of expected deliveries that arrived.
+    /// Share of expected deliveries that arrived, 0 to 1.
     pub delivered: f64,
-    /// Share of expected deliveries that arrived within 20 ms.
+    /// Share of expected deliveries that arrived within 20 ms, 0 to 1.
     pub within_20ms: f64,
-    /// Share of expected deliveries that arrived within 50 ms.
+    /// Share of expected deliveries that arrived within 50 ms, 0 to 1.
     pub within_50ms: f64,
     /// 10 % quantile of the delay of deliveries \[ms\]; null without deliveries.
     pub p10_ms: Option<f64>,
@@ -233,26 +237,29 @@ pub struct Row {
     pub p90_ms: Option<f64>,
     /// 99 % quantile of the delay of deliveries \[ms\]; null without deliveries.
     pub p99_ms: Option<f64>,
-    /// Share of time in which the medium was busy with the stations' frames; null in a measurement.
+    /// Share of time in which the medium was busy with the stations' frames; null in a measurement between hosts.
     pub airtime: Option<f64>,
-    /// Median age of other stations' newest messages at control steps \[ms\]; null if too many had no message.
+    /// Median age of other stations' newest messages at control steps \[ms\]; null if more than half of them had no
+    /// message.
     pub age_p50_ms: Option<f64>,
-    /// 90 % quantile of the age of other stations' newest messages at control steps \[ms\]; null as for `age_p50_ms`.
+    /// 90 % quantile of the age of other stations' newest messages at control steps \[ms\]; null if too many stations
+    /// had no message.
     pub age_p90_ms: Option<f64>,
-    /// Share of the ages of other stations' newest messages at control steps that are at most 200 ms.
+    /// Share of the ages of other stations' newest messages at control steps that are at most 200 ms, 0 to 1.
     pub usable: f64,
-    /// Datagrams sent per message, including those of the protocol; null in a measurement.
+    /// Datagrams sent per message, including those of the protocol, such as acknowledgements; null in a measurement
+    /// between hosts.
     pub datagrams_per_message: Option<f64>,
 }
 
 impl Row {
-    /// Returns the parameters of the row's case.
+    /// Returns the row's case: network, addressing, reliability mode, retry limit and message rate.
     pub fn case(&self) -> Case {
         let Row { network, addressing, reliability, retries, rate, .. } = *self;
         Case { network, addressing, reliability, retries, rate }
     }
 
-    /// Returns all parameters of the row's case except the message rate as text.
+    /// Returns the case's parameters as text, without the message rate; for a measurement with the word `live`.
     pub fn combination(&self) -> String {
         let name = self.case().combination();
         if self.source == Source::Emulated { name } else { format!("{name}, {}", self.source) }

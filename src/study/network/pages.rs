@@ -25,11 +25,11 @@ pub struct Findings<'a> {
     pub sweep: &'a Sweep,
     /// Results of all cases.
     pub results: &'a [Found],
-    /// Cost per robot of growing teams.
+    /// Cost per robot of growing teams; empty if it was not computed.
     pub grown: &'a [Growth],
     /// Command that reproduces the study.
     pub command: &'a str,
-    /// Notes, such as the uncertainty of clocks.
+    /// Notes for the report, such as the uncertainty of clock offsets.
     pub notes: &'a [String],
 }
 

@@ -33,18 +33,18 @@ pub struct Task {
     pub seed: u64,
 }
 
-/// Counts and ages that one station has measured in a case.
+/// Messages and ages that one station has counted in a measured case.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StationResult {
-    /// Number of messages published in the window.
+    /// Number of messages that the station published within the measurement.
     pub said: u64,
-    /// Number of messages due in the window that were not published because of a long scheduling delay. They count as
-    /// expected and not delivered.
+    /// Number of messages that were due within the measurement and not published, because the host ran its program too
+    /// late. They count as expected and not delivered.
     #[serde(default)]
     pub skipped: u64,
-    /// Delay of each received message \[us\].
+    /// Delay of each received message, from publication to arrival \[us\].
     pub delays_us: Vec<u64>,
-    /// Ages of each other station's newest message at each control step \[us\]; `None` if there was none.
+    /// Age of each other station's newest message at each control step \[us\]; `None` if that station had none.
     pub ages_us: Vec<Option<u64>>,
 }
 
@@ -54,7 +54,7 @@ impl Task {
         WARM_UP + Span::from_secs(self.seconds) + DRAIN
     }
 
-    /// Combines the results of all stations to the outcome of the case.
+    /// Combines the results of all stations into the outcome of the case.
     pub fn outcome(&self, results: &[StationResult]) -> Outcome {
         let begin = Time::ZERO + WARM_UP;
         let mut tally = Tally::new(self.stations, (begin, begin + Span::from_secs(self.seconds)));
@@ -68,8 +68,7 @@ impl Task {
     }
 }
 
-/// State of a station that measures a case of a network study between hosts: schedule, received messages and
-/// result.
+/// Station of a case that is measured between hosts: its publication schedule, received messages and result.
 #[derive(Debug)]
 pub struct Peer {
     task: Task,
@@ -86,7 +85,7 @@ pub struct Peer {
 }
 
 impl Peer {
-    /// Returns a station of a case that begins at `begin` on the station's own clock.
+    /// Returns the station with the index `station` of a case that begins at `begin` on the station's own clock.
     pub fn new(task: Task, station: u16, begin: Time) -> Peer {
         let seed = emulate::seed(task.seed, &task.case);
         let window = (begin + WARM_UP, begin + WARM_UP + Span::from_secs(task.seconds));
@@ -104,12 +103,12 @@ impl Peer {
         }
     }
 
-    /// Returns whether the measurement, with its drain, is over.
+    /// Returns whether the measurement is over, with the time in which late messages may arrive (drain).
     pub fn is_over(&self, now: Time) -> bool {
         self.ended || now >= self.over
     }
 
-    /// Returns the station's result so far.
+    /// Returns the messages and ages that the station has counted so far.
     pub fn result(&self) -> &StationResult {
         &self.result
     }

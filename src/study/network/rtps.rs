@@ -33,7 +33,8 @@ const HEARTBEAT: usize = 32;
 const ACKNACK: usize = 28;
 const GAP: usize = 32;
 
-/// Range of sequence numbers of the samples that an RTPS writer keeps: the first, and the one after the last.
+/// Range of sequence numbers of the samples that an RTPS writer keeps for retransmission: the first, and the one
+/// after the last.
 pub type Holds = (u32, u32);
 
 /// RTPS message of a station in a network study.
@@ -86,7 +87,9 @@ pub struct Rtps {
 }
 
 impl Rtps {
-    /// Returns the station with the index `station` of `stations`, for messages of `payload` bytes.
+    /// Returns the station with the index `station` of `stations` stations, for messages of `payload` bytes.
+    /// `reliability` is `Ack` or `AckOff` (with or without positive acknowledgements); `history` are the samples that
+    /// its writer keeps.
     pub fn new(station: u16, stations: u16, payload: usize, reliability: ReliabilityMode, history: History) -> Rtps {
         let others = || (0..stations).filter(move |other| *other != station);
         Rtps {

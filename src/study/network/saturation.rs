@@ -22,24 +22,26 @@ pub const NEIGHBOURS: u32 = 4;
 pub struct Load {
     /// Number of robots in the team.
     pub robots: usize,
-    /// Addressing of messages.
+    /// Addressing of the team's messages: unicast to [`NEIGHBOURS`] neighbours, or multicast.
     pub addressing: Addressing,
     /// Message rate of all robots together \[1/s\].
     pub messages_per_s: f64,
-    /// Share of airtime that the team's frames need in one hop, with acknowledgements and interframe spaces. Above 1
-    /// the channel cannot carry them.
+    /// Share of time that the team's frames need on the channel in one hop, with acknowledgements and interframe
+    /// spaces. Above 1 the channel cannot carry them.
     pub airtime: f64,
-    /// Share of airtime that the team's frames need through an access point.
+    /// Share of time that the team's frames need on the channel if an access point sends each a second time. Above 1
+    /// the channel cannot carry them.
     pub airtime_relayed: f64,
-    /// Saturation throughput in one hop, by Bianchi's model \[messages/s\].
+    /// Saturation throughput in one hop, by Bianchi's model \[messages/s\]: the most messages that the channel can
+    /// carry.
     pub saturation_per_s: f64,
-    /// Probability that a frame collides at saturation.
+    /// Probability that a frame collides if every station always has one to send.
     pub collision: f64,
 }
 
 impl Load {
-    /// Returns the load of the radio's channel by a team whose messages are datagrams of `datagram_bytes`
-    /// \[bytes\].
+    /// Returns the load of the radio's channel by a team of `robots` robots, each of which sends [`RATE`] messages a
+    /// second. A message is a datagram of `datagram_bytes` \[bytes\].
     pub fn of(radio: &Radio, addressing: Addressing, robots: usize, datagram_bytes: usize) -> Load {
         let times = radio.times();
         let unicast = (radio.frame_airtime(datagram_bytes) + times.acknowledged + times.aifs).as_secs();
@@ -76,21 +78,21 @@ impl Load {
         }
     }
 
-    /// Returns whether the team saturates the channel.
+    /// Returns whether the team sends at least as much in one hop as the channel can carry.
     pub fn is_full(&self) -> bool {
         self.airtime >= 1.0 || self.messages_per_s >= self.saturation_per_s
     }
 }
 
-/// Returns the load of the radio's channel for each team size in [`SIZES`], first by multicast, then by unicast.
-/// Datagrams have `datagram_bytes` \[bytes\].
+/// Returns the load of the radio's channel for each team size in [`SIZES`], first by multicast, then by unicast. A
+/// message is a datagram of `datagram_bytes` \[bytes\].
 pub fn table(radio: &Radio, datagram_bytes: usize) -> Vec<Load> {
     let of = |addressing| SIZES.map(|robots| Load::of(radio, addressing, robots, datagram_bytes));
     [Addressing::Multicast, Addressing::Unicast].into_iter().flat_map(of).collect()
 }
 
-/// Returns a text for the user: above how many robots the channel is saturated, and which parameter to change first to
-/// serve larger teams. Datagrams have `datagram_bytes` \[bytes\].
+/// Returns a text for the user: up to how many robots the channel suffices, and which parameter to change first to
+/// serve larger teams. A message is a datagram of `datagram_bytes` \[bytes\].
 pub fn advice(radio: &Radio, datagram_bytes: usize) -> String {
     let last = |radio: &Radio, addressing| {
         let fits = |robots: &usize| !Load::of(radio, addressing, *robots, datagram_bytes).is_full();

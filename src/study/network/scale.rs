@@ -6,7 +6,8 @@ use super::growth::{self, Growth};
 use super::saturation::{self, Load};
 use crate::report::figures::{self, Figure, FigureError, Line, Panel, Point};
 
-/// Draws the cost per robot of growing teams against the number of robots.
+/// Draws the figure of growing teams' cost per robot (messages, datagrams, processor time and others) against the
+/// number of robots.
 pub fn costs(grown: &[Growth]) -> Result<Figure, FigureError> {
     let mut sizes: Vec<usize> = grown.iter().map(|growth| growth.robots).collect();
     sizes.sort_unstable();
@@ -51,7 +52,7 @@ pub fn costs(grown: &[Growth]) -> Result<Figure, FigureError> {
     })
 }
 
-/// Returns column heads and rows of the table of costs per robot of growing teams.
+/// Returns column heads and rows of the table of growing teams' costs per robot.
 pub fn of_costs(grown: &[Growth]) -> (Vec<&'static str>, Vec<Vec<String>>) {
     let heads = vec![
         "robots",
@@ -79,7 +80,8 @@ pub fn of_costs(grown: &[Growth]) -> (Vec<&'static str>, Vec<Vec<String>>) {
     (heads, grown.iter().map(line).collect())
 }
 
-/// Returns a note on the airtime that a robot and the robots around it take; `None` without a radio.
+/// Returns a text on the airtime that a robot's latents take alone and together with those of all robots in range, for
+/// the largest team of `grown`; `None` if no team has a radio.
 pub fn remark(grown: &[Growth]) -> Option<String> {
     let largest = grown.iter().filter(|growth| growth.airtime.is_some()).max_by_key(|growth| growth.robots)?;
     let (own, around) = (100.0 * largest.airtime?, 100.0 * largest.airtime_around?);
@@ -97,7 +99,7 @@ pub fn remark(grown: &[Growth]) -> Option<String> {
     ))
 }
 
-/// Draws load and saturation of one channel against the number of robots.
+/// Draws the figure of a radio channel's load and saturation throughput against the number of robots.
 pub fn loads(loads: &[Load]) -> Result<Figure, FigureError> {
     let line = |addressing: Addressing, name: &str, value: fn(&Load) -> Option<f64>| Line {
         name: name.to_owned(),

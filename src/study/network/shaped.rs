@@ -11,7 +11,7 @@ use crate::net::media::radio::{Delivery, Destination};
 use crate::random::{Seed, Stream};
 use crate::time::{Span, Time};
 
-/// Parameters of a wired network with one rate-limited (shaped) link for each station.
+/// Parameters of a wired network in which each station has one link, whose rate a token bucket limits (a shaped link).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Shaped {
@@ -24,7 +24,7 @@ pub struct Shaped {
     /// Probability that a receiver loses a frame, 0 to 1; independent for each receiver.
     #[serde(default)]
     pub loss: f64,
-    /// Constant latency of network stack, bridge and wake-up of the receiver \[us\].
+    /// Constant part of the one-way delay \[us\]: network stack, bridge and wake-up of the receiver.
     #[serde(default)]
     pub latency_us: f64,
     /// Header bytes on the link for each datagram \[bytes\]: Ethernet 14, IPv4 20, UDP 8.
@@ -49,7 +49,7 @@ impl Shaped {
         }
     }
 
-    /// Checks the ranges of all parameters. An error names the field.
+    /// Checks the ranges of the parameters. An error names the field.
     pub fn check(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         if !(1e3..=1e12).contains(&self.rate_bit_s) {
@@ -81,7 +81,8 @@ struct Sender {
     waiting: usize,
 }
 
-/// Emulator of a wired network with one shaped link for each station. `T` identifies a datagram.
+/// Emulator of a wired network with one shaped link for each station. `T` is what identifies a datagram in its
+/// deliveries.
 #[derive(Clone, Debug)]
 pub struct Links<T> {
     shaped: Shaped,
@@ -94,7 +95,7 @@ pub struct Links<T> {
 }
 
 impl<T: Clone> Links<T> {
-    /// Returns an emulator of the links of this number of stations, with empty queues.
+    /// Returns an emulator with this number of stations and empty queues.
     pub fn new(shaped: Shaped, stations: u16, seed: &Seed) -> Links<T> {
         let tokens = shaped.burst_bytes as f64;
         let sender = Sender { tokens, at: Time::ZERO, queue: VecDeque::new(), waiting: 0 };
@@ -108,7 +109,8 @@ impl<T: Clone> Links<T> {
         }
     }
 
-    /// Queues a datagram of `bytes` \[bytes\] at the station `from`; drops it if that station's queue is full.
+    /// Queues a datagram of `bytes` \[bytes\] at the station `from`, for the receivers `to`; drops it if that station's
+    /// queue is full or its token bucket too small. `token` is returned in its deliveries.
     pub fn offer(&mut self, now: Time, from: u16, to: Destination, bytes: usize, token: T) {
         let length = bytes + self.shaped.overhead_bytes;
         let sender = &mut self.senders[usize::from(from)];
@@ -134,12 +136,12 @@ impl<T: Clone> Links<T> {
         self.in_flight.insert((arrives, self.offered), (from, to, token));
     }
 
-    /// Returns the time of the next arrival; `None` if no frame is in flight.
+    /// Returns the time of the next arrival of a frame; `None` if none is in flight.
     pub fn wake_at(&self) -> Option<Time> {
         self.in_flight.first_key_value().map(|((at, _), _)| *at)
     }
 
-    /// Appends the frames that have arrived until `now` to `deliveries`.
+    /// Appends the frames that have arrived by `now` to `deliveries`, without those that their receivers lose.
     pub fn wake(&mut self, now: Time, deliveries: &mut Vec<Delivery<T>>) {
         while let Some(first) = self.in_flight.first_entry().filter(|first| first.key().0 <= now) {
             let ((at, _), (from, to, token)) = first.remove_entry();
@@ -159,7 +161,7 @@ impl<T: Clone> Links<T> {
         }
     }
 
-    /// Returns the time in which the links were busy so far, averaged over the stations \[s\].
+    /// Returns the time \[s\] in which a link was busy so far, as the mean over the stations.
     pub fn busy_s(&self) -> f64 {
         self.sent_bytes * 8.0 / self.shaped.rate_bit_s / self.senders.len() as f64
     }

@@ -10,8 +10,7 @@ use super::scale;
 /// Quantity that a table of a network study shows: its name, and the function that returns its value in a row.
 type Shown = (&'static str, fn(&Row) -> Option<f64>);
 
-/// Quantities that the tables of a network study show, one table each: shares of expected deliveries, of airtime
-/// \[%\], and times \[ms\].
+/// Quantities that the tables of a network study show, one table each, with their units.
 pub const SHOWN: [Shown; 5] = [
     ("within 20 ms [%]", |row| Some(100.0 * row.within_20ms)),
     ("delivered [%]", |row| Some(100.0 * row.delivered)),
@@ -20,14 +19,14 @@ pub const SHOWN: [Shown; 5] = [
     ("age at control steps, median [ms]", |row| row.age_p50_ms),
 ];
 
-/// Returns the heads of the table's columns: one for each message rate of the study, after that of the first
-/// column.
+/// Returns the heads of a table's columns: `messages/s` for the first, and the message rates of the study for the
+/// others.
 pub fn heads(sweep: &Sweep) -> Vec<String> {
     ["messages/s".to_owned()].into_iter().chain(sweep.rates.iter().map(f64::to_string)).collect()
 }
 
-/// Returns the lines of a table of the quantity `value`: one line per combination of parameters, one column per
-/// message rate.
+/// Returns the lines of the table of one quantity: one line per combination of parameters, one column per message rate.
+/// A cell without a result is empty.
 pub fn lines(sweep: &Sweep, rows: &[Row], (_, value): Shown) -> Vec<Vec<String>> {
     let mut names: Vec<String> = Vec::new();
     for row in rows {
@@ -64,7 +63,8 @@ fn aligned(heads: &[String], lines: &[Vec<String>]) -> String {
     text
 }
 
-/// Formats the tables for the terminal: shares delivered, and the cost per robot of growing teams.
+/// Formats the tables for the terminal: shares of deliveries within 20 ms and in all, and the cost per robot of growing
+/// teams.
 pub fn text(sweep: &Sweep, rows: &[Row], grown: &[Growth]) -> String {
     let mut text = format!(
         "study network: {} stations, messages of {} bytes, {} s a case, RTPS history {}, seed {}\n",

@@ -12,8 +12,8 @@ use crate::time::{Span, Time};
 /// UDP, IP and lower layers are not included.
 pub const FRAMING_BYTES: usize = 40;
 
-/// Returns the message `sequence` of a station in the case with the number `case`, published at `stamp` after the start
-/// of the case.
+/// Returns the message with the number `sequence` of a station, published `stamp` after the start of the case with the
+/// number `case`. Its position holds the time of publication, and it has `features` features.
 pub fn message(station: u16, case: u32, sequence: u32, stamp: Span, features: usize) -> Latent {
     let own = 0.5 * f32::from(station + 1);
     let us = stamp.as_nanos() / 1000;
@@ -28,19 +28,20 @@ pub fn message(station: u16, case: u32, sequence: u32, stamp: Span, features: us
     }
 }
 
-/// Returns the time of a message's publication since the start of the case, as stored in the message.
+/// Returns the time from the start of the case to the message's publication, which the message contains.
 pub fn stamp(latent: &Latent) -> Span {
     let position = latent.motion.position;
     Span::from_nanos(1_000_000 * position.x as u64 + 1000 * position.y as u64)
 }
 
-/// Returns the offset of each station's control steps within the period, in the order of the stations.
+/// Returns the offset of each station's control steps within their period `period`, in the order of the stations. They
+/// are drawn from `seed`.
 pub fn phases(stations: u16, period: Span, seed: &Seed) -> Vec<Span> {
     let mut stream = seed.stream("steps");
     (0..stations).map(|_| Span::from_secs(period.as_secs() * stream.random_range(0.0..1.0))).collect()
 }
 
-/// Publication times of one station: once in every period, at a time drawn uniformly. So stations are not synchronized,
+/// Publication times of one station: one in every period, drawn uniformly within it. So stations are not synchronized,
 /// and no fixed offset dominates a case.
 #[derive(Clone, Debug)]
 pub struct Schedule {
@@ -52,8 +53,8 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// Returns the schedule of the station with the index `station`, starting at `begin`. All `stations` together
-    /// publish `rate` messages a second.
+    /// Returns the schedule of the station with the index `station`, from `begin` on. All stations together (the first
+    /// number of the pair) publish the second number of messages a second.
     pub fn new(begin: Time, station: u16, (stations, rate): (u16, f64), seed: &Seed) -> Schedule {
         let period = Span::from_secs(f64::from(stations) / rate);
         let stream = seed.stream(&format!("publish/{station}"));
@@ -67,12 +68,13 @@ impl Schedule {
         self.next = self.begin + self.period * u64::from(self.published) + within;
     }
 
-    /// Returns the time of the next message.
+    /// Returns the time at which the next message is to be published.
     pub fn next(&self) -> Time {
         self.next
     }
 
-    /// Advances to the next message. Returns the sequence number of the current one.
+    /// Marks the next message as published and advances to the one after it. Returns the sequence number of the
+    /// published one, from 0.
     pub fn publish(&mut self) -> u32 {
         self.published += 1;
         self.draw();

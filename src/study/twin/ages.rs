@@ -20,17 +20,16 @@ pub struct Rules {
     pub range_m: f32,
     /// Longest time for which a message is used after its arrival \[ns\].
     pub hold_ns: i64,
-    /// Whether a message is dropped after the step that used it.
+    /// Use of a message: for the whole hold time, or in one control step only.
     pub handling: Handling,
 }
 
-/// Messages of neighbours that robots use at the decisions of one episode: number of decisions, and ages of the
-/// messages.
+/// Decisions of all robots in one episode: their number, and the ages of the neighbours' messages that they used.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Decisions {
-    /// Number of decisions.
+    /// Number of decisions (control steps) of all robots in the episode.
     pub count: usize,
-    /// Ages of the messages in use \[s\].
+    /// Ages \[s\] of the messages that these decisions used, from publication to decision.
     pub ages_s: Vec<f64>,
 }
 
@@ -50,7 +49,7 @@ struct Held {
 }
 
 /// Follows latents from publication to the decisions that use them, and collects their ages. The caller reports
-/// publications and arrivals in the order of their times.
+/// publications and arrivals in the order of their times on one clock.
 pub struct Follower {
     rules: Rules,
     /// By robot: the host of its agent.
@@ -64,7 +63,7 @@ pub struct Follower {
 }
 
 impl Follower {
-    /// Makes a follower of a team's latents. `hosts` has the host of each robot's agent, by robot.
+    /// Returns a follower of a team's latents. `hosts` has the host of each robot's agent, in the order of the robots.
     pub fn new(rules: Rules, hosts: Vec<HostId>) -> Follower {
         Follower {
             rules,
@@ -76,8 +75,8 @@ impl Follower {
         }
     }
 
-    /// Handles a latent that a robot publishes at the time `at_ns` \[ns\]. This is a decision of that robot, so the
-    /// ages of the messages that it uses are counted.
+    /// Handles a latent that a robot publishes at `at_ns` \[ns\] in the datagram `key`. In a running episode this is a
+    /// decision of that robot, and the ages of the messages that it uses are stored.
     pub fn publish(&mut self, at_ns: i64, key: DatagramKey, latent: &Latent) {
         let robot = latent.robot;
         let Some(place) = self.places.get_mut(robot.index()) else { return };
@@ -102,8 +101,8 @@ impl Follower {
         }
     }
 
-    /// Handles a datagram that arrives at the host `to` at the time `at_ns` \[ns\]. Only latents whose publication was
-    /// reported before count.
+    /// Handles the datagram `key`, which arrives at the host `to` at `at_ns` \[ns\]. It counts only if it contains a
+    /// latent whose publication was reported before.
     pub fn arrive(&mut self, at_ns: i64, to: HostId, key: &DatagramKey) {
         let Some(&Published { robot: sender, at_ns: published_ns, position }) = self.published.get(key) else { return };
         if self.hosts[sender.index()] == to {
@@ -119,7 +118,8 @@ impl Follower {
         }
     }
 
-    /// Returns the decisions of each episode with the messages in use, by the number of the episode.
+    /// Returns the decisions of each episode, with the ages of the messages that they used, by the number of the
+    /// episode.
     pub fn into_decisions(self) -> BTreeMap<u32, Decisions> {
         self.decisions
     }

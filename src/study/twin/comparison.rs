@@ -16,7 +16,7 @@ use crate::report::episode::Episode;
 use crate::report::statistics::{quantile, wilson_95};
 use crate::scenario::judge::Verdict;
 
-/// Bar of a compared quantity: largest difference of the measurement from its prediction with which they agree.
+/// Bar of a compared quantity: the largest difference of measurement and prediction with which they agree.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Bar {
@@ -26,7 +26,7 @@ pub enum Bar {
     Share(f64),
     /// The difference is at most this number, in the row's unit.
     Difference(f64),
-    /// None: the row is for information.
+    /// There is no bar: the row is for information, and always agrees.
     Free,
 }
 
@@ -37,11 +37,12 @@ pub struct Row {
     pub name: String,
     /// Unit of the quantity; empty if it has none.
     pub unit: &'static str,
-    /// The prediction, with the interval that a measurement of as many episodes has.
+    /// Predicted value. Its interval is the one in which a measurement of as many episodes as in the run lies with 95
+    /// %.
     pub predicted: Estimate,
-    /// The measurement on the second half of the episodes.
+    /// Value measured in the predicted episodes of the run, with its 95 % interval.
     pub measured: Estimate,
-    /// Largest difference with which prediction and measurement agree.
+    /// Largest difference of prediction and measurement with which they agree.
     pub bar: Bar,
     /// Whether the difference of prediction and measurement is within the bar.
     pub agrees: bool,
@@ -70,10 +71,10 @@ impl Row {
     }
 }
 
-/// Returns the rows of the comparison of a twin with its run. `run` is the whole run, of which the episodes from
-/// `first` on were predicted; `fitted` is the model that made the prediction, `later` the model that the same fit finds
-/// on the predicted episodes; `links` are the names of the links. Without predictions, only the parameters of the two
-/// models are compared.
+/// Returns the rows of the comparison of a twin with its recorded run. Of `run`, the episodes from `first` on were
+/// predicted; `predicted` has the results of the repeats. `fitted` is the model that made the prediction, `later` the
+/// model that the same fit finds on the predicted episodes. `links` are the names of the links; `seed` seeds the
+/// bootstrap of the intervals. Without predictions, only the parameters of the two models are compared.
 pub fn rows(
     run: &Run,
     first: usize,
@@ -212,10 +213,10 @@ impl fmt::Display for Bar {
 }
 
 impl Row {
-    /// Column heads of the table that compares a twin with its run.
+    /// Heads of the columns of the table that compares a twin with its run.
     pub const HEADS: [&str; 6] = ["", "predicted", "95 %", "measured", "95 %", "bar"];
 
-    /// Returns the row's cells as text, in the order of `HEADS`.
+    /// Returns the row's cells as text, in the order of the heads `HEADS`.
     pub fn cells(&self) -> [String; 6] {
         let number = |value: f64| match value.abs() {
             size if size >= 10.0 => format!("{value:.1}"),
@@ -236,7 +237,7 @@ impl Row {
     }
 }
 
-/// Returns the rows of a comparison as a table of text.
+/// Returns the rows of a comparison as a table of text, with heads.
 pub fn text(rows: &[Row]) -> String {
     let cells: Vec<[String; 6]> =
         [Row::HEADS.map(str::to_owned)].into_iter().chain(rows.iter().map(Row::cells)).collect();

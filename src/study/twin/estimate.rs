@@ -22,7 +22,7 @@ pub struct Estimate {
 }
 
 impl Estimate {
-    /// Returns an estimate for a number that is given and not estimated; its interval is that number alone.
+    /// Returns an estimate of a number that is known exactly; its interval is that number alone.
     pub fn exact(value: f64) -> Estimate {
         Estimate { value, ci95: [value; 2] }
     }
@@ -33,8 +33,9 @@ impl Estimate {
     }
 }
 
-/// Returns a statistic of all episodes with its bootstrap interval (Efron, 1979): that of the statistic over episodes
-/// drawn with replacement. `statistic` takes the indices of episodes; it returns `None` if they have no data.
+/// Returns a statistic of all episodes, with its 95 % interval by the bootstrap (Efron, 1979): the spread of the
+/// statistic over sets of episodes that are drawn with replacement. `statistic` takes the indices of episodes, and
+/// returns `None` if they have no data; so does this function.
 pub fn bootstrap(
     episodes: usize,
     stream: &mut Stream,
@@ -52,8 +53,8 @@ pub fn bootstrap(
     Some(Estimate { value, ci95: [end(0.025), end(0.975)] })
 }
 
-/// Returns the quantile `q` of all values, the smallest that at least this share does not exceed; `None` without
-/// values.
+/// Returns the quantile `q` (0 to 1) of the values: the smallest value that at least the share `q` of all does not
+/// exceed. `None` without values.
 pub fn quantile_of(mut values: Vec<f64>, q: f64) -> Option<f64> {
     let last = values.len().checked_sub(1)?;
     let at = ((q * values.len() as f64).ceil() as usize).clamp(1, last + 1) - 1;
@@ -61,7 +62,7 @@ pub fn quantile_of(mut values: Vec<f64>, q: f64) -> Option<f64> {
 }
 
 /// Returns a smooth quantile `q` (0 to 1): the mean of the values whose ranks are within 2.5 percentage points of it.
-/// For values that are often equal, where the plain quantile would jump. `None` without values.
+/// It is for values many of which are equal, where the plain quantile would jump. `None` without values.
 pub fn smooth_quantile_of(mut values: Vec<f64>, q: f64) -> Option<f64> {
     let rank = |q: f64| ((q * values.len() as f64).round() as usize).min(values.len());
     let (low, high) = (rank(q - REACH), rank(q + REACH));
@@ -74,7 +75,8 @@ pub fn smooth_quantile_of(mut values: Vec<f64>, q: f64) -> Option<f64> {
     Some(above[..high - low].iter().sum::<f64>() / (high - low) as f64)
 }
 
-/// Returns the 95 % interval of the number of successes of `trials` that each succeed with probability `p`.
+/// Returns the 95 % interval of the number of successes in `trials` independent trials that each succeed with
+/// probability `p`.
 pub fn binomial_95(trials: usize, p: f64) -> [usize; 2] {
     let (mut terms, mut term) = (Vec::with_capacity(trials + 1), (1.0 - p).powi(trials as i32));
     if p >= 1.0 {

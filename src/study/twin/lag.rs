@@ -9,7 +9,7 @@
 use super::estimate::{Estimate, bootstrap, quantile_of};
 use crate::random::Stream;
 
-/// State of a robot after a step of its World, and the command that drove it in that step.
+/// Velocity of a robot after a step of the simulation, and the command that drove it in that step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moved {
     /// Velocity \[m/s\], world frame.
@@ -18,13 +18,13 @@ pub struct Moved {
     pub command: [f64; 2],
 }
 
-/// States of one robot in consecutive steps without contact.
+/// Motion of one robot in consecutive steps, in none of which it touches anything.
 pub type Series = Vec<Moved>;
 
-/// Limits of the drivetrain, which are given and not fitted.
+/// Limits of the drivetrain in the fit of its lag; they are given and not fitted.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// Duration of a step \[s\].
+    /// Duration of a step of the simulation \[s\].
     pub step_s: f64,
     /// Largest speed \[m/s\].
     pub speed_m_s: f64,
@@ -37,9 +37,9 @@ pub struct Limits {
 /// Wheel slip that a fit has found: a random difference between driven and commanded velocity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Slip {
-    /// Standard deviation along each axis, as a share of the commanded speed.
+    /// Standard deviation of the difference along each axis, as a share of the commanded speed.
     pub share: Estimate,
-    /// Correlation time \[s\].
+    /// Correlation time of the difference \[s\].
     pub time_s: f64,
 }
 
@@ -90,8 +90,8 @@ fn squares(series: &Series, lag_s: f64, limits: &Limits) -> f64 {
     sum
 }
 
-/// Finds the drivetrain's lag \[s\] from the recorded series of each episode, with a bootstrap interval over episodes;
-/// `None` if no robot moved.
+/// Finds the lag of the drivetrain \[s\] from the robots' motion in each episode, with a bootstrap interval over
+/// episodes; `None` if no robot moved.
 pub fn fit(episodes: &[Vec<Series>], limits: &Limits, stream: &mut Stream) -> Option<Estimate> {
     let moved = |series: &&Series| series.iter().any(|step| norm(step.command) > SLOW_M_S);
     episodes.iter().flatten().find(moved)?;
@@ -116,9 +116,9 @@ fn nearest(error: &impl Fn(f64) -> f64) -> Option<(f64, f64)> {
     lags.map(|lag_s| (lag_s, error(lag_s))).min_by(|one, other| one.1.total_cmp(&other.1))
 }
 
-/// Finds the drivetrain's lag \[s\] from the velocities that robots estimated and commanded at their control ticks.
-/// Also returns the time \[s\], in whole ticks, until a command has an effect on these estimates. `None` if no robot
-/// moved.
+/// Finds the lag of the drivetrain \[s\] from the velocities that robots estimated and commanded at their control
+/// ticks. The second number is the time \[s\], in whole ticks, until a command has an effect on these estimates. `None`
+/// if no robot moved.
 pub fn fit_estimates(episodes: &[Vec<Series>], limits: &Limits, stream: &mut Stream) -> Option<(Estimate, f64)> {
     let shifted = |ticks: usize| -> Vec<Vec<Series>> {
         let one = |series: &Series| -> Series {
@@ -151,10 +151,10 @@ fn lowest(places: &[f64], values: &[f64]) -> f64 {
     places[least] + shift * (places[least + 1] - places[least])
 }
 
-/// Finds the wheel slip: the velocity errors that the drivetrain model with the lag `lag_s` leaves in single steps,
-/// with a bootstrap interval over episodes. `None` without steps of enough commanded speed. Pushes of other robots and
-/// of rails are no slip: the standard deviation is taken from the median size, and steps beyond five of it are left
-/// out.
+/// Finds the wheel slip: the random velocity errors that the drivetrain model with the lag `lag_s` \[s\] leaves in
+/// single steps, with a bootstrap interval over episodes. `None` without steps of enough commanded speed. Pushes of
+/// other robots and of rails are no slip: the standard deviation is taken from the median size, and steps beyond five
+/// of it are left out.
 pub fn slip(episodes: &[Vec<Series>], lag_s: f64, limits: &Limits, stream: &mut Stream) -> Option<Slip> {
     let gain = gain(lag_s, limits.step_s);
     let all: Vec<Vec<Vec<Option<[f64; 2]>>>> =

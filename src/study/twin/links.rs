@@ -12,11 +12,11 @@ use super::estimate::{Estimate, bootstrap, quantile_of};
 use crate::messages::ids::{HostId, LinkId};
 use crate::random::Stream;
 
-/// Outcome of one datagram at one host that should have received it, in a recorded run: its delay, or that it was lost.
-/// A multicast datagram has one `Crossing` for each of its receivers.
+/// Outcome of one datagram of a recorded run at one host that should have received it: its delay, or that it was lost.
+/// A multicast datagram has one outcome for each of its receivers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Crossing {
-    /// Episode in which, or in the reset before which, the datagram was sent.
+    /// Episode in which the datagram was sent, or before whose start it was sent during the reset.
     pub episode: u32,
     /// Link on which the datagram was sent.
     pub link: LinkId,
@@ -24,18 +24,18 @@ pub struct Crossing {
     pub from: HostId,
     /// Host that should have received the datagram.
     pub to: HostId,
-    /// Time from sending to arrival \[ns\]; `None` if its first transmission was lost.
+    /// Time from sending to arrival \[ns\]; `None` if the first transmission of the datagram was lost.
     pub took_ns: Option<i64>,
 }
 
 /// Delay and loss of a link, as fitted to the datagrams of a recorded run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FittedLink {
-    /// Number of datagrams that were due, counted at each of their receivers.
+    /// Number of datagrams that should have arrived, counted at each of their receivers.
     pub due: usize,
-    /// Probability that a receiver loses a datagram.
+    /// Probability that a receiver loses a datagram, 0 to 1.
     pub loss: Estimate,
-    /// One-way delay \[s\].
+    /// One-way delay \[s\], as the mean over pairs of hosts of their median delays.
     pub delay_s: Estimate,
     /// 5 % and 95 % quantiles of the one-way delay of single datagrams \[s\].
     pub spread_s: [f64; 2],
@@ -54,8 +54,8 @@ struct Counted {
     delay_s: Option<f64>,
 }
 
-/// Fits delay and loss of one link, or of all links together (`link` is `None`), to the datagrams of these episodes.
-/// Returns `None` if no datagram arrived.
+/// Fits delay and loss of the link `link` to the datagrams of these episodes; of all links together if `link` is
+/// `None`. Returns `None` if no datagram arrived.
 pub fn fit(
     crossings: &[Crossing],
     link: Option<LinkId>,

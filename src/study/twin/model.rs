@@ -17,31 +17,32 @@ use crate::trial::Trial;
 /// found from the records.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Fitted {
-    /// Lag of the drivetrain \[s\].
+    /// Time constant \[s\] of the first-order lag from commanded to true velocity.
     pub lag_s: Option<Estimate>,
-    /// Time until a command has an effect on the robots' own velocity estimates \[s\]; `None` unless the lag was found
+    /// Time \[s\] until a command has an effect on the robots' own velocity estimates; `None` unless the lag was found
     /// from these estimates.
     pub late_s: Option<f64>,
     /// Slip of the wheels: random difference between driven and commanded velocity.
     pub slip: Option<Slip>,
-    /// Delay and loss of each link of the deployment, by the number of the link.
+    /// Delay and loss of each link of the deployment, in its order of links; `None` for a link without data.
     pub links: Vec<Option<FittedLink>>,
-    /// Delay and loss of all links together.
+    /// Delay and loss of all links together; `None` without data.
     pub all_links: Option<FittedLink>,
-    /// Offset of each robot's control ticks from the World's steps \[s\]; `None` if unknown or not constant.
+    /// Offset of each robot's control ticks from the steps of the simulated World \[s\]; `None` if it is unknown or not
+    /// constant.
     pub offsets_s: Vec<Option<f64>>,
 }
 
 /// Values given by the user that replace fitted parameters of the twin. `None` leaves the fitted one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Given {
-    /// Lag of the drivetrain \[s\].
+    /// Time constant of the drivetrain's lag \[s\].
     pub lag_s: Option<f64>,
-    /// Standard deviation of slip, as a share of the commanded speed.
+    /// Standard deviation of wheel slip, as a share of the commanded speed.
     pub slip: Option<f64>,
-    /// Delay of every link \[s\].
+    /// One-way delay of every link \[s\].
     pub delay_s: Option<f64>,
-    /// Loss of every link, 0 to 1.
+    /// Loss probability of every link, 0 to 1.
     pub loss: Option<f64>,
 }
 
@@ -49,7 +50,8 @@ impl Given {
     /// Names of the values that a user can give, in the order of the fields.
     pub const NAMES: [&str; 4] = ["lag_s", "slip", "delay_s", "loss"];
 
-    /// Sets the value with this name, one of [`Given::NAMES`]; the error text says what is wrong with name or value.
+    /// Sets the value with this name, one of [`Given::NAMES`]. The error is a text that says what is wrong with name or
+    /// value.
     pub fn set(&mut self, name: &str, value: f64) -> Result<(), String> {
         let (place, most) = match name {
             "lag_s" => (&mut self.lag_s, 10.0),
@@ -65,7 +67,7 @@ impl Given {
         Ok(())
     }
 
-    /// Returns the fitted parameters, with those that the user gave replaced by the given values.
+    /// Returns the parameters `fitted`, each replaced by the value that the user gave, if there is one.
     pub fn over(&self, mut fitted: Fitted) -> Fitted {
         let exact = |given: Option<f64>, place: &mut Estimate| {
             *place = given.map_or(*place, Estimate::exact);
@@ -97,8 +99,8 @@ fn limits(trial: &Trial, period_ns: i64) -> Limits {
     }
 }
 
-/// Fits all parameters of the twin (lag, slip, links, tick offsets) to these episodes of a recorded run. `trial` is the
-/// trial with the run's own settings.
+/// Fits all parameters of the twin (lag, slip, links, tick offsets) to the episodes `episodes` of a recorded run.
+/// `trial` has the run's own settings.
 pub fn fit(run: &Run, trial: &Trial, episodes: Range<u32>) -> Fitted {
     let period_ns = trial.model.interface().period.as_nanos() as i64;
     let seed = Seed::of_run(trial.seed).child("twin");
@@ -134,7 +136,8 @@ pub fn fit(run: &Run, trial: &Trial, episodes: Range<u32>) -> Fitted {
     Fitted { lag_s, late_s, slip, links, all_links: link(None, "all"), offsets_s }
 }
 
-/// Returns the deployment with the fitted delay and loss of its links and the fitted offsets of the robots' ticks.
+/// Returns the deployment with delay and loss of its links, and offsets of the robots' ticks, replaced by fitted ones.
+/// A value that was not found stays as it is.
 pub fn deployment(fitted: &Fitted, mut deployment: Deployment) -> Deployment {
     for (link, found) in deployment.links.iter_mut().zip(&fitted.links) {
         let Some(found) = found else { continue };
@@ -156,8 +159,8 @@ pub fn rounded(value: f64, places: f64) -> f64 {
     (value * places).round() / places
 }
 
-/// Returns the trial that predicts the episodes of a run from `first` on, with the fitted parameters. `trial` is the
-/// trial with the run's own settings.
+/// Returns the trial that predicts the episodes of a run from the number `first` on, with the parameters `fitted`.
+/// `trial` has the run's own settings.
 pub fn simulation(fitted: &Fitted, trial: &Trial, first: u32) -> Trial {
     let mut twin = trial.clone();
     twin.deployment = deployment(fitted, twin.deployment);

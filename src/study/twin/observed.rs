@@ -49,11 +49,11 @@ struct State {
     touches: bool,
 }
 
-/// Record of one incarnation of a host, on its own clock.
+/// Record of one incarnation (run) of a host, on its own clock.
 pub struct Log {
     /// Host that wrote the record.
     pub host: HostId,
-    /// Sent and received datagrams, from which the offsets to the clocks of the other hosts are computed.
+    /// Datagrams that the host sent and received, from which the offsets to the clocks of the other hosts are computed.
     pub traffic: Traffic,
     sent: Vec<Sent>,
     arrived: Vec<(i64, DatagramKey)>,
@@ -66,7 +66,7 @@ pub struct Log {
 }
 
 impl Log {
-    /// Reads the record of a host.
+    /// Reads the record of the host `host` from a file. An error says why the file cannot be read.
     pub fn read(path: &Path, host: HostId) -> Result<Log, ReadError> {
         let mut messages = reader::open(path)?.messages;
         let (sent, arrived, states, results) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
@@ -88,7 +88,7 @@ impl Log {
         Ok(log)
     }
 
-    /// Returns whether the record has the result of an episode.
+    /// Returns whether the record contains the result of any episode.
     pub fn has_results(&self) -> bool {
         !self.results.is_empty()
     }
@@ -145,34 +145,35 @@ pub struct Team<'a> {
     pub hosts: usize,
     /// Number of the team's robots.
     pub robots: usize,
-    /// Rules by which robots use messages.
+    /// Rules by which robots use neighbours' messages.
     pub rules: Rules,
-    /// Period of the recorded states of robots \[ns\].
+    /// Period of the steps after which states of robots are recorded \[ns\].
     pub period_ns: i64,
 }
 
-/// Recorded run of a team, joined from the records of its hosts on one common clock.
+/// Recorded run of a team, joined from the records of its hosts on a common clock.
 #[derive(Debug, Default)]
 pub struct Run {
     /// Results by the number of the episode, from the first episode up to the first one without a result.
     pub episodes: Vec<Episode>,
     /// Outcome of each datagram at each host that should have received it.
     pub crossings: Vec<Crossing>,
-    /// Robots' decisions in each episode, with the ages of the messages in use.
+    /// Robots' decisions in each episode, with the ages of the messages that they used.
     pub decisions: Vec<Decisions>,
-    /// True motion of the robots in each episode and in the reset before it.
+    /// True motion of the robots, as series of consecutive steps, in each episode and the reset before it.
     pub motion: Vec<Vec<Series>>,
-    /// For each episode, if the records have no true states of the robots: the velocity that each robot estimated at
-    /// its control ticks, with the velocity that it then commanded.
+    /// Motion of the robots by their own estimates, in each episode: velocities that they estimated at control ticks,
+    /// with those that they then commanded. An episode's entry is empty if the records have the robots' true states.
     pub estimates: Vec<Vec<Series>>,
-    /// Times of the World's steps by episode \[ns\].
+    /// Times of the steps of the simulated World \[ns\], by episode.
     pub steps_ns: Vec<Vec<i64>>,
-    /// Times of each robot's decisions, by robot, with the episode \[ns\].
+    /// Times of each robot's decisions \[ns\] with the episode, by robot.
     pub ticks_ns: Vec<Vec<(u32, i64)>>,
 }
 
 impl Run {
-    /// Joins the records of a run's hosts to one run. `alignment` has the offsets of their clocks.
+    /// Joins the records of a team's hosts to one run. `alignment` has the offsets of the hosts' clocks; records
+    /// without an offset are left out.
     pub fn of(logs: &[Log], alignment: &Alignment, team: &Team) -> Run {
         let clocks: Vec<Option<&ClockDifference>> = alignment.clocks.iter().map(Option::as_ref).collect();
         let common = |at: usize, ns: i64| clocks[at].map(|clock| ns - clock.ahead_ns(ns));

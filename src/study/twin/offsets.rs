@@ -7,8 +7,9 @@ use std::f64::consts::TAU;
 /// offset: the clocks of agent and World drift against each other.
 const STEADY: f64 = 0.95;
 
-/// Returns the mean of times within their period, as a share of it (0 to 1): the direction of the mean of the times as
-/// points on a circle (Fisher, Statistical Analysis of Circular Data, 1993). `None` without times, or if they drift.
+/// Returns the mean of times within a period, as a share of the period (0 to 1). It is the direction of the mean of the
+/// times as points on a circle (Fisher, Statistical Analysis of Circular Data, 1993). `None` without times, or if they
+/// drift and have no fixed place in the period.
 pub fn steady(times_ns: impl Iterator<Item = i64>, period_ns: i64) -> Option<f64> {
     let (mut count, mut x, mut y) = (0u64, 0.0, 0.0);
     for time in times_ns {
@@ -19,8 +20,8 @@ pub fn steady(times_ns: impl Iterator<Item = i64>, period_ns: i64) -> Option<f64
     (count > 0 && length >= STEADY).then(|| (y.atan2(x) / TAU).rem_euclid(1.0))
 }
 
-/// Returns the offset \[s\] of an agent's ticks from the World's steps. `tick` and `step` are their times within the
-/// common period, each as a share of it (0 to 1).
+/// Returns the offset \[s\] of an agent's ticks from the steps of the simulated World. `tick` and `step` are their mean
+/// times within the period of `period_ns` \[ns\], each as a share of it (0 to 1).
 pub fn between(tick: f64, step: f64, period_ns: i64) -> f64 {
     let offset_ns = ((tick - step).rem_euclid(1.0) * period_ns as f64).round() as i64 % period_ns;
     offset_ns as f64 / 1e9

@@ -15,15 +15,16 @@ pub struct Words {
     pub title: String,
     /// Command that repeats the report.
     pub command: String,
-    /// Number of episodes that were fitted, and that were predicted.
+    /// Number of episodes to which the model was fitted, and number of episodes that it predicted.
     pub episodes: [usize; 2],
     /// Number of repeats of the prediction.
     pub repeats: usize,
-    /// Notes on what the records tell and do not tell.
+    /// Notes for the report on what the records contain and what they do not.
     pub notes: Vec<String>,
 }
 
-/// Draws the figures of a prediction: makespans, and ages of messages. `first` is the first episode that was predicted.
+/// Draws the figures of a prediction beside the measured run: makespans, and ages of messages. `first` is the first
+/// episode of `run` that was predicted. There are none without predictions.
 pub fn figures(run: &Run, first: usize, predicted: &[Predicted]) -> Result<Vec<Figure>, FigureError> {
     if predicted.is_empty() {
         return Ok(Vec::new());
@@ -74,7 +75,7 @@ pub fn figures(run: &Run, first: usize, predicted: &[Predicted]) -> Result<Vec<F
     Ok(all)
 }
 
-/// Returns the page as HTML.
+/// Returns the report page as HTML.
 pub fn page(words: &Words, rows: &[Row], figures: &[Figure]) -> String {
     let [fitted, predicted] = words.episodes;
     let outside = rows.iter().filter(|row| !row.agrees).count();

@@ -17,7 +17,7 @@ use crate::trial::{Proceed, Trial};
 pub struct Predicted {
     /// Results of the simulated episodes.
     pub episodes: Vec<Episode>,
-    /// Robots' decisions in each simulated episode, with the ages of the messages in use.
+    /// Robots' decisions in each simulated episode, with the ages of the messages that they used.
     pub decisions: Vec<Decisions>,
 }
 
@@ -27,20 +27,20 @@ enum Event {
     Arrived(HostId, Frame),
 }
 
-/// Returns the rules by which the robots of a trial use messages: range, hold time and handling.
+/// Returns the rules by which the robots of a trial use neighbours' messages: range, hold time and handling.
 pub fn rules(trial: &Trial) -> Rules {
     let plan = trial.plan();
     Rules { range_m: plan.range.mean_m, hold_ns: plan.hold.as_nanos() as i64, handling: plan.handling }
 }
 
-/// Returns the host of each robot's agent in a trial, by robot.
+/// Returns the host of each robot's agent in a trial, in the order of the robots.
 pub fn hosts(trial: &Trial) -> Vec<HostId> {
     let routes = crate::deploy::Routes::of(&trial.deployment);
     RobotId::team(trial.deployment.robots).map(|robot| routes.agent_host(robot)).collect()
 }
 
-/// Runs a trial until its end and returns its results and decisions; `None` if it did not finish. `proceed` is called
-/// with the results of the episodes so far, and can stop the trial.
+/// Runs the trial until its end, and returns its results and decisions; `None` if it did not finish. `proceed` is
+/// called with the results of the episodes so far, and says whether the trial goes on.
 pub fn run(trial: &Trial, mut proceed: impl FnMut(&[Episode]) -> Proceed) -> Option<Predicted> {
     let mut follower = Follower::new(rules(trial), hosts(trial));
     let events: Rc<RefCell<Vec<Event>>> = Rc::default();
