@@ -12,7 +12,7 @@ const EDGES: usize = 101;
 /// Number of bins: one below each edge, and one for ages above the last.
 const BINS: usize = EDGES + 1;
 
-/// Histogram of message ages. A bin includes its upper edge.
+/// Histogram of the ages of messages, with bins from 100 us to 10 s. A bin includes its upper edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ages {
     counts: [u64; BINS],
@@ -51,20 +51,22 @@ impl Ages {
         self.counts.iter().sum()
     }
 
-    /// Returns the share of ages up to `limit`, which has to be an edge of a bin; `None` if nothing was counted.
+    /// Returns the share (0 to 1) of ages up to `limit`, which has to be an edge of a bin; `None` if nothing was
+    /// counted.
     pub fn share_within(&self, limit: Span) -> Option<f64> {
         let within: u64 = (0..EDGES).filter(|&bin| edge(bin) <= limit).map(|bin| self.counts[bin]).sum();
         let total = self.total();
         (total > 0).then(|| within as f64 / total as f64)
     }
 
-    /// Returns the first edge \[s\] up to which at least the share `q` of the ages lies; `None` if nothing was counted,
-    /// or if that share lies beyond the last edge.
+    /// Returns the `q` quantile of the ages \[s\], rounded up to the edge of a bin; `None` if nothing was counted, or
+    /// if the quantile lies beyond the last edge.
     pub fn quantile_s(&self, q: f64) -> Option<f64> {
         self.cumulative().into_iter().find(|&(_, share)| share >= q).map(|(edge_s, _)| edge_s)
     }
 
-    /// Returns each edge \[s\] with the share of ages up to that edge; empty if nothing was counted.
+    /// Returns the cumulative distribution of the ages: each bin edge \[s\] with the share (0 to 1) of ages up to it;
+    /// empty if nothing was counted.
     pub fn cumulative(&self) -> Vec<(f64, f64)> {
         let total = self.total();
         if total == 0 {

@@ -14,12 +14,13 @@ use crate::scenario::judge::Verdict;
 pub struct Comparison {
     /// Summary of each policy.
     pub policies: Vec<Summary>,
-    /// For each policy: number of episodes in which only it succeeded.
+    /// Number of episodes in which only this policy succeeded, for each policy.
     pub alone_successful: Vec<usize>,
 }
 
 impl Comparison {
-    /// Compares policies. Each entry of `results` has the summary of a policy and the reports of its trials.
+    /// Compares policies by their results; each entry of `results` has the summary of one policy and the reports of its
+    /// trials.
     pub fn of(results: Vec<(Summary, Vec<TrialReport>)>) -> Comparison {
         let mut successful: BTreeMap<(u32, u32), Vec<usize>> = BTreeMap::new();
         for (policy, (_, trials)) in results.iter().enumerate() {

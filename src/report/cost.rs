@@ -5,38 +5,39 @@ use serde::{Deserialize, Serialize};
 use super::trial::{Said, TrialReport};
 use crate::messages::wire::{KINDS, Kind};
 
-/// Published messages of one kind, per robot and simulated second.
+/// Messages of one kind that actors published, per robot and simulated second.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KindCost {
     /// Kind of message.
     pub kind: Kind,
-    /// Messages published \[1/s\].
+    /// Published messages of this kind, per robot \[1/s\].
     pub messages: f64,
-    /// Bytes of these messages, without tags \[1/s\].
+    /// Bytes of the published messages of this kind, without authentication tags, per robot \[1/s\].
     pub bytes: f64,
 }
 
-/// Cost of a run per robot and simulated second.
+/// Communication cost of a run, per robot and simulated second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Cost {
     /// Number of robots.
     pub robots: usize,
     /// Simulated time of the run \[s\].
     pub virtual_s: f64,
-    /// Messages published, of all kinds \[1/s\].
+    /// Published messages of all kinds, per robot \[1/s\].
     pub messages: f64,
-    /// Bytes of these messages, without tags \[1/s\].
+    /// Bytes of the published messages of all kinds, without authentication tags, per robot \[1/s\].
     pub bytes: f64,
-    /// Messages and bytes of each kind.
+    /// Messages and bytes of each kind of message.
     pub kinds: Vec<KindCost>,
-    /// Messages that hosts accepted from links \[1/s\].
+    /// Datagrams that hosts accepted from links, per robot \[1/s\].
     pub deliveries: f64,
-    /// Airtime of the frames on all channels \[s/s\]; `None` without a radio.
+    /// Airtime of the frames on all emulated radio channels, per robot \[s/s\]; `None` without a radio.
     pub airtime: Option<f64>,
 }
 
 impl Cost {
-    /// Returns the cost of a run of `robots` robots. Its simulated time must not be zero.
+    /// Returns the cost of a run of `robots` robots from the report of its trial, whose simulated time must not be
+    /// zero.
     pub fn of(robots: usize, report: &TrialReport) -> Cost {
         let virtual_s = report.simulated.as_secs();
         let each = |count: u64| count as f64 / (robots as f64 * virtual_s);

@@ -4,14 +4,15 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::scenario::judge::Verdict;
 
-/// Data from which an episode is judged.
+/// Data from which an episode is judged: true states of a simulation, or readings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Judged {
-    /// True states, from a World that simulates the whole team.
+    /// True states of the robots, from a World actor that simulates the whole team.
     #[default]
     Truth,
-    /// Readings that have arrived at the host of the state server: positions at the times of measurement only.
+    /// Readings (measured states) that have arrived at the host of the state server. Between two measurements nothing
+    /// is known.
     Readings,
 }
 
@@ -22,14 +23,14 @@ pub struct Episode {
     pub repeat: u32,
     /// Index of the episode in its trial, from 0.
     pub episode: u32,
-    /// Verdict on the episode.
+    /// Outcome of the episode: success, collision, timeout, aborted or unseen.
     pub verdict: Verdict,
     /// Time from the start of the episode to the last robot's arrival \[s\]; `None` if the episode failed.
     pub makespan_s: Option<f64>,
-    /// Duration of the reset before the episode \[s\]; 0 if the robots were placed.
+    /// Duration of the reset before the episode (the drive to the starts) \[s\]; 0 if the robots were placed at their
+    /// starts.
     pub reset_s: f64,
-    /// Smallest distance between two robots' centres during the episode \[m\]; infinite if no two robots were seen
-    /// together.
+    /// Smallest distance between the centres of two robots during the episode \[m\]; infinite if it is unknown.
     #[serde(deserialize_with = "infinite_if_null")]
     pub min_separation_m: f32,
     /// Data from which the episode was judged.
@@ -38,7 +39,7 @@ pub struct Episode {
 }
 
 impl Episode {
-    /// Returns the verdict, and for a success the makespan, in words.
+    /// Returns the verdict as text, and for a success the makespan, such as `success in 6.20 s`.
     pub fn in_words(&self) -> String {
         let makespan = self.makespan_s.map_or_else(String::new, |makespan| format!(" in {makespan:.2} s"));
         format!("{}{makespan}", self.verdict.word())

@@ -10,7 +10,7 @@ use crate::messages::ids::RobotId;
 use crate::net::protocol::link::LinkCounts;
 use crate::safety::guard::SafetyCounts;
 
-/// Event of a host.
+/// Event that a host prints as a line of JSON for the program that started it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "kebab-case")]
 pub enum HostEvent {
@@ -19,65 +19,66 @@ pub enum HostEvent {
         /// Name of the host.
         host: String,
     },
-    /// An episode has ended. Reported by the host that judges: the one whose World simulates the whole team, or else
-    /// that of the state server.
+    /// An episode has ended. The host that judges reports it: the one that simulates the whole team, or otherwise the
+    /// host of the state server.
     Episode(Episode),
-    /// All counts so far. Reported once a second, and as the last event if the team has not finished.
+    /// All counts of the host so far. They are reported once a second, and as the last event if the team has not
+    /// finished.
     Counted(Counted),
-    /// The team has finished all episodes; with all counts of the host.
+    /// The team has finished all episodes; with the final counts of the host.
     Finished(Counted),
 }
 
-/// Counts of one host since its start.
+/// Counts of one host since its start: messages, datagrams, stops of robots and dropped output.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Counted {
     /// Number of messages published by the host's actors.
     pub messages: u64,
-    /// Number of messages that full mailboxes refused.
+    /// Number of messages that were dropped because the mailbox of the receiving actor was full.
     pub refused: u64,
     /// Number of messages that were lost in crashes of actors.
     pub lost: u64,
-    /// Datagrams sent, accepted, and refused by cause, on all links together, up to the last full second.
+    /// Datagrams of the host on all links together: sent, accepted, and refused by cause, up to the last full second.
     pub links: Box<LinkCounts>,
-    /// Largest age of a command that drove a robot of the team \[s\]; null if it is unknown, as on all hosts except one
-    /// whose World simulates the whole team.
+    /// Largest age that a velocity command had while it still moved a robot \[s\]; null if it is unknown. Only a host
+    /// that simulates the whole team knows it.
     pub oldest_command_s: Option<f64>,
-    /// Stops and reduced velocities of each robot of this host, up to its last heartbeat. Robots without any are left
-    /// out.
+    /// Numbers of stops and reduced velocities of each robot of this host, up to its last heartbeat. Robots without any
+    /// are left out.
     pub safety: Vec<RobotSafety>,
-    /// Hardware of the real robots that this host drives, as their drivers have reported it.
+    /// Hardware of the real robots that this host drives, as their drivers reported it: battery, temperature, faults.
     pub hardware: Vec<RobotHardware>,
-    /// Output that was dropped.
+    /// Output that was dropped instead of written: log lines, events and steps.
     pub unwritten: Unwritten,
 }
 
-/// Stops and reduced velocities of one robot by its guard.
+/// Numbers of stops and reduced velocities of one robot by its guard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RobotSafety {
     /// Id of the robot.
     pub robot: RobotId,
-    /// Counts by cause.
+    /// Numbers of stops and reduced velocities, by cause.
     #[serde(flatten)]
     pub counts: SafetyCounts,
 }
 
-/// Amount of output that was dropped, since the control thread never waits for a disk, a terminal or a pipe.
+/// Output of a host that was dropped, because the control thread never waits for a disk, a terminal or a pipe.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Unwritten {
-    /// Number of lines of the log.
+    /// Number of dropped lines of the log.
     pub log_lines: u64,
-    /// Number of events of `--json`.
+    /// Number of dropped events of `--json`.
     pub events: u64,
-    /// Number of steps of `--trajectories`, each of the whole team.
+    /// Number of dropped steps of `--trajectories`, each of the whole team.
     pub steps: u64,
-    /// Number of events of `--record`.
+    /// Number of dropped events of `--record`.
     pub record_events: u64,
 }
 
 impl Unwritten {
-    /// Returns the sum over all kinds.
+    /// Returns the number of all dropped lines, events and steps.
     pub fn total(&self) -> u64 {
         self.log_lines + self.events + self.steps + self.record_events
     }
@@ -95,12 +96,12 @@ impl Sum for Unwritten {
 }
 
 impl HostEvent {
-    /// Returns the event as a line, without the newline.
+    /// Returns the event as one line of JSON, without the newline.
     pub fn to_line(&self) -> String {
         serde_json::to_string(self).expect("an event is JSON")
     }
 
-    /// Parses a line; `None` if it is not an event.
+    /// Parses a line of JSON; `None` if it is not an event.
     pub fn from_line(line: &str) -> Option<HostEvent> {
         serde_json::from_str(line).ok()
     }

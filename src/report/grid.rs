@@ -14,7 +14,7 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// Creates an axis from `low` to `high` with bins of about `width`, but at most `most` bins.
+    /// Returns an axis from `low` to `high` with bins of about the width `width`, but at most `most` bins.
     pub fn new(low: f32, high: f32, width: f32, most: usize) -> Axis {
         let bins = ((high - low) / width).round() as usize;
         Axis { low, high, bins: bins.clamp(1, most) }
@@ -25,7 +25,7 @@ impl Axis {
         (self.high - self.low) / self.bins as f32
     }
 
-    /// Returns the lower edge of a bin.
+    /// Returns the lower edge of the bin with the index `bin`.
     pub fn at(&self, bin: usize) -> f32 {
         self.low + self.width() * bin as f32
     }
@@ -36,7 +36,7 @@ impl Axis {
     }
 }
 
-/// Two-dimensional histogram: number of pairs (x, y) in each bin.
+/// Two-dimensional histogram: number of counted pairs (x, y) in each bin.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(from = "Sparse", into = "Sparse")]
 pub struct Grid {
@@ -75,35 +75,35 @@ impl From<Sparse> for Grid {
 }
 
 impl Grid {
-    /// Creates an empty histogram.
+    /// Returns an empty histogram with these axes.
     pub fn new(x: Axis, y: Axis) -> Grid {
         Grid { x, y, counts: vec![0; x.bins.saturating_mul(y.bins).min(1 << 20)] }
     }
 
-    /// Counts a pair.
+    /// Counts the pair (`x`, `y`). A number beyond an end of its axis belongs to the bin at that end.
     pub fn add(&mut self, x: f32, y: f32) {
         let at = self.y.bin(y) * self.x.bins + self.x.bin(x);
         self.counts[at] += 1;
     }
 
-    /// Adds the counts of another histogram with the same axes.
+    /// Adds the counts of another histogram. Panics unless both have the same axes.
     pub fn merge(&mut self, other: &Grid) {
         assert_eq!((self.x, self.y), (other.x, other.y), "grids of one study have the same axes");
         self.counts.iter_mut().zip(&other.counts).for_each(|(mine, theirs)| *mine += theirs);
     }
 
-    /// Returns the number of counted pairs.
+    /// Returns the number of all counted pairs.
     pub fn total(&self) -> u64 {
         self.counts.iter().sum()
     }
 
-    /// Returns the number of pairs in the bin with these indices.
+    /// Returns the number of pairs in the bin with the indices `x` and `y`.
     pub fn count(&self, x: usize, y: usize) -> u64 {
         self.counts[y * self.x.bins + x]
     }
 
-    /// Returns the quantile `q` of y among the pairs in the bin `x`, interpolated within bins of y; `None` if the bin
-    /// has fewer than `least` pairs.
+    /// Returns the quantile `q` (0 to 1) of y among the pairs whose x is in the bin `x`, interpolated within bins of y;
+    /// `None` if these are fewer than `least`.
     pub fn quantile(&self, x: usize, q: f64, least: u64) -> Option<f32> {
         let total: u64 = (0..self.y.bins).map(|y| self.count(x, y)).sum();
         if total < least.max(1) {

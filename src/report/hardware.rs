@@ -7,30 +7,33 @@ use serde::{Deserialize, Serialize};
 use crate::messages::ids::RobotId;
 use crate::messages::wire::{Hardware, Health};
 
-/// Condition and faults of one real robot since its host was started.
+/// Condition of one real robot's hardware, and its faults since its host was started.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RobotHardware {
     /// Id of the robot.
     pub robot: RobotId,
-    /// Whether the robot is ready now; after the run, whether it was ready when its host ended.
+    /// Whether the robot's driver last reported it as ready. A report after the run has the state in which the host
+    /// ended.
     pub ready: bool,
-    /// Last known charge of the battery \[%\].
+    /// Last known charge of the battery \[%\]; `None` if it was never reported.
     pub battery: Option<u8>,
-    /// Last known temperature \[°C\].
+    /// Last known temperature \[°C\]; `None` if it was never reported.
     pub temperature_c: Option<i16>,
-    /// Number of faults: times that a ready robot became faulty or silent, or that the reason changed.
+    /// Number of faults: times that the robot became faulty, that it fell silent after it had been ready, or that the
+    /// reason changed.
     pub faults: u64,
-    /// Reason of the last fault; without a fault, the reason why the robot has not been ready so far.
+    /// Reason of the last fault; without a fault, the reason why the robot has not been ready so far. `None` if there
+    /// is none.
     pub last_fault: Option<String>,
 }
 
 impl RobotHardware {
-    /// Creates the record of a robot without reports.
+    /// Returns the condition of a robot of which the driver has reported nothing yet.
     pub fn new(robot: RobotId) -> RobotHardware {
         RobotHardware { robot, ready: false, battery: None, temperature_c: None, faults: 0, last_fault: None }
     }
 
-    /// Adds a report of the robot's driver.
+    /// Updates the condition with a report of the robot's driver.
     pub fn note(&mut self, hardware: &Hardware) {
         self.battery = hardware.battery.or(self.battery);
         self.temperature_c = hardware.temperature.map(|temperature| temperature.degrees()).or(self.temperature_c);
@@ -54,8 +57,8 @@ impl RobotHardware {
         self.ready = ready;
     }
 
-    /// Merges the reports of a team's processes: the last report of each robot, and the sum of its faults. `all` is in
-    /// the order in which the processes were started.
+    /// Merges the conditions that several processes reported: for each robot the last known values and the sum of its
+    /// faults. `all` is in the order in which the processes were started.
     pub fn joined<'a>(all: impl Iterator<Item = &'a RobotHardware>) -> Vec<RobotHardware> {
         let mut robots: BTreeMap<RobotId, RobotHardware> = BTreeMap::new();
         for later in all {
@@ -72,7 +75,7 @@ impl RobotHardware {
         robots.into_values().collect()
     }
 
-    /// Describes the robot, such as `battery 87 %, 41 deg C, 1 fault, the last: bumper pressed`.
+    /// Describes the hardware as text, such as `battery 87 %, 41 °C, 1 fault: bumper pressed`.
     pub fn words(&self) -> String {
         let battery = self.battery.map(|battery| format!("battery {battery} %"));
         let temperature = self.temperature_c.map(|degrees| format!("{degrees} \u{b0}C"));

@@ -11,22 +11,22 @@ use crate::time::{Span, Time};
 /// Statistics of messages between robots: their arrival over links, and their use in control steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Listening {
-    /// Number of expected arrivals: every message at every other host with an Agent.
+    /// Number of expected arrivals: each message counts once for every other host that runs agents.
     pub due: u64,
     /// Number of arrivals, without duplicates.
     pub arrived: u64,
-    /// Histogram of the delays from publication to arrival.
+    /// Histogram of the messages' delays, from publication to arrival.
     pub delay: Ages,
     /// Number of control steps of robots that receive messages over a link.
     pub steps: u64,
-    /// Number of messages that these control steps used, summed over the steps.
+    /// Number of neighbours' messages that robots used, summed over all control steps.
     pub heard: u64,
     /// Histogram of the ages of used messages, from publication to the control step.
     pub age: Ages,
 }
 
 impl Listening {
-    /// Adds the statistics of another trial.
+    /// Adds the statistics of another trial to these.
     pub fn merge(&mut self, other: &Listening) {
         self.due += other.due;
         self.arrived += other.arrived;
@@ -36,7 +36,7 @@ impl Listening {
         self.age.merge(&other.age);
     }
 
-    /// Returns the share of messages that arrived; `None` if none had to cross a link.
+    /// Returns the share of messages that arrived, 0 to 1; `None` if no message had to cross a link.
     pub fn delivered(&self) -> Option<f64> {
         (self.due > 0).then(|| self.arrived as f64 / self.due as f64)
     }
@@ -50,11 +50,11 @@ impl Listening {
 /// Number of messages that are kept in each queue.
 const KEPT: usize = 64;
 
-/// Identity of a datagram: sender, incarnation, sequence number, and whether it is unicast.
+/// Identity of a datagram: its sender, the sender's incarnation, its sequence number, and whether it is unicast.
 pub type Datagram = (HostId, u32, u32, bool);
 
 /// Observer that follows messages between robots from publication to arrival, and to the control steps that use them.
-/// It needs one clock for all hosts, as in a simulation.
+/// It needs one clock for all hosts, as a simulation has.
 #[derive(Clone, Debug)]
 pub struct Listener {
     listening: Listening,
@@ -67,23 +67,24 @@ pub struct Listener {
 }
 
 impl Listener {
-    /// Creates an observer of a team in which each message is expected at `hosts` other hosts.
+    /// Returns an observer of a team in which each message is expected at `hosts` other hosts.
     pub fn new(hosts: u64) -> Listener {
         Listener { listening: Listening::default(), hosts, sent: BTreeMap::new(), had: BTreeMap::new() }
     }
 
-    /// Returns the statistics so far.
+    /// Returns the statistics of all messages so far.
     pub fn listening(&self) -> Listening {
         self.listening
     }
 
-    /// Records that a robot has published a message.
+    /// Records that `robot` has published a message at `now`, in the datagram `datagram`.
     pub fn published(&mut self, now: Time, datagram: Datagram, robot: RobotId) {
         self.listening.due += self.hosts;
         keep(self.sent.entry(datagram.0).or_default(), (datagram, robot, now));
     }
 
-    /// Records that a datagram has arrived at the host `to`.
+    /// Records that a datagram has arrived at the host `to` at `now`. Duplicates, and datagrams of unknown messages, do
+    /// not count.
     pub fn arrived(&mut self, now: Time, to: HostId, datagram: Datagram) {
         let sent = self.sent.get(&datagram.0).into_iter().flatten();
         let Some((_, robot, published)) = sent.rev().find(|(other, ..)| *other == datagram) else { return };
@@ -97,8 +98,9 @@ impl Listener {
         self.listening.delay.add(now.since(*published));
     }
 
-    /// Records a control step of a robot at the host `at`. `heard` are the robots whose messages it used, with ages
-    /// since arrival. Returns them with ages since publication; these are equal for messages that crossed no link.
+    /// Records a control step of a robot at the host `at`. `heard` has the robots whose messages it used, with the
+    /// messages' ages since arrival. Returns these robots with ages since publication; for a message that crossed no
+    /// link the age stays as it is.
     pub fn stepped(&mut self, now: Time, at: HostId, heard: &[(RobotId, Span)]) -> Vec<(RobotId, Span)> {
         let mut ages = heard.to_vec();
         if self.hosts == 0 {

@@ -6,7 +6,7 @@ use super::episode::Episode;
 use super::statistics::{quantile, wilson_95};
 use crate::scenario::judge::Verdict;
 
-/// Counts of verdicts and statistics of some episodes.
+/// Counts of verdicts, success rate and makespan of a set of episodes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Outcomes {
     /// Number of episodes with a verdict.
@@ -15,11 +15,11 @@ pub struct Outcomes {
     pub successes: usize,
     /// Share of successful episodes, 0 to 1.
     pub success_rate: f64,
-    /// Wilson interval of `success_rate` at 95 %.
+    /// Lower and upper end of the 95 % Wilson interval of the success rate.
     pub success_ci95: [f64; 2],
     /// Median makespan of the successful episodes \[s\]; `None` without a success.
     pub makespan_median_s: Option<f64>,
-    /// Quartiles of the makespan of the successful episodes \[s\]; `None` without a success.
+    /// Lower and upper quartile of the makespan of the successful episodes \[s\]; `None` without a success.
     pub makespan_quartiles_s: Option<[f64; 2]>,
     /// Number of episodes that failed because two robots came too close to each other.
     pub robot_collisions: usize,
@@ -27,14 +27,15 @@ pub struct Outcomes {
     pub wall_collisions: usize,
     /// Number of episodes that failed because not all robots arrived in time.
     pub timeouts: usize,
-    /// Number of episodes that the state server aborted.
+    /// Number of episodes that the state server ended early, because of a fault or because they took too long.
     pub aborted: usize,
-    /// Number of episodes in which a robot was not measured for too long; only if readings are judged.
+    /// Number of episodes without a success or failure because a robot was not measured for too long. Zero if true
+    /// states are judged.
     pub unseen: usize,
 }
 
 impl Outcomes {
-    /// Counts the verdicts of the episodes. The success rate of no episodes is 0.
+    /// Counts the verdicts of the episodes and computes their statistics. The success rate of no episodes is 0.
     pub fn of(episodes: &[Episode]) -> Outcomes {
         let count = |verdict| episodes.iter().filter(|episode| episode.verdict == verdict).count();
         let makespans: Vec<f64> = episodes.iter().filter_map(|episode| episode.makespan_s).collect();

@@ -8,17 +8,17 @@ use super::figures::Figure;
 /// Part of a report page.
 #[derive(Clone, Debug)]
 pub enum Part<'a> {
-    /// A heading.
+    /// Heading of a section.
     Heading(String),
-    /// A paragraph.
+    /// Paragraph of text.
     Text(String),
-    /// Preformatted text.
+    /// Text that keeps its line breaks and spaces, such as the output of a command.
     Verbatim(String),
     /// Table: column heads and rows.
     Table(Vec<&'a str>, Vec<Vec<String>>),
-    /// Terms with their definitions.
+    /// List of terms, each with its definition.
     Terms(Vec<(String, String)>),
-    /// A figure.
+    /// Figure with its title and caption.
     Figure(&'a Figure),
 }
 
@@ -40,7 +40,7 @@ fn plain(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// Returns the page with this title and these parts as HTML.
+/// Returns the report page with this title and these parts as HTML.
 pub fn page(title: &str, parts: &[Part]) -> String {
     let mut html = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\

@@ -18,12 +18,12 @@ static FONTS: LazyLock<Arc<fontdb::Database>> = LazyLock::new(|| {
     Arc::new(fonts)
 });
 
-/// Error: a figure cannot be rendered.
+/// Error: a figure cannot be rendered as PNG; its text is the reason.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot draw a figure as PNG: {0}")]
 pub struct PngError(String);
 
-/// Renders an SVG figure and returns the content of a PNG file.
+/// Renders an SVG figure and returns the bytes of a PNG file with twice its width and height.
 pub fn render(svg: &str) -> Result<Vec<u8>, PngError> {
     let wrong = |what: String| PngError(what);
     let options = Options { fontdb: Arc::clone(&FONTS), font_family: "Roboto".to_owned(), ..Options::default() };

@@ -16,7 +16,7 @@ use crate::safety::guard::SafetyCounts;
 use crate::scenario::judge::Verdict;
 use crate::time::Span;
 
-/// Hosts that the counts of a summary cover.
+/// Hosts that the counts in a summary of a run cover.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Counts {
@@ -38,7 +38,7 @@ pub struct Summary {
     pub policy: String,
     /// Number of robots.
     pub robots: usize,
-    /// Counts of verdicts and statistics of the episodes.
+    /// Counts of verdicts, success rate and makespan of all episodes.
     #[serde(flatten)]
     pub outcomes: Outcomes,
     /// Counts under the former names of the fields `robot_collisions`, `wall_collisions` and `aborted` of [`Outcomes`],
@@ -69,7 +69,7 @@ pub struct Summary {
     pub links: LinkCounts,
     /// Frames and airtime of all emulated radio channels together, and losses by cause; null without an emulated radio.
     pub radio: Option<RadioCounts>,
-    /// Numbers of times that guards stopped robots or reduced their velocities, by cause.
+    /// Numbers of times that robots' guards stopped them or reduced their velocities, by cause.
     pub safety: SafetyCounts,
     /// Hardware of each real robot: last battery charge and temperature, number of hardware faults and the last one.
     pub hardware: Vec<RobotHardware>,

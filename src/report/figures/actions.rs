@@ -7,7 +7,8 @@ use super::{FigureError, TEXT, colour, style, svg};
 
 const HEIGHT: u32 = 560;
 
-/// Draws for each robot the norm of the difference of two actions \[m/s\] over time \[s\]. Returns the SVG.
+/// Draws the difference of two policies' actions over time, one line per robot. `robots` has for each robot its id and
+/// pairs of time \[s\] and norm of the difference \[m/s\]. Returns the SVG.
 pub fn actions(title: &str, robots: &[(u16, Vec<(f64, f64)>)]) -> Result<String, FigureError> {
     let points = || robots.iter().flat_map(|(_, points)| points);
     let last_s = points().map(|(at_s, _)| *at_s).fold(1.0, f64::max);

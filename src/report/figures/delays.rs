@@ -7,7 +7,7 @@ use plotters::style::text_anchor::{HPos, VPos};
 use super::{Area, Drawn, FigureError, GREY, TEXT, WIDTH, colour, dashes, style, svg};
 use crate::report::listening::Listening;
 
-/// Message delays of one column.
+/// Deliveries and delays of messages in one column of a study, for a figure.
 #[derive(Clone, Debug)]
 pub struct Heard<'a> {
     /// Name of the column.
@@ -24,7 +24,8 @@ const MARKS_S: [f64; 2] = [0.02, 0.05];
 /// Lower and upper end of the delay axis \[s\].
 const ENDS_S: (f64, f64) = (1e-4, 1.0);
 
-/// Draws deliveries and delays of every column in which messages cross a link. Returns the SVG.
+/// Draws the delays of messages from publication to arrival and to the control step that uses them, as cumulative
+/// shares, with a line for every column in which messages cross a link. Returns the SVG.
 pub fn delays(title: &str, columns: &[Heard]) -> Result<String, FigureError> {
     let crossing: Vec<(usize, &Heard)> =
         columns.iter().enumerate().filter(|(_, column)| column.listening.due > 0).collect();
@@ -45,7 +46,7 @@ pub fn delays(title: &str, columns: &[Heard]) -> Result<String, FigureError> {
     })
 }
 
-/// Draws the ages of messages at control steps; returns the SVG.
+/// Draws the ages of messages at control steps as cumulative shares, one line per column. Returns the SVG.
 pub fn ages(title: &str, columns: &[Heard]) -> Result<String, FigureError> {
     // Lines that coincide differ in width, and their colours are far from each other.
     let columns: Vec<(usize, &Heard)> = columns.iter().enumerate().map(|(at, column)| (3 * at, column)).collect();

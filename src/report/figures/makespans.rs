@@ -40,7 +40,8 @@ fn bandwidth(values: &[f64]) -> f64 {
     (0.9 * spread * n.powf(-0.2)).max(0.05)
 }
 
-/// Draws the densities of makespans. The median of the row named `baseline` is shown in all rows. Returns the SVG.
+/// Draws the distributions of makespans, one row per column, each with its median. The median of the row named
+/// `baseline` is shown in all rows. Returns the SVG.
 pub fn makespans(title: &str, rows: &[Makespans], baseline: &str) -> Result<String, FigureError> {
     let height = FRAME + 40 + ROW * rows.len() as u32;
     let last = rows.iter().flat_map(|row| &row.values_s).copied().fold(10.0, f64::max) * 1.08;

@@ -25,7 +25,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 /// Figure of a report.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Figure {
-    /// File name without extension.
+    /// Name of the figure's file, without extension.
     pub name: String,
     /// Title of the figure.
     pub title: String,

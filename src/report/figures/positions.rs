@@ -7,12 +7,12 @@ use super::{Area, Drawn, FigureError, GREY, PANELS, TEXT, WIDTH, panels, rows, s
 use crate::report::grid::Grid;
 use crate::scenario::Arena;
 
-/// Robots' positions in one column.
+/// Robots' positions in one column of a study, for a figure.
 #[derive(Clone, Debug)]
 pub struct Positions<'a> {
     /// Name of the column.
     pub name: &'a str,
-    /// Histogram over x and y \[m\].
+    /// Histogram of the positions over x and y \[m\], world frame.
     pub grid: &'a Grid,
 }
 
@@ -38,7 +38,8 @@ fn per_area(grid: &Grid, x: usize, y: usize) -> f64 {
     grid.count(x, y) as f64 / (grid.total().max(1) as f64 * area)
 }
 
-/// Draws the density of robots' positions in each column, all on one colour scale. Returns the SVG.
+/// Draws the density of robots' positions on the ground of `arena`, one panel per column, all on one colour scale.
+/// Returns the SVG.
 pub fn positions(title: &str, columns: &[Positions], arena: &Arena) -> Result<String, FigureError> {
     let ratio = f64::from(arena.half_extent.y / arena.half_extent.x);
     let ground = WIDTH / PANELS as u32 - BESIDE - 20;

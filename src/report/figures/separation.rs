@@ -12,8 +12,8 @@ const PANEL: u32 = 330;
 /// Smallest count with which a bin is drawn.
 const LEAST: u64 = 40;
 
-/// Draws the distance to the nearest other robot against the distance from the origin, for each named column. Two
-/// robots closer than `limit_m` \[m\] have collided. Returns the SVG.
+/// Draws the distance of robots to the nearest other robot against their distance from the origin, one panel for each
+/// named column. Two robots closer than `limit_m` \[m\] have collided. Returns the SVG.
 pub fn separation(title: &str, columns: &[(&str, &Grid)], limit_m: f32) -> Result<String, FigureError> {
     let count = columns.len() + 1;
     svg(HEAD + PANEL * rows(count), |area| {

@@ -10,11 +10,11 @@ use super::{Drawn, FigureError, TEXT, colour, mark, style, svg};
 pub struct Share {
     /// Success rate, 0 to 1.
     pub rate: f64,
-    /// Lower and upper end of the interval.
+    /// Lower and upper end of the 95 % interval of the success rate, 0 to 1.
     pub ci95: [f64; 2],
 }
 
-/// Success rates of one column.
+/// Success rates of all policies in one column of a study.
 #[derive(Clone, Debug)]
 pub struct Group {
     /// Name of the column.
@@ -30,7 +30,8 @@ const ROW: u32 = 74;
 const HEAD: u32 = 52;
 const FOOT: u32 = 72;
 
-/// Draws the success rate of each policy in each column. `entrants` are the names of the policies. Returns the SVG.
+/// Draws the success rate of each policy with its interval, one row per column. `entrants` are the names of the
+/// policies. Returns the SVG.
 pub fn success(title: &str, entrants: &[String], groups: &[Group]) -> Result<String, FigureError> {
     let legend = 32 * (entrants.len() as u32 + 1);
     let count = groups.len() as f64;

@@ -5,7 +5,7 @@ use plotters::style::text_anchor::{HPos, VPos};
 
 use super::{Area, Drawn, FigureError, TEXT, WIDTH, colour, mark, style, svg};
 
-/// Panel of a sweep's figure.
+/// Panel of a figure: lines over a common x axis.
 #[derive(Clone, Debug)]
 pub struct Panel {
     /// Title of the panel.
@@ -18,7 +18,7 @@ pub struct Panel {
     pub lines: Vec<Line>,
 }
 
-/// Line of a panel.
+/// Line of a figure's panel.
 #[derive(Clone, Debug)]
 pub struct Line {
     /// Name of the line in the figure's legend.
@@ -27,7 +27,7 @@ pub struct Line {
     pub points: Vec<Option<Point>>,
 }
 
-/// Value with an interval.
+/// Point of a line: a value with an interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
     /// Value at which the point is drawn.
@@ -37,14 +37,14 @@ pub struct Point {
 }
 
 impl Point {
-    /// Returns a point with an empty interval.
+    /// Returns a point at this value; its interval is the value alone.
     pub fn exactly(value: f64) -> Point {
         Point { value, within: [value; 2] }
     }
 }
 
 impl Panel {
-    /// Creates a panel. `y` is the label of its y axis; `ends` are the axis' ends, or `None` to fit them to the points.
+    /// Returns a panel. `y` is the label of its y axis; `ends` are the axis' ends, or `None` to fit them to the points.
     pub fn new(title: &str, y: &str, ends: Option<(f64, f64)>, lines: Vec<Line>) -> Panel {
         Panel { title: title.to_owned(), y: y.to_owned(), ends, lines }
     }
@@ -53,7 +53,8 @@ impl Panel {
 const PANEL: u32 = 480;
 const HEAD: u32 = 52;
 
-/// Draws the panels, two per row. `x` is the label of the x axes, and `places` are their values. Returns the SVG.
+/// Draws a figure of several panels, two per row. `x` is the label of the x axes, and `places` are the labels of the
+/// points on them. Returns the SVG.
 pub fn sweep(title: &str, x: &str, places: &[String], panels: &[Panel]) -> Result<String, FigureError> {
     let rows = panels.len().div_ceil(2) as u32;
     let names: Vec<&str> = panels.first().map_or(Vec::new(), |p| p.lines.iter().map(|l| l.name.as_str()).collect());

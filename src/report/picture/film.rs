@@ -16,7 +16,8 @@ const ROOM: usize = 260_000;
 /// Strides of the frames that are kept, tried in turn until the data fits. The last keeps one frame per second.
 const STRIDES: [usize; 4] = [2, 4, 10, 20];
 
-/// Returns a page that plays the episode, with a slider, a speed and keys. The page loads no other file.
+/// Returns an HTML page that plays the episode, with a slider, a choice of speed and keys. The page loads no other
+/// file.
 pub fn film(scene: &Scene) -> String {
     let mut data = json(scene, 1);
     for stride in STRIDES {

@@ -83,7 +83,7 @@ impl<'a> Reel<'a> {
     }
 }
 
-/// Returns the episode as an SVG file.
+/// Returns an SVG file that plays the episode as an animation, without a script.
 pub fn moving(scene: &Scene) -> String {
     let view = View::new(&scene.stage);
     let reel = Reel::new(scene);

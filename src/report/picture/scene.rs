@@ -22,7 +22,7 @@ const WIDER: f32 = 1.45;
 /// Largest number of late robots that the verdict names.
 const NAMED: usize = 8;
 
-/// Texts, arena, rules and tasks of an episode's picture.
+/// Unchanging content of an episode's picture: texts, arena, rules and the robots' tasks.
 #[derive(Clone, Debug)]
 pub struct Stage<'a> {
     /// Title of the picture.
@@ -35,7 +35,7 @@ pub struct Stage<'a> {
     pub rules: Rules,
     /// Radius of the robots' hulls \[m\].
     pub radius_m: f32,
-    /// Age from which on links are drawn as old.
+    /// Age from which on a neighbour's message is old: a line between robots is then drawn with the least opacity.
     pub window: Span,
     /// Start and goal of every robot.
     pub tasks: &'a [Task],
@@ -50,18 +50,18 @@ impl Stage<'_> {
     }
 }
 
-/// Content of an episode's picture.
+/// Content of an episode's picture: what never changes, the frames and the verdict.
 #[derive(Clone, Debug)]
 pub struct Scene<'a> {
-    /// Texts, arena, rules and tasks of the picture.
+    /// Unchanging content: texts, arena, rules and tasks.
     pub stage: Stage<'a>,
-    /// Frames from the start to the verdict; at least one.
+    /// Frames from the start of the episode to its verdict; at least one.
     pub frames: Vec<Frame>,
-    /// Verdict as text, and the places to mark.
+    /// Verdict on the episode as text, and the places to mark.
     pub ending: Ending,
 }
 
-/// State of the team at one instant.
+/// State of the team at one instant of an episode's picture.
 #[derive(Clone, Debug)]
 pub struct Frame {
     /// Time since the start of the episode.
@@ -70,7 +70,7 @@ pub struct Frame {
     pub at: Vec<Vec2>,
     /// Position of the point that each robot's policy commands \[m\], world frame.
     pub points: Vec<Vec2>,
-    /// Links: pairs of robots of which at least one uses a message of the other, sorted.
+    /// Links at this instant, sorted: each is a pair of robots of which at least one uses a message of the other.
     pub links: Vec<Link>,
 }
 
@@ -81,13 +81,13 @@ pub struct Link {
     pub one: usize,
     /// Larger id of the two robots.
     pub other: usize,
-    /// Age of the used message; if both use one, the larger age.
+    /// Age of the message in use; if both robots use one, the larger age.
     pub age: Span,
-    /// Whether both use a message of the other.
+    /// Whether each of the two robots uses a message of the other.
     pub mutual: bool,
 }
 
-/// Verdict on an episode, as text and as places to mark.
+/// End of an episode's picture: the verdict as text, and the places to mark.
 #[derive(Clone, Debug)]
 pub struct Ending {
     /// Whether the episode succeeded.
@@ -98,7 +98,7 @@ pub struct Ending {
     pub rings: Vec<Ring>,
 }
 
-/// Ring around a place.
+/// Ring that marks the place of a failure in an episode's picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ring {
     /// Time since the start of the episode from which on the ring is shown.
@@ -116,7 +116,8 @@ enum Contact {
 }
 
 impl<'a> Scene<'a> {
-    /// Creates the content of a picture from the result of the episode and the steps of its trial.
+    /// Returns the content of an episode's picture. `episode` is the result of the episode, `steps` are those of its
+    /// trial.
     ///
     /// An episode without steps, which was aborted before it began, shows the robots at their starts.
     pub fn new(stage: Stage<'a>, episode: &Episode, steps: &[Step]) -> Scene<'a> {
@@ -163,12 +164,12 @@ impl<'a> Scene<'a> {
         Scene { stage, frames, ending }
     }
 
-    /// Returns the number of robots.
+    /// Returns the number of robots in the picture.
     pub fn robots(&self) -> usize {
         self.stage.tasks.len()
     }
 
-    /// Returns the duration of the episode.
+    /// Returns the duration of the episode, from its start to its last frame.
     pub fn length(&self) -> Span {
         self.frames.last().map_or(Span::ZERO, |frame| frame.time)
     }
@@ -182,7 +183,7 @@ impl<'a> Scene<'a> {
         self.stage.tasks.iter().enumerate().map(arrived).collect()
     }
 
-    /// Returns the pairs of robots between which there is a link at any time, sorted.
+    /// Returns all pairs of robots of which at any time one uses a message of the other, sorted.
     pub fn pairs(&self) -> Vec<(usize, usize)> {
         let mut pairs: Vec<_> =
             self.frames.iter().flat_map(|frame| &frame.links).map(|link| (link.one, link.other)).collect();

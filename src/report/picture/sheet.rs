@@ -31,7 +31,7 @@ const NARROWEST: f32 = 860.0;
 /// Assumed width of a letter in the legend \[pixels\]; the true width depends on the viewer's font.
 const LETTER: f32 = 9.8;
 
-/// Escapes text for XML.
+/// Replaces the characters of a text that XML reserves by their entities.
 pub fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
@@ -49,8 +49,8 @@ fn half(stage: &Stage) -> Vec2 {
     stage.arena.half_extent + Vec2::repeat(stage.radius_m)
 }
 
-/// Returns the blocks of the arena as lower left and upper right corners \[m\]. A block at the edge of the arena is
-/// drawn to the edge of the ground, as no robot can get behind it.
+/// Returns the walls of the arena as lower left and upper right corners \[m\], world frame. A wall at the edge of the
+/// arena is extended to the edge of the drawn ground, as no robot can get behind it.
 pub fn walls(stage: &Stage) -> Vec<[Vec2; 2]> {
     let (inner, outer) = (stage.arena.half_extent, half(stage));
     let to = |at: f32, inner: f32, outer: f32| if at.abs() >= inner - 1e-3 { outer.copysign(at) } else { at };
@@ -58,11 +58,11 @@ pub fn walls(stage: &Stage) -> Vec<[Vec2; 2]> {
     stage.arena.keep_outs.iter().map(|block| [corner(block.min), corner(block.max)]).collect()
 }
 
-/// Projection of the world frame \[m\] onto the sheet of an SVG picture \[pixels\].
+/// Projection of the world frame \[m\] onto the drawing area of an SVG picture \[pixels\].
 pub struct View {
-    /// Scale \[pixels/m\].
+    /// Scale of the picture \[pixels/m\].
     pub scale: f32,
-    /// Size of the sheet \[pixels\].
+    /// Width and height of the drawing area \[pixels\].
     pub size: Vec2,
     half: Vec2,
     turned: bool,
@@ -70,7 +70,8 @@ pub struct View {
 }
 
 impl View {
-    /// Creates the projection of an arena. An arena that is deeper than wide is rotated clockwise by a right angle.
+    /// Returns the projection for the arena of `stage`. An arena that is deeper than wide is rotated clockwise by a
+    /// right angle.
     pub fn new(stage: &Stage) -> View {
         let half = half(stage);
         let turned = half.y > half.x;
@@ -82,7 +83,7 @@ impl View {
         View { scale, size, half, turned, corner: Vec2::new((width - drawn.x) / 2.0, HEAD) }
     }
 
-    /// Returns the position on the sheet \[pixels\] of a point in the world frame \[m\].
+    /// Returns the position \[pixels\] in the picture of a point of the world frame \[m\].
     pub fn at(&self, point: Vec2) -> Vec2 {
         let along = if self.turned {
             Vec2::new(self.half.y + point.y, self.half.x + point.x)
@@ -101,21 +102,21 @@ impl View {
         format!("<rect class=\"{class}\" x=\"{x}\" y=\"{y}\" width=\"{w}\" height=\"{h}\" rx=\"{round}\"/>\n")
     }
 
-    /// Returns the SVG elements of the ground and the walls.
+    /// Returns the SVG elements of the arena's ground and walls.
     pub fn ground(&self, stage: &Stage) -> String {
         let walls = walls(stage).into_iter().map(|wall| self.rectangle("wall", wall, 3.0));
         self.rectangle("ground", [-self.half, self.half], 6.0) + &walls.collect::<String>()
     }
 
-    /// Returns an SVG circle around a point of the world frame \[m\], with the CSS class `class`. `rest` holds further
-    /// attributes of the element.
+    /// Returns an SVG circle of the radius `radius_m` \[m\] around the point `at` \[m\] of the world frame. `class` is
+    /// its CSS class; `rest` holds further attributes of the element.
     pub fn circle(&self, class: &str, at: Vec2, radius_m: f32, rest: &str) -> String {
         let at = self.at(at);
         let [x, y, r] = [at.x, at.y, radius_m * self.scale].map(px);
         format!("<circle class=\"{class}\" cx=\"{x}\" cy=\"{y}\" r=\"{r}\"{rest}/>")
     }
 
-    /// Returns the font size of the id that is drawn on a robot \[pixels\].
+    /// Returns the font size \[pixels\] of the id that is drawn on a robot.
     pub fn number(&self, stage: &Stage, robot: usize) -> f32 {
         stage.radius_m * self.scale * if robot < 10 { 1.05 } else { 0.9 }
     }
@@ -141,7 +142,7 @@ pub fn sheet(view: &View, scene: &Scene, more: &str, drawn: &str, legend: &str) 
     text
 }
 
-/// Returns the SVG text with the verdict on the episode, which stands above the ground. `rest` is SVG that is added
+/// Returns the SVG text of the verdict on the episode, which is placed above the ground. `rest` is SVG that is added
 /// inside the text element.
 pub fn verdict(scene: &Scene, rest: &str) -> String {
     let colour = if scene.ending.success { "good" } else { "bad" };
@@ -166,8 +167,9 @@ pub fn legend(view: &View, marks: &[(String, f32, String)]) -> String {
     text
 }
 
-/// Returns the SVG elements of the goals: each a circle with the robot's id. With `stay`, the id is left out if the
-/// robot covers its goal at the end of the episode. `more` returns, for a robot, SVG to add inside its goal's circle.
+/// Returns the SVG elements of the goals: each a circle with its robot's id. If `stay` is true, the id is left out
+/// where the robot covers its goal at the end of the episode. `more` returns, for a robot, SVG to add inside its goal's
+/// circle.
 pub fn goals(view: &View, scene: &Scene, stay: bool, more: impl Fn(usize) -> String) -> String {
     let (mut text, stage) = (String::new(), &scene.stage);
     for (robot, task) in stage.tasks.iter().enumerate() {

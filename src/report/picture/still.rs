@@ -24,8 +24,8 @@ pub fn still(scene: &Scene) -> String {
     sheet(&view, scene, "", &drawn, &legend(&view, &marks(scene)))
 }
 
-/// Returns the entries of the legend: for starts, for goals, and for robots between them. Each is a mark (SVG), the
-/// width of the mark \[pixels\] and its text.
+/// Returns the entries of a still picture's legend, for starts, goals, and robots at moments in between. Each is a mark
+/// (SVG), the width of the mark \[pixels\] and its text.
 pub fn marks(scene: &Scene) -> [(String, f32, String); 3] {
     let every = format!("every {} s, stronger with time", between(scene.length()).as_secs());
     let dot = |x: u32, opacity: f32| format!("<circle class=\"dot c7\" cx=\"{x}\" r=\"9\" opacity=\"{opacity}\"/>");
@@ -77,7 +77,7 @@ pub fn drawn(scene: &Scene, view: &View) -> String {
     text
 }
 
-/// Returns an SVG polyline: the path of a robot in the whole episode.
+/// Returns an SVG polyline with the path of `robot` in the whole episode.
 pub fn path(scene: &Scene, view: &View, robot: usize) -> String {
     let mut points: Vec<String> = Vec::new();
     for frame in &scene.frames {
