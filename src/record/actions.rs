@@ -10,61 +10,62 @@ use crate::messages::geometry::Vec2;
 use crate::messages::wire::Wire;
 use crate::net::protocol::codec;
 
-/// Motor commands published by one host: for each robot, time of publication since the start of the run \[ns\] and
-/// commanded velocity \[m/s\] in the world frame.
+/// Motor commands that one host published: for each robot, times of publication since the start of the run \[ns\] and
+/// commanded velocities \[m/s\] in the world frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Commands(BTreeMap<u16, Vec<(u64, Vec2)>>);
 
-/// Motor commands of one robot at one control step: the recorded one, and that of the other policy on the same inputs.
+/// Motor commands of one robot at one control step: the one in a record, and the one of another policy on the same
+/// inputs.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct StepDifference {
     /// Time of the step since the start of the run \[s\].
     pub at_s: f64,
-    /// Number of the robot.
+    /// Id of the robot.
     pub robot: u16,
-    /// Recorded velocity along x and y \[m/s\], world frame.
+    /// Velocity in the record along x and y \[m/s\], world frame.
     pub recorded: [f32; 2],
-    /// Velocity that the other policy commands, along x and y \[m/s\], world frame.
+    /// Velocity that the other policy commands on the same inputs, along x and y \[m/s\], world frame.
     pub replayed: [f32; 2],
 }
 
 impl StepDifference {
-    /// Returns the norm of the difference between both velocities \[m/s\].
+    /// Returns the norm of the difference of the two velocities \[m/s\].
     pub fn size(&self) -> f64 {
         let [x, y] = [0, 1].map(|axis| f64::from(self.recorded[axis] - self.replayed[axis]));
         (x * x + y * y).sqrt()
     }
 }
 
-/// Statistics of the differences between the motor commands of two policies, for one robot.
+/// Statistics of the differences between the motor commands in a record and those of another policy, for one robot.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RobotDifference {
-    /// Number of the robot.
+    /// Id of the robot.
     pub robot: u16,
     /// Number of steps at which both policies gave a command.
     pub steps: usize,
     /// Number of steps at which only one of the policies gave a command.
     pub unpaired: usize,
-    /// Time since the start of the run of the first step at which both policies gave different commands \[s\]; `None`
-    /// if there is none.
+    /// Time since the start of the run \[s\] of the first step at which the two policies gave different commands;
+    /// `None` if there is none.
     pub first_s: Option<f64>,
-    /// Mean norm of the velocity difference over the paired steps \[m/s\].
+    /// Mean norm of the velocity difference \[m/s\] over the steps at which both policies gave a command.
     pub mean_m_s: f64,
-    /// Largest norm of the velocity difference over the paired steps \[m/s\].
+    /// Largest norm of the velocity difference \[m/s\] over the steps at which both policies gave a command.
     pub most_m_s: f64,
 }
 
 impl Commands {
-    /// Adds the motor command in a datagram published at `at_ns`, the time since the start of the run \[ns\]; ignores
-    /// datagrams of other kinds.
+    /// Adds the motor command of a datagram that was published `at_ns` \[ns\] after the start of the run. A datagram
+    /// with another message is ignored.
     pub fn take(&mut self, at_ns: u64, datagram: &[u8]) {
         if let Ok((_, Wire::MotorCommand(command))) = codec::decode(datagram) {
             self.0.entry(command.robot.0).or_default().push((at_ns, command.velocity));
         }
     }
 
-    /// Reads the motor commands of a record. Their times are made relative to `anchor_ns`, the wall clock at the run's
-    /// start \[ns\].
+    /// Reads the motor commands from the messages of a record. `anchor_ns` is the wall clock at the start of the run
+    /// \[ns\] since 1970, from which the commands' times are counted.
     pub fn read(mut messages: Messages, anchor_ns: u64) -> Result<Commands, ReadError> {
         let mut commands = Commands::default();
         while let Some(message) = messages.next_message()? {
@@ -75,8 +76,8 @@ impl Commands {
         Ok(commands)
     }
 
-    /// Pairs these recorded commands with those of the replay by equal time. Returns each paired step, and the
-    /// statistics of the differences for each robot.
+    /// Compares these recorded commands with the commands `replayed` of another policy, paired by equal times. Returns
+    /// the difference at each paired step, and the statistics of the differences for each robot.
     pub fn beside(&self, replayed: &Commands) -> (Vec<StepDifference>, Vec<RobotDifference>) {
         let (mut steps, mut robots) = (Vec::new(), Vec::new());
         for (robot, recorded) in &self.0 {

@@ -9,16 +9,16 @@ use super::topics::{PROGRAM, Topic, Topics};
 use crate::messages::wire::Wire;
 use crate::net::protocol::codec;
 
-/// First difference between a record and a replay.
+/// First difference between a record and its replay.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
     /// Time since the start of the run at which record and replay differ \[s\].
     pub at_s: f64,
     /// Topic of the message in the replay; of the recorded message if the replay has ended.
     pub topic: String,
-    /// The record's message, decoded as text.
+    /// Recorded message, decoded as text, or a text that says that the record has ended.
     pub recorded: String,
-    /// The replay's message, decoded as text.
+    /// Message of the replay, decoded as text, or a text that says that the replay has ended.
     pub replayed: String,
 }
 
@@ -29,7 +29,7 @@ impl fmt::Display for Difference {
     }
 }
 
-/// Compares a running replay with the messages of its record, in order.
+/// Comparison of a running replay with its record, message by message.
 pub struct Comparison {
     recorded: Messages,
     topics: Topics,
@@ -50,20 +50,20 @@ pub struct Comparison {
 /// Result of the comparison of a replay with its record.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Compared {
-    /// Number of messages that are equal in record and replay.
+    /// Number of messages that were compared and are equal in record and replay.
     pub messages: u64,
     /// The first difference between record and replay; `None` if there is none.
     pub difference: Option<Difference>,
-    /// Whether a crash has cut the record. If so, only the messages before the cut are compared.
+    /// Whether the record was cut by a crash. If so, only the messages before the cut were compared.
     pub cut: bool,
-    /// Time since the start of the run at which the record lacks events \[s\]. Nothing after it is compared. `None` if
-    /// no event was dropped.
+    /// Time since the start of the run \[s\] from which on the record lacks events, because they were dropped when it
+    /// was made; nothing after it was compared. `None` if no event was dropped.
     pub gap_s: Option<f64>,
 }
 
 impl Comparison {
-    /// Begins a comparison with the messages of a record. `topics` encodes the replay's events as messages. `anchor_ns`
-    /// is the wall clock at the run's time zero, as the record has it \[ns\].
+    /// Returns a comparison that begins at the first of the messages `recorded`. `topics` converts the replay's events
+    /// to messages. `anchor_ns` is the wall clock at the start of the recorded run \[ns\] since 1970.
     pub fn new(recorded: Messages, topics: Topics, anchor_ns: u64) -> Comparison {
         Comparison {
             recorded,
@@ -79,15 +79,15 @@ impl Comparison {
         }
     }
 
-    /// Returns this comparison without the digests of sent datagrams. For a replay without the key, which cannot make
-    /// the tags of datagrams.
+    /// Returns this comparison without the digests of sent datagrams. It is for a replay without the team's key, which
+    /// cannot compute the authentication tags of datagrams.
     pub fn without_tags(mut self) -> Comparison {
         self.tagless = true;
         self
     }
 
-    /// Adds an event of the replay. The event `Turn`, the end of a turn of the event loop, compares all events of that
-    /// turn with the record.
+    /// Adds an event of the replay. The event `Turn`, which ends a turn of the event loop, has all events of that turn
+    /// compared with the record.
     pub fn push(&mut self, event: Event) {
         let Event::Turn(now) = event else {
             self.instant.push(event);
@@ -138,13 +138,14 @@ impl Comparison {
         self.instant.clear();
     }
 
-    /// Whether the comparison is over early: at a difference, a gap, a cut or an error of the record.
+    /// Returns whether the comparison has ended before the end of the record: at a difference, at dropped events, at a
+    /// cut by a crash, or at a read error.
     pub fn is_over(&self) -> bool {
         self.cut || self.gap_s.is_some() || self.difference.is_some() || self.error.is_some()
     }
 
-    /// Ends the comparison and returns its result. Messages of the record after the end of the replay count as a
-    /// difference.
+    /// Ends the comparison and returns its result. Recorded messages after the end of the replay count as a difference.
+    /// An error says that the record cannot be read.
     pub fn finish(mut self) -> Result<Compared, ReadError> {
         if let Some(error) = self.error {
             return Err(error);

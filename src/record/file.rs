@@ -24,7 +24,7 @@ pub enum RecordError {
     /// The file cannot be created.
     #[error("cannot write the record '{}': {error}", path.display())]
     Create {
-        /// Path of the file.
+        /// Path of the file that cannot be created.
         path: PathBuf,
         /// Error of the operating system.
         error: std::io::Error,
@@ -32,9 +32,9 @@ pub enum RecordError {
     /// A write has failed after the file was created.
     #[error("the record '{}' ends early: {reason}; what was written before can be read", path.display())]
     Write {
-        /// Path of the file.
+        /// Path of the file that cannot be written.
         path: PathBuf,
-        /// Description of the error.
+        /// Text that says why the write has failed.
         reason: String,
     },
 }
@@ -50,12 +50,12 @@ pub struct Attached {
     pub content: Vec<u8>,
 }
 
-/// First part of a record: its identity, and the input files of the run.
+/// Beginning of a record's file: the identity of the run, and its input files.
 #[derive(Clone, Debug)]
 pub struct Beginning {
     /// Identity of the recorded run.
     pub identity: Identity,
-    /// The input files of the run.
+    /// Input files of the run, such as the team file and the policy file.
     pub attached: Vec<Attached>,
 }
 
@@ -69,8 +69,8 @@ pub struct RecordFile {
 }
 
 impl RecordFile {
-    /// Creates the file and writes its beginning: identity, the data that drawings need (`stage`), and input files.
-    /// Fails if the file exists.
+    /// Creates the file of a record and writes its beginning. `stage` has what a picture of the run needs: hosts,
+    /// ground and walls. Fails if the file exists.
     pub fn create(path: &Path, beginning: &Beginning, stage: &Stage) -> Result<RecordFile, RecordError> {
         let failed = |error| RecordError::Create { path: path.to_owned(), error };
         let file = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed)?;
@@ -105,7 +105,8 @@ impl RecordFile {
         self.writer.flush()
     }
 
-    /// Appends a message of a topic to the file. `at` is its time \[ns\].
+    /// Appends a message to the file. `at` is its time \[ns\]; `stage` has the names of the hosts, which are parts of
+    /// topics.
     pub fn write(&mut self, stage: &Stage, topic: Topic, at: u64, data: &[u8]) -> Result<(), McapError> {
         let channel_id = match self.channels.get(&topic) {
             Some(channel) => *channel,
@@ -138,12 +139,12 @@ impl RecordFile {
         self.bytes
     }
 
-    /// Ends the current chunk and passes everything written so far to the operating system.
+    /// Writes the current chunk (block of messages) to the file, so that a crash of the program does not lose it.
     pub fn flush(&mut self) -> Result<(), McapError> {
         self.writer.flush()
     }
 
-    /// Writes the end of the file with the summary that lets readers seek, and syncs the file to disk.
+    /// Writes the end of the file with the index that lets readers seek, and syncs the file to disk.
     pub fn finish(mut self) -> Result<(), McapError> {
         self.writer.finish()?;
         let mut file = self.writer.into_inner().into_inner();
@@ -153,7 +154,7 @@ impl RecordFile {
     }
 }
 
-/// Converts an error in creating a further file of a record to an error of writing.
+/// Converts an error of creating a further file of a record to an error of writing.
 pub(super) fn broken(error: RecordError) -> McapError {
     McapError::Io(std::io::Error::other(error.to_string()))
 }

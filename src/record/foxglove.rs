@@ -3,7 +3,7 @@
 
 use super::protobuf::{EnumType, Message, MessageType, Type};
 
-/// Name of the team's world frame in Foxglove messages.
+/// Name of the team's world frame in Foxglove messages: `map`, as in REP-105.
 pub const MAP: &str = "map";
 
 /// Colour as red, green, blue and opacity, each 0 to 1.
@@ -135,7 +135,7 @@ pub const ENUMS: &[EnumType] = &[
 /// Severity of a log message, with Foxglove's numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Severity {
-    /// Detail for people who look for a cause.
+    /// Detail that helps to find the cause of a problem.
     Debug = 1,
     /// Normal event.
     Info = 2,
@@ -145,7 +145,7 @@ pub enum Severity {
     Error = 4,
 }
 
-/// Writes a time \[ns\] since 1970, or a duration \[ns\], as field `field`.
+/// Writes a time since 1970, or a duration, \[ns\] as the field with the number `field`.
 pub fn time(out: &mut Message, field: u32, nanos: u64) {
     out.message(field, |stamp| {
         stamp.uint(1, nanos / 1_000_000_000);
@@ -153,7 +153,7 @@ pub fn time(out: &mut Message, field: u32, nanos: u64) {
     });
 }
 
-/// Writes a vector or a point (x, y, z) as field `field`.
+/// Writes a vector or a point (x, y, z) as the field with the number `field`.
 pub fn vector(out: &mut Message, field: u32, [x, y, z]: [f64; 3]) {
     out.message(field, |vector| {
         vector.double(1, x);
@@ -162,7 +162,7 @@ pub fn vector(out: &mut Message, field: u32, [x, y, z]: [f64; 3]) {
     });
 }
 
-/// Writes the rotation about the vertical axis by `yaw` \[rad\] as a quaternion, as field `field`.
+/// Writes the rotation about the vertical axis by `yaw` \[rad\], as a quaternion, as the field with the number `field`.
 pub fn rotation(out: &mut Message, field: u32, yaw: f64) {
     out.message(field, |quaternion| {
         quaternion.double(3, libm::sin(yaw / 2.0));
@@ -170,7 +170,7 @@ pub fn rotation(out: &mut Message, field: u32, yaw: f64) {
     });
 }
 
-/// Writes a pose as field `field`: position `at` \[m\], and yaw \[rad\] counter-clockwise from x.
+/// Writes a pose as the field with the number `field`: position `at` \[m\], and yaw \[rad\] counter-clockwise from x.
 pub fn pose(out: &mut Message, field: u32, at: [f64; 3], yaw: f64) {
     out.message(field, |pose| {
         vector(pose, 1, at);
@@ -178,7 +178,7 @@ pub fn pose(out: &mut Message, field: u32, at: [f64; 3], yaw: f64) {
     });
 }
 
-/// Writes a colour as field `field`.
+/// Writes a colour as the field with the number `field`.
 pub fn colour(out: &mut Message, field: u32, [red, green, blue, opacity]: Colour) {
     out.message(field, |colour| {
         colour.double(1, red);
@@ -188,8 +188,8 @@ pub fn colour(out: &mut Message, field: u32, [red, green, blue, opacity]: Colour
     });
 }
 
-/// Adds a drawn entity with the id `id` in the world frame to a scene update; `write` adds its shapes. `at` is its time
-/// \[ns\] since 1970 or the start of a simulation.
+/// Adds an entity (a group of shapes) with the id `id` in the world frame to a scene update; `write` adds its shapes.
+/// `at` is its time \[ns\], since 1970 or the start of a simulation.
 pub fn entity(update: &mut Message, at: u64, id: &str, write: impl FnOnce(&mut Message)) {
     update.message(2, |entity| {
         time(entity, 1, at);
@@ -199,8 +199,8 @@ pub fn entity(update: &mut Message, at: u64, id: &str, write: impl FnOnce(&mut M
     });
 }
 
-/// Writes the fields of a log message: time `at` \[ns\], severity, name of the actor or thread that has logged it, and
-/// text.
+/// Writes the fields of a log message: time `at` \[ns\], severity `level`, name of the actor or thread that logged it,
+/// and text.
 pub fn log(out: &mut Message, at: u64, level: Severity, name: &str, text: &str) {
     time(out, 1, at);
     out.uint(2, level as u64);

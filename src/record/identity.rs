@@ -7,50 +7,51 @@ use serde::{Deserialize, Serialize};
 
 use crate::messages::ids::HostId;
 
-/// Name of the MCAP metadata that holds the identity.
+/// Name of the MCAP metadata that contains the identity of a record.
 pub const METADATA: &str = "murmurate.run";
 /// Version of the format of records that this program writes and reads.
 pub const FORMAT: u32 = 1;
-/// Digest of the sources that the program was built from (`build.rs`).
+/// Digest of the sources that the program was built from. Programs with equal digests behave equally.
 pub const BUILD: &str = env!("SOURCE_DIGEST");
 
-/// Identity of a record: what a replay needs to start the recorded run again, such as program, arguments and host.
+/// Identity of a record: all that a replay needs to start the recorded run again, such as program, arguments, host and
+/// seed.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
-    /// Version of the record format.
+    /// Version of the record's format.
     pub format: u32,
-    /// Version of the program.
+    /// Version of the program that made the record.
     pub version: String,
-    /// Digest of the program's sources. Another build may behave differently.
+    /// Digest of the sources of the program that made the record. A program with another digest may behave differently.
     pub build: String,
-    /// Arguments of the command, without the program's name.
+    /// Arguments of the command that was recorded, without the program's name.
     pub arguments: Vec<String>,
-    /// Environment variables that override fields of the team file: name and value.
+    /// Environment variables that override fields of the team file, each with its value.
     pub variables: Vec<(String, String)>,
-    /// Wall clock at the run's time zero \[ns\] since 1970; 0 in a simulation.
+    /// Wall clock at the start of the run \[ns\] since 1970; 0 in a simulation.
     pub anchor_ns: u64,
     /// Digest of the policy's file; empty for scripted navigation.
     pub policy: String,
-    /// Index of the recorded repeat, in a record of a simulation; otherwise 0.
+    /// Index of the recorded repeat, from 0, in a record of a simulation; otherwise 0.
     pub repeat: u32,
-    /// The recorded host; `None` in a record of a simulation or of an operator.
+    /// The recorded host process; `None` in a record of a simulation or of an operator.
     pub host: Option<HostIdentity>,
     /// Column and policy of the trial, in a record of a study; otherwise `None`.
     #[serde(default)]
     pub job: Option<StudyJob>,
-    /// Whether an operator has recorded what it received. Nothing of such a record can be run again.
+    /// Whether an operator recorded the messages that it received. Such a record cannot be replayed.
     #[serde(default)]
     pub operator: bool,
     /// Index of this file among the files of its record, from 0.
     #[serde(default)]
     pub part: u32,
-    /// Whether the record has only the seconds before and after triggers, such as an emergency stop, and so cannot be
-    /// replayed.
+    /// Whether the record has only the seconds before and after triggers, such as an emergency stop. Such a record
+    /// cannot be replayed.
     #[serde(default)]
     pub excerpt: bool,
 }
 
-/// Place of a trial in its study: column (conditions) and policy.
+/// Place of a recorded trial in its study: its column (conditions) and policy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StudyJob {
     /// Index of the column of the study, from 0.
@@ -64,26 +65,26 @@ pub struct StudyJob {
 pub struct HostIdentity {
     /// Name of the host.
     pub name: String,
-    /// Number of the host in the deployment.
+    /// Id of the host in the deployment.
     pub id: HostId,
-    /// Incarnation of the process.
+    /// Incarnation of the process: a random number of this run of the host.
     pub incarnation: u32,
     /// Seed of the link layer's random streams in that process, as 64 hexadecimal digits.
     pub seed: String,
-    /// Number of transports (such as sockets) of each link, in the order of the deployment.
+    /// Number of transports (such as sockets) of each link, in the order of the deployment's links.
     pub transports: Vec<usize>,
-    /// Whether the team had a key. Records never hold the key itself.
+    /// Whether the team had a key. The key itself is never in a record.
     pub keyed: bool,
 }
 
-/// Error: the metadata with a record's identity cannot be used; the text says why.
+/// Error: the identity in a file's metadata cannot be used; its text says why.
 #[derive(Debug, thiserror::Error)]
 #[error("its metadata '{METADATA}' cannot be used: {0}")]
 pub struct WrongIdentity(String);
 
 impl Identity {
-    /// Returns the identity for a record that this program makes of a simulation, with these arguments and this digest
-    /// of the policy's file. Variables, host and anchor are empty.
+    /// Returns the identity of a record that this program makes of a simulation. `arguments` are those of the command,
+    /// `policy` is the digest of the policy's file. Variables, host and wall clock are empty.
     pub fn here(arguments: Vec<String>, policy: &str) -> Identity {
         Identity {
             format: FORMAT,
@@ -102,12 +103,12 @@ impl Identity {
         }
     }
 
-    /// Whether the record is of a simulation, which can be run again from its seed.
+    /// Returns whether the record is of a simulation, which can be run again from its seed.
     pub fn is_of_simulation(&self) -> bool {
         self.host.is_none() && !self.operator
     }
 
-    /// Returns the identity as MCAP metadata: each field as JSON, strings without quotes.
+    /// Returns the identity as MCAP metadata: each field as JSON text, strings without quotes.
     pub fn to_metadata(&self) -> BTreeMap<String, String> {
         let serde_json::Value::Object(fields) = serde_json::to_value(self).expect("an identity is JSON") else {
             unreachable!("an identity is an object")
@@ -119,7 +120,8 @@ impl Identity {
         fields.into_iter().map(|(name, value)| (name, text(value))).collect()
     }
 
-    /// Reads the identity from MCAP metadata. Fails if the record has another format or a field is wrong.
+    /// Reads the identity from the MCAP metadata of a record. Fails if the record has another format or a field is
+    /// wrong.
     pub fn of_metadata(metadata: &BTreeMap<String, String>) -> Result<Identity, WrongIdentity> {
         const TEXTS: [&str; 3] = ["version", "build", "policy"];
         let format = metadata.get("format").map_or("", String::as_str);

@@ -19,10 +19,10 @@ use crate::net::protocol::codec;
 /// Length of the time window of one estimate of a clock offset \[ns\].
 const WINDOW_NS: i64 = 10_000_000_000;
 
-/// Identifies a datagram: id of its sender, incarnation of the sender, sequence number, digest of its message.
+/// Identity of a datagram: host id of its sender, incarnation of the sender, sequence number, digest of its message.
 pub type DatagramKey = (u16, u32, u32, u64);
 
-/// Times at which the host of a record has published and received datagrams, on its own clock \[ns\] since 1970.
+/// Datagrams that one host has published and received, with their times on its own clock \[ns\] since 1970.
 #[derive(Default)]
 pub struct Traffic {
     published: BTreeMap<DatagramKey, i64>,
@@ -30,7 +30,7 @@ pub struct Traffic {
 }
 
 impl Traffic {
-    /// Reads the times of datagrams from a host's record.
+    /// Reads the datagrams of a host, with their times, from its record.
     pub fn read(path: &Path) -> Result<Traffic, ReadError> {
         let mut opened = reader::open(path)?;
         let mut traffic = Traffic::default();
@@ -49,14 +49,14 @@ impl Traffic {
         Ok(traffic)
     }
 
-    /// Adds a datagram that the host has published at `at` \[ns\]. Datagrams without a message are ignored.
+    /// Adds a datagram that the host has published at `at` \[ns\]. A datagram without a message is ignored.
     pub fn publish(&mut self, at: i64, datagram: &[u8]) {
         if let Some(key) = key(datagram) {
             self.published.entry(key).or_insert(at);
         }
     }
 
-    /// Adds a datagram that has arrived at the host at `at` \[ns\]. Datagrams without a message are ignored.
+    /// Adds a datagram that has arrived at the host at `at` \[ns\]. A datagram without a message is ignored.
     pub fn arrive(&mut self, at: i64, datagram: &[u8]) {
         self.arrived.extend(key(datagram).map(|key| (key, at)));
     }
@@ -77,7 +77,7 @@ impl Traffic {
     }
 }
 
-/// Returns the identity of a datagram with a message; `None` if it has only link-layer content or is invalid.
+/// Returns the identity of a datagram; `None` if it has no message (only content of the link layer) or is invalid.
 pub fn key(datagram: &[u8]) -> Option<DatagramKey> {
     let header = codec::peek(datagram).ok()?;
     let (content, bytes) = codec::blocks(datagram).next()?.ok()?;
@@ -96,7 +96,8 @@ struct Estimate {
     uncertainty: i64,
 }
 
-/// Offset of a host's clock from the reference clock, over time.
+/// Offset of a host's clock from the reference clock over time, as a series of estimates. The reference is the clock of
+/// the first record.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ClockDifference(Vec<Estimate>);
 
@@ -118,13 +119,13 @@ impl ClockDifference {
         ClockDifference(estimates.collect())
     }
 
-    /// Returns the largest uncertainty of the estimates \[ns\]; `None` without an estimate.
+    /// Returns the largest uncertainty of the estimated clock offsets \[ns\]; `None` without an estimate.
     pub fn uncertainty_ns(&self) -> Option<i64> {
         self.0.iter().map(|estimate| estimate.uncertainty).max()
     }
 
-    /// Returns the time by which the host's clock is ahead of the reference clock at time `at` \[ns\]: linear
-    /// interpolation between the estimates.
+    /// Returns the time \[ns\] by which the host's clock is ahead of the reference clock when it shows `at` \[ns\]:
+    /// interpolated linearly between estimates, and 0 without one.
     pub fn ahead_ns(&self, at: i64) -> i64 {
         let later = self.0.partition_point(|estimate| estimate.at <= at);
         match (later.checked_sub(1).map(|before| self.0[before]), self.0.get(later)) {
@@ -157,20 +158,21 @@ impl ClockDifference {
     }
 }
 
-/// Offsets of the clocks of several hosts' records from the clock of the first record, the reference.
+/// Clock offsets of several hosts, estimated from their records. The reference is the clock of the first record.
 #[derive(Debug)]
 pub struct Alignment {
-    /// Offset of each record's clock, in the order of the records; `None` if no datagrams in both directions connect it
-    /// with the reference.
+    /// Offset of the clock of each record, in the order of the records; `None` if it cannot be estimated, because no
+    /// datagrams in both directions connect the host with the reference.
     pub clocks: Vec<Option<ClockDifference>>,
-    /// Number of datagrams that were found both at their sender and at a receiver.
+    /// Number of datagrams that were found in the records of both their sender and a receiver.
     pub matched: u64,
-    /// Largest time by which the arrival of a datagram, after alignment, precedes its publication by more than the
-    /// uncertainties of both clocks \[ns\]; 0 if none does. The uncertainties in `clocks` already include it.
+    /// Largest time \[ns\] by which a datagram seems to arrive before it was published, beyond the uncertainties of
+    /// both clocks; 0 if none does. The uncertainties in `clocks` already include it.
     pub beyond_ns: i64,
 }
 
-/// Estimates the offsets of the records' clocks from their datagrams. The first record is the reference.
+/// Estimates the offsets of the hosts' clocks from the datagrams that they exchanged. `all` has the datagrams of one
+/// record each; the clock of the first is the reference.
 pub fn align(all: &[Traffic]) -> Alignment {
     let mut clocks: Vec<Option<ClockDifference>> = vec![None; all.len()];
     if let Some(first) = clocks.first_mut() {
@@ -217,13 +219,13 @@ fn best(all: &[Traffic], clocks: &[Option<ClockDifference>]) -> Option<(usize, C
     found.map(|(_, there, clock)| (there, clock))
 }
 
-/// A host's record to be merged with others.
+/// Record of one host that is to be merged with the records of other hosts.
 pub struct Part {
     /// Path of the record's file.
     pub path: PathBuf,
     /// Name of the host.
     pub host: String,
-    /// Offset of the host's clock from the reference clock, which is that of the first record.
+    /// Offset of the host's clock from the clock of the first record.
     pub clock: ClockDifference,
 }
 

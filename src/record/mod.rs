@@ -43,37 +43,37 @@ use crate::report::episode::Episode;
 use crate::safety::guard::SafetyCounts;
 use crate::time::Time;
 
-/// Event of a run that a record stores.
+/// Event of a run that is stored in its record.
 #[derive(Clone, Debug)]
 pub enum Event {
-    /// Message that an actor of a host has published: its datagram, without a tag.
+    /// A message that an actor of this host has published, as a datagram without an authentication tag.
     Published(HostId, Frame),
-    /// Datagram that the host has sent on a link. Only in records of hosts.
+    /// A datagram that the host has sent on this link. Only in records of hosts.
     Sent(LinkId, Frame),
-    /// Input of a host from outside the actor graph: a datagram, a packet of a device's worker or an order. Only in
+    /// An input of a host from outside its actors: a datagram, a packet of a device's worker, or an order. Only in
     /// records of hosts.
     Input(Input),
-    /// Message that was delivered to actors of the host. Only in records of hosts and operators.
+    /// A message that was delivered to actors of the host. Only in records of hosts and operators.
     Delivered(Wire),
-    /// True states of simulated robots.
+    /// True states of the simulated robots at one instant.
     Truth(Truth),
-    /// Result of an episode.
+    /// Result of an episode, such as success or collision.
     Episode(Episode),
-    /// Counts of stops and reduced velocities by a robot's guard, by cause.
+    /// Numbers of stops and reduced velocities of this robot by its guard, by cause.
     Guard(RobotId, SafetyCounts),
-    /// Condition of a real robot's hardware.
+    /// Condition of this real robot's hardware: health, battery, temperature.
     Hardware(RobotId, Box<Hardware>),
-    /// Counts of datagrams on a host's links since its Network was started.
+    /// Numbers of datagrams that this host has sent, accepted and refused on its links, since its Network was started.
     Counts(HostId, Box<LinkCounts>),
-    /// State of the links to other hosts, as the link layer of a host measures it.
+    /// State of the links from this host to the other hosts, as its link layer measures it: age, delay, loss.
     Peers(HostId, Vec<Peer>),
-    /// Line that the program has logged. Only in records in real time.
+    /// A line that the program has logged. Only in records of runs in real time.
     Logged(Logged),
     /// Request to keep the events of the last seconds, in a record that keeps events only around such requests.
     Keep,
-    /// Number of events before this one that were dropped because the queue was full.
+    /// Number of events before this one that were dropped because the record's queue was full.
     Dropped(u64),
-    /// End of a turn of the event loop, at this time since the start of the run.
+    /// End of a turn of the event loop (one pass over all pending inputs), at this time since the start of the run.
     Turn(Time),
 }
 
@@ -82,26 +82,26 @@ pub enum Event {
 pub struct Logged {
     /// Severity of the line.
     pub severity: Severity,
-    /// Actor or thread that has logged it.
+    /// Name of the actor or thread that has logged the line.
     pub from: String,
     /// Text of the line.
     pub text: String,
 }
 
-/// Kind of run that is recorded; it determines which events are stored.
+/// Kind of run that is recorded. It determines which events are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scope {
-    /// One host in real time: all its inputs, so that this host can be replayed alone.
+    /// One host in real time: all its inputs, so that a replay can run this host again alone.
     Host,
-    /// A simulation of the whole team: a replay repeats it from its seed, so inputs are not stored.
+    /// A simulation of the whole team. Inputs are not stored, because a replay repeats it from its seed.
     Simulation,
     /// An operator, which has no robots: the messages that it receives.
     Operator,
 }
 
 impl Event {
-    /// Converts an event that the process of `host` has reported to an event of a record; `None` if records of this
-    /// scope do not store it.
+    /// Converts an event that the process of `host` has reported to an event of a record; `None` if records of the kind
+    /// `scope` do not store it.
     pub fn of(scope: Scope, host: HostId, event: ProcessEvent) -> Option<Event> {
         let of_host = scope == Scope::Host;
         if scope == Scope::Operator {

@@ -1,7 +1,7 @@
 //! Writes Protocol Buffers messages with the few field types that records use, and descriptors of message types.
 
-/// Writer of one Protocol Buffers message, with its bytes so far. Numbers with the default value 0 are left out, as in
-/// proto3.
+/// Encoder of one Protocol Buffers message; it contains the bytes written so far. Numbers with the default value 0 are
+/// left out, as in proto3.
 #[derive(Default)]
 pub struct Message(pub Vec<u8>);
 
@@ -18,7 +18,7 @@ impl Message {
         self.varint(u64::from(field << 3 | wire_type));
     }
 
-    /// Writes an unsigned integer, a boolean or an enum value as field `field`, as a varint.
+    /// Writes an unsigned integer, a boolean or an enum value as the field with the number `field`, as a varint.
     pub fn uint(&mut self, field: u32, value: u64) {
         if value != 0 {
             self.key(field, 0);
@@ -26,7 +26,7 @@ impl Message {
         }
     }
 
-    /// Writes a 64-bit floating-point number as field `field`.
+    /// Writes a 64-bit floating-point number as the field with the number `field`.
     pub fn double(&mut self, field: u32, value: f64) {
         if value != 0.0 {
             self.key(field, 1);
@@ -34,7 +34,7 @@ impl Message {
         }
     }
 
-    /// Writes a 32-bit unsigned integer of fixed size as field `field`.
+    /// Writes a 32-bit unsigned integer of fixed size as the field with the number `field`.
     pub fn fixed32(&mut self, field: u32, value: u32) {
         if value != 0 {
             self.key(field, 5);
@@ -42,19 +42,20 @@ impl Message {
         }
     }
 
-    /// Writes a string as field `field`.
+    /// Writes a string as the field with the number `field`.
     pub fn text(&mut self, field: u32, value: &str) {
         self.bytes(field, value.as_bytes());
     }
 
-    /// Writes a byte string as field `field`.
+    /// Writes a byte string as the field with the number `field`.
     pub fn bytes(&mut self, field: u32, value: &[u8]) {
         self.key(field, 2);
         self.varint(value.len() as u64);
         self.0.extend_from_slice(value);
     }
 
-    /// Writes an embedded message as field `field`; `write` adds its fields.
+    /// Writes an embedded message as the field with the number `field`; `write` adds the fields of the embedded
+    /// message.
     pub fn message(&mut self, field: u32, write: impl FnOnce(&mut Message)) {
         self.key(field, 2);
         // Most messages are shorter than 128 bytes, and their length takes one byte.
@@ -100,8 +101,8 @@ pub type MessageType = (&'static str, &'static [(&'static str, u32, Type)]);
 /// Definition of a Protocol Buffers enumeration: its name, and the names of its values from 0.
 pub type EnumType = (&'static str, &'static [&'static str]);
 
-/// Returns the descriptors of a Protocol Buffers package's message types and enumerations as an encoded
-/// `FileDescriptorSet`, with the types of `google.protobuf` that they use.
+/// Returns descriptions of the message types and enumerations of a Protocol Buffers package, as an encoded
+/// `FileDescriptorSet`. It includes the types of `google.protobuf` that they use.
 pub fn describe(package: &str, messages: &[MessageType], enums: &[EnumType]) -> Vec<u8> {
     let mut set = Message::default();
     set.message(1, |file| well_known(file, "Timestamp", "google/protobuf/timestamp.proto"));

@@ -14,7 +14,7 @@ pub enum Value<'a> {
 }
 
 impl<'a> Value<'a> {
-    /// Returns the value as a number; `None` for bytes and integers of fixed size.
+    /// Returns the value of a varint or a floating-point number; `None` for bytes and for integers of fixed size.
     pub fn number(self) -> Option<f64> {
         match self {
             Value::Double(number) => Some(number),
@@ -23,7 +23,7 @@ impl<'a> Value<'a> {
         }
     }
 
-    /// Returns the bytes of a string, byte string or embedded message; `None` for a number.
+    /// Returns the bytes of a string, byte string or embedded message; `None` for other values.
     pub fn bytes(self) -> Option<&'a [u8]> {
         match self {
             Value::Bytes(bytes) => Some(bytes),
@@ -32,7 +32,8 @@ impl<'a> Value<'a> {
     }
 }
 
-/// Iterator over the fields of an encoded Protocol Buffers message: number and value. It ends early at invalid bytes.
+/// Iterator over the fields of an encoded Protocol Buffers message, each with its number and value. It ends early at
+/// invalid bytes.
 pub struct Fields<'a>(pub &'a [u8]);
 
 impl<'a> Iterator for Fields<'a> {

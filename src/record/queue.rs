@@ -23,16 +23,16 @@ const COUNT_PERIOD: Span = Span::from_millis(1000);
 /// Longest time that the writer thread waits for events before it checks the queue again.
 pub const POLL: Duration = Duration::from_millis(180);
 
-/// What happens to events when the queue to the writer of a record is full.
+/// Treatment of events when the queue of a record is full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WhenFull {
-    /// Events are dropped and counted. Used in real time.
+    /// Events are dropped and counted. It is used in real time.
     Drop,
-    /// The sending thread waits for the writer thread. Used in simulations.
+    /// The sending thread waits for the thread that writes the record. It is used in simulations.
     Wait,
 }
 
-/// Sending end of a record's event queue, used by the thread that runs the actors.
+/// Sending end of a record's event queue, for the thread that runs the actors.
 pub struct Inlet {
     when_full: WhenFull,
     shared: Arc<Shared>,
@@ -51,7 +51,7 @@ pub struct Inlet {
     abandoned: Cell<bool>,
 }
 
-/// Receiving end of a record's event queue, used by the writer thread.
+/// Receiving end of a record's event queue, for the thread that writes the record.
 pub struct Outlet(Arc<Shared>);
 
 struct Shared {
@@ -70,7 +70,7 @@ struct State {
     abandoned: bool,
 }
 
-/// Creates the event queue of a record, and returns its sending and its receiving end.
+/// Returns the sending and the receiving end of a new event queue for a record.
 pub fn queue(when_full: WhenFull) -> (Inlet, Outlet) {
     let room = if when_full == WhenFull::Drop { CAPACITY } else { BATCH * 2 };
     let state = State { events: Vec::with_capacity(room), closed: false, abandoned: false };
@@ -92,8 +92,8 @@ pub fn queue(when_full: WhenFull) -> (Inlet, Outlet) {
 }
 
 impl Inlet {
-    /// Adds an event of the current turn of the event loop. With [`WhenFull::Drop`], drops it if the queue is full or
-    /// the inputs of this second are too large.
+    /// Adds an event of the current turn of the event loop. In real time it is dropped if the queue is full, or if it
+    /// is an input and the inputs of this second are too large.
     pub fn push(&self, event: Event) {
         let mut events = self.events.borrow_mut();
         if self.when_full == WhenFull::Drop && (events.len() >= CAPACITY || self.is_beyond(&event)) {
@@ -116,7 +116,7 @@ impl Inlet {
         self.input_bytes.get() > INPUT_BYTES
     }
 
-    /// Ends the current turn of the event loop at time `now`, and passes the collected events to the writer thread.
+    /// Ends the current turn of the event loop at the time `now`, and passes the events to the writer thread.
     pub fn turn(&self, now: Time) {
         self.turned.set(now);
         let due = self.counted.get().is_none_or(|at| now.since(at) >= COUNT_PERIOD);
@@ -141,7 +141,7 @@ impl Inlet {
         }
     }
 
-    /// Passes the remaining events to the writer thread and closes the queue. Events added later are lost.
+    /// Passes the remaining events to the writer thread and closes the queue. Events that are added later are lost.
     pub fn close(&self) {
         if self.missing.get() > 0 && self.events.borrow().len() + 2 <= CAPACITY {
             let last = [Event::Dropped(self.missing.replace(0)), Event::Turn(self.turned.get())];
@@ -156,12 +156,12 @@ impl Inlet {
         self.shared.filled.notify_one();
     }
 
-    /// Returns the number of events dropped so far.
+    /// Returns the number of events that were dropped so far.
     pub fn dropped(&self) -> u64 {
         self.dropped.get()
     }
 
-    /// Whether the writer thread has ended because its file could not be written.
+    /// Returns whether the writer thread is known to have ended, because the record's file could not be written.
     pub fn is_abandoned(&self) -> bool {
         self.abandoned.get()
     }
@@ -208,8 +208,8 @@ impl Drop for Inlet {
 }
 
 impl Outlet {
-    /// Moves the queued events into `events`, which must be empty. Waits for events for at most [`POLL`]. Returns
-    /// `false` once the inlet is closed and no events are left.
+    /// Moves the queued events into `events`, which must be empty; waits for events for at most [`POLL`]. Returns
+    /// `false` if the sending end was closed and no events are left.
     pub fn take(&self, events: &mut Vec<Event>) -> bool {
         let mut state = self.0.lock();
         if state.events.is_empty() && !state.closed {

@@ -36,16 +36,15 @@ pub enum ReadError {
         /// Error of the MCAP parser.
         error: McapError,
     },
-    /// The identity in the file cannot be used by this program.
+    /// The identity of the record in the file cannot be used by this program.
     #[error("'{}' is no record of this program: {error}", path.display())]
     Foreign {
         /// Path of the file.
         path: PathBuf,
-        /// What is wrong with the identity.
+        /// Text that says what is wrong with the identity.
         error: WrongIdentity,
     },
-    /// The file has no metadata `murmurate.run` before its first message. Without them it is not a record of this
-    /// program.
+    /// The file has no metadata `murmurate.run` before its first message, so it is not a record of this program.
     #[error("'{}' is no record of this program: it has no metadata '{METADATA}'", path.display())]
     Nameless {
         /// Path of the file.
@@ -53,25 +52,25 @@ pub enum ReadError {
     },
 }
 
-/// MCAP channel of a file.
+/// Channel of an MCAP file: a topic, with the encoding and schema of its messages.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Channel {
     /// Topic of the channel.
     pub topic: String,
-    /// Encoding of the channel's messages.
+    /// Encoding of the channel's messages, such as `protobuf` or `json`.
     pub encoding: String,
     /// Id of the channel's schema in the file; 0 for none.
     pub schema: u16,
 }
 
-/// Message of a record file.
+/// Message in the file of a record.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Message {
-    /// Channel of the message.
+    /// Channel that the message belongs to.
     pub channel: Rc<Channel>,
     /// Time of the message \[ns\]: since 1970, or since the start of a simulation.
     pub at: u64,
-    /// Encoded content.
+    /// Content of the message in the encoding of its channel.
     pub data: Vec<u8>,
 }
 
@@ -80,17 +79,17 @@ pub struct Message {
 pub enum Item {
     /// Metadata: its name and its values.
     Metadata(String, BTreeMap<String, String>),
-    /// Attached file: name, media type, content.
+    /// Attached file: its name, media type and content.
     Attachment(String, String, Vec<u8>),
-    /// Schema: header with id, name and encoding; and the schema's data.
+    /// Schema of messages: its id, name and encoding, and its content.
     Schema(SchemaHeader, Vec<u8>),
-    /// Channel with its id.
+    /// Channel with its id in the file.
     Channel(u16, Rc<Channel>),
     /// A message of a channel.
     Message(Message),
 }
 
-/// Sequential reader of an MCAP file.
+/// Sequential reader of an MCAP file, which may have been cut by a crash.
 pub struct Reader {
     path: PathBuf,
     file: Box<dyn Read>,
@@ -104,13 +103,13 @@ pub struct Reader {
 }
 
 impl Reader {
-    /// Opens an MCAP file. If it is the first file of a record, its further files are read after it.
+    /// Opens an MCAP file. If it is the first file of a record that has several, the reader continues with the others.
     pub fn open(path: &Path) -> Result<Reader, ReadError> {
         let file = File::open(path).map_err(|error| ReadError::Open { path: path.to_owned(), error })?;
         Ok(Reader { part: Some(0), ..Reader::of(path, BufReader::with_capacity(1 << 18, file)) })
     }
 
-    /// Creates a reader of MCAP data from any source. `path` is the name of the file in errors.
+    /// Returns a reader of MCAP data from any source. `path` stands for the file in errors.
     pub fn of(path: &Path, source: impl Read + 'static) -> Reader {
         let options = LinearReaderOptions::default().with_skip_end_magic(true).with_record_length_limit(LONGEST);
         Reader {
@@ -124,7 +123,7 @@ impl Reader {
         }
     }
 
-    /// Whether the end-of-data mark was read: the file was finished and not cut by a crash.
+    /// Returns whether the end of the data was read, which a file lacks that a crash has cut.
     pub fn is_complete(&self) -> bool {
         self.complete
     }
@@ -193,7 +192,7 @@ impl Reader {
         }
     }
 
-    /// Returns the next message; `None` at the end of the file.
+    /// Returns the next message of the file; `None` at its end. Other elements are skipped.
     pub fn next_message(&mut self) -> Result<Option<Message>, ReadError> {
         while let Some(item) = self.next_item()? {
             if let Item::Message(message) = item {
@@ -227,24 +226,24 @@ fn item(channels: &mut BTreeMap<u16, Rc<Channel>>, record: Record<'_>) -> Option
     }
 }
 
-/// An open record file, of which identity and attached files were read.
+/// Record that was opened and read up to its first message.
 pub struct Opened {
-    /// Identity of the record.
+    /// Identity of the recorded run.
     pub identity: Identity,
-    /// Attached files: name and content.
+    /// Files attached to the record, each with name and content.
     pub attached: Vec<(String, Vec<u8>)>,
-    /// Reader of the record's messages, which begins at the first one.
+    /// Reader of the record's messages, from the first one on.
     pub messages: Messages,
 }
 
-/// Iterator over the messages of a record file.
+/// Reader of the messages of a record.
 pub struct Messages {
     reader: Reader,
     next: Option<Message>,
 }
 
 impl Messages {
-    /// Returns the next message; `None` at the end of the file.
+    /// Returns the next message of the record; `None` at its end.
     pub fn next_message(&mut self) -> Result<Option<Message>, ReadError> {
         match self.next.take() {
             Some(message) => Ok(Some(message)),
@@ -252,25 +251,25 @@ impl Messages {
         }
     }
 
-    /// Whether the end-of-data mark was read: the file was finished and not cut by a crash.
+    /// Returns whether the end of the record was read, which a record lacks that a crash has cut.
     pub fn is_complete(&self) -> bool {
         self.reader.is_complete()
     }
 }
 
-/// Opens a record and reads up to its first message. Fails if the file has no identity of a record.
+/// Opens a record and reads it up to its first message. Fails if the file has no identity of a record.
 pub fn open(path: &Path) -> Result<Opened, ReadError> {
     let (identity, attached, messages) = open_any(path)?;
     let identity = identity.ok_or_else(|| ReadError::Nameless { path: path.to_owned() })?;
     Ok(Opened { identity, attached, messages })
 }
 
-/// An open MCAP file, of which the part before the first message was read: its identity if it is a record, its attached
-/// files (name and content), and the reader of its messages.
+/// Beginning of an MCAP file: its identity if it is a record, its attached files (name and content), and the reader of
+/// its messages.
 pub type Beginning = (Option<Identity>, Vec<(String, Vec<u8>)>, Messages);
 
-/// Opens an MCAP file and reads up to its first message. The identity is `None` for merged records and files of other
-/// programs.
+/// Opens an MCAP file and reads it up to its first message. The identity is `None` for a file of another program and
+/// for a record that was merged of several.
 pub fn open_any(path: &Path) -> Result<Beginning, ReadError> {
     let mut reader = Reader::open(path)?;
     let (mut identity, mut attached, mut next) = (None, Vec::new(), None);

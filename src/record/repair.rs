@@ -9,19 +9,19 @@ use mcap::{Attachment, McapError, WriteOptions, Writer};
 
 use super::reader::{Item, ReadError, Reader};
 
-/// Result of the repair of a record.
+/// Result of the repair of a record that a crash has cut.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Repaired {
     /// Number of messages that were copied.
     pub messages: u64,
-    /// Whether the file was complete and needed no repair.
+    /// Whether the file was complete already and needed no repair.
     pub was_complete: bool,
 }
 
-/// Error in the repair or the copying of a record.
+/// Error in the repair, or in another copy, of a record.
 #[derive(Debug, thiserror::Error)]
 pub enum RepairError {
-    /// The damaged file cannot be read.
+    /// The original file cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
     /// The new file cannot be written.
@@ -29,7 +29,7 @@ pub enum RepairError {
     Write(#[from] McapError),
 }
 
-/// Copies all complete elements and messages of a record to `to`, with an end and an index.
+/// Repairs a record that a crash has cut: copies all its complete elements to `to` and adds an end and an index.
 pub fn repair(from: &mut Reader, to: impl Write + Seek) -> Result<Repaired, RepairError> {
     let mut copy = Copy::begin(to)?;
     while let Some(item) = from.next_item()? {
@@ -39,7 +39,7 @@ pub fn repair(from: &mut Reader, to: impl Write + Seek) -> Result<Repaired, Repa
     Ok(Repaired { messages, was_complete: from.is_complete() })
 }
 
-/// Writes a copy of an MCAP file, element by element.
+/// Writer of a copy of an MCAP file, element by element.
 pub(super) struct Copy<W: Write + Seek> {
     writer: Writer<W>,
     schemas: BTreeMap<u16, u16>,
@@ -55,7 +55,7 @@ impl<W: Write + Seek> Copy<W> {
         Ok(Copy { writer, schemas: BTreeMap::new(), channels: BTreeMap::new(), messages: 0 })
     }
 
-    /// Writes an element of the original file to the copy.
+    /// Writes one element of the original file to the copy.
     pub fn item(&mut self, item: Item) -> Result<(), McapError> {
         match item {
             Item::Metadata(name, metadata) => {
@@ -85,7 +85,7 @@ impl<W: Write + Seek> Copy<W> {
         Ok(())
     }
 
-    /// Writes the end and the index of the copy. Returns the number of copied messages.
+    /// Writes the end and the index of the copy. Returns the number of messages in it.
     pub fn finish(mut self) -> Result<u64, McapError> {
         self.writer.finish()?;
         Ok(self.messages)

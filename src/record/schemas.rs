@@ -26,7 +26,7 @@ pub const MESSAGES: &[MessageType] = &[
     ),
 ];
 
-/// JSON schema of messages about episodes: the phase that begins, or the result.
+/// JSON schema of messages about an episode: its next phase, or its result.
 pub const EPISODE: &str = r#"{"title":"murmurate.Episode","type":"object","properties":{
 "repeat":{"type":"integer"},"episode":{"type":"integer","description":"from 0"},
 "phase":{"type":"string","description":"phase that begins; absent in a result"},
@@ -35,7 +35,8 @@ pub const EPISODE: &str = r#"{"title":"murmurate.Episode","type":"object","prope
 "reset_s":{"type":"number"},"min_separation_m":{"type":["number","null"]},
 "judged":{"type":"string"}},"required":["repeat","episode"]}"#;
 
-/// JSON schema of the state of the links from one host to each other host, as the host measures it.
+/// JSON schema of messages about the links from one host to each other host, as this host measures them: age, delay,
+/// loss.
 pub const LINKS: &str = r#"{"title":"murmurate.Links","type":"object","properties":{
 "host":{"type":"string","description":"who measures"},
 "peers":{"type":"array","items":{"type":"object","properties":{
@@ -45,20 +46,20 @@ pub const LINKS: &str = r#"{"title":"murmurate.Links","type":"object","propertie
 "uncertainty_s":{"type":["number","null"]},"round_trip_s":{"type":["number","null"]},
 "twins":{"type":"integer"}}}}},"required":["host","peers"]}"#;
 
-/// JSON schema of the counts of stops and reduced velocities by a robot's guard, by cause, since its Controller was
-/// started.
+/// JSON schema of messages with the numbers of stops and reduced velocities by a robot's guard, by cause, since its
+/// Controller was started.
 pub const GUARD: &str = r#"{"title":"murmurate.Guard","type":"object","properties":{
 "robot":{"type":"integer"},"stop":{"type":"integer"},"silence":{"type":"integer"},"output":{"type":"integer"},
 "late_tick":{"type":"integer"},"own_state":{"type":"integer"},"hardware":{"type":"integer"},
 "outside":{"type":"integer"},"fence":{"type":"integer"},"distance":{"type":"integer"}},"required":["robot"]}"#;
 
-/// JSON schema of the counts of datagrams on a host's links, and of events that the record lacks.
+/// JSON schema of messages with the numbers of datagrams on a host's links, and of events that the record lacks.
 pub const COUNTS: &str = r#"{"title":"murmurate.Counts","type":"object","properties":{
 "host":{"type":"string"},"links":{"type":"object","description":"datagrams, by what became of them"},
 "recording_dropped":{"type":"integer","description":"events before this one that the record lacks"}},
 "required":["host"]}"#;
 
-/// JSON schema of the condition of a real robot's hardware.
+/// JSON schema of messages about the condition of a real robot's hardware.
 pub const HARDWARE: &str = r#"{"title":"murmurate.Hardware","type":"object","properties":{
 "robot":{"type":"integer"},"health":{"type":"string","description":"ready, faulty or silent"},
 "battery":{"type":["integer","null"],"description":"charge in percent"},

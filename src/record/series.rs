@@ -18,7 +18,8 @@ use crate::time::Span;
 /// Largest size of the messages held in memory until a trigger \[bytes\].
 const RING_BYTES: usize = 256 << 20;
 
-/// Settings of what is stored of a run in its record: the whole run or the time around triggers, and the size of files.
+/// Choice of what is stored of a run in its record: the whole run or only the time around triggers, and the size of
+/// files.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Retention {
     /// Time before and after a trigger that is stored; a trigger is an emergency stop, an aborted episode or a request.
@@ -28,7 +29,7 @@ pub struct Retention {
     pub most_bytes: Option<u64>,
 }
 
-/// Writes the files of one record: one file, several of limited size, or excerpts around triggers.
+/// Writer of the files of one record: one file, several of limited size, or excerpts of the time around triggers.
 pub struct Series {
     path: PathBuf,
     beginning: Beginning,
@@ -44,7 +45,8 @@ pub struct Series {
 }
 
 impl Series {
-    /// Begins a record with the path `path` of its first file. Creates the file, unless only excerpts are stored.
+    /// Begins a record; `path` is the path of its first file. The file is created now, unless only excerpts around
+    /// triggers are stored.
     pub fn begin(
         path: &Path,
         mut beginning: Beginning,
@@ -60,7 +62,8 @@ impl Series {
         Ok(Series { path, beginning, stage, retention, file, ring, ring_bytes: 0, until: 0 })
     }
 
-    /// Adds a message at time `at` \[ns\] to the current file, or to the messages held in memory if no file is open.
+    /// Adds a message of the time `at` \[ns\] to the current file. Without a file, which only a record of excerpts can
+    /// lack, it is held in memory until a trigger.
     pub fn write(&mut self, topic: Topic, at: u64, data: &[u8]) -> Result<(), McapError> {
         if let Some(file) = &mut self.file {
             return file.write(&self.stage, topic, at, data);
@@ -74,8 +77,8 @@ impl Series {
         Ok(())
     }
 
-    /// Handles a trigger at time `at` \[ns\]: stores the messages held in memory in a new file, and the following ones
-    /// until the excerpt ends. Does nothing if the whole run is stored.
+    /// Handles a trigger at the time `at` \[ns\] in a record of excerpts: stores the messages held in memory in a new
+    /// file, and the following ones until the excerpt ends. A record of the whole run ignores it.
     pub fn keep(&mut self, at: u64) -> Result<(), McapError> {
         let Some(last) = self.retention.last else { return Ok(()) };
         self.until = at + last.as_nanos();
@@ -92,8 +95,8 @@ impl Series {
         Ok(())
     }
 
-    /// Ends the messages of the time `at` \[ns\]: closes the file if its excerpt is over, or begins another one if the
-    /// file is full.
+    /// Ends the turn of the event loop at the time `at` \[ns\]: closes the file if its excerpt is over, and begins
+    /// another one if the file is full.
     pub fn end_instant(&mut self, at: u64) -> Result<(), McapError> {
         let Some(file) = &self.file else { return Ok(()) };
         let over = self.retention.last.is_some() && at >= self.until;
@@ -114,19 +117,19 @@ impl Series {
         RecordFile::create(&path, &self.beginning, &self.stage).map_err(broken)
     }
 
-    /// Passes all data written to the current file to the operating system.
+    /// Writes everything in memory buffers of the current file to it, so that a crash of the program does not lose it.
     pub fn flush(&mut self) -> Result<(), McapError> {
         self.file.as_mut().map_or(Ok(()), RecordFile::flush)
     }
 
-    /// Ends the record and closes its current file.
+    /// Ends the record and finishes its current file.
     pub fn finish(self) -> Result<(), McapError> {
         self.file.map_or(Ok(()), RecordFile::finish)
     }
 }
 
-/// Returns the path of the file with the index `part` of the record whose first file is `path`, such as `NAME.1.mcap`
-/// for 1 after `NAME.mcap`.
+/// Returns the path of the file with the index `part` of a record whose first file is `path`: for 1 after `NAME.mcap`
+/// it is `NAME.1.mcap`.
 pub fn part_of(path: &Path, part: u32) -> PathBuf {
     match part {
         0 => path.to_owned(),
@@ -134,15 +137,14 @@ pub fn part_of(path: &Path, part: u32) -> PathBuf {
     }
 }
 
-/// Returns the path of the first file of the record that the file `path` continues; `None` if `path` is a first file.
+/// Returns the path of the first file of the record to which the file `path` belongs; `None` if `path` is a first file.
 pub fn first_of(path: &Path) -> Option<PathBuf> {
     let stem = path.file_stem()?.to_str()?;
     let (name, part) = stem.rsplit_once('.')?;
     part.parse::<u32>().ok().filter(|part| *part > 0).map(|_| path.with_file_name(format!("{name}.mcap")))
 }
 
-/// Detects triggers, which are the reasons to store an excerpt of a run: emergency stops, aborted episodes and
-/// requests.
+/// Detector of triggers: emergency stops, aborted episodes and requests, at which an excerpt of the run is stored.
 #[derive(Default)]
 pub struct Triggers {
     stops: BTreeMap<RobotId, u64>,
@@ -150,7 +152,7 @@ pub struct Triggers {
 }
 
 impl Triggers {
-    /// Whether an event is a trigger: an emergency stop, an aborted episode, or a request.
+    /// Returns whether an event is a trigger: an emergency stop, an aborted episode, or a request.
     pub fn sees(&mut self, event: &Event) -> bool {
         match event {
             Event::Keep => true,

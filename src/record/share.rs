@@ -11,20 +11,21 @@ use crate::graph::inputs::Input;
 use crate::messages::ids::HostId;
 use crate::net::protocol::key::{Key, digest};
 
-/// Name of the attachment of a shared record that lists 16-byte digests of the datagrams with a valid tag.
+/// Name of the attachment that a record without the team's key has: the list of the 16-byte digests of the datagrams
+/// that had a valid authentication tag.
 pub const ACCEPTED: &str = "murmurate.accepted";
 
-/// Result of checking the tags of a record's datagrams.
+/// Result of checking the authentication tags of a record's datagrams.
 #[derive(Clone, Debug, Default)]
 pub struct Found {
-    /// Digests of the datagrams with a valid tag.
+    /// Digests of the datagrams with a valid authentication tag.
     pub accepted: BTreeSet<[u8; 16]>,
-    /// Number of datagrams without a valid tag.
+    /// Number of datagrams without a valid authentication tag.
     pub refused: u64,
 }
 
-/// Checks with the team's key the tags of all datagrams that the host `host` has received, by its record. Returns the
-/// digests of those with a valid tag.
+/// Checks the authentication tags of all datagrams that the host `host` has received, with the team's key. `messages`
+/// are those of the host's record.
 pub fn accepted(mut messages: Messages, key: &Key, host: HostId) -> Result<Found, ReadError> {
     let mut found = Found::default();
     while let Some(message) = messages.next_message()? {
@@ -43,7 +44,8 @@ pub fn accepted(mut messages: Messages, key: &Key, host: HostId) -> Result<Found
     Ok(found)
 }
 
-/// Copies a record to `to` and attaches the list `accepted` of its datagrams with a valid tag.
+/// Copies a record to `to`, with `accepted`, the digests of the datagrams that had a valid authentication tag, as an
+/// attachment.
 pub fn copy(from: &mut Reader, accepted: &BTreeSet<[u8; 16]>, to: impl Write + Seek) -> Result<(), RepairError> {
     let mut copy = Copy::begin(to)?;
     let list: Vec<u8> = accepted.iter().flatten().copied().collect();
@@ -55,8 +57,8 @@ pub fn copy(from: &mut Reader, accepted: &BTreeSet<[u8; 16]>, to: impl Write + S
     Ok(())
 }
 
-/// Returns a key for a replay that accepts exactly the datagrams in the list of a shared record, which is one of the
-/// attachments; `None` if it has no list.
+/// Returns a key with which a replay accepts exactly the datagrams that had a valid authentication tag in the recorded
+/// run. Their list is one of the files attached to the record; `None` if there is no list.
 pub fn trusted(attached: &[(String, Vec<u8>)]) -> Option<Key> {
     let (_, list) = attached.iter().find(|(name, _)| name == ACCEPTED)?;
     let (digests, _) = list.as_chunks::<16>();

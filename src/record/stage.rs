@@ -12,12 +12,13 @@ use crate::messages::ids::{HostId, RobotId};
 use crate::scenario::Scenario;
 use crate::scenario::arena::KeepOut;
 
-/// Name of the MCAP metadata in a record that contains the [`Stage`].
+/// Name of the MCAP metadata of a record that contains the [`Stage`].
 pub const METADATA: &str = "murmurate.stage";
 /// Name of the only entry of the metadata; its value is the stage as JSON.
 const ENTRY: &str = "stage";
 
-/// Constant properties of a run that are needed to show it: ground, walls, hosts and robots.
+/// Constant properties of a run that a picture of it needs, besides the robots' states: ground, walls, hosts and
+/// robots.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Stage {
     /// Name of the scenario.
@@ -41,13 +42,14 @@ pub struct Stage {
 }
 
 impl Stage {
-    /// Returns the stage of a run, from its plan.
+    /// Returns the stage of a run from its plan, which has deployment, scenario and physics.
     pub fn of(plan: &Plan) -> Stage {
         Stage::of_team((&plan.deployment, &*plan.scenario), plan.physics.wall_radius_m, plan.range.mean_m)
     }
 
-    /// Returns the stage of a team. `hull_m` is the radius of a robot's hull \[m\], and `range_m` the range within
-    /// which robots use each other's messages \[m\], infinite if it is unlimited or unknown.
+    /// Returns the stage of a team with this deployment and scenario. `hull_m` is the radius of a robot's hull \[m\],
+    /// and `range_m` the range within which robots use each other's messages \[m\], infinite if it is unlimited or
+    /// unknown.
     pub fn of_team((deployment, scenario): (&Deployment, &dyn Scenario), hull_m: f32, range_m: f32) -> Stage {
         let arena = scenario.arena();
         let routes = Routes::of(deployment);
@@ -68,13 +70,13 @@ impl Stage {
         }
     }
 
-    /// Returns the stage as MCAP metadata for a record.
+    /// Returns the stage as MCAP metadata of a record.
     pub fn to_metadata(&self) -> BTreeMap<String, String> {
         let text = serde_json::to_string(self).expect("a stage is JSON");
         BTreeMap::from([(ENTRY.to_owned(), text)])
     }
 
-    /// Reads the stage from the MCAP metadata of a record; `None` if the metadata is not a stage.
+    /// Reads the stage from the MCAP metadata of a record; `None` if it is something else.
     pub fn of_metadata(metadata: &BTreeMap<String, String>) -> Option<Stage> {
         serde_json::from_str(metadata.get(ENTRY)?).ok()
     }

@@ -11,14 +11,14 @@ use crate::messages::ids::{LinkId, RobotId};
 use crate::net::protocol::codec::Frame;
 use crate::time::Time;
 
-/// One turn of a host's event loop.
+/// Turn of a host's event loop: one pass over all pending inputs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Turn {
-    /// The host's clock at the turn.
+    /// Time of the turn on the host's clock, since the start of the run.
     pub now: Time,
-    /// Digest of the datagrams sent in the turn, in order; 0 if there were none.
+    /// Digest of the datagrams that were sent in the turn, in order; 0 if there were none.
     pub sent: u64,
-    /// Inputs in order of arrival. Orders from the host's own process come last.
+    /// Inputs of the turn in the order of their arrival. Orders from the host's own process come last.
     pub inputs: Vec<Input>,
 }
 
@@ -27,7 +27,7 @@ pub struct Turn {
 pub struct SentDigest(Option<Xxh3>);
 
 impl SentDigest {
-    /// Adds a sent datagram and its link.
+    /// Adds a sent datagram and the link on which it was sent.
     pub fn add(&mut self, link: LinkId, frame: &[u8]) {
         let digest = self.0.get_or_insert_default();
         digest.update(&link.0.to_le_bytes());
@@ -35,7 +35,7 @@ impl SentDigest {
         digest.update(frame);
     }
 
-    /// Returns the digest of the turn and starts the next one. The digest is 0 if no datagram was added.
+    /// Returns the digest of the datagrams added so far, 0 if there is none, and starts the digest of the next turn.
     pub fn take(&mut self) -> u64 {
         self.0.take().map_or(0, |digest| digest.digest().max(1))
     }
@@ -50,13 +50,13 @@ const SOURCE_ENDED: u8 = 6;
 const LEAVE: u8 = 7;
 const STOP: u8 = 8;
 
-/// Appends the header of a turn: its time and the digest of its sent datagrams.
+/// Appends the beginning of an encoded turn to `out`: its time, and the digest of the datagrams sent in it.
 pub fn begin(out: &mut Vec<u8>, now: Time, sent: u64) {
     out.extend(now.as_nanos().to_le_bytes());
     out.extend(sent.to_le_bytes());
 }
 
-/// Appends an input to the turn.
+/// Appends an input to the encoded turn in `out`.
 pub fn add(out: &mut Vec<u8>, input: &Input) {
     match input {
         Input::Frame(link, frame, from) => {
@@ -113,7 +113,7 @@ fn block(out: &mut Vec<u8>, bytes: &[u8]) {
     out.extend_from_slice(bytes);
 }
 
-/// Decodes a turn; `None` if the bytes are invalid.
+/// Decodes a turn of a host's event loop; `None` if the bytes are invalid.
 pub fn read(bytes: &[u8]) -> Option<Turn> {
     let mut rest = bytes;
     let (now, sent) = (Time::from_nanos(u64_of(&mut rest)?), u64_of(&mut rest)?);

@@ -9,12 +9,12 @@ pub const PROGRAM: &str = "/log/program";
 /// Name of the topic with the messages that an operator has received.
 pub const RECEIVED: &str = "/received";
 
-/// Topic of a record.
+/// Topic of a record, to which each of its messages belongs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Topic {
-    /// Turns of the host's event loop with their inputs ([`super::tape`]).
+    /// Turns of the host's event loop (passes over all pending inputs), each with its inputs.
     Turn,
-    /// Datagrams that a host has published, without tags.
+    /// Messages that this host has published, as datagrams without authentication tags.
     Wire(HostId),
     /// True states of simulated robots.
     Truth,
@@ -24,21 +24,21 @@ pub enum Topic {
     Robots,
     /// Transforms from the world frame to the robots' frames.
     Transforms,
-    /// Position that a robot's own estimate has, with its last measured heading.
+    /// Estimated position of this robot, with its last measured heading.
     Pose(RobotId),
-    /// Log: phases, verdicts and stops as text.
+    /// Phases of episodes, verdicts and stops, as text.
     Log,
     /// Lines that the program has logged. A replay does not repeat them.
     Program,
-    /// Messages that an operator has received, as datagrams of the operator.
+    /// Messages that an operator has received, as datagrams.
     Received,
     /// Phases and results of episodes.
     Episode,
-    /// State of the host's links to other hosts.
+    /// State of the host's links to other hosts: age, delay, loss.
     Links,
-    /// Stops and reduced velocities by the robots' guards.
+    /// Numbers of stops and reduced velocities by the robots' guards.
     Guard,
-    /// Counts of the host's links, and of events that the record lacks.
+    /// Numbers of datagrams on the host's links, and of events that the record lacks.
     Counts,
     /// Condition of real robots' hardware.
     Hardware,
@@ -46,16 +46,16 @@ pub enum Topic {
 
 /// Schema of a topic's messages.
 pub struct Schema {
-    /// Name of the message type.
+    /// Name of the type of the messages.
     pub name: String,
-    /// Encoding of the schema, as MCAP names it.
+    /// Encoding of the schema by its name in MCAP, such as `protobuf`.
     pub encoding: &'static str,
     /// Content of the schema: text or binary.
     pub data: Vec<u8>,
 }
 
 impl Topic {
-    /// Returns the topic's name in the file.
+    /// Returns the topic's name in a record, such as `/truth`. `stage` has the names of the hosts.
     pub fn name(self, stage: &Stage) -> String {
         match self {
             Topic::Turn => "/tape/turn".to_owned(),
@@ -76,7 +76,8 @@ impl Topic {
         }
     }
 
-    /// Returns the encoding of the topic's messages: MCAP's name, or our own for our binary formats.
+    /// Returns the encoding of the topic's messages: by its name in MCAP, or one of this program for its own binary
+    /// formats.
     pub fn encoding(self) -> &'static str {
         match self {
             Topic::Turn => "murmurate-turn-1",
@@ -86,7 +87,7 @@ impl Topic {
         }
     }
 
-    /// Returns the topic's schema; `None` for our own binary formats.
+    /// Returns the schema of the topic's messages; `None` for binary formats of this program.
     pub fn schema(self) -> Option<Schema> {
         let foxglove = |name: &str| Schema {
             name: format!("foxglove.{name}"),

@@ -32,10 +32,10 @@ const POSE_PERIOD: Span = Span::from_millis(20);
 /// Period with which walls and goals are drawn again, for viewers that start in the middle of a record.
 const STANDING_PERIOD: Span = Span::from_millis(5000);
 
-/// Callback that receives a message: its topic, its time \[ns\] since 1970, and its bytes.
+/// Function that takes a message of a record: its topic, its time \[ns\], and its bytes.
 pub type Take<'a> = &'a mut dyn FnMut(Topic, u64, &[u8]);
 
-/// Converter from events to the messages of a record.
+/// Converter of a run's events to the messages of its record.
 pub struct Topics {
     stage: Stage,
     scope: Scope,
@@ -61,7 +61,8 @@ pub struct Topics {
 }
 
 impl Topics {
-    /// Creates the converter of a new record. `anchor_ns` is the wall clock \[ns\] since 1970 at the run's time zero.
+    /// Returns the converter for a new record. `stage` has the constant properties of the run, `scope` its kind.
+    /// `anchor_ns` is the wall clock at the start of the run \[ns\] since 1970; 0 in a simulation.
     pub fn new(stage: Stage, scope: Scope, anchor_ns: u64) -> Topics {
         Topics {
             team: vec![None; stage.robots],
@@ -82,18 +83,19 @@ impl Topics {
         }
     }
 
-    /// Constant properties of the recorded run.
+    /// Returns the constant properties of the recorded run: ground, walls, hosts and robots.
     pub fn stage(&self) -> &Stage {
         &self.stage
     }
 
-    /// Converts a time of the run to the time of a message \[ns\]: since 1970, or since the start of a simulation.
+    /// Converts a time of the run to the time \[ns\] that messages have: since 1970, or since the start of a
+    /// simulation.
     pub fn time_of(&self, now: Time) -> u64 {
         self.anchor_ns + now.as_nanos()
     }
 
-    /// Passes the messages of one turn at time `now` to `take`. `events` are all of its events except the final
-    /// `Event::Turn`.
+    /// Converts the events of one turn of the event loop, at the time `now`, to messages and passes these to `take`.
+    /// `events` has all events of the turn, without the final `Event::Turn`.
     pub fn instant(&mut self, now: Time, events: &[Event], take: Take) {
         let at = self.time_of(now);
         // Written before the turn, whose inputs may be incomplete: a replay ends here.

@@ -18,7 +18,7 @@ use super::topics::Topics;
 /// queue.
 const FLUSH: Duration = Duration::from_millis(170);
 
-/// Recording in progress: its event queue, and the thread that writes its file.
+/// Record that is being made: its event queue, and the thread that writes its files.
 pub struct Recording {
     inlet: Rc<Inlet>,
     thread: JoinHandle<()>,
@@ -27,7 +27,9 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Creates the file and starts the writer thread.
+    /// Creates the record's first file, unless only excerpts are stored, and starts the thread that writes. `topics`
+    /// converts events to messages; `when_full` says what happens to events when the queue is full, and `retention`
+    /// which part of the run is stored.
     pub fn start(
         path: &Path,
         beginning: &Beginning,
@@ -50,19 +52,19 @@ impl Recording {
         Ok(Recording { inlet: Rc::new(inlet), thread, path: path.to_owned(), failure })
     }
 
-    /// Returns the sending end of the event queue, for the thread that runs the actors.
+    /// Returns the sending end of the record's event queue, for the thread that runs the actors.
     pub fn inlet(&self) -> Rc<Inlet> {
         Rc::clone(&self.inlet)
     }
 
-    /// Returns the reason why writing has failed, the first time it is called after the failure; `None` otherwise.
+    /// Returns the reason why the record could not be written, once after each failure; `None` otherwise.
     pub fn failure(&self) -> Option<RecordError> {
         let reason = self.failure.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take()?;
         Some(RecordError::Write { path: self.path.clone(), reason })
     }
 
-    /// Ends the record and waits for the writer: at most for `most`, or without limit if it is `None`. Returns the
-    /// number of dropped events.
+    /// Ends the record and waits until it is written, for at most `most` if that is not `None`. Returns the number of
+    /// events that were dropped. An error says that the record is incomplete.
     pub fn finish(self, most: Option<Duration>) -> Result<u64, RecordError> {
         self.inlet.close();
         let until = most.map(|most| (most, Instant::now() + most));
