@@ -27,7 +27,7 @@ pub struct Stage {
     pub mode: String,
     /// Names of the hosts, in the order of host ids.
     pub hosts: Vec<String>,
-    /// Host of each robot's agent, in the order of robot ids.
+    /// Host that runs each robot's agent, in the order of robot ids.
     pub homes: Vec<HostId>,
     /// Number of robots.
     pub robots: usize,

@@ -4,35 +4,36 @@ use std::net::{IpAddr, SocketAddr};
 
 use crate::view::command::{Command, Right};
 
-/// Length of a newly drawn token \[bytes\]: 128 bits.
+/// Length of the live page's token (secret of one run) \[bytes\]: 128 bits.
 pub const TOKEN_BYTES: usize = 16;
 /// Prefix of the WebSocket subprotocol that carries the token.
 const TOKEN_PROTOCOL: &str = "token.";
 
-/// Commands that the process accepts from browsers.
+/// Set of commands that the process with the live page accepts from browsers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Control {
-    /// Only the emergency stop.
+    /// Only the emergency stop of the team.
     StopOnly,
-    /// Orders to the team: stop, re-arm, resume and pause.
+    /// Emergency stop, re-arm, resume and pause of the team.
     Team,
-    /// Orders to the team, and faults of an emulated team.
+    /// Emergency stop, re-arm, resume and pause of an emulated team, and faults of its actors and links.
     Emulation,
-    /// The playback of a record: time and speed. There is no team.
+    /// Playback of a record: run, halt, jump and speed. There is no team to command.
     Playback,
 }
 
-/// Secret of one run, as hexadecimal digits. A browser has to send it for every command except the emergency stop.
+/// Token of the live page: the secret of one run, as hexadecimal digits. A browser has to send it for every command
+/// except the emergency stop.
 #[derive(Clone)]
 pub struct Token(String);
 
 impl Token {
-    /// Creates a token from random bytes.
+    /// Returns the token with these random bytes.
     pub fn new(bytes: &[u8]) -> Token {
         Token(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
     }
 
-    /// Returns the hexadecimal digits of the token, for the address of the page. They must not be logged.
+    /// Returns the hexadecimal digits of the token, which are a part of the page's address. They must not be logged.
     pub fn digits(&self) -> &str {
         &self.0
     }
@@ -43,7 +44,7 @@ impl Token {
         token.is_some_and(|(_, token)| same(token.trim().as_bytes(), self.0.as_bytes()))
     }
 
-    /// Whether the token is in a list of WebSocket subprotocols that a browser offers, separated by commas. The
+    /// Returns whether the token is in a list of WebSocket subprotocols that a browser offers, separated by commas. The
     /// comparison takes constant time.
     pub fn is_among(&self, protocols: &str) -> bool {
         let offered = protocols.split(',').filter_map(|one| one.trim().strip_prefix(TOKEN_PROTOCOL));
@@ -57,21 +58,23 @@ fn same(one: &[u8], other: &[u8]) -> bool {
     one.len() == other.len() && std::hint::black_box(differences) == 0
 }
 
-/// Access rules of the live page's server: which commands it accepts, and from whom.
+/// Access rules of the live page's server: which commands it accepts, and from which browsers.
 #[derive(Clone)]
 pub struct Access {
-    /// Secret for every command except the emergency stop.
+    /// Token that a browser has to send for every command except the emergency stop.
     pub token: Token,
-    /// Commands that the process accepts.
+    /// Commands that the process accepts from browsers.
     pub control: Control,
-    /// Whether snapshots, states and metrics need the token as well, because other machines can reach the server.
+    /// Whether pictures, states and metrics of the team are also refused without the token, because other machines can
+    /// reach the server.
     pub guarded: bool,
-    /// Whether the server has the page. If not, it serves the metrics only.
+    /// Whether the server has the live page. A server without it has the metrics only.
     pub page: bool,
 }
 
 impl Access {
-    /// Returns the reason why a command is refused; `None` if it is allowed. `holder`: the browser has sent the token.
+    /// Returns the reason why a command is refused, as text for the user; `None` if it is allowed. `holder` says
+    /// whether the browser has sent the token.
     pub fn refuses(&self, command: &Command, holder: bool) -> Option<&'static str> {
         match (command.right(), self.control) {
             (Right::Playback, Control::Playback) if holder => None,
@@ -87,9 +90,9 @@ impl Access {
     }
 }
 
-/// Whether a request to the server address `local` may have `host` in its header `Host`: that address itself, or a
-/// loopback name if `local` is a loopback address. A page of another origin can set neither, which prevents DNS
-/// rebinding.
+/// Returns whether a request to the server at `local` may have `host` in its header `Host`: the server's own address,
+/// or a loopback name if `local` is a loopback address. This prevents DNS rebinding, because pages of other sites
+/// cannot set that header.
 pub fn is_host(host: &str, local: SocketAddr) -> bool {
     let port = local.port();
     let own = SocketAddr::new(canonical(local.ip()), port).to_string();
@@ -99,8 +102,8 @@ pub fn is_host(host: &str, local: SocketAddr) -> bool {
     named || port == 80 && !host.contains(":80") && is_host(&format!("{host}:80"), local)
 }
 
-/// Whether a WebSocket request to `host` may have the header `Origin: origin`. Only this server's own page may open
-/// one.
+/// Returns whether a WebSocket request to `host` may have `origin` in its header `Origin`: only if it comes from a page
+/// of this server.
 pub fn is_origin(origin: &str, host: &str) -> bool {
     origin.strip_prefix("http://").is_some_and(|from| from == host)
 }

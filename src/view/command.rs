@@ -7,46 +7,46 @@ use crate::messages::ids::RobotId;
 
 /// Largest message accepted from a browser \[bytes\].
 pub const MAX_BYTES: usize = 4096;
-/// Largest delay that a page may set on a link \[ms\].
+/// Largest delay that the live page may add to a link \[ms\].
 pub const MAX_DELAY_MS: f64 = 5000.0;
 /// Largest time in a record to which a page may jump \[s\]: a year.
 const MAX_SEEK_S: f64 = 366.0 * 86_400.0;
 /// Largest length of a link's name in a command \[bytes\].
 const MAX_NAME: usize = 64;
 
-/// Command of a browser to the process that runs or watches the team.
+/// Command that a browser with the live page sends to the process that runs, watches or replays the team.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(tag = "do", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Command {
-    /// Engages the emergency stop.
+    /// Engages the emergency stop of the team.
     Stop,
-    /// Re-arms after an emergency stop; the team stays held until it is resumed.
+    /// Re-arms the team after an emergency stop; its robots stand until it is resumed.
     Rearm,
-    /// Resumes a held or paused team.
+    /// Resumes a team that is held (stands after a re-arm) or paused.
     Resume,
-    /// Holds the team after the current episode until it is resumed.
+    /// Pauses the team: after the current episode it stands until it is resumed.
     Pause,
-    /// Crashes an actor of a robot, which then stays down until `Restart`. Only under emulation.
+    /// Crashes an actor of a robot, which is then down until `Restart`. Only in an emulated team.
     Kill {
-        /// Role of the actor.
+        /// Role of the actor, such as agent or body.
         role: Role,
         /// Robot of the actor.
         robot: RobotId,
     },
-    /// Restarts a crashed actor. Only under emulation.
+    /// Restarts an actor that was crashed by `Kill`. Only in an emulated team.
     Restart {
-        /// Role of the actor.
+        /// Role of the actor, such as agent or body.
         role: Role,
         /// Robot of the actor.
         robot: RobotId,
     },
-    /// Sets faults of a link, in addition to those of the deployment. Only under emulation.
+    /// Sets the faults of a link, in addition to those of the deployment. Only in an emulated team.
     Link {
         /// Name of the link.
         link: String,
         /// Whether the link loses every frame.
         cut: bool,
-        /// Additional delay of every frame \[ms\].
+        /// Delay that is added to every frame \[ms\].
         delay_ms: f64,
         /// Probability, 0 to 1, that a frame is lost.
         loss: f64,
@@ -63,28 +63,28 @@ pub enum Command {
         /// Time since the start of the record \[s\].
         at_s: f64,
     },
-    /// Jumps to the next change of the robots' states in a record and halts there.
+    /// Jumps to the next or previous change of the robots' states in a record, and halts there.
     Step {
-        /// Whether to jump to the previous change instead.
+        /// Whether to jump to the previous change instead of the next.
         back: bool,
     },
 }
 
-/// Permission that a command needs.
+/// Permission that a command of a browser needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Right {
-    /// None: every browser that can open the page may give the command.
+    /// No permission: every browser that can open the page may give the command.
     Anyone,
-    /// The browser has sent the token, and the process accepts orders to the team.
+    /// The browser has sent the page's token, and the process accepts orders to the team.
     Control,
-    /// As `Control`, and the team is emulated.
+    /// The browser has sent the page's token, the process accepts orders to the team, and the team is emulated.
     Emulation,
-    /// The browser has sent the token, and the process plays a record.
+    /// The browser has sent the page's token, and the process plays a record.
     Playback,
 }
 
 impl Command {
-    /// Parses a command from a browser's message. The error is a text for the user.
+    /// Parses a browser's message and checks the ranges of its numbers. The error is a text for the user.
     pub fn parse(text: &str) -> Result<Command, String> {
         let command: Command = serde_json::from_str(text).map_err(|error| format!("no command: {error}"))?;
         if let Command::Link { link, delay_ms, loss, .. } = &command {

@@ -18,7 +18,7 @@ struct Arrivals {
     covered: u32,
 }
 
-/// Reception statistics of all robots' messages at all hosts.
+/// Reception of all robots' latents at all hosts: age of the newest, and loss.
 #[derive(Clone, Debug)]
 pub(super) struct Heard {
     /// Number of messages published by each robot.
@@ -28,17 +28,17 @@ pub(super) struct Heard {
 }
 
 impl Heard {
-    /// Creates reception statistics without any message, for this number of robots and hosts.
+    /// Returns statistics without any message, for this number of robots and of hosts.
     pub fn new(robots: usize, hosts: usize) -> Heard {
         Heard { published: vec![0; robots], arrivals: vec![BTreeMap::new(); hosts] }
     }
 
-    /// Counts a message that a robot has published.
+    /// Counts a latent that a robot has published.
     pub fn published(&mut self, robot: RobotId) {
         self.published[robot.index()] += 1;
     }
 
-    /// Counts the arrival of a robot's newest message at the host `at`.
+    /// Counts the arrival of a robot's newest latent at the host `at`.
     pub fn arrived(&mut self, now: Time, at: HostId, robot: RobotId) {
         let number = self.published[robot.index()];
         let Some(table) = self.arrivals.get_mut(usize::from(at.0)) else { return };
@@ -50,8 +50,8 @@ impl Heard {
         (entry.last, entry.number) = (now, number);
     }
 
-    /// Returns the age of a robot's newest message at the host `at`, and the share of the robot's last 64 messages that
-    /// were lost on the way to it \[%\]; `None` before the first arrival.
+    /// Returns the age of a robot's newest latent at the host `at`, and the share \[%\] of the robot's last 64 latents
+    /// that have not arrived there; `None` before the first arrival.
     pub fn link(&self, now: Time, at: HostId, robot: RobotId) -> Option<(Span, u8)> {
         let entry = self.arrivals.get(usize::from(at.0))?.get(&robot)?;
         // The newest message may still be in flight, so it does not count as lost.

@@ -36,12 +36,13 @@ pub struct Metrics {
 }
 
 impl Metrics {
-    /// Makes the metrics of a process with all counts at zero. `hosts` are the names of the team's hosts.
+    /// Returns the metrics of a process with all counts at zero. `hosts` are the names of the team's hosts, in the
+    /// order of their ids.
     pub fn new(hosts: Vec<String>) -> Metrics {
         Metrics { hosts, ..Metrics::default() }
     }
 
-    /// Updates the counts from an event of the process.
+    /// Updates the counts by an event of the host `host`.
     pub fn take(&mut self, host: HostId, event: ProcessEvent) {
         match event {
             ProcessEvent::Published(frame) => {
@@ -56,8 +57,8 @@ impl Metrics {
         }
     }
 
-    /// Adds the ages of messages in a snapshot to the histogram: those of its links, or, without links, those of the
-    /// robots' newest messages.
+    /// Adds the ages of the messages that a snapshot shows to the histogram: of the newest message of each link, or
+    /// without links of each robot.
     pub fn sample(&mut self, picture: &Snapshot) {
         let links = picture.links.iter().filter_map(|link| link.age);
         let robots = picture.robots.iter().filter(|_| picture.links.is_empty()).filter_map(|robot| robot.age);
@@ -67,12 +68,12 @@ impl Metrics {
         }
     }
 
-    /// Sets the number of events missing in the process's record.
+    /// Sets the number of events that the process's record lacks.
     pub fn dropped(&mut self, events: u64) {
         self.recording_dropped = Some(events);
     }
 
-    /// Returns all metrics as text. `view` is the state of the team as known to the process.
+    /// Returns all metrics in the text format of Prometheus. `view` is the team's state as known to the process.
     pub fn text(&self, view: &TeamView) -> String {
         let mut out = Text(String::new());
         out.about("build_info", "gauge", "1, with the version of the program");

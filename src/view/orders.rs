@@ -13,7 +13,8 @@ const PATIENCE: Span = Span::from_millis(3000);
 /// Shortest time for which an order is repeated, so that hosts that missed it receive it.
 const AT_LEAST: Span = Span::from_millis(500);
 
-/// Orders that a process gives to its team for the live page: the one in progress, and the result of the last one.
+/// Orders that a process gives to its team for the live page (stop, re-arm, resume, hold): the one in progress, and the
+/// result of the last one.
 #[derive(Debug)]
 pub struct Orders {
     me: HostId,
@@ -24,14 +25,14 @@ pub struct Orders {
 }
 
 impl Orders {
-    /// Creates the state without an order in progress. `me` is this process's host id as an operator, `robots` the
-    /// number of robots.
+    /// Returns the state without an order. `me` is the host id of this process as an operator, `robots` the number of
+    /// robots.
     pub fn new(me: HostId, robots: usize) -> Orders {
         Orders { me, robots, running: None, result: None }
     }
 
     /// Starts an order of this kind, in place of the order in progress. A stop in progress continues if a stop is given
-    /// again. Until it is confirmed, all other orders are refused with an error text.
+    /// again. Until it is confirmed, other orders are refused with an error text.
     pub fn give(&mut self, now: Time, kind: OrderKind) -> Result<(), &'static str> {
         match &self.running {
             Some((order, OrderKind::Stop, _)) if kind != OrderKind::Stop && order.confirmed_at().is_none() => {
@@ -45,8 +46,8 @@ impl Orders {
         }
     }
 
-    /// Starts an order to hold the team until it is resumed, unless a stop is in progress. `latch` is the team's
-    /// present emergency stop state.
+    /// Starts an order to hold the team (robots stand until it is resumed), unless a stop is in progress. `latch` is
+    /// the team's present state of the emergency stop.
     pub fn hold(&mut self, now: Time, latch: Latch) {
         if !matches!(self.running, Some((_, OrderKind::Stop, _))) {
             let order = Order::meaning(self.me, OrderKind::Hold, self.robots, latch);
@@ -54,7 +55,7 @@ impl Orders {
         }
     }
 
-    /// Handles a host's status, which confirms the order for its robots.
+    /// Handles the status of a host, by which it confirms the order in progress for its robots.
     pub fn hear(&mut self, now: Time, status: &Status) {
         let Some((order, kind, began)) = &mut self.running else { return };
         let before = order.confirmed_at();
@@ -65,8 +66,8 @@ impl Orders {
         }
     }
 
-    /// Returns the message that is to be sent now, if any. Must be called at least every 20 ms while an order is in
-    /// progress.
+    /// Returns the message that is to be sent to the team now; `None` if there is none. It must be called at least
+    /// every 20 ms while an order is in progress.
     pub fn turn(&mut self, now: Time) -> Option<Stop> {
         let (order, kind, began) = self.running.as_mut()?;
         let lasted = now.since(*began);
@@ -92,7 +93,7 @@ impl Orders {
         out.pop()
     }
 
-    /// Returns whether an order is in progress.
+    /// Returns whether an order has been given that is not yet confirmed or given up.
     pub fn is_running(&self) -> bool {
         self.running.is_some()
     }

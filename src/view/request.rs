@@ -9,11 +9,11 @@ use sha1_smol::Sha1;
 
 use super::access::{self, Access};
 
-/// Largest header of a request \[bytes\].
+/// Largest header of an HTTP request that is accepted \[bytes\].
 pub const MAX_HEADER_BYTES: usize = 8192;
 /// Largest number of header lines.
 const MAX_HEADERS: usize = 64;
-/// Longest time to receive the whole header.
+/// Longest time in which the whole header of an HTTP request must arrive.
 pub const HEADER_TIME: Duration = Duration::from_secs(5);
 
 /// Time without a sign of life of the thread that drives the team after which the program counts as unhealthy.
@@ -39,15 +39,15 @@ const FILES: [(&str, &str, &str); 3] = [
     ("/page.js", "text/javascript; charset=utf-8", include_str!("page/page.js")),
 ];
 
-/// WebSocket of a page, by its path.
+/// Kind of a WebSocket connection of the live page, by its path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Socket {
-    /// Snapshots of the team, binary; the server alone sends.
+    /// Pictures of the team in binary form, from the server to the browser.
     View,
-    /// States from the server and commands from the browser. Separate from the snapshots, so that it never queues
-    /// behind them.
+    /// States from the server, and commands from the browser. It is separate from the pictures, so that a command never
+    /// waits behind them.
     Control {
-        /// Whether the browser has sent the token.
+        /// Whether the browser has sent the page's token.
         holder: bool,
     },
 }
@@ -55,27 +55,27 @@ pub enum Socket {
 /// Response to an HTTP request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Response {
-    /// The whole response: a file or an error.
+    /// Complete response with a file or an error, as bytes.
     Whole(Vec<u8>),
-    /// A request for the metrics; the server makes the response.
+    /// Answer to a request for the metrics, which the server has to make.
     Metrics,
-    /// A request for the health of the thread that drives the team; the server makes the response.
+    /// Answer to a request for the health of the program, which the server has to make.
     Health,
-    /// An accepted WebSocket: its kind, and the bytes of the handshake's response.
+    /// Accepted WebSocket connection: its kind, and the bytes of the response to the handshake.
     Upgrade(Socket, Vec<u8>),
 }
 
-/// Received header of a request.
+/// Received header of an HTTP request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Header {
-    /// Bytes of the header, with the empty line at its end.
+    /// Bytes of the header, including the empty line at its end.
     pub bytes: Vec<u8>,
-    /// Bytes received after the header.
+    /// Bytes that were received after the header.
     pub rest: Vec<u8>,
 }
 
-/// Reads the header of a request within [`HEADER_TIME`]. The error is the response to a header that is too large, or
-/// `None` if the connection has ended or was too slow.
+/// Reads the header of an HTTP request within [`HEADER_TIME`]. The error is the response to a header that is too large,
+/// or `None` if the connection has ended or was too slow.
 pub fn read_header(stream: &mut TcpStream) -> Result<Header, Option<Vec<u8>>> {
     let until = Instant::now() + HEADER_TIME;
     let mut bytes = Vec::new();
@@ -108,12 +108,13 @@ fn too_large() -> Vec<u8> {
     refusal("431 Request Header Fields Too Large", "the header is larger than 8 kB")
 }
 
-/// Returns the response to a connection beyond the limit of connections.
+/// Returns the response to a connection that exceeds the largest number of connections.
 pub fn too_many() -> Vec<u8> {
     refusal("503 Service Unavailable", "too many connections: close other pages")
 }
 
-/// Returns the response to a request with this header, received at the server's address `local`.
+/// Returns the response to a request with the header `header` that was received at the server's address `local`.
+/// `access` has the rules of who may request what.
 pub fn respond(header: &[u8], local: SocketAddr, access: &Access) -> Response {
     let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
     let mut request = httparse::Request::new(&mut headers);
@@ -204,7 +205,8 @@ fn accept_key(key: &str) -> String {
     BASE64.encode(&digest.digest().bytes())
 }
 
-/// Returns the response with these metrics in the text format of Prometheus. An empty text gives an error response.
+/// Returns the HTTP response with these metrics, in the text format of Prometheus. An empty text gives an error
+/// response.
 pub fn metrics(text: &str) -> Vec<u8> {
     match text {
         "" => refusal("404 Not Found", "there are no metrics yet, and none of a record"),
@@ -212,8 +214,8 @@ pub fn metrics(text: &str) -> Vec<u8> {
     }
 }
 
-/// Returns the response about the program's health. `silent_for` is the time since the last sign of life of the thread
-/// that drives the team.
+/// Returns the HTTP response about the program's health: an error if `silent_for`, the time since the last sign of life
+/// of the thread that drives the team, is 3 s or longer.
 pub fn health(silent_for: Duration) -> Vec<u8> {
     if silent_for < HEALTHY {
         return response("200 OK", "text/plain; charset=utf-8", "ok\n");

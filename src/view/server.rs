@@ -20,7 +20,7 @@ use super::request::{self, Response};
 use super::session;
 use super::shared::{LOOK, Shared, Slot};
 
-/// Largest number of simultaneous connections. A page has two, and three more while it loads.
+/// Largest number of simultaneous connections to the live page's server. A page has two, and three more while it loads.
 pub const MAX_CONNECTIONS: usize = 32;
 /// Capacity of the command queue. Further commands are refused.
 const MAX_COMMANDS: usize = 64;
@@ -35,7 +35,7 @@ pub struct Server {
     address: SocketAddr,
 }
 
-/// Interface of the live page's server for the thread that drives or watches the team: publishes snapshots and states,
+/// Interface to the live page's server for the thread that drives or watches the team: publishes pictures and states,
 /// and takes commands. Only `wait` blocks.
 pub struct Publisher {
     shared: Arc<Shared>,
@@ -43,8 +43,8 @@ pub struct Publisher {
 }
 
 impl Server {
-    /// Opens a server at `listen` (port 0 selects any free port) and starts its thread. `scene` is the JSON message
-    /// that every page gets first.
+    /// Opens a server at `listen` (port 0 selects any free port) and starts its thread. `scene` is the JSON text with
+    /// the constant properties of the run, which every page gets first.
     pub fn open(listen: SocketAddr, access: Access, scene: String) -> io::Result<(Server, Publisher)> {
         let listener = TcpListener::bind(listen)?;
         let address = listener.local_addr()?;
@@ -80,12 +80,12 @@ impl Server {
         self.shared.connections.load(Ordering::Relaxed)
     }
 
-    /// Returns the number of refused requests and commands so far.
+    /// Returns the number of requests and commands that were refused so far.
     pub fn refused(&self) -> u64 {
         self.shared.refused.load(Ordering::Relaxed)
     }
 
-    /// Closes the server. Pages receive the last status if they read it within half a second.
+    /// Closes the server. Pages still get the last status if they read it within half a second.
     pub fn close(self) {
         self.shared.closing.store(true, Ordering::Release);
         // The connection unblocks the accepting thread.
@@ -98,40 +98,40 @@ impl Server {
 }
 
 impl Publisher {
-    /// Publishes the newest snapshot to the pages. Returns `false`, without waiting, if a page is reading at this
-    /// moment.
+    /// Publishes the newest encoded picture of the team. Returns `false`, without waiting, if it was not stored because
+    /// another thread is reading the previous one.
     pub fn snapshot(&self, bytes: Vec<u8>) -> bool {
         self.shared.snapshot.offer(bytes.into())
     }
 
-    /// Publishes the robots' newest goals as JSON. Returns `false`, without waiting, if a page is reading at this
-    /// moment.
+    /// Publishes the robots' newest goals as JSON. Returns `false`, without waiting, if they were not stored because
+    /// another thread is reading the previous ones.
     pub fn goals(&self, json: String) -> bool {
         self.shared.goals.offer(json.into())
     }
 
-    /// Publishes the team's newest status as JSON. Returns `false`, without waiting, if a page is reading at this
-    /// moment.
+    /// Publishes the team's newest status as JSON. Returns `false`, without waiting, if it was not stored because
+    /// another thread is reading the previous one.
     pub fn status(&self, json: String) -> bool {
         self.shared.note_news();
         self.shared.status.offer(json.into())
     }
 
-    /// Publishes the newest text of the metrics. Returns `false`, without waiting, if a reader has it locked at this
-    /// moment.
+    /// Publishes the newest metrics as text. Returns `false`, without waiting, if they were not stored because another
+    /// thread is reading the previous ones.
     pub fn metrics(&self, text: String) -> bool {
         self.shared.note_news();
         self.shared.metrics.offer(text)
     }
 
-    /// Returns the next command of a browser without waiting, an emergency stop before all others; `None` if there is
+    /// Returns the next command from a browser without waiting, an emergency stop before all others; `None` if there is
     /// none.
     pub fn command(&self) -> Option<Command> {
         self.stop().or_else(|| std::iter::from_fn(|| self.commands.try_recv().ok()).find(is_queued))
     }
 
-    /// Waits at most `limit` for the next command of a browser and returns it; `None` if there is none. For a
-    /// simulation at real-time pace, which waits anyway.
+    /// Waits at most `limit` for the next command from a browser and returns it; `None` if there is none. It is for a
+    /// simulation at the pace of real time, which waits anyway.
     pub fn wait(&self, limit: Duration) -> Option<Command> {
         let command = match self.command() {
             None => self.commands.recv_timeout(limit).ok()?,

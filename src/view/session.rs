@@ -19,7 +19,8 @@ const REPEAT: Duration = Duration::from_millis(500);
 /// Largest number of client messages that are handled before something is sent again.
 const AT_ONCE: usize = 8;
 
-/// Serves a WebSocket until either side ends it. `rest` are the bytes received after the request's header.
+/// Serves a WebSocket connection of the kind `socket` until either side ends it. `rest` are the bytes that were
+/// received after the request's header.
 pub(super) fn run(stream: TcpStream, rest: Vec<u8>, socket: Socket, shared: &Shared) {
     if stream.set_read_timeout(Some(LOOK)).is_err() {
         return;

@@ -10,21 +10,22 @@ use tungstenite::{Bytes, Utf8Bytes};
 use super::access::Access;
 use super::command::Command;
 
-/// Period at which serving threads poll for new values.
+/// Period at which the threads of the live page's server look for new values.
 pub(super) const LOOK: Duration = Duration::from_millis(20);
 
-/// Slot for the newest value of one kind, with a version number.
+/// Slot for the newest value of one kind, such as the team's status, with a version number.
 pub(super) struct Slot<T> {
     number: AtomicU64,
     value: Mutex<T>,
 }
 
 impl<T: Clone> Slot<T> {
+    /// Returns a slot with this value; its version number is 0.
     pub fn new(value: T) -> Slot<T> {
         Slot { number: AtomicU64::new(0), value: Mutex::new(value) }
     }
 
-    /// Stores a newer value unless a reader holds the lock; returns whether it was stored.
+    /// Stores a newer value unless another thread is reading the present one; returns whether it was stored.
     pub fn offer(&self, value: T) -> bool {
         let mut place = match self.value.try_lock() {
             Ok(place) => place,
@@ -41,7 +42,7 @@ impl<T: Clone> Slot<T> {
         self.value.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Returns the value if its version is not `seen`, and updates `seen`.
+    /// Returns the value if its version is not `seen`, and sets `seen` to its version; otherwise returns `None`.
     pub fn newer(&self, seen: &mut u64) -> Option<T> {
         let number = self.number.load(Ordering::Acquire);
         if number == *seen {
@@ -54,26 +55,37 @@ impl<T: Clone> Slot<T> {
 
 /// State shared by all threads of the live page's server.
 pub(super) struct Shared {
+    /// Access rules: which commands are accepted, and from which browsers.
     pub access: Access,
+    /// Constant properties of the run as JSON, which every page gets first.
     pub scene: Utf8Bytes,
+    /// Newest picture of the team, encoded for the page.
     pub snapshot: Slot<Bytes>,
+    /// Newest goals of the robots as JSON.
     pub goals: Slot<Utf8Bytes>,
+    /// Newest status of the team as JSON.
     pub status: Slot<Utf8Bytes>,
     /// Metrics in the text format of Prometheus; empty if there are none.
     pub metrics: Slot<String>,
-    /// Time of the last sign of life of the thread that drives the team, since `began` \[ms\].
+    /// Time of the last sign of life of the thread that drives the team \[ms\], since `began`.
     pub news_ms: AtomicU64,
+    /// Time at which the server was opened.
     pub began: Instant,
-    /// A requested stop. It is a flag and not in the queue, because the queue can be full.
+    /// Whether a browser has requested an emergency stop. It is a flag and not in the queue, because the queue can be
+    /// full.
     pub stop: AtomicBool,
+    /// Sending end of the bounded queue of browsers' commands.
     pub commands: SyncSender<Command>,
+    /// Whether the server is being closed.
     pub closing: AtomicBool,
+    /// Number of present connections.
     pub connections: AtomicUsize,
+    /// Number of requests and commands that were refused so far.
     pub refused: AtomicU64,
 }
 
 impl Shared {
-    /// Records a sign of life of the thread that drives the team.
+    /// Records a sign of life of the thread that drives the team, at the present time.
     pub fn note_news(&self) {
         self.news_ms.store(self.began.elapsed().as_millis() as u64, Ordering::Relaxed);
     }

@@ -11,15 +11,15 @@ use crate::messages::geometry::Vec2;
 use crate::messages::wire::Phase;
 use crate::time::{Span, Time};
 
-/// Version of the binary encoding of snapshots.
+/// Version of the binary encoding of snapshots, the pictures of a team for the live page.
 pub const VERSION: u8 = 1;
-/// Length of the header of an encoded snapshot \[bytes\].
+/// Length of the header of an encoded snapshot (picture of a team) \[bytes\].
 pub const HEADER_BYTES: usize = 16;
-/// Length of one robot's entry in an encoded snapshot \[bytes\].
+/// Length of one robot's entry in an encoded snapshot (picture of a team) \[bytes\].
 pub const ROBOT_BYTES: usize = 9;
-/// Length of one link's entry in an encoded snapshot \[bytes\].
+/// Length of one link's entry in an encoded snapshot (picture of a team) \[bytes\].
 pub const LINK_BYTES: usize = 6;
-/// Largest number of links in a snapshot: 36 kB, or 360 kB/s at ten snapshots a second.
+/// Largest number of links in a snapshot (picture of a team): 36 kB, or 360 kB/s at ten snapshots a second.
 pub const MAX_LINKS: usize = 6000;
 
 /// Largest encoded coordinate: number of steps from the origin to the edge of the scene.
@@ -35,34 +35,35 @@ const ROBOT_AGE: Span = Span::from_millis(20);
 /// Unit of a link's encoded age.
 const LINK_AGE: Span = Span::from_millis(10);
 
-/// State of one robot in a snapshot. A field is `None` if it is unknown.
+/// State of one robot in a picture of the team. A field is `None` if it is unknown.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RobotState {
     /// Position of the robot's centre \[m\], world frame.
     pub position: Option<Vec2>,
     /// Heading \[rad\], counter-clockwise from the x axis of the world frame.
     pub heading: Option<f32>,
-    /// Phase of the episode that the robot is in.
+    /// Phase of the episode in which the robot is.
     pub phase: Option<Phase>,
     /// Time since this process last received a message about the robot.
     pub age: Option<Span>,
-    /// Whether the robot touches another robot or a wall, in a simulation.
+    /// Whether the robot touches another robot or a wall; always false for a real robot.
     pub touches: bool,
-    /// Whether the robot follows an emergency stop or a hold.
+    /// Whether the robot stands because of an emergency stop or a hold.
     pub latched: bool,
 }
 
-/// Link between two robots within communication range.
+/// Link between two robots within communication range, in a picture of the team.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinkState {
     /// Id of the first robot.
     pub one: u16,
     /// Id of the second robot, larger than the first.
     pub other: u16,
-    /// Age of the newest message in the direction where it is older; `None` until a message has arrived in both
-    /// directions.
+    /// Age of the newest message between the two robots, in the direction in which it is older; `None` until a message
+    /// has arrived in both directions.
     pub age: Option<Span>,
-    /// Share of recent messages that were lost \[%\], in the worse direction; `None` before the first arrival.
+    /// Share of recent messages between the two robots that were lost \[%\], in the worse direction; `None` before the
+    /// first arrival.
     pub loss: Option<u8>,
 }
 
@@ -73,19 +74,20 @@ pub struct Snapshot {
     pub now: Time,
     /// States of the robots, in the order of robot ids.
     pub robots: Vec<RobotState>,
-    /// Links between robots within range, at most `MAX_LINKS` (6000).
+    /// Links between robots within communication range, at most `MAX_LINKS` (6000).
     pub links: Vec<LinkState>,
-    /// Number of links omitted because there are more than `MAX_LINKS`.
+    /// Number of links that are left out because there are more than `MAX_LINKS` (6000).
     pub left_out: usize,
 }
 
-/// Returns the unit of encoded coordinates \[m\] for positions up to `reach_m` \[m\] from the origin.
+/// Returns the unit of encoded coordinates \[m\] with which positions up to `reach_m` \[m\] from the origin can be
+/// encoded.
 pub fn scale_m(reach_m: f32) -> f32 {
     reach_m / STEPS
 }
 
 impl Snapshot {
-    /// Encodes the snapshot for the page. `scale_m` is the unit of encoded coordinates \[m\].
+    /// Encodes the snapshot in the binary form for the live page. `scale_m` is the unit of encoded coordinates \[m\].
     pub fn encode(&self, scale_m: f32) -> Vec<u8> {
         let small = |number: usize| u16::try_from(number).unwrap_or(u16::MAX).to_le_bytes();
         let mut bytes =

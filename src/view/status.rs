@@ -6,12 +6,12 @@ use serde::Serialize;
 
 use crate::scenario::arena::Arena;
 
-/// Largest number of log lines in a status.
+/// Largest number of log lines that the live page gets.
 pub const LOG_LINES: usize = 40;
 /// Longest log line \[characters\].
 const LINE: usize = 300;
 
-/// Properties of a run that do not change, which the live page gets first: scenario, ground, robots and links.
+/// Constant properties of a run, which the live page gets first: scenario, ground, robots and links.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Scene {
     /// Name of the scenario.
@@ -26,38 +26,39 @@ pub struct Scene {
     pub episodes: u32,
     /// Half the size of the ground along x and y \[m\]; its middle is the origin.
     pub half_extent: [f32; 2],
-    /// Solid blocks: smallest x and y, then largest x and y \[m\], world frame.
+    /// Walls and other solid blocks: smallest x and y, then largest x and y \[m\], world frame.
     pub walls: Vec<[f32; 4]>,
     /// Radius of a robot's hull \[m\].
     pub hull_m: f32,
-    /// Communication range \[m\]; null if it is unlimited.
+    /// Communication range of the robots \[m\]; null if it is unlimited.
     pub range_m: Option<f32>,
-    /// Unit of encoded coordinates in snapshots \[m\].
+    /// Unit of the coordinates in encoded pictures of the team \[m\].
     pub scale_m: f32,
-    /// Commands that the process accepts: the stop alone, orders to the team, or faults as well.
+    /// Commands that the process accepts from the page, as a word: `stop` (emergency stop alone), `team` (all orders to
+    /// the team), `emulation` (faults, too) or `playback` (of a record).
     pub control: &'static str,
-    /// Names of the links, on which the page can put faults if the team is emulated.
+    /// Names of the deployment's links. In an emulated team the page can put faults on them.
     pub links: Vec<String>,
-    /// Whether this process receives enough to show links between robots.
+    /// Whether this process receives enough messages to show the links between robots.
     pub hears_links: bool,
     /// Whether this process knows the results of episodes.
     pub hears_results: bool,
-    /// Record that is played; null for a running team.
+    /// Properties of the record that is played; null for a running team.
     pub record: Option<Record>,
 }
 
-/// Properties of a record that the page's scrubber needs.
+/// Properties of a record that the live page needs to play it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Record {
     /// Name of the record's file or folder.
     pub name: String,
     /// Duration of the record \[s\].
     pub duration_s: f64,
-    /// Marks of the record, in the order of time.
+    /// Marks on the timeline of the record (such as ends of episodes), in the order of time.
     pub marks: Vec<Mark>,
 }
 
-/// Kind of a mark on the timeline of a record.
+/// Kind of an event that is marked on the timeline of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MarkKind {
@@ -65,7 +66,7 @@ pub enum MarkKind {
     Success,
     /// An episode has ended without success.
     Failure,
-    /// The emergency stop state of the team has changed.
+    /// The emergency stop of the team was engaged, re-armed or cleared.
     Stop,
     /// The guard of a robot has begun to stop or slow it.
     Guard,
@@ -92,7 +93,8 @@ pub struct Playback {
 }
 
 impl Scene {
-    /// Makes the scene of an arena. Encoded positions reach 2 m beyond its ground; the other fields have defaults.
+    /// Returns the scene of an arena, with ground, walls and the robots' radius; the other fields have defaults.
+    /// Encoded positions may be up to 2 m beyond the ground.
     pub fn of_arena(arena: &Arena) -> Scene {
         let half = arena.half_extent.to_array();
         let wall = |block: &crate::scenario::arena::KeepOut| {
@@ -109,7 +111,7 @@ impl Scene {
         }
     }
 
-    /// Encodes the scene as JSON for the page.
+    /// Encodes the scene as a JSON message to the page.
     pub fn to_json(&self) -> String {
         message("scene", self)
     }
@@ -123,13 +125,13 @@ pub struct Goals {
 }
 
 impl Goals {
-    /// Encodes the goals as JSON for the page.
+    /// Encodes the goals as a JSON message to the page.
     pub fn to_json(&self) -> String {
         message("goals", self)
     }
 }
 
-/// Number of successful episodes with its Wilson interval.
+/// Number of successful episodes, with the 95 % Wilson interval of the success rate.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Success {
     /// Number of successful episodes.
@@ -140,56 +142,56 @@ pub struct Success {
     pub interval: [f64; 2],
 }
 
-/// Faults that a page has set on one link.
+/// Faults that a user of the live page has put on one link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct LinkImpairment {
     /// Whether the link loses every frame.
     pub cut: bool,
-    /// Additional delay of every frame \[ms\].
+    /// Delay that is added to every frame \[ms\].
     pub delay_ms: f64,
     /// Probability, 0 to 1, that a frame is lost.
     pub loss: f64,
 }
 
-/// State of the team as the page shows it beside the picture.
+/// State of the team that the live page shows besides the picture of the robots.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Status {
     /// Time since the start of the run \[s\].
     pub time_s: f64,
-    /// Simulated seconds per second of real time, over the last second; null on real robots.
+    /// Simulated seconds per second of real time, over the last second; null if the team is not simulated.
     pub speed: Option<f64>,
     /// Number of the current episode, from 1; null before an instruction of the state server was received.
     pub episode: Option<u32>,
-    /// Phase of the episode according to the state server; null before an instruction of it was received.
+    /// Code of the phase of the episode according to the state server; null before an instruction of it was received.
     pub phase: Option<u8>,
-    /// Emergency stop of the team: clear, held or stopped.
+    /// State of the team's emergency stop, as a word: `clear`, `held` (re-armed, and not resumed yet) or `stopped`.
     pub latch: &'static str,
-    /// Number of robots that follow this emergency stop state.
+    /// Number of robots that follow this state of the emergency stop.
     pub confirmed: usize,
     /// Number of robots.
     pub robots: usize,
-    /// Whether an order of a page is not yet confirmed by all robots.
+    /// Whether an order from a page (such as stop or resume) waits for the confirmation of all robots.
     pub ordering: bool,
-    /// Whether the team pauses after the current episode: `no`, `asked`, or `yes` once it has paused.
+    /// Pause of the team: `no`, `asked` (it pauses after the current episode), or `yes` once it has paused.
     pub pause: &'static str,
-    /// Number of episodes by verdict.
+    /// Number of episodes with each verdict, by the verdict's name.
     pub verdicts: BTreeMap<String, u32>,
-    /// Successful episodes so far; null if this process does not know results.
+    /// Success rate so far; null if this process does not know the results of episodes.
     pub success: Option<Success>,
-    /// Number of times that control ticks became late, by robot, where it is known.
+    /// Number of times that a robot's control ticks began to be late, with the robot's id, where it is known.
     pub late: Vec<(u16, u64)>,
-    /// By robot: age of its oldest link to a neighbour \[ms\], as its host reports it. Used if this process does not
-    /// know the links themselves.
+    /// Age of a robot's oldest link to a neighbour \[ms\], as its host reports it, with the robot's id. The page shows
+    /// it if this process does not know the links themselves.
     pub link: Vec<(u16, u32)>,
-    /// Last reason why a robot's guard has stopped or slowed it, by robot.
+    /// Last reason why a robot's guard has stopped or slowed it, with the robot's id.
     pub guard: Vec<(u16, &'static str)>,
-    /// Battery charge by robot \[%\], where it is known.
+    /// Battery charge of a robot \[%\] with its id, where it is known.
     pub battery: Vec<(u16, u8)>,
-    /// Descriptions of the actors that a page has crashed.
+    /// Descriptions of the actors that a user of the page has crashed.
     pub killed: Vec<String>,
-    /// Faults that a page has set on links, by the link's name.
+    /// Faults that a user of the page has put on links, by the link's name.
     pub impaired: BTreeMap<String, LinkImpairment>,
-    /// Newest log lines: number of the line, time since the start of the run \[s\], text.
+    /// Newest lines of the log, each with its number, the time since the start of the run \[s\] and its text.
     pub log: VecDeque<(u64, f64, String)>,
     /// Whether the run is over.
     pub over: bool,
@@ -198,13 +200,13 @@ pub struct Status {
 }
 
 impl Status {
-    /// Encodes the status as JSON for the page.
+    /// Encodes the status as a JSON message to the page.
     pub fn to_json(&self) -> String {
         message("status", self)
     }
 }
 
-/// Newest log lines of a run, for the page.
+/// Newest lines of a run's log, for the live page.
 #[derive(Clone, Debug, Default)]
 pub struct Log {
     lines: VecDeque<(u64, f64, String)>,
@@ -212,7 +214,7 @@ pub struct Log {
 }
 
 impl Log {
-    /// Adds a line at the time `time_s` \[s\] of the run.
+    /// Adds a line to the log. `time_s` is the time since the start of the run \[s\].
     pub fn add(&mut self, time_s: f64, line: &str) {
         self.count += 1;
         self.lines.push_back((self.count, time_s, line.chars().take(LINE).collect()));
@@ -221,12 +223,13 @@ impl Log {
         }
     }
 
-    /// Returns the number of lines added to the log since the start of the run.
+    /// Returns the number of lines that were added to the log since the start of the run.
     pub fn count(&self) -> u64 {
         self.count
     }
 
-    /// Returns the newest lines of the log: number of the line, time of the run \[s\], text.
+    /// Returns the newest lines of the log, each with its number, the time since the start of the run \[s\] and its
+    /// text.
     pub fn lines(&self) -> &VecDeque<(u64, f64, String)> {
         &self.lines
     }

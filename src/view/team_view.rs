@@ -58,7 +58,8 @@ impl RobotView {
     }
 }
 
-/// State of a team, built from messages, true states of simulated robots, and results.
+/// State of a team as a process knows it, from the messages, true states of simulated robots and results that it has
+/// received.
 #[derive(Clone, Debug)]
 pub struct TeamView {
     scene: Scene,
@@ -77,8 +78,8 @@ pub struct TeamView {
 }
 
 impl TeamView {
-    /// Creates a view of a team without any received message. `homes` are the hosts of the robots' agents, in the order
-    /// of robot ids; `hosts` is the number of hosts.
+    /// Returns the state of a team of which nothing was received yet. `scene` has its constant properties. `homes` has
+    /// the host of each robot's agent, in the order of robot ids; `hosts` is the number of hosts.
     pub fn new(scene: Scene, homes: Vec<HostId>, hosts: usize) -> TeamView {
         let robots = scene.robots;
         TeamView {
@@ -96,22 +97,22 @@ impl TeamView {
         }
     }
 
-    /// Returns the properties of the run that do not change.
+    /// Returns the constant properties of the run: scenario, ground, robots and links.
     pub fn scene(&self) -> &Scene {
         &self.scene
     }
 
-    /// Returns the number of changes of the goals so far, and the goals.
+    /// Returns the goals of the robots, and the number of times that any goal has changed so far.
     pub fn goals(&self) -> (u64, Goals) {
         (self.goals_changed, Goals { goals: self.goals.clone() })
     }
 
-    /// Number of changes of the goals so far.
+    /// Returns the number of times that any robot's goal has changed so far.
     pub fn goals_changed(&self) -> u64 {
         self.goals_changed
     }
 
-    /// Updates the view from a message that a robot or another host has published.
+    /// Updates the state by a message that a robot or another host has published.
     pub fn hear(&mut self, now: Time, message: &Wire) {
         match message {
             Wire::Reading(m) => self.measured(now, m.robot, m.pose),
@@ -157,7 +158,7 @@ impl TeamView {
         }
     }
 
-    /// Updates the arrival time of a robot's latent message at the host `at`.
+    /// Updates the state by the arrival of a robot's newest latent at the host `at`.
     pub fn arrived(&mut self, now: Time, at: HostId, robot: RobotId) {
         if robot.index() < self.robots.len() {
             self.heard.arrived(now, at, robot);
@@ -198,7 +199,7 @@ impl TeamView {
         }
     }
 
-    /// Updates the view from the true states of the simulated robots.
+    /// Updates the state by the true states of the simulated robots.
     pub fn see(&mut self, truth: &Truth) {
         for sample in truth.samples.iter() {
             self.robot(sample.robot, |robot| {
@@ -209,7 +210,7 @@ impl TeamView {
         }
     }
 
-    /// Counts and logs the result of an episode.
+    /// Updates the state by the result of an episode, and logs it.
     pub fn judged(&mut self, now: Time, episode: &Episode) {
         self.note(now, &format!("episode {}: {}", episode.episode + 1, episode.in_words()));
         *self.verdicts.entry(episode.verdict.word().to_owned()).or_default() += 1;
@@ -217,7 +218,8 @@ impl TeamView {
         self.successes += usize::from(episode.verdict == Verdict::Success);
     }
 
-    /// Updates the counts of a robot's guard, and logs the reasons whose counts have grown.
+    /// Updates the state by the counts of how often a robot's guard has stopped or slowed it, and logs the causes whose
+    /// counts have grown.
     pub fn guarded(&mut self, now: Time, id: RobotId, counts: SafetyCounts) {
         let Some(robot) = self.robots.get_mut(id.index()) else { return };
         let begun: Vec<Trigger> = counts.begun_since(&robot.safety).collect();
@@ -258,12 +260,12 @@ impl TeamView {
         self.robots.iter().enumerate().map(|(at, robot)| (RobotId(at as u16), robot.safety))
     }
 
-    /// Returns the number of episodes with each verdict.
+    /// Returns the number of episodes with each verdict, by the verdict's name.
     pub fn verdicts(&self) -> &BTreeMap<String, u32> {
         &self.verdicts
     }
 
-    /// Returns the number of lines added to the log so far.
+    /// Returns the number of lines that were added to the log so far.
     pub fn log_count(&self) -> u64 {
         self.log.count()
     }
@@ -273,7 +275,7 @@ impl TeamView {
         self.log.lines().back().map_or_else(String::new, |(.., line)| line.clone())
     }
 
-    /// Returns the newest state of the emergency stop that the state server or a robot has reported.
+    /// Returns the state of the team's emergency stop: the newest that the state server or a robot has reported.
     pub fn latch(&self) -> Latch {
         let latches = self.robots.iter().filter_map(|robot| robot.controller);
         let known = self.leader.map(|(.., latch)| latch).or_else(|| latches.clone().min()).unwrap_or_default();
@@ -286,8 +288,8 @@ impl TeamView {
         self.leader.map(|(phase, episode, _)| (phase, episode))
     }
 
-    /// Returns the number of robots that follow the team's emergency stop state. For a stop, both Controller and Body
-    /// must follow it.
+    /// Returns the number of robots that follow the team's state of the emergency stop. For a stop, a robot's guard and
+    /// its motors must both follow it.
     pub fn confirmed(&self) -> usize {
         let latch = self.latch();
         let follows = |own: Latch| own.word() == latch.word();
@@ -298,7 +300,7 @@ impl TeamView {
         self.robots.iter().filter(confirms).count()
     }
 
-    /// Returns the snapshot of the team at the time `now`.
+    /// Returns the picture of the team at the time `now`: states of robots, and links between them.
     pub fn snapshot(&self, now: Time) -> Snapshot {
         let state = |robot: &RobotView| RobotState {
             position: robot.position,
@@ -351,7 +353,8 @@ impl TeamView {
         (pairs.iter().map(link).collect(), left_out)
     }
 
-    /// Returns the status at the time `now`. Fields that only the calling process knows keep their defaults.
+    /// Returns the status of the team at the time `now`, as far as messages tell it. Fields that the calling process
+    /// has to fill, such as its speed, have defaults.
     pub fn status(&mut self, now: Time) -> Status {
         self.note_silence(now);
         let numbered = || self.robots.iter().enumerate().map(|(at, robot)| (at as u16, robot));

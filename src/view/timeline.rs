@@ -17,24 +17,25 @@ const PICTURES: u64 = 64;
 /// Largest number of marks of one kind on the timeline of a record; later ones are left out.
 const MARKS: usize = 400;
 
-/// Event of a run that changes the state of the team on the page.
+/// Event of a record that changes the state of the team on the live page.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Sight {
-    /// A message that a host has published, or, if the sender's own record is missing, one that has arrived at a host.
+    /// A message that a host has published. If the record of that host is missing, one that has arrived at another host.
     Message(Wire),
-    /// A robot's latent message has arrived at a host.
+    /// A latent of this robot has arrived at this host.
     Arrived(HostId, RobotId),
-    /// True states of simulated robots.
+    /// True states of the simulated robots at one instant.
     Truth(Truth),
     /// Result of an episode.
     Judged(Episode),
-    /// Counts of a robot's guard: how often it has stopped or slowed the robot, by cause.
+    /// Numbers of times that this robot's guard has stopped or slowed it, by cause.
     Guard(RobotId, SafetyCounts),
-    /// Battery charge of a robot \[%\].
+    /// Battery charge of this robot \[%\].
     Battery(RobotId, u8),
 }
 
-/// Events, stored states and marks of a record.
+/// Events of a record in the order of time, with marks and with stored states of the team, from which the state at any
+/// time is computed.
 #[derive(Debug)]
 pub struct Timeline {
     sights: Vec<(Time, Sight)>,
@@ -44,7 +45,7 @@ pub struct Timeline {
 }
 
 impl TeamView {
-    /// Applies an event of a record to the view.
+    /// Updates the state of the team by an event of a record, which happened at the time `now`.
     pub fn take(&mut self, now: Time, sight: &Sight) {
         match sight {
             Sight::Message(message) => self.hear(now, message),
@@ -58,7 +59,7 @@ impl TeamView {
 }
 
 impl Timeline {
-    /// Makes the timeline of a record from its events with their times. `view` is the state of the team before the
+    /// Returns the timeline of a record from its events, each with its time. `view` is the state of the team before the
     /// first event. Events at equal times keep their order.
     pub fn new(view: TeamView, mut sights: Vec<(Time, Sight)>) -> Timeline {
         sights.sort_by_key(|(at, _)| *at);
@@ -93,17 +94,17 @@ impl Timeline {
         timeline
     }
 
-    /// Returns the time of the last event of the record.
+    /// Returns the time of the last event of the record; zero if there is none.
     pub fn end(&self) -> Time {
         self.sights.last().map_or(Time::ZERO, |(at, _)| *at)
     }
 
-    /// Returns the marks of the record's timeline, in the order of time.
+    /// Returns the marks on the timeline of the record, in the order of time.
     pub fn marks(&self) -> &[Mark] {
         &self.marks
     }
 
-    /// Returns the state of the team at a time of the record, and the number of events up to it.
+    /// Returns the state of the team at the time `at` of the record, and the number of events up to it.
     pub fn picture(&self, at: Time) -> (TeamView, usize) {
         let wanted = self.sights.partition_point(|(time, _)| *time <= at);
         let before = self.pictures.partition_point(|(taken, _)| *taken <= wanted) - 1;
@@ -112,8 +113,8 @@ impl Timeline {
         (view, taken)
     }
 
-    /// Advances the state of the team, `view`, to the later time `to`. `taken` is the number of the record's events
-    /// that the state contains, and is updated.
+    /// Advances `view`, the state of the team, to the later time `to`. `taken` is the number of events that the state
+    /// includes, and is updated.
     pub fn advance(&self, view: &mut TeamView, taken: &mut usize, to: Time) {
         while let Some((at, sight)) = self.sights.get(*taken).filter(|(at, _)| *at <= to) {
             view.take(*at, sight);
@@ -121,8 +122,8 @@ impl Timeline {
         }
     }
 
-    /// Returns the time of the next change of the robots' states after `now`, or, with `back`, of the last change
-    /// before it. If there is none, returns the end or the start of the record.
+    /// Returns the time of the next change of the robots' states after `now`; if `back` is true, the time of the last
+    /// change before `now`. Without such a change, returns the end or the start of the record.
     pub fn step(&self, now: Time, back: bool) -> Time {
         let moves = |(_, sight): &&(Time, Sight)| match sight {
             Sight::Truth(_) => true,
