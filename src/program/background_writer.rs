@@ -51,8 +51,8 @@ impl Target {
         }
     }
 
-    /// Returns true if this destination and `other` are the same file, such as `/dev/stdout` and stdout. A pipe without
-    /// a reader is the same as nothing.
+    /// Returns true if this destination and the open file `other` are the same file, such as `/dev/stdout` and stdout.
+    /// A pipe that has no reader yet is the same as no file.
     pub fn is_same(&self, other: impl AsFd) -> bool {
         let place = |file: &File| file.metadata().map(|about| (about.dev(), about.ino()));
         let (Target::Open(file) | Target::Pipe(_, Some(file))) = self else { return false };
@@ -130,8 +130,8 @@ impl BackgroundWriter {
         self.0.lock().dropped
     }
 
-    /// Returns the error that has ended the writer thread; `None` if there is none, or if it was returned before. A
-    /// pipe closed by its reader is not an error.
+    /// Returns the error that has ended the writing, once; `None` before an error, and after it was returned. A pipe
+    /// that its reader closed is no error.
     pub fn failure(&self) -> Option<io::Error> {
         self.0.lock().failure.take()
     }

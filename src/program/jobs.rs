@@ -2,7 +2,8 @@
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-/// Returns the number of threads for `pieces` jobs: `asked`, or one per core if that is `None`; at most one per job.
+/// Returns the number of threads for `pieces` jobs: `asked`, or one per processor core if `asked` is `None`; never more
+/// than there are jobs.
 pub fn threads(asked: Option<u16>, pieces: usize) -> usize {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     asked.map_or(cores, usize::from).min(pieces)

@@ -152,18 +152,19 @@ impl Command {
     }
 }
 
-/// How a command ended that did not fail. It sets the exit code: 0, 1 or 130.
+/// End of a command that was not refused: done, done with a failed check, or interrupted. It sets the exit code 0, 1 or
+/// 130.
 pub enum Ended {
-    /// Done as requested.
+    /// The command has done what was requested: exit code 0.
     Done,
-    /// Done as requested, and a check of the command has failed, such as one of `doctor`; the output says which. Exit
-    /// code 1.
+    /// The command has done what was requested, and one of its checks has failed, such as one of `doctor`. The output
+    /// says which. Exit code 1.
     Unfit,
-    /// Interrupted by Ctrl-C; the results until then were printed.
+    /// The user has interrupted the command by Ctrl-C; the results until then were printed. Exit code 130.
     Interrupted,
 }
 
-/// Error of a command: a flag or a file is wrong, and nothing was run. The text says which. Exit code 2.
+/// Error of a command, found before anything was run: a flag or a file is wrong. The text says which. Exit code 2.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct BadInput(pub String);
@@ -197,16 +198,16 @@ fn log(wanted: &str, notes: bool) -> Result<(), String> {
     Ok(())
 }
 
-/// Runs `murmurate sim` with these arguments, without the program's name, and returns its results as JSON. Prints
-/// nothing. Ends early once `stop` is set. An error about a wrong flag or file is a `BadInput`.
+/// Runs `murmurate sim` with these arguments (without the program's name), and returns its results as JSON without
+/// printing them. Ends early once `stop` is set. An error about a flag or a file is a `BadInput`.
 #[cfg(feature = "sim")]
 pub fn sim_results(arguments: &[String], registry: &Registry, stop: &AtomicBool) -> anyhow::Result<String> {
     sim::results_of(arguments, registry, stop)
 }
 
-/// Sets the delay and loss of messages in a training's conditions to those of a medium, a preset or radio file as for
-/// `murmurate train --radio`, for a team of `robots` robots. An error about a wrong name or file is a `BadInput` that
-/// begins with `argument`, the name of the caller's argument.
+/// Sets the delay and loss of messages in the training conditions `conditions` to those of a medium, for a team of
+/// `robots` robots. `radio` is a preset or a radio file, as for `murmurate train --radio`. An error about it is a
+/// `BadInput` that begins with `argument`, the name of the caller's argument.
 #[cfg(feature = "train")]
 pub fn with_radio(
     argument: &str,
@@ -232,14 +233,15 @@ fn this_program() -> anyhow::Result<Vec<OsString>> {
     }
 }
 
-/// Runs the command in this process's arguments, with the parts of the registry. Returns the exit code.
+/// Runs the command that the arguments of this process name, with the parts (scenarios, policies and so on) of the
+/// registry. Returns the exit code.
 pub fn main(registry: &Registry) -> ExitCode {
     run_command(registry, &std::env::args_os().collect::<Vec<_>>())
 }
 
-/// Runs the command in `arguments`, which do not contain the program's name, with the parts of the registry. Returns
-/// the exit code. For a program that runs within another one, such as a Python interpreter: `started_by` are the words
-/// of the command that starts it. Must be called at most once in a process.
+/// Runs the command in `arguments` (without the program's name) with the parts of the registry, and returns the exit
+/// code. It is for a program that runs within another one, such as a Python interpreter; `started_by` are the words of
+/// the command that starts this program. It must be called at most once in a process.
 pub fn main_within(registry: &Registry, started_by: Vec<OsString>, arguments: Vec<OsString>) -> ExitCode {
     // A second call would be an error of its caller; the words are the same then.
     let _ = STARTED_BY.set(started_by);

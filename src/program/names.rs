@@ -6,8 +6,8 @@ use clap::{Arg, Command};
 
 use crate::registry::Registry;
 
-/// Returns a command to whose flags, and those of its subcommands, the names of the registry's entries are added: as
-/// permitted values, or in the help text.
+/// Returns `command` with the names of the registry's entries (policies, scenarios and so on) added to its flags and
+/// those of its subcommands: as permitted values, or in the help text.
 pub fn add(command: Command, registry: &Registry) -> Command {
     command.mut_args(|arg| named(arg, registry)).mut_subcommands(|below| add(below, registry))
 }

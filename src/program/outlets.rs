@@ -32,8 +32,8 @@ pub struct Outlets {
 }
 
 impl Outlets {
-    /// Opens all outputs of a host: stdout, `trajectories` if a path is given, and the service manager's socket if
-    /// there is one. `json` turns on events on stdout. Does not wait for the reader of a trajectory pipe.
+    /// Opens all outputs of a host: stdout, the trajectories file if its path is given, and the service manager's
+    /// socket if there is one. If `json` is true, events are printed on stdout. Does not wait for the reader of a pipe.
     pub fn open(json: bool, trajectories: Option<&Path>) -> Result<Outlets> {
         let thread = "cannot start a thread to write";
         let stdout = Target::copy_of(io::stdout()).context("stdout is not open")?;
@@ -63,12 +63,13 @@ impl Outlets {
         }
     }
 
-    /// Prints the table of results on stdout.
+    /// Prints the final table of results on stdout.
     pub fn print(&self, table: &str) {
         self.stdout.push(format!("{table}\n").into_bytes());
     }
 
-    /// Writes a step of the simulated World to the trajectories file, if the flag `--trajectories` is given.
+    /// Writes a step of the simulation to the trajectories file, if the flag `--trajectories` is given. A step that
+    /// cannot be written in time is dropped and counted.
     pub fn step(&self, step: &Step) {
         let Some((writer, rows)) = &self.trajectories else { return };
         if !writer.push(rows.borrow_mut().of(step)) {
@@ -87,7 +88,8 @@ impl Outlets {
         }
     }
 
-    /// Returns the counts of log lines, events and steps dropped so far, because they could not be written in time.
+    /// Returns the numbers of log lines, events and steps that were dropped so far, because they could not be written
+    /// in time.
     pub fn unwritten(&self) -> Unwritten {
         Unwritten {
             log_lines: log_lines_dropped(),
@@ -97,13 +99,13 @@ impl Outlets {
         }
     }
 
-    /// Returns the error that has ended stdout, such as a full disk; `None` if there is none. A pipe closed by its
-    /// reader is not an error.
+    /// Returns the error that has ended the output to stdout, such as a full disk, once; `None` otherwise. A pipe that
+    /// its reader closed is no error.
     pub fn failure(&self) -> Option<anyhow::Error> {
         self.stdout.failure().map(|error| anyhow!("cannot write to stdout: {error}"))
     }
 
-    /// Waits for queued output, at most `FLUSH_TIMEOUT` for each writer, logs the counts of dropped output, and returns
+    /// Waits until queued output is written, at most half a second for each output, logs what was dropped, and returns
     /// the first write error.
     pub fn close(&self) -> Result<()> {
         let others = self.trajectories.iter().map(|(writer, _)| writer).chain(&self.service);

@@ -12,13 +12,14 @@ use anyhow::{Context, Result};
 use crate::program::BadInput;
 use crate::program::background_writer::{BackgroundWriter, Target};
 
-/// Longest time that this program waits at its end for queued output to be written.
+/// Longest time that this program waits at its end for an output to be written.
 pub const FLUSH_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// Background writer to stderr, for commands that must not wait for it.
 static LOG: OnceLock<BackgroundWriter> = OnceLock::new();
 
-/// Sends all output to stderr through a background writer from now on, including panic messages.
+/// Makes this program write to stderr through a background writer from now on, so that it never waits for a terminal or
+/// a pipe. Messages of panics go there, too.
 pub fn open_log_lane() -> io::Result<()> {
     let writer = BackgroundWriter::open(Target::copy_of(io::stderr())?, Some(missing))?;
     if LOG.set(writer).is_ok() {
@@ -35,19 +36,19 @@ fn missing(lines: u64) -> String {
     format!("warning: {lines} log lines were dropped here: they were not read in time\n")
 }
 
-/// Returns the number of log lines dropped so far, because stderr did not take them in time.
+/// Returns the number of log lines that were dropped so far, because stderr did not take them in time.
 pub fn log_lines_dropped() -> u64 {
     LOG.get().map_or(0, BackgroundWriter::dropped)
 }
 
-/// Waits until queued lines are written to stderr, at most [`FLUSH_TIMEOUT`].
+/// Waits until queued lines are written to stderr, at most half a second.
 pub fn flush_log() {
     if let Some(writer) = LOG.get() {
         writer.flush(FLUSH_TIMEOUT);
     }
 }
 
-/// Prints a message on stderr. Team keys in it are redacted.
+/// Prints a message on stderr as one line. A team key in it is replaced.
 pub fn talk(text: &str) {
     say(redacted(text).into_owned() + "\n");
 }
@@ -66,7 +67,7 @@ fn say(lines: String) {
     }
 }
 
-/// Writer of log lines to stderr, one line per write. Team keys in them are redacted.
+/// Writer that prints log lines on stderr, one per write. A team key in a line is replaced.
 pub struct LogLines;
 
 impl Write for LogLines {
@@ -80,12 +81,13 @@ impl Write for LogLines {
     }
 }
 
-/// Whether stderr may have colours: it is a terminal, and `NO_COLOR` is not set (<https://no-color.org>).
+/// Returns true if text on stderr may have colours: stderr is a terminal, and the environment variable `NO_COLOR` is
+/// not set (<https://no-color.org>).
 pub fn colour() -> bool {
     io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
 
-/// Prints a text and a line end on stdout. A pipe closed by its reader is not an error.
+/// Prints a text and a line end on stdout. A pipe that its reader closed is no error.
 pub fn print(text: &str) -> Result<()> {
     match writeln!(io::stdout(), "{text}") {
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
@@ -93,14 +95,16 @@ pub fn print(text: &str) -> Result<()> {
     }
 }
 
-/// Reads a text file that the user has named. `what` describes it in errors. A file with a team key is refused.
+/// Reads a text file that the user has named. `what` is the noun for the file in errors. A file that contains a team
+/// key is refused.
 pub fn read_text(path: &Path, what: &str) -> Result<String> {
     let refuse = |why: String| BadInput(format!("cannot read the {what} '{}': {why}", path.display()));
     let bytes = read_bytes(path, what)?;
     String::from_utf8(bytes).map_err(|_| refuse("it is no text in UTF-8".to_owned()).into())
 }
 
-/// Reads a file that the user has named. `what` describes it in errors. A file with a team key is refused.
+/// Reads a file that the user has named. `what` is the noun for the file in errors. A file that contains a team key is
+/// refused.
 pub fn read_bytes(path: &Path, what: &str) -> Result<Vec<u8>> {
     let bytes =
         std::fs::read(path).map_err(|e| BadInput(format!("cannot read the {what} '{}': {e}", path.display())))?;

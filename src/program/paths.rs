@@ -26,17 +26,17 @@ const COLUMNS: [&str; 11] = [
     "command_y_m_s",
 ];
 
-/// Writer of robots' trajectories as CSV. No field is quoted, as all are numbers or names of phases.
+/// Writer of robots' trajectories as CSV, with one line for each robot and step.
 pub struct Paths<W: Write>(W);
 
 impl<W: Write> Paths<W> {
-    /// Creates a writer of trajectories to `file`, and writes the header line.
+    /// Returns a writer of trajectories to `file`, and writes the header line.
     pub fn new(mut file: W) -> Result<Paths<W>> {
         writeln!(file, "{}", COLUMNS.join(",")).context("cannot write the trajectories")?;
         Ok(Paths(file))
     }
 
-    /// Writes one CSV line for each robot of a step. `repeat` is the index of the trial's repeat, from 0.
+    /// Writes a CSV line for each robot of a step. `repeat` is the index of the step's trial among the repeats, from 0.
     pub fn write(&mut self, repeat: usize, step: &Step) -> Result<()> {
         for sample in &step.samples {
             let (p, v, c) = (sample.motion.position, sample.motion.velocity, sample.command);
@@ -51,13 +51,14 @@ impl<W: Write> Paths<W> {
         Ok(())
     }
 
-    /// Flushes the underlying writer to its file.
+    /// Passes everything written so far to the file.
     pub fn flush(&mut self) -> Result<()> {
         self.0.flush().context("cannot write the trajectories")
     }
 }
 
-/// Writes the trajectories of several trials into a CSV file. The index of a report is the number of its repeat.
+/// Writes the trajectories of several trials into one CSV file. The index of a trial's report is the number of its
+/// repeat.
 #[cfg(feature = "sim")]
 pub fn write_all(file: &mut WholeFile, reports: &[TrialReport]) -> Result<()> {
     let mut paths = Paths::new(std::io::BufWriter::new(file.writer()))?;

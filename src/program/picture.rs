@@ -58,14 +58,15 @@ impl Shown {
 /// Function that draws an episode and returns the text of the picture's file (SVG or HTML).
 type Draw = fn(&Scene) -> String;
 
-/// Pictures of one episode to be drawn after a run of `sim`, with their open files.
+/// Pictures of one episode, to be drawn after a run of `sim` into files that are open already.
 pub struct Pictures {
     files: Vec<(WholeFile, Draw)>,
     shown: Shown,
 }
 
 impl Pictures {
-    /// Opens the files of the pictures. `episodes` is the number of episodes of the run. An error names the flag.
+    /// Opens the files of the pictures that the flags request. `episodes` is the number of episodes of the run. An
+    /// error names the flag.
     pub fn open(args: &Flags, episodes: u32) -> Result<Pictures> {
         let film: (&str, Draw) = ("html", film);
         let files = [
@@ -94,19 +95,19 @@ impl Pictures {
         Ok(Pictures { files, shown: args.episode.unwrap_or(Shown::Index(0)) })
     }
 
-    /// Whether the flags request any picture.
+    /// Returns true if the flags request any picture.
     pub fn any(&self) -> bool {
         !self.files.is_empty()
     }
 
-    /// Returns which steps the trial of a repeat has to keep: with the messages heard, if pictures need them (repeat
-    /// 0), or else `steps`.
+    /// Returns which steps the trial with the index `repeat` has to keep. For a picture, which is of repeat 0, these
+    /// are steps with the messages that robots use; otherwise they are `steps`.
     pub fn steps(&self, repeat: u32, steps: Steps) -> Steps {
         if repeat == 0 && !self.files.is_empty() { Steps::WithHearing } else { steps }
     }
 
-    /// Draws the pictures from the reports of all repeats, and completes their files. If the episode was interrupted,
-    /// or none failed, prints that there is no picture.
+    /// Draws the requested pictures from the reports of all repeats, and completes their files. If the episode was
+    /// interrupted, or none failed, prints that there is no picture. `policy` is the policy's name in the caption.
     pub fn draw(self, trial: &Trial, policy: &str, reports: &[TrialReport]) -> Result<()> {
         if self.files.is_empty() {
             return Ok(());

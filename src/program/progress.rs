@@ -8,7 +8,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use crate::report::episode::Episode;
 use crate::trial::Proceed;
 
-/// Returns a callback for a trial, which is called with the episodes finished so far: it advances the progress bar by
+/// Returns a callback for a trial, which is called with the episodes finished so far. It advances the progress bar by
 /// the new ones, and stops the trial once `stop` is set.
 pub fn watched(bar: &ProgressBar, stop: &AtomicBool) -> impl FnMut(&[Episode]) -> Proceed {
     let mut shown = 0;
@@ -21,7 +21,8 @@ pub fn watched(bar: &ProgressBar, stop: &AtomicBool) -> impl FnMut(&[Episode]) -
     }
 }
 
-/// Returns a progress bar on stderr over this many episodes, with the estimated remaining time. `quiet` hides it.
+/// Returns a progress bar on stderr over this many episodes, with the estimated remaining time. If `quiet` is true, the
+/// bar is hidden.
 pub fn progress(episodes: u64, quiet: bool) -> ProgressBar {
     if quiet {
         return ProgressBar::hidden();

@@ -8,16 +8,16 @@ use std::sync::atomic::{AtomicBool, AtomicUsize};
 use anyhow::{Context, Result};
 use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1};
 
-/// Starts listening for the signal USR1. Returns a flag that the signal sets: a request to keep the last seconds of a
-/// record.
+/// Starts listening for the signal USR1, by which a user requests to keep the last seconds of a record. Returns a flag
+/// that the signal sets.
 pub fn keep_request() -> Result<Arc<AtomicBool>> {
     let asked = Arc::new(AtomicBool::new(false));
     signal_hook::flag::register(SIGUSR1, Arc::clone(&asked)).context("cannot listen for signals")?;
     Ok(asked)
 }
 
-/// Starts listening for Ctrl-C and SIGTERM. Returns a cell with the number of the signal received (0 for none), and a
-/// socket that becomes readable at a signal.
+/// Starts listening for Ctrl-C and SIGTERM. Returns a cell with the number of the signal that was received (0 before),
+/// and a socket that a signal makes readable.
 pub fn listen() -> Result<(Arc<AtomicUsize>, Rc<UnixStream>)> {
     let (signal, (reader, writer)) = (Arc::new(AtomicUsize::new(0)), UnixStream::pair().context("cannot make a pipe")?);
     reader.set_nonblocking(true).context("cannot make a pipe")?;

@@ -54,13 +54,14 @@ pub struct ResumeArgs {
     json: bool,
 }
 
-/// Runs `stop`: sends the emergency stop or its re-arm, and prints which robots have confirmed.
+/// Runs `stop`: engages the team's emergency stop, or re-arms it if `--rearm` is given, and prints which robots have
+/// confirmed.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let kind = if args.rearm { OrderKind::Rearm } else { OrderKind::Stop };
     Asked { team: &args.team, kind, json: args.json }.run(registry)
 }
 
-/// Runs `resume`: resumes a held team, and prints which robots may move.
+/// Runs `resume`: lets a team go on that was re-armed after an emergency stop, and prints which robots have confirmed.
 pub fn resume(args: &ResumeArgs, registry: &Registry) -> Result<Ended> {
     Asked { team: &args.team, kind: OrderKind::Resume, json: args.json }.run(registry)
 }

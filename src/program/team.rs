@@ -51,7 +51,8 @@ pub struct Which {
 }
 
 impl TeamArgs {
-    /// Returns the flags for a team file that another flag names, with these overrides of its fields (`FIELD=VALUE`).
+    /// Returns the flags for the team file `file`, if another flag names it. `set` has overrides of its fields, as
+    /// `FIELD=VALUE`.
     #[cfg(feature = "study")]
     pub fn of(file: PathBuf, set: Vec<String>) -> TeamArgs {
         TeamArgs { file, set, interface: None, key_file: None }
@@ -62,8 +63,8 @@ impl TeamArgs {
         &self.file
     }
 
-    /// Reads the team file; environment variables and flags override its fields. Names are looked up in the registry.
-    /// An error names file and field.
+    /// Reads the team file, and overrides its fields by environment variables and flags. The registry has the parts
+    /// (scenarios, policies and so on) that it may name. An error names file and field.
     pub fn read(&self, registry: &Registry) -> Result<TeamFile> {
         let variables: Vec<(String, String)> = std::env::vars_os()
             .map(|(name, value)| (name.to_string_lossy().into_owned(), value.to_string_lossy().into_owned()))
@@ -72,8 +73,8 @@ impl TeamArgs {
         self.read_as_of(registry, None, &variables)
     }
 
-    /// Reads the team file as another process did: with these environment variables, and with the file's relative paths
-    /// starting from `folder` (`None`: the file's own folder).
+    /// Reads the team file as another process has read it: with that process's environment variables `variables`, and
+    /// with relative paths of the file that start from `folder` (`None` for the file's own folder).
     pub fn read_as_of(
         &self,
         registry: &Registry,
@@ -99,19 +100,19 @@ impl TeamArgs {
         TeamFile::read(registry, &text, folder, variables, &flags).map_err(|e| self.wrong(&e))
     }
 
-    /// Converts an error of the team file to one that names the file's path.
+    /// Returns the error `error` of the team file as one that also names the file's path.
     pub fn wrong(&self, error: &ConfigError) -> anyhow::Error {
         BadInput(format!("the team file '{}': {error}", self.file.display())).into()
     }
 
-    /// Joins the team's network as an operator, a host without robots. Opens only the link that carries the emergency
-    /// stop.
+    /// Opens the link that carries the team's emergency stop, and returns this process as an operator on it: a host
+    /// without robots that may give orders. No other link is opened.
     pub fn operator(&self, file: &TeamFile) -> Result<Operator> {
         self.operator_as(file, ProcessIdentity::draw()?)
     }
 
-    /// Joins the team's network as an operator with the given process identity. Opens only the link that carries the
-    /// emergency stop.
+    /// Opens the link that carries the team's emergency stop, and returns this process as an operator on it, with the
+    /// process identity `identity`. No other link is opened.
     pub fn operator_as(&self, file: &TeamFile, identity: ProcessIdentity) -> Result<Operator> {
         let access = file.operator_access().map_err(|error| self.wrong(&error))?;
         let deployment = file.deployment();
@@ -130,7 +131,7 @@ impl TeamArgs {
         })
     }
 
-    /// Returns the configuration of one host of the team. An error names file and field.
+    /// Returns the team's configuration for the host `host`. An error names file and field.
     pub fn for_host(&self, file: &TeamFile, host: HostId) -> Result<Team> {
         file.for_host(host).map_err(|e| self.wrong(&e))
     }
@@ -151,12 +152,12 @@ impl Which {
 /// Whether this process has already printed the warning that the team has no key.
 static WARNED: AtomicBool = AtomicBool::new(false);
 
-/// Suppresses the warning that the team has no key, because the parent process has printed it.
+/// Makes this process print no warning about a team without a key, because the process that started it has printed one.
 pub fn leave_out_key_warning() {
     WARNED.store(true, Ordering::Relaxed);
 }
 
-/// Reads the key file of the team. If the team has none, returns `None`, and prints a warning if this host uses a link.
+/// Reads the key of the team from its file. A team without a key gives `None`, and a warning if this host uses a link.
 pub fn key(team: &Team) -> Result<Option<[u8; 32]>> {
     if team.key_file.is_none() && team.links.iter().all(Option::is_none) {
         return Ok(None);
@@ -164,7 +165,7 @@ pub fn key(team: &Team) -> Result<Option<[u8; 32]>> {
     key_of(team.key_file.as_deref())
 }
 
-/// Reads a key file. Without a file, prints a warning and returns `None`.
+/// Reads the team's key from a file. If there is no file, prints a warning and returns `None`.
 pub fn key_of(file: Option<&Path>) -> Result<Option<[u8; 32]>> {
     if file.is_none() && !WARNED.swap(true, Ordering::Relaxed) {
         talk(
@@ -175,7 +176,8 @@ pub fn key_of(file: Option<&Path>) -> Result<Option<[u8; 32]>> {
     file.map(key::read).transpose()
 }
 
-/// Loads the policy that the team file names, or the scenario's default, with warnings about its use by this team.
+/// Loads the policy that the team file names, or otherwise the scenario's default policy, with warnings about its use
+/// by this team.
 pub fn policy(team: &Team, registry: &Registry) -> Result<policy::Loaded> {
     let settings = Settings::of(team.deployment.robots);
     let scenario = registry.scenario(&team.scenario, &settings).map_err(|e| BadInput(e.to_string()))?;

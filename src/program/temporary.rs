@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 /// Largest number of random file names to try.
 const DRAWS: usize = 16;
 
-/// Temporary file, removed when dropped unless it was given its final name.
+/// Temporary file with a random name. It is removed at the end, unless it got its final name.
 pub struct Temporary {
     path: PathBuf,
     file: File,
@@ -17,7 +17,7 @@ pub struct Temporary {
 }
 
 impl Temporary {
-    /// Creates an empty file in `folder` with the permissions `mode`, reduced by the umask.
+    /// Creates an empty file in the folder `folder`. `mode` are its permissions, which the umask may reduce.
     pub fn new_in(folder: &Path, mode: u32) -> io::Result<Temporary> {
         let mut taken = None;
         for _ in 0..DRAWS {
@@ -39,7 +39,7 @@ impl Temporary {
         &self.path
     }
 
-    /// Returns the open file, for a writer that seeks.
+    /// Returns the open file, for a writer that moves its position.
     #[cfg(feature = "record")]
     pub fn seekable(&mut self) -> &mut File {
         &mut self.file
@@ -57,7 +57,7 @@ impl Temporary {
         Ok(())
     }
 
-    /// Gives the temporary file the name `path`. Fails with `AlreadyExists` if there is such a file.
+    /// Gives the temporary file the name `path` in the same folder. Fails with `AlreadyExists` if there is such a file.
     pub fn add(self, path: &Path) -> io::Result<()> {
         // Unlike a rename, a hard link fails if the name exists.
         fs::hard_link(&self.path, path)

@@ -12,16 +12,15 @@ use crate::messages::ids::HostId;
 use crate::program::bad;
 use crate::time::Time;
 
-/// Flags for the record of a run; there are none, as this program cannot record.
+/// Flags for the record of a run. There are none in a program without the feature `record`.
 #[derive(clap::Args, Clone, Default)]
 pub struct RecordFlags {}
 
-/// Replacement for the recording of a process in real time; has no values.
+/// Stand-in for the record of a running process, in a program without the feature `record`. It has no values.
 pub enum LiveRecord {}
 
 impl LiveRecord {
-    /// Fails if the team file asks for a record with its field `record`; otherwise returns `None`, since nothing is
-    /// recorded.
+    /// Fails if the team file names a folder for records; otherwise returns `None`, since this program cannot record.
     pub fn of_host(
         _: &RecordFlags,
         (team, _): (&Team, &LiveHost),
@@ -41,8 +40,7 @@ impl LiveRecord {
         match *self {}
     }
 
-    /// Never called, because the type has no values. (With the feature `record`, it keeps the last seconds in the
-    /// record.)
+    /// Never called, because the type has no values.
     pub fn keep(&self) {
         match *self {}
     }

@@ -9,23 +9,23 @@ use anyhow::{Context, Result};
 use crate::program::BadInput;
 use crate::program::temporary::Temporary;
 
-/// File to be written that replaces an existing one atomically once it is complete. A pipe or a device is written to
-/// directly.
+/// File that is being written, and replaces an existing file atomically once it is complete. A pipe or a device is
+/// written to directly.
 pub enum WholeFile {
-    /// Temporary file in the same folder, which gets its name in `keep`.
+    /// Temporary file in the same folder, which gets the final name once it is complete.
     Beside {
-        /// Path of the final file, with symbolic links resolved.
+        /// Final path of the file, with symbolic links resolved.
         path: PathBuf,
-        /// The temporary file with the content so far.
+        /// Temporary file with the content so far.
         file: Temporary,
     },
-    /// Open pipe or device, which is written to directly.
+    /// Open pipe or device.
     Straight(File),
 }
 
 impl WholeFile {
-    /// Opens the file `path` for writing, through a temporary file unless it is a pipe or a device. A wrong path is
-    /// thus an error before any work is done.
+    /// Opens the file `path` for writing, so that a wrong path is an error before any work is done. An existing file is
+    /// not changed yet.
     pub fn create(path: &Path) -> Result<WholeFile> {
         let refuse = |why: String| BadInput(format!("cannot write '{}': {why}", path.display()));
         let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
@@ -45,7 +45,7 @@ impl WholeFile {
         Ok(WholeFile::Beside { path, file })
     }
 
-    /// Returns the writer of the file's content.
+    /// Returns the writer for the content of the file.
     pub fn writer(&mut self) -> &mut dyn Write {
         match self {
             WholeFile::Beside { file, .. } => file,
@@ -53,7 +53,8 @@ impl WholeFile {
         }
     }
 
-    /// Syncs the content to disk and gives the file its final name. Without this call, the temporary file is removed.
+    /// Completes the file: syncs its content to the disk and gives it its final name. Without this call, an existing
+    /// file stays as it was.
     pub fn keep(self) -> Result<()> {
         if let WholeFile::Beside { path, file } = self {
             file.sync()

@@ -54,14 +54,13 @@ impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for Notes {
     }
 }
 
-/// Starts the collection of warnings if `open` is true, and ends it otherwise. It is ended before workers shut down, as
-/// their last messages are no findings.
+/// Starts the collection of drivers' and sources' warnings if `open` is true, and ends it otherwise. It has to be ended
+/// before the threads of drivers and sources shut down, as their last messages are no findings.
 pub fn take(open: bool) {
     CLOSED.store(!open, Ordering::Relaxed);
 }
 
-/// Returns the text of the newest collected warning from the threads or actors named in `from`; `None` if there is
-/// none.
+/// Returns the text of the newest collected warning of any thread or actor named in `from`; `None` if there is none.
 pub fn newest(from: &[&str]) -> Option<String> {
     let notes = NOTES.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
     notes.iter().rev().find(|note| from.contains(&note.from.as_str())).map(|note| note.text.clone())

@@ -51,8 +51,8 @@ impl<'a> Line<'a> {
         insert(&mut self.items, &other.items);
     }
 
-    /// Returns the text of the line, for a table about `hosts` hosts. A line about all of them, or about the machine,
-    /// names no host.
+    /// Returns the text of the line, for a table about `hosts` hosts. A line about all of these hosts, or about the
+    /// machine, names no host.
     pub fn text(&self, hosts: usize) -> String {
         let status = match self.status {
             Status::Ok => "ok  ",

@@ -18,26 +18,33 @@ use crate::report::trial::TrialReport;
 use crate::safety::guard::SafetyCounts;
 use crate::time::{Span, Time};
 
-/// State that is collected while the host runs.
+/// State of a running host, which is collected for its outputs: results, counts, record and metrics.
 pub struct Seen {
+    /// Report of the trial, if this host judges it: results of its episodes and totals.
     pub report: RefCell<TrialReport>,
+    /// Whether the state server has said that all episodes are finished.
     pub over: Cell<bool>,
+    /// Number of messages that the host's actors have published.
     pub messages: Cell<u64>,
+    /// Datagrams of the host on all links: sent, accepted, and refused by cause.
     pub counts: Cell<LinkCounts>,
+    /// Numbers of stops and reduced velocities by the robots' guards, by cause.
     pub safety: RefCell<BTreeMap<RobotId, SafetyCounts>>,
+    /// Hardware of the real robots that the host drives, as their drivers reported it.
     pub hardware: RefCell<BTreeMap<RobotId, RobotHardware>>,
+    /// Outputs of the host: stdout, trajectories and service manager.
     pub outlets: Outlets,
-    /// Report of another live host with the id of this one.
+    /// Report of another live host that has the id of this one; `None` if there is none.
     pub duplicate: Cell<Option<DuplicateId>>,
-    /// Record of the run; `None` if nothing is recorded.
+    /// Record of the run. It is `None` if nothing is recorded, and not set before the host is opened.
     pub record: OnceCell<Option<LiveRecord>>,
-    /// Metrics of the host; `None` if they are not served.
+    /// Metrics of the host. They are `None` if they are not served, and not set before the host is opened.
     #[cfg(feature = "watch")]
     pub metrics: OnceCell<Option<HostMetrics>>,
 }
 
 impl Seen {
-    /// Makes the state of a host that has not begun.
+    /// Returns the state of a host that has not begun. `outlets` are its outputs.
     pub fn new(outlets: Outlets) -> Seen {
         let (report, over, messages, counts) = Default::default();
         let (safety, hardware, duplicate) = Default::default();
@@ -56,12 +63,13 @@ impl Seen {
         }
     }
 
-    /// Record of the run; `None` if nothing is recorded.
+    /// Returns the record of the run; `None` if nothing is recorded.
     pub fn record(&self) -> Option<&LiveRecord> {
         self.record.get()?.as_ref()
     }
 
-    /// Marks the end of a turn of the event loop in the record and the metrics.
+    /// Marks the end of a turn of the event loop (one pass over all pending inputs), at the time `now`, in the record
+    /// and the metrics.
     pub fn end_turn(&self, now: Time) {
         #[cfg(feature = "watch")]
         if let Some(Some(metrics)) = self.metrics.get() {
@@ -70,7 +78,7 @@ impl Seen {
         self.record().into_iter().for_each(|record| record.turn(now));
     }
 
-    /// Takes an event of the host.
+    /// Updates the state by an event of the host `host`, and passes the event to the record and the metrics.
     pub fn hear(&self, host: HostId, heard: ProcessEvent) {
         self.record().into_iter().for_each(|record| record.push(host, heard));
         #[cfg(feature = "watch")]
@@ -97,7 +105,8 @@ impl Seen {
         }
     }
 
-    /// Takes an output of the Recorder.
+    /// Updates the results by an output of the Recorder, the actor that judges episodes. A step goes to the
+    /// trajectories file.
     pub fn note(&self, out: Out) {
         let mut report = self.report.borrow_mut();
         match out {
@@ -107,7 +116,7 @@ impl Seen {
         report.simulated = report.totals.end.since(Time::ZERO);
     }
 
-    /// Returns the counts so far.
+    /// Returns all counts of the host so far: messages, datagrams, safety, hardware and dropped output.
     pub fn counted(&self, graph: &Graph) -> Counted {
         let (refused, lost) = graph.undelivered();
         let robot = |(&robot, &counts): (&RobotId, &SafetyCounts)| RobotSafety { robot, counts };

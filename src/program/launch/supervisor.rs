@@ -51,19 +51,19 @@ impl Default for Limits {
     }
 }
 
-/// A process to supervise: its name, and how to start it.
+/// Process that a supervisor starts: its name and its command.
 pub struct Process {
     /// Name of the process.
     pub name: String,
-    /// Builds the command of the process; called for every start.
+    /// Function that returns the command of the process. It is called for the first start and for each restart.
     pub command: Box<dyn Fn() -> Command>,
 }
 
-/// Line of output of a supervised process, or a note about the process.
+/// Line of output of a supervised process, or a note of the supervisor about the process.
 pub enum Output<'a> {
-    /// Line of a process's stdout.
+    /// Line that a process has printed on stdout.
     Data(&'a str),
-    /// Line of a process's stderr.
+    /// Line that a process has printed on stderr.
     Log(&'a str),
     /// Note about what has happened to a process, such as a restart.
     Note(&'a str),
@@ -81,13 +81,15 @@ pub enum Response {
 /// Outcome of a run of supervised processes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// All processes ended by themselves with exit code 0.
+    /// All processes have ended by themselves with exit code 0.
     Done,
-    /// A stop was requested, and all processes have stopped.
+    /// A stop was requested by Ctrl-C or SIGTERM, and all processes have ended.
     Interrupted,
-    /// A process has refused its flags or files; the text is its last line on stderr.
+    /// A process has refused its flags or files (exit code 2). The text names the process and gives its last line on
+    /// stderr.
     Refused(String),
-    /// A process has failed or was killed; the text names it and the cause.
+    /// A process has failed for good, has ended before the others were done, or had to be killed. The text names the
+    /// process and the cause.
     Failed(String),
 }
 
@@ -103,7 +105,7 @@ enum Event {
 pub struct Stopper(SyncSender<Event>);
 
 impl Stopper {
-    /// Asks the supervisor to stop all processes; a second call kills them.
+    /// Asks the supervisor to stop all processes by SIGTERM; a second call kills them.
     pub fn stop(&self) {
         // The receiver is gone once all processes have ended.
         let _ = self.0.send(Event::Stop);
@@ -151,7 +153,7 @@ pub struct Supervisor {
 }
 
 impl Supervisor {
-    /// Creates a supervisor of these processes, without starting any.
+    /// Returns a supervisor of these processes, none of which it has started yet.
     pub fn new(processes: Vec<Process>, limits: Limits) -> Supervisor {
         let (sender, events) = sync_channel(QUEUE);
         let slot = |process| Slot {
@@ -173,8 +175,8 @@ impl Supervisor {
         Stopper(self.sender.clone())
     }
 
-    /// Starts the processes and returns the outcome when all have ended. Calls `handle` with the index of a process and
-    /// its output; the response [`Response::Done`] says that the processes should now end by themselves.
+    /// Starts the processes, and returns the outcome when all have ended. Calls `handle` with each output and the index
+    /// of its process; its response [`Response::Done`] says that all processes should now end by themselves.
     pub fn run(mut self, mut handle: impl FnMut(usize, Output<'_>) -> Response) -> Outcome {
         for at in 0..self.slots.len() {
             if self.phase == Phase::Running {

@@ -3,7 +3,7 @@
 use super::facts::{Facts, drawn, lines, list, made, observation, probe};
 use crate::policy::hops::manifest::{Aggregation, Deviation, Distribution, EdgeFeature, Hop, Layers, Manifest};
 
-/// Returns the properties of a policy of several hops as a table.
+/// Returns the table of `policy check` for a policy of several hops: the properties of its file, as text.
 pub(super) fn table(facts: &Facts<Manifest>) -> String {
     let manifest = facts.manifest;
     let edge = manifest.edge.iter().map(|feature| match feature {

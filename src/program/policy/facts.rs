@@ -7,22 +7,23 @@ use crate::policy::manifest::{Field, Training};
 use crate::policy::probe::Difference;
 use crate::policy::weights::Probe;
 
-/// Properties of a policy file that this program can run; printed by `policy check`.
+/// Properties of a policy file, which `policy check` prints. `M` is the type of the file's metadata.
 #[derive(Serialize)]
 pub struct Facts<'a, M> {
     /// Name of the file, or of the built-in policy.
     pub file: String,
     /// First 64 bits of the file's BLAKE3 hash, in hexadecimal.
     pub digest: &'a str,
-    /// Manifest (metadata) of the file.
+    /// Manifest of the file: what it says of its network, such as shapes, period and training.
     pub manifest: &'a M,
-    /// Number of weights and biases.
+    /// Number of weights and biases of all networks in the file.
     pub parameters: usize,
-    /// Size of a latent in a message \[bytes\].
+    /// Size of the latent in a robot's message \[bytes\].
     pub latent_bytes: usize,
-    /// Comparison with the probe; `None` if the file has none.
+    /// Differences of the networks' outputs from the correct outputs in the file (its probe); `None` if the file has no
+    /// probe.
     pub probe: Option<ProbeFacts>,
-    /// Warnings, each in a line.
+    /// Warnings about the file, one line each.
     pub warnings: Vec<String>,
 }
 
@@ -36,24 +37,25 @@ pub struct ProbeFacts {
 }
 
 impl ProbeFacts {
-    /// Returns the facts of the differences found.
+    /// Returns the facts for the differences that the comparison with the probe has found.
     pub fn of(Difference { robots, latent, output }: Difference) -> ProbeFacts {
         ProbeFacts { robots, latent_difference: latent, output_difference: output }
     }
 }
 
-/// Returns the table of `rows`, pairs of a name and a value, under a heading.
+/// Returns a table as text, under a heading that says that this program can run the file `file`. `rows` has the name
+/// and value of each row.
 pub fn lines(file: &str, rows: &[(&str, String)]) -> String {
     let rows: Vec<String> = rows.iter().map(|(name, value)| format!("  {name:<14} {value}")).collect();
     format!("{file}: this program can run it\n{}", rows.join("\n"))
 }
 
-/// Returns the names as a list, or that there are none.
+/// Returns the names as a list separated by commas, or `none`.
 pub fn list(names: Vec<&str>) -> String {
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
-/// Returns a description of the observation.
+/// Describes the parts of a policy's observation as text, with their units and frame.
 pub fn observation(fields: &[Field]) -> String {
     let name = |field: &Field| match field {
         Field::GoalMinusPosition => "goal - position [m]",
@@ -63,7 +65,7 @@ pub fn observation(fields: &[Field]) -> String {
     format!("{}; policy frame", list(fields.iter().map(name).collect()))
 }
 
-/// Returns a description of how actions are drawn.
+/// Describes as text how actions are taken from their distribution: its mean, or samples.
 pub fn drawn(draw: Draw) -> &'static str {
     match draw {
         Draw::Mean => "the mean of its distribution",
@@ -71,7 +73,7 @@ pub fn drawn(draw: Draw) -> &'static str {
     }
 }
 
-/// Returns a description of the probe.
+/// Describes as text how far the networks' outputs differ from the correct outputs in the file (its probe).
 pub fn probe<M>(facts: &Facts<M>) -> String {
     facts.probe.as_ref().map_or("none in the file".to_owned(), |probe| {
         format!(
@@ -84,7 +86,7 @@ pub fn probe<M>(facts: &Facts<M>) -> String {
     })
 }
 
-/// Returns a description of the training that made a file.
+/// Describes as text the training that made a policy file: program, preset, seed and number of decisions.
 pub fn made(training: Option<&Training>) -> String {
     training.map_or("not stated".to_owned(), |made| {
         format!("{}, preset {}, seed {}, {} decisions", made.program, made.preset, made.seed, made.decisions)

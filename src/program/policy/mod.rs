@@ -30,20 +30,20 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     check::run(args, registry)
 }
 
-/// A policy that was loaded by name or from a file, with its name and warnings.
+/// Policy that was loaded by its name or from a file, with warnings about its use.
 pub struct Loaded {
-    /// The model that drives each robot.
+    /// Model of the policy, which makes an instance for each robot.
     pub model: Model,
     /// Name of the policy in reports: its name in the registry, or the path of its file.
     pub name: String,
-    /// Warnings about the use of the policy: fields that its file lacks, with the assumed values; a team larger than
-    /// any in its training; robots with another drive than in training.
+    /// Warnings about the use of the policy. Its file may lack fields, for which values are assumed; the team may be
+    /// larger than in its training, or have another drive.
     pub warnings: Vec<String>,
 }
 
 impl Loaded {
-    /// Returns this policy, with a further warning if it was trained for another drive (kind or commanded point) than
-    /// that of a robot of this team.
+    /// Returns this policy for a team whose robots have these chassis. A warning is added if it was trained for another
+    /// drive (kind, or distance of the commanded point).
     pub fn for_team(mut self, team: &[Chassis]) -> Loaded {
         let name = &self.name;
         self.warnings.extend(other_drive(&self.model, team).map(|warning| format!("--policy {name}: {warning}")));
@@ -51,8 +51,8 @@ impl Loaded {
     }
 }
 
-/// Loads a policy by its name in the registry, or from a file. If `named` is `None`, loads the scenario's default.
-/// `draw` overrides the file's choice between mean and sampled actions. An error names the flag or the file.
+/// Loads the policy `named`: an entry of the registry, or a policy file. `None` loads the default policy of the
+/// scenario. `draw` replaces the file's choice between mean and sampled actions. An error names the flag or the file.
 pub fn load(registry: &Registry, named: Option<&Path>, draw: Option<Draw>, scenario: &dyn Scenario) -> Result<Loaded> {
     let named = named.unwrap_or_else(|| Path::new(registry.default_policy(scenario)));
     let name = named.display().to_string();

@@ -55,9 +55,9 @@ pub fn run(args: &Args) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
-/// Merges the records of the hosts of one run into a file, in the order of a common clock. Returns the merged records
-/// with their clock offsets, and the result of the [`Alignment`] of the clocks. A host whose clock cannot be found is
-/// left out, with a warning.
+/// Merges the records of the hosts of one run into the file `output`, in the order of a common clock. Returns the
+/// merged records, each with its clock offset, and the result of the alignment of the clocks. A host whose clock offset
+/// cannot be found is left out, with a warning.
 pub fn merge(paths: Vec<PathBuf>, output: &mut File) -> Result<(Vec<Part>, Alignment)> {
     let wrong = |error: reader::ReadError| BadInput(error.to_string());
     let (mut hosts, mut of_hosts) = (Vec::new(), Vec::new());

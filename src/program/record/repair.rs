@@ -20,8 +20,8 @@ pub struct Args {
     records: Vec<PathBuf>,
 }
 
-/// Runs `record repair`: gives records that a crash has cut an end and an index, in place. The original file is kept
-/// with the suffix `.cut`. Complete records are left as they are.
+/// Runs `record repair`: replaces each record that a crash has cut by one with an end and an index. The original file
+/// is kept with the suffix `.cut`. Complete records are left as they are.
 pub fn run(args: &Args) -> Result<Ended> {
     for path in files(&args.records)? {
         mend(&path)?;

@@ -26,8 +26,8 @@ pub struct Args {
     output: PathBuf,
 }
 
-/// Runs `record share`: checks the datagrams of a host's record with the team's key, and copies the record together
-/// with the list of those that had a valid tag.
+/// Runs `record share`: checks the authentication tags in a host's record with the team's key, and writes a copy of the
+/// record with the list of the datagrams that had a valid tag.
 pub fn run(args: &Args) -> Result<Ended> {
     let wrong = |error: reader::ReadError| BadInput(error.to_string());
     let identity = reader::open(&args.record).map_err(wrong)?.identity;

@@ -24,7 +24,7 @@ use crate::time::Time;
 /// Longest time that a process waits at its end until its record is written.
 const FINISH_TIMEOUT: Duration = Duration::from_millis(1500);
 
-/// Record of a running process (host or operator), which is written in real time by another thread.
+/// Record of a running process (host or operator) that is being written in real time. A thread of its own writes it.
 pub struct LiveRecord {
     scope: Scope,
     recording: Cell<Option<Recording>>,
@@ -33,10 +33,10 @@ pub struct LiveRecord {
 }
 
 impl LiveRecord {
-    /// Creates the record `NAME-INCARNATION.mcap` of a host, in the folder of the flag `--record` or else of the team
-    /// file; `None` if neither names one. `began` is the run's time zero; `keyed` is whether the team has a key;
-    /// `files` are the team file and the policy's file, which are attached; `policy` is the digest of the policy's
-    /// file.
+    /// Starts the record `NAME-INCARNATION.mcap` of a host, in the folder of the flag `--record`, or otherwise of the
+    /// team file; returns `None` if neither names a folder. `began` is the time at which the run began, and `keyed` is
+    /// true if the team has a key. `files` are the team file and the policy file, which are attached; `policy` is the
+    /// digest of the policy file.
     pub fn of_host(
         flags: &RecordFlags,
         (team, live): (&Team, &LiveHost),
@@ -57,9 +57,9 @@ impl LiveRecord {
         LiveRecord::start((folder, &file), Scope::Host, (beginning, Stage::of(live.plan())), retention).map(Some)
     }
 
-    /// Creates the record `operator-INCARNATION.mcap` of an operator, in the folder of the flag `--record`; `None`
-    /// without one. `stage` is what drawings of the team need. `began` is the run's time zero; `files` is the team
-    /// file, which is attached.
+    /// Starts the record `operator-INCARNATION.mcap` of an operator, in the folder of the flag `--record`; returns
+    /// `None` without that flag. `stage` has what pictures of the team need. `began` is the time at which the run
+    /// began; `files` is the team file, which is attached.
     #[cfg(feature = "watch")]
     pub fn of_operator(
         flags: &RecordFlags,
@@ -91,21 +91,21 @@ impl LiveRecord {
         Ok(LiveRecord { scope, recording: Cell::new(Some(recording)), inlet, failed: Cell::new(false) })
     }
 
-    /// Adds an event of the host `host`, in the current turn of the event loop, to the record.
+    /// Adds an event of the host `host` to the record. It belongs to the current turn of the event loop.
     pub fn push(&self, host: HostId, event: ProcessEvent) {
         if let Some(event) = Event::of(self.scope, host, event) {
             self.inlet.push(event);
         }
     }
 
-    /// Asks the record to keep the events of the last seconds and the next ones. Has an effect only if the record keeps
-    /// events only on request (`--record-last`).
+    /// Requests that the record keeps the events of the last seconds and of the next ones. Only a record of excerpts
+    /// (`--record-last`) needs this; others keep everything.
     pub fn keep(&self) {
         self.inlet.push(Event::Keep);
     }
 
-    /// Marks the end of a turn of the event loop, at time `now`, in the record. Adds the lines that the program has
-    /// logged since the last turn.
+    /// Marks the end of a turn of the event loop (one pass over all pending inputs), at the time `now`, in the record.
+    /// Adds the lines that the program has logged since the last turn.
     pub fn turn(&self, now: Time) {
         log::take(|line| self.inlet.push(Event::Logged(line)));
         self.inlet.turn(now);
@@ -114,12 +114,12 @@ impl LiveRecord {
         }
     }
 
-    /// Returns the number of events that the record has dropped so far, because they could not be written in time.
+    /// Returns the number of events that the record lacks so far, because they could not be written in time.
     pub fn dropped(&self) -> u64 {
         self.inlet.dropped()
     }
 
-    /// Ends the record and waits until it is written, at most `FINISH_TIMEOUT`. Later calls do nothing.
+    /// Ends the record and waits until it is written, at most 1.5 s. Later calls do nothing.
     pub fn finish(&self) -> Result<()> {
         let Some(recording) = self.recording.take() else { return Ok(()) };
         log::collect(false);

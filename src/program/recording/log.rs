@@ -27,7 +27,7 @@ static OPEN: AtomicBool = AtomicBool::new(false);
 /// Whether `LINES` has log lines to take. Lets `take` return without the lock if it has none.
 static FILLED: AtomicBool = AtomicBool::new(false);
 
-/// Layer of `tracing` that collects log lines for the record. It sees what is logged to stderr.
+/// Layer of `tracing` that collects the lines logged to stderr, for the record of the run.
 pub struct Lines;
 
 /// Visitor that writes the message of a log event, and its other fields as `name=value`.
@@ -76,13 +76,13 @@ impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for Lines {
     }
 }
 
-/// Starts (`true`) or ends (`false`) the collection of log lines for the record.
+/// Starts the collection of log lines for the record if `open` is true, and ends it otherwise.
 pub fn collect(open: bool) {
     OPEN.store(open, Ordering::Relaxed);
 }
 
-/// Calls `each` with every log line collected since the last call of this function, and with a line that counts those
-/// for which there was no room. Takes no lock if there are none.
+/// Calls `each` with every log line that was collected since the last call of this function. If more lines were logged
+/// than are kept, one more line gives their number.
 pub fn take(mut each: impl FnMut(Logged)) {
     if !FILLED.swap(false, Ordering::Relaxed) {
         return;

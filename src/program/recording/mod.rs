@@ -64,7 +64,7 @@ impl RecordFlags {
         }
     }
 
-    /// Returns these flags as command-line arguments for another process.
+    /// Returns these flags as command-line arguments, for another process of this program.
     pub fn arguments(&self) -> Vec<OsString> {
         let last = self.record_last.map(|last_s| ("--record-last", OsString::from(last_s.to_string())));
         let size = self.record_size.map(|size_mb| ("--record-size", OsString::from(size_mb.to_string())));

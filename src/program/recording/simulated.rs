@@ -20,7 +20,8 @@ use crate::report::episode::Episode;
 use crate::time::Time;
 use crate::trial::{Proceed, Trial, TrialReport};
 
-/// Records the trials of a command (`sim` or `study`) in a folder, one record each.
+/// Records of the simulated trials of a command (`sim` or `study`): one file or series of files for each trial, in one
+/// folder.
 pub struct Simulated {
     folder: PathBuf,
     beginning: Beginning,
@@ -40,7 +41,7 @@ pub struct Recorded {
 }
 
 impl Recorded {
-    /// Returns the description of a trial of `sim`: the record is named after the repeat, such as `repeat-0003`.
+    /// Returns the description of a trial of `sim`. Its record is named after the repeat, such as `repeat-0003`.
     pub fn repeat(trial: &Trial) -> Recorded {
         let name = format!("repeat-{:04}", trial.repeat);
         Recorded { name, policy: trial.model.digest().to_owned(), job: None }
@@ -48,9 +49,9 @@ impl Recorded {
 }
 
 impl Simulated {
-    /// Creates the folder of the records; returns `None` if the flag `--record` is not given. `files` are the files
-    /// named by flags, which are attached to each record. `names` are the names of all records to be written; if one of
-    /// them exists already, fails.
+    /// Creates the folder for the records of all trials; returns `None` if the flag `--record` is not given. `files`
+    /// are the files that flags name, which are attached to each record. `names` are the names of all records to be
+    /// written; fails if one of them exists already.
     pub fn open(
         flags: &RecordFlags,
         files: Vec<PathBuf>,
@@ -72,9 +73,9 @@ impl Simulated {
         folder.join(format!("{name}.mcap"))
     }
 
-    /// Runs a trial, writes its record, and returns its report. `proceed` is called with the episodes finished so far,
-    /// and may stop the trial. An error of writing is kept for `finish`; if the record cannot be started, the trial is
-    /// not run and the report is empty.
+    /// Runs a trial while its record is written, and returns its report. `proceed` is called with the episodes finished
+    /// so far, and says whether the trial goes on. A write error is kept for the method `finish`. If the record cannot
+    /// be started, the trial is not run and the report is empty.
     pub fn run(
         &self,
         (recorded, trial): (&Recorded, &Trial),
@@ -83,8 +84,9 @@ impl Simulated {
         self.run_observed((recorded, trial), |_, _| {}, |_, _, episodes| proceed(episodes))
     }
 
-    /// Runs a trial, writes its record, and returns its report. The callbacks `report` (each event) and `proceed`
-    /// (whether to go on) are those of `Trial::run_observed`.
+    /// Runs a trial while its record is written, and returns its report. `report` is called with each event of a host.
+    /// `proceed` is called after each instant, with the actor graph, the time and the episodes finished so far, and
+    /// says whether the trial goes on.
     pub fn run_observed(
         &self,
         (recorded, trial): (&Recorded, &Trial),
@@ -122,8 +124,8 @@ impl Simulated {
         report
     }
 
-    /// Deletes all files of the record of a trial that was not finished, because the command runs that trial again from
-    /// its beginning.
+    /// Deletes the record of a trial that was interrupted, because the command runs that trial again from its
+    /// beginning.
     pub fn discard(&self, recorded: &Recorded) {
         let path = Simulated::path(&self.folder, &recorded.name);
         // A file that cannot be deleted stays, and the next run names it.
@@ -135,7 +137,7 @@ impl Simulated {
         self.failure.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).get_or_insert(error);
     }
 
-    /// Fails with the first error in writing the records of any trial, if there was one.
+    /// Returns the first error that occurred in writing a record of any trial, if there was one.
     pub fn finish(&self) -> Result<()> {
         self.failure.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take().map_or(Ok(()), Err)
     }

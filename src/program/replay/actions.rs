@@ -13,8 +13,8 @@ use crate::program::output::print;
 use crate::program::whole_file::WholeFile;
 use crate::record::actions::{Commands, RobotDifference, StepDifference};
 
-/// Replays a host from its record with another policy, and prints by how much the actions of each robot differ. Also
-/// writes the files of `--steps` and `--svg`, if given.
+/// Runs a host again with its recorded inputs and another policy, and prints by how much the actions of each robot
+/// differ from the recorded ones. Also writes the files of the flags `--steps` and `--svg`.
 pub fn show(args: &Args, prepared: Prepared) -> Result<()> {
     let policy = prepared.policy.clone();
     let (identity, messages, live, turns) = prepared.into_parts();

@@ -95,7 +95,7 @@ struct Table {
     records: Vec<Line>,
 }
 
-/// Runs `replay`: replays all records and prints whether they are equal, or shows them on a page with `--watch`.
+/// Runs `replay`: replays all records and prints whether they are equal, or shows them on a page if `--watch` is given.
 /// Returns [`Ended::Unfit`] if a replay differs from its record.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     #[cfg(feature = "watch")]
@@ -141,8 +141,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(if table.records.iter().all(|line| line.equal) { Ended::Done } else { Ended::Unfit })
 }
 
-/// Returns the files in `named`, and for each folder in `named` its records (`*.mcap`), sorted by name. Further files
-/// of a record in several files are left out, as they are read together with its first one.
+/// Returns the files in `named`, with each folder replaced by its records (`*.mcap`), sorted by name. A file that
+/// continues another file of its record is left out, as it is read together with the first one.
 pub fn files(named: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let mut all = Vec::new();
     for path in named {
@@ -205,15 +205,15 @@ fn check(args: &Args, path: &Path, identity: &Identity) -> Result<()> {
     Ok(())
 }
 
-/// Attached files of a record, written to a temporary folder, which is removed on drop.
+/// Files attached to a record, written into a temporary folder that is removed at the end.
 pub struct Files {
     folder: PathBuf,
-    /// For each attached file: its name in the record, and the path where it was written.
+    /// Name of each file in the record, with the path of the written file.
     pub files: Vec<(String, PathBuf)>,
 }
 
 impl Files {
-    /// Writes the attached files of a record into a new temporary folder.
+    /// Writes the files attached to a record into a new temporary folder.
     pub fn extract(opened: &Opened) -> Result<Files> {
         let mut number = [0; 8];
         getrandom::fill(&mut number).map_err(|error| anyhow::anyhow!("no random bytes: {error}"))?;

@@ -27,13 +27,13 @@ use crate::registry::Registry;
 use crate::time::Time;
 use crate::trial::Trial;
 
-/// A host that was built from its record and is ready for a replay.
+/// Host that was built from its record and is ready to run again.
 pub struct Prepared {
-    /// Identity of the record.
+    /// Identity of the record: program, arguments, host and seed of the recorded run.
     pub identity: Identity,
     /// Reader of the record's messages, with which the replay is compared.
     pub messages: Messages,
-    /// Name of the policy that the replayed host runs.
+    /// Name of the policy that the host runs.
     pub policy: String,
     live: LiveHost,
     turns: Turns,
@@ -42,8 +42,8 @@ pub struct Prepared {
     trusts: bool,
 }
 
-/// Builds a host from its record for a replay: with the files of the record; with the team's key, or the record's list
-/// of accepted datagrams; and with the policy of the flag `--policy` if given.
+/// Builds a host from its record for a replay, with the attached files `files`. The tags of datagrams are checked with
+/// the team's key, or replaced by the record's list of valid ones. The flag `--policy` replaces the policy.
 pub fn prepare(args: &Args, (path, opened): (&Path, Opened), files: &Files, registry: &Registry) -> Result<Prepared> {
     let Opened { identity, messages, attached } = opened;
     let of = identity.host.clone().expect("the caller has seen a host");
@@ -73,8 +73,8 @@ pub fn prepare(args: &Args, (path, opened): (&Path, Opened), files: &Files, regi
     Ok(Prepared { turns: Turns::open(path)?, identity, messages, policy: policy.name, live, trusts })
 }
 
-/// Returns the team as a host of a record has seen it, from the record's files and arguments; `change` may change the
-/// flags of the team file first.
+/// Returns the configuration of the team as the recorded host had it, from the files and arguments in its record.
+/// `change` may first change the flags that override fields of the team file.
 pub fn team_of(
     identity: &Identity,
     files: &Files,
@@ -103,7 +103,7 @@ fn keyless(path: &Path) -> String {
     format!("'{}' is of a team with a key, which is in no record: give it with --key-file", path.display())
 }
 
-/// Replays a host with its recorded inputs, and compares all events and messages of the replay with its record.
+/// Runs a host again with its recorded inputs, and compares all messages of the replay with those in its record.
 pub fn compare(prepared: Prepared) -> Result<Compared> {
     let Prepared { identity, messages, live, mut turns, trusts, .. } = prepared;
     let Some((begun, _)) = turns.next() else {
@@ -133,8 +133,8 @@ pub fn compare(prepared: Prepared) -> Result<Compared> {
     finish(comparison)
 }
 
-/// Replays a host with its recorded inputs, and calls `take` with each datagram that it publishes and the time since
-/// the start of the run.
+/// Runs a host again with its recorded inputs. Calls `take` with each datagram that it publishes, and with the time
+/// since the start of the run.
 pub fn published(live: LiveHost, mut turns: Turns, take: impl FnMut(Time, &[u8]) + 'static) {
     let Some((begun, _)) = turns.next() else { return };
     let now = Rc::new(Cell::new(begun));
@@ -150,13 +150,14 @@ pub fn published(live: LiveHost, mut turns: Turns, take: impl FnMut(Time, &[u8])
 }
 
 impl Prepared {
-    /// Returns the identity and messages of the record, the host, and the recorded turns.
+    /// Returns the parts of this host: identity and messages of its record, the host, and its recorded turns.
     pub fn into_parts(self) -> (Identity, Messages, LiveHost, Turns) {
         (self.identity, self.messages, self.live, self.turns)
     }
 }
 
-/// Iterator over the recorded turns of a host's event loop: time since the start of the run, and inputs of each turn.
+/// Iterator over the recorded turns of a host's event loop: the time since the start of the run, and the inputs, of
+/// each turn.
 pub struct Turns(Messages);
 
 impl Turns {

@@ -32,7 +32,7 @@ use crate::view::timeline::{Sight, Timeline};
 /// for pages.
 const TURN: Duration = Duration::from_millis(10);
 
-/// Runs `replay --watch`: serves a page that plays the records, until Ctrl-C.
+/// Runs `replay --watch`: serves a page that plays the records, until the user ends it by Ctrl-C.
 pub fn watch(args: &Args, registry: &Registry) -> Result<Ended> {
     let name = match &args.records[..] {
         [only] => only.display().to_string(),

@@ -24,13 +24,13 @@ use crate::safety::guard::SafetyCounts;
 use crate::time::Time;
 use crate::view::timeline::Sight;
 
-/// Content of a record that a page can show: the run's constant properties, and its events.
+/// Content of a record that the live page can show: constant properties of the run, and events.
 pub struct Shown {
     /// Hosts, robots, ground and walls of the run.
     pub stage: Stage,
-    /// Events of the record that change what a page shows, each with its time since the start of the record.
+    /// Events of the record that change the picture on the page, each with its time since the start of the record.
     pub sights: Vec<(Time, Sight)>,
-    /// Whether the record contains which messages arrived at each robot, so that the page can show links between
+    /// Whether the record contains which messages arrived at which host. If it does, the page can show links between
     /// robots.
     pub hears_links: bool,
     /// Whether the record contains the results of episodes.
@@ -56,7 +56,7 @@ struct Reading {
     results: bool,
 }
 
-/// Reads from a record file the content that a page can show.
+/// Reads from a record the content that the live page can show. An error says why the file cannot be read.
 pub fn read(path: &Path) -> Result<Shown> {
     let wrong = |error: ReadError| BadInput(error.to_string());
     let mut reader = Reader::open(path).map_err(wrong)?;
@@ -97,7 +97,8 @@ pub fn read(path: &Path) -> Result<Shown> {
     Ok(Shown { stage, sights: reading.sights, hears_links, hears_results: reading.results })
 }
 
-/// Returns a latent message without its features, which the page does not show; other messages unchanged.
+/// Returns the message as it is needed for the live page: a latent without its features, and any other message
+/// unchanged.
 pub fn slim(message: Wire) -> Wire {
     match message {
         Wire::Latent(mut latent) => {

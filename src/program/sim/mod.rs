@@ -185,7 +185,7 @@ fn choice<T: Copy + Send + Sync + 'static, const N: usize>(
         .map(move |name| named(name).expect("the parser lets only these names through"))
 }
 
-/// Runs `sim`: runs the trials of every policy and prints their results. An error names the flag.
+/// Runs `sim`: runs the trials of every policy, and prints their results. An error names the flag or the file.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let named: Vec<Option<&Path>> =
         if args.policy.is_empty() { vec![None] } else { args.policy.iter().map(|policy| Some(&**policy)).collect() };
@@ -230,8 +230,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
 }
 
-/// Runs `murmurate sim` with these arguments, without the program's name, and returns its results as JSON. Prints no
-/// progress and no table. Ends early once `stop` is set.
+/// Runs `murmurate sim` with these arguments (without the program's name), and returns its results as JSON without
+/// printing them. Ends early once `stop` is set.
 pub fn results_of(arguments: &[String], registry: &Registry, stop: &AtomicBool) -> Result<String> {
     let words = ["sim", "--quiet", "--json"].into_iter().map(str::to_owned).chain(arguments.iter().cloned());
     let found = Args::augment_args(clap::Command::new("sim")).try_get_matches_from(words);
@@ -319,7 +319,7 @@ fn records(args: &Args, trials: &[(Trial, String)]) -> Result<Option<Simulated>>
     Simulated::open(&args.record, files, repeats)
 }
 
-/// Returns the trial of which a record was made, from the recorded arguments of `sim` and the index of its repeat.
+/// Returns the trial of a recorded simulation, from the recorded arguments of `sim` and the index of its repeat.
 pub fn of_record(arguments: &[String], repeat: u32, registry: &Registry) -> Result<Trial> {
     let wrong = |error: clap::Error| BadInput(format!("the record's arguments are not understood: {error}"));
     let command = Args::augment_args(clap::Command::new("sim"));

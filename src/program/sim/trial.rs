@@ -50,7 +50,8 @@ fn network(args: &Args, mut deployment: Deployment) -> Result<Deployment> {
     deployment::with_radio(deployment, &args.radio)
 }
 
-/// Returns the trial of a policy, of which all others are repeats, and the policy's name for reports.
+/// Returns the trial that the flags of `sim` define for `policy` (`None` for the scenario's default policy), and the
+/// policy's name in reports. All other trials of the policy are repeats of it.
 pub fn of_flags(args: &Args, policy: Option<&Path>, registry: &Registry) -> Result<(Trial, String)> {
     let file = args.deployment.as_deref().map(conditions::deployment).transpose()?;
     let robots = args.robots.or(file.as_ref().map(|deployment| deployment.robots));

@@ -67,8 +67,10 @@ pub struct Shared {
     pub shard: Option<Shard>,
     #[command(flatten)]
     drive: DriveFlags,
+    /// Flags for records of the trials.
     #[command(flatten)]
     pub record: RecordFlags,
+    /// Flags that all studies share, such as the seed and the output folder.
     #[command(flatten)]
     pub run: Run,
 }
@@ -79,6 +81,7 @@ pub struct Modes {
     /// Columns of the table, separated by commas [default: all]
     #[arg(long, value_delimiter = ',', value_parser = PossibleValuesParser::new(columns::MODES))]
     columns: Vec<String>,
+    /// Flags that the studies `modes`, `delay` and `range` have in common, such as policies and scenario.
     #[command(flatten)]
     pub shared: Shared,
 }
@@ -92,6 +95,7 @@ pub struct Delay {
     /// Shares of messages lost, 0 to 1, separated by commas [default: 0,0.16,0.3,0.56]
     #[arg(long, value_delimiter = ',')]
     losses: Vec<f64>,
+    /// Flags that the studies `modes`, `delay` and `range` have in common, such as policies and scenario.
     #[command(flatten)]
     pub shared: Shared,
 }
@@ -103,12 +107,13 @@ pub struct Range {
     /// [default: 0.5,0.75,1,1.5,2,2.5,3,4]
     #[arg(long, value_delimiter = ',')]
     ranges_m: Vec<f32>,
+    /// Flags that the studies `modes`, `delay` and `range` have in common, such as policies and scenario.
     #[command(flatten)]
     pub shared: Shared,
 }
 
 impl Modes {
-    /// Returns the study that the flags define. An error names the flag.
+    /// Returns the study `modes` as the flags define it. An error names the flag.
     pub fn study(&self, registry: &Registry) -> Result<Study> {
         check_unique("--columns", &self.columns)?;
         // Columns keep the order of the table, not that of the flag.
@@ -122,7 +127,7 @@ impl Modes {
 }
 
 impl Delay {
-    /// Returns the study that the flags define. An error names the flag.
+    /// Returns the study `delay` as the flags define it. An error names the flag.
     pub fn study(&self, registry: &Registry) -> Result<Study> {
         let delays_ms = if self.delays_ms.is_empty() {
             columns::DELAYS_S.iter().map(|delay| 1000.0 * delay).collect()
@@ -146,7 +151,7 @@ impl Delay {
 }
 
 impl Range {
-    /// Returns the study that the flags define. An error names the flag.
+    /// Returns the study `range` as the flags define it. An error names the flag.
     pub fn study(&self, registry: &Registry) -> Result<Study> {
         let ranges_m = if self.ranges_m.is_empty() { columns::RANGES_M.to_vec() } else { self.ranges_m.clone() };
         check_unique("--ranges-m", &ranges_m)?;
@@ -272,7 +277,8 @@ impl Shared {
 }
 
 impl Shared {
-    /// Returns the files that the flags name: policies, `--episodes-file` and `--conditions`.
+    /// Returns the paths of the files that the flags name: policies, `--episodes-file` and `--conditions`. Names of
+    /// policies in the registry are among them.
     pub fn files(&self) -> Vec<PathBuf> {
         let policies = self.policies.iter().map(|given| PathBuf::from(split(given).map_or(&**given, |(file, _)| file)));
         policies.chain([&self.episodes_file, &self.conditions].into_iter().flatten().cloned()).collect()

@@ -16,13 +16,13 @@ use crate::program::whole_file::WholeFile;
 /// Name of the file that identifies the study of the folder: its settings and the program's version.
 const IDENTITY: &str = "study.json";
 
-/// Output folder of a study, with records of finished jobs, figures and the report.
+/// Output folder of a study, with the results of finished jobs (trials or cases), figures and the report.
 pub struct Folder(PathBuf);
 
 impl Folder {
-    /// Opens or creates the folder of a study, with the subfolder `pieces` for records of finished jobs, and stores
-    /// `identity`, the study's settings. `difference` returns how an identity found in the folder differs from
-    /// `identity`; `None` if they are equal. Fails if the folder belongs to another study or cannot be written.
+    /// Opens or creates the output folder of a study, with a subfolder `pieces` for the results of finished jobs.
+    /// `identity` is stored in it; `difference` returns as text how the identity that is found there differs from it,
+    /// and `None` if both are equal. Fails if the folder belongs to another study or cannot be written.
     pub fn open<I: Serialize + DeserializeOwned>(
         path: &Path,
         pieces: &str,
@@ -55,28 +55,29 @@ impl Folder {
         Ok(Folder(path.to_owned()))
     }
 
-    /// Returns the path of the study's folder.
+    /// Returns the path of the folder.
     pub fn path(&self) -> &Path {
         &self.0
     }
 
-    /// Returns the path of the report's page, `report.html`.
+    /// Returns the path of the report, `report.html`.
     pub fn page(&self) -> PathBuf {
         self.0.join("report.html")
     }
 
-    /// Reads the record of a finished job from the file `name`; `None` if that is missing or damaged.
+    /// Reads the results of a finished job from the file `name` of the folder; `None` if the file is missing or
+    /// damaged.
     pub fn kept<R: DeserializeOwned>(&self, name: &str) -> Option<R> {
         serde_json::from_str(&std::fs::read_to_string(self.0.join(name)).ok()?).ok()
     }
 
-    /// Writes the record of a finished job to the file `name`, atomically, so that an interruption loses only
-    /// unfinished jobs.
+    /// Writes the results of a finished job to the file `name` of the folder, atomically, so that an interruption loses
+    /// only unfinished jobs.
     pub fn keep(&self, name: &str, record: &impl Serialize) -> Result<()> {
         self.write(name, serde_json::to_string(record).context("a record is JSON")?.as_bytes())
     }
 
-    /// Writes the figures of the report, and then its page, `report.html`, which shows them.
+    /// Writes the figures of the report, and then its HTML page, which shows them.
     pub fn write_page(&self, figures: &[Figure], page: &str) -> Result<()> {
         for figure in figures {
             self.write(&format!("figures/{}.svg", figure.name), figure.svg.as_bytes())?;

@@ -63,7 +63,7 @@ struct Report<'a> {
     interrupted: bool,
 }
 
-/// Runs `study`: runs a study's trials, prints its table and writes its report.
+/// Runs `study`: runs the trials of a study, prints its table and writes its report.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let (study, shared) = match args {
         Args::Modes(flags) => (flags.study(registry)?, &flags.shared),
@@ -148,8 +148,8 @@ fn part_is_done(
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
 }
 
-/// Returns the trial of which a record was made, from the recorded arguments of `study`, its column and policy in the
-/// study, and its repeat.
+/// Returns the trial of a recorded simulation, from the recorded arguments of `study`, its column and policy in the
+/// study, and the index of its repeat.
 pub fn of_record(arguments: &[String], (job, repeat): (StudyJob, u32), registry: &Registry) -> Result<Trial> {
     let wrong = |why: String| BadInput(format!("the record's arguments are not understood: {why}"));
     let command = Args::augment_subcommands(clap::Command::new("study"));

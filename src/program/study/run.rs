@@ -29,11 +29,11 @@ pub struct Run {
     pub quiet: bool,
 }
 
-/// Builds the text of a command line, with quotes where a shell needs them.
+/// Text of a command line that is being built, with quotes where a shell needs them.
 pub struct CommandLine(pub String);
 
 impl CommandLine {
-    /// Adds a flag, given without `--`, with its value; nothing for `None`.
+    /// Adds a flag (without `--`) with its value; adds nothing if the value is `None`.
     pub fn add(&mut self, flag: &str, value: Option<String>) {
         if let Some(value) = value {
             let plain = value.chars().all(|c| c.is_ascii_alphanumeric() || "-_./@,:".contains(c));
@@ -42,14 +42,14 @@ impl CommandLine {
         }
     }
 
-    /// Adds a flag, given without `--`, with a list of values, separated by commas; nothing for an empty list.
+    /// Adds a flag (without `--`) with a list of values, separated by commas; adds nothing if the list is empty.
     pub fn add_all(&mut self, flag: &str, values: impl IntoIterator<Item = impl ToString>) {
         let values: Vec<String> = values.into_iter().map(|value| value.to_string()).collect();
         self.add(flag, (!values.is_empty()).then(|| values.join(",")));
     }
 }
 
-/// Fails if a value of a flag is given twice. The error names the flag.
+/// Checks that no value of the flag `flag` is given twice. The error names the flag.
 pub fn check_unique<T: PartialEq + Display>(flag: &str, values: &[T]) -> Result<()> {
     match values.iter().enumerate().find(|(at, value)| values[..*at].contains(value)) {
         Some((_, twice)) => bad(format!("{flag}: {twice} is given twice")),
@@ -58,8 +58,8 @@ pub fn check_unique<T: PartialEq + Display>(flag: &str, values: &[T]) -> Result<
 }
 
 impl Run {
-    /// Prints on stderr where the results are, and after an interruption how many of `all` jobs are finished. `what` is
-    /// the noun for jobs, such as 'trials'.
+    /// Prints on stderr where the results of a study are. After an interruption, also prints how many of `all` jobs are
+    /// done; `what` is the noun for them, such as `trials`.
     pub fn print_location(&self, folder: Option<&Folder>, what: &str, done: usize, all: usize) {
         match (folder, done < all) {
             (Some(folder), true) => talk(&format!(

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-/// Part of a study's trials: the `number`-th of `count` parts.
+/// Part of a study's trials, the `number`-th of `count`, which runs on a machine of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shard {
     /// Number of the part, from 1.
@@ -13,8 +13,8 @@ pub struct Shard {
 }
 
 impl Shard {
-    /// Whether the trial with this index belongs to the part. Neighbouring trials, which take equally long, belong to
-    /// different parts.
+    /// Returns true if the trial with the index `trial` belongs to this part. Neighbouring trials, which take equally
+    /// long, belong to different parts.
     pub fn has(self, trial: usize) -> bool {
         trial % self.count == self.number - 1
     }

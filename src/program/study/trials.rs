@@ -29,7 +29,7 @@ struct Line<'a> {
     min_separation_m: Option<f32>,
 }
 
-/// Opens or creates the folder of a study. Fails if it belongs to another study.
+/// Opens or creates the output folder of a study. Fails if it belongs to another study.
 pub fn open(path: &std::path::Path, study: &Study) -> Result<Folder> {
     let identity = study.identity();
     Folder::open(path, TRIALS, &identity, |theirs| {
@@ -43,8 +43,7 @@ fn column(study: &Study, job: Job) -> String {
     study.columns[job.column].name.replace(['/', '%'], "")
 }
 
-/// Returns the description of a trial for recording: the file name of its record (MCAP), its policy, and its place in
-/// the study.
+/// Returns the description of a trial of a study for its recording: name of its record, policy, and place in the study.
 pub fn recorded(study: &Study, job: Job) -> Recorded {
     let name = format!("{}-{}-{:04}", column(study, job), job.policy + 1, job.repeat);
     let place = StudyJob { column: job.column, policy: job.policy };
@@ -57,13 +56,13 @@ fn name(study: &Study, job: Job) -> String {
     format!("{TRIALS}/{column}.{}.{:03}.json", job.policy + 1, job.repeat)
 }
 
-/// Reads the results of a finished trial from the study's folder; `None` if they are missing, damaged or made under
+/// Reads the results of the trial `job` from the study's folder; `None` if they are missing, damaged or found under
 /// other conditions.
 pub fn read(folder: &Folder, study: &Study, job: Job) -> Option<Record> {
     folder.kept(&name(study, job)).filter(|record: &Record| record.belongs_to(study, job))
 }
 
-/// Writes the results of a finished trial into the study's folder.
+/// Writes the results of the finished trial `job` into the study's folder.
 pub fn write(folder: &Folder, study: &Study, job: Job, record: &Record) -> Result<()> {
     folder.keep(&name(study, job), record)
 }

@@ -11,7 +11,7 @@ const COLOURS: [RGBColor; 3] = [RGBColor(0, 114, 178), RGBColor(213, 94, 0), RGB
 /// Width and height of the plot \[pixels\].
 const SIZE: (u32, u32) = (900, 720);
 
-/// Row of the learning curve: metrics of one iteration of the training.
+/// Row of a training's learning curve: the metrics of one iteration.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Row {
     elapsed_s: f64,
@@ -37,8 +37,9 @@ pub struct Row {
 }
 
 impl Row {
-    /// Creates the row of an iteration: `elapsed_s` \[s\] and `progress` (0 to 1) of the training, and the metrics.
-    /// `scores` are those of the evaluation after the iteration, if there was one.
+    /// Returns the row of an iteration from its metrics. `elapsed_s` \[s\] is the duration of the training so far, and
+    /// `progress` (0 to 1) the part of it that is done. `scores` are the results of the evaluation after the iteration,
+    /// if there was one.
     pub fn new(elapsed_s: f64, progress: f64, metrics: &Metrics, scores: Option<&Scores>) -> Row {
         let mut row = Row {
             elapsed_s,
@@ -79,20 +80,20 @@ impl Row {
     }
 }
 
-/// Learning curve of a training: the rows of all iterations so far.
+/// Learning curve of a training: a row for each iteration so far.
 #[derive(Debug, Default)]
 pub struct Curve {
     rows: Vec<Row>,
 }
 
 impl Curve {
-    /// Parses a learning curve from CSV, and keeps the rows up to the iteration `iterations`.
+    /// Parses a learning curve from CSV, and keeps its rows up to the iteration `iterations`.
     pub fn from_csv(text: &str, iterations: u64) -> Result<Curve, csv::Error> {
         let rows: Result<Vec<Row>, csv::Error> = csv::Reader::from_reader(text.as_bytes()).deserialize().collect();
         Ok(Curve { rows: rows?.into_iter().filter(|row| row.iteration <= iterations).collect() })
     }
 
-    /// Returns the learning curve as CSV with a header, one line for each iteration.
+    /// Returns the learning curve as CSV with a header.
     pub fn to_csv(&self) -> Result<String> {
         let mut csv = csv::Writer::from_writer(Vec::new());
         for row in &self.rows {
@@ -106,7 +107,7 @@ impl Curve {
         self.rows.push(row);
     }
 
-    /// Returns the duration of the training up to the last row \[s\].
+    /// Returns the duration of the training up to the last row \[s\]; 0 without a row.
     pub fn elapsed_s(&self) -> f64 {
         self.rows.last().map_or(0.0, |row| row.elapsed_s)
     }
@@ -116,15 +117,15 @@ impl Curve {
         self.rows.iter().rev().find(|row| row.perfect_success.is_some()).map_or(0.0, |row| row.progress)
     }
 
-    /// Adds the scores of an evaluation to the last row.
+    /// Adds the results of an evaluation to the last row.
     pub fn set_last_scores(&mut self, scores: &Scores) {
         if let Some(row) = self.rows.last_mut() {
             row.set_scores(scores);
         }
     }
 
-    /// Returns one line on the last 20 iterations: return, success, and decisions per second. `decisions` is the number
-    /// of decisions so far.
+    /// Returns a text of one line about the last 20 iterations: return, success rate, and decisions per second.
+    /// `decisions` is the number of all decisions so far.
     pub fn summary(&self, decisions: u64) -> String {
         let Some(last) = self.rows.last() else { return String::new() };
         let recent = &self.rows[self.rows.len().saturating_sub(20)..];
@@ -144,7 +145,8 @@ impl Curve {
         )
     }
 
-    /// Plots success and return over the number of decisions, and returns the SVG.
+    /// Plots success rate and return against the number of decisions, and returns the SVG. `scenario` is the name of
+    /// the scenario.
     pub fn plot(&self, scenario: &str) -> Result<String> {
         let mut svg = String::new();
         {

@@ -11,7 +11,7 @@ use crate::program::BadInput;
 use crate::program::temporary::Temporary;
 use crate::program::whole_file::WholeFile;
 
-/// Output folder of a training, with policy, checkpoint, learning curve and configuration.
+/// Output folder of a training, with its policy, checkpoint, learning curve and configuration.
 pub struct Folder {
     path: PathBuf,
     /// Iteration of the last complete checkpoint; `None` if there is none.
@@ -19,8 +19,8 @@ pub struct Folder {
 }
 
 impl Folder {
-    /// Opens or creates the folder at `path`, and checks that it is writable. Fails if it contains a training and
-    /// `resume` is not set.
+    /// Opens or creates the output folder of a training, and checks that it is writable. Fails if it contains a
+    /// training and `resume` is false.
     pub fn open(path: &Path, resume: bool) -> Result<Folder> {
         let refuse = |why: String| BadInput(format!("--out: '{}': {why}", path.display()));
         std::fs::create_dir_all(path).map_err(|e| refuse(format!("cannot make this folder: {e}")))?;
@@ -34,23 +34,23 @@ impl Folder {
         Ok(folder)
     }
 
-    /// Returns the path of the policy file.
+    /// Returns the path of the policy file in the folder.
     pub fn policy(&self) -> PathBuf {
         self.path.join("policy.safetensors")
     }
 
-    /// Returns the path of the checkpoint.
+    /// Returns the path of the checkpoint in the folder.
     pub fn checkpoint(&self) -> PathBuf {
         self.path.join("checkpoint.bin")
     }
 
-    /// Writes the configuration as `config.toml`, from which other trainings can start.
+    /// Writes the configuration of the training as `config.toml`, from which other trainings can start.
     pub fn write_config(&self, config: &Config) -> Result<()> {
         let text = toml::to_string(config).context("a configuration is TOML")?;
         self.write("config.toml", text.as_bytes())
     }
 
-    /// Reads the saved learning curve up to `iterations`, the iteration of the checkpoint.
+    /// Reads the learning curve in the folder up to `iterations`, the iteration of the checkpoint.
     pub fn curve(&mut self, iterations: u64) -> Result<Curve> {
         self.saved = Some(iterations);
         let path = self.path.join("curve.csv");
@@ -59,8 +59,8 @@ impl Folder {
         Ok(Curve::from_csv(&text, iterations).map_err(|e| wrong(e.to_string()))?)
     }
 
-    /// Saves policy, learning curve (CSV and SVG) and checkpoint. The checkpoint is written last, so that the other
-    /// files are never older than it.
+    /// Saves the policy, the learning curve (CSV and SVG) and the checkpoint. The checkpoint is written last, so that
+    /// the other files are never older.
     pub fn save(&mut self, trainer: &Trainer, curve: &Curve) -> Result<()> {
         let files = || -> Result<()> {
             self.write("policy.safetensors", &trainer.policy_file())?;

@@ -68,8 +68,8 @@ fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
     Ok(Plan { scenario, preset, config, seed: args.seed.unwrap_or(0) })
 }
 
-/// Sets the delay and loss of messages in the conditions to those of a medium (preset or radio file) for a team of
-/// `robots` robots. Errors begin with `flag`, the name of the flag or argument.
+/// Sets the delay and loss of messages in `conditions` to those of a medium, for a team of `robots` robots. `radio` is
+/// a preset or a radio file. Errors begin with `flag`, the name of the flag or argument.
 pub fn with_radio(flag: &str, radio: &str, robots: usize, conditions: &mut config::Conditions) -> Result<()> {
     let medium = study::medium(flag, radio)?;
     of_medium::apply(&medium, robots, conditions)
@@ -102,7 +102,7 @@ fn with_fields(config: Config, set: &[String]) -> Result<Config> {
     Ok(Config::from_toml(&text).map_err(|e| BadInput(format!("--set: {e}")))?)
 }
 
-/// Creates the trainer of a new training from the flags. An error names the flag or the file.
+/// Returns the trainer of a new training from the flags. An error names the flag or the file.
 pub fn begin(args: &Args, registry: &Registry) -> Result<Trainer> {
     let plan = plan(args, registry)?;
     let mut trainer = Trainer::new(plan, registry).map_err(|e| match &args.config {
@@ -117,7 +117,7 @@ pub fn begin(args: &Args, registry: &Registry) -> Result<Trainer> {
     Ok(trainer)
 }
 
-/// Loads the trainer of an earlier training from the checkpoint in its folder. Fails if its scenario, seed or
+/// Returns the trainer of the training in the folder, as its checkpoint has it. Fails if its scenario, seed or
 /// configuration differs from the flags.
 pub fn resume(args: &Args, folder: &Folder, registry: &Registry) -> Result<Trainer> {
     let wrong = |why: String| BadInput(format!("cannot resume '{}': {why}", folder.checkpoint().display()));

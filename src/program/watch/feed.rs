@@ -28,7 +28,7 @@ const LOOK: Duration = Duration::from_millis(10);
 /// episode, and the state of this process.
 type Change = (&'static str, usize, Option<u32>, &'static str);
 
-/// Publishes the state of a team to the browsers that show the live page, and the metrics if there are any.
+/// Publisher of a team's state to browsers with the live page, and of the metrics if there are any.
 pub struct Feed {
     view: Rc<RefCell<TeamView>>,
     metrics: Option<Rc<RefCell<Metrics>>>,
@@ -42,7 +42,8 @@ pub struct Feed {
 }
 
 impl Feed {
-    /// Creates a feed of this view, which has published nothing yet. It publishes metrics only if `metrics` is given.
+    /// Returns a feed of the team's state `view` that has published nothing yet. It publishes metrics only if `metrics`
+    /// is given.
     pub fn new(view: Rc<RefCell<TeamView>>, metrics: Option<Rc<RefCell<Metrics>>>) -> Feed {
         let now = Instant::now();
         let period = if view.borrow().scene().robots >= LARGE { SNAPSHOT_LARGE } else { SNAPSHOT };
@@ -59,14 +60,14 @@ impl Feed {
         }
     }
 
-    /// Makes the next call of [`Feed::tell`] publish a snapshot without waiting for its period.
+    /// Makes the next call of [`Feed::tell`] publish a picture of the team without waiting for its period.
     pub fn at_once(&mut self) {
         (self.look_at, self.snapshot_at) = (Instant::now(), Instant::now());
     }
 
-    /// Publishes snapshot, metrics, goals and status if they are due, without waiting. `now` is the time of the run. A
-    /// change of `own`, the state of this process in a word, is published at once. `fill` sets the fields of the status
-    /// that only this process knows.
+    /// Publishes picture, metrics, goals and status of the team if they are due, without waiting. `now` is the time of
+    /// the run. A change of `own`, the state of this process in a word, is published at once. `fill` sets the fields of
+    /// the status that only this process knows.
     pub fn tell(&mut self, publisher: &Publisher, now: Time, own: &'static str, fill: impl FnOnce(&mut Status)) {
         let present = Instant::now();
         if present < self.look_at {

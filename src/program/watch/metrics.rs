@@ -37,7 +37,7 @@ pub struct MetricsFlags {
     metrics_token_file: Option<PathBuf>,
 }
 
-/// Metrics of a running host, with the HTTP server that serves them.
+/// Metrics of a running host, and the HTTP server that serves them.
 pub struct HostMetrics {
     view: RefCell<TeamView>,
     metrics: RefCell<Metrics>,
@@ -60,7 +60,8 @@ impl MetricsFlags {
         }
     }
 
-    /// Starts the HTTP server of a host's metrics; `None` if the flag `--metrics` is not given.
+    /// Starts the HTTP server of the metrics of the host `team.host`; returns `None` if the flag `--metrics` is not
+    /// given.
     pub fn open(&self, team: &Team) -> Result<Option<HostMetrics>> {
         let Some(listen) = self.metrics else { return Ok(None) };
         let guarded = is_guarded(listen);
@@ -86,7 +87,7 @@ fn is_guarded(listen: SocketAddr) -> bool {
 }
 
 impl HostMetrics {
-    /// Updates the metrics from an event that the host's process reports.
+    /// Updates the metrics by an event of the host `host`.
     pub fn hear(&self, host: HostId, event: ProcessEvent) {
         self.metrics.borrow_mut().take(host, event);
         let mut view = self.view.borrow_mut();
@@ -97,8 +98,8 @@ impl HostMetrics {
         }
     }
 
-    /// Marks the end of a turn of the host's event loop: updates samples and text of the metrics if they are due.
-    /// `dropped` is the number of events missing in the host's record; `None` without a record.
+    /// Marks the end of a turn of the host's event loop at the time `now`: samples and publishes the metrics if this is
+    /// due. `dropped` is the number of events that the host's record lacks; `None` without a record.
     pub fn turn(&self, now: Time, dropped: Option<u64>) {
         self.now.set(now);
         if now.since(self.sampled.get()) >= SAMPLE {

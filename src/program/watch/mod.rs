@@ -19,7 +19,7 @@ use crate::view::access::{Access, Control, TOKEN_BYTES, Token};
 use crate::view::server::{Publisher, Server};
 use crate::view::status::Scene;
 
-/// Flags of a live page: address, permitted commands and token.
+/// Flags of the live page: address, permitted commands and token.
 #[derive(clap::Args)]
 pub struct PageFlags {
     /// Address at which the page is served; one that other machines reach needs --token-file [default: 127.0.0.1 and a
@@ -34,12 +34,13 @@ pub struct PageFlags {
     token_file: Option<PathBuf>,
 }
 
-/// Flags of a command that serves a live page if `--watch` is given.
+/// Flags of a command that serves the live page if `--watch` is given.
 #[derive(clap::Args)]
 pub struct OptionalPage {
     /// Serves a page that shows the team while it runs, and prints its address (docs/watch.md)
     #[arg(long)]
     pub watch: bool,
+    /// Flags of the page: address, permitted commands and token.
     #[command(flatten)]
     pub page: PageFlags,
 }
@@ -74,13 +75,13 @@ pub struct RecordPage {
 
 #[cfg(feature = "sim")]
 impl RecordPage {
-    /// Whether the page was requested by `--watch`.
+    /// Returns true if the page was requested by `--watch`.
     pub fn is_on(&self) -> bool {
         self.watch
     }
 
-    /// Starts the HTTP server of a page that plays a record, and prints the page's address. `scene` is what the page
-    /// shows at first.
+    /// Starts the HTTP server of a page that plays a record, and prints the page's address. `scene` has the constant
+    /// properties of the recorded run.
     pub fn open(&self, scene: Scene) -> Result<(Server, Publisher)> {
         let (listen, token_file) = (self.listen, self.token_file.clone());
         PageFlags { listen, control: true, token_file }.open(scene, Control::Playback)
@@ -88,9 +89,9 @@ impl RecordPage {
 }
 
 impl PageFlags {
-    /// Starts the HTTP server of the page and prints its address. `scene` is what the page shows at first. With
-    /// `--control` the page may give the commands `most`, which this process can execute; otherwise only the emergency
-    /// stop.
+    /// Starts the HTTP server of the page, and prints the page's address. `scene` has the constant properties of the
+    /// run. With `--control` the page may give the commands `most`, which this process can execute; otherwise only the
+    /// emergency stop.
     pub fn open(&self, mut scene: Scene, most: Control) -> Result<(Server, Publisher)> {
         let listen = self.listen.unwrap_or_else(|| SocketAddr::from(([127, 0, 0, 1], 0)));
         let guarded = !listen.ip().to_canonical().is_loopback();

@@ -65,7 +65,7 @@ pub struct Args {
     record: RecordFlags,
 }
 
-/// Runs `watch`: serves the page until Ctrl-C.
+/// Runs `watch`: serves the live page of a team until the user ends it by Ctrl-C.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let (signal, waker) = signals::listen()?;
     let file = args.team.read(registry)?;
@@ -82,7 +82,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
-/// Live page that is served already, of a team whose network was not joined yet.
+/// Live page of a team that is served, while this process has not joined the team's network yet.
 pub struct Page {
     view: TeamView,
     server: Server,
@@ -97,8 +97,8 @@ pub struct Page {
 }
 
 impl Page {
-    /// Opens the page of a team and prints its address. `results` receives results of episodes; `None` if this process
-    /// does not get them.
+    /// Opens the live page of a team, and prints its address. `results` receives the results of episodes; `None` if
+    /// this process does not get them.
     pub fn open(
         file: &TeamFile,
         team: &team::TeamArgs,
@@ -149,7 +149,7 @@ impl Page {
         LiveRecord::of_operator(flags, run, self.began, vec![team.to_owned()])
     }
 
-    /// Joins the team's network as an operator, and serves the page on this thread until `over` returns `true`. What
+    /// Joins the team's network as an operator, and updates the page on this thread until `over` returns `true`. What
     /// the operator receives is also written to `record`, if given.
     pub fn run(
         self,

@@ -43,13 +43,13 @@ pub struct PacedPage {
 }
 
 impl PacedPage {
-    /// Whether the page was requested by `--watch`.
+    /// Returns true if the page was requested by `--watch`.
     pub fn is_on(&self) -> bool {
         self.page.watch
     }
 
-    /// Fails if the page's flags are wrong or do not fit a simulation of this many policies and repeats. An error names
-    /// the flag.
+    /// Fails if the flags of the page are wrong, or do not fit a simulation of this many policies and repeats. An error
+    /// names the flag.
     pub fn check(&self, policies: usize, repeats: Option<u32>) -> Result<()> {
         self.page.check()?;
         match self.speed {
@@ -73,8 +73,8 @@ const MEASURED: Duration = Duration::from_secs(1);
 /// Duration of the crash that a page orders: practically unlimited, until the page restarts the actor.
 const FOR_GOOD: Span = Span::from_millis(1 << 40);
 
-/// Runs a trial at the speed that the flags give, with a live page, until its end or until `stop` is set. Records it if
-/// `records` is given. Returns the report.
+/// Runs a trial with a live page, at the speed that the flags give, until its end or until `stop` is set, and returns
+/// its report. `policy` is the policy's name; the trial is recorded if `records` is given.
 pub fn run(
     trial: &Trial,
     policy: &str,

@@ -27,31 +27,31 @@ struct Identity {
     link: Option<String>,
 }
 
-/// Record of a finished case of a network study: its outcome, and the conditions under which it was found.
+/// Stored result of a finished case of a network study, with the conditions under which it was found.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Record {
     /// Origin of the record: study, program, seed and conditions.
     origin: Origin,
     case: Case,
-    /// Outcome of the case: delivery and delay of messages, and other counts.
+    /// Outcome of the case: delivery and delay of messages, ages at control steps, and other counts.
     pub outcome: Outcome,
-    /// Bound on the error of one-way delays \[s\], from the clocks of two hosts; 0 in an emulation.
+    /// Bound on the error of the measured one-way delays \[s\], as the clocks of hosts differ; 0 in an emulation.
     pub uncertainty_s: f64,
 }
 
-/// Records of the finished cases of a network study ([`Sweep`]), stored in a folder if there is one.
+/// Results of the finished cases of a network study, stored in its folder if it has one.
 pub struct Journal {
-    /// Settings of the study and the values that its cases combine.
+    /// Parameters of the study, whose cases are all combinations of the lists in them.
     pub sweep: Sweep,
-    /// Folder of the records; `None` if they are not stored.
+    /// Output folder of the study; `None` if nothing is stored.
     pub folder: Option<Folder>,
     link: Option<String>,
 }
 
 impl Journal {
-    /// Opens the records of a network study, in the folder `path` if given. `link` describes the measured link; `None`
-    /// without a measurement.
+    /// Opens the stored results of a network study in the folder `path`, if one is given. `link` describes the link
+    /// that is measured; `None` in an emulation alone. Fails if the folder belongs to another study.
     pub fn open(path: Option<&Path>, sweep: Sweep, link: Option<String>) -> Result<Journal> {
         let (version, build) = (origin::VERSION.to_owned(), origin::BUILD.to_owned());
         let study = STUDY.to_owned();
@@ -70,7 +70,7 @@ impl Journal {
         Origin::here(STUDY, *seed, "", &(source, case, stations, bytes, medium, history, seconds, link))
     }
 
-    /// Reads the record of each case from the folder; `None` for a record that is missing, damaged or made under other
+    /// Returns the stored result of each case; `None` for a result that is missing, damaged or found under other
     /// conditions.
     pub fn kept(&self, source: Source, cases: &[Case]) -> Vec<Option<Record>> {
         let one = |(at, case): (usize, &Case)| {
@@ -80,7 +80,8 @@ impl Journal {
         cases.iter().enumerate().map(one).collect()
     }
 
-    /// Creates the record of a case, stores it if there is a folder, and returns it.
+    /// Stores the outcome of a case, if there is a folder, and returns the result with its conditions. `at` is the
+    /// index of the case in the study.
     pub fn keep(
         &self,
         source: Source,
@@ -98,12 +99,13 @@ fn name(source: Source, at: usize) -> String {
     format!("{CASES}/{source}-{at:04}.json")
 }
 
-/// Returns the name of the file with the results of a simulated team of this size in this mode.
+/// Returns the name of the file with the cost of a simulated team of `robots` robots in the mode `mode`.
 pub fn team(mode: &str, robots: usize) -> String {
     format!("{CASES}/team-{mode}-{robots:04}.json")
 }
 
-/// Writes the report of a network study: rows of the cases, network load of growing teams, figures, table and page.
+/// Writes the report of a network study into its folder: rows of the cases, cost of growing teams, figures, table and
+/// page.
 pub fn write_report(folder: &Folder, findings: &Findings) -> Result<()> {
     let rows = findings.rows();
     folder.write_csv("rows.csv", &rows)?;

@@ -18,7 +18,7 @@ use crate::program::jobs;
 use crate::program::output::{read_text, talk};
 use crate::program::whole_file::WholeFile;
 
-/// Result of the fit of a radio, as it is printed.
+/// Result of `study network --fit`, as it is printed: the fitted parameters of a radio, and how well they fit.
 #[derive(Serialize)]
 pub struct Report {
     noise_loss: f64,
@@ -34,8 +34,8 @@ pub struct Report {
     rows: usize,
 }
 
-/// Reads the rows to fit to from a JSON file: a list, or an object with a field `rows`. If some were measured, returns
-/// only those; otherwise the emulated ones.
+/// Reads the rows of a network study to which a radio is to be fitted from a JSON file: a list, or an object with a
+/// field `rows`. If some rows were measured, returns only those; otherwise all.
 pub fn read(path: &Path, sweep: &Sweep) -> Result<Vec<Observed>> {
     let wrong = |why: String| {
         let expected = "it has to be what 'murmurate study network --json' printed, or rows.json of its report";
@@ -56,8 +56,8 @@ pub fn read(path: &Path, sweep: &Sweep) -> Result<Vec<Observed>> {
     if rows.is_empty() { Err(wrong("it has no rows".to_owned()).into()) } else { Ok(rows) }
 }
 
-/// Opens the radio file to be written, before the work begins. Fails if the medium is not a radio, or the file cannot
-/// be written.
+/// Opens the radio file `file` for writing, before the work begins. Fails if the study's medium is no radio, or if the
+/// file cannot be written.
 pub fn prepare(file: &Path, sweep: &Sweep) -> Result<WholeFile> {
     match &sweep.medium {
         Medium::Radio(_) => WholeFile::create(file),
@@ -65,8 +65,8 @@ pub fn prepare(file: &Path, sweep: &Sweep) -> Result<WholeFile> {
     }
 }
 
-/// Fits the radio of the study's medium to the rows `observed`, and writes the result to `out`. After Ctrl-C, returns
-/// `None` and writes nothing.
+/// Fits the radio of the study's medium to the rows `observed`, writes it to `out`, and returns the result. After
+/// Ctrl-C, returns `None` and writes nothing.
 pub fn run(
     sweep: &Sweep,
     observed: &[Observed],

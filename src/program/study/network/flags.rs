@@ -71,6 +71,7 @@ pub struct Args {
     /// Rows to fit to: output of --json, or rows.json of a report. If some were measured, only those
     #[arg(long, value_name = "FILE.json", requires = "fit", conflicts_with_all = ["live", "out", "teams"])]
     pub rows: Option<PathBuf>,
+    /// Flags that all studies share, such as the seed and the output folder.
     #[command(flatten)]
     pub run: Run,
 }
@@ -88,7 +89,8 @@ fn named<T: DeserializeOwned + PartialEq + Clone>(flag: &str, given: &[String], 
     Ok(if chosen.is_empty() { all.to_vec() } else { chosen })
 }
 
-/// Returns the medium (radio or shaped links) with this name, or from this file. An error names the flag or the file.
+/// Returns the medium (a radio, or shaped links) with the name `given`, or from the file with this path. An error names
+/// the flag `flag` or the file.
 pub fn medium(flag: &str, given: &str) -> Result<Medium> {
     match Medium::named(given) {
         Some(medium) => Ok(medium),
@@ -105,15 +107,15 @@ pub fn medium(flag: &str, given: &str) -> Result<Medium> {
 const STATIONS: u16 = 5;
 
 impl Args {
-    /// Prints the path of the radio file that `--fit` has written, and the flags that use it; nothing without `--fit`.
+    /// Prints the path of the radio file that `--fit` has written, and the flags that use it. Prints nothing without
+    /// `--fit` or with `--quiet`.
     pub fn print_location(&self) {
         if let (Some(file), false) = (&self.fit, self.run.quiet) {
             talk(&format!("radio in '{0}': use it with 'sim --radio {0}' or 'train --radio {0}'", file.display()));
         }
     }
 
-    /// Returns the settings of the study that the flags define, with the values that its cases combine. An error names
-    /// the flag.
+    /// Returns the parameters of the network study that the flags define. An error names the flag.
     pub fn sweep(&self) -> Result<Sweep> {
         if self.fit.is_some() && self.rows.is_none() && self.live.is_none() {
             return bad("--fit: there are no rows; give --rows FILE.json, or measure with --live TEAM.toml".to_owned());
@@ -147,7 +149,8 @@ impl Args {
         Ok(sweep)
     }
 
-    /// Returns the team sizes for which the cost per robot is found, sorted; empty if none is wanted.
+    /// Returns the sizes (numbers of robots) of the teams whose cost per robot is to be found, sorted; empty if none is
+    /// wanted. An error names the flag.
     pub fn teams(&self) -> Result<Vec<usize>> {
         match self.teams.as_slice() {
             [] if self.live.is_some() || self.fit.is_some() => Ok(Vec::new()),
@@ -169,7 +172,7 @@ impl Args {
         }
     }
 
-    /// Returns the command line that reproduces the study, without flags that do not affect the results.
+    /// Returns the command line that reproduces the study, without flags that do not affect its results.
     pub fn command(&self) -> String {
         let mut command = CommandLine("murmurate study network".to_owned());
         command.add("medium", Some(self.medium.clone()));

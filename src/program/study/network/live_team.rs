@@ -17,7 +17,7 @@ use crate::program::BadInput;
 use crate::program::bad;
 use crate::program::team::{self, TeamArgs};
 
-/// Team whose hosts measure the delivery and delay of messages on the link between them.
+/// Team whose hosts measure a network: the delivery and delay of messages on the link between them.
 pub struct LiveTeam {
     args: TeamArgs,
     file: TeamFile,
@@ -29,8 +29,8 @@ pub struct LiveTeam {
 }
 
 impl LiveTeam {
-    /// Reads the team of a measurement from its team file. Fails if no latents cross a link between its hosts. An error
-    /// names the flag or the field.
+    /// Reads the team of a measurement from the team file `path`. Fails if no latents cross a link between its hosts.
+    /// An error names the flag or the field.
     pub fn of(path: &Path, args: &Args, registry: &Registry) -> Result<LiveTeam> {
         let args = TeamArgs::of(path.to_owned(), args.set.clone());
         let file = args.read(registry)?;
@@ -52,26 +52,26 @@ impl LiveTeam {
         self.args.path()
     }
 
-    /// Returns the names of the participating hosts, in the order of their station numbers.
+    /// Returns the names of the participating hosts; the index is the station number.
     pub fn names(&self) -> Vec<String> {
         let hosts = &self.file.deployment().hosts;
         self.stations.iter().map(|host| hosts[usize::from(host.0)].name.clone()).collect()
     }
 
-    /// Returns a text that identifies the measured link: the participants' names, and a digest of the link's settings
-    /// at the first one.
+    /// Returns a text that identifies the measured link: the names of the participating hosts, and a digest of the
+    /// link's settings at the first one.
     pub fn link(&self) -> Result<String> {
         let team = self.args.for_host(&self.file, self.stations[0])?;
         let place = format!("{:?}", team.links[self.link]);
         Ok(format!("{}: {}", self.names().join(", "), blake3::hash(place.as_bytes()).to_hex()))
     }
 
-    /// Returns the key of the team; `None` if it has none.
+    /// Reads the key of the team; `None` if it has no key.
     pub fn key(&self) -> Result<Option<[u8; 32]>> {
         team::key(&self.args.for_host(&self.file, self.stations[0])?)
     }
 
-    /// Returns the settings of the participant with this host name. An error names the flag.
+    /// Returns the configuration of the participant with this host name. An error names the flag.
     pub fn participation(&self, name: &str) -> Result<Participation> {
         let host = self.file.host_named(name).map_err(|e| BadInput(format!("--{e}")))?;
         if !self.stations.contains(&host) {
@@ -88,8 +88,8 @@ impl LiveTeam {
         Ok(Participation { team, key, place, stations: self.stations.clone() })
     }
 
-    /// Restricts a study's settings to cases that can be measured on this team's link, so that measurement and
-    /// emulation have the same cases. An error names the flag.
+    /// Restricts the parameters of a network study to cases that can be measured on this team's link, so that
+    /// measurement and emulation have the same cases. An error names the flag.
     pub fn restrict(&self, sweep: &mut Sweep, args: &Args) -> Result<()> {
         let team = self.args.for_host(&self.file, self.stations[0])?;
         let link = &team.deployment.links[self.link];

@@ -19,7 +19,7 @@ use crate::program::bad;
 use crate::program::progress::progress;
 use crate::program::study::folder::Folder;
 
-/// Team of one size and mode to simulate, to find its cost per robot.
+/// Team of one size and mode, which is simulated to find its cost per robot.
 pub struct Team {
     mode: &'static str,
     robots: usize,
@@ -44,8 +44,8 @@ struct Record {
     cpu_s: f64,
 }
 
-/// Returns the teams to simulate: of each of these sizes (numbers of robots), in each of the modes `growth::MODES`. An
-/// error names the flag.
+/// Returns a team of each of these sizes (numbers of robots) in each of two modes: one agent for all robots, and one
+/// host per robot. An error names the flag.
 pub fn of_sizes(sizes: &[usize], seed: u64) -> Result<Vec<Team>> {
     let mut teams = Vec::new();
     for mode in growth::MODES {
@@ -59,8 +59,8 @@ pub fn of_sizes(sizes: &[usize], seed: u64) -> Result<Vec<Team>> {
     Ok(teams)
 }
 
-/// Returns the cost per robot of each team: reads finished results, and simulates the other teams; after Ctrl-C some
-/// are missing. Teams run one at a time, because two that share a processor cache slow each other down.
+/// Returns the cost per robot of each team: reads stored results from the folder, and simulates the other teams one at
+/// a time. If `stop` is set, the teams that were not simulated are missing.
 pub fn run(
     teams: &[Team],
     sweep: &Sweep,

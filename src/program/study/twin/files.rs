@@ -26,8 +26,8 @@ struct Identity {
     records: Vec<String>,
 }
 
-/// Opens or creates the folder of a twin. `digests` are names and digests of the records, `command` is the command
-/// line. Fails if the folder is of another twin.
+/// Opens or creates the output folder of a twin (model of a recorded run). `digests` has the name and digest of each
+/// record; `command` is the command line. Fails if the folder belongs to another twin.
 pub fn open(path: &Path, digests: &[String], command: &str) -> Result<Folder> {
     let identity = Identity {
         study: "twin".to_owned(),
@@ -45,8 +45,8 @@ pub fn open(path: &Path, digests: &[String], command: &str) -> Result<Folder> {
     })
 }
 
-/// Writes the files of a twin: rows and table of the comparison, the fitted conditions, the deployment if episodes were
-/// predicted, the figures, and the report's page.
+/// Writes the files of a twin (model of a recorded run) into its folder: rows and table of the comparison, the fitted
+/// conditions, the deployment if episodes were predicted, the figures, and the report's page.
 pub fn write(
     folder: &Folder,
     words: &Words,

@@ -17,21 +17,22 @@ use crate::study::twin::observed::{Log, Run, Team};
 use crate::study::twin::predict;
 use crate::trial::Trial;
 
-/// A run of a team as read from the records of its hosts, with a trial of the same settings.
+/// Recorded run of a team, as read from the records of its hosts, and a trial with the same settings.
 pub struct Recorded {
-    /// Data of the run from the records: episodes, motions, messages and clocks.
+    /// Data of the run: results of episodes, motions of robots, and messages between hosts.
     pub run: Run,
-    /// Trial with the settings of the run, under ideal conditions, before the fitted model is applied.
+    /// Trial with the settings of the run, under ideal conditions: the fitted model is not applied yet.
     pub trial: Trial,
     /// Name of the policy that the robots ran.
     pub policy: String,
-    /// Notes for readers of the results, such as on records that were cut, and on the uncertainty of the clocks.
+    /// Notes for the report, such as on records that a crash has cut, and on the uncertainty of the clocks.
     pub notes: Vec<String>,
     /// File name and digest of each record.
     pub digests: Vec<String>,
 }
 
-/// Reads the records of all hosts of a run, given as files or their folders. Fails if the record of a host is missing.
+/// Reads the records of all hosts of a run; `named` has their files or folders. Fails if the record of a host is
+/// missing.
 pub fn read(named: &[PathBuf], registry: &Registry) -> Result<Recorded> {
     let paths = files(named)?;
     let wrong = |error: ReadError| BadInput(error.to_string());

@@ -29,10 +29,12 @@ const LINE_BYTES: usize = 1 << 26;
 /// Idle time of a connection before TCP keepalive probes are sent, and the interval between them.
 const ALIVE: Duration = Duration::from_secs(10);
 
-/// Role of one end of a connection in a measurement.
+/// Role of one end of a connection in a measurement between hosts.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Side {
+    /// The process that starts each case and collects the results.
     Coordinator,
+    /// A host that sends and receives the messages of a case.
     Participant,
 }
 
@@ -45,7 +47,8 @@ impl Side {
     }
 }
 
-/// One end of a TCP connection between coordinator and participant, which sends and receives JSON lines.
+/// One end of the TCP connection between the coordinator and a participant of a measurement. It sends and receives JSON
+/// lines with authentication tags.
 pub struct Connection {
     reader: BufReader<TcpStream>,
     writer: TcpStream,
@@ -57,8 +60,8 @@ pub struct Connection {
 }
 
 impl Connection {
-    /// Opens a connection over `stream`: exchanges nonces with the peer, and derives the session key from `team`, the
-    /// team's key (`None` if it has none). Fails if the peer's nonce does not arrive in time.
+    /// Opens one end of a connection over `stream`: exchanges random numbers (nonces) with the other end, and derives
+    /// the session key from them and `team`, the team's key (`None` if it has none). Fails if nothing arrives in time.
     pub fn open(stream: TcpStream, side: Side, team: Option<&[u8; 32]>) -> Result<Connection> {
         stream.set_nodelay(true).context("cannot set up the connection")?;
         // Keepalive detects a peer whose machine has died.
@@ -80,7 +83,8 @@ impl Connection {
         Ok(Connection { reader, writer, side, key, sent: 0, received: 0 })
     }
 
-    /// Sends a value as a JSON line with a tag. Fails if the peer has closed the connection.
+    /// Sends a value as a JSON line, with an authentication tag if the team has a key. Fails if the other end has
+    /// closed the connection.
     pub fn send(&mut self, what: &impl Serialize) -> Result<()> {
         let text = serde_json::to_string(what).context("it is plain data")?;
         let tag = self.key.map_or("-".to_owned(), |key| tag(&key, self.side, self.sent, &text).to_hex().to_string());
@@ -88,15 +92,15 @@ impl Connection {
         self.writer.write_all(format!("{tag} {text}\n").as_bytes()).context("the peer has closed the connection")
     }
 
-    /// Receives the first message of the peer, of at most `FIRST_BYTES` bytes. Fails if it does not arrive within the
-    /// time `within`, or if its tag is wrong.
+    /// Receives the first value from the other end, in a line of at most 4096 bytes. Fails if it does not arrive within
+    /// the time `within`, or if its authentication tag is wrong.
     pub fn receive_first<T: DeserializeOwned>(&mut self, within: Duration) -> Result<T> {
         let line = read(&mut self.reader, FIRST_BYTES, Some(within))?;
         self.understand(&line)
     }
 
-    /// Receives the next message of the peer. Fails if it does not arrive within the time `within`, or if its tag is
-    /// wrong; `None` waits without a limit.
+    /// Receives the next value from the other end. Fails if it does not arrive within the time `within` (`None` for no
+    /// limit), or if its authentication tag is wrong.
     pub fn receive<T: DeserializeOwned>(&mut self, within: Option<Duration>) -> Result<T> {
         let line = read(&mut self.reader, LINE_BYTES, within)?;
         self.understand(&line)

@@ -24,16 +24,17 @@ const PATIENCE: Duration = Duration::from_secs(20);
 /// Time from the sending of the requests to measure a case until the case starts at all hosts.
 const LEAD: Duration = Duration::from_millis(1500);
 
-/// Results of a measurement between hosts, and the uncertainty of their clocks.
+/// Results of a measurement between hosts, with a bound on their error.
 pub struct Measured {
-    /// Finished cases of the measurement with their outcomes.
+    /// Measured cases with their outcomes.
     pub results: Vec<Found>,
-    /// Largest error of measured one-way delays, from the clock offsets of two hosts \[s\]; the largest over all cases.
+    /// Bound on the error of the measured one-way delays \[s\] over all cases, as the clocks of hosts differ.
     pub uncertainty_s: f64,
 }
 
-/// Measures all cases of a network study between `hosts`, which are in the order of their station numbers. Cases with a
-/// record are not measured again. Fails if `address` cannot be listened at or a host is lost.
+/// Measures all cases of a network study between `hosts`, whose index is the station number, and returns the results.
+/// Cases with a stored result are not measured again. The coordinator listens at `address` for the hosts and
+/// authenticates them with `key`. Fails if it cannot listen there or a host is lost; ends early once `stop` is set.
 pub fn measure(
     journal: &Journal,
     hosts: &[String],

@@ -25,8 +25,8 @@ const GREETED: usize = 256;
 /// error.
 type Greeted = (SocketAddr, Result<(String, Connection)>);
 
-/// Waits until every host has connected and is authenticated. Returns the connections in the order of `hosts`; none
-/// after Ctrl-C.
+/// Waits until every host has connected to `listener` and is authenticated with `key`. Returns the connections in the
+/// order of `hosts`; none if `stop` is set before.
 pub fn gather(
     (listener, key): (&TcpListener, Option<[u8; 32]>),
     hosts: &[String],

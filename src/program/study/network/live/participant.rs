@@ -38,20 +38,20 @@ const LINK: LinkId = LinkId(0);
 const PATIENCE: Duration = Duration::from_secs(120);
 const TRY_EVERY: u16 = 250;
 
-/// Settings of one participant in a measurement between hosts.
+/// Configuration of one participant in a measurement between hosts.
 pub struct Participation {
-    /// Configuration of the participant's host.
+    /// Team file, as resolved for the participant's host.
     pub team: Team,
-    /// Key of the team; `None` if it has none.
+    /// Key of the team; `None` if it has no key.
     pub key: Option<[u8; 32]>,
-    /// Address and settings of the host on the link that carries latents.
+    /// Address and settings of the participant's host on the measured link, which carries latents.
     pub place: Place,
-    /// Ids of all participating hosts, in the order of their station numbers.
+    /// Ids of all participating hosts; the index is the station number.
     pub stations: Vec<HostId>,
 }
 
-/// Connects to the coordinator at `address` as the host `name`, and measures the cases that it requests, until it ends
-/// the measurement. Fails if the connection fails.
+/// Takes part in a measurement as the host `name`: connects to the coordinator at `address`, and measures the cases
+/// that the coordinator requests, until that ends the measurement. Fails if the connection is lost.
 pub fn participate(mut participation: Participation, name: &str, address: SocketAddr, quiet: bool) -> Result<Ended> {
     participation.place.endpoint = participation.place.endpoint.restricted_to(&participation.stations);
     let origin = Instant::now();
