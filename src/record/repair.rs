@@ -48,7 +48,7 @@ pub(super) struct Copy<W: Write + Seek> {
 }
 
 impl<W: Write + Seek> Copy<W> {
-    /// Begins a new MCAP file in `to`.
+    /// Begins a copy in the new MCAP file `to`.
     pub fn begin(to: W) -> Result<Copy<W>, McapError> {
         let library = concat!("murmurate ", env!("CARGO_PKG_VERSION"));
         let writer = WriteOptions::new().compression(None).library(library).create(to)?;

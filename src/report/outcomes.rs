@@ -29,8 +29,8 @@ pub struct Outcomes {
     pub timeouts: usize,
     /// Number of episodes that the state server ended early, because of a fault or because they took too long.
     pub aborted: usize,
-    /// Number of episodes without a success or failure because a robot was not measured for too long. Zero if true
-    /// states are judged.
+    /// Number of episodes that could not be judged, because a robot was not measured for more than a second. Zero if
+    /// true states are judged.
     pub unseen: usize,
 }
 

@@ -18,7 +18,8 @@ pub struct Preset {
     pub messages: Handling,
     /// Choice of actions: the mean of their distribution, or a sample.
     pub draw: Draw,
-    /// What limits the acceleration of velocity commands in the deployed columns of a study.
+    /// Limit of the acceleration of velocity commands in the deployed columns of a study: as in training, or as of the
+    /// published robots.
     pub clamp: Clamp,
     /// Setting of the safety filter, which changes commanded velocities to keep robots apart, off walls and within the
     /// geofence.

@@ -42,7 +42,7 @@ impl Metrics {
         Metrics { hosts, ..Metrics::default() }
     }
 
-    /// Updates the counts by an event of the host `host`.
+    /// Updates the counts with an event of the host `host`.
     pub fn take(&mut self, host: HostId, event: ProcessEvent) {
         match event {
             ProcessEvent::Published(frame) => {

@@ -166,7 +166,7 @@ pub struct Status {
     pub phase: Option<u8>,
     /// State of the team's emergency stop, as a word: `clear`, `held` (re-armed, and not resumed yet) or `stopped`.
     pub latch: &'static str,
-    /// Number of robots that follow this state of the emergency stop.
+    /// Number of robots that follow the team's state of the emergency stop.
     pub confirmed: usize,
     /// Number of robots.
     pub robots: usize,

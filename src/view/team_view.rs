@@ -112,7 +112,7 @@ impl TeamView {
         self.goals_changed
     }
 
-    /// Updates the state by a message that a robot or another host has published.
+    /// Updates the state with a message that a robot or another host has published.
     pub fn hear(&mut self, now: Time, message: &Wire) {
         match message {
             Wire::Reading(m) => self.measured(now, m.robot, m.pose),
@@ -158,7 +158,7 @@ impl TeamView {
         }
     }
 
-    /// Updates the state by the arrival of a robot's newest latent at the host `at`.
+    /// Updates the state with the arrival of a robot's newest latent at the host `at`.
     pub fn arrived(&mut self, now: Time, at: HostId, robot: RobotId) {
         if robot.index() < self.robots.len() {
             self.heard.arrived(now, at, robot);
@@ -199,7 +199,7 @@ impl TeamView {
         }
     }
 
-    /// Updates the state by the true states of the simulated robots.
+    /// Updates the state with the true states of the simulated robots.
     pub fn see(&mut self, truth: &Truth) {
         for sample in truth.samples.iter() {
             self.robot(sample.robot, |robot| {
@@ -210,7 +210,7 @@ impl TeamView {
         }
     }
 
-    /// Updates the state by the result of an episode, and logs it.
+    /// Updates the state with the result of an episode, and logs it.
     pub fn judged(&mut self, now: Time, episode: &Episode) {
         self.note(now, &format!("episode {}: {}", episode.episode + 1, episode.in_words()));
         *self.verdicts.entry(episode.verdict.word().to_owned()).or_default() += 1;
@@ -218,8 +218,8 @@ impl TeamView {
         self.successes += usize::from(episode.verdict == Verdict::Success);
     }
 
-    /// Updates the state by the counts of how often a robot's guard has stopped or slowed it, and logs the causes whose
-    /// counts have grown.
+    /// Updates the state with the numbers of times that a robot's guard has stopped or slowed it, and logs the causes
+    /// whose numbers have grown.
     pub fn guarded(&mut self, now: Time, id: RobotId, counts: SafetyCounts) {
         let Some(robot) = self.robots.get_mut(id.index()) else { return };
         let begun: Vec<Trigger> = counts.begun_since(&robot.safety).collect();

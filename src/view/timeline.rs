@@ -45,7 +45,7 @@ pub struct Timeline {
 }
 
 impl TeamView {
-    /// Updates the state of the team by an event of a record, which happened at the time `now`.
+    /// Updates the state of the team with an event of a record, which happened at the time `now`.
     pub fn take(&mut self, now: Time, sight: &Sight) {
         match sight {
             Sight::Message(message) => self.hear(now, message),

@@ -36,9 +36,9 @@ pub struct Seen {
     pub outlets: Outlets,
     /// Report of another live host that has the id of this one; `None` if there is none.
     pub duplicate: Cell<Option<DuplicateId>>,
-    /// Record of the run. It is `None` if nothing is recorded, and not set before the host is opened.
+    /// Record of the run. It is `None` if nothing is recorded, and empty until the host begins.
     pub record: OnceCell<Option<LiveRecord>>,
-    /// Metrics of the host. They are `None` if they are not served, and not set before the host is opened.
+    /// Metrics of the host. They are `None` if they are not served, and empty until the host begins.
     #[cfg(feature = "watch")]
     pub metrics: OnceCell<Option<HostMetrics>>,
 }
@@ -78,7 +78,7 @@ impl Seen {
         self.record().into_iter().for_each(|record| record.turn(now));
     }
 
-    /// Updates the state by an event of the host `host`, and passes the event to the record and the metrics.
+    /// Updates the state with an event of the host `host`, and passes the event to the record and the metrics.
     pub fn hear(&self, host: HostId, heard: ProcessEvent) {
         self.record().into_iter().for_each(|record| record.push(host, heard));
         #[cfg(feature = "watch")]
@@ -105,7 +105,7 @@ impl Seen {
         }
     }
 
-    /// Updates the results by an output of the Recorder, the actor that judges episodes. A step goes to the
+    /// Updates the results with an output of the Recorder, the actor that judges episodes. A step goes to the
     /// trajectories file.
     pub fn note(&self, out: Out) {
         let mut report = self.report.borrow_mut();

@@ -15,11 +15,11 @@ use crate::program::Ended;
 #[command(after_help = "Exit codes: 0 done; 1 a record is damaged or lacks events; 2 a flag or a file is wrong, and \
     nothing was written.")]
 pub enum Args {
-    /// Prints what records are of, what they hold, and whether they are whole
+    /// Describes records: of which runs they are, what they contain, and whether they are complete
     Info(info::Args),
-    /// Gives records that a crash has cut an end and an index, so that every reader takes them
+    /// Repairs records that a crash has cut: adds the end and the index that other readers need
     Repair(repair::Args),
-    /// Puts the records of a team's hosts into one, on one time, with its uncertainty
+    /// Merges the records of a team's hosts into one on a common clock, and prints its uncertainty
     Merge(merge::Args),
     /// Makes a copy of a host's record that others can replay without the team's key
     Share(share::Args),

@@ -87,7 +87,7 @@ fn is_guarded(listen: SocketAddr) -> bool {
 }
 
 impl HostMetrics {
-    /// Updates the metrics by an event of the host `host`.
+    /// Updates the metrics with an event of the host `host`.
     pub fn hear(&self, host: HostId, event: ProcessEvent) {
         self.metrics.borrow_mut().take(host, event);
         let mut view = self.view.borrow_mut();

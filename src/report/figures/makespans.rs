@@ -6,7 +6,7 @@ use plotters::style::text_anchor::{HPos, VPos};
 use super::{Drawn, FigureError, GREY, TEXT, colour, dashes, style, svg};
 use crate::report::statistics::quantile;
 
-/// Makespans of one column of a study, such as one condition.
+/// Makespans of the episodes in one column (set of conditions) of a study, for a figure.
 #[derive(Clone, Debug)]
 pub struct Makespans {
     /// Name of the column.

@@ -28,8 +28,8 @@ pub fn range_m() -> f32 {
     orca::INTERFACE.radius_m + MARGIN_M
 }
 
-/// Returns a trial of `robots` robots in the scenario `swap` that runs for the simulated time `lasts`. `mode` is one of
-/// [`MODES`]. Frames between hosts reach as far as [`range_m`]. An error says that the team cannot be made.
+/// Returns a trial of `robots` robots in the scenario `swap` that runs for the simulated time `lasts`. `mode` is `sim`
+/// or `onboard-adhoc`. Frames between hosts reach as far as [`range_m`]. An error says that the team cannot be made.
 pub fn trial(mode: &str, robots: usize, lasts: Span) -> Result<Trial, TrialError> {
     let trial = Trial::of_team(mode, "swap", robots)?.lasting(lasts);
     if trial.deployment.hosts.len() == 1 {
@@ -42,7 +42,7 @@ pub fn trial(mode: &str, robots: usize, lasts: Span) -> Result<Trial, TrialError
 /// Cost of a team of one size, per robot and simulated second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Growth {
-    /// Mode of the deployment, one of [`MODES`].
+    /// Mode of the deployment: `sim` or `onboard-adhoc`.
     pub mode: String,
     /// Number of robots.
     pub robots: usize,

@@ -21,7 +21,7 @@ const DRAWN: [f64; 2] = [60.0, 200.0];
 
 /// Results of a network study, for its report.
 pub struct Findings<'a> {
-    /// Parameters of the study.
+    /// Parameters of the network study.
     pub sweep: &'a Sweep,
     /// Results of all cases.
     pub results: &'a [Found],

@@ -40,8 +40,8 @@ pub struct Load {
 }
 
 impl Load {
-    /// Returns the load of the radio's channel by a team of `robots` robots, each of which sends [`RATE`] messages a
-    /// second. A message is a datagram of `datagram_bytes` \[bytes\].
+    /// Returns the load of the radio's channel by a team of `robots` robots, each of which sends 20 messages a second
+    /// ([`RATE`]). A message is a datagram of `datagram_bytes` \[bytes\].
     pub fn of(radio: &Radio, addressing: Addressing, robots: usize, datagram_bytes: usize) -> Load {
         let times = radio.times();
         let unicast = (radio.frame_airtime(datagram_bytes) + times.acknowledged + times.aifs).as_secs();
@@ -84,8 +84,8 @@ impl Load {
     }
 }
 
-/// Returns the load of the radio's channel for each team size in [`SIZES`], first by multicast, then by unicast. A
-/// message is a datagram of `datagram_bytes` \[bytes\].
+/// Returns the load of the radio's channel for teams of 5 to 1000 robots ([`SIZES`]), first by multicast, then by
+/// unicast. A message is a datagram of `datagram_bytes` \[bytes\].
 pub fn table(radio: &Radio, datagram_bytes: usize) -> Vec<Load> {
     let of = |addressing| SIZES.map(|robots| Load::of(radio, addressing, robots, datagram_bytes));
     [Addressing::Multicast, Addressing::Unicast].into_iter().flat_map(of).collect()

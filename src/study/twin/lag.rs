@@ -37,9 +37,9 @@ pub struct Limits {
 /// Wheel slip that a fit has found: a random difference between driven and commanded velocity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Slip {
-    /// Standard deviation of the difference along each axis, as a share of the commanded speed.
+    /// Standard deviation of the slip along each axis, as a share of the commanded speed.
     pub share: Estimate,
-    /// Correlation time of the difference \[s\].
+    /// Correlation time of the slip \[s\].
     pub time_s: f64,
 }
 
