@@ -149,7 +149,7 @@ impl Reader {
                     let damaged = |error| ReadError::Damaged { path: self.path.clone(), error };
                     let record = parse_record(opcode, data).map_err(damaged)?;
                     match item(&mut self.channels, record) {
-                        // Those of the first file say it all.
+                        // Every file of a record repeats the metadata and attachments of the first one.
                         Some(Item::Metadata(..) | Item::Attachment(..)) if self.part.is_some_and(|part| part > 0) => {}
                         Some(item) => {
                             self.note(&item);

@@ -272,7 +272,7 @@ impl Desk {
             Command::Kill { .. } | Command::Restart { .. } | Command::Link { .. } => {
                 return self.view.borrow_mut().note(now, "page: refused, that is for simulations");
             }
-            // Refused before, as there is no record.
+            // Not reached: these commands are refused before, because no record is played.
             Command::Play { .. } | Command::Seek { .. } | Command::Step { .. } => return,
         };
         if kind == OrderKind::Stop {

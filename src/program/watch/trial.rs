@@ -320,7 +320,7 @@ impl Desk<'_> {
                     note(&format!("page: {} restarts", name(role, robot)));
                 }
             }
-            // Refused before, as there is no record.
+            // Not reached: these commands are refused before, because no record is played.
             Command::Play { .. } | Command::Seek { .. } | Command::Step { .. } => {}
             Command::Link { link, cut, delay_ms, loss } => {
                 let links = &self.trial.deployment.links;

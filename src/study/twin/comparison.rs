@@ -106,7 +106,7 @@ pub fn rows(
         ("message age, 90 %", 0.9, Bar::Share(AGE)),
     ] {
         let all = |of: &[&Decisions]| of.iter().flat_map(|one| one.ages_s.iter().copied()).collect();
-        // Where ticks keep their offsets, ages lie at few values.
+        // If ticks keep their offsets, ages have few different values.
         let age = |of: &[&Decisions]| smooth_quantile_of(all(of), q);
         let pair = ages(predicted, decisions, &mut seed.stream(name), age);
         rows.extend(pair.map(|(one, other)| Row::new(name, "ms", (one.scaled(1e3), other.scaled(1e3)), bar)));
@@ -126,7 +126,7 @@ fn success(episodes: &[Episode], predicted: &[Predicted]) -> Row {
     let count = |episodes: &[Episode]| episodes.iter().filter(|one| one.verdict == Verdict::Success).count();
     let simulated: usize = predicted.iter().map(|one| one.episodes.len()).sum();
     let successes: usize = predicted.iter().map(|one| count(&one.episodes)).sum();
-    // Jeffreys' mean, so that what never failed in the simulation can fail once in the run.
+    // Jeffreys' mean: even if no simulated episode failed, the predicted rate is below 1.
     let share = (successes as f64 + 0.5) / (simulated as f64 + 1.0);
     let percent = |part: f64| 100.0 * part;
     let ends = binomial_95(episodes.len(), share).map(|end| percent(end as f64 / episodes.len().max(1) as f64));
@@ -194,7 +194,7 @@ fn model(fitted: &Fitted, later: &Fitted, links: &[String]) -> Vec<Row> {
         let loss = (one.loss.scaled(100.0), other.loss.scaled(100.0));
         rows.push(Row::new(&format!("{name}, loss"), "%", loss, Bar::Difference(LOSS_POINTS)));
     }
-    // Emulated links have one delay: what varies about it is not in the prediction.
+    // An emulated link has a constant delay, so the prediction does not contain the variation of delays.
     let slowest = |link: FittedLink| Estimate::exact(1e3 * link.spread_s[1]);
     let both = fitted.all_links.zip(later.all_links).map(|(one, other)| (slowest(one), slowest(other)));
     rows.extend(both.map(|pair| Row::new("all links, delay, 95 %", "ms", pair, Bar::Free)));

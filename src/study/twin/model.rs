@@ -28,8 +28,8 @@ pub struct Fitted {
     pub links: Vec<Option<FittedLink>>,
     /// Delay and loss of all links together; `None` without data.
     pub all_links: Option<FittedLink>,
-    /// Offset of each robot's control ticks from the steps of the simulated World \[s\]; `None` if it is unknown or not
-    /// constant.
+    /// Offset \[s\] of each robot's control ticks from the steps of the simulated World, or from robot 0's ticks if no
+    /// steps were recorded; `None` if it is unknown or not constant.
     pub offsets_s: Vec<Option<f64>>,
 }
 
@@ -123,7 +123,7 @@ pub fn fit(run: &Run, trial: &Trial, episodes: Range<u32>) -> Fitted {
     };
     let named = trial.deployment.links.iter().zip(0..);
     let links = named.map(|(entry, number)| link(Some(LinkId(number)), &entry.name)).collect();
-    // Without a World's steps, ticks are told from those of the first robot.
+    // If no World's steps were recorded, offsets are from the ticks of the first robot.
     let steps = run.steps_ns[within].iter().flatten().copied();
     let ticks = |robot: usize| {
         let ticks = run.ticks_ns.get(robot).into_iter().flatten();

@@ -181,7 +181,7 @@ impl Run {
         for (at, log) in logs.iter().enumerate() {
             for (ns, episode) in &log.results {
                 let Some(ns) = common(at, *ns) else { continue };
-                // A host that was started again tells the episodes before as aborted: the first result counts.
+                // A restarted host reports earlier episodes as aborted, so the first result of an episode counts.
                 ends.entry(episode.episode).or_insert((ns, *episode));
             }
         }
