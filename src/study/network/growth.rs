@@ -63,7 +63,7 @@ pub struct Growth {
 
 impl Growth {
     /// Returns the cost per robot of a trial from its counts `cost` and its processor time `cpu_s` \[s\]. `mode` is the
-    /// trial's mode. Airtimes are those of `radio`; without a radio they are `None`.
+    /// trial's mode. Airtimes are computed for frames of the radio `radio`; without one they are `None`.
     pub fn of(mode: &str, cost: &Cost, cpu_s: f64, radio: Option<&Radio>) -> Growth {
         let latents = cost.kinds.iter().find(|kind| kind.kind == Kind::Latent).expect("all kinds are counted");
         let on_air = |radio: &Radio| {

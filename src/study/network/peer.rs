@@ -103,7 +103,7 @@ impl Peer {
         }
     }
 
-    /// Returns whether the measurement is over, with the time in which late messages may arrive (drain).
+    /// Returns whether the measurement is over, including the time in which late messages may arrive (drain).
     pub fn is_over(&self, now: Time) -> bool {
         self.ended || now >= self.over
     }
