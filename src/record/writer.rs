@@ -57,7 +57,8 @@ impl Recording {
         Rc::clone(&self.inlet)
     }
 
-    /// Returns the reason why the record could not be written, once after each failure; `None` otherwise.
+    /// Returns the reason why the record could not be written, the first time that it is called after the failure;
+    /// `None` otherwise.
     pub fn failure(&self) -> Option<RecordError> {
         let reason = self.failure.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take()?;
         Some(RecordError::Write { path: self.path.clone(), reason })

@@ -21,8 +21,8 @@ pub struct Preset {
     /// Limit of the acceleration of velocity commands in the deployed columns of a study: as in training, or as of the
     /// published robots.
     pub clamp: Clamp,
-    /// Setting of the safety filter, which changes commanded velocities to keep robots apart, off walls and within the
-    /// geofence.
+    /// Safety functions between policy and motors: conditions that stop or slow a robot, with the safety filter or
+    /// without.
     pub safety: Safety,
 }
 

@@ -93,7 +93,7 @@ impl Orders {
         out.pop()
     }
 
-    /// Returns whether an order has been given that is not yet confirmed or given up.
+    /// Returns whether an order is in progress: it is still being repeated, or waits for confirmations.
     pub fn is_running(&self) -> bool {
         self.running.is_some()
     }
