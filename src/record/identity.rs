@@ -63,7 +63,7 @@ pub struct StudyJob {
 /// Identity of a recorded host process.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HostIdentity {
-    /// Name of the host.
+    /// Name of the host in the deployment.
     pub name: String,
     /// Id of the host in the deployment.
     pub id: HostId,

@@ -223,7 +223,7 @@ fn best(all: &[Traffic], clocks: &[Option<ClockDifference>]) -> Option<(usize, C
 pub struct Part {
     /// Path of the record's file.
     pub path: PathBuf,
-    /// Name of the host.
+    /// Name of the host that made the record.
     pub host: String,
     /// Offset of the host's clock from the clock of the first record.
     pub clock: ClockDifference,

@@ -55,7 +55,7 @@ pub enum ReadError {
 /// Channel of an MCAP file: a topic, with the encoding and schema of its messages.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Channel {
-    /// Topic of the channel.
+    /// Name of the topic to which the channel's messages belong.
     pub topic: String,
     /// Encoding of the channel's messages, such as `protobuf` or `json`.
     pub encoding: String,

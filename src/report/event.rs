@@ -16,7 +16,7 @@ use crate::safety::guard::SafetyCounts;
 pub enum HostEvent {
     /// The host's sockets are open and its actors run.
     Ready {
-        /// Name of the host.
+        /// Name of the host in the deployment.
         host: String,
     },
     /// An episode has ended. The host that judges reports it: the one that simulates the whole team, or otherwise the

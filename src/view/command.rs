@@ -30,14 +30,14 @@ pub enum Command {
     Kill {
         /// Role of the actor, such as agent or body.
         role: Role,
-        /// Robot of the actor.
+        /// Robot that the actor belongs to.
         robot: RobotId,
     },
     /// Restarts an actor that was crashed by `Kill`. Only in an emulated team.
     Restart {
         /// Role of the actor, such as agent or body.
         role: Role,
-        /// Robot of the actor.
+        /// Robot that the actor belongs to.
         robot: RobotId,
     },
     /// Sets the faults of a link, in addition to those of the deployment. Only in an emulated team.

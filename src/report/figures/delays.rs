@@ -10,7 +10,7 @@ use crate::report::listening::Listening;
 /// Deliveries and delays of messages in one column of a study, for a figure.
 #[derive(Clone, Debug)]
 pub struct Heard<'a> {
-    /// Name of the column.
+    /// Name of the column, a set of conditions in a study.
     pub name: &'a str,
     /// Deliveries and delays of messages in the column.
     pub listening: &'a Listening,

@@ -9,7 +9,7 @@ use crate::report::statistics::quantile;
 /// Makespans of the episodes in one column (set of conditions) of a study, for a figure.
 #[derive(Clone, Debug)]
 pub struct Makespans {
-    /// Name of the column.
+    /// Name of the column, a set of conditions in a study.
     pub name: String,
     /// Makespans of the successful episodes \[s\].
     pub values_s: Vec<f64>,

@@ -10,7 +10,7 @@ use crate::scenario::Arena;
 /// Robots' positions in one column of a study, for a figure.
 #[derive(Clone, Debug)]
 pub struct Positions<'a> {
-    /// Name of the column.
+    /// Name of the column, a set of conditions in a study.
     pub name: &'a str,
     /// Histogram of the positions over x and y \[m\], world frame.
     pub grid: &'a Grid,

@@ -17,7 +17,7 @@ pub struct Share {
 /// Success rates of all policies in one column of a study.
 #[derive(Clone, Debug)]
 pub struct Group {
-    /// Name of the column.
+    /// Name of the column, a set of conditions in a study.
     pub name: String,
     /// Success rate of each policy; `None` for a policy without a result.
     pub shares: Vec<Option<Share>>,

@@ -86,7 +86,7 @@ impl Source {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Case {
-    /// Kind of network.
+    /// Kind of network between the stations.
     pub network: NetworkKind,
     /// Addressing of messages.
     pub addressing: Addressing,

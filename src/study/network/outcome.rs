@@ -217,7 +217,7 @@ pub struct Row {
     pub reliability: ReliabilityMode,
     /// Retry limit (802.11) of unicast frames.
     pub retries: u32,
-    /// Kind of network.
+    /// Kind of network between the stations.
     pub network: NetworkKind,
     /// Message rate of all stations together \[1/s\].
     pub rate: f64,

@@ -23,7 +23,7 @@ pub struct Task {
     pub number: u32,
     /// Case to measure.
     pub case: Case,
-    /// Number of stations.
+    /// Number of stations that take part.
     pub stations: u16,
     /// Number of features in a message.
     pub features: usize,

@@ -16,7 +16,7 @@ use crate::record::merge::DatagramKey;
 /// Rules by which robots use neighbours' messages: communication range, hold time and handling.
 #[derive(Clone, Copy, Debug)]
 pub struct Rules {
-    /// Mean communication range \[m\].
+    /// Largest distance \[m\] at which a robot uses a neighbour's message.
     pub range_m: f32,
     /// Longest time for which a message is used after its arrival \[ns\].
     pub hold_ns: i64,
