@@ -20,7 +20,8 @@ const MARKS: usize = 400;
 /// Event of a record that changes the state of the team on the live page.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Sight {
-    /// A message that a host has published. If the record of that host is missing, one that has arrived at another host.
+    /// A message that a host has published. If the record of that host is missing, one that has arrived at another
+    /// host.
     Message(Wire),
     /// A latent of this robot has arrived at this host.
     Arrived(HostId, RobotId),
