@@ -129,7 +129,7 @@ enum Command {
     /// Makes the key that a team's messages are authenticated with.
     #[command(subcommand)]
     Key(key::Args),
-    /// Checks a team file, or shows what it comes to.
+    /// Checks a team file, or shows every value of it with its origin.
     #[command(subcommand)]
     Config(config::Args),
     #[cfg(feature = "completions")]

@@ -31,8 +31,8 @@ pub const PRESETS: [Preset; 4] = [
     Preset {
         name: "default",
         about: "a neighbour's newest message is held for the policy's own window (0.2 s if its file has none), \
-                actions are the mean, and one limit holds for resets, episodes and the training of the shipped \
-                policy: commands within 0.25 m/s of the measured velocity along each axis",
+                actions are the mean, and velocities are limited along each axis alone, as in training: the \
+                simulated world limits acceleration to 1 m/s^2",
         messages: Handling::Hold,
         draw: Draw::Mean,
         clamp: Clamp::Training,
