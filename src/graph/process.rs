@@ -173,7 +173,8 @@ impl EpisodeNotice {
 }
 
 impl Graph {
-    /// Makes the mailboxes of all actors of a plan, before the actors are started.
+    /// Makes the mailboxes of all actors of a deployment (`plan.deployment`), those of other processes included, before
+    /// any actor is started. `process` says which hosts run here, and whether they have a Recorder.
     pub(super) fn new(plan: &Plan, process: &Process) -> Graph {
         let deployment = &plan.deployment;
         let routes = Routes::of(deployment);

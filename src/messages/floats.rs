@@ -205,7 +205,8 @@ pub(super) mod tasks {
         s.serialize_bytes(bytes.as_flattened())
     }
 
-    /// Decodes a list of tasks from 16 bytes each: start x and y, goal x and y, as little-endian f32.
+    /// Decodes a list of tasks from 16 bytes each: start x and y, goal x and y \[m\], as little-endian f32. Fails if the
+    /// length is no multiple of 16 bytes.
     pub fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<Arc<[Task]>, D::Error> {
         let parse = |bytes: &[u8]| {
             bytes.len().is_multiple_of(16).then(|| {

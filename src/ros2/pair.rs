@@ -121,8 +121,8 @@ impl Process {
 }
 
 impl Pair {
-    /// Makes a pair that starts its DDS processes at the first call of [`Pair::tick`]. `plan` lists their topics, and
-    /// `spare` says whether there is a spare process.
+    /// Creates the state machine; the first call of [`Pair::tick`] starts the DDS processes. `plan` lists their topics.
+    /// With `spare`, a second process runs beside the active one and takes over if that fails.
     pub fn new(now: Time, plan: Plan, spare: bool) -> Pair {
         let slots = if spare { vec![Slot::default(), Slot::default()] } else { vec![Slot::default()] };
         let newest = vec![None; plan.writers.len()];

@@ -63,7 +63,7 @@ impl Wake for Signal {
 }
 
 impl Tasks {
-    /// Creates an empty set of tasks.
+    /// Creates an empty set of tasks (futures of the actor library).
     pub(super) fn new() -> Tasks {
         Tasks { tasks: LocalSet::new(), signal: Arc::new(Signal(AtomicBool::new(true))) }
     }

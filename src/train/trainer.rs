@@ -200,8 +200,8 @@ impl Trainer {
         Ok(trainer)
     }
 
-    /// Makes the environments of the current stage, whose episodes are not started. It is an error if the stage's
-    /// groups do not fit the scenario.
+    /// Makes the environments of the current stage of the curriculum; their episodes are not started. Fails if the team
+    /// sizes of the stage (`groups`) do not add up to the scenario's team, or if the scenario refuses one of them.
     pub(super) fn make_chunks(&self) -> Result<Vec<Chunk>, SetupError> {
         let stage = &self.plan.config.curriculum[self.stage];
         let (found, robots) = (stage.groups[0].iter().sum(), self.scenario.robots());

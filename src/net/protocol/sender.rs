@@ -194,7 +194,7 @@ pub struct Peer {
     pub spacing_s: f64,
     /// Mean deviation of the time between datagrams from `spacing_s` \[s\].
     pub jitter_s: f64,
-    /// Share of the host's newest 64 datagrams whose first transmission was lost.
+    /// Share (0 to 1) of the newest 64 datagrams from the other host to this one whose first transmission was lost.
     pub loss: f64,
     /// Number of the host's datagrams that should have arrived so far, by their sequence numbers.
     pub passed: u64,

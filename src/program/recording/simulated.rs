@@ -84,9 +84,10 @@ impl Simulated {
         self.run_observed((recorded, trial), |_, _| {}, |_, _, episodes| proceed(episodes))
     }
 
-    /// Runs a trial while its record is written, and returns its report. `report` is called with each event of a host.
-    /// `proceed` is called after each instant, with the actor graph, the time and the episodes finished so far, and
-    /// says whether the trial goes on.
+    /// Runs a trial while its record, described by `recorded`, is written, and returns the trial's report. `report` is
+    /// called with each event of a host. `proceed` is called after each event of the event queue, with the actor graph,
+    /// the virtual time and the episodes finished so far, and says whether the trial goes on. A write error is kept for
+    /// the method `finish`. If the record cannot be started, the trial is not run and its report is empty.
     pub fn run_observed(
         &self,
         (recorded, trial): (&Recorded, &Trial),

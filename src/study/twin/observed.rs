@@ -160,7 +160,8 @@ pub struct Run {
     pub crossings: Vec<Crossing>,
     /// Robots' decisions in each episode, with the ages of the messages that they used.
     pub decisions: Vec<Decisions>,
-    /// True motion of the robots, as series of consecutive steps, in each episode and the reset before it.
+    /// True motion of the robots: for each episode, with the reset before it, one series for each stretch of
+    /// consecutive steps of one robot.
     pub motion: Vec<Vec<Series>>,
     /// Motion of the robots by their own estimates, in each episode: velocities that they estimated at control ticks,
     /// with those that they then commanded. An episode's entry is empty if the records have the robots' true states.
