@@ -63,7 +63,8 @@ pub struct Compared {
 
 impl Comparison {
     /// Returns a comparison that begins at the first of the messages `recorded`. `topics` converts the replay's events
-    /// to messages. `anchor_ns` is the wall clock at the start of the recorded run \[ns\] since 1970.
+    /// to messages. `anchor_ns` is the wall clock at the start of the recorded run \[ns\] since 1970; 0 if it was a
+    /// simulation.
     pub fn new(recorded: Messages, topics: Topics, anchor_ns: u64) -> Comparison {
         Comparison {
             recorded,

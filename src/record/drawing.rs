@@ -39,8 +39,8 @@ fn point(at: Vec2, height_m: f64) -> [f64; 3] {
     [f64::from(at.x), f64::from(at.y), height_m]
 }
 
-/// Writes a Foxglove scene update with the walls of `stage` and the goals of the robots \[m\], world frame. `at` is the
-/// time of the update \[ns\].
+/// Writes a Foxglove scene update with the walls of `stage` and the robots' `goals` \[m\], world frame, in the order of
+/// robot ids. `at` is the time of the update \[ns\], since 1970 or the start of a simulation.
 pub fn walls_and_goals(out: &mut Message, at: u64, stage: &Stage, goals: &[Vec2]) {
     foxglove::entity(out, at, "walls", |entity| {
         for [x, y, far_x, far_y] in &stage.walls {
@@ -63,7 +63,8 @@ pub fn walls_and_goals(out: &mut Message, at: u64, stage: &Stage, goals: &[Vec2]
 }
 
 /// Writes a Foxglove scene update with the robots, their headings and ids, and lines between robots in communication
-/// range. `at` is the time of the update \[ns\]. A robot whose pose is `None` is left out.
+/// range (of the first 64 robots only). `at` is the time of the update \[ns\], since 1970 or the start of a simulation.
+/// `team` has the robots' poses in the order of ids; a robot whose pose is `None` is left out.
 pub fn team(out: &mut Message, at: u64, stage: &Stage, team: &[Option<Body>]) {
     let width = f64::from(stage.hull_m) * 2.0;
     for (robot, body) in team.iter().enumerate() {
@@ -121,8 +122,9 @@ fn disc(entity: &mut Message, at: [f64; 3], size: [f64; 3], colour: Colour) {
     });
 }
 
-/// Writes the robots as a Foxglove point cloud: each point has a position and the robot's id. `at` is its time \[ns\].
-/// A robot whose pose is `None` is left out.
+/// Writes the robots as a Foxglove point cloud: each point has a position and the robot's id. `at` is its time \[ns\],
+/// since 1970 or the start of a simulation. `team` has the robots' poses in the order of ids; a robot whose pose is
+/// `None` is left out.
 pub fn cloud(out: &mut Message, at: u64, team: &[Option<Body>]) {
     const FLOAT32: u64 = 7;
     const UINT32: u64 = 5;
@@ -149,7 +151,8 @@ pub fn cloud(out: &mut Message, at: u64, team: &[Option<Body>]) {
 }
 
 /// Writes a Foxglove message with the transforms from the world frame to the robots' frames `robot_N/base_link`. `at`
-/// is its time \[ns\]. An unknown heading is written as 0; a robot whose pose is `None` is left out.
+/// is its time \[ns\], since 1970 or the start of a simulation. `team` has the robots' poses in the order of ids; an
+/// unknown heading is written as 0, and a robot whose pose is `None` is left out.
 pub fn transforms(out: &mut Message, at: u64, team: &[Option<Body>]) {
     for (robot, body) in team.iter().enumerate() {
         let Some(body) = body else { continue };
@@ -163,8 +166,8 @@ pub fn transforms(out: &mut Message, at: u64, team: &[Option<Body>]) {
     }
 }
 
-/// Writes a Foxglove message with the pose of a robot in the world frame. `at` is its time \[ns\]. An unknown heading
-/// is written as 0.
+/// Writes a Foxglove message with the pose of a robot in the world frame. `at` is its time \[ns\], since 1970 or the
+/// start of a simulation. An unknown heading is written as 0.
 pub fn pose(out: &mut Message, at: u64, body: Body) {
     foxglove::time(out, 1, at);
     out.text(2, MAP);

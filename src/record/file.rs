@@ -105,8 +105,8 @@ impl RecordFile {
         self.writer.flush()
     }
 
-    /// Appends a message to the file. `at` is its time \[ns\]; `stage` has the names of the hosts, which are parts of
-    /// topics.
+    /// Appends a message with the content `data` to the file. `at` is its time \[ns\], since 1970 or the start of a
+    /// simulation; `stage` has the names of the hosts, which are parts of topics' names.
     pub fn write(&mut self, stage: &Stage, topic: Topic, at: u64, data: &[u8]) -> Result<(), McapError> {
         let channel_id = match self.channels.get(&topic) {
             Some(channel) => *channel,

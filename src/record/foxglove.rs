@@ -145,7 +145,7 @@ pub enum Severity {
     Error = 4,
 }
 
-/// Writes a time since 1970, or a duration, \[ns\] as the field with the number `field`.
+/// Writes a time (since 1970 or the start of a simulation) or a duration, \[ns\], as the field with the number `field`.
 pub fn time(out: &mut Message, field: u32, nanos: u64) {
     out.message(field, |stamp| {
         stamp.uint(1, nanos / 1_000_000_000);
@@ -199,8 +199,8 @@ pub fn entity(update: &mut Message, at: u64, id: &str, write: impl FnOnce(&mut M
     });
 }
 
-/// Writes the fields of a log message: time `at` \[ns\], severity `level`, name of the actor or thread that logged it,
-/// and text.
+/// Writes the fields of a log message: time `at` \[ns\] since 1970 or the start of a simulation, severity `level`, name
+/// of the actor or thread that logged it, and text.
 pub fn log(out: &mut Message, at: u64, level: Severity, name: &str, text: &str) {
     time(out, 1, at);
     out.uint(2, level as u64);

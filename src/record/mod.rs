@@ -65,7 +65,7 @@ pub enum Event {
     Hardware(RobotId, Box<Hardware>),
     /// Numbers of datagrams that this host has sent, accepted and refused on its links, since its Network was started.
     Counts(HostId, Box<LinkCounts>),
-    /// State of the links from this host to the other hosts, as its link layer measures it: age, delay, loss.
+    /// State of the links between this host and the other hosts, as its link layer measures it: age, delay, loss.
     Peers(HostId, Vec<Peer>),
     /// A line that the program has logged. Only in records of runs in real time.
     Logged(Logged),

@@ -93,7 +93,7 @@ pub fn queue(when_full: WhenFull) -> (Inlet, Outlet) {
 
 impl Inlet {
     /// Adds an event of the current turn of the event loop. In real time it is dropped if the queue is full, or if it
-    /// is an input and the inputs of this second are too large.
+    /// is an input and the inputs of this second exceed 1 MB.
     pub fn push(&self, event: Event) {
         let mut events = self.events.borrow_mut();
         if self.when_full == WhenFull::Drop && (events.len() >= CAPACITY || self.is_beyond(&event)) {
@@ -116,7 +116,8 @@ impl Inlet {
         self.input_bytes.get() > INPUT_BYTES
     }
 
-    /// Ends the current turn of the event loop at the time `now`, and passes the events to the writer thread.
+    /// Ends the current turn of the event loop at the time `now`, and passes the events to the writer thread. A
+    /// simulation collects those of many turns before it passes them.
     pub fn turn(&self, now: Time) {
         self.turned.set(now);
         let due = self.counted.get().is_none_or(|at| now.since(at) >= COUNT_PERIOD);

@@ -123,12 +123,12 @@ impl Reader {
         }
     }
 
-    /// Returns whether the end of the data was read, which a file lacks that a crash has cut.
+    /// Returns whether the mark of the end of the data was read. A file that a crash has cut has no such mark.
     pub fn is_complete(&self) -> bool {
         self.complete
     }
 
-    /// Returns the next element of the file; `None` at its end.
+    /// Returns the next element of the file; `None` at its end, or where a crash has cut it.
     pub fn next_item(&mut self) -> Result<Option<Item>, ReadError> {
         while !self.over {
             match self.inner.next_event() {
@@ -192,7 +192,7 @@ impl Reader {
         }
     }
 
-    /// Returns the next message of the file; `None` at its end. Other elements are skipped.
+    /// Returns the next message of the file and skips other elements; `None` at its end, or where a crash has cut it.
     pub fn next_message(&mut self) -> Result<Option<Message>, ReadError> {
         while let Some(item) = self.next_item()? {
             if let Item::Message(message) = item {
@@ -243,7 +243,7 @@ pub struct Messages {
 }
 
 impl Messages {
-    /// Returns the next message of the record; `None` at its end.
+    /// Returns the next message of the record; `None` at its end, or where a crash has cut it.
     pub fn next_message(&mut self) -> Result<Option<Message>, ReadError> {
         match self.next.take() {
             Some(message) => Ok(Some(message)),
@@ -251,7 +251,7 @@ impl Messages {
         }
     }
 
-    /// Returns whether the end of the record was read, which a record lacks that a crash has cut.
+    /// Returns whether the mark of the record's end was read. A record that a crash has cut has no such mark.
     pub fn is_complete(&self) -> bool {
         self.reader.is_complete()
     }

@@ -35,8 +35,8 @@ pub const EPISODE: &str = r#"{"title":"murmurate.Episode","type":"object","prope
 "reset_s":{"type":"number"},"min_separation_m":{"type":["number","null"]},
 "judged":{"type":"string"}},"required":["repeat","episode"]}"#;
 
-/// JSON schema of messages about the links from one host to each other host, as this host measures them: age, delay,
-/// loss.
+/// JSON schema of messages about the links between a host and each other host, as this host measures them: age of the
+/// newest datagram received from the other host, delay, and loss in both directions.
 pub const LINKS: &str = r#"{"title":"murmurate.Links","type":"object","properties":{
 "host":{"type":"string","description":"who measures"},
 "peers":{"type":"array","items":{"type":"object","properties":{

@@ -62,8 +62,8 @@ impl Series {
         Ok(Series { path, beginning, stage, retention, file, ring, ring_bytes: 0, until: 0 })
     }
 
-    /// Adds a message of the time `at` \[ns\] to the current file. Without a file, which only a record of excerpts can
-    /// lack, it is held in memory until a trigger.
+    /// Adds a message of the time `at` \[ns\], since 1970 or the start of a simulation, to the current file. A record
+    /// of excerpts has no file until a trigger, and then until the next one: the message is held in memory meanwhile.
     pub fn write(&mut self, topic: Topic, at: u64, data: &[u8]) -> Result<(), McapError> {
         if let Some(file) = &mut self.file {
             return file.write(&self.stage, topic, at, data);
@@ -78,7 +78,8 @@ impl Series {
     }
 
     /// Handles a trigger at the time `at` \[ns\] in a record of excerpts: stores the messages held in memory in a new
-    /// file, and the following ones until the excerpt ends. A record of the whole run ignores it.
+    /// file, and the following ones until `Retention::last` has passed without a trigger. A record of the whole run
+    /// ignores it.
     pub fn keep(&mut self, at: u64) -> Result<(), McapError> {
         let Some(last) = self.retention.last else { return Ok(()) };
         self.until = at + last.as_nanos();

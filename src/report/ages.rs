@@ -59,8 +59,8 @@ impl Ages {
         (total > 0).then(|| within as f64 / total as f64)
     }
 
-    /// Returns the `q` quantile of the ages \[s\], rounded up to the edge of a bin; `None` if nothing was counted, or
-    /// if the quantile lies beyond the last edge.
+    /// Returns the quantile `q` (0 to 1) of the ages \[s\], rounded up to the edge of a bin; `None` if nothing was
+    /// counted, or if the quantile lies beyond the last edge, 10 s.
     pub fn quantile_s(&self, q: f64) -> Option<f64> {
         self.cumulative().into_iter().find(|&(_, share)| share >= q).map(|(edge_s, _)| edge_s)
     }

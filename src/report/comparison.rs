@@ -14,7 +14,7 @@ use crate::scenario::judge::Verdict;
 pub struct Comparison {
     /// Summary of each policy.
     pub policies: Vec<Summary>,
-    /// Number of episodes in which only this policy succeeded, for each policy.
+    /// Number of episodes in which only one policy succeeded, for each policy in the order of `policies`.
     pub alone_successful: Vec<usize>,
 }
 

@@ -13,7 +13,8 @@ const PANEL: u32 = 330;
 const LEAST: u64 = 40;
 
 /// Draws the distance of robots to the nearest other robot against their distance from the origin, one panel for each
-/// named column. Two robots closer than `limit_m` \[m\] have collided. Returns the SVG.
+/// column of a study. `columns` has for each its name, and a histogram over distance from the origin (x) and distance
+/// to the nearest other robot (y) \[m\]. Two robots closer than `limit_m` \[m\] have collided. Returns the SVG.
 pub fn separation(title: &str, columns: &[(&str, &Grid)], limit_m: f32) -> Result<String, FigureError> {
     let count = columns.len() + 1;
     svg(HEAD + PANEL * rows(count), |area| {

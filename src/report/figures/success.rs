@@ -19,7 +19,7 @@ pub struct Share {
 pub struct Group {
     /// Name of the column, a set of conditions in a study.
     pub name: String,
-    /// Success rate of each policy; `None` for a policy without a result.
+    /// Success rate of each policy, in the order of the study's policies; `None` for a policy without a result.
     pub shares: Vec<Option<Share>>,
     /// Success rate in the paper, 0 to 1; `None` for a column that is not in its Table I.
     pub paper: Option<f64>,
