@@ -45,7 +45,7 @@ pub enum Out {
     Action(Action),
 }
 
-/// Policies of one robot and their random streams, which its Agent runs.
+/// Policies with which an Agent drives one of its robots, and the random streams of that robot.
 pub struct RobotPolicies {
     /// Robot that the policies control.
     pub robot: RobotId,
@@ -134,8 +134,8 @@ pub struct Agent {
 
 impl Agent {
     /// Creates an Agent of the robots in `robots`; panics if they are not in the order of their ids. `scenario` defines
-    /// what a policy observes, `range` is the communication range between the robots, and `max_wait` the longest time
-    /// for which a joint step waits for late percepts.
+    /// what a policy observes, `range` is the communication range between two robots of this Agent, and `max_wait` the
+    /// longest time for which a joint step waits for late percepts.
     pub fn new(scenario: Arc<dyn Scenario>, range: CommRange, max_wait: Span, robots: Vec<RobotPolicies>) -> Agent {
         assert!(robots.is_sorted_by_key(|policies| policies.robot), "sums run over robots in the order of their ids");
         Agent {

@@ -35,7 +35,8 @@ pub struct Config {
     pub period: Span,
     /// Time of the control tick within each period, at which the Cache sends a percept.
     pub phase: Span,
-    /// Communication range: largest distance at which a latent is accepted; fixed, or drawn at random for each latent.
+    /// Communication range: largest distance between sender and receiver at which a latent is accepted; fixed, or drawn
+    /// at random for each latent.
     pub range: CommRange,
     /// Hold time: largest age at which a latent is used.
     pub hold: Span,

@@ -68,8 +68,8 @@ pub struct Config {
     pub me: Identity,
     /// Key that authenticates the team's datagrams; with `None`, datagrams are neither tagged nor authenticated.
     pub key: Option<Key>,
-    /// Setup of each link, in the order of the deployment; `None` for a link on which this host neither sends nor
-    /// receives.
+    /// Settings of this host's end of each link, in the order of the deployment's links; `None` for a link on which
+    /// this host neither sends nor receives.
     pub links: Vec<Option<Setup>>,
     /// Routing table of this host, which says where each message goes.
     pub router: Router,
@@ -123,8 +123,8 @@ impl UnauthorizedPublishers {
 }
 
 impl Network {
-    /// Creates the Network of a host that has just started. `stream` is the random stream from which the delays before
-    /// requests for retransmission and before replies are drawn.
+    /// Creates the Network of a host that has just started. `stream` is the random stream of its links: of the
+    /// waits before requests for retransmission, of the first report's time, and of the number at which stamps begin.
     pub fn new(config: Config, mut stream: Stream) -> Network {
         let Config { me, key, links, router } = config;
         let shared =

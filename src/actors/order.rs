@@ -44,7 +44,8 @@ impl OrderKind {
     }
 }
 
-/// Parts of a robot that have not carried out an operator's order, or have not answered.
+/// Actors of one robot, its Controller or its Body or both, that have not carried out an operator's order or have not
+/// answered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unconfirmed {
     /// Neither the robot's Controller nor its Body has answered.
@@ -123,13 +124,15 @@ impl Order {
         Some(latch::latest(known, latches))
     }
 
-    /// Whether another operator has stopped, re-armed or resumed the team since this order was given.
+    /// Whether a later stop, re-arm, hold or resume of someone else has replaced this order, which so has no effect any
+    /// more.
     pub fn is_superseded(&self) -> bool {
         let meant = self.target.map(|target| target.number() + 1);
         meant.zip(self.latch()).is_some_and(|(meant, latch)| latch.number() > meant)
     }
 
-    /// Returns the robots that have not carried out the order as far as is known, each with the parts that have not.
+    /// Returns the robots that have not carried out the order as far as is known, each with those of its actors
+    /// (Controller, Body) that have not.
     pub fn unconfirmed(&self) -> Vec<(RobotId, Unconfirmed)> {
         let reason = |robot: RobotId| {
             let done = |parts: &BTreeMap<RobotId, Latch>| parts.get(&robot).map(|latch| self.kind.is_done_by(*latch));

@@ -68,7 +68,7 @@ pub struct Config {
     pub repeat: u32,
     /// Rules by which an episode is judged.
     pub rules: Rules,
-    /// Whether the report contains the states of the team at each step, and the messages in use.
+    /// Whether the report has the true states of the robots at each step, and whose messages each robot then uses.
     pub steps: Steps,
     /// Number of other hosts that each broadcast latent should reach: the hosts with an Agent, without the sender.
     pub receivers: u64,
@@ -98,7 +98,7 @@ pub enum Steps {
 }
 
 impl Steps {
-    /// Whether the report contains the steps, with or without the messages in use.
+    /// Whether the report contains the steps, with or without the neighbours' messages that robots use in them.
     pub fn kept(self) -> bool {
         self != Steps::Discarded
     }

@@ -21,10 +21,10 @@ use crate::world::Placement;
 
 /// Period at which the state server decides whether to enter another phase: one step of a World.
 pub const TICK: Span = Span::from_millis(50);
-/// Period at which the state server repeats an unchanged instruction, in teams of more than 64 robots to 64 at a time.
+/// Period at which an unchanged instruction is repeated, with the tasks of 64 robots in turn if the team is larger.
 pub const MODE_PERIOD: Span = Span::from_millis(100);
-/// Number of times that a new instruction is sent with the tasks of all robots, in case copies are lost. Later ones
-/// have the tasks of one block of robots each.
+/// Number of times that a new instruction is sent with the tasks (starts and goals) of all robots, in case copies are
+/// lost. Each later repetition has the tasks of one block of up to 64 robots, block after block.
 pub const NEW_MODE_REPEATS: u32 = 3;
 /// Time without a heartbeat after which a robot counts as missing: five heartbeat periods.
 pub const MISSING_AFTER: Span = Span::from_millis(1000);

@@ -81,7 +81,7 @@ impl Axes {
         Axes::SwappedReversed,
     ];
 
-    /// Returns the vector as it appears with this mistake in the axes.
+    /// Returns the vector as readings show it if the axes have this mistake and its true components are `x` and `y`.
     pub fn apply(self, Vec2 { x, y }: Vec2) -> Vec2 {
         match self {
             Axes::Right => Vec2::new(x, y),
@@ -102,16 +102,16 @@ impl Axes {
     }
 }
 
-/// Whether the displacement `way` \[m\] exceeds what noise can explain, so that the robot has moved. `noise_m` is the
-/// robot's largest measured displacement at rest \[m\].
+/// Whether the measured displacement `way` \[m\] exceeds what noise can explain, so that the robot has moved.
+/// `noise_m` is the robot's largest measured displacement at rest \[m\].
 pub fn has_moved(way: Vec2, noise_m: f32) -> bool {
     way.norm() > MOVED_M.max(MOVED_NOISES * noise_m)
 }
 
-/// Judges the test drive of a robot that was commanded to drive 0.1 m in the direction `along`, of any length, world
-/// frame. `way` is its measured displacement \[m\], world frame; `None` if it has not moved (see [`has_moved`]).
-/// `others` are the other robots that moved during the drive, and `counts` says how often its guard stopped or slowed
-/// it.
+/// Judges the test drive of a robot that was commanded to drive 0.1 m in the direction of the vector `along`, whose
+/// length does not matter. `way` is the robot's measured displacement \[m\], `None` if it has not moved (see
+/// [`has_moved`]); both are in the world frame. `others` are the other robots that moved during the drive, and `counts`
+/// says how often the guard stopped or slowed the driven robot.
 pub fn judge(along: Vec2, way: Option<Vec2>, others: Vec<RobotId>, counts: &SafetyCounts) -> Verdict {
     let held: Vec<&str> = counts.reasons().map(|(_, reason)| reason).collect();
     // The guard is the cause if it held the robot.

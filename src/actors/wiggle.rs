@@ -77,7 +77,7 @@ pub struct Config {
     pub guard: guard::Config,
     /// Ground with its walls; robots are not driven toward the walls or the edge.
     pub arena: Arena,
-    /// Time after arrival for which a motor command is valid.
+    /// Time after its arrival at the Body for which a motor command is valid.
     pub valid_for: Span,
 }
 

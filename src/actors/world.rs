@@ -109,8 +109,8 @@ impl Other {
 
 impl World {
     /// Creates a World that simulates `robots`; `others` stand in the plant where their readings say. Both are in the
-    /// order of their ids, and the plant holds `robots` first, then `others`. `placement` says how robots come to their
-    /// starts.
+    /// order of their ids, and the plant in `persistent` has `robots` first, then `others`. `placement` says whether
+    /// this World places its robots at their starts, or they drive there.
     pub fn new(
         persistent: Rc<RefCell<PersistentPlant>>,
         placement: Placement,

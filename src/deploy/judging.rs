@@ -32,8 +32,8 @@ impl Deployment {
         (self.judged() == Judged::Readings).then(|| self.judge())
     }
 
-    /// Returns the end of an error text about messages of the kind `kind` that no link carries: that the judging host
-    /// needs all readings. Empty unless `kind` is readings and episodes are judged from them.
+    /// Returns a text to append to the error that no link carries messages of the kind `kind`: it says that the judging
+    /// host needs all readings. The text is empty unless `kind` is readings and episodes are judged from them.
     pub(super) fn needed_by_judge(&self, kind: Kind) -> String {
         match (kind, self.judged()) {
             (Kind::Reading, Judged::Readings) => {

@@ -15,7 +15,7 @@ use crate::messages::local::{BodyTwist, Drive};
 use crate::messages::wire::{Hardware, Reading};
 use crate::time::Time;
 
-/// Output of a driver.
+/// Output of a driver: a command or packet that moves its robot, or something that it has learned of the robot.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Out {
     /// Velocity command for the World, the actor that simulates the robot; only the driver of simulated robots has it.
@@ -41,7 +41,8 @@ pub struct Limits {
 /// Velocity command for a driver, in the world frame and in the robot's own frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Command {
-    /// Velocity of the robot in the world frame, and the time until which it holds.
+    /// Commanded velocity of the robot in the world frame, and the time at which the robot has to stop without a newer
+    /// command.
     pub drive: Drive,
     /// The velocity of `drive` as a motion in the robot's own frame, within the limits of its chassis. `None` while the
     /// heading is unknown or too old; a driver that needs the heading then stops the robot.

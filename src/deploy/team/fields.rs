@@ -93,7 +93,8 @@ impl Fields {
     }
 
     /// Returns type and default of the field with this key, such as `seed` or `link.radio.transport`; `None` if there
-    /// is no such field. Defaults of a transport's fields are not included; they are in the transport's entry.
+    /// is no such field. The inner `None` stands for no default, or for a field of a transport, whose default is in the
+    /// transport's entry.
     pub fn field(&self, key: &str) -> Option<(FieldType, Option<&'static str>)> {
         let of_team =
             |name: &str| TEAM.iter().find(|(field, ..)| *field == name).map(|(_, takes, default)| (*takes, *default));
