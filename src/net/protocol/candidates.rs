@@ -168,9 +168,9 @@ impl Candidates {
         known
     }
 
-    /// Returns the candidates whose stamps the next report echoes: those whose stamps have advanced lately, guests and
-    /// hosts of the team alternately, so that neither group delays the other. Within each group, those whose stamps
-    /// were echoed least come first, then the newest.
+    /// Returns the candidates whose stamps the next report echoes: those whose stamps have advanced in the last 2 s,
+    /// guests and hosts of the team alternately, so that neither group delays the other. Within each group, those whose
+    /// stamps were echoed least come first, then the newest.
     pub fn waiting(&self, now: Time) -> Vec<(HostId, Candidate)> {
         let [mut guests, mut hosts] = [&self.guests, &self.hosts].map(|table| table.waiting(now).into_iter());
         let mut waiting = Vec::with_capacity(guests.len() + hosts.len());
@@ -189,7 +189,7 @@ impl Candidates {
         }
     }
 
-    /// Returns for each host the candidate from which a later stamp has arrived last.
+    /// Returns for each host the candidate whose stamp has advanced last; its first stamp counts as an advance.
     pub fn newest(&self) -> impl Iterator<Item = (HostId, Candidate)> {
         let all = self.hosts.by_host.iter().chain(&self.guests.by_host);
         all.filter_map(|(&host, all)| Some((host, *all.iter().max_by_key(|one| one.at)?)))

@@ -49,7 +49,7 @@ pub struct Flags(pub u8);
 impl Flags {
     /// Flag bit: the datagram ends with an authentication tag.
     pub const TAGGED: u8 = 1;
-    /// Flag bit: the datagram is for one host, and numbered in the sequence space of that host.
+    /// Flag bit: the datagram is for one host, and numbered among the sender's datagrams to that host alone.
     pub const DIRECT: u8 = 2;
     /// Flag bit: the datagram is a retransmission.
     pub const COPY: u8 = 4;
@@ -233,8 +233,8 @@ pub fn peek(datagram: &[u8]) -> Result<Header, DecodeError> {
     Ok(Header { flags, team, sender, incarnation, sequence })
 }
 
-/// Returns the blocks of a datagram without authentication tag, each as type of content and body. Ends at the first
-/// error.
+/// Returns the blocks of a datagram without authentication tag, each as type of content and body. An error
+/// is the last item, since the bytes after it cannot be split.
 pub fn blocks(plain: &[u8]) -> impl Iterator<Item = Result<(Content, &[u8]), DecodeError>> {
     let mut rest = plain.get(HEADER_BYTES..).unwrap_or_default();
     std::iter::from_fn(move || {

@@ -29,9 +29,10 @@ struct Gap {
 pub struct Gaps(BTreeMap<DatagramId, Gap>);
 
 impl Gaps {
-    /// Removes a datagram that has arrived from the missing ones, and adds those that it offers for retransmission
-    /// (sequence numbers `held`) and that `window` has not received. `backoff` draws the wait before a request. Only
-    /// offered datagrams are requested, so that lost requests cause no further requests.
+    /// Removes the datagram with this header, which has arrived, from the missing ones. Adds those that it offers for
+    /// retransmission (sequence numbers `held`) and that `window`, of the same sequence space, has not received.
+    /// `backoff` draws the wait before a request. Datagrams that their sender does not offer, such as requests, are
+    /// not requested when they are lost.
     pub fn note(
         &mut self,
         now: Time,

@@ -90,7 +90,7 @@ pub struct Incoming {
     rate: Option<Rate>,
     senders: Senders,
     candidates: Candidates,
-    /// Datagrams that have not arrived, as sequence numbers show, and can still be requested.
+    /// Datagrams that have not arrived, among those that their senders offer for retransmission.
     pub gaps: Gaps,
     schedule: ReportSchedule,
     /// Detection of other processes with the id of this host.

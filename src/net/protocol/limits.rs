@@ -16,9 +16,9 @@ pub const SILENT: Span = Span::from_millis(400);
 /// On a link without a key: time without any datagram after which a host is silent, so that another incarnation of it
 /// may be accepted.
 pub const SILENT_WITHOUT_KEY: Span = Span::from_millis(300);
-/// Loss, as a number of 64 datagrams, from which on messages in the reliability mode `repeat` are sent twice: about 3
-/// %.
+/// Smallest number of lost datagrams among a sender's newest 64, as a receiver reports it, with which the sender sends
+/// messages in the reliability mode `repeat` twice: about 3 %.
 pub const LOSS_TO_REPEAT: u8 = 2;
-/// Loss, as a number of 64 datagrams, from which on messages in the reliability mode `repeat` are sent three times:
-/// about 40 %.
+/// Smallest number of lost datagrams among a sender's newest 64, as a receiver reports it, with which the sender sends
+/// messages in the reliability mode `repeat` three times: about 40 %.
 pub const LOSS_TO_REPEAT_TWICE: u8 = 26;

@@ -21,8 +21,8 @@ use crate::messages::wire::{Kind, Wire};
 use crate::time::{Span, Time};
 
 /// Longest time that soft state (repeated messages: instructions, heartbeats, telemetry) waits for a datagram with data
-/// to which it can be appended, if such a datagram was sent within this time. With data twelve times a second, all soft
-/// state is appended.
+/// to which it can be appended. It does not wait if the last datagram with data was sent longer ago than this. With
+/// data twelve times a second, all soft state is appended.
 pub const PIGGYBACK_WAIT: Span = Span::from_millis(100);
 /// Smallest interval between datagrams that contain only soft state (repeated messages); half of it if they contain an
 /// instruction of the state server.
@@ -359,7 +359,7 @@ impl Outgoing {
         }
     }
 
-    /// Sends a request for missing datagrams to all hosts: appends it to `out`.
+    /// Appends to `out` a datagram to all hosts that requests the retransmission of the missing datagrams `ids`.
     pub fn ask(&mut self, ids: &[DatagramId], counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
         let mut bytes = codec::start(&self.header(Audience::All, 0));
         add(&mut bytes, Content::Nack, |bytes| write_ids(ids, bytes));

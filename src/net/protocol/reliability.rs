@@ -113,7 +113,7 @@ impl Setup {
     }
 
     /// Returns the setup of a link on which a datagram reaches only the host to which it is addressed: with link
-    /// reports, the rate limit `RATE`, and soft state only in datagrams to the same hosts.
+    /// reports, the rate limit `RATE`, and soft state appended only to datagrams with the same receivers.
     pub fn unicast(reliability: Reliabilities) -> Setup {
         Setup { piggyback: Piggyback::SameAudience, ..Setup::multicast(reliability) }
     }

@@ -185,7 +185,8 @@ pub struct Peer {
     /// Incarnation of the other host: random number of its run.
     #[serde(rename = "epoch")]
     pub incarnation: u32,
-    /// Whether the host is accepted, because it has proved its liveness. Messages of other hosts are refused.
+    /// Whether the host is accepted: it has proved its liveness, or the link has no key. Messages of a host that is not
+    /// accepted are refused.
     #[serde(rename = "proven")]
     pub accepted: bool,
     /// Time since the host's last datagram \[s\]; `None` if there was none.

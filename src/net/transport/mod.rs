@@ -115,7 +115,7 @@ pub struct Transmit {
 pub struct Arrive {
     /// Host that receives the frame.
     pub to: HostId,
-    /// Source address of the frame; `None` on an emulated link.
+    /// Source address of the frame; always `None`, since hosts have no addresses on an emulated link.
     pub from: Option<SocketAddr>,
     /// Bytes of the frame.
     pub frame: Frame,

@@ -43,7 +43,7 @@ pub(super) struct QueuedFrame<T> {
     pub to: Destination,
     /// Length of the datagram in the frame \[bytes\].
     pub bytes: usize,
-    /// Payload of the caller; `None` for a frame of another network.
+    /// Value that the caller passed with the frame, copied into each delivery; `None` for a frame of another network.
     pub token: Option<T>,
 }
 
@@ -108,7 +108,8 @@ impl<T: Clone> Station<T> {
     }
 
     /// Updates the station's backoff counter at the start of a transmission on the channel, in slot number `slot` since
-    /// the medium became idle. Returns true if this station transmits in that slot, too.
+    /// the medium became idle. `counting` says whether that slot counts for the backoff, too. Returns true if this
+    /// station transmits in that slot, too.
     pub fn pass(&mut self, slot: u64, counting: Counting) -> bool {
         let Some(counter) = self.counter.take() else { return false };
         if counter <= slot {
