@@ -21,15 +21,16 @@ pub struct Episode {
     pub wall_radius_m: f32,
     /// Age, counted from its arrival, up to which a message is used \[s\].
     pub hold_s: f32,
-    /// Standard deviation of the communication radius \[m\], which is drawn anew for each message.
+    /// Standard deviation of the communication range \[m\], which is drawn anew for each message.
     pub range_std_m: f32,
     /// Standard deviation of the noise on each axis of a measured position \[m\].
     pub position_noise_m: f32,
     /// Standard deviation of the noise on each axis of a measured velocity \[m/s\].
     pub velocity_noise_m_s: f32,
-    /// Time from the start of a step to the action in the step, one for each robot \[s\].
+    /// Time from the start of each step of 50 ms to the robot's action in it \[s\], one entry per robot.
     pub phase_s: Vec<f32>,
-    /// Delay \[s\] and loss probability of messages for each pair of robots: by receiver, then by sender.
+    /// Delay \[s\] and loss probability of messages from one robot to another: by receiver, then by sender. No message
+    /// uses the entries from a robot to itself.
     pub edges: Vec<(f32, f32)>,
     /// Range of communication: the policy's radius, or unlimited.
     #[serde(default)]
@@ -123,7 +124,7 @@ impl Episode {
         }
     }
 
-    /// Returns the mean delay \[s\] and the mean loss probability of the episode's messages.
+    /// Returns the mean delay \[s\] and the mean loss probability over all entries of `edges`.
     pub fn mean_edge(&self) -> (f32, f32) {
         let count = self.edges.len().max(1) as f32;
         let sum = self.edges.iter().fold((0.0, 0.0), |sum, edge| (sum.0 + edge.0, sum.1 + edge.1));

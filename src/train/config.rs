@@ -67,9 +67,9 @@ pub struct Policy {
     pub radius_m: f32,
     /// Largest commanded velocity along each axis \[m/s\].
     pub limit_m_s: f32,
-    /// Age up to which a deployed robot uses a message \[s\].
+    /// Age, counted from its arrival, up to which a deployed robot uses a message \[s\].
     pub hold_s: f64,
-    /// Method by which a deployed robot draws an action from the policy's distribution.
+    /// Method by which a deployed robot takes an action from the policy's distribution: its mean, or a random sample.
     pub draw: Draw,
 }
 
@@ -173,7 +173,7 @@ pub struct Conditions {
     pub edge_spread: f32,
     /// Age up to which a robot uses a message \[s\], counted from its arrival.
     pub hold_s: Range,
-    /// Standard deviation of the communication radius \[m\].
+    /// Standard deviation of the communication range \[m\], which is drawn anew for each message.
     pub range_std_m: Range,
     /// Standard deviation of the noise on each axis of a measured position \[m\].
     pub position_noise_m: Range,

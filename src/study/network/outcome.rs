@@ -13,7 +13,7 @@ use crate::time::{Span, Time};
 
 /// Largest age of a message that a control step uses: 200 ms, the hold time of the policies.
 pub const USABLE: Span = Span::from_millis(200);
-/// Delays of which the paper's network study reports the share of messages that were faster: 20 and 50 ms.
+/// Delays of 20 and 50 ms. The paper's network study reports the share of messages that arrive within each.
 pub const MARKS: [Span; 2] = [Span::from_millis(20), Span::from_millis(50)];
 
 /// Outcome of a case of a network study, emulated or measured.
@@ -24,7 +24,7 @@ pub struct Outcome {
     pub seconds: f64,
     /// Number of expected deliveries: each message published in the window, at every other station.
     pub due: u64,
-    /// Number of messages that arrived, counted at each receiver.
+    /// Number of the expected deliveries that arrived.
     pub arrived: u64,
     /// Number of deliveries with a delay of at most 20 ms, and of at most 50 ms.
     pub within: [u64; 2],
@@ -32,10 +32,11 @@ pub struct Outcome {
     pub quantiles_s: Option<[f64; 4]>,
     /// Histogram of the delays of deliveries.
     pub delays: Ages,
-    /// Histogram of the age of each other station's newest message at each control step.
+    /// Histogram, over stations and their control steps, of the age of the newest message that has arrived from each
+    /// other station, since its publication.
     pub ages: Ages,
-    /// Quantiles (50 and 90 %) of the age \[s\] of other stations' newest messages at control steps; `None` if so many
-    /// stations had no message yet that a quantile does not exist.
+    /// Quantiles (50 and 90 %), over control steps and other stations, of the age of the newest message \[s\]; `None`
+    /// if for more than a tenth of them none had arrived yet.
     pub age_quantiles_s: Option<[f64; 2]>,
     /// Share (0 to 1) of the ages of other stations' newest messages at control steps that are at most 200 ms.
     pub usable: f64,
@@ -102,8 +103,8 @@ impl Tally {
         at >= self.window.0 && at < self.window.1
     }
 
-    /// Counts a message that `station` publishes at `now`. Panics unless the station's sequence numbers are
-    /// consecutive.
+    /// Counts the message `sequence` that the station with index `station` publishes at `now`. Panics unless the
+    /// station's sequence numbers are consecutive, from 0.
     pub fn published(&mut self, now: Time, station: u16, sequence: u32) {
         let (first, times) = &mut self.published_at[usize::from(station)];
         assert_eq!(sequence as usize, *first as usize + times.len(), "numbers follow each other");
@@ -117,7 +118,8 @@ impl Tally {
         }
     }
 
-    /// Counts the delivery of a message from the station `from` at `station`. The caller leaves out duplicates.
+    /// Counts the delivery, at the station with index `station`, of the message `sequence` from the station `from`. The
+    /// caller leaves out duplicates.
     pub fn received(&mut self, now: Time, station: u16, from: u16, sequence: u32) {
         let (first, times) = &self.published_at[usize::from(from)];
         let place = sequence.checked_sub(*first).and_then(|place| times.get(place as usize));
@@ -138,7 +140,7 @@ impl Tally {
         self.delays_s.push(delay.as_secs());
     }
 
-    /// Counts a control step of `station` at `now`: the age of each other station's newest message.
+    /// Counts a control step of `station` at `now`: the age of the newest message that it has from each other station.
     pub fn step(&mut self, now: Time, station: u16) {
         for from in (0..self.stations).filter(|from| *from != usize::from(station)) {
             // If there is no message of a station, its age exceeds every limit.
@@ -147,7 +149,7 @@ impl Tally {
         }
     }
 
-    /// Counts `age`, the age of another station's newest message at a control step.
+    /// Counts `age`, the age of another station's newest message at a control step; `NEVER` if none has arrived.
     pub fn add_age(&mut self, age: Span) {
         self.ages.add(age);
         self.ages_s.push(age.as_secs());
@@ -221,7 +223,7 @@ pub struct Row {
     pub network: NetworkKind,
     /// Message rate of all stations together \[1/s\].
     pub rate: f64,
-    /// Duration of the measurement \[s\].
+    /// Duration of the measurement \[s\], without warm-up and drain.
     pub seconds: f64,
     /// Share of expected deliveries that arrived, 0 to 1.
     pub delivered: f64,
@@ -239,11 +241,11 @@ pub struct Row {
     pub p99_ms: Option<f64>,
     /// Share of time in which the medium was busy with the stations' frames; null in a measurement between hosts.
     pub airtime: Option<f64>,
-    /// Median age of other stations' newest messages at control steps \[ms\]; null if more than half of them had no
-    /// message.
+    /// Median, over control steps and other stations, of the age of the newest message \[ms\]; null if for more than a
+    /// tenth of them none had arrived yet.
     pub age_p50_ms: Option<f64>,
-    /// 90 % quantile of the age of other stations' newest messages at control steps \[ms\]; null if too many stations
-    /// had no message.
+    /// 90 % quantile, over control steps and other stations, of the age of the newest message \[ms\]; null if for more
+    /// than a tenth of them none had arrived yet.
     pub age_p90_ms: Option<f64>,
     /// Share of the ages of other stations' newest messages at control steps that are at most 200 ms, 0 to 1.
     pub usable: f64,

@@ -19,15 +19,15 @@ const BURST: u32 = 64;
 /// Request to measure one case of a network study, sent by the coordinating host to all stations.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Task {
-    /// Number of the measurement. Stations ignore messages that carry another number.
+    /// Number of this measurement, which every message carries. Stations ignore messages with another number.
     pub number: u32,
     /// Case to measure.
     pub case: Case,
     /// Number of stations that take part.
     pub stations: u16,
-    /// Number of features in a message.
+    /// Number of floats of the latent in each message.
     pub features: usize,
-    /// Duration of the measurement \[s\].
+    /// Duration of the measurement \[s\], without warm-up and drain.
     pub seconds: f64,
     /// Seed of the stations' publication schedules.
     pub seed: u64,
@@ -42,9 +42,9 @@ pub struct StationResult {
     /// late. They count as expected and not delivered.
     #[serde(default)]
     pub skipped: u64,
-    /// Delay of each received message, from publication to arrival \[us\].
+    /// Delay from publication to arrival \[us\] of each received message that was published within the measurement.
     pub delays_us: Vec<u64>,
-    /// Age of each other station's newest message at each control step \[us\]; `None` if that station had none.
+    /// Age of each other station's newest message at each control step \[us\]; `None` if none of it had arrived yet.
     pub ages_us: Vec<Option<u64>>,
 }
 

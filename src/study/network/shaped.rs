@@ -19,7 +19,7 @@ pub struct Shaped {
     pub rate_bit_s: f64,
     /// Size of the token bucket \[bytes\].
     pub burst_bytes: usize,
-    /// Size of the queue \[bytes\]. A frame that does not fit is dropped.
+    /// Size of each station's queue of frames to send \[bytes\]. A frame that does not fit is dropped.
     pub queue_bytes: usize,
     /// Probability that a receiver loses a frame, 0 to 1; independent for each receiver.
     #[serde(default)]

@@ -10,7 +10,8 @@ use super::scale;
 /// Quantity that a table of a network study shows: its name, and the function that returns its value in a row.
 type Shown = (&'static str, fn(&Row) -> Option<f64>);
 
-/// Quantities that the tables of a network study show, one table each, with their units.
+/// Quantities that the tables of a network study show, one table each: name with unit, and the function that returns
+/// the value from a row of results.
 pub const SHOWN: [Shown; 5] = [
     ("within 20 ms [%]", |row| Some(100.0 * row.within_20ms)),
     ("delivered [%]", |row| Some(100.0 * row.delivered)),
@@ -26,7 +27,7 @@ pub fn heads(sweep: &Sweep) -> Vec<String> {
 }
 
 /// Returns the lines of the table of one quantity: one line per combination of parameters, one column per message rate.
-/// A cell without a result is empty.
+/// A cell without a result is `-`.
 pub fn lines(sweep: &Sweep, rows: &[Row], (_, value): Shown) -> Vec<Vec<String>> {
     let mut names: Vec<String> = Vec::new();
     for row in rows {

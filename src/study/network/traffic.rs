@@ -12,8 +12,9 @@ use crate::time::{Span, Time};
 /// UDP, IP and lower layers are not included.
 pub const FRAMING_BYTES: usize = 40;
 
-/// Returns the message with the number `sequence` of a station, published `stamp` after the start of the case with the
-/// number `case`. Its position holds the time of publication, and it has `features` features.
+/// Returns the message with the number `sequence` of a station, published `stamp` after the start of a case. `case` is
+/// the number of the measurement, 0 in emulation. The message's position holds the time of publication, and its latent
+/// has `features` floats.
 pub fn message(station: u16, case: u32, sequence: u32, stamp: Span, features: usize) -> Latent {
     let own = 0.5 * f32::from(station + 1);
     let us = stamp.as_nanos() / 1000;
@@ -53,8 +54,8 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// Returns the schedule of the station with the index `station`, from `begin` on. All stations together (the first
-    /// number of the pair) publish the second number of messages a second.
+    /// Returns the schedule of the station with the index `station`, from `begin` on. `stations` is the number of
+    /// stations, and `rate` the message rate of all together \[1/s\].
     pub fn new(begin: Time, station: u16, (stations, rate): (u16, f64), seed: &Seed) -> Schedule {
         let period = Span::from_secs(f64::from(stations) / rate);
         let stream = seed.stream(&format!("publish/{station}"));

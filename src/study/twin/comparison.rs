@@ -37,10 +37,10 @@ pub struct Row {
     pub name: String,
     /// Unit of the quantity; empty if it has none.
     pub unit: &'static str,
-    /// Predicted value. Its interval is the one in which a measurement of as many episodes as in the run lies with 95
-    /// %.
+    /// Predicted value, with the 95 % interval of a measurement of as many episodes as were predicted; for a parameter
+    /// of the model the fitted value, with its own interval.
     pub predicted: Estimate,
-    /// Value measured in the predicted episodes of the run, with its 95 % interval.
+    /// Value measured in the predicted episodes of the run, or for a parameter fitted to them, with its 95 % interval.
     pub measured: Estimate,
     /// Largest difference of prediction and measurement with which they agree.
     pub bar: Bar,
@@ -72,9 +72,9 @@ impl Row {
 }
 
 /// Returns the rows of the comparison of a twin with its recorded run. Of `run`, the episodes from `first` on were
-/// predicted; `predicted` has the results of the repeats. `fitted` is the model that made the prediction, `later` the
-/// model that the same fit finds on the predicted episodes. `links` are the names of the links; `seed` seeds the
-/// bootstrap of the intervals. Without predictions, only the parameters of the two models are compared.
+/// predicted; `predicted` has one entry for each simulated repeat. `fitted` is the model that made the prediction,
+/// `later` the model that the same fit finds on the predicted episodes. `links` are the names of the links; `seed`
+/// seeds the bootstrap of the intervals. Without predictions, only the parameters of the two models are compared.
 pub fn rows(
     run: &Run,
     first: usize,

@@ -168,7 +168,7 @@ pub struct Run {
     pub estimates: Vec<Vec<Series>>,
     /// Times of the steps of the simulated World \[ns\], by episode.
     pub steps_ns: Vec<Vec<i64>>,
-    /// Times of each robot's decisions \[ns\] with the episode, by robot.
+    /// Decisions of each robot, in the order of robot ids: for each decision its episode and its time \[ns\].
     pub ticks_ns: Vec<Vec<(u32, i64)>>,
 }
 

@@ -20,8 +20,8 @@ pub fn steady(times_ns: impl Iterator<Item = i64>, period_ns: i64) -> Option<f64
     (count > 0 && length >= STEADY).then(|| (y.atan2(x) / TAU).rem_euclid(1.0))
 }
 
-/// Returns the offset \[s\] of an agent's ticks from the steps of the simulated World. `tick` and `step` are their mean
-/// times within the period of `period_ns` \[ns\], each as a share of it (0 to 1).
+/// Returns the time \[s\] from a step of the simulated World to the agent's next tick: at least 0, less than a period.
+/// `tick` and `step` are their mean times within the period of `period_ns` \[ns\], each as a share of it (0 to 1).
 pub fn between(tick: f64, step: f64, period_ns: i64) -> f64 {
     let offset_ns = ((tick - step).rem_euclid(1.0) * period_ns as f64).round() as i64 % period_ns;
     offset_ns as f64 / 1e9
