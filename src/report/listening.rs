@@ -19,9 +19,9 @@ pub struct Listening {
     pub delay: Ages,
     /// Number of control steps of robots that receive messages over a link.
     pub steps: u64,
-    /// Number of neighbours' messages that robots used, summed over all control steps.
+    /// Number of neighbours' messages that had crossed a link and that robots used, summed over all control steps.
     pub heard: u64,
-    /// Histogram of the ages of used messages, from publication to the control step.
+    /// Histogram of the ages of the messages counted in `heard`, from publication to the control step.
     pub age: Ages,
 }
 
@@ -41,7 +41,8 @@ impl Listening {
         (self.due > 0).then(|| self.arrived as f64 / self.due as f64)
     }
 
-    /// Returns the mean number of neighbours whose messages a control step used; `None` without control steps.
+    /// Returns the mean number of neighbours whose messages, received over a link, a control step used; `None` without
+    /// control steps.
     pub fn neighbours(&self) -> Option<f64> {
         (self.steps > 0).then(|| self.heard as f64 / self.steps as f64)
     }
@@ -83,8 +84,8 @@ impl Listener {
         keep(self.sent.entry(datagram.0).or_default(), (datagram, robot, now));
     }
 
-    /// Records that a datagram has arrived at the host `to` at `now`. Duplicates, and datagrams of unknown messages, do
-    /// not count.
+    /// Records that a datagram has arrived at the host `to` at `now`. Duplicates do not count, nor does a datagram that
+    /// is not among the last 64 of its sender that the method `published` has recorded.
     pub fn arrived(&mut self, now: Time, to: HostId, datagram: Datagram) {
         let sent = self.sent.get(&datagram.0).into_iter().flatten();
         let Some((_, robot, published)) = sent.rev().find(|(other, ..)| *other == datagram) else { return };

@@ -27,7 +27,8 @@ pub struct Outcomes {
     pub wall_collisions: usize,
     /// Number of episodes that failed because not all robots arrived in time.
     pub timeouts: usize,
-    /// Number of episodes that the state server ended early, because of a fault or because they took too long.
+    /// Number of episodes that the state server ended before they had a verdict, such as after an emergency stop or
+    /// when a robot failed.
     pub aborted: usize,
     /// Number of episodes that could not be judged, because a robot was not measured for more than a second. Zero if
     /// true states are judged.

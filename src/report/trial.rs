@@ -72,8 +72,8 @@ impl TrialReport {
         }
     }
 
-    /// Returns the report with the counts of the judging host replaced by the sums over all processes of the team.
-    /// `incarnations` has the counts of each process; a restarted host has several.
+    /// Returns the report with its counts, which cover only the host whose Recorder made it, replaced by the sums over
+    /// all processes of the team. `incarnations` has the counts of each process; a restarted host has several.
     pub fn counted<'a>(self, incarnations: impl Iterator<Item = &'a Counted> + Clone) -> TrialReport {
         let sum = |of: fn(&Counted) -> u64| incarnations.clone().map(of).sum();
         let oldest = incarnations.clone().filter_map(|counted| counted.oldest_command_s).reduce(f64::max);
@@ -107,8 +107,8 @@ pub struct Step {
     pub phase: Phase,
     /// True state of each robot, in the order of robot ids.
     pub samples: Vec<Sample>,
-    /// Messages of other robots that robots use at this instant, grouped by the receiving robot; empty unless the trial
-    /// was set to keep them, and while no episode runs.
+    /// Messages of other robots that robots use at this instant, grouped by the receiving robot. Empty while no episode
+    /// runs, and always if the trial was not set to keep them.
     pub hearing: Vec<Hearing>,
 }
 

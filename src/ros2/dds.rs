@@ -180,8 +180,8 @@ impl Dds {
         }
     }
 
-    /// Publishes the velocity `[x, y, yaw]` \[m/s, m/s, rad/s\] of a robot. `topic` is an index in the plan's list
-    /// `writers`.
+    /// Publishes a command for the velocity `[x, y, yaw]` \[m/s, m/s, rad/s\] of a robot along its own axes. `topic` is
+    /// an index in the plan's list `writers`.
     pub fn drive(&mut self, topic: usize, [x, y, yaw]: [f64; 3]) {
         let zero = Vector3::default();
         let twist = Twist { linear: Vector3 { x, y, ..zero }, angular: Vector3 { z: yaw, ..zero } };

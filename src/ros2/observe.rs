@@ -40,8 +40,8 @@ fn prefix() -> String {
     "/team".to_owned()
 }
 
-/// Makes the topics on which a host publishes its team's state to ROS 2, and the worker that publishes them, from the
-/// settings of the host's table `observe` in the team file.
+/// Makes the topics on which a host publishes the state of `robots` to ROS 2, and the worker that publishes them, from
+/// the settings of the host's table `observe` in the team file.
 ///
 /// # Errors
 ///
@@ -95,7 +95,7 @@ impl Observation {
     }
 
     /// Encodes the packet to a DDS process that publishes a robot's reading as `nav_msgs/Odometry`. Returns `None` for
-    /// a robot that is not in the team.
+    /// a robot for which no topic was made.
     pub fn pose(&self, reading: &Reading) -> Option<Vec<u8>> {
         let index = self.robots.binary_search(&reading.robot).ok()?;
         let heading = reading.pose.heading.map(f64::from);

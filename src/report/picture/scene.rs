@@ -174,7 +174,8 @@ impl<'a> Scene<'a> {
         self.frames.last().map_or(Span::ZERO, |frame| frame.time)
     }
 
-    /// Returns the time of each robot's first arrival at its goal; `None` for a robot that did not arrive.
+    /// Returns for each robot the time from the start of the episode to its first arrival at its goal; `None` if it did
+    /// not arrive.
     pub fn arrivals(&self) -> Vec<Option<Span>> {
         let arrived = |(robot, task): (usize, &Task)| {
             let near = |frame: &&Frame| (task.goal - frame.points[robot]).norm() <= self.stage.rules.arrival_m;
@@ -183,7 +184,8 @@ impl<'a> Scene<'a> {
         self.stage.tasks.iter().enumerate().map(arrived).collect()
     }
 
-    /// Returns all pairs of robots of which at any time one uses a message of the other, sorted.
+    /// Returns all pairs of robots, by ids and the smaller first, of which at any time one uses a message of the other.
+    /// They are sorted.
     pub fn pairs(&self) -> Vec<(usize, usize)> {
         let mut pairs: Vec<_> =
             self.frames.iter().flat_map(|frame| &frame.links).map(|link| (link.one, link.other)).collect();

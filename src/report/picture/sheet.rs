@@ -116,7 +116,7 @@ impl View {
         format!("<circle class=\"{class}\" cx=\"{x}\" cy=\"{y}\" r=\"{r}\"{rest}/>")
     }
 
-    /// Returns the font size \[pixels\] of the id that is drawn on a robot.
+    /// Returns the font size \[pixels\] in which the id `robot` is drawn on that robot; ids of two digits are smaller.
     pub fn number(&self, stage: &Stage, robot: usize) -> f32 {
         stage.radius_m * self.scale * if robot < 10 { 1.05 } else { 0.9 }
     }
