@@ -29,7 +29,7 @@ pub struct SafetyCounts {
     pub fence: u64,
     /// Number of times that the minimum distance to neighbours began to limit commands.
     pub distance: u64,
-    /// Number of times that the minimum distance to walls began to limit commands.
+    /// Number of times that the minimum distance to walls, or the edge of the ground, began to limit commands.
     pub walls: u64,
 }
 

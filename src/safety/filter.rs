@@ -83,7 +83,7 @@ impl Filter {
     }
 
     /// Returns the velocity to command in place of `wanted` \[m/s\]. `own` is the robot's motion, and `neighbours` has
-    /// the last known motions of others with their ages \[s\], all in the world frame.
+    /// the last known motions of others with their ages since their arrival \[s\], all in the world frame.
     pub fn apply(&mut self, own: &Motion, neighbours: impl Iterator<Item = (Motion, f32)>, wanted: Vec2) -> Filtered {
         let Filter { settings, barrier, yielding } = self;
         let Safety { geofence: fence, distance, walls, .. } = settings.safety;

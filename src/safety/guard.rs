@@ -198,8 +198,8 @@ impl Guard {
     }
 
     /// Decides at time `now` on an action of the policy, which must belong to the current phase of the episode. The
-    /// robot may drive at the action's velocity, limited in speed and by geofence and neighbours, unless a trigger
-    /// forbids motion.
+    /// robot may drive at the action's velocity, limited in speed and by geofence, walls and neighbours, unless a
+    /// trigger forbids motion.
     pub fn decide(&mut self, now: Time, action: &Action) -> Decision {
         self.remember(now, action);
         let Config { clamp, limit_m_s, .. } = self.config;
@@ -309,8 +309,8 @@ impl Guard {
         self.deadline().map(|(at, _)| at)
     }
 
-    /// Handles the earliest deadline that has passed at time `now`. Returns the decision to stop; `None` if none has
-    /// passed.
+    /// Handles the earliest deadline that has passed at time `now`. Returns the decision, to stop the
+    /// robot or to abort the episode as well; `None` if no deadline has passed.
     pub fn wake(&mut self, now: Time) -> Option<Decision> {
         let (_, trigger) = self.deadline().filter(|(at, _)| *at <= now)?;
         if trigger == Trigger::Silence {

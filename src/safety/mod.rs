@@ -62,9 +62,10 @@ pub struct Safety {
     pub geofence: Switch,
     /// Distance of the geofence beyond the edge of the robot's ground \[m\].
     pub geofence_margin_m: f32,
-    /// Time horizon of the geofence \[s\]: no command may carry the robot's centre past the geofence within this time.
+    /// Time horizon of the geofence \[s\]: no command may carry the robot's stopping point past it within this time.
     pub geofence_horizon_s: f32,
-    /// Distance of the robot's estimated position beyond the edge of its ground \[m\] from which the robot is stopped.
+    /// Distance of the robot's estimated position beyond the edge of its ground \[m\] from which the robot is stopped,
+    /// if `geofence` is on.
     pub geofence_stop_m: f32,
     /// Whether a minimum distance to neighbouring robots (`distance_min_m`) is enforced.
     pub distance: Switch,
@@ -74,13 +75,13 @@ pub struct Safety {
     /// the minimum \[1/s\]; twice that for a wall. Above 1 / (2 control periods), two robots that approach each other
     /// may come closer than the minimum.
     pub distance_gain_per_s: f32,
-    /// Maximum age of a neighbour's last known position \[s\]. An older position is ignored in keeping the minimum
-    /// distance.
+    /// Maximum age of a neighbour's last known position \[s\], since the arrival of the message with it. An older
+    /// position is ignored in keeping the minimum distance.
     pub distance_age_s: f64,
     /// Longest time from a neighbour's measurement of itself to the arrival of its message \[s\], which the minimum
     /// distance allows for in addition to the age since the arrival.
     pub distance_delay_s: f32,
-    /// Whether a minimum distance to the walls of the arena (`walls_min_m`) is enforced.
+    /// Whether a minimum distance to the walls of the arena (`walls_min_m`) is enforced, and the edge of the ground.
     pub walls: Switch,
     /// Minimum distance of the robot's centre from a wall \[m\].
     pub walls_min_m: f32,

@@ -85,9 +85,9 @@ impl Sightings {
     }
 
     /// Begins an episode at time `now`: readings that arrived before it do not count. `placed` has the start of each
-    /// robot \[m\], world frame, if the simulated world has put the robots there. A robot then counts as seen only from
-    /// its first reading near its start, because older readings may still be under way. `None` means that the robots
-    /// drove to their starts.
+    /// robot \[m\], world frame, by robot id, if the simulated world has put the robots there. A robot then counts as
+    /// seen only from its first reading near its start, because older readings may still be under way. `None` means
+    /// that the robots drove to their starts.
     pub fn begin(&mut self, now: Time, placed: Option<&[Vec2]>) {
         (self.here, self.lapsed) = (0, false);
         for (at, known) in self.team.iter_mut().enumerate() {

@@ -129,7 +129,7 @@ const FIELDS: [&str; 10] =
 
 impl Identity {
     /// Returns the first field in which two identities of studies differ, except the command: its name, its value
-    /// in `self` and its value in `other`; `None` if there is none.
+    /// in `self` and its value in `other`, both as JSON cut to 60 characters; `None` if there is none.
     pub fn difference(&self, other: &Identity) -> Option<(String, String, String)> {
         let fields = |identity: &Identity| match serde_json::to_value(identity) {
             Ok(serde_json::Value::Object(fields)) => fields,

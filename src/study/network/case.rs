@@ -99,8 +99,8 @@ pub struct Case {
     pub rate: f64,
 }
 
-/// Parameters of a network study; its cases are all combinations of the lists. A station is a host that sends and
-/// receives messages.
+/// Parameters of a network study; its cases are all combinations of the lists, but only those with unicast by radio
+/// differ in the retry limit. A station is a host that sends and receives messages.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Sweep {
@@ -275,7 +275,8 @@ impl std::fmt::Display for History {
 }
 
 impl Case {
-    /// Returns the case's network, addressing, reliability mode and retry limit as text, without the message rate.
+    /// Returns the case's network, addressing and reliability mode as text, with the retry limit for unicast by radio;
+    /// without the message rate.
     pub fn combination(&self) -> String {
         let Case { network, addressing, reliability, retries, .. } = self;
         match addressing {

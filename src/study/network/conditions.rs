@@ -9,9 +9,10 @@ use crate::train::config::Conditions;
 /// Latents that a robot sends \[1/s\]: one for each decision.
 const RATE: f64 = 20.0;
 
-/// Sets the delay and loss of messages in the training conditions `conditions` to those of `robots` robots on the
-/// medium. An emulation finds them for latents that are sent 20 times a second by best-effort multicast; the delay is a
-/// range from its 10 % to its 90 % quantile. Returns `None`, and changes nothing, if no message arrives.
+/// Sets the delay and loss of messages in the training conditions `conditions` to those of `robots` robots (200 at
+/// most) on the medium. An emulation finds them for latents that are sent 20 times a second by best-effort multicast;
+/// the delay is a range from its 10 % to its 90 % quantile, both 0.5 s at most. Returns `None`, and changes nothing, if
+/// no message arrives.
 pub fn apply(medium: &Medium, robots: usize, conditions: &mut Conditions) -> Option<()> {
     let stations = u16::try_from(robots.clamp(2, 200)).expect("it is at most 200");
     let network = match medium {

@@ -52,10 +52,11 @@ pub struct Growth {
     pub bytes: f64,
     /// Datagrams that hosts receive, per robot \[1/s\]; 0 if there is only one host.
     pub deliveries: f64,
-    /// Share of time in which a robot's own latents occupy the radio channel by multicast; `None` without a radio.
+    /// Share of time in which a robot's own latents occupy the radio channel by multicast; `None` without a radio, or
+    /// if there is only one host.
     pub airtime: Option<f64>,
     /// Share of time in which the latents of a robot and of all robots within its transmission range occupy the
-    /// radio channel; `None` without a radio.
+    /// radio channel; `None` without a radio, or if there is only one host.
     pub airtime_around: Option<f64>,
     /// Processor time of the simulation \[µs\] per robot and simulated second.
     pub cpu_us: f64,
@@ -63,7 +64,8 @@ pub struct Growth {
 
 impl Growth {
     /// Returns the cost per robot of a trial from its counts `cost` and its processor time `cpu_s` \[s\]. `mode` is the
-    /// trial's mode. Airtimes are computed for frames of the radio `radio`; without one they are `None`.
+    /// trial's mode. Airtimes are computed for frames of the radio `radio`; without one, or without deliveries, they
+    /// are `None`.
     pub fn of(mode: &str, cost: &Cost, cpu_s: f64, radio: Option<&Radio>) -> Growth {
         let latents = cost.kinds.iter().find(|kind| kind.kind == Kind::Latent).expect("all kinds are counted");
         let on_air = |radio: &Radio| {
