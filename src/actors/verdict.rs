@@ -81,7 +81,7 @@ impl Axes {
         Axes::SwappedReversed,
     ];
 
-    /// Returns the vector as readings show it if the axes have this mistake and its true components are `x` and `y`.
+    /// Returns the displacement that is measured for the commanded displacement (`x`, `y`) if axes have this mistake.
     pub fn apply(self, Vec2 { x, y }: Vec2) -> Vec2 {
         match self {
             Axes::Right => Vec2::new(x, y),

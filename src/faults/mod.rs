@@ -56,7 +56,8 @@ pub enum ActorFaultKind {
 pub struct ActorFault {
     /// Role of the actor that is affected.
     pub role: Role,
-    /// Robot to which the affected actor belongs; without effect for the StateServer, of which a team has only one.
+    /// Robot of the affected actor: of an Agent or World any robot that it runs, of a Network any robot whose Agent is
+    /// on its host. Without effect for the StateServer, of which a team has only one.
     pub robot: RobotId,
     /// Kind of fault, such as a crash.
     pub kind: ActorFaultKind,
@@ -253,8 +254,8 @@ impl FaultPlan {
         Ok(())
     }
 
-    /// Checks that a trial of `episodes` episodes has all episodes from whose starts faults are timed. An error names
-    /// the wrong field.
+    /// Checks that every fault that is timed from the start of an episode names one of the `episodes` episodes of the
+    /// trial. An error names the wrong field.
     pub fn check_episodes(&self, episodes: u32) -> Result<(), ConfigError> {
         let actors = self.actors.iter().enumerate().map(|(index, fault)| (format!("actor[{index}]"), fault.episode));
         let links = self.links.iter().enumerate().map(|(index, fault)| (format!("link[{index}]"), fault.episode));

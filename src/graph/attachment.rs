@@ -89,8 +89,8 @@ impl Attachment {
     }
 
     /// Starts the Network and the open transports of its links in real time, and returns the Network's mailbox. A link
-    /// may have several transports in `open`, one for each network interface. Messages and reports are passed to the
-    /// function `output`.
+    /// may have several transports in `open`, one for each network interface. All other output of the
+    /// Network, such as received messages, is passed to the function `output`.
     pub fn open(
         self,
         (clock, readers): (&Clock, &mut Readers),

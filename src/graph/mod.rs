@@ -51,7 +51,8 @@ use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
 use crate::world::{Clamp, Entry, Physics, Placement};
 
-/// Time after its arrival for which a motor command is valid: four control periods (50 ms) of the paper's system.
+/// Time after its arrival at the Body for which a motor command is valid: four control periods of the paper's system,
+/// of 50 ms each.
 pub const COMMAND_VALIDITY: Span = Span::from_millis(200);
 
 /// All settings of a run, from which its actors are made and connected.
@@ -96,8 +97,8 @@ pub struct Plan {
     pub faults: FaultPlan,
     /// Time at which the run ends, even during an episode; `None` to end with the last episode.
     pub until: Option<Time>,
-    /// Whether the Recorder reports the robots' states after each step of the simulator, and the messages in use with
-    /// them.
+    /// Whether the Recorder reports the robots' true states after each step of the simulator, and with them whose
+    /// messages each robot then uses.
     pub steps: recorder::Steps,
 }
 

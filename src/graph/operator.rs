@@ -86,8 +86,8 @@ pub fn observe(clock: &Clock, network: &Mailbox<network::In>, by: HostId) {
     clock.call(clock.now() + OBSERVE_PERIOD, Box::new(move || observe(&again, &network, by)));
 }
 
-/// Starts an operator that carries out the order `order`, such as an emergency stop. The caller can read its progress
-/// there.
+/// Starts an operator that carries out the order `order`, such as an emergency stop. The caller can read the progress
+/// from `order` meanwhile.
 pub fn command((clock, readers): (&Clock, &mut Readers), operator: Operator, order: &Rc<RefCell<Order>>) {
     let answers: Mailbox<Status> = Mailbox::new("order");
     let to_order = answers.clone();

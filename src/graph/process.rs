@@ -28,7 +28,7 @@ use crate::safety::guard::SafetyCounts;
 /// Team number of runs in one process, where no other team can interfere.
 const TEAM: u16 = 0;
 
-/// Which part of a deployment runs in this process, with its identity on the links and its devices.
+/// Part of a deployment that runs in this process: one host or all, with their identity on the links and their devices.
 #[derive(Clone)]
 pub struct Process {
     /// The one host that runs in this process; `None` if all hosts do.
@@ -264,7 +264,7 @@ impl Graph {
         self.take(host, Input::Leave);
     }
 
-    /// Injects a fault into an actor of this process now; the time in `fault` is ignored.
+    /// Injects a fault into an actor of this process now, for `fault.lasts`; the start in `fault` is ignored.
     pub fn inject(&self, fault: ActorFault) {
         self.change_fault(fault.role, fault.robot, Some(&fault));
     }
@@ -274,8 +274,8 @@ impl Graph {
         self.change_fault(role, robot, None);
     }
 
-    /// Sets a fault on an emulated link during the run, in addition to planned ones. It replaces the one that was set
-    /// before.
+    /// Sets a fault on an emulated link during the run, in addition to planned ones. It replaces the fault of the link
+    /// that an earlier call has set.
     pub fn impair(&self, link: LinkId, fault: ManualLinkFault) {
         self.transports[usize::from(link.0)].send(transport::In::Manual(fault));
     }

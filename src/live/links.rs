@@ -60,8 +60,9 @@ impl ProcessIdentity {
     }
 }
 
-/// Returns the setup of each link as the deployment and then the team file define it. `places` has one entry for each
-/// link of the deployment; for a `None` entry, a link in which the process does not take part, the setup is `None`.
+/// Returns the setup of each link. `places` has one entry of the team file for each link of the deployment: its
+/// reliability modes override the deployment's; for a `None` entry, a link in which the process does not take part, the
+/// setup is `None`.
 pub fn setups<'a>(deployment: &Deployment, places: impl IntoIterator<Item = Option<&'a Place>>) -> Vec<Option<Setup>> {
     let setup = |(link, place): (&Link, Option<&Place>)| place.map(|place| place.setup(&link.reliability));
     deployment.links.iter().zip(places).map(setup).collect()

@@ -59,8 +59,9 @@ impl Odometry {
         Odometry { robot, positions: Track::default(), headings: Track::default() }
     }
 
-    /// Handles a state datagram `push` that has arrived at `stamp_ns` \[ns\]. Returns a reading in the frame of the
-    /// robot's pose at power-on; `None` for the first one, for one without a position, and for one older than the last.
+    /// Handles a state datagram `push` that has arrived at `stamp_ns` \[ns\] on the worker's clock. Returns a reading
+    /// in the frame of the robot's pose at power-on; `None` for the first datagram with a position, since it gives no
+    /// velocity, for one without a position, and for one older than the last.
     pub fn take(&mut self, stamp_ns: u64, push: &Push) -> Option<Reading> {
         let newest =
             self.positions.newest().map_or(0, |(at, _)| at).max(self.headings.newest().map_or(0, |(at, _)| at));

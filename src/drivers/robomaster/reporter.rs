@@ -19,7 +19,7 @@ impl Default for Reporter {
 
 impl Reporter {
     /// Appends the condition to `out`, with the charge of the battery \[%\], if health or reason differ from the last
-    /// report.
+    /// report. A changed charge alone is not reported.
     pub fn report(&mut self, health: Health, reason: Option<Reason>, battery: Option<u8>, out: &mut Vec<Out>) {
         let told = Some((health, reason.clone()));
         if self.told != told {

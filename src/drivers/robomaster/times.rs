@@ -22,7 +22,8 @@ pub const SETUP_PATIENCE: Span = Span::from_millis(3000);
 pub const PAUSE: Span = Span::from_millis(50);
 /// Longest time from the end of the set-up to the first state datagram that the robot pushes.
 pub const FIRST_PUSH: Span = Span::from_millis(1000);
-/// Time within which the worker reports a new connection or its failure. The worker itself stops trying after 0.4 s.
+/// Longest wait of the driver for the worker's report that a connection was opened or failed; then the driver asks it
+/// again. The worker itself stops trying after 0.4 s.
 pub const OPENING: Span = Span::from_millis(2000);
 /// Time from the end of a connection, or a failed attempt to open one, to the next attempt.
 pub const RETRY: Span = Span::from_millis(200);
