@@ -340,7 +340,7 @@ impl Environments {
         }
     }
 
-    /// Returns a robot's estimate of its own motion, world frame; `robot` is its index among all robots.
+    /// Returns a robot's estimate of its own motion, world frame, by its team's index and its index among all robots.
     pub fn estimate(&self, team: usize, robot: usize) -> Motion {
         let team = &self.teams[team];
         team.messages.estimate(team.step, robot - team.first)

@@ -124,8 +124,8 @@ impl Scores {
     }
 }
 
-/// Evaluates a training's current policy on `episodes` layouts of a fixed seed, which the training draws only by
-/// chance: with both methods of drawing actions, and with disturbed conditions if the training has any.
+/// Evaluates a training's current policy on `episodes` layouts of a fixed seed, independent of the layouts of the
+/// training: with both methods of drawing actions, and with disturbed conditions if the training has any.
 pub fn quick_evaluation(trainer: &Trainer, episodes: u32, threads: usize) -> Scores {
     let settings = trainer.settings();
     let (settings, config) = (without_repeat(&settings), settings.config);

@@ -3,7 +3,7 @@
 //! Each number is from its own run of `murmurate train passage --preset NAME --steps DECISIONS --seed 1`. A shorter
 //! training is not the beginning of a longer one, because the curriculum depends on the completed fraction.
 
-/// Name of the scenario in which the trainings of this module's table were measured.
+/// Name of the scenario of all trainings whose results `measured` returns.
 pub const SCENARIO: &str = "passage";
 
 /// Measured result of one training.

@@ -8,8 +8,8 @@ use crate::scenario::Arena;
 use crate::world::Physics;
 use crate::world::kinematic::{MAX_SPEED_M_S, PERIOD};
 
-/// Returns the safety filter of a robot in an episode with the conditions `episode`; `None` if they are without
-/// filters. The commanded points of all robots are `ahead_m` \[m\] ahead of their centres.
+/// Returns the safety filter of a robot in an episode with the conditions `episode`; `None` if robots have no filter in
+/// it. The commanded points of all robots are `ahead_m` \[m\] ahead of their centres.
 pub fn filter(episode: &Episode, arena: &Arena, physics: &Physics, ahead_m: f32) -> Option<Filter> {
     episode.filtered.then(|| {
         Filter::new(Settings {
@@ -23,8 +23,8 @@ pub fn filter(episode: &Episode, arena: &Arena, physics: &Physics, ahead_m: f32)
     })
 }
 
-/// Returns, for a checkpoint, the state of each robot's safety filter that changes from step to step; the initial state
-/// for a robot without a filter.
+/// Returns, for a checkpoint, the state of each robot's safety filter that lasts from step to step (its way out of
+/// deadlocks); the initial state for a robot without a filter.
 pub fn yielding(filters: &[Option<Filter>]) -> Vec<Yielding> {
     filters.iter().map(|filter| filter.as_ref().map(Filter::yielding).unwrap_or_default()).collect()
 }

@@ -99,7 +99,7 @@ pub struct Space<T> {
     edge_weight: Vec<T>,
     /// Outputs of each message layer but the last, \[messages, outputs\].
     pub(super) message: Vec<Vec<T>>,
-    /// Sum of the messages of each robot, before the last message layer.
+    /// Sum of the messages that each robot receives, before the last message layer.
     pub(super) sum: Vec<T>,
     /// Weights of the last message layer and the first update layer, folded into one layer.
     pub(super) folded: Vec<T>,

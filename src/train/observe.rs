@@ -24,7 +24,7 @@ pub struct Privileged {
     pub stage: Stage,
     /// Whether the robot has arrived at its goal.
     pub arrived: bool,
-    /// Fraction of the episode's time that has passed.
+    /// Fraction of the episode's longest duration that has passed, 0 to 1.
     pub passed: f32,
     /// Length of the robot's remaining path \[m\].
     pub to_go_m: f32,

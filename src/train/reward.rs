@@ -13,7 +13,7 @@ pub struct RobotStep<'a> {
     pub task: &'a Task,
     /// Position of the robot's centre after the step \[m\], world frame.
     pub position: Vec2,
-    /// Position of the point that the policy commands after the step \[m\], world frame.
+    /// Position, after the step, of the point whose velocity the policy commands \[m\], world frame.
     pub point: Vec2,
     /// Contacts of the robot with walls and other robots in the step.
     pub contacts: Contacts,

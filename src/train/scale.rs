@@ -5,9 +5,9 @@ use crate::registry::Registry;
 use crate::scenario::{ScenarioError, Settings};
 
 impl Config {
-    /// Returns the configuration for a team of the configured number of robots, or of the scenario's default size if
-    /// none is configured. The sizes of groups keep their proportions if the scenario supports teams of these sizes.
-    /// Otherwise the team is split in another way, or not at all.
+    /// Returns the configuration with the `groups` of the curriculum scaled: the team sizes of each sum to the
+    /// configured number of robots, or to the scenario's default if none is configured. They keep their proportions if
+    /// the scenario supports teams of these sizes; otherwise the robots are split in another way, or not at all.
     ///
     /// # Errors
     /// If there is no such scenario, or it does not support that number of robots.

@@ -55,7 +55,7 @@ pub struct Options {
     pub reward: Reward,
     /// Chassis (kind of drive and limits) of all robots.
     pub chassis: Chassis,
-    /// Entries of a robot's observation, two floats each, in their order.
+    /// Entries of a robot's observation, two floats each, in the order in which they are written.
     pub observation: Vec<Field>,
     /// Largest distance between two robots that receive each other's messages \[m\].
     pub radius_m: f32,
@@ -90,8 +90,8 @@ pub struct Buffers<'a> {
     /// Whether a receiver uses a message of a sender \[N, R, R\], by receiver and then by sender; empty without
     /// messages.
     pub heard: &'a mut [bool],
-    /// Time \[s\] since the arrival of the message in use, \[N, R, R\], by receiver and then by sender; empty without
-    /// messages.
+    /// Time \[s\] since the arrival of the message in use, \[N, R, R\], by receiver and then by sender, 0 where there
+    /// is none; empty without messages.
     pub age_s: &'a mut [f32],
     /// Content of the message in use, \[N, R, R, M\], by receiver and then by sender, zeros where there is none; empty
     /// without messages.

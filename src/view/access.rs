@@ -4,7 +4,7 @@ use std::net::{IpAddr, SocketAddr};
 
 use crate::view::command::{Command, Right};
 
-/// Length of the live page's token (secret of one run) \[bytes\]: 128 bits.
+/// Length of a token that the program draws for its live page \[bytes\]: 128 bits.
 pub const TOKEN_BYTES: usize = 16;
 /// Prefix of the WebSocket subprotocol that carries the token.
 const TOKEN_PROTOCOL: &str = "token.";
@@ -22,8 +22,8 @@ pub enum Control {
     Playback,
 }
 
-/// Token of the live page: the secret of one run, as hexadecimal digits. A browser has to send it for every command
-/// except the emergency stop.
+/// Token of the live page: a secret, random for each run or read from a file, as hexadecimal digits. A browser has to
+/// send it for every command except the emergency stop.
 #[derive(Clone)]
 pub struct Token(String);
 
@@ -65,8 +65,8 @@ pub struct Access {
     pub token: Token,
     /// Commands that the process accepts from browsers.
     pub control: Control,
-    /// Whether pictures, states and metrics of the team are also refused without the token, because other machines can
-    /// reach the server.
+    /// Whether a browser needs the token also to see the team (snapshots, goals, status and metrics), because other
+    /// machines can reach the server.
     pub guarded: bool,
     /// Whether the server has the live page. A server without it has the metrics only.
     pub page: bool,

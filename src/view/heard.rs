@@ -1,4 +1,5 @@
-//! Reception statistics by receiving host and sending robot: age of the newest message, and loss of the last 64.
+//! Reception statistics by receiving host and sending robot: time since the newest message arrived, and loss of the
+//! last 64.
 
 use std::collections::BTreeMap;
 
@@ -18,7 +19,7 @@ struct Arrivals {
     covered: u32,
 }
 
-/// Reception of all robots' latents at all hosts: age of the newest, and loss.
+/// Reception of all robots' latents at all hosts: time since the newest arrived, and loss.
 #[derive(Clone, Debug)]
 pub(super) struct Heard {
     /// Number of messages published by each robot.
@@ -50,8 +51,8 @@ impl Heard {
         (entry.last, entry.number) = (now, number);
     }
 
-    /// Returns the age of a robot's newest latent at the host `at`, and the share \[%\] of the robot's last 64 latents
-    /// that have not arrived there; `None` before the first arrival.
+    /// Returns the time since a robot's latent last arrived at the host `at`, and the share \[%\] of the robot's last
+    /// 64 latents (since the first arrival) that have not arrived there; `None` before the first arrival.
     pub fn link(&self, now: Time, at: HostId, robot: RobotId) -> Option<(Span, u8)> {
         let entry = self.arrivals.get(usize::from(at.0))?.get(&robot)?;
         // The newest message may still be in flight, so it does not count as lost.

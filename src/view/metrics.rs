@@ -57,8 +57,8 @@ impl Metrics {
         }
     }
 
-    /// Adds the ages of the messages that a snapshot shows to the histogram: of the newest message of each link, or
-    /// without links of each robot.
+    /// Adds the ages of messages that a snapshot shows to the histogram: one age for each link, or, if the snapshot has
+    /// no links, one for each robot.
     pub fn sample(&mut self, picture: &Snapshot) {
         let links = picture.links.iter().filter_map(|link| link.age);
         let robots = picture.robots.iter().filter(|_| picture.links.is_empty()).filter_map(|robot| robot.age);
@@ -68,7 +68,7 @@ impl Metrics {
         }
     }
 
-    /// Sets the number of events that the process's record lacks.
+    /// Sets the number of events that are missing in the process's record, because they could not be written in time.
     pub fn dropped(&mut self, events: u64) {
         self.recording_dropped = Some(events);
     }

@@ -25,8 +25,8 @@ pub struct Orders {
 }
 
 impl Orders {
-    /// Returns the state without an order. `me` is the host id of this process as an operator, `robots` the number of
-    /// robots.
+    /// Returns orders of which none is in progress. `me` is the host id of this process as an operator, `robots` the
+    /// number of robots.
     pub fn new(me: HostId, robots: usize) -> Orders {
         Orders { me, robots, running: None, result: None }
     }
