@@ -34,7 +34,7 @@ pub struct Neighbour<'a> {
     /// The neighbour's estimate of its own position \[m\] and velocity \[m/s\] when it sent the message, in the policy
     /// frame of the receiving robot.
     pub motion: Motion,
-    /// Features that the neighbour broadcast: the output of its `Policy::encode`.
+    /// Latent that the neighbour broadcast: what its `Policy::encode` wrote and, with several hops, `Policy::relay`.
     pub features: &'a [f32],
     /// Time since the message arrived at the receiving robot.
     pub age: Span,

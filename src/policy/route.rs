@@ -70,9 +70,9 @@ impl Crossing {
         (aim - at).norm() + (self.exit - aim).norm() + (to - self.exit).norm()
     }
 
-    /// Returns true if a robot is going to use this crossing, through both mouths or straight through to its
-    /// destination. The robot is at `at` \[m\], moves along the unit vector `heading`, and has `path_m` \[m\] of path
-    /// left.
+    /// Returns true if a robot's path still leads through the bottleneck in this direction: on to its exit, or past its
+    /// middle on a free straight line to the robot's destination. The robot is at `at` \[m\], moves along the unit
+    /// vector `heading`, and has `path_m` \[m\] of path left.
     pub fn is_ahead_of(&self, arena: &Arena, at: Vec2, heading: Vec2, path_m: f32) -> bool {
         let (along, middle) = (self.exit - self.entry, (self.entry + self.exit) / 2.0);
         if (self.exit - at).dot(&along) <= 0.0 {

@@ -21,7 +21,7 @@ const QUEUE_BYTES: usize = 1 << 18;
 /// Capacity of the queue \[records\], which bounds empty records, too.
 const QUEUE_RECORDS: usize = 16_384;
 
-/// Destination of a background writer, a thread that writes queued records: a file, a terminal, a device or a pipe.
+/// Destination of a background writer, a thread that writes queued output: a file, a terminal, a device or a pipe.
 pub enum Target {
     /// An open file descriptor.
     Open(File),
@@ -68,8 +68,8 @@ impl Target {
     }
 }
 
-/// Handle of a background writer: a bounded queue of records to one destination, and the thread that writes them there.
-/// So its users never wait for a disk or a terminal. Clones share the queue.
+/// Handle of a background writer: a bounded queue of records (pieces of output, such as a line) to one destination, and
+/// the thread that writes them there. So its users never wait for a disk or a terminal. Clones share the queue.
 #[derive(Clone)]
 pub struct BackgroundWriter(Arc<Shared>);
 

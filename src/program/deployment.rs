@@ -15,7 +15,7 @@ use crate::program::BadInput;
 use crate::program::Ended;
 use crate::program::output::{print, read_text};
 
-/// Parser of the name of a preset mode. If several modes begin with the given name, the error lists them.
+/// Parser of the whole name of a preset mode. For a mere beginning of names, the error lists the modes with it.
 #[derive(Clone)]
 pub struct ModeParser;
 

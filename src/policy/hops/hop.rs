@@ -36,7 +36,7 @@ pub struct Hop {
     update: Option<Part>,
 }
 
-/// Buffers of one robot for one hop. A step allocates nothing unless it has more neighbours than any before.
+/// Buffers of one robot for one hop. They grow only in a step in which the robot has more neighbours than ever before.
 #[derive(Debug, Default)]
 pub struct Space {
     /// Inputs h_j of the senders, one row each; with a self-loop, the robot's own last.

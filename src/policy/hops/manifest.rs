@@ -139,7 +139,7 @@ pub struct Hop {
     /// `None`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub key: Option<Layers>,
-    /// Whether the robot itself is one of its neighbours, after all others, and with which edge; `None`: it is not.
+    /// Edge of the robot to itself, if it is one of its own neighbours (the last one); `None`: it is not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub self_loop: Option<SelfLoop>,
     /// Network that makes the hop's output, of the inputs `own` and `messages`. `None`: the output is the aggregated

@@ -12,8 +12,8 @@ use crate::scenario::Observation;
 use crate::time::Span;
 
 impl TeamProbe {
-    /// Runs `network` on the inputs of these test data and returns the largest differences of its outputs from the
-    /// correct ones.
+    /// Runs `network` on the inputs of these test data and returns the largest differences of its latents and outputs
+    /// from the correct ones.
     pub fn compare(&self, network: &Arc<Network>) -> Difference {
         let team = &self.team;
         let at = |floats: &[f32], robot: usize| Vec2::new(floats[2 * robot], floats[2 * robot + 1]);
@@ -55,8 +55,8 @@ impl TeamProbe {
         (0..robots).filter(heard).map(neighbour).collect()
     }
 
-    /// Runs `network` on the inputs of these test data and compares its outputs with the correct ones. Returns the
-    /// differences, or an error if one exceeds `Probe::TOLERANCE` or is NaN.
+    /// Runs `network` on the inputs of these test data and compares its latents and outputs with the correct ones.
+    /// Returns the largest differences, or an error if one exceeds `Probe::TOLERANCE` or is NaN.
     pub fn check(&self, network: &Arc<Network>) -> Result<Difference, WeightsError> {
         let difference = self.compare(network);
         for (what, difference) in [("latents", difference.latent), ("outputs", difference.output)] {

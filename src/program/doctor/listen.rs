@@ -85,8 +85,9 @@ impl Received {
     }
 }
 
-/// Listens to the team for `seconds` \[s\] on the links of `teams`, which are the hosts of this machine, and returns
-/// findings, running hosts and any reason why no robot may be driven. `all` has an entry for each host of the team.
+/// Listens to the team for `seconds` \[s\], and returns findings, running hosts and any reason why no robot may be
+/// driven. `teams` has the configuration of each host of this machine, whose links are used; `all` has that of each
+/// host of the team.
 pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Heard> {
     let first = &teams[0];
     let place = |at: usize| teams.iter().find_map(|team| Some(team.links[at].as_ref()?.for_guest(team.host)));

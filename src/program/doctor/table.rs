@@ -3,7 +3,8 @@
 
 use super::{Check, Status, Subject};
 
-/// Line of the table that `doctor` prints: one or more checks with the same result, for several hosts, links or items.
+/// Line of the table that `doctor` prints: one check, or several with the same result that differ in their host, their
+/// link or the property that was checked.
 pub struct Line<'a> {
     status: Status,
     /// Hosts that were checked.

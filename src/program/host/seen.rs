@@ -26,15 +26,15 @@ pub struct Seen {
     pub over: Cell<bool>,
     /// Number of messages that the host's actors have published.
     pub messages: Cell<u64>,
-    /// Datagrams of the host on all links: sent, accepted, and refused by cause.
+    /// Counters of the host's datagrams and messages on all links: sent, accepted, and refused by cause.
     pub counts: Cell<LinkCounts>,
-    /// Numbers of stops and reduced velocities by the robots' guards, by cause.
+    /// For each robot, the numbers of stops and reduced velocities by its guard, by cause.
     pub safety: RefCell<BTreeMap<RobotId, SafetyCounts>>,
-    /// Hardware of the real robots that the host drives, as their drivers reported it.
+    /// Condition of the hardware of each real robot that the host drives, as its driver reported it.
     pub hardware: RefCell<BTreeMap<RobotId, RobotHardware>>,
     /// Outputs of the host: stdout, trajectories and service manager.
     pub outlets: Outlets,
-    /// Report of another live host that has the id of this one; `None` if there is none.
+    /// Finding that another live host has the id of this one and started earlier; `None` if there is none.
     pub duplicate: Cell<Option<DuplicateId>>,
     /// Record of the run. It is `None` if nothing is recorded, and empty until the host begins.
     pub record: OnceCell<Option<LiveRecord>>,
@@ -105,8 +105,8 @@ impl Seen {
         }
     }
 
-    /// Updates the results with an output of the Recorder, the actor that judges episodes. A step goes to the
-    /// trajectories file.
+    /// Updates the results with an output of the Recorder, the actor that judges episodes. An output with the
+    /// robots' states at one instant (`Out::Step`) goes to the trajectories file.
     pub fn note(&self, out: Out) {
         let mut report = self.report.borrow_mut();
         match out {

@@ -8,8 +8,8 @@ use crate::net::protocol::codec::MAX_FRAME_BYTES;
 use crate::net::transport::interface;
 use crate::net::transport::{Finding, Fitness};
 
-/// Checks the sockets of `host` on the link named `link`; returns the findings. `mtu` returns the largest packet of an
-/// interface \[bytes\], if known.
+/// Opens the sockets of `host` on the link named `link` for a check, and returns the findings. `mtu` returns the
+/// largest packet of the interface with the given name \[bytes\]; `None` if that is unknown.
 pub(super) fn check(
     config: &SocketConfig,
     (host, link): (HostId, &str),

@@ -34,7 +34,7 @@ pub struct Guests {
 impl Guests {
     /// Records the address `at` of a guest from which a datagram arrived at `now`. An accepted guest is sent all
     /// datagrams at this address from now on; one that has not proved its liveness (a candidate), only link reports.
-    /// Beyond 32 accepted guests, the one received longest ago is removed.
+    /// Beyond 32 accepted guests, the one that has been silent longest is removed.
     pub fn admit(&mut self, now: Time, Guest { host, at, standing }: Guest) {
         match standing {
             Standing::Accepted => {
