@@ -42,10 +42,10 @@ const FILES: [(&str, &str, &str); 3] = [
 /// Kind of a WebSocket connection of the live page, by its path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Socket {
-    /// Pictures of the team in binary form, from the server to the browser.
+    /// Snapshots of the team in binary form, from the server to the browser.
     View,
-    /// States from the server, and commands from the browser. It is separate from the pictures, so that a command never
-    /// waits behind them.
+    /// Goals and status from the server, and commands from the browser. It is separate from the snapshots, so that a
+    /// command never waits behind them.
     Control {
         /// Whether the browser has sent the page's token.
         holder: bool,

@@ -35,8 +35,8 @@ pub struct Server {
     address: SocketAddr,
 }
 
-/// Interface to the live page's server for the thread that drives or watches the team: publishes pictures and states,
-/// and takes commands. Only `wait` blocks.
+/// Interface to the live page's server for the thread that drives or watches the team: publishes snapshots, goals,
+/// status and metrics, and takes commands. Only `wait` blocks.
 pub struct Publisher {
     shared: Arc<Shared>,
     commands: Receiver<Command>,
@@ -98,8 +98,8 @@ impl Server {
 }
 
 impl Publisher {
-    /// Publishes the newest encoded picture of the team. Returns `false`, without waiting, if it was not stored because
-    /// another thread is reading the previous one.
+    /// Publishes the newest encoded snapshot of the team (states of robots and links). Returns `false`, without
+    /// waiting, if it was not stored because another thread is reading the previous one.
     pub fn snapshot(&self, bytes: Vec<u8>) -> bool {
         self.shared.snapshot.offer(bytes.into())
     }

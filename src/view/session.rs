@@ -1,5 +1,5 @@
-//! One WebSocket connection of the live page: sends snapshots, or sends states and receives commands. One thread reads
-//! and writes it.
+//! One WebSocket connection of the live page: sends snapshots, or sends goals and status and receives commands. One
+//! thread reads and writes it.
 
 use std::io;
 use std::net::TcpStream;

@@ -59,7 +59,7 @@ pub(super) struct Shared {
     pub access: Access,
     /// Constant properties of the run as JSON, which every page gets first.
     pub scene: Utf8Bytes,
-    /// Newest picture of the team, encoded for the page.
+    /// Newest snapshot of the team (states of robots and links), encoded for the page.
     pub snapshot: Slot<Bytes>,
     /// Newest goals of the robots as JSON.
     pub goals: Slot<Utf8Bytes>,

@@ -11,15 +11,15 @@ use crate::messages::geometry::Vec2;
 use crate::messages::wire::Phase;
 use crate::time::{Span, Time};
 
-/// Version of the binary encoding of snapshots, the pictures of a team for the live page.
+/// Version of the binary encoding of a team's snapshots (states of robots and links) for the live page.
 pub const VERSION: u8 = 1;
-/// Length of the header of an encoded snapshot (picture of a team) \[bytes\].
+/// Length of the header of an encoded snapshot of a team \[bytes\].
 pub const HEADER_BYTES: usize = 16;
-/// Length of one robot's entry in an encoded snapshot (picture of a team) \[bytes\].
+/// Length of one robot's entry in an encoded snapshot of a team \[bytes\].
 pub const ROBOT_BYTES: usize = 9;
-/// Length of one link's entry in an encoded snapshot (picture of a team) \[bytes\].
+/// Length of one link's entry in an encoded snapshot of a team \[bytes\].
 pub const LINK_BYTES: usize = 6;
-/// Largest number of links in a snapshot (picture of a team): 36 kB, or 360 kB/s at ten snapshots a second.
+/// Largest number of links in an encoded snapshot of a team: 36 kB, or 360 kB/s at ten snapshots a second.
 pub const MAX_LINKS: usize = 6000;
 
 /// Largest encoded coordinate: number of steps from the origin to the edge of the scene.
@@ -35,7 +35,7 @@ const ROBOT_AGE: Span = Span::from_millis(20);
 /// Unit of a link's encoded age.
 const LINK_AGE: Span = Span::from_millis(10);
 
-/// State of one robot in a picture of the team. A field is `None` if it is unknown.
+/// State of one robot in a snapshot of the team. A field is `None` if it is unknown.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RobotState {
     /// Position of the robot's centre \[m\], world frame.
@@ -52,15 +52,15 @@ pub struct RobotState {
     pub latched: bool,
 }
 
-/// Link between two robots within communication range, in a picture of the team.
+/// Link between two robots within communication range, in a snapshot of the team.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinkState {
     /// Id of the first robot.
     pub one: u16,
     /// Id of the second robot, larger than the first.
     pub other: u16,
-    /// Age of the newest message between the two robots, in the direction in which it is older; `None` until a message
-    /// has arrived in both directions.
+    /// Time since a message last arrived from one of the two robots at the other's host, in the direction in which it
+    /// is longer; `None` until a message has arrived in both directions.
     pub age: Option<Span>,
     /// Share of recent messages between the two robots that were lost \[%\], in the worse direction; `None` before the
     /// first arrival.

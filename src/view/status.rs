@@ -32,7 +32,7 @@ pub struct Scene {
     pub hull_m: f32,
     /// Communication range of the robots \[m\]; null if it is unlimited.
     pub range_m: Option<f32>,
-    /// Unit of the coordinates in encoded pictures of the team \[m\].
+    /// Unit of the coordinates in encoded snapshots of the team \[m\].
     pub scale_m: f32,
     /// Commands that the process accepts from the page, as a word: `stop` (emergency stop alone), `team` (all orders to
     /// the team), `emulation` (faults, too) or `playback` (of a record).
@@ -153,7 +153,7 @@ pub struct LinkImpairment {
     pub loss: f64,
 }
 
-/// State of the team that the live page shows besides the picture of the robots.
+/// State of the team that the live page shows beside the snapshots: episode, emergency stop, results, faults and log.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Status {
     /// Time since the start of the run \[s\].
@@ -162,7 +162,8 @@ pub struct Status {
     pub speed: Option<f64>,
     /// Number of the current episode, from 1; null before an instruction of the state server was received.
     pub episode: Option<u32>,
-    /// Code of the phase of the episode according to the state server; null before an instruction of it was received.
+    /// Phase of the episode according to the state server, as its number on the wire, 0 to 7 in the order of `Phase`;
+    /// null before an instruction of the state server was received.
     pub phase: Option<u8>,
     /// State of the team's emergency stop, as a word: `clear`, `held` (re-armed, and not resumed yet) or `stopped`.
     pub latch: &'static str,
@@ -178,14 +179,16 @@ pub struct Status {
     pub verdicts: BTreeMap<String, u32>,
     /// Success rate so far; null if this process does not know the results of episodes.
     pub success: Option<Success>,
-    /// Number of times that a robot's control ticks began to be late, with the robot's id, where it is known.
+    /// Id of a robot, and how many times its control ticks began to be late; one pair for each robot of which it is
+    /// known.
     pub late: Vec<(u16, u64)>,
-    /// Age of a robot's oldest link to a neighbour \[ms\], as its host reports it, with the robot's id. The page shows
-    /// it if this process does not know the links themselves.
+    /// Id of a robot, and the time since the last message of the neighbour that has been silent longest \[ms\], as the
+    /// robot's host reports it. The page shows it if this process does not know the links themselves.
     pub link: Vec<(u16, u32)>,
-    /// Last reason why a robot's guard has stopped or slowed it, with the robot's id.
+    /// Id of a robot, and the last reason why its guard has stopped or slowed it; one pair for each robot with a
+    /// reason.
     pub guard: Vec<(u16, &'static str)>,
-    /// Battery charge of a robot \[%\] with its id, where it is known.
+    /// Id of a robot, and its battery charge \[%\]; one pair for each robot of which it is known.
     pub battery: Vec<(u16, u8)>,
     /// Descriptions of the actors that a user of the page has crashed.
     pub killed: Vec<String>,

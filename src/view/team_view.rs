@@ -102,7 +102,7 @@ impl TeamView {
         &self.scene
     }
 
-    /// Returns the goals of the robots, and the number of times that any goal has changed so far.
+    /// Returns the number of times that any robot's goal has changed so far, and the present goals.
     pub fn goals(&self) -> (u64, Goals) {
         (self.goals_changed, Goals { goals: self.goals.clone() })
     }
@@ -300,7 +300,7 @@ impl TeamView {
         self.robots.iter().filter(confirms).count()
     }
 
-    /// Returns the picture of the team at the time `now`: states of robots, and links between them.
+    /// Returns the snapshot of the team at the time `now`: states of robots, and links between them.
     pub fn snapshot(&self, now: Time) -> Snapshot {
         let state = |robot: &RobotView| RobotState {
             position: robot.position,

@@ -7,11 +7,10 @@ use crate::messages::geometry::Vec2;
 use crate::random::Stream;
 use crate::time::Span;
 
-/// State of the simulated drivetrain of one robot: the velocity that its commanded point is commanded, and its wheel
-/// slip.
+/// State of the simulated drivetrain of one robot: its commanded velocity, and its wheel slip.
 #[derive(Debug)]
 pub(super) struct Drivetrain {
-    /// Velocity that the robot's commanded point is commanded \[m/s\], world frame.
+    /// Commanded velocity of the robot's commanded point \[m/s\], world frame.
     pub(super) command: Vec2,
     /// Slip velocity as a fraction of the commanded speed.
     slip: Vec2,
