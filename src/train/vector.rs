@@ -83,7 +83,7 @@ pub struct Buffers<'a> {
     pub reward: &'a mut [f32],
     /// Whether the episode has ended because all robots have arrived \[N\].
     pub terminated: &'a mut [bool],
-    /// Whether the episode has ended because its time is over \[N\].
+    /// Whether the episode has ended because its time is over before all robots have arrived \[N\].
     pub truncated: &'a mut [bool],
     /// Whether each robot has arrived \[N, R\], before a reset.
     pub arrived: &'a mut [bool],

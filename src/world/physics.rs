@@ -72,8 +72,9 @@ impl Physics {
         }
     }
 
-    /// Returns the parameters of DJI RoboMaster robots, the real robots of the paper arXiv 2111.01777, measured by
-    /// motion capture. The argument, an arena, is ignored: the function has the signature of `Entry::physics`.
+    /// Returns the parameters of DJI RoboMaster robots, the real robots of the paper arXiv 2111.01777, from data sheets
+    /// or assumed; the sensor is a motion capture system. The argument, an arena, is ignored: the function has the
+    /// signature of `Entry::physics`.
     pub fn robomaster(_: &Arena) -> Physics {
         Physics {
             contacts: ContactRule::Judge,

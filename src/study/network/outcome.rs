@@ -22,7 +22,7 @@ pub const MARKS: [Span; 2] = [Span::from_millis(20), Span::from_millis(50)];
 pub struct Outcome {
     /// Duration of the measurement \[s\], without warm-up and drain.
     pub seconds: f64,
-    /// Number of expected deliveries: each message published in the window, at every other station.
+    /// Number of expected deliveries: each message published within the measurement, at every other station.
     pub due: u64,
     /// Number of the expected deliveries that arrived.
     pub arrived: u64,
