@@ -57,8 +57,8 @@ impl<W: Write> Paths<W> {
     }
 }
 
-/// Writes the trajectories of several trials into one CSV file. The index of a trial's report is the number of its
-/// repeat.
+/// Writes the trajectories of several trials, which are repeats of each other, into one CSV file. `reports` has the
+/// report of each, in the order of the repeats.
 #[cfg(feature = "sim")]
 pub fn write_all(file: &mut WholeFile, reports: &[TrialReport]) -> Result<()> {
     let mut paths = Paths::new(std::io::BufWriter::new(file.writer()))?;

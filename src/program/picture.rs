@@ -100,14 +100,15 @@ impl Pictures {
         !self.files.is_empty()
     }
 
-    /// Returns which steps the trial with the index `repeat` has to keep. For a picture, which is of repeat 0, these
-    /// are steps with the messages that robots use; otherwise they are `steps`.
+    /// Returns which steps the trial with the index `repeat` has to keep in its report: the choice `steps`, except that
+    /// repeat 0, of which pictures are, keeps the messages that robots use, too, if a picture is requested.
     pub fn steps(&self, repeat: u32, steps: Steps) -> Steps {
         if repeat == 0 && !self.files.is_empty() { Steps::WithHearing } else { steps }
     }
 
-    /// Draws the requested pictures from the reports of all repeats, and completes their files. If the episode was
-    /// interrupted, or none failed, prints that there is no picture. `policy` is the policy's name in the caption.
+    /// Draws the requested pictures from the reports of all repeats, and completes their files. If the episode has no
+    /// result because the run was interrupted, or if the flags ask for the first failed episode and none failed, prints
+    /// that there is no picture. `policy` is the policy's name in the caption.
     pub fn draw(self, trial: &Trial, policy: &str, reports: &[TrialReport]) -> Result<()> {
         if self.files.is_empty() {
             return Ok(());

@@ -51,8 +51,8 @@ pub struct Which {
 }
 
 impl TeamArgs {
-    /// Returns the flags for the team file `file`, if another flag names it. `set` has overrides of its fields, as
-    /// `FIELD=VALUE`.
+    /// Returns these flags for a command in which another flag, such as `--live`, names the team file `file`. `set` has
+    /// overrides of the file's fields, as `FIELD=VALUE`.
     #[cfg(feature = "study")]
     pub fn of(file: PathBuf, set: Vec<String>) -> TeamArgs {
         TeamArgs { file, set, interface: None, key_file: None }

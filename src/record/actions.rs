@@ -23,7 +23,7 @@ pub struct StepDifference {
     pub at_s: f64,
     /// Id of the robot.
     pub robot: u16,
-    /// Velocity in the record along x and y \[m/s\], world frame.
+    /// Commanded velocity in the record along x and y \[m/s\], world frame.
     pub recorded: [f32; 2],
     /// Velocity that the other policy commands on the same inputs, along x and y \[m/s\], world frame.
     pub replayed: [f32; 2],

@@ -58,8 +58,8 @@ impl LiveRecord {
     }
 
     /// Starts the record `operator-INCARNATION.mcap` of an operator, in the folder of the flag `--record`; returns
-    /// `None` without that flag. `stage` has what pictures of the team need. `began` is the time at which the run
-    /// began; `files` is the team file, which is attached.
+    /// `None` without that flag. `stage` has the team's hosts, robots, ground and walls. `began` is the time at
+    /// which the run began; `files` is the team file, which is attached.
     #[cfg(feature = "watch")]
     pub fn of_operator(
         flags: &RecordFlags,

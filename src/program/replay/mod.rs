@@ -141,8 +141,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(if table.records.iter().all(|line| line.equal) { Ended::Done } else { Ended::Unfit })
 }
 
-/// Returns the files in `named`, with each folder replaced by its records (`*.mcap`), sorted by name. A file that
-/// continues another file of its record is left out, as it is read together with the first one.
+/// Returns the paths `named`, with each folder among them replaced by its records (`*.mcap`), sorted by name. In a
+/// folder, a file that continues another file of its record is left out, as it is read together with the first one.
 pub fn files(named: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let mut all = Vec::new();
     for path in named {

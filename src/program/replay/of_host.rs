@@ -133,8 +133,8 @@ pub fn compare(prepared: Prepared) -> Result<Compared> {
     finish(comparison)
 }
 
-/// Runs a host again with its recorded inputs. Calls `take` with each datagram that it publishes, and with the time
-/// since the start of the run.
+/// Runs the host `live` again with its recorded inputs `turns`. Calls `take` for each datagram that the host publishes,
+/// with the time since the start of the run and the datagram's bytes.
 pub fn published(live: LiveHost, mut turns: Turns, take: impl FnMut(Time, &[u8]) + 'static) {
     let Some((begun, _)) = turns.next() else { return };
     let now = Rc::new(Cell::new(begun));

@@ -28,7 +28,8 @@ use crate::view::timeline::Sight;
 pub struct Shown {
     /// Hosts, robots, ground and walls of the run.
     pub stage: Stage,
-    /// Events of the record that change the picture on the page, each with its time since the start of the record.
+    /// Events of the record that change what the page shows, each with its time since the start of the run (or since
+    /// the first message, if the record does not state the start).
     pub sights: Vec<(Time, Sight)>,
     /// Whether the record contains which messages arrived at which host. If it does, the page can show links between
     /// robots.

@@ -1,5 +1,5 @@
-//! Feed of the live page: publishes snapshots at 20 Hz, the status twice a second and on changes, and goals at each
-//! episode.
+//! Feed of the live page: publishes snapshots at 20 Hz (10 Hz of 400 robots or more), the status twice a second and on
+//! changes, goals at each episode, and metrics once a second.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -60,12 +60,12 @@ impl Feed {
         }
     }
 
-    /// Makes the next call of [`Feed::tell`] publish a picture of the team without waiting for its period.
+    /// Makes the next call of [`Feed::tell`] publish a snapshot of the robots without waiting for its period.
     pub fn at_once(&mut self) {
         (self.look_at, self.snapshot_at) = (Instant::now(), Instant::now());
     }
 
-    /// Publishes picture, metrics, goals and status of the team if they are due, without waiting. `now` is the time of
+    /// Publishes snapshot, metrics, goals and status of the team if they are due, without waiting. `now` is the time of
     /// the run. A change of `own`, the state of this process in a word, is published at once. `fill` sets the fields of
     /// the status that only this process knows.
     pub fn tell(&mut self, publisher: &Publisher, now: Time, own: &'static str, fill: impl FnOnce(&mut Status)) {

@@ -90,8 +90,8 @@ impl RecordPage {
 
 impl PageFlags {
     /// Starts the HTTP server of the page, and prints the page's address. `scene` has the constant properties of the
-    /// run. With `--control` the page may give the commands `most`, which this process can execute; otherwise only the
-    /// emergency stop.
+    /// run. `most` are the commands that this process can execute: the page may give them with `--control`, and
+    /// otherwise only the emergency stop.
     pub fn open(&self, mut scene: Scene, most: Control) -> Result<(Server, Publisher)> {
         let listen = self.listen.unwrap_or_else(|| SocketAddr::from(([127, 0, 0, 1], 0)));
         let guarded = !listen.ip().to_canonical().is_loopback();

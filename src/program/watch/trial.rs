@@ -49,7 +49,7 @@ impl PacedPage {
     }
 
     /// Fails if the flags of the page are wrong, or do not fit a simulation of this many policies and repeats. An error
-    /// names the flag.
+    /// names the flag; `repeats` is the value of `--repeats`, if given.
     pub fn check(&self, policies: usize, repeats: Option<u32>) -> Result<()> {
         self.page.check()?;
         match self.speed {

@@ -70,8 +70,8 @@ impl Journal {
         Origin::here(STUDY, *seed, "", &(source, case, stations, bytes, medium, history, seconds, link))
     }
 
-    /// Returns the stored result of each case; `None` for a result that is missing, damaged or found under other
-    /// conditions.
+    /// Returns the stored result of each case, from emulation or measurement as `source` says; `None` for a result that
+    /// is missing, damaged or found under other conditions.
     pub fn kept(&self, source: Source, cases: &[Case]) -> Vec<Option<Record>> {
         let one = |(at, case): (usize, &Case)| {
             let record: Record = self.folder.as_ref()?.kept(&name(source, at))?;
@@ -80,8 +80,8 @@ impl Journal {
         cases.iter().enumerate().map(one).collect()
     }
 
-    /// Stores the outcome of a case, if there is a folder, and returns the result with its conditions. `at` is the
-    /// index of the case in the study.
+    /// Stores the outcome of a case, if there is a folder, and returns the result with its conditions. `source` says
+    /// whether the case was emulated or measured; `at` is the index of the case in the study.
     pub fn keep(
         &self,
         source: Source,

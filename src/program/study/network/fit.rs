@@ -35,7 +35,8 @@ pub struct Report {
 }
 
 /// Reads the rows of a network study to which a radio is to be fitted from a JSON file: a list, or an object with a
-/// field `rows`. If some rows were measured, returns only those; otherwise all.
+/// field `rows`. If some rows were measured, returns only those; otherwise all. Fails if a row cannot belong to the
+/// study `sweep`, or if there is none.
 pub fn read(path: &Path, sweep: &Sweep) -> Result<Vec<Observed>> {
     let wrong = |why: String| {
         let expected = "it has to be what 'murmurate study network --json' printed, or rows.json of its report";

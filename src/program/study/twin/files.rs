@@ -47,6 +47,10 @@ pub fn open(path: &Path, digests: &[String], command: &str) -> Result<Folder> {
 
 /// Writes the files of a twin (model of a recorded run) into its folder: rows and table of the comparison, the fitted
 /// conditions, the deployment if episodes were predicted, the figures, and the report's page.
+///
+/// `words` are the page's texts, and `text` is the table. `first` is the index of the first episode of `run` that was
+/// predicted, and `predicted` has the results of each repeat of the prediction. `twin` is the trial with the fitted
+/// model.
 pub fn write(
     folder: &Folder,
     words: &Words,
