@@ -87,8 +87,8 @@ impl Comparison {
         self
     }
 
-    /// Adds an event of the replay. The event `Turn`, which ends a turn of the event loop, has all events of that turn
-    /// compared with the record.
+    /// Adds an event of the replay. With the event `Turn`, which ends a turn of the event loop, all events of that turn
+    /// are compared with the record.
     pub fn push(&mut self, event: Event) {
         let Event::Turn(now) = event else {
             self.instant.push(event);

@@ -130,7 +130,7 @@ pub struct Totals {
     pub messages: u64,
     /// Number and size of the published messages of each kind, in the order of [`KINDS`].
     pub said: [Said; KINDS.len()],
-    /// Time to which the totals were taken, such as the end of an episode.
+    /// Time up to which the totals count, such as the end of an episode.
     pub end: Time,
     /// Trace: digest of all messages and all true states of robots, each with its time.
     pub trace: u128,

@@ -125,9 +125,9 @@ impl Observation {
         publish(2 + index, Outgoing::Pose(pose))
     }
 
-    /// Encodes the packet to a DDS process that publishes a table with the robots' positions and velocities, one row
-    /// for each robot in the order of `team`, which should be by robot id. Returns `None` if the table is too large or
-    /// a number is not finite.
+    /// Encodes the packet to a DDS process that publishes a table with the robots' positions \[m\] and velocities
+    /// \[m/s\], world frame, one row for each robot in the order of `team`, which should be by robot id. Returns `None`
+    /// if the table is too large or a number is not finite.
     pub fn state(&self, team: &[(RobotId, Motion)]) -> Option<Vec<u8>> {
         let row = |(robot, motion): &(RobotId, Motion)| {
             let (at, velocity) = (motion.position, motion.velocity);

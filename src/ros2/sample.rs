@@ -30,7 +30,7 @@ pub struct PoseSample {
     pub y: f64,
     /// Rotation of the robot about the z axis \[rad\]; `None` if the message has no orientation.
     pub yaw: Option<f64>,
-    /// Standard deviation of the position \[m\]; `None` if unknown.
+    /// Standard deviation of the position along each axis, the larger one \[m\]; `None` if unknown.
     pub position_m: Option<f64>,
     /// Standard deviation of the yaw angle \[rad\]; `None` if unknown.
     pub heading_rad: Option<f64>,
@@ -48,7 +48,7 @@ pub struct TwistSample {
     pub y: f64,
     /// Angular velocity about the robot's z axis \[rad/s\].
     pub yaw_rate: f64,
-    /// Standard deviation of the linear velocity \[m/s\]; `None` if unknown.
+    /// Standard deviation of the linear velocity along each axis, the larger one \[m/s\]; `None` if unknown.
     pub velocity_m_s: Option<f64>,
     /// Standard deviation of the yaw rate \[rad/s\]; `None` if unknown.
     pub yaw_rate_rad_s: Option<f64>,

@@ -27,8 +27,8 @@ pub struct Settings {
     pub walls: Arc<[KeepOut]>,
     /// Largest commanded speed along each axis \[m/s\].
     pub limit_m_s: f32,
-    /// Limit of acceleration and speed that is applied to a policy's velocity before the filter, on this robot and on
-    /// its neighbours.
+    /// Limit of speed, and possibly of the difference from the measured velocity, that is applied to a policy's
+    /// velocity before the filter, on this robot and on its neighbours.
     pub clamp: Clamp,
     /// Time from one command to the next, for which the robot follows it.
     pub period: Span,

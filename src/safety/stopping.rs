@@ -36,8 +36,8 @@ impl Model {
         })
     }
 
-    /// Returns an upper bound \[m\] of the distance between the path of a robot that moves at `velocity` \[m/s\] to its
-    /// stopping point and the straight line there; 0 if the acceleration stays below its limit along both axes.
+    /// Returns an upper bound \[m\] of how far a robot that moves at `velocity` \[m/s\] leaves the straight line to
+    /// its stopping point on the way there; 0 if the acceleration stays below its limit along both axes.
     pub fn bend(&self, velocity: Vec2) -> f32 {
         // Two axes that brake at the limit until they stand, for the times k T and T, differ in the covered share of
         // their travel by (1 - k) / (1 + k) at most. Here both ends are exponential. At its first speed, r times that

@@ -42,7 +42,7 @@ impl Yielding {
     }
 
     /// Records a control period of `period_s` \[s\] in which the robot wanted the velocity `aim` \[m/s\] and its limits
-    /// left `limited` \[m/s\] of it.
+    /// changed it to `limited` \[m/s\].
     ///
     /// A robot that is kept from moving turns to the side to which its limits let it slide, otherwise to the right. So
     /// two robots that meet turn to different sides of the line between them.

@@ -41,8 +41,8 @@ impl Deployed {
         Deployed { plant: "rigid".to_owned(), radio: "paper".to_owned(), fitted: None, body: Default::default() }
     }
 
-    /// Returns this world and radio, changed by the conditions of a file. A plant that the file names replaces this
-    /// one.
+    /// Returns this world and radio, changed by the conditions of a file. A plant that the file names replaces the
+    /// present plant.
     pub fn with(self, conditions: Conditions) -> Deployed {
         let plant = conditions.plant.clone().unwrap_or(self.plant);
         Deployed { plant, fitted: Some(conditions), ..self }

@@ -18,8 +18,8 @@ pub struct Preset {
     pub messages: Handling,
     /// Choice of actions: the mean of their distribution, or a sample.
     pub draw: Draw,
-    /// Limit of the acceleration of velocity commands in the deployed columns of a study: as in training, or as of the
-    /// published robots.
+    /// Limit of velocity commands in the deployed columns of a study: of speed alone, as in training, or also of the
+    /// acceleration, as of the published robots.
     pub clamp: Clamp,
     /// Safety functions between policy and motors: conditions that stop or slow a robot, with the safety filter or
     /// without.

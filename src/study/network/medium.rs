@@ -1,4 +1,4 @@
-//! Medium of a network study, by name or from a file: a radio channel or shaped links. And its emulator.
+//! Medium of a network study, a radio channel or shaped links, by name or from a file; and its emulator.
 
 use serde::{Deserialize, Serialize};
 
