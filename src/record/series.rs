@@ -63,7 +63,7 @@ impl Series {
     }
 
     /// Adds a message of the time `at` \[ns\], since 1970 or the start of a simulation, to the current file. A record
-    /// of excerpts has no file until a trigger, and then until the next one: the message is held in memory meanwhile.
+    /// of excerpts has no file between them: the message is held in memory for a coming trigger.
     pub fn write(&mut self, topic: Topic, at: u64, data: &[u8]) -> Result<(), McapError> {
         if let Some(file) = &mut self.file {
             return file.write(&self.stage, topic, at, data);
