@@ -32,8 +32,8 @@ pub struct Localizer {
 }
 
 impl Localizer {
-    /// Creates a Localizer that has received no measurement yet. The `source` measures the centres of robots; readings
-    /// are published of the robots' commanded points, whose offsets `chassis` has, indexed by robot id.
+    /// Creates a Localizer that has received no measurement yet. The `source` measures the centres of robots. Published
+    /// readings are of their commanded points, computed with `chassis`: the chassis of all robots, indexed by robot id.
     pub fn new(source: Box<dyn Source>, chassis: Rc<[Chassis]>) -> Localizer {
         Localizer { source, chassis, refused: 0, outputs: Vec::new() }
     }

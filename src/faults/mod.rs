@@ -195,9 +195,9 @@ const LINK_FAULTS: [LinkFaultKind; 6] = [
     LinkFaultKind::Partition,
 ];
 impl FaultPlan {
-    /// Draws a plan from `seed` for a team with `targets`: about one fault per ten seconds until `horizon`, and at
-    /// least one. Each fault lasts at most three seconds. On average, two of three faults are of actors and the others
-    /// of links; without links, all are of actors.
+    /// Draws a plan from `seed` for a team with `targets`: about one fault per ten seconds of a trial that lasts
+    /// `horizon`, and at least one. Each fault lasts at most three seconds. On average, two of three faults are of
+    /// actors and the others of links; without links, all are of actors.
     pub fn random(seed: u64, targets: &Targets, horizon: Span) -> FaultPlan {
         let mut stream = Seed::of_run(seed).stream("fault-plan");
         let count = (horizon.as_secs() / 10.0).round().max(1.0) as usize;

@@ -67,7 +67,8 @@ pub struct Status {
     pub host: HostId,
     /// Whether the host is shutting down: its robots stand, and the host will send nothing more.
     pub leaves: bool,
-    /// Emergency stop states of the robots of the host, in the order of robot ids; at most 64 (`MAX_BLOCK`).
+    /// Emergency stop states of robots of the host, in the order of robot ids: at most 64 (`MAX_BLOCK`) in one message;
+    /// a host with more robots sends several.
     pub robots: Vec<Following>,
     /// Emergency stop state of the state server, sent by the host that runs it; `None` from every other host.
     pub leading: Option<Leading>,

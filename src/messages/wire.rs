@@ -33,7 +33,7 @@ pub const MAX_VALIDITY: Span = Span::from_millis(1000);
 pub struct Reading {
     /// Number of the robot that was measured.
     pub robot: RobotId,
-    /// Time of measurement \[ns\] on the sensor's clock, which is never compared with another clock. The stamp
+    /// Time of measurement \[ns\] on the sensor's clock, whose offset from other clocks is unknown. The stamp
     /// distinguishes a new reading from a repeated one and gives the interval between two readings.
     pub stamp_ns: u64,
     /// Measured position and heading in the world frame.
@@ -111,7 +111,7 @@ pub struct MotorCommand {
 pub struct Heartbeat {
     /// Number of the robot that reports.
     pub robot: RobotId,
-    /// Round, the number of the state server's last instruction, that the robot has received.
+    /// Round (number) of the last instruction of the state server that the robot has followed.
     pub round: Round,
     /// Phase of the episode that the robot itself is in.
     pub phase: Phase,
@@ -297,8 +297,8 @@ impl Wire {
         }
     }
 
-    /// Returns the robot that sends the message or that it is for. For `Mode`, `Status` and `Telemetry` it is the first
-    /// robot of the message's list; for `Stop`, `Observe` and an empty list, robot 0.
+    /// Returns the robot that sends the message, is measured in it or is commanded by it. For `Mode`, `Status` and
+    /// `Telemetry` it is the first robot of the message's list; for `Stop`, `Observe` and an empty list, robot 0.
     pub fn robot(&self) -> RobotId {
         match self {
             Wire::Reading(m) => m.robot,

@@ -33,7 +33,8 @@ impl Battery {
         self.due = now + self.period;
     }
 
-    /// Stores a charge \[%\] that the robot has reported, and updates whether it is too low to move.
+    /// Stores a charge \[%\] that the robot has reported, and updates whether it is too low to move. After it was too
+    /// low, it stays so until the charge is 3 percentage points above the limit.
     pub fn take(&mut self, charge: u8) {
         let recovered = self.least.saturating_add(RECOVERED).min(100);
         self.low = self.least > 0 && (charge <= self.least || (self.low && charge < recovered));

@@ -24,7 +24,8 @@ pub struct RigidBody {
     pub id: i32,
     /// Position of the body \[m\] in the tracker's own frame.
     pub position: [f64; 3],
-    /// Rotation as a quaternion (x, y, z, w); of unit length if the body is tracked.
+    /// Rotation from the body's axes to those of the tracker's frame, as a quaternion (x, y, z, w); of unit length if
+    /// the body is tracked.
     pub rotation: [f64; 4],
     /// Mean distance between the body's measured markers and its model \[m\]; zero if the server does not report it.
     pub error_m: f32,

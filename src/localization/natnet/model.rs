@@ -43,9 +43,9 @@ const PLATE: usize = 4 * (2 + 3 + 144 + 12);
 /// Size of a position and a rotation \[bytes\].
 const POSE: usize = 28;
 
-/// Decodes the payload of a datagram with model definitions, and returns those of rigid bodies. The layout of `version`
-/// (from 4.1 if `None`) is tried first, then the other layouts. Another layout is accepted only if the definitions end
-/// at the payload's last byte.
+/// Decodes the payload of a datagram with model definitions, and returns those of rigid bodies. The layout of the
+/// bitstream `version` is tried first, or that of 4.1 and later if `version` is `None`; then the other layouts are
+/// tried. One of these is accepted only if the definitions end at the payload's last byte.
 pub fn decode(payload: &[u8], version: Option<Version>) -> Result<Vec<Definition>, Malformed> {
     let expected = match version {
         Some(version) if version < (Version { major: 4, minor: 0 }) => Layout::Plain,

@@ -51,12 +51,12 @@ pub enum BodyName {
 pub struct Network {
     /// Address of the server. Datagrams from other addresses are ignored.
     pub server: Ipv4Addr,
-    /// Name of the network interface on which the server's data arrive, such as `eth0`. `None` selects the interface of
-    /// the operating system's route to the server.
+    /// Name of the network interface on which multicast frames arrive, such as `eth0`; used for multicast only. `None`
+    /// selects the interface of the operating system's route to the server.
     pub interface: Option<String>,
     /// Method by which the motion capture server sends frames.
     pub transmission: Transmission,
-    /// Multicast group to which the server sends frames.
+    /// Multicast group to which the server sends frames; used for multicast only.
     pub group: Ipv4Addr,
     /// UDP port of the frames; used for multicast only.
     pub data_port: u16,
@@ -134,7 +134,8 @@ pub struct Config {
     pub bodies: Vec<(RobotId, BodyName)>,
     /// Limits by which the poses of a body are accepted or refused as jumps, and the window of its velocity.
     pub limits: Limits,
-    /// Shortest mean period of a robot's readings \[s\].
+    /// Shortest mean time between two readings of a robot \[s\]; the tracker's frames in between serve only to refuse
+    /// jumps and to compute the velocity.
     pub period_s: f64,
 }
 

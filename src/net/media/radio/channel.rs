@@ -68,8 +68,9 @@ pub struct Channel<T> {
 }
 
 impl<T: Clone> Channel<T> {
-    /// Returns a channel at time zero with the parameters `radio` and `members` idle stations. An access point and the
-    /// load by other networks are added if the parameters say so. All random numbers are drawn from streams of `seed`.
+    /// Returns a channel at time zero with the parameters `radio` and `members` idle stations, of the indices 0 to
+    /// `members` - 1. An access point and the load by other networks are added if the parameters say so. All random
+    /// numbers are drawn from streams of `seed`.
     ///
     /// The parameters must have passed `Radio::check`; otherwise this function or a later call may panic.
     pub fn new(radio: Radio, members: u16, seed: &Seed) -> Channel<T> {
@@ -131,7 +132,7 @@ impl<T: Clone> Channel<T> {
         self.positions[usize::from(station)] = Some(position);
     }
 
-    /// Returns the counters of frames and airtime since time zero, with `now` as the lifetime of the channel so far.
+    /// Returns the counters of frames and airtime from time zero to `now`, the present time.
     pub fn counts(&self, now: Time) -> RadioCounts {
         RadioCounts { channel_ns: now.as_nanos(), ..self.counts }
     }
