@@ -52,7 +52,7 @@ impl Target {
     }
 
     /// Returns true if this destination and the open file `other` are the same file, such as `/dev/stdout` and stdout.
-    /// A pipe that has no reader yet is the same as no file.
+    /// A pipe that has no reader yet counts as different from every file.
     pub fn is_same(&self, other: impl AsFd) -> bool {
         let place = |file: &File| file.metadata().map(|about| (about.dev(), about.ino()));
         let (Target::Open(file) | Target::Pipe(_, Some(file))) = self else { return false };

@@ -247,8 +247,8 @@ impl LinkState {
         self.incoming.accept(header, kind, robot, &mut self.counts)
     }
 
-    /// Returns the operator that sent the last datagram, and whether it is accepted. `None` if the datagram was of a
-    /// host of the team, refused or a duplicate.
+    /// Returns the operator that sent the last datagram, and whether it is accepted or has to prove its liveness first.
+    /// `None` if the datagram was of a host of the team, a duplicate, or refused for another reason.
     pub fn operator(&self) -> Option<(HostId, Standing)> {
         self.operator
     }

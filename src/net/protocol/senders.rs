@@ -84,7 +84,8 @@ impl Senders {
     }
 
     /// Makes room in the table for a new sender of the host `host`; returns `false` if there is none. Among too many
-    /// guests, the one that has been silent longest is removed; it is accepted again with its next datagram.
+    /// guests, the one that has been silent longest is removed; it is accepted again with its next datagram. Among too
+    /// many hosts of the team, those that have been silent for 20 s are removed.
     pub fn make_room(&mut self, now: Time, host: HostId) -> bool {
         let guests = || ids(self.first_guest, HostId(u16::MAX));
         let count = self.all.range(guests()).count();

@@ -83,7 +83,8 @@ pub const RESERVED: [&str; 2] = ["transport", "reliability"];
 /// Name of the transport that a link has if the team file names none.
 pub const USUAL: &str = "multicast";
 
-/// Input of a transport: a frame to send, or, on an emulated link, what affects the emulation.
+/// Input of a transport: a frame to send; on an emulated link, what affects the emulation; on a unicast link, a guest
+/// to which frames are sent.
 #[derive(Clone, Debug)]
 pub enum In {
     /// Frame to send, with its receivers.

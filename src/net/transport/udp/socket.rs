@@ -38,13 +38,14 @@ pub(super) fn bound(settings: &LinkSettings) -> Result<(String, usize), ConfigEr
 pub struct SocketConfig {
     /// Addresses to which datagrams are sent, and at which they are received.
     pub addressing: Addressing,
-    /// Name of the network interface that the sockets use.
+    /// Network interface that the sockets use: its name, or `auto` for the only suitable one. An operator's socket on a
+    /// unicast link uses any.
     pub interface: String,
     /// Size of the receive buffer that is requested from the kernel \[bytes\].
     pub receive_buffer_bytes: usize,
 }
 
-/// Addresses that the UDP sockets of a link use: a multicast group, or one address for each host.
+/// Addresses that a host's UDP sockets on a link use: a multicast group, or one address for each host of the link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Addressing {
     /// Multicast: address and port of the group that all hosts of the link join.
