@@ -177,8 +177,8 @@ impl Environments {
         }
     }
 
-    /// Returns the heading \[rad\], counter-clockwise from the x axis of the world frame, of the robot with index `robot`
-    /// among the robots of all teams.
+    /// Returns the heading \[rad\], counter-clockwise from the x axis of the world frame, of the robot with index
+    /// `robot` among the robots of all teams.
     pub fn heading(&self, robot: usize) -> f32 {
         self.rolling.as_ref().map_or(0.0, |rolling| rolling.wheels[robot].heading())
     }
