@@ -126,7 +126,8 @@ pub struct Graph {
     pub(super) bodies: Rc<[Mailbox<body::In>]>,
     /// Mailboxes of the Localizers of simulated robots, indexed by robot.
     pub(super) sensors: Rc<[Mailbox<localizer::In>]>,
-    /// Mailbox of the Localizer that runs this process's source of readings of real robots.
+    /// Mailbox of the Localizer that runs this process's source of readings of real robots; without such a source no
+    /// actor takes its messages.
     pub(super) source: Mailbox<localizer::In>,
     /// Mailboxes of Worlds, indexed by robot; the robots of one World share a mailbox.
     pub(super) worlds: Vec<Mailbox<world::In>>,

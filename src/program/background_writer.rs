@@ -97,7 +97,8 @@ struct State {
 }
 
 impl BackgroundWriter {
-    /// Starts the thread that writes queued records to `target`; it ends with the process, or when writing fails.
+    /// Starts the thread that writes queued records to `target`; it ends with the process, or when writing fails. Fails
+    /// if the thread cannot be started.
     ///
     /// `notice` formats the line that reports a number of dropped records; it is put before the next record that is
     /// written. With `None`, nothing is put between records.

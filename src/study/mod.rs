@@ -92,8 +92,8 @@ pub struct Job {
     pub repeat: u32,
 }
 
-/// Identity of a study: everything that determines its results. Stored results are reused only if their identity is the
-/// same, except for the command.
+/// Identity of a study: everything that determines its results, and the command that started it. Stored results are
+/// reused only if all fields but the command are the same.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Identity {

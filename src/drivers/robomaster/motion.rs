@@ -67,8 +67,8 @@ impl Motion {
         }
     }
 
-    /// Returns the next line to send, with the validity of the motion: the wanted velocity, or a stand command if no
-    /// velocity is wanted or it has expired at `now`.
+    /// Returns the next line to send: the wanted velocity, or a stand command if no velocity is wanted or it has
+    /// expired at `now`. The [`Hold`] says how long the worker lets the robot move after the line.
     pub fn next(&mut self, now: Time) -> (Line, Hold) {
         match self.wanted {
             Some((speed, until)) if until > now => {

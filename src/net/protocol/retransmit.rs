@@ -59,8 +59,9 @@ pub struct Retransmitter {
 }
 
 impl Retransmitter {
-    /// Removes the kept datagram of a stream because a newer message replaces it. Returns it if it was to be repeated:
-    /// it has to be sent before the newer one. `None` otherwise.
+    /// Removes the kept datagram of a stream because a newer message replaces it. Returns it if a repeat of it is
+    /// pending (mode `repeat`) and it was sent before `now`: the repeat has to go out before the newer message, after
+    /// which receivers would refuse it as stale. `None` otherwise.
     pub fn supersede(&mut self, now: Time, stream: StreamId) -> Option<Untagged> {
         let kept = self.kept.get(&stream)?;
         let before = kept.reliability == Reliability::Repeat && kept.due.is_some() && kept.sent_at < now;

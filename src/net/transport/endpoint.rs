@@ -149,7 +149,7 @@ pub struct Finding {
 }
 
 impl Finding {
-    /// Returns a finding without defect about the subject `what`.
+    /// Returns a finding without defect: `what` is the subject of the check, `found` the text that says what was found.
     pub fn ok(what: &'static str, found: String) -> Finding {
         Finding { fitness: Fitness::Ok, what, found, advice: String::new() }
     }

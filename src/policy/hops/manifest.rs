@@ -149,7 +149,8 @@ pub struct Hop {
 }
 
 impl Hop {
-    /// Returns the number of floats of a message, if the hop's input has `input` floats.
+    /// Returns the number of floats of a neighbour's contribution to the aggregation: the outputs of the message
+    /// network, or the neighbour's hop input itself, of `input` floats, if the hop has no message network.
     pub fn message_width(&self, input: usize) -> usize {
         self.message.as_ref().map_or(input, Layers::outputs)
     }

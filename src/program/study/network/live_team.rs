@@ -71,7 +71,8 @@ impl LiveTeam {
         team::key(&self.args.for_host(&self.file, self.stations[0])?)
     }
 
-    /// Returns the configuration of the participant with this host name. An error names the flag.
+    /// Returns the configuration of the participant with the host name `name`. Fails if the team has no such host, or
+    /// if it runs no agent or is not on the measured link; the error names the flag (`--host` or `--live`).
     pub fn participation(&self, name: &str) -> Result<Participation> {
         let host = self.file.host_named(name).map_err(|e| BadInput(format!("--{e}")))?;
         if !self.stations.contains(&host) {
