@@ -1,7 +1,7 @@
 //! Compares two policies on the recorded inputs of one host: the motor commands in the record and those of the other
 //! policy, step by step.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::Serialize;
 
@@ -76,12 +76,13 @@ impl Commands {
         Ok(commands)
     }
 
-    /// Compares these recorded commands with the commands `replayed` of another policy, paired by equal times. Returns
-    /// the difference at each paired step, and the statistics of the differences for each robot.
+    /// Pairs these recorded commands with those of the replay by equal time. Returns each paired step, and the
+    /// statistics of the differences for each robot that either of them commands.
     pub fn beside(&self, replayed: &Commands) -> (Vec<StepDifference>, Vec<RobotDifference>) {
-        let (mut steps, mut robots) = (Vec::new(), Vec::new());
-        for (robot, recorded) in &self.0 {
-            let none = Vec::new();
+        let (mut steps, mut robots, none) = (Vec::new(), Vec::new(), Vec::new());
+        let commanded: BTreeSet<&u16> = self.0.keys().chain(replayed.0.keys()).collect();
+        for robot in commanded {
+            let recorded = self.0.get(robot).unwrap_or(&none);
             let other = replayed.0.get(robot).unwrap_or(&none);
             let by_time: BTreeMap<u64, Vec2> = other.iter().copied().collect();
             let pairs = recorded.iter().filter_map(|(at, velocity)| Some((*at, *velocity, *by_time.get(at)?)));
@@ -124,5 +125,14 @@ mod tests {
         let one = &robots[0];
         assert_eq!((one.steps, one.unpaired, one.first_s), (3, 2, Some(50e-9)));
         assert!((one.most_m_s - 0.25).abs() < 1e-9 && (one.mean_m_s - 0.25 / 3.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_robot_that_only_the_other_policy_commands_has_its_steps_counted() {
+        let commands = |robot: u16| Commands(BTreeMap::from([(robot, vec![(0, Vec2::zeros()), (50, Vec2::zeros())])]));
+        let (steps, robots) = commands(1).beside(&commands(4));
+        assert!(steps.is_empty());
+        let unpaired: Vec<(u16, usize)> = robots.iter().map(|one| (one.robot, one.unpaired)).collect();
+        assert_eq!(unpaired, [(1, 2), (4, 2)]);
     }
 }
