@@ -3,7 +3,7 @@
 //! ```toml
 //! [[actor]]
 //! actor = "controller"     # cache, agent, controller, body, world, state-server, network
-//! robot = 2                # robot of the actor; for an agent, a robot whose policy it runs
+//! robot = 2                # robot of the actor; for an agent, a robot whose policy it runs; state-server has none
 //! fault = "crash"          # crash, stall, mute, slow
 //! at_s = 3.0               # start, from the start of the trial, or from the start of:
 //! episode = 5              # an episode, counted from 0; may be left out
@@ -205,6 +205,7 @@ mod tests {
         let actor = "[[actor]]\nactor = \"cache\"\nfault = \"crash\"\nat_s = 1.0\nfor_s = 1.0\n";
         assert!(read(actor).is_ok());
         assert!(error(&format!("{actor}robot = 9\n")).contains("actor[0].robot"));
+        assert!(read(&format!("{}robot = 9\n", actor.replace("cache", "state-server"))).is_ok(), "it is of no robot");
         assert!(error(&format!("{actor}color = 9\n")).contains("color"));
         assert!(error(&actor.replace("1.0", "-1.0")).contains("actor[0].at_s"));
         assert!(error(&actor.replace("crash", "slow")).contains("actor[0].by_s"));

@@ -232,7 +232,9 @@ impl FaultPlan {
     /// An error names the wrong field.
     pub fn check(&self, targets: &Targets) -> Result<(), ConfigError> {
         let Targets { robots, hosts, ref links } = *targets;
-        if let Some(index) = self.actors.iter().position(|fault| fault.robot.index() >= robots) {
+        // The one state server is of no robot.
+        let missing = |fault: &ActorFault| fault.role != Role::StateServer && fault.robot.index() >= robots;
+        if let Some(index) = self.actors.iter().position(missing) {
             let fault = &self.actors[index];
             let reason = format!("there is no {}; the team has {robots}, counted from 0", fault.robot);
             return Err(ConfigError::field(format!("actor[{index}].robot"), reason));
