@@ -1,6 +1,6 @@
 //! The command `murmurate record merge`: merges the records of a team's hosts into one, on a common clock.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
@@ -144,17 +144,11 @@ fn write(parts: &[Part], mut writer: Merged<'_>) -> Result<()> {
 fn painter(parts: &[Part]) -> Result<usize> {
     for (index, part) in parts.iter().enumerate() {
         let mut reader = Reader::open(&part.path)?;
-        let mut topics = BTreeSet::new();
+        // A channel appears with its first message, which may be late: a World is restarted, or begins after readings.
         while let Some(item) = reader.next_item()? {
-            match item {
-                Item::Channel(_, channel) => drop(topics.insert(channel.topic.clone())),
-                // Channels appear with their first messages, so once `/tf` has messages all drawings are known.
-                Item::Message(message) if topics.len() > 3 && message.channel.topic == "/tf" => break,
-                _ => {}
+            if matches!(item, Item::Channel(_, channel) if channel.topic == "/truth") {
+                return Ok(index);
             }
-        }
-        if topics.contains("/truth") {
-            return Ok(index);
         }
     }
     Ok(0)
@@ -198,5 +192,31 @@ impl Source<'_> {
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::merge::ClockDifference;
+
+    #[test]
+    fn drawings_are_of_the_record_with_true_states_even_if_they_begin_late() {
+        let folder = tempfile::TempDir::new().expect("a temporary folder");
+        let record = |name: &str, topics: &[&str]| {
+            let path = folder.path().join(name);
+            let mut writer = Writer::with_options(File::create(&path).unwrap(), options()).unwrap();
+            for topic in topics {
+                let channel_id = writer.add_channel(0, topic, "json", &BTreeMap::new()).unwrap();
+                let header = MessageHeader { channel_id, sequence: 0, log_time: 1, publish_time: 1 };
+                writer.write_to_known_channel(&header, b"{}").unwrap();
+            }
+            writer.finish().unwrap();
+            Part { path, host: name.to_owned(), clock: ClockDifference::default() }
+        };
+        let drawn = ["/tape/turn", "/scene", "/robots", "/tf"];
+        let parts = [record("agent", &drawn), record("world", &[&drawn[..], &["/truth", "/tf"]].concat())];
+        assert_eq!(painter(&parts).unwrap(), 1);
+        assert_eq!(painter(&parts[..1]).unwrap(), 0, "without true states the first one draws");
     }
 }
