@@ -291,18 +291,19 @@ impl Trial {
     /// Runs the trial on the calling thread until its end, or until `proceed` returns [`Proceed::Stop`]. The function
     /// `proceed` is called after each event of the simulation with the results of the episodes so far.
     pub fn run_while(&self, mut proceed: impl FnMut(&[Episode]) -> Proceed) -> TrialReport {
-        self.run_observed(|_, _| {}, |_, _, episodes| proceed(episodes))
+        self.run_observed(|_, _, _| {}, |_, _, episodes| proceed(episodes))
     }
 
-    /// Runs the trial on the calling thread until its end, or until `proceed` returns [`Proceed::Stop`]. The function
-    /// `report` is called with each message and other event of the actors, and the host where it happened. `proceed` is
-    /// called after each event of the simulation, with the actors, the time, and the results of the episodes so far.
+    /// Runs the trial on the calling thread until its end, or until `proceed` returns [`Proceed::Stop`], and reports
+    /// what happens in it. The function `report` is called with each event, its time, and the host where it happened.
+    /// `proceed` is called after the events of each instant, with the actors, the time, and the results of the episodes
+    /// so far.
     pub fn run_observed(
         &self,
-        report: impl Fn(HostId, ProcessEvent) + 'static,
+        report: impl Fn(Time, HostId, ProcessEvent) + 'static,
         mut proceed: impl FnMut(&Graph, Time, &[Episode]) -> Proceed,
     ) -> TrialReport {
-        let (plan, report) = (self.plan(), Rc::new(report));
+        let plan = self.plan();
         let shared = Rc::new(RefCell::new(TrialReport::default()));
         let sink = {
             let shared = Rc::clone(&shared);
@@ -310,7 +311,15 @@ impl Trial {
         };
         let (mut deadline, mut held_since) = (self.deadline(), None);
         let (graph, end) = run_virtual(
-            |clock| graph::wire(clock, plan, report, sink),
+            |clock| {
+                let time = clock.clone();
+                graph::wire(
+                    clock,
+                    plan,
+                    Rc::new(move |host, event: ProcessEvent| report(time.now(), host, event)),
+                    sink,
+                )
+            },
             |graph, now| {
                 let mut report = shared.borrow_mut();
                 report.simulated = now.since(Time::ZERO);

@@ -1,10 +1,14 @@
 //! Determinism: a seed gives the same run bit for bit, on any thread and beside any other run.
 
+use std::cell::RefCell;
+use std::rc::Rc;
+
 use murmurate::deploy::Impair;
 use murmurate::hearing::CommRange;
 use murmurate::policy;
 use murmurate::report::trial::TrialReport;
-use murmurate::trial::Trial;
+use murmurate::time::Time;
+use murmurate::trial::{Proceed, Trial};
 
 /// Returns a trial that uses every source of random numbers.
 fn busy(mode: &str) -> Trial {
@@ -58,4 +62,19 @@ fn concurrent_trials_do_not_affect_each_other() {
         assert_eq!(alone, trace(&busy("onboard-infra").run()));
         noise.join().expect("a trial does not panic");
     });
+}
+
+#[test]
+fn events_have_the_time_of_their_own_instant() {
+    let times: Rc<RefCell<Vec<Time>>> = Rc::default();
+    let (heard, mut events) = (Rc::clone(&times), 0);
+    let report = busy("offboard").run_observed(
+        move |now, _, _| heard.borrow_mut().push(now),
+        |_, now, _| {
+            events += times.borrow().len();
+            assert!(times.borrow_mut().drain(..).all(|at| at == now), "at {now:?}");
+            Proceed::Continue
+        },
+    );
+    assert!(report.finished && events > 1000, "{events} events");
 }

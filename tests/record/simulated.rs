@@ -55,7 +55,11 @@ fn compare(trial: &Trial, record: &Path) -> Compared {
     let comparison = Rc::new(RefCell::new(Comparison::new(opened.messages, topics, 0)));
     let heard = Rc::clone(&comparison);
     trial.run_observed(
-        move |host, event| Event::of(Scope::Simulation, host, event).map_or((), |event| heard.borrow_mut().push(event)),
+        move |_, host, event| {
+            if let Some(event) = Event::of(Scope::Simulation, host, event) {
+                heard.borrow_mut().push(event);
+            }
+        },
         |_, now, _| {
             comparison.borrow_mut().push(Event::Turn(now));
             if comparison.borrow().is_over() { Proceed::Stop } else { Proceed::Continue }

@@ -110,7 +110,7 @@ fn recorded(episodes: u32) -> (TempDir, PathBuf) {
     let writers = Rc::new(RefCell::new(writers));
     let heard = Rc::clone(&writers);
     let report = trial.run_observed(
-        move |host, event| {
+        move |_, host, event| {
             let event = match event {
                 ProcessEvent::Arrived(link, frame) => Some(Event::Input(Input::Frame(link, frame.clone(), None))),
                 other => Event::of(Scope::Simulation, host, other),

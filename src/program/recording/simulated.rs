@@ -81,7 +81,7 @@ impl Simulated {
         (recorded, trial): (&Recorded, &Trial),
         mut proceed: impl FnMut(&[Episode]) -> Proceed,
     ) -> TrialReport {
-        self.run_observed((recorded, trial), |_, _| {}, |_, _, episodes| proceed(episodes))
+        self.run_observed((recorded, trial), |_, _, _| {}, |_, _, episodes| proceed(episodes))
     }
 
     /// Runs a trial while its record, described by `recorded`, is written, and returns the trial's report. `report` is
@@ -91,7 +91,7 @@ impl Simulated {
     pub fn run_observed(
         &self,
         (recorded, trial): (&Recorded, &Trial),
-        report: impl Fn(HostId, ProcessEvent) + 'static,
+        report: impl Fn(Time, HostId, ProcessEvent) + 'static,
         mut proceed: impl FnMut(&Graph, Time, &[Episode]) -> Proceed,
     ) -> TrialReport {
         let mut beginning = self.beginning.clone();
@@ -108,11 +108,11 @@ impl Simulated {
         };
         let (events, turns) = (recording.inlet(), recording.inlet());
         let report = trial.run_observed(
-            move |host, observed| {
+            move |now, host, observed| {
                 if let Some(event) = Event::of(Scope::Simulation, host, observed) {
                     events.push(event);
                 }
-                report(host, observed);
+                report(now, host, observed);
             },
             |graph, now, episodes| {
                 turns.turn(now);

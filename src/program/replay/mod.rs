@@ -297,7 +297,7 @@ fn rerun_observed(
     let comparison = Rc::new(RefCell::new(Comparison::new(messages, topics, 0)));
     let heard = Rc::clone(&comparison);
     trial.run_observed(
-        move |host, event| {
+        move |_, host, event| {
             observe(host, event);
             if let Some(event) = Event::of(Scope::Simulation, host, event) {
                 heard.borrow_mut().push(event);

@@ -1,7 +1,7 @@
 //! Runs a simulation at the pace of real time with a live page. If the page gives no command, the report equals that of
 //! the same trial without a page.
 
-use std::cell::{Cell, RefCell};
+use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::rc::Rc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -90,7 +90,7 @@ pub fn run(
     let view = Rc::new(RefCell::new(TeamView::new(scene, homes, trial.deployment.hosts.len())));
     let names = trial.deployment.hosts.iter().map(|host| host.name.clone()).collect();
     let metrics = Rc::new(RefCell::new(Metrics::new(names)));
-    let clock = Rc::new(Cell::new(Time::ZERO));
+    let mut last = Time::ZERO;
     let mut desk = Desk {
         trial,
         leader: routes.server_host(),
@@ -105,13 +105,12 @@ pub fn run(
         pace: Pace::new(flags.speed),
     };
     let orders = Rc::clone(&desk.orders);
-    let time = Rc::clone(&clock);
-    let hear = move |host: HostId, event: ProcessEvent| {
+    let hear = move |now: Time, host: HostId, event: ProcessEvent| {
         metrics.borrow_mut().take(host, event);
-        heard(&mut view.borrow_mut(), &mut orders.borrow_mut(), time.get(), host, event);
+        heard(&mut view.borrow_mut(), &mut orders.borrow_mut(), now, host, event);
     };
     let turn = |graph: &Graph, now: Time, episodes: &[Episode]| {
-        clock.set(now);
+        last = now;
         desk.turn(graph, now, episodes, stop)
     };
     let report = match records {
@@ -119,7 +118,7 @@ pub fn run(
         None => trial.run_observed(hear, turn),
     };
     desk.feed.at_once();
-    desk.tell(clock.get(), true);
+    desk.tell(last, true);
     server.close();
     Ok(report)
 }

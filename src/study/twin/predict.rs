@@ -47,7 +47,7 @@ pub fn run(trial: &Trial, mut proceed: impl FnMut(&[Episode]) -> Proceed) -> Opt
     let heard = Rc::clone(&events);
     let is_latent = |frame: &Frame| matches!(codec::first(frame), Ok(Content::Message(Kind::Latent)));
     let report = trial.run_observed(
-        move |host, event| match event {
+        move |_, host, event| match event {
             ProcessEvent::Published(frame) if is_latent(frame) => {
                 heard.borrow_mut().push(Event::Published(Frame::clone(frame)));
             }
