@@ -77,3 +77,30 @@ fn a_host_that_is_killed_leaves_a_record_that_can_be_read_repaired_and_replayed(
     let kept = records(&to);
     assert!(kept.len() == 2 && kept.iter().any(|path| path.extension().is_some_and(|end| end == "cut")), "{kept:?}");
 }
+
+#[test]
+fn a_launch_whose_records_do_not_fit_on_the_disk_prints_all_results_and_names_the_loss() {
+    let folder = TempDir::new().unwrap();
+    let team = folder.path().join("team.toml");
+    let to = folder.path().join("small");
+    std::fs::create_dir(&to).unwrap();
+    std::fs::write(&team, "team = 814\nmode = \"centralized\"\nrobots = 2\nepisodes = 1\n").unwrap();
+    // A file system of its own, which goes with the command.
+    let script =
+        "mount -t tmpfs -o size=150k small \"$1\" && exec \"$0\" launch \"$2\" --interface lo --json --record \"$1\"";
+    let program = murmurate(&[]).get_program().to_owned();
+    let mut command = std::process::Command::new("unshare");
+    command.args(["--user", "--map-root-user", "--mount", "sh", "-c", script]).arg(program).args([&to, &team]);
+    let output = command.env_remove("MURMURATE_LOG").stdin(std::process::Stdio::null()).output();
+    let Some(output) = output.ok().filter(|output| !text(&output.stderr).contains("unshare:")) else {
+        return eprintln!("skipped: no file system can be mounted here");
+    };
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    let last = said.lines().last().expect("an error");
+    assert!(last.starts_with("error: every episode has a result, but the process"), "{said}");
+    assert!(last.contains("small") && last.contains("No space left on device"), "{said}");
+    let results: serde_json::Value = serde_json::from_slice(&output.stdout).expect("the results");
+    assert_eq!((&results["episodes"], &results["interrupted"]), (&1.into(), &false.into()), "{results}");
+    assert!(!said.contains("started again"), "{said}");
+}

@@ -3,6 +3,7 @@
 //! Each process is `host` of this program. It prints events as JSON lines on stdout (`report::event`). Its stderr is
 //! passed on with the host's name before each line.
 
+mod outcome;
 mod supervisor;
 
 use std::collections::BTreeMap;
@@ -29,12 +30,14 @@ use crate::program::team;
 use crate::program::this_program;
 #[cfg(feature = "watch")]
 use crate::program::watch;
-use supervisor::{Limits, Outcome, Output, Process, Response, Supervisor};
+use outcome::Outcome;
+use supervisor::{Limits, Output, Process, Response, Supervisor};
 
 /// Flags of `murmurate launch`.
 #[derive(clap::Args)]
 #[command(after_help = "Exit codes: 0 every episode has a result and every process has ended well; 1 a process has \
-    failed (more than 3 restarts in 60 s, or it would not end); 2 a flag, the team file, the key or the policy is \
+    failed (more than 3 restarts in 60 s, or it would not end), or could not write all of its output, such as a record \
+    on a full disk; 2 a flag, the team file, the key or the policy is \
     wrong; 130 interrupted by Ctrl-C or SIGTERM. The results until then are printed.")]
 pub struct Args {
     #[command(flatten)]
@@ -122,10 +125,11 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     })?;
     match outcome {
         Outcome::Failed(why) => Err(anyhow!(why)),
-        Outcome::Done if !finished => {
+        Outcome::Done | Outcome::Incomplete(_) if !finished => {
             let (got, all) = (results.episodes.len(), first.episodes);
             Err(anyhow!("every process has ended, but {got} of {all} episodes have a result; see their logs"))
         }
+        Outcome::Incomplete(why) => Err(anyhow!("every episode has a result, but {why}")),
         _ => Ok(if interrupted { Ended::Interrupted } else { Ended::Done }),
     }
 }

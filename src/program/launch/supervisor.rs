@@ -14,6 +14,8 @@ use std::time::{Duration, Instant};
 use nix::sys::signal::{Signal, killpg};
 use nix::unistd::Pid;
 
+use super::outcome::Outcome;
+
 /// Interval at which the supervisor checks for ended processes and exceeded time limits while no process prints.
 const TICK: Duration = Duration::from_millis(50);
 
@@ -29,6 +31,8 @@ const QUEUE: usize = 1024;
 
 /// Exit code of a process that refuses its flags or files; it is not restarted.
 const REFUSED: i32 = 2;
+/// Exit code of a process that has failed. A process whose work is done can only have lost output.
+const FAILED: i32 = 1;
 
 /// Limits on the restarts of processes, and on the time for their end.
 #[derive(Clone, Copy, Debug)]
@@ -78,21 +82,6 @@ pub enum Response {
     Done,
 }
 
-/// Outcome of a run of supervised processes.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Outcome {
-    /// All processes have ended by themselves with exit code 0.
-    Done,
-    /// A stop was requested by Ctrl-C or SIGTERM, and all processes have ended.
-    Interrupted,
-    /// A process has refused its flags or files (exit code 2). The text names the process and gives its last line on
-    /// stderr.
-    Refused(String),
-    /// A process has failed for good, has ended before the others were done, or had to be killed. The text names the
-    /// process and the cause.
-    Failed(String),
-}
-
 enum Event {
     Line { at: usize, data: bool, text: String },
     Closed { at: usize, start: u32 },
@@ -122,6 +111,8 @@ struct Slot {
     gone: Option<(ExitStatus, Instant)>,
     crashes: VecDeque<Instant>,
     last_line: String,
+    /// Whether the process has reported since its last start that the work is done.
+    done: bool,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -164,6 +155,7 @@ impl Supervisor {
             gone: None,
             crashes: VecDeque::new(),
             last_line: String::new(),
+            done: false,
         };
         let slots = processes.into_iter().map(slot).collect();
         let (phase, outcome, notes) = (Phase::Running, Outcome::Done, Vec::new());
@@ -191,6 +183,7 @@ impl Supervisor {
                     }
                     let output = if data { Output::Data(&text) } else { Output::Log(&text) };
                     let response = handle(at, output);
+                    self.slots[at].done |= response == Response::Done;
                     if response == Response::Done && matches!(self.phase, Phase::Running | Phase::Finishing(..)) {
                         self.phase = Phase::Finishing(Instant::now(), Why::Done);
                     }
@@ -218,6 +211,7 @@ impl Supervisor {
         // stops the others.
         command.process_group(0);
         slot.start += 1;
+        slot.done = false;
         match command.spawn() {
             Ok(mut child) => {
                 let pipes: [(bool, Box<dyn Read + Send>); 2] = [
@@ -277,6 +271,10 @@ impl Supervisor {
             let refused = Outcome::Refused(format!("the process '{name}': {why}"));
             return self.fail(refused);
         }
+        if slot.done && status.code() == Some(FAILED) {
+            let why = slot.last_line.trim_start_matches("error: ");
+            return self.outcome.lose(format!("the process '{name}' could not write all of its output: {why}"));
+        }
         if self.phase != Phase::Running {
             let why = format!("the process '{name}' has failed at the very end ({how}){words}");
             return self.fail(Outcome::Failed(why));
@@ -295,10 +293,7 @@ impl Supervisor {
     }
 
     fn fail(&mut self, outcome: Outcome) {
-        // The first failure is the cause of later ones.
-        if self.outcome == Outcome::Done {
-            self.outcome = outcome;
-        }
+        self.outcome.fail(outcome);
         self.stop_all();
     }
 
@@ -518,6 +513,19 @@ mod tests {
         assert_eq!(outcome, Outcome::Failed("still running 0.2 s after the team has finished: b".to_owned()));
         let (outcome, _) = run(vec![shell("a", "exit 0"), shell("b", PATIENT)], short(), "");
         assert_eq!(outcome, Outcome::Failed("the process 'a' has ended before the team has finished".to_owned()));
+    }
+
+    #[test]
+    fn a_process_that_loses_output_at_its_end_leaves_the_work_done() {
+        let full = "echo done; echo 'error: no space' >&2; exit 1";
+        let all = vec![shell("a", full), shell("b", "echo done"), shell("c", full)];
+        let (outcome, heard) = run(all, Limits::default(), "");
+        let Outcome::Incomplete(why) = outcome else { panic!("{outcome:?}") };
+        for name in ["a", "c"] {
+            let lost = format!("the process '{name}' could not write all of its output: no space");
+            assert!(why.contains(&lost), "{why}");
+        }
+        assert!(heard.iter().all(|line| !line.contains("note")), "no restart: {heard:?}");
     }
 
     #[test]
