@@ -168,12 +168,6 @@ pub trait Scenario: Debug + Send + Sync {
         (task.goal - position).norm()
     }
 
-    /// Returns true if `_stage` is the last stage of a robot's progress: the scenario's own reward has paid for every
-    /// stage, and pays again for none. Only tests call this method.
-    fn finished(&self, _stage: Stage) -> bool {
-        true
-    }
-
     /// Returns the success rate, 0 to 1, that scripted navigation (the policy `orca`) must reach with the scenario's
     /// default team in mode `sim`. The test `tests/graph/contracts.rs` requires it.
     fn scripted_success(&self) -> f64 {

@@ -205,10 +205,6 @@ impl Scenario for Passage {
         }
     }
 
-    fn finished(&self, stage: Stage) -> bool {
-        stage >= LAST_STAGE
-    }
-
     fn rules(&self) -> Rules {
         // 500 steps of 0.05 s; two radii of the published robots' hull (0.16 m) are a collision.
         Rules { arrival_m: 0.25, separation_m: 0.32, limit: Span::from_millis(25_000) }

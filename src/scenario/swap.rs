@@ -128,10 +128,6 @@ impl Scenario for Swap {
         Some(reward)
     }
 
-    fn finished(&self, stage: Stage) -> bool {
-        stage >= LAST_STAGE
-    }
-
     fn rules(&self) -> Rules {
         let across = self.arena.half_extent.norm() * 2.0;
         Rules {

@@ -71,10 +71,6 @@ impl Scenario for Round {
         Some(way.dot(&after.velocity) - if contacts.robot || contacts.wall { 1.0 } else { 0.0 })
     }
 
-    fn finished(&self, stage: Stage) -> bool {
-        stage == Stage(1)
-    }
-
     fn rules(&self) -> Rules {
         Rules { arrival_m: 0.25, separation_m: 0.32, limit: Span::from_secs(25.0) }
     }
