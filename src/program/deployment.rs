@@ -46,7 +46,7 @@ pub struct Args {
     /// Size of the team
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=5000))]
     robots: u16,
-    /// Radio of its links: 'none' (ideal links), a preset (wifi, wifi-n, wifi-slow), or a radio file (docs/radio.md)
+    /// Radio of its links: 'none' (ideal links), a preset (PRESETS), or a radio file (docs/radio.md)
     #[arg(long, value_name = "NAME|FILE.toml", default_value = "none")]
     radio: String,
 }

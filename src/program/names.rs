@@ -1,9 +1,10 @@
-//! Adds the names of the registry's entries (policies, scenarios, estimators, plants) to the values and help texts of
-//! flags.
+//! Names in the command line's definition: those of the registry's entries (policies, scenarios, estimators, plants)
+//! and of radio presets, in the values and help texts of flags.
 
 use clap::builder::{PossibleValue, PossibleValuesParser};
 use clap::{Arg, Command};
 
+use crate::net::media::radio;
 use crate::registry::Registry;
 
 /// Returns `command` with the names of the registry's entries (policies, scenarios and so on) added to its flags and
@@ -25,10 +26,18 @@ fn named(arg: Arg, registry: &Registry) -> Arg {
         "policy" | "policies" => {
             let named: Vec<String> =
                 registry.policies().iter().map(|entry| format!("'{}' ({})", entry.name, entry.about)).collect();
-            let help = arg.get_help().map(ToString::to_string).unwrap_or_default();
+            let help = help_of(&arg);
             let (text, default) = help.split_at(help.find(" [default").unwrap_or(help.len()));
             arg.help(format!("{text}. Named policies: {}{default}", named.join("; ")))
         }
+        "radio" => {
+            let help = help_of(&arg).replace("PRESETS", &radio::PRESETS.join(", "));
+            arg.help(help)
+        }
         _ => arg,
     }
+}
+
+fn help_of(arg: &Arg) -> String {
+    arg.get_help().map(ToString::to_string).unwrap_or_default()
 }

@@ -72,3 +72,15 @@ fn every_command_has_a_page_and_groff_accepts_it() {
     fs::write(&file, "").expect("it can be written");
     refuses(&["man", "--out", &file.join("below").to_string_lossy()], &["--out", "file/below"]);
 }
+
+#[test]
+fn help_texts_name_every_radio_preset() {
+    for command in ["sim", "deployment", "train"] {
+        let said = text(&run(&[command, "--help"]).stdout);
+        for preset in murmurate::net::media::radio::PRESETS {
+            let named = said.split_whitespace().any(|word| word.trim_matches(['(', ')', ',']) == preset);
+            assert!(named, "{command}: '{preset}' is missing in: {said}");
+        }
+        assert!(!said.contains("PRESETS"), "{said}");
+    }
+}

@@ -122,8 +122,8 @@ pub struct Args {
     /// Messages that --delay-ms and --loss act on: latents, or all on every link but cables [default: latent]
     #[arg(long, value_parser = PossibleValuesParser::new(["latent", "all"]))]
     impair: Option<String>,
-    /// Radio of the links: 'none' (ideal links, or those of the deployment file), a preset (wifi, wifi-n, wifi-slow),
-    /// or a radio file (docs/radio.md)
+    /// Radio of the links: 'none' (ideal links, or those of the deployment file), a preset (PRESETS), or a radio file
+    /// (docs/radio.md)
     #[arg(long, value_name = "NAME|FILE.toml", default_value = "none")]
     radio: String,
     /// World, and delay and loss of messages between robots, such as 'study twin' fits them (docs/twin.md); other flags

@@ -62,8 +62,8 @@ pub struct Args {
     /// Size of the team; a preset's groups scale with it [default: the scenario's own]
     #[arg(long, conflicts_with = "config")]
     robots: Option<usize>,
-    /// Trains with the delay and loss of a medium instead of the configuration's: a preset (paper, wifi, wifi-n,
-    /// wifi-slow) or a radio file, such as 'study network --fit' writes
+    /// Trains with the delay and loss of a medium instead of the configuration's: a preset (PRESETS) or a radio
+    /// file, such as 'study network --fit' writes
     #[arg(long, value_name = "NAME|FILE.toml")]
     radio: Option<String>,
     /// Trains with the lag, and the delay and loss of messages between robots, of a file, such as 'study twin' fits
