@@ -237,6 +237,13 @@ impl Config {
         Ok(config)
     }
 
+    /// Converts a TOML table to a configuration, and checks it. An error names the field.
+    pub fn from_table(table: &toml::Table) -> Result<Config, ConfigError> {
+        let config: Config = config::from_table(table)?;
+        config.check()?;
+        Ok(config)
+    }
+
     /// Returns the index of the curriculum's stage at the completed fraction `progress` of the training, 0 to 1.
     pub fn stage(&self, progress: f64) -> usize {
         let last = self.curriculum.len() - 1;

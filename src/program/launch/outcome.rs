@@ -3,16 +3,18 @@
 /// Outcome of a run of supervised processes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// All processes ended by themselves with exit code 0.
+    /// All processes have ended by themselves with exit code 0.
     Done,
     /// All processes did their work and ended by themselves, but some could not write all of their output; the text
     /// names these and the causes.
     Incomplete(String),
-    /// A stop was requested, and all processes have stopped.
+    /// A stop was requested by Ctrl-C or SIGTERM, and all processes have ended.
     Interrupted,
-    /// A process has refused its flags or files; the text is its last line on stderr.
+    /// A process has refused its flags or files (exit code 2). The text names the process and gives its last line on
+    /// stderr.
     Refused(String),
-    /// A process has failed or was killed; the text names it and the cause.
+    /// A process has failed for good, has ended before the others were done, or had to be killed. The text names the
+    /// process and the cause.
     Failed(String),
 }
 

@@ -4,7 +4,7 @@ use anyhow::{Context, Result};
 
 use super::folder::Folder;
 use super::{Args, PRESET};
-use crate::config::unquoted;
+use crate::config::{from_table, unquoted};
 use crate::deploy::conditions::Conditions;
 use crate::program::BadInput;
 use crate::program::conditions;
@@ -97,9 +97,10 @@ fn with_fields(config: Config, set: &[String]) -> Result<Config> {
             into = inner.as_table_mut().ok_or_else(|| wrong(&format!("'{part}' has no fields")))?;
         }
         into.insert(last.to_owned(), value);
+        // Each by itself, so that the error is of this flag.
+        from_table::<Config>(&table).map_err(|error| wrong(&error.to_string()))?;
     }
-    let text = toml::to_string(&table).context("a table is TOML")?;
-    Ok(Config::from_toml(&text).map_err(|e| BadInput(format!("--set: {e}")))?)
+    Ok(Config::from_table(&table).map_err(|e| BadInput(format!("--set: {e}")))?)
 }
 
 /// Returns the trainer of a new training from the flags. An error names the flag or the file.
