@@ -17,6 +17,7 @@ has() { # TEXT WORD...: refuses a text that lacks one of the words
     done
 }
 
+has "$("$program" --help)" 'Usage: stranger'
 has "$("$program" sim --help)" round give-way glide passage orca rigid
 has "$("$program" train --help)" round passage
 own=(sim --mode offboard --scenario round --policy give-way --plant glide)

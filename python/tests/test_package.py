@@ -156,6 +156,12 @@ def program(*arguments):
     return subprocess.run([sys.executable, "-m", "murmurate", *arguments], capture_output=True, text=True, timeout=300)
 
 
+def test_the_command_line_names_itself_as_the_program_does():
+    said = program("sim", "--no-such-flag")
+    assert said.returncode == 2 and "see 'murmurate --help'" in said.stderr, said.stderr
+    assert program("--help").stdout.count("Usage: murmurate") == 1
+
+
 def test_a_simulation_is_that_of_the_program():
     results = murmurate.sim("passage", mode="offboard", episodes=2, repeats=2, seed=3)
     assert (results.episodes, results.robots, results.mode) == (4, 5, "offboard")

@@ -15,7 +15,7 @@ impl Deployment {
     pub fn check_simulated(&self) -> Result<(), ConfigError> {
         let real = |host: &&Host| !host.actuates.is_empty() || !host.localizes.is_empty();
         self.hosts.iter().find(real).map_or(Ok(()), |host| {
-            let why = format!("'{}' has real robots, which only 'murmurate host' drives and measures", host.name);
+            let why = format!("'{}' has real robots, which only the command 'host' drives and measures", host.name);
             Err(ConfigError::field("host.actuates and host.localizes", why))
         })
     }

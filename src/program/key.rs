@@ -15,6 +15,7 @@ use nix::unistd::geteuid;
 use crate::program::BadInput;
 use crate::program::Ended;
 use crate::program::output;
+use crate::program::own_name;
 use crate::program::temporary::Temporary;
 
 /// Length of a key \[bytes\].
@@ -79,7 +80,7 @@ pub fn read(path: &Path) -> Result<[u8; BYTES]> {
     let opened = OpenOptions::new().read(true).custom_flags(nix::libc::O_NONBLOCK | nix::libc::O_NOCTTY).open(path);
     let file = opened.map_err(|e| match e.kind() {
         ErrorKind::NotFound => {
-            refuse("is not there: copy the team's key to it, or make one with 'murmurate key new'".to_owned())
+            refuse(format!("is not there: copy the team's key to it, or make one with '{} key new'", own_name()))
         }
         _ => refuse(format!("cannot be read: {e}")),
     })?;

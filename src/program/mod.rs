@@ -53,7 +53,8 @@ mod watch;
 #[cfg(any(feature = "completions", feature = "sim"))]
 mod whole_file;
 
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
+use std::path::Path;
 use std::process::ExitCode;
 use std::sync::OnceLock;
 #[cfg(feature = "sim")]
@@ -72,10 +73,13 @@ use crate::live;
 use crate::live::links::LinkError;
 use crate::registry::Registry;
 
+/// Name of this crate's own program.
+const MURMURATE: &str = "murmurate";
+
 /// Runs message-passing policies on teams of robots.
 #[derive(Parser)]
 #[command(
-    name = "murmurate",
+    name = MURMURATE,
     version,
     after_help = "Exit codes: 0 done; 1 the run, its output or a check failed; 2 a flag or a file is wrong, nothing \
                   was run; 101 a bug; 130 interrupted, results until then printed.\n\
@@ -218,6 +222,9 @@ pub fn with_radio(
     train::with_radio(argument, radio, robots, conditions)
 }
 
+/// File name of the program that runs: `murmurate`, or that of another crate's program that uses this one.
+static NAME: OnceLock<String> = OnceLock::new();
+
 /// Words of the command that starts this program, if it runs within another one, such as a Python interpreter.
 static STARTED_BY: OnceLock<Vec<OsString>> = OnceLock::new();
 
@@ -245,11 +252,14 @@ pub fn main(registry: &Registry) -> ExitCode {
 pub fn main_within(registry: &Registry, started_by: Vec<OsString>, arguments: Vec<OsString>) -> ExitCode {
     // A second call would be an error of its caller; the words are the same then.
     let _ = STARTED_BY.set(started_by);
-    let name = OsString::from("murmurate");
+    let name = OsString::from(MURMURATE);
     run_command(registry, &[vec![name], arguments].concat())
 }
 
 fn run_command(registry: &Registry, arguments: &[OsString]) -> ExitCode {
+    let started = arguments.first().map(Path::new).and_then(Path::file_name).and_then(OsStr::to_str);
+    // A second call, which is an error of its caller, has the same name.
+    let _ = NAME.set(started.unwrap_or(MURMURATE).to_owned());
     // The DDS process of a ROS 2 driver or source, which this program starts itself.
     #[cfg(feature = "ros2")]
     if arguments.get(1).is_some_and(|word| word == crate::ros2::SUBCOMMAND) {
@@ -285,7 +295,7 @@ fn run_command(registry: &Registry, arguments: &[OsString]) -> ExitCode {
 /// Returns the definition of the command line: all commands and flags, with the names of the registry's entries as
 /// values.
 fn command(registry: &Registry) -> clap::Command {
-    names::add(Cli::command(), registry)
+    names::rename(names::add(Cli::command(), registry), own_name())
 }
 
 fn parse(registry: &Registry, arguments: &[OsString]) -> Result<Cli, clap::Error> {
@@ -341,10 +351,10 @@ fn exit_code(ended: anyhow::Result<Ended>) -> ExitCode {
     }
 }
 
-/// Returns the file name of the running program: `murmurate`, or that of another crate's program that uses this one.
-fn own_name() -> String {
-    let path = std::env::args_os().next().map(std::path::PathBuf::from);
-    path.and_then(|path| Some(path.file_name()?.to_str()?.to_owned())).unwrap_or_else(|| "murmurate".to_owned())
+/// Returns the name of the running program, for texts that name a command: `murmurate`, or the file name of another
+/// crate's program that uses this one.
+fn own_name() -> &'static str {
+    NAME.get().map_or(MURMURATE, |name| name)
 }
 
 /// Handles an error of the command-line parser: prints help and version as they are, and other errors as one line.

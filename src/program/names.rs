@@ -1,9 +1,10 @@
 //! Names in the command line's definition: those of the registry's entries (policies, scenarios, estimators, plants)
-//! and of radio presets, in the values and help texts of flags.
+//! and of radio presets, in the values and help texts of flags, and the program's own name.
 
-use clap::builder::{PossibleValue, PossibleValuesParser};
+use clap::builder::{PossibleValue, PossibleValuesParser, StyledStr};
 use clap::{Arg, Command};
 
+use super::MURMURATE;
 use crate::net::media::radio;
 use crate::registry::Registry;
 
@@ -40,4 +41,32 @@ fn named(arg: Arg, registry: &Registry) -> Arg {
 
 fn help_of(arg: &Arg) -> String {
     arg.get_help().map(ToString::to_string).unwrap_or_default()
+}
+
+/// Returns the command line of a program called `name`, whose help texts have that name in place of `murmurate`.
+pub fn rename(command: Command, name: &'static str) -> Command {
+    if name == MURMURATE { command } else { renamed(command, name).name(name) }
+}
+
+fn renamed(mut command: Command, name: &str) -> Command {
+    let own = |text: Option<&StyledStr>| {
+        let (text, named) = (text?.to_string(), format!("{name} "));
+        // A path has the name at its end, such as that of the file with completions.
+        let text = text.replace(&format!("{MURMURATE} "), &named);
+        Some(match text.strip_suffix(&format!("/{MURMURATE}")) {
+            Some(folder) => format!("{folder}/{name}"),
+            None => text,
+        })
+    };
+    if let Some(text) = own(command.get_about()) {
+        command = command.about(text);
+    }
+    if let Some(text) = own(command.get_after_help()) {
+        command = command.after_help(text);
+    }
+    let of_arg = |arg: Arg| match own(arg.get_help()) {
+        Some(text) => arg.help(text),
+        None => arg,
+    };
+    command.mut_args(of_arg).mut_subcommands(|below| renamed(below, name))
 }

@@ -16,6 +16,7 @@ use anyhow::{Result, anyhow};
 
 use crate::program::Ended;
 use crate::program::output::print;
+use crate::program::own_name;
 use crate::program::team;
 
 /// Shortest time for which the command repeats its order (stop, re-arm or resume), so that hosts that start late or
@@ -119,7 +120,7 @@ impl Asked<'_> {
             print(&format!("{} of {robots} robots {what}{took}", robots - unconfirmed.len()))?;
             if self.kind == OrderKind::Rearm && took_s.is_some() && state == "held" {
                 let file = self.team.path().display();
-                print(&format!("the team is held: 'murmurate resume {file}' starts the next episode"))?;
+                print(&format!("the team is held: '{} resume {file}' starts the next episode", own_name()))?;
             }
         }
         match self.why(order) {
@@ -149,7 +150,8 @@ impl Asked<'_> {
         if self.kind == OrderKind::Resume {
             match order.latch() {
                 Some(latch) if latch.is_engaged() => {
-                    why.push("refused: the team is stopped; 'murmurate stop --rearm' takes that back first".to_owned());
+                    let first = format!("'{} stop --rearm' takes that back first", own_name());
+                    why.push(format!("refused: the team is stopped; {first}"));
                 }
                 _ if !order.hindrances().is_empty() => {
                     let of = |(robot, hindrance): &(RobotId, Hindrance)| match hindrance {

@@ -18,6 +18,7 @@ use crate::program::BadInput;
 use crate::program::bad;
 use crate::program::key;
 use crate::program::output::{read_text, talk};
+use crate::program::own_name;
 use crate::program::policy;
 
 /// Team file, and flags that override its fields.
@@ -168,10 +169,11 @@ pub fn key(team: &Team) -> Result<Option<[u8; 32]>> {
 /// Reads the team's key from a file. If there is no file, prints a warning and returns `None`.
 pub fn key_of(file: Option<&Path>) -> Result<Option<[u8; 32]>> {
     if file.is_none() && !WARNED.swap(true, Ordering::Relaxed) {
-        talk(
+        talk(&format!(
             "warning: NO KEY: every program on this machine can command these robots; for anything but development \
-             make a key with 'murmurate key new' and name it as key_file",
-        );
+             make a key with '{} key new' and name it as key_file",
+            own_name()
+        ));
     }
     file.map(key::read).transpose()
 }

@@ -74,6 +74,33 @@ fn every_command_has_a_page_and_groff_accepts_it() {
 }
 
 #[test]
+fn a_program_of_another_name_has_that_name_in_its_help_and_its_advice() {
+    let folder = TempDir::new().expect("a temporary folder");
+    let other = folder.path().join("flockers");
+    std::os::unix::fs::symlink(env!("CARGO_BIN_EXE_murmurate"), &other).expect("a link");
+    let said = |args: &[&str]| {
+        let output = Command::new(&other).args(args).stdin(Stdio::null()).output().expect("it starts");
+        text(&output.stdout) + &text(&output.stderr)
+    };
+    for args in [
+        &["--help"][..],
+        &["man", "--help"],
+        &["completions", "--help"],
+        &["watch", "--help"],
+        &["host", "--help"],
+        &["completions", "fish"],
+        &["man"],
+        &["sim", "--colour"],
+        &["sim", "--watch", "--listen", "0.0.0.0:8137"],
+        &["train", "passage", "--print-config"],
+    ] {
+        let said = said(args);
+        assert!(said.contains("flockers") || args == ["host", "--help"], "{args:?}: {said}");
+        assert!(!said.contains("murmurate"), "{args:?}: {said}");
+    }
+}
+
+#[test]
 fn help_texts_name_every_radio_preset() {
     for command in ["sim", "deployment", "train"] {
         let said = text(&run(&[command, "--help"]).stdout);

@@ -126,7 +126,7 @@ fn an_invalid_team_is_refused_in_one_line() {
         refuses(&["config", "check", &file], words);
         refuses(&["launch", &file], words);
     };
-    refused(("key_file = \"team.key\"\n", ""), &["key_file", "'infra'", "murmurate key new"]);
+    refused(("key_file = \"team.key\"\n", ""), &["key_file", "'infra'", "key new"]);
     refused(("team = 1", "team = 1\ncolour = 2"), &["colour (line 2)", "no such field"]);
     refused(("[link.infra]\ninterface = \"wlan0\"", "[link.infra]"), &["link.infra.interface", "missing"]);
     refused(("[link.infra]", "[link.infra]\n[link.infra]"), &["line 6", "duplicate"]);

@@ -200,7 +200,7 @@ impl TeamFile {
             let (host, link) = (&self.deployment.hosts[usize::from(host.0)].name, &self.deployment.links[at].name);
             let why = format!(
                 "missing; link '{link}' of host '{host}' leaves this machine, and a team without a key may not: make \
-                 one with 'murmurate key new'"
+                 one with the command 'key new'"
             );
             return Err(ConfigError::field("key_file", why));
         }
@@ -301,7 +301,7 @@ fn deployment(registry: &Registry, inline: Option<Deployment>, layers: &Layers) 
         check_devices(registry, &deployment).map_err(|error| error.within("deployment.host"))?;
         let worse = |link: &&Link| link.delay_s > 0.0 || link.loss > 0.0 || link.range_m.is_some();
         if let Some(link) = deployment.links.iter().find(worse) {
-            let why = format!("link '{}' has a delay, loss or range, which only 'murmurate sim' emulates", link.name);
+            let why = format!("link '{}' has a delay, loss or range, which only the command 'sim' emulates", link.name);
             return Err(ConfigError::field("deployment.link", why));
         }
         return match robots.filter(|entry| whole(entry) != deployment.robots as u64) {

@@ -27,6 +27,7 @@ use crate::program::BadInput;
 use crate::program::Ended;
 use crate::program::key;
 use crate::program::output::print;
+use crate::program::own_name;
 use crate::program::team;
 use listen::Heard;
 
@@ -239,7 +240,7 @@ fn check_key(team: &Team) -> Found {
         None => found(
             Status::Warn,
             "none: every program on this machine can command these robots".to_owned(),
-            "make one with 'murmurate key new' and name it as key_file",
+            &format!("make one with '{} key new' and name it as key_file", own_name()),
         ),
         Some(path) => match key::read(path) {
             Ok(key) => found(

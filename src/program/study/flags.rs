@@ -23,6 +23,7 @@ use crate::program::bad;
 use crate::program::conditions;
 use crate::program::drive::DriveFlags;
 use crate::program::output::{read_text, talk};
+use crate::program::own_name;
 use crate::program::policy;
 use crate::program::recording::RecordFlags;
 
@@ -259,7 +260,7 @@ impl Shared {
     /// Returns the command line that reproduces the study `name`, without flags that do not affect the results. `own`
     /// has the flags that only this study has.
     fn command(&self, name: &str, own: &str) -> String {
-        let mut command = CommandLine(format!("murmurate study {name}{own}"));
+        let mut command = CommandLine(format!("{} study {name}{own}", own_name()));
         let mut add = |flag: &str, value: Option<String>| command.add(flag, value);
         self.policies.iter().for_each(|policy| add("policy", Some(policy.clone())));
         self.handlings.iter().for_each(|handling| add("handling", Some(handling.clone())));

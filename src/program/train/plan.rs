@@ -9,6 +9,7 @@ use crate::deploy::conditions::Conditions;
 use crate::program::BadInput;
 use crate::program::conditions;
 use crate::program::output::{read_bytes, read_text};
+use crate::program::own_name;
 use crate::program::study;
 use crate::registry::Registry;
 use crate::scenario::Settings;
@@ -28,8 +29,9 @@ pub fn config_text(args: &Args, registry: &Registry) -> Result<String> {
     .map_err(|e| BadInput(e.to_string()))?;
     let text = toml::to_string(&config).context("a configuration is TOML")?;
     Ok(format!(
-        "# Training of '{scenario}', from preset '{preset}'. Fields: docs/training.md. Use: murmurate train {scenario} \
-         --config FILE.toml\n{text}"
+        "# Training of '{scenario}', from preset '{preset}'. Fields: docs/training.md. Use: {} train {scenario} \
+         --config FILE.toml\n{text}",
+        own_name()
     ))
 }
 

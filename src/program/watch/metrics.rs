@@ -13,6 +13,7 @@ use crate::graph::process::ProcessEvent;
 use crate::messages::ids::{HostId, RobotId};
 use crate::program::bad;
 use crate::program::output::talk;
+use crate::program::own_name;
 use crate::time::{Span, Time};
 use crate::view::access::{Access, Control};
 use crate::view::metrics::Metrics;
@@ -53,8 +54,9 @@ impl MetricsFlags {
     pub fn check(&self) -> Result<()> {
         match self.metrics {
             Some(listen) if is_guarded(listen) && self.metrics_token_file.is_none() => bad(format!(
-                "--metrics: other machines reach {listen}, so a reader needs a token: make one with 'murmurate key \
-                 new --out metrics.token' and give --metrics-token-file metrics.token"
+                "--metrics: other machines reach {listen}, so a reader needs a token: make one with '{} key new \
+                 --out metrics.token' and give --metrics-token-file metrics.token",
+                own_name()
             )),
             _ => Ok(()),
         }

@@ -15,6 +15,7 @@ use crate::messages::ids::HostId;
 use crate::program::bad;
 use crate::program::key;
 use crate::program::output::talk;
+use crate::program::own_name;
 use crate::view::access::{Access, Control, TOKEN_BYTES, Token};
 use crate::view::server::{Publisher, Server};
 use crate::view::status::Scene;
@@ -97,8 +98,9 @@ impl PageFlags {
         let guarded = !listen.ip().to_canonical().is_loopback();
         if guarded && self.token_file.is_none() {
             return bad(format!(
-                "--listen: other machines reach {listen}, so the page needs a token: make one with 'murmurate key new \
-                 --out page.token' and give --token-file page.token, or keep 127.0.0.1 and use an ssh tunnel"
+                "--listen: other machines reach {listen}, so the page needs a token: make one with '{} key new \
+                 --out page.token' and give --token-file page.token, or keep 127.0.0.1 and use an ssh tunnel",
+                own_name()
             ));
         }
         let token = token(self.token_file.as_deref())?;

@@ -39,7 +39,7 @@ pub struct Report {
 /// study `sweep`, or if there is none.
 pub fn read(path: &Path, sweep: &Sweep) -> Result<Vec<Observed>> {
     let wrong = |why: String| {
-        let expected = "it has to be what 'murmurate study network --json' printed, or rows.json of its report";
+        let expected = "it has to be what 'study network --json' printed, or rows.json of its report";
         BadInput(format!("--rows: '{}': {why}; {expected}", path.display()))
     };
     let text = read_text(path, "rows")?;

@@ -11,6 +11,7 @@ use serde::de::DeserializeOwned;
 use crate::program::BadInput;
 use crate::program::bad;
 use crate::program::output::{read_text, talk};
+use crate::program::own_name;
 use crate::program::study::run::{CommandLine, Run, check_unique};
 
 /// Flags of `murmurate study network`.
@@ -83,7 +84,7 @@ fn named<T: DeserializeOwned + PartialEq + Clone>(flag: &str, given: &[String], 
     for name in given {
         match serde_json::from_value::<T>(name.as_str().into()) {
             Ok(one) if all.contains(&one) => chosen.push(one),
-            _ => return bad(format!("{flag}: there is no '{name}' here; 'murmurate study network --help' has all")),
+            _ => return bad(format!("{flag}: there is no '{name}' here; 'study network --help' has all")),
         }
     }
     Ok(if chosen.is_empty() { all.to_vec() } else { chosen })
@@ -174,7 +175,7 @@ impl Args {
 
     /// Returns the command line that reproduces the study, without flags that do not affect its results.
     pub fn command(&self) -> String {
-        let mut command = CommandLine("murmurate study network".to_owned());
+        let mut command = CommandLine(format!("{} study network", own_name()));
         command.add("medium", Some(self.medium.clone()));
         command.add_all("rates", &self.rates);
         command.add_all("networks", &self.networks);

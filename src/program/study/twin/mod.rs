@@ -14,7 +14,7 @@ use serde::Serialize;
 use super::run::{CommandLine, Run};
 use crate::program::output::{print, talk};
 use crate::program::progress::{progress, watched};
-use crate::program::{BadInput, Ended, bad, jobs};
+use crate::program::{BadInput, Ended, bad, jobs, own_name};
 use crate::registry::Registry;
 use crate::study::twin::comparison::{self, Row};
 use crate::study::twin::model::{self, Fitted, Given};
@@ -143,7 +143,7 @@ fn given(args: &Args) -> Result<Given> {
 
 /// Returns the command line that reproduces the report, without flags that do not affect it.
 fn command(args: &Args) -> String {
-    let mut command = CommandLine("murmurate study twin".to_owned());
+    let mut command = CommandLine(format!("{} study twin", own_name()));
     for path in &args.records {
         command.0 += &format!(" {}", path.display());
     }

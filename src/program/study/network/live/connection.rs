@@ -125,7 +125,7 @@ impl Connection {
     }
 }
 
-const WRONG_PEER: &str = "the peer is not a 'murmurate study network' of this version";
+const WRONG_PEER: &str = "the peer is not a 'study network' of this version";
 
 fn tag(key: &[u8; 32], from: Side, number: u64, text: &str) -> blake3::Hash {
     blake3::keyed_hash(key, format!("{} {number} {text}", u8::from(from == Side::Coordinator)).as_bytes())

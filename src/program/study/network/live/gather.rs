@@ -14,6 +14,7 @@ use nix::poll::{PollFd, PollFlags, poll};
 use super::connection::{Connection, Side};
 use super::{GREETING, Request, Response};
 use crate::program::output::talk;
+use crate::program::own_name;
 
 /// Longest time until the coordinator notices an interruption while it waits for connections \[ms\].
 const LOOK: u16 = 100;
@@ -36,8 +37,9 @@ pub fn gather(
     if !quiet {
         let at = listener.local_addr().map_or("ADDRESS:PORT".to_owned(), |at| at.to_string());
         talk(&format!(
-            "waiting for: {}; on each of them: murmurate study network --live TEAM.toml --coordinator {at} --host NAME",
-            hosts.join(", ")
+            "waiting for: {}; on each of them: {} study network --live TEAM.toml --coordinator {at} --host NAME",
+            hosts.join(", "),
+            own_name()
         ));
     }
     let (sender, greeted): (Sender<Greeted>, Receiver<Greeted>) = channel();
