@@ -76,6 +76,9 @@ full-python:
     python3 -m venv target/python
     target/python/bin/pip install --quiet ./python benchmarl torchrl torch_geometric ray pettingzoo gymnasium pytest \
         matplotlib nbclient nbformat ipykernel
+    # The largest wheel that is handed on [bytes].
+    target/python/bin/pip wheel --quiet --no-deps --wheel-dir target/wheels ./python
+    test "$(stat --format=%s target/wheels/murmurate-*.whl)" -le 8000000
     target/python/bin/python -m pytest python/tests
     target/python/bin/python python/tests/rates.py
     target/python/bin/pip install --quiet ./tests/stranger/python
