@@ -3,6 +3,7 @@
 //!
 //! A source does no I/O: it converts the packets of its worker (I/O thread), or the samples of a World, to readings.
 
+mod alignment;
 pub mod fusion;
 pub mod gpsd;
 pub mod natnet;

@@ -8,10 +8,11 @@ use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
+use super::alignment::Alignment;
 use super::{In, Out, Parts, Source};
 use crate::config::ConfigError;
 use crate::edge::{Port, Settings, Worker};
-use crate::messages::geometry::{Vec2, wrapped};
+use crate::messages::geometry::Vec2;
 use crate::messages::ids::RobotId;
 use crate::messages::wire::Reading;
 use crate::time::Time;
@@ -26,36 +27,22 @@ pub const ABOUT: &str = "the robots' own odometry, from their drivers on the sam
 struct Config {
     /// Origin of the robot's odometry in the team's frame \[m\].
     #[serde(default)]
-    origin_m: [f32; 2],
+    origin_m: [f64; 2],
     /// Rotation from the odometry's frame to the team's \[rad\], counter-clockwise.
     #[serde(default)]
-    yaw_rad: f32,
+    yaw_rad: f64,
 }
 
-/// Pose of the frame of a robot's odometry in the team's common frame.
-#[derive(Clone, Copy, Debug)]
-pub struct Alignment {
-    /// Origin of the odometry's frame in the team's frame \[m\].
-    pub origin: Vec2,
-    /// Rotation of the odometry's frame relative to the team's frame \[rad\], counter-clockwise.
-    pub yaw_rad: f32,
-}
-
-impl Alignment {
-    /// Rotates a vector from the axes of the odometry's frame to those of the team's frame.
-    fn turned(&self, vector: Vec2) -> Vec2 {
-        let (sin, cos) = libm::sincosf(self.yaw_rad);
-        Vec2::new(cos * vector.x - sin * vector.y, sin * vector.x + cos * vector.y)
-    }
-
-    /// Converts the reading `odometry` from the frame of the robot's odometry to the team's frame.
-    pub fn apply(&self, odometry: &Reading) -> Reading {
-        let mut reading = odometry.clone();
-        reading.pose.position = self.origin + self.turned(odometry.pose.position);
-        reading.pose.heading = odometry.pose.heading.map(|heading| wrapped(f64::from(heading + self.yaw_rad)) as f32);
-        reading.twist.velocity = self.turned(odometry.twist.velocity);
-        reading
-    }
+/// Converts a reading from the frame of a robot's odometry to the team's frame.
+fn aligned(frame: &Alignment, odometry: &Reading) -> Reading {
+    let (position, velocity) = (odometry.pose.position, odometry.twist.velocity);
+    let [x, y] = frame.position(f64::from(position.x), f64::from(position.y));
+    let (vx, vy) = frame.turned(f64::from(velocity.x), f64::from(velocity.y));
+    let mut reading = odometry.clone();
+    reading.pose.position = Vec2::new(x as f32, y as f32);
+    reading.pose.heading = odometry.pose.heading.map(|heading| frame.heading(f64::from(heading)) as f32);
+    reading.twist.velocity = Vec2::new(vx as f32, vy as f32);
+    reading
 }
 
 /// Logic of the source `odometry`: converts odometry that drivers report to readings in the team's frame.
@@ -70,11 +57,7 @@ pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigErro
     let mut team = BTreeMap::new();
     for robot in robots {
         let config: Config = settings.for_robot(*robot)?.read()?;
-        let [x, y] = config.origin_m;
-        if ![x, y, config.yaw_rad].iter().all(|number| number.is_finite()) {
-            return Err(ConfigError::field("origin_m and yaw_rad", "a number is not finite".to_owned()));
-        }
-        team.insert(*robot, Alignment { origin: Vec2::new(x, y), yaw_rad: config.yaw_rad });
+        team.insert(*robot, Alignment::new(config.yaw_rad, config.origin_m)?);
     }
     let source = move || Box::new(Odometry { robots: team.clone(), stamps: BTreeMap::new() }) as Box<dyn Source>;
     Ok(Parts { source: Box::new(source), worker: Box::new(Idle) })
@@ -94,7 +77,7 @@ impl Source for Odometry {
         if self.stamps.insert(odometry.robot, odometry.stamp_ns) == Some(odometry.stamp_ns) {
             return;
         }
-        let reading = alignment.apply(odometry);
+        let reading = aligned(alignment, odometry);
         out.push(reading.unfit().map_or(Out::Reading(reading), Out::Refused));
     }
 }

@@ -16,7 +16,7 @@ use std::f64::consts::FRAC_PI_2;
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::localization::{In, Out, Parts, Source};
-use crate::messages::geometry::{Deviation, MAX_SIZE, Pose, Twist, Vec2, wrapped};
+use crate::messages::geometry::{Deviation, MAX_SIZE, Pose, Twist, Vec2};
 use crate::messages::ids::RobotId;
 use crate::messages::wire::Reading;
 use crate::time::Time;
@@ -109,8 +109,9 @@ impl Gpsd {
                 "the receiver is over 100 km from the origin; correct origin_latitude_deg and ..longitude",
             ));
         }
+        let [x, y] = self.config.axes.position(east, north);
         // Courses are clockwise from north, angles of the team's frame counter-clockwise from its x axis.
-        let course = tpv.track_deg.map(|track_deg| FRAC_PI_2 - track_deg.to_radians() + self.config.yaw_rad);
+        let course = tpv.track_deg.map(|track_deg| self.config.axes.heading(FRAC_PI_2 - track_deg.to_radians()));
         let velocity = velocity(speed_m_s, course)?;
         self.last_ns = Some(time_ns);
         let moving = self.config.heading == Heading::Track && speed_m_s >= LEAST_SPEED_M_S;
@@ -118,8 +119,8 @@ impl Gpsd {
             robot: self.robot,
             stamp_ns: time_ns,
             pose: Pose {
-                position: self.config.turned(east, north),
-                heading: course.filter(|_| moving).map(|course| wrapped(course) as f32),
+                position: Vec2::new(x as f32, y as f32),
+                heading: course.filter(|_| moving).map(|course| course as f32),
             },
             twist: Twist { velocity, yaw_rate: None },
             deviation: Deviation { position_m: deviation_m.map(|error_m| error_m as f32), ..Deviation::default() },

@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 
 use crate::config::ConfigError;
 use crate::edge::Settings;
-use crate::messages::geometry::Vec2;
+use crate::localization::alignment::Alignment;
 use serde::Deserialize;
 
 use super::geodesy::{Geodetic, LocalFrame};
@@ -71,8 +71,8 @@ pub struct Config {
     pub device: Option<String>,
     /// Local frame with axes east, north and up at the team's origin.
     pub frame: LocalFrame,
-    /// Direction of east in the team's frame \[rad\], counter-clockwise from its x axis.
-    pub yaw_rad: f64,
+    /// Alignment of the axes east and north with the team's frame.
+    pub axes: Alignment,
     /// Lowest quality of a fix that gives a reading.
     pub fix_least: Fix,
     /// Largest standard deviation of the position by GST \[m\]; `None` for no limit.
@@ -97,7 +97,6 @@ impl Config {
             // The direction east is undefined at the poles.
             ("origin_latitude_deg", latitude_deg, -89.0, 89.0, "deg"),
             ("origin_longitude_deg", longitude_deg, -180.0, 180.0, "deg"),
-            ("yaw_rad", fields.yaw_rad, -7.0, 7.0, "rad"),
             ("deviation_most_m", deviation_most_m, 0.001, 100.0, "m"),
         ];
         for (name, value, least, most, unit) in within {
@@ -113,17 +112,11 @@ impl Config {
             device: fields.device,
             // Height zero, because the origin's height changes only the vertical coordinate.
             frame: LocalFrame::at(&Geodetic { latitude_deg, longitude_deg, height_m: 0.0 }),
-            yaw_rad: fields.yaw_rad,
+            axes: Alignment::new(fields.yaw_rad, [0.0; 2])?,
             fix_least: fields.fix_least,
             deviation_most_m: fields.deviation_most_m,
             heading: fields.heading,
         })
-    }
-
-    /// Rotates a position \[m\] from the axes east and north to the team's frame.
-    pub fn turned(&self, east: f64, north: f64) -> Vec2 {
-        let (sin, cos) = libm::sincos(self.yaw_rad);
-        Vec2::new((cos * east - sin * north) as f32, (sin * east + cos * north) as f32)
     }
 }
 

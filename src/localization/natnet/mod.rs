@@ -13,8 +13,9 @@ mod worker;
 
 use crate::config::ConfigError;
 use crate::edge::Settings;
+use crate::localization::alignment::Alignment;
 use crate::localization::{In, Out, Parts, Source};
-use crate::messages::geometry::{self, Deviation, MAX_HEADING, Twist, Vec2, rotated, wrapped};
+use crate::messages::geometry::{self, Deviation, MAX_HEADING, Twist, Vec2};
 use crate::messages::ids::RobotId;
 use crate::messages::wire::{Reading, Wire};
 use crate::time::{Span, Time};
@@ -172,7 +173,7 @@ impl NatNet {
         let Some((Tracked { robot, id: Some(id), body, .. }, after)) = rest.split_first_mut() else { return Ok(None) };
         let Some(rigid) = frame.bodies.iter().find(|rigid| rigid.id == *id && rigid.tracked) else { return Ok(None) };
         let others = before.iter().chain(&*after).filter_map(|other| other.body.newest());
-        let pose = self.config.alignment.pose(frame.stamp_s, rigid);
+        let pose = self.config.frame.pose(frame.stamp_s, rigid);
         body.take(pose, &self.config.limits, others)?;
         Ok(body.rates(&self.config.limits).map(|rates| {
             let error_m = (rigid.error_m > 0.0).then(|| rigid.error_m.max(LEAST_ERROR_M));
@@ -210,15 +211,14 @@ impl Source for NatNet {
     }
 }
 
-/// Alignment of the tracker's frame: its position and rotation in the team's frame, whose z axis points up.
+/// Frame of the tracker: which of its axes points up, and its alignment with the team's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Alignment {
+pub struct TrackerFrame {
     up: Up,
-    yaw_rad: f64,
-    origin_m: [f64; 2],
+    level: Alignment,
 }
 
-impl Alignment {
+impl TrackerFrame {
     /// Transforms a rigid body's pose to the team's frame. The heading is the direction of the body's x axis.
     fn pose(&self, stamp_s: f64, rigid: &RigidBody) -> Pose {
         let raised = |[x, y, z]: [f64; 3]| match self.up {
@@ -228,14 +228,13 @@ impl Alignment {
         let [x, y, _] = raised(rigid.position);
         let [i, j, k, w] = rigid.rotation;
         let [i, j, k] = raised([i, j, k]);
-        let ([origin_x, origin_y], turned) = (self.origin_m, rotated(self.yaw_rad, x, y));
         // The body's x axis, projected onto the floor.
         let (ahead, left) = (1.0 - 2.0 * (j * j + k * k), 2.0 * (i * j + w * k));
         let level = libm::hypot(ahead, left) >= LEVEL;
         Pose {
             stamp_s,
-            position: [origin_x + turned.0, origin_y + turned.1],
-            heading: level.then(|| wrapped(libm::atan2(left, ahead) + self.yaw_rad)),
+            position: self.level.position(x, y),
+            heading: level.then(|| self.level.heading(libm::atan2(left, ahead))),
         }
     }
 }

@@ -4,10 +4,11 @@ use std::net::Ipv4Addr;
 
 use crate::config::ConfigError;
 use crate::edge::Settings;
+use crate::localization::alignment::Alignment;
 use crate::messages::ids::RobotId;
 use serde::Deserialize;
 
-use super::Alignment;
+use super::TrackerFrame;
 use super::body::Limits;
 
 /// Default multicast group of frames in Motive, the server of OptiTrack (its manual).
@@ -129,7 +130,7 @@ pub struct Config {
     /// Network addresses of the server and of its frames.
     pub network: Network,
     /// Position and rotation of the tracker's frame in the team's frame.
-    pub alignment: Alignment,
+    pub frame: TrackerFrame,
     /// Robots by ascending number, each with its rigid body.
     pub bodies: Vec<(RobotId, BodyName)>,
     /// Limits by which the poses of a body are accepted or refused as jumps, and the window of its velocity.
@@ -160,11 +161,7 @@ impl Config {
         if fields.interface.as_ref().is_some_and(String::is_empty) {
             return Err(ConfigError::field("interface", "it is empty; give the name of a network interface, or none"));
         }
-        let [x, y] = fields.origin_m;
         let within = [
-            ("yaw_rad", fields.yaw_rad, -7.0, 7.0, "rad"),
-            ("origin_m", x, -1e4, 1e4, "m"),
-            ("origin_m", y, -1e4, 1e4, "m"),
             ("speed_most_m_s", fields.speed_most_m_s, 0.05, 50.0, "m/s"),
             ("settle_s", fields.settle_s, 0.05, 60.0, "s"),
             ("velocity_window_s", fields.velocity_window_s, 0.005, 0.5, "s"),
@@ -184,7 +181,7 @@ impl Config {
                 data_port: fields.data_port,
                 command_port: fields.command_port,
             },
-            alignment: Alignment { up: fields.up, yaw_rad: fields.yaw_rad, origin_m: fields.origin_m },
+            frame: TrackerFrame { up: fields.up, level: Alignment::new(fields.yaw_rad, fields.origin_m)? },
             bodies: bodies(&fields.bodies, robots)?,
             limits: Limits {
                 speed_most_m_s: fields.speed_most_m_s,
