@@ -597,6 +597,12 @@ interface = "wlan8"
             ("65536", "1", "link.infra.receive_buffer_bytes (line 16)"),
             ("\"unicast\"", "\"pigeon\"", "link.wires.transport (line 19)"),
             ("robot-1 = \"127.0.0.1:2\", ", "", "link.wires.peers.robot-1: missing"),
+            (
+                "peers = {",
+                "group = \"239.1.1.1:7\"\npeers = {",
+                "link.wires.group (line 21): transport 'unicast' has no",
+            ),
+            ("65536", "65536\npeers.world = \"10.0.0.1:1\"", "link.infra.peers.world (line 17): transport 'multicast'"),
             ("robot-1 = \"127", "robot-9 = \"127", "link.wires.peers.robot-9 (line 21): there is no host 'robot-9'"),
             ("[robot.2.link", "[robot.3.link", "robot.3.link.infra.interface (line 24): there is no robot '3'"),
             ("[robot.2.link", "[robot.02.link", "robot.02.link.infra.interface (line 24): there is no robot '02'"),

@@ -4,6 +4,7 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use super::fields::EVERY_INTERFACE;
 use super::layers::{LayerValue, Origin, place};
 use super::{TeamFile, kebab, text, whole_u16};
 use crate::config::ConfigError;
@@ -63,6 +64,7 @@ impl TeamFile {
         let link = &self.deployment.links[at];
         let scopes = self.scopes(Some(host));
         let transport = self.transport(&scopes, link);
+        self.check_own_fields(&scopes, link, transport)?;
         let mut values = BTreeMap::new();
         for (field, name) in
             transport.fields.iter().flat_map(|field| self.names_of(field).into_iter().map(move |n| (field, n)))
@@ -79,6 +81,22 @@ impl TeamFile {
             Some((kind, named.expect("the fields let only reliabilities through").1))
         });
         Ok(Place { endpoint, reliability: reliability.collect() })
+    }
+
+    /// Checks that no field of another transport is set on a link, where it would have no effect, except `interface`,
+    /// which a flag sets on every link. An error names the field.
+    fn check_own_fields(&self, scopes: &[String], link: &Link, own: &transport::Entry) -> Result<(), ConfigError> {
+        let foreign =
+            |field: &&Field| field.name != EVERY_INTERFACE && own.fields.iter().all(|other| other.name != field.name);
+        for field in self.registry.transports().iter().flat_map(|entry| entry.fields).filter(foreign) {
+            for name in self.names_of(field) {
+                let key = format!("link.{}.{name}", link.name);
+                let Some(LayerValue { origin, .. }) = self.layers.find(scopes, &key) else { continue };
+                let why = format!("transport '{}' has no such field; leave it out, or choose another one", own.name);
+                return Err(ConfigError::field(place(&key, &origin), why));
+            }
+        }
+        Ok(())
     }
 
     /// Returns the settings with which an operator joins the link that carries the emergency stop. An operator opens no
