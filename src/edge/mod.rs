@@ -6,6 +6,7 @@
 //! replayed like a datagram. Every packet of a worker signals a descriptor, which the real-time event loop watches.
 
 pub mod child;
+pub(crate) mod exclusive;
 mod settings;
 
 pub use settings::Settings;
@@ -39,8 +40,8 @@ pub trait Worker: Send {
     /// which a driver must stop its robot.
     fn run(self: Box<Self>, port: Port);
 
-    /// Returns the name of a resource that only one robot of the host may use, such as a network address; `None` if the
-    /// worker needs no such resource.
+    /// Returns the description of a resource that only one robot and one process of the machine may use, such as a
+    /// robot's network address; `None` if the worker needs no such resource.
     fn claim(&self) -> Option<String> {
         None
     }

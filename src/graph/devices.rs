@@ -10,6 +10,7 @@ use std::time::Duration;
 use crate::config::ConfigError;
 use crate::deploy::Host;
 use crate::drivers::Driver;
+use crate::edge::exclusive::Exclusive;
 use crate::edge::{self, Gate, Packet, Worker, WorkerState};
 use crate::localization::Source;
 use crate::messages::ids::RobotId;
@@ -94,6 +95,9 @@ pub enum DeviceError {
     /// The operating system has no file descriptor or thread left for a worker.
     #[error("a worker cannot be started: {0}")]
     Machine(#[from] std::io::Error),
+    /// Another process of this machine uses the same robot.
+    #[error("{0} is used by another program on this machine, such as a host of the same robot; end that one first")]
+    InUse(String),
 }
 
 /// Creates the drivers and the source of one host of a checked deployment, without workers and so without access to
@@ -150,9 +154,22 @@ fn make(
 }
 
 /// Starts a worker on a new thread with the given name, adds the thread to `workers`, and returns the channel to the
-/// worker.
-fn start_worker(worker: Box<dyn Worker>, name: String, workers: &mut Workers) -> std::io::Result<Rc<RefCell<Gate>>> {
+/// worker. The thread holds the lock on the worker's robot, if it claims one.
+fn start_worker(
+    worker: Box<dyn Worker>,
+    name: String,
+    workers: &mut Workers,
+) -> Result<Rc<RefCell<Gate>>, DeviceError> {
+    let claim = worker.claim();
+    let lock = claim.as_deref().map(Exclusive::lock).transpose()?.flatten();
+    if let Some(robot) = claim.filter(|_| lock.is_none()) {
+        return Err(DeviceError::InUse(robot));
+    }
     let (gate, port) = edge::channel()?;
-    workers.0.push(thread::Builder::new().name(name).spawn(move || worker.run(port))?);
+    let run = move || {
+        worker.run(port);
+        drop(lock);
+    };
+    workers.0.push(thread::Builder::new().name(name).spawn(run)?);
     Ok(Rc::new(RefCell::new(gate)))
 }

@@ -62,7 +62,7 @@ pub fn look(
     let opened = devices::open(&quiet, team.deployment.robots, registry);
     let (devices, workers) = opened.map_err(|error| match error {
         DeviceError::Config(error) => anyhow::Error::from(BadInput(error.to_string())),
-        DeviceError::Machine(_) => error.into(),
+        DeviceError::Machine(_) | DeviceError::InUse(_) => error.into(),
     })?;
     let (signal, wake_reader) = signals::listen()?;
     notes::take(true);

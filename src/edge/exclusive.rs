@@ -1,0 +1,42 @@
+//! Exclusive use of a resource, such as a robot, by one process of this machine.
+
+use std::io;
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
+
+/// Lock on a resource that only one process of this machine may use. The kernel releases it when the process ends,
+/// however it ends. Processes in different network namespaces do not exclude each other.
+#[derive(Debug)]
+pub struct Exclusive {
+    /// Socket that is bound to an abstract name made from the resource's description. It receives nothing.
+    _name: UnixDatagram,
+}
+
+impl Exclusive {
+    /// Locks the resource with this description, such as the network address of a robot. Returns `None` if another
+    /// process, or this one, has locked it.
+    pub fn lock(resource: &str) -> io::Result<Option<Exclusive>> {
+        // A digest, since an abstract name has at most 107 bytes.
+        let name = format!("murmurate/{}", blake3::hash(resource.as_bytes()).to_hex());
+        match UnixDatagram::bind_addr(&SocketAddr::from_abstract_name(name)?) {
+            Ok(_name) => Ok(Some(Exclusive { _name })),
+            Err(error) if error.kind() == io::ErrorKind::AddrInUse => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_resource_is_locked_once_at_a_time() {
+        let lock = |resource: &str| Exclusive::lock(resource).expect("sockets can be made");
+        let held = lock("a robot of this test").expect("it is free");
+        assert!(lock("a robot of this test").is_none());
+        assert!(lock(&"another ".repeat(100)).is_some(), "its description is longer than a name may be");
+        drop(held);
+        assert!(lock("a robot of this test").is_some());
+    }
+}
