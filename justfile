@@ -50,8 +50,8 @@ robot:
 full-network:
     bash netpeer/compare.sh
 
-# Robots and trackers of other programs: five of rclpy in the passage, what they apply after a host or a tracker has died, and
-# the team as ROS messages. PYTHON has rclpy (docs/ros2.md) (25 minutes, wants an idle machine)
+# Robots and trackers of other programs: five of rclpy in the passage, what they apply after a host, a tracker or gpsd has died,
+# and the team as ROS messages. PYTHON has rclpy (docs/ros2.md) (30 minutes, root, apt: gpsd, wants an idle machine)
 full-robots python="python3":
     cargo build --release --features ros2
     bash tests/peers/ros2/full.sh {{python}} target/release/murmurate

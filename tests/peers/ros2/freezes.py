@@ -2,14 +2,15 @@
 
     python3 freezes.py MURMURATE CASE [MOMENTS]
 
-CASE: kill, halt (the host of robot 0, with its agent), freeze, lost, stamp (a tracker at 100 Hz), odometry (at 10 Hz).
-Prints one line of JSON: the moments, the median and the worst time [ms]. Exit code 1 if a bar is missed.
+CASE: kill, halt (the host of robot 0, with its agent), freeze, lost, stamp (a tracker at 100 Hz), odometry (at 10 Hz),
+gps (a real gpsd at 10 Hz is halted, of a rover without odometry), fused (the same, with odometry that goes on). Prints one line of JSON: the moments, the median and the worst time [ms]. Exit code 1 if a bar is missed.
 """
 
 import json
 import os
 import pathlib
 import random
+import re
 import signal
 import statistics
 import subprocess
@@ -17,8 +18,12 @@ import sys
 import tempfile
 import time
 
-ROOT = pathlib.Path(__file__).resolve().parents[3]
-BARS_MS = {"kill": 250, "halt": 250, "freeze": 250, "lost": 250, "stamp": 250, "odometry": 400}
+HERE = pathlib.Path(__file__).resolve().parent
+ROOT = HERE.parents[2]
+ROVER = HERE.parent / "gps_rover.py"
+# Of GPS: own_state_s and 100 ms; with odometry, for alone_s longer.
+BARS_MS = {"kill": 250, "halt": 250, "freeze": 250, "lost": 250, "stamp": 250, "odometry": 400, "gps": 350, "fused": 500}
+GPSD_PORT = 29_473
 STARTS = ["/r0=-1.2,-2", "/r1=-0.6,-2", "/r2=0,-2", "/r3=0.6,-2", "/r4=1.2,-2"]
 
 
@@ -35,6 +40,15 @@ def team_file(case, folder):
     if case == "odometry":
         text = text.replace("[deployment.body]", "[deployment.body]\nheading_age_s = 0.25")
         text = text.replace("[link.air]", "[safety]\nown_state_s = 0.25\n\n[link.air]")
+    if case in ("gps", "fused"):
+        gpsd = f'name = "gpsd", address = "127.0.0.1:{GPSD_PORT}", heading = "none", origin_latitude_deg = 52.2053'
+        gpsd += ", origin_longitude_deg = 0.1218" + (", fuse = { heading_rad = 0.0, alone_s = 0.3 }" * (case == "fused"))
+        text = text.replace('source = { name = "odometry" }', "source = { " + gpsd + " }", 1)
+    if case == "gps":
+        command = json.dumps([sys.executable, str(ROVER), "drive", str(GPSD_PORT)])
+        driver = f'driver = {{ name = "program", command = {command}, speed_m_s = 1.5 }}'
+        text = re.sub(r'driver = \{ name = "ros2", namespace = "/r0".*', lambda _: driver, text)
+        text = text.replace("[link.air]", "[safety]\nown_state_s = 0.25\n\n[link.air]")
     path = folder / "team.toml"
     path.write_text(text)
     return path
@@ -48,8 +62,15 @@ def main():
     log = folder / "applied"
     options = ["--tracker-hz", "100"] if case in ("freeze", "lost", "stamp") else []
     options += ["--odom-hz", "10"] if case == "odometry" else []
-    options += ["--fault", case] if case not in ("kill", "halt") else []
-    robots = subprocess.Popen([sys.executable, HERE / "robots.py", "--log", log, *options, *STARTS])
+    options += ["--fault", case] if case in ("freeze", "lost", "stamp", "odometry") else []
+    options += ["--receiver", str(GPSD_PORT)] if case == "fused" else []
+    # The rover's log is that of robot 0.
+    robots = [sys.executable, HERE / "robots.py", *options]
+    robots += ["--log", folder / "others", *STARTS[1:]] if case == "gps" else ["--log", log, *STARTS]
+    at_fault = robots = subprocess.Popen(robots)
+    if case in ("gps", "fused"):
+        rover = ["rover", "--log", f"{log}.0", "--", "-1.2", "-2"] if case == "gps" else ["receiver"]
+        at_fault = subprocess.Popen([sys.executable, ROVER, *rover[:1], "--port", str(GPSD_PORT), *rover[1:]])
 
     def start(name):
         return subprocess.Popen([program, "host", team, "--host", name], stdout=subprocess.DEVNULL, stderr=errors)
@@ -82,7 +103,7 @@ def main():
             {
                 "kill": lambda: hosts["robot-0"].kill(),
                 "halt": lambda: hosts["robot-0"].send_signal(signal.SIGSTOP),
-            }.get(case, lambda: robots.send_signal(signal.SIGUSR1))()
+            }.get(case, lambda: at_fault.send_signal(signal.SIGUSR1))()
             time.sleep(1.0)
             after = list(speeds(at))
             moving = [when for when, speed in after if speed > 0]
@@ -93,11 +114,12 @@ def main():
             elif case == "halt":
                 hosts["robot-0"].send_signal(signal.SIGCONT)
             else:
-                robots.send_signal(signal.SIGUSR2)
+                at_fault.send_signal(signal.SIGUSR2)
             time.sleep(1.0)
     finally:
         for host in hosts.values():
             host.terminate()
+        at_fault.terminate()
         robots.kill()
     worst = max(times)
     result = {"case": case, "moments": moments, "median_ms": statistics.median(times), "worst_ms": worst}
@@ -105,6 +127,5 @@ def main():
     sys.exit(0 if worst <= BARS_MS[case] else 1)
 
 
-HERE = pathlib.Path(__file__).resolve().parent
 if __name__ == "__main__":
     main()

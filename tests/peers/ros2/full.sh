@@ -30,7 +30,7 @@ crosses teams/ros2.toml "$episodes" $((episodes * 61 / 64)) /r0=-1.2,-2 /r1=-0.6
 wait "$watcher" || missed=1
 cat /tmp/murmurate-listen.txt
 crosses teams/mixed.toml 16 14 /r0=-1.2,-2 /r1=-0.6,-2 /r2=0,-2
-for case in kill halt freeze lost stamp odometry; do
+for case in kill halt freeze lost stamp odometry gps fused; do
     "$python" tests/peers/ros2/freezes.py "$program" "$case" "$moments" || missed=1
 done
 for _ in 1 2 3; do

@@ -4,14 +4,17 @@
 
 The log has a line for each robot and step: time [s], robot, speed [m/s]. SIGUSR1 begins the fault of the first robot
 (of all robots, if the tracker freezes), SIGUSR2 ends it. Kinds: odometry (no more Odometry), freeze (the tracker says
-nothing), lost (it leaves out the robot), stamp (it repeats its last message).
+nothing), lost (it leaves out the robot), stamp (it repeats its last message). With --receiver PORT the first robot tells
+the satellite receiver on it (../gps_rover.py) where it is.
 """
 
 import argparse
 import importlib.util
+import json
 import math
 import pathlib
 import signal
+import socket
 import time
 
 import rclpy
@@ -33,6 +36,7 @@ class Measured(ros2_robots.Robot):
         self.log = open(f"{options.log}.{number}", "w")
         self.said, self.publish = 0.0, self.odometry.publish
         self.odometry.publish = self.rarely
+        self.receiver = options.receiver and number == 0 and socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         if options.tracker_hz:
             self.tracker = self.create_publisher(PoseStamped, "pose", 10)
             self.last = None
@@ -52,6 +56,12 @@ class Measured(ros2_robots.Robot):
         speed = math.hypot(twist.linear.x, twist.linear.y)
         self.log.write(f"{time.monotonic():.4f} {speed:.4f}\n")
         self.log.flush()
+        if self.receiver:
+            x, y, yaw = self.pose
+            vx, vy = twist.linear.x, twist.linear.y
+            vx, vy = math.cos(yaw) * vx - math.sin(yaw) * vy, math.sin(yaw) * vx + math.cos(yaw) * vy
+            told = json.dumps({"x": x, "y": y, "vx": vx, "vy": vy})
+            self.receiver.sendto(told.encode(), ("127.0.0.1", self.options.receiver))
 
     def track(self):
         if self.faulty and self.options.fault in ("freeze", "lost"):
@@ -71,6 +81,7 @@ def main():
     parser.add_argument("--odom-hz", type=float, default=50)
     parser.add_argument("--tracker-hz", type=float, default=0)
     parser.add_argument("--fault", choices=["odometry", "freeze", "lost", "stamp"])
+    parser.add_argument("--receiver", type=int, metavar="PORT")
     parser.add_argument("robots", nargs="+", metavar="NAMESPACE=X,Y[,YAW]")
     options = parser.parse_args()
     rclpy.init(args=[])
