@@ -108,9 +108,10 @@ impl LiveHost {
         done: impl FnMut(&Rc<Graph>, Time) -> bool,
     ) -> Rc<Graph> {
         let LiveHost { mut host, workers, plan, .. } = self;
-        let observer = host.devices.observation.take().map(Observer::new);
+        let observer = Rc::new(RefCell::new(host.devices.observation.take().map(Observer::new)));
+        let observing = Rc::clone(&observer);
         let heard = move |host: HostId, event: ProcessEvent| {
-            if let (Some(observer), ProcessEvent::Message(message)) = (&observer, event) {
+            if let (Some(observer), ProcessEvent::Message(message)) = (&*observing.borrow(), event) {
                 observer.hear(Time::ZERO + Span::from_secs(origin.elapsed().as_secs_f64()), message);
             }
             heard(host, event);
@@ -124,6 +125,8 @@ impl LiveHost {
             },
             done,
         );
+        // The graph, which goes on, holds what is called for each event: the observer's worker would never end.
+        drop(observer.take());
         workers.join();
         graph
     }

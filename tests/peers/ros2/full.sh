@@ -17,8 +17,9 @@ crosses() { # TEAM EPISODES LEAST START...: runs a team with these robots
     "$python" examples/ros2_robots.py "$@" &
     robots=$!
     sleep 4
-    successes=$("$program" launch "$team" --set episodes="$count" --json --quiet 2>/dev/null |
+    successes=$("$program" launch "$team" --set episodes="$count" --json --quiet 2>/tmp/murmurate-hosts.log |
         grep -o '"successes":[0-9]*' | head -1 | grep -o '[0-9]*$')
+    grep abandoned /tmp/murmurate-hosts.log && missed=1
     kill "$robots" && wait "$robots" 2>/dev/null || true
     echo "$team: $successes of $count episodes succeeded, bar $least"
     [ "$successes" -ge "$least" ] || missed=1
@@ -33,6 +34,7 @@ crosses teams/mixed.toml 16 14 /r0=-1.2,-2 /r1=-0.6,-2 /r2=0,-2
 for case in kill halt freeze lost stamp odometry gps fused; do
     "$python" tests/peers/ros2/freezes.py "$program" "$case" "$moments" || missed=1
 done
+"$python" tests/peers/ros2/doctor.py "$program" || missed=1
 for _ in 1 2 3; do
     "$python" tests/peers/ros2/hostile.py "$program" 20000 || missed=1
 done
