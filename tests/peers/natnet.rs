@@ -159,7 +159,9 @@ pub fn frame(version: Version, scene: &Scene) -> Vec<u8> {
     out.i32(0);
     out.0.extend(scene.stamp_s.to_le_bytes());
     (0..3).for_each(|_| out.0.extend(((scene.stamp_s * 1e7) as u64).to_le_bytes()));
-    if version >= [4, 1] {
+    // The precise stamp. The manufacturer's parser reads it from 4.0 on, its comment there says 4.1, and clients of
+    // others do not miss it: so 4.0 has it here.
+    if version >= [4, 0] {
         out.i32(scene.stamp_s as i32);
         out.i32(0);
     }
