@@ -85,6 +85,11 @@ impl Reason {
     pub fn text(&self) -> &str {
         &self.0
     }
+
+    /// Returns true if the reason is the beginning of a longer text.
+    pub fn is_cut(&self) -> bool {
+        self.0.ends_with(CUT)
+    }
 }
 
 impl fmt::Display for Reason {
@@ -156,6 +161,7 @@ mod tests {
         let long = text(&"\u{fc}".repeat(200)).unwrap();
         assert_eq!((long.len(), long.ends_with("?...")), (MAX_REASON, true));
         assert_eq!(text(&"x".repeat(80)).unwrap().len(), 80);
+        assert!(!Reason::new(&"x".repeat(80)).unwrap().is_cut() && Reason::new(&"x".repeat(81)).unwrap().is_cut());
     }
 
     #[test]

@@ -7,7 +7,7 @@ use crate::actors::verdict::Verdict;
 use crate::deploy::team::Team;
 use crate::graph::bench::Event;
 use crate::messages::ids::RobotId;
-use crate::messages::wire::{Hardware, Health, Reading};
+use crate::messages::wire::{Hardware, Health, Reading, Reason};
 use crate::time::{Span, Time};
 
 use super::{Found, Status, Subject, notes};
@@ -187,9 +187,10 @@ impl Seen {
             Some(hardware) if hardware.health != Health::Ready => {
                 let state = if hardware.health == Health::Silent { "does not answer" } else { "faulty" };
                 let reason = hardware.reason.as_ref().map(|reason| reason.text().to_owned());
-                // The worker's log message is longer than the reason, and says what to do.
-                let note = notes::newest(&[&format!("driver {}", robot.0)]);
-                let note = note.filter(|_| hardware.health == Health::Silent).or(reason);
+                // The log's message is longer than the reason, which may be cut, and says what to do.
+                let short = hardware.reason.as_ref().is_none_or(Reason::is_cut);
+                let note = notes::newest(&[&format!("driver {}", robot.0)]).or_else(|| notes::about(robot));
+                let note = note.filter(|_| hardware.health == Health::Silent || short).or(reason);
                 let why = note.map_or(String::new(), |note| format!(": {note}"));
                 fail(format!("{state}{why}{}", values()), "look at the robot and at its settings")
             }

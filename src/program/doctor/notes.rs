@@ -7,6 +7,7 @@ use std::fmt;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use crate::messages::ids::RobotId;
 use tracing::field::{Field, Visit};
 use tracing::{Event, Subscriber};
 use tracing_subscriber::Layer;
@@ -64,4 +65,25 @@ pub fn take(open: bool) {
 pub fn newest(from: &[&str]) -> Option<String> {
     let notes = NOTES.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
     notes.iter().rev().find(|note| from.contains(&note.from.as_str())).map(|note| note.text.clone())
+}
+
+/// Returns the text of the newest collected warning that begins with the name of `robot`, without this name; `None` if
+/// there is none. Drivers warn on the thread of all actors, where the robot's name alone distinguishes them.
+pub fn about(robot: RobotId) -> Option<String> {
+    let name = format!("{robot}: ");
+    let notes = NOTES.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+    notes.iter().rev().find_map(|note| note.text.strip_prefix(&name).map(str::to_owned))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_warning_is_found_by_the_robot_that_it_names() {
+        let note = |text: &str| Note { from: "body".to_owned(), text: text.to_owned() };
+        NOTES.lock().unwrap().extend(["robot 91: old", "robot 91: new", "robot 9: other"].map(note));
+        assert_eq!(about(RobotId(91)).as_deref(), Some("new"));
+        assert_eq!((about(RobotId(9)).as_deref(), about(RobotId(1))), (Some("other"), None));
+    }
 }
