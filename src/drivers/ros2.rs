@@ -33,6 +33,8 @@ const ZEROS: [Span; 2] = [Span::from_millis(20), Span::from_millis(200)];
 const BLIND: Span = Span::from_millis(1000);
 /// Time without odometry since the start after which a warning is logged. DDS discovery takes 1.3 s, at worst 5.7 s.
 const DISCOVERY: Span = Span::from_millis(6000);
+/// Reason and warning before the first odometry. It fits into a [`Reason`] whole.
+const UNHEARD: &str = "no odometry is heard: see namespace, odom, interface and its ROS_DOMAIN_ID";
 /// Validity of a zero velocity that is sent \[ms\], longer than the longest period of zero velocities.
 const ZERO_FOR_MS: u32 = 300;
 /// Largest speed \[m/s\] and yaw rate \[rad/s\] at which a robot counts as standing. The noise of wheel encoders is
@@ -224,7 +226,7 @@ impl Ros2 {
             return (Health::Faulty, reason(&format!("{topic}: {problem}")));
         }
         match (self.silence, self.heard) {
-            (Some(_), None) => (Health::Silent, reason("no odometry is heard")),
+            (Some(_), None) => (Health::Silent, reason(UNHEARD)),
             (Some(_), Some(_)) if self.is_silent(now) => (Health::Faulty, reason("its odometry is silent")),
             _ if obeyed => (Health::Ready, None),
             // The robot reports odometry, but nothing subscribes to its commands yet.
@@ -371,9 +373,7 @@ impl Driver for Ros2 {
         if self.waits.is_some_and(|since| now >= since + DISCOVERY) {
             self.waits = None;
             let robot = self.robot;
-            tracing::warn!(
-                "{robot}: no odometry is heard; see `namespace`, `odom`, `interface`, and its ROS_DOMAIN_ID"
-            );
+            tracing::warn!("{robot}: {UNHEARD}");
         }
         if !self.silent && self.heard.is_some() && self.is_silent(now) {
             self.silent = true;
@@ -501,6 +501,7 @@ mod tests {
     fn silent_odometry_is_a_fault_and_the_robot_stands_until_it_is_back() {
         let mut bench = Bench::new("");
         assert_eq!(bench.condition(), Some((Health::Silent, None)));
+        assert!(!Reason::new(UNHEARD).unwrap().is_cut());
         bench.drive(0, Some([0.2, 0.0, 0.0]));
         assert_eq!(bench.sent()[0].x, 0.0, "nothing is known of the robot");
         bench.odometry(100, 0.0);
