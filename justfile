@@ -88,3 +88,9 @@ full-python:
 full-twin:
     cargo build --release
     bash tests/peers/twin/full.sh target/release/murmurate
+
+# How true the lab is on this machine, and how much it carries (10 minutes, root, /dev/net/tun, wants an idle machine)
+full-lab:
+    cargo build --release --features lab
+    cargo test --release --features lab --test lab
+    bash tests/peers/lab/full.sh target/release/murmurate

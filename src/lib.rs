@@ -10,9 +10,9 @@
 //! # Modules in their order
 //! Each module may use those before it, never those after: `time`, `random`, `config`, `messages`, `actor`, `cells`,
 //! `chassis`; `hearing`, `faults`; `scenario`, `policy`, `world`, `safety`; `edge`, `ros2`, `drivers`, `estimation`,
-//! `localization`; `net::protocol`, `net::transport`, `registry`, `net::media`; `report`; then [`actors`], and beside
-//! them [`train`], which uses no actor; `deploy`; `runtime`, which runs actors; `graph`, which connects them; `record`;
-//! `trial`; `view`, the live page; `live`, `study`; `program`, the command line. `tests/tidy.rs` checks it.
+//! `localization`; `net::protocol`, `net::transport`, `registry`, `net::media`, `lab`; `report`; then [`actors`], and
+//! beside them [`train`], which uses no actor; `deploy`; `runtime`, which runs actors; `graph`, which connects them;
+//! `record`; `trial`; `view`, the live page; `live`, `study`; `program`, the command line. `tests/tidy.rs` checks it.
 //!
 //! # Where to start reading
 //! [`messages::wire`], then [`actors`], then `graph/mod.rs`, which connects the actors. [`trial`] runs all of it from a
@@ -32,6 +32,8 @@ pub mod estimation;
 pub mod faults;
 pub mod graph;
 pub mod hearing;
+#[cfg(feature = "lab")]
+pub mod lab;
 #[cfg(feature = "host")]
 pub mod live;
 pub mod localization;

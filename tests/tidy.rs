@@ -53,7 +53,7 @@ fn sources(folder: &str) -> Vec<Source> {
 }
 
 /// Rooms of the library, each after those that it may use.
-const ROOMS: [&str; 34] = [
+const ROOMS: [&str; 35] = [
     "time",
     "random",
     "config",
@@ -76,6 +76,7 @@ const ROOMS: [&str; 34] = [
     "net::transport",
     "registry",
     "net::media",
+    "lab",
     "report",
     "actors",
     "train",

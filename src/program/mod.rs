@@ -19,6 +19,8 @@ mod host;
 #[cfg(feature = "sim")]
 mod jobs;
 mod key;
+#[cfg(feature = "lab")]
+mod lab;
 #[cfg(feature = "sim")]
 mod launch;
 mod names;
@@ -60,7 +62,7 @@ use std::sync::OnceLock;
 #[cfg(feature = "sim")]
 use std::sync::atomic::AtomicBool;
 
-#[cfg(feature = "sim")]
+#[cfg(any(feature = "sim", feature = "lab"))]
 use anyhow::Context;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -114,6 +116,10 @@ enum Command {
     #[cfg(feature = "sim")]
     /// Runs every process of a team on this machine, in real time, and prints the same table as `sim`.
     Launch(Box<launch::Args>),
+    #[cfg(feature = "lab")]
+    /// Runs any program in stations whose frames travel over the emulated radio channel, in real time.
+    #[command(subcommand)]
+    Lab(lab::Args),
     /// Looks at records, repairs, merges and exports them.
     #[cfg(feature = "sim")]
     #[command(subcommand)]
@@ -229,7 +235,7 @@ static NAME: OnceLock<String> = OnceLock::new();
 static STARTED_BY: OnceLock<Vec<OsString>> = OnceLock::new();
 
 /// Returns the words of the command that starts this program again, to which arguments are added.
-#[cfg(feature = "sim")]
+#[cfg(any(feature = "sim", feature = "lab"))]
 fn this_program() -> anyhow::Result<Vec<OsString>> {
     match STARTED_BY.get() {
         Some(words) => Ok(words.clone()),
@@ -318,6 +324,8 @@ fn run(command: Command, registry: &Registry) -> anyhow::Result<Ended> {
         Command::Host(args) => host::run(&args, registry),
         #[cfg(feature = "sim")]
         Command::Launch(args) => launch::run(&args, registry),
+        #[cfg(feature = "lab")]
+        Command::Lab(args) => lab::run(&args),
         #[cfg(feature = "sim")]
         Command::Record(args) => record::run(&args),
         #[cfg(feature = "sim")]

@@ -22,7 +22,7 @@ use crate::program::own_name;
 use crate::program::policy;
 
 /// Team file, and flags that override its fields.
-#[derive(clap::Args)]
+#[derive(Clone, clap::Args)]
 pub struct TeamArgs {
     /// Team file (docs/teams.md)
     #[arg(value_name = "TEAM.toml")]
@@ -57,6 +57,12 @@ impl TeamArgs {
     #[cfg(feature = "study")]
     pub fn of(file: PathBuf, set: Vec<String>) -> TeamArgs {
         TeamArgs { file, set, interface: None, key_file: None }
+    }
+
+    /// Sets the network interface of the link `link` on all hosts.
+    #[cfg(all(feature = "lab", feature = "sim"))]
+    pub fn set_interface(&mut self, link: &str, interface: &str) {
+        self.set.push(format!("link.{link}.interface={interface}"));
     }
 
     /// Returns the path of the team file.

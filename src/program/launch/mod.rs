@@ -4,6 +4,8 @@
 //! passed on with the host's name before each line.
 
 mod outcome;
+#[cfg(feature = "lab")]
+mod stations;
 mod supervisor;
 
 use std::collections::BTreeMap;
@@ -46,6 +48,10 @@ pub struct Args {
     /// network namespaces; its words are separated by spaces
     #[arg(long, value_name = "COMMAND")]
     through: Option<String>,
+    /// Runs each process in a station of a laboratory: links by radio on its channel, all others on its cable
+    #[cfg(feature = "lab")]
+    #[arg(long, value_name = "FILE", conflicts_with = "through")]
+    lab: Option<std::path::PathBuf>,
     #[command(flatten)]
     record: recording::RecordFlags,
     #[cfg(feature = "watch")]
@@ -66,24 +72,25 @@ const COLOURS: [u8; 10] = [36, 32, 33, 35, 34, 96, 92, 93, 95, 94];
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     #[cfg(feature = "watch")]
     args.page.check()?;
-    let file = args.team.read(registry)?;
-    let teams: Vec<Team> = file.hosts().map(|host| args.team.for_host(&file, host)).collect::<Result<_>>()?;
+    #[cfg(feature = "lab")]
+    if let Some(file) = &args.lab {
+        return stations::run(args, file, registry);
+    }
+    run_team(args, &args.team, &|host, _| through(args, host), registry)
+}
+
+/// Starts the team `team`, waits for it, and prints the results. `before` returns the words that precede the command of
+/// a process, by the name and the number of its host.
+fn run_team(
+    args: &Args,
+    team: &team::TeamArgs,
+    before: &dyn Fn(&str, usize) -> Vec<String>,
+    registry: &Registry,
+) -> Result<Ended> {
+    let file = team.read(registry)?;
+    let teams: Vec<Team> = file.hosts().map(|host| team.for_host(&file, host)).collect::<Result<_>>()?;
     let policy = checked(&teams, registry)?;
-    let program = this_program()?;
-    let processes = file.deployment().hosts.iter().map(|host| {
-        let (program, mut flags) = (program.clone(), team_arguments(&args.team));
-        flags.extend(["--host".into(), host.name.clone().into(), "--json".into(), "--launched".into()]);
-        flags.extend(args.record.arguments());
-        let before = through(args, &host.name);
-        let command = move || {
-            let mut words = before.iter().map(OsString::from).chain(program.clone());
-            let mut command = Command::new(words.next().expect("the program is one of them"));
-            command.args(words).arg("host").args(&flags);
-            command
-        };
-        Process { name: host.name.clone(), command: Box::new(command) }
-    });
-    let supervisor = Supervisor::new(processes.collect(), Limits::default());
+    let supervisor = Supervisor::new(processes(args, team, &file, before)?, Limits::default());
     let stopper = supervisor.stopper();
     let interrupted = Arc::new(AtomicBool::new(false));
     let signal = Arc::clone(&interrupted);
@@ -95,7 +102,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
 
     let names: Vec<String> = file.deployment().hosts.iter().map(|host| host.name.clone()).collect();
     let mut results = Results::new(&names, teams[0].episodes, args.quiet);
-    let outcome = supervise(args, registry, &file, supervisor, &mut results)?;
+    let outcome = supervise(args, team, registry, &file, supervisor, &mut results)?;
     if let Outcome::Refused(why) = outcome {
         return Err(BadInput(why).into());
     }
@@ -134,6 +141,30 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     }
 }
 
+/// Returns the processes of all hosts.
+fn processes(
+    args: &Args,
+    team: &team::TeamArgs,
+    file: &TeamFile,
+    before: &dyn Fn(&str, usize) -> Vec<String>,
+) -> Result<Vec<Process>> {
+    let program = this_program()?;
+    let of = |(number, host): (usize, &crate::deploy::Host)| {
+        let (program, mut flags) = (program.clone(), team_arguments(team));
+        flags.extend(["--host".into(), host.name.clone().into(), "--json".into(), "--launched".into()]);
+        flags.extend(args.record.arguments());
+        let before = before(&host.name, number);
+        let command = move || {
+            let mut words = before.iter().map(OsString::from).chain(program.clone());
+            let mut command = Command::new(words.next().expect("the program is one of them"));
+            command.args(words).arg("host").args(&flags);
+            command
+        };
+        Process { name: host.name.clone(), command: Box::new(command) }
+    };
+    Ok(file.deployment().hosts.iter().enumerate().map(of).collect())
+}
+
 /// Returns the words of the flag `--through` that precede the command of a host's process, with `{host}` replaced by
 /// the host's name; empty without the flag.
 fn through(args: &Args, host: &str) -> Vec<String> {
@@ -148,6 +179,7 @@ fn through(args: &Args, host: &str) -> Vec<String> {
 /// meanwhile if `--watch` is given. Returns how the run ended.
 fn supervise(
     args: &Args,
+    _team: &team::TeamArgs,
     _registry: &Registry,
     _file: &TeamFile,
     supervisor: Supervisor,
@@ -157,11 +189,11 @@ fn supervise(
     if args.page.watch {
         let (sender, receiver) = std::sync::mpsc::channel();
         results.page = Some(sender);
-        let page = watch::team::Page::open(_file, &args.team, &args.page.page, _registry, Some(receiver))?;
+        let page = watch::team::Page::open(_file, _team, &args.page.page, _registry, Some(receiver))?;
         let over = AtomicBool::new(false);
         return Ok(std::thread::scope(|scope| {
             scope.spawn(|| {
-                if let Err(error) = page.run(&args.team, _registry, None, || over.load(Ordering::Relaxed)) {
+                if let Err(error) = page.run(_team, _registry, None, || over.load(Ordering::Relaxed)) {
                     talk(&format!("warning: the page has ended: {error:#}"));
                 }
             });

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::case::Addressing;
 use crate::net::media::radio::Radio;
-use crate::net::media::radio::bianchi::{Lengths, Saturation};
+use crate::net::media::radio::bianchi::Saturation;
 
 /// Team sizes for which the load of a channel is tabulated.
 pub const SIZES: [usize; 8] = [5, 10, 20, 50, 100, 200, 500, 1000];
@@ -54,17 +54,7 @@ impl Load {
         };
         let model = match addressing {
             Addressing::Unicast => Saturation::of_radio(radio, robots, datagram_bytes),
-            Addressing::Multicast => {
-                let frame = radio.multicast_airtime(datagram_bytes);
-                // Multicast is not acknowledged, so the contention window never grows.
-                let lengths = Lengths {
-                    slot: times.slot,
-                    success: frame + times.propagation + times.aifs,
-                    collision: frame + times.propagation + times.recovery,
-                    payload: radio.payload_airtime(datagram_bytes),
-                };
-                Saturation::of(robots, radio.cw_min + 1, 0, &lengths)
-            }
+            Addressing::Multicast => Saturation::of_multicast(radio, robots, datagram_bytes),
         };
         let messages_per_s = RATE * robots as f64;
         Load {

@@ -84,6 +84,20 @@ impl Saturation {
         let stages = ((radio.cw_max + 1) / (radio.cw_min + 1)).ilog2();
         Saturation::of(stations, radio.cw_min + 1, stages.cast_signed(), &lengths)
     }
+
+    /// Solves Bianchi's model for `stations` stations on the channel `radio` that always have a multicast datagram of
+    /// `datagram_bytes` bytes to send, in one hop. It is not acknowledged, so the contention window never grows.
+    pub fn of_multicast(radio: &Radio, stations: usize, datagram_bytes: usize) -> Saturation {
+        let times = radio.times();
+        let frame = radio.multicast_airtime(datagram_bytes);
+        let lengths = Lengths {
+            slot: times.slot,
+            success: frame + times.propagation + times.aifs,
+            collision: frame + times.propagation + times.recovery,
+            payload: radio.payload_airtime(datagram_bytes),
+        };
+        Saturation::of(stations, radio.cw_min + 1, 0, &lengths)
+    }
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@
 
 use rand::RngExt;
 
-use super::counts::RadioCounts;
+use super::counts::{RadioCounts, StationCounts};
 pub use super::station::Destination;
 use super::station::{Hop, QueuedFrame, Station};
 use super::{Radio, Times, Topology};
@@ -30,6 +30,29 @@ pub struct Delivery<T> {
     /// Index of the station that received the frame.
     pub to: u16,
     /// The caller's payload, a copy of the one given when the frame was offered.
+    pub token: T,
+}
+
+/// Frame that a station of a radio channel, or its access point, has transmitted, as a monitor sees it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Transmission<T> {
+    /// Time at which the transmission began.
+    pub since: Time,
+    /// Time at which the frame's last bit was sent.
+    pub until: Time,
+    /// Index of the transmitting station. An access point has the index after the last member.
+    pub by: u16,
+    /// Index of the station that offered the frame.
+    pub from: u16,
+    /// Final receivers of the frame.
+    pub to: Destination,
+    /// Whether this transmission is addressed to one receiver, which acknowledges it: the final one or an access point.
+    pub unicast: bool,
+    /// Number of earlier transmissions of the same frame by this station.
+    pub retry: u32,
+    /// Whether another frame was transmitted at the same time, so that neither could be read.
+    pub collided: bool,
+    /// Payload with which the caller offered the frame to the channel.
     pub token: T,
 }
 
@@ -65,6 +88,8 @@ pub struct Channel<T> {
     noise: Stream,
     foreign: Stream,
     counts: RadioCounts,
+    /// Transmissions since the last call of `transmissions`; `None` if they are not recorded.
+    transmissions: Option<Vec<Transmission<T>>>,
 }
 
 impl<T: Clone> Channel<T> {
@@ -93,6 +118,7 @@ impl<T: Clone> Channel<T> {
             noise: seed.stream("noise"),
             foreign: seed.stream("foreign"),
             counts: RadioCounts::default(),
+            transmissions: None,
             radio,
         };
         if channel.radio.background > 0.0 {
@@ -135,6 +161,26 @@ impl<T: Clone> Channel<T> {
     /// Returns the counters of frames and airtime from time zero to `now`, the present time.
     pub fn counts(&self, now: Time) -> RadioCounts {
         RadioCounts { channel_ns: now.as_nanos(), ..self.counts }
+    }
+
+    /// Returns the counters of the station with index `station` since time zero; those of the access point have the
+    /// index after the last member.
+    ///
+    /// # Panics
+    /// If there is no such station.
+    pub fn station_counts(&self, station: u16) -> StationCounts {
+        self.stations[usize::from(station)].counts
+    }
+
+    /// Records every transmission from now on, for `transmissions`.
+    pub fn record_transmissions(&mut self) {
+        self.transmissions.get_or_insert_default();
+    }
+
+    /// Returns the recorded transmissions since the last call, in the order of their ends, without frames of other
+    /// networks.
+    pub fn transmissions(&mut self) -> Vec<Transmission<T>> {
+        self.transmissions.as_mut().map(std::mem::take).unwrap_or_default()
     }
 
     /// Returns the number of frames in the transmit queue of the station with index `station`.
@@ -181,8 +227,10 @@ impl<T: Clone> Channel<T> {
     /// full. If the queue was empty, schedules the station's transmission.
     fn push(&mut self, now: Time, station: usize, frame: QueuedFrame<T>) {
         let at = &mut self.stations[station];
+        at.counts.offered += 1;
         if at.queue.len() >= self.radio.queue {
             self.counts.lost_queue += frame.copies();
+            at.counts.lost_queue += 1;
             return;
         }
         at.queue.push_back(frame);
@@ -217,12 +265,7 @@ impl<T: Clone> Channel<T> {
         for (at, station) in self.stations.iter_mut().enumerate() {
             if station.pass(slot, self.radio.counting) {
                 let frame = station.queue.front().expect("a station that sends has a frame");
-                let airtime = if frame.unicast() {
-                    self.radio.frame_airtime(frame.bytes)
-                } else {
-                    self.radio.multicast_airtime(frame.bytes)
-                };
-                longest = longest.max(airtime);
+                longest = longest.max(frame.airtime(&self.radio));
                 self.senders.push(at);
             }
         }
@@ -241,30 +284,58 @@ impl<T: Clone> Channel<T> {
             let frame = self.stations[at].queue.pop_front().expect("a station that has sent has a frame");
             if frame.hop != Hop::Foreign {
                 own = true;
-                self.counts.transmissions += 1;
-                self.counts.collided += u64::from(collision);
+                self.count_transmission(at, &frame, since, collision);
             }
             if !frame.unicast() {
                 self.stations[at].done(&self.radio, &mut self.backoff);
                 if collision {
                     self.counts.lost_collision += frame.copies();
+                    self.stations[at].counts.lost_collision += 1;
                 } else {
                     idle = self.times.aifs;
                     self.deliver_multicast(until, &frame, deliveries);
                 }
             } else if !collision && self.receives(&frame) {
                 taken = taken + self.times.acknowledged;
+                self.stations[at].counts.airtime_ns += self.times.acknowledged.as_nanos();
                 idle = self.times.acknowledged + self.times.aifs;
                 self.stations[at].done(&self.radio, &mut self.backoff);
                 self.receive_unicast(until, frame, deliveries);
             } else if let Some(dropped) = self.stations[at].failed(frame, &self.radio, &mut self.backoff) {
                 self.counts.lost_retries += dropped.copies();
+                self.stations[at].counts.lost_retries += 1;
             }
         }
         (self.senders, self.on_air) = (senders, None);
         self.free_at = until + idle;
         let time = if own { &mut self.counts.airtime_ns } else { &mut self.counts.foreign_ns };
         *time += taken.as_nanos();
+    }
+
+    /// Counts a transmission of `frame` by the station with index `at`, and records it if transmissions are recorded.
+    fn count_transmission(&mut self, at: usize, frame: &QueuedFrame<T>, since: Time, collided: bool) {
+        self.counts.transmissions += 1;
+        self.counts.collided += u64::from(collided);
+        let airtime = frame.airtime(&self.radio);
+        let station = &mut self.stations[at];
+        let retry = station.failures();
+        station.counts.transmissions += 1;
+        station.counts.retries += u64::from(retry > 0);
+        station.counts.collided += u64::from(collided);
+        station.counts.airtime_ns += airtime.as_nanos();
+        if let (Some(all), Some(token)) = (&mut self.transmissions, &frame.token) {
+            all.push(Transmission {
+                since,
+                until: since + airtime,
+                by: at as u16,
+                from: frame.from,
+                to: frame.to.clone(),
+                unicast: frame.unicast(),
+                retry,
+                collided,
+                token: token.clone(),
+            });
+        }
     }
 
     /// Returns whether the receiver of a unicast frame that did not collide can decode it: it is in range, and no noise
@@ -308,8 +379,10 @@ impl<T: Clone> Channel<T> {
         for &to in listeners.iter().filter(|&&to| to != frame.from) {
             if frame.hop == Hop::Direct && !self.in_range(frame.from, to) {
                 self.counts.lost_range += 1;
+                self.stations[usize::from(to)].counts.missed_range += 1;
             } else if self.lost_to_noise() {
                 self.counts.lost_noise += 1;
+                self.stations[usize::from(to)].counts.missed_noise += 1;
             } else {
                 self.deliver(at, frame.from, to, frame.token.as_ref(), deliveries);
             }
@@ -318,6 +391,7 @@ impl<T: Clone> Channel<T> {
 
     fn deliver(&mut self, at: Time, from: u16, to: u16, token: Option<&T>, deliveries: &mut Vec<Delivery<T>>) {
         self.counts.arrived += 1;
+        self.stations[usize::from(to)].counts.received += 1;
         let token = token.expect("frames of other networks are not delivered").clone();
         deliveries.push(Delivery { at, from, to, token });
     }

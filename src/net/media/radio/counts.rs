@@ -52,6 +52,34 @@ counts! {
     channel_ns,
 }
 
+/// Counters of one station of a radio channel, or of its access point. Losses count at the station that transmits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StationCounts {
+    /// Number of datagrams that were offered to the station; for an access point, that it has to relay.
+    pub offered: u64,
+    /// Number of frames that the station has transmitted, with retries.
+    pub transmissions: u64,
+    /// Number of these that were retries of an unacknowledged unicast frame.
+    pub retries: u64,
+    /// Number of these that collided with another frame.
+    pub collided: u64,
+    /// Number of datagrams delivered to the station.
+    pub received: u64,
+    /// Number of datagrams lost because the station's transmit queue was full.
+    pub lost_queue: u64,
+    /// Number of datagrams lost because a unicast frame reached its retry limit without an acknowledgement.
+    pub lost_retries: u64,
+    /// Number of multicast frames lost in a collision.
+    pub lost_collision: u64,
+    /// Number of multicast frames of others that the station did not receive because of noise.
+    pub missed_noise: u64,
+    /// Number of multicast frames of others that the station did not receive because it was out of range.
+    pub missed_range: u64,
+    /// Time that the station's frames and their acknowledgements took on the air \[ns\]. Frames that collide count at
+    /// each of their senders.
+    pub airtime_ns: u64,
+}
+
 impl RadioCounts {
     /// Returns the number of lost deliveries for each cause, with a text for the cause; numbers may be zero.
     pub fn causes(&self) -> impl Iterator<Item = (u64, &'static str)> {

@@ -5,8 +5,10 @@ use std::sync::Arc;
 
 use rand::RngExt;
 
+use super::counts::StationCounts;
 use super::{Counting, Radio};
 use crate::random::Stream;
+use crate::time::Span;
 
 /// Receivers of a frame on a radio channel, as indices of stations.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -57,6 +59,11 @@ impl<T> QueuedFrame<T> {
         }
     }
 
+    /// Returns the time that the frame takes on the air, on a channel with the parameters `radio`.
+    pub fn airtime(&self, radio: &Radio) -> Span {
+        if self.unicast() { radio.frame_airtime(self.bytes) } else { radio.multicast_airtime(self.bytes) }
+    }
+
     /// Returns true if the frame is sent by unicast, and so acknowledged.
     pub fn unicast(&self) -> bool {
         match self.hop {
@@ -73,6 +80,8 @@ pub(super) struct Station<T> {
     pub queue: VecDeque<QueuedFrame<T>>,
     /// Frame that refills an empty queue if the station is saturated; `None` if it is not.
     pub refill: Option<QueuedFrame<T>>,
+    /// Counters of the station.
+    pub counts: StationCounts,
     /// Backoff counter: number of slots that the station still waits after the medium becomes idle before it transmits
     /// or, with an empty queue, may transmit a new frame. `None` if no backoff is in progress: a new frame may be sent
     /// at once.
@@ -84,13 +93,25 @@ pub(super) struct Station<T> {
 impl<T: Clone> Station<T> {
     /// Makes an idle station with the contention window that the channel's parameters `radio` give.
     pub fn new(radio: &Radio) -> Station<T> {
-        Station { queue: VecDeque::new(), refill: None, counter: None, window: radio.cw_min, failures: 0 }
+        Station {
+            queue: VecDeque::new(),
+            refill: None,
+            counts: StationCounts::default(),
+            counter: None,
+            window: radio.cw_min,
+            failures: 0,
+        }
     }
 
     /// Returns the slot, counted since the medium became idle, in which the station transmits if the medium stays idle.
     /// `None` means that the station has nothing to send.
     pub fn slot(&self) -> Option<u64> {
         self.counter.filter(|_| !self.queue.is_empty())
+    }
+
+    /// Returns the number of failed transmissions of the frame at the front of the queue.
+    pub fn failures(&self) -> u32 {
+        self.failures
     }
 
     /// Schedules the transmission of a frame that came to an empty queue while the medium was idle: in slot number

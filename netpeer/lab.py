@@ -1,0 +1,258 @@
+#!/usr/bin/env python3
+"""Compares messaging peers on the emulated radio of `murmurate lab`, interleaved. One JSON line a run, and a table.
+
+    NETPEERS=/path/to/harness netpeer/lab.py --out rows.jsonl [--peers raw,fdds-uni-rel,ours] [--robots 3,5,10] ...
+
+Every peer is a command by the contract of the harness (NP_ID, NP_RATE, NP_DIR and so on; its README has it all): one
+process is one participant. It runs in a station of a lab, so its frames contend for the channel like those of any program.
+Peers are those of $NETPEERS/peers.txt, with {B} for $BUILD (default $NETPEERS/.build), and `ours`: the example `netpeer`.
+A name that is no peer's is taken as a command. Needs root and a program with the feature `lab`.
+
+Fields of a row: `delivered`, `in20ms`, `in50ms` are shares of all messages times receivers. `airtime` is the share of the
+measured window in which the stations' frames were on the air, `air_ms_per_msg` that time for each message sent.
+`frames_per_msg` counts transmissions with retries. `mesh_s` is the time until every participant has heard every other,
+`mesh_airtime` the share of airtime until then. `late` is the share of frames that the lab has written late: with more
+than 0.01 the machine was too slow for the case, and its delays are not the channel's."""
+import argparse
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+
+ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+now = time.monotonic_ns
+
+
+def arguments():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--program", default=os.path.join(ROOT, "target/release/murmurate"))
+    parser.add_argument("--ours", default=os.path.join(ROOT, "target/release/examples/netpeer"))
+    parser.add_argument("--peers", default="raw,fdds-uni-rel,fdds-mc-be,cyc-rel,cyc-be,ours")
+    parser.add_argument("--robots", default="3,5,10", help="numbers of participants")
+    parser.add_argument("--rates", help="messages a second of all together; default: --rate for each participant")
+    parser.add_argument("--rate", type=float, default=20.0, help="messages a second of each participant")
+    parser.add_argument("--preset", default="wifi", help="radio of the lab")
+    parser.add_argument("--radio", default="", help="fields on top, such as 'noise_loss=0.16,retries=3'")
+    parser.add_argument("--retries", help="a sweep of the radio's field of that name, such as 1,3,5,7")
+    parser.add_argument("--seconds", type=float, default=5.0)
+    parser.add_argument("--drain", type=float, default=1.0)
+    parser.add_argument("--wait", type=float, default=30.0, help="longest time for the mesh [s]")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--name", default="npl", help="name of the lab")
+    parser.add_argument("--out", default="")
+    return parser.parse_args()
+
+
+def peers(args):
+    """Returns variables and command of each peer."""
+    harness = os.environ.get("NETPEERS", "")
+    build = os.environ.get("BUILD", os.path.join(harness, ".build"))
+    known = {"ours": ({}, args.ours)}
+    listed = os.path.join(harness, "peers.txt")
+    if harness and os.path.exists(listed):
+        with open(listed) as lines:
+            for line in lines:
+                if line.strip() and not line.startswith("#"):
+                    name, variables, command = (part.strip() for part in line.split("|", 2))
+                    pairs = dict(pair.split("=", 1) for pair in variables.split())
+                    known[name] = (pairs, command.replace("{B}", build))
+    return {name: known.get(name, ({}, name)) for name in args.peers.split(",")}
+
+
+class Lab:
+    """A laboratory that is up."""
+
+    def __init__(self, args, robots, retries):
+        self.args, self.robots = args, robots
+        fields = dict(pair.split("=", 1) for pair in args.radio.split(",") if pair)
+        if retries is not None:
+            fields["retries"] = retries
+        radio = "".join(f"{key} = {value}\n" for key, value in fields.items())
+        self.file = tempfile.NamedTemporaryFile("w", suffix=".toml", delete=False)
+        self.file.write(f'name = "{args.name}"\nstations = {robots}\npreset = "{args.preset}"\n\n[radio]\n{radio}')
+        self.file.close()
+
+    def __enter__(self):
+        subprocess.run([self.args.program, "lab", "up", self.file.name], check=True, stderr=subprocess.PIPE)
+        return self
+
+    def __exit__(self, *_):
+        subprocess.run([self.args.program, "lab", "down", "--name", self.args.name], stderr=subprocess.PIPE)
+        os.unlink(self.file.name)
+
+    def counters(self):
+        text = subprocess.run([self.args.program, "lab", "status", "--json", "--name", self.args.name],
+                              check=True, stdout=subprocess.PIPE).stdout
+        return json.loads(text)
+
+
+def sleep_until(ns):
+    if ns > now():
+        time.sleep((ns - now()) / 1e9)
+
+
+def between(before, after):
+    """Returns what the channel did between two looks at the counters."""
+    radio = {key: after["radio"][key] - before["radio"][key] for key in ("transmissions", "airtime_ns", "channel_ns")}
+    lateness = [after["lateness"][key] - before["lateness"][key] for key in ("late", "deliveries")]
+    lost = {key: after["radio"][key] - before["radio"][key] for key in
+            ("lost_queue", "lost_retries", "lost_collision", "lost_noise", "lost_range")}
+    return radio, lateness, {key: count for key, count in lost.items() if count}
+
+
+def measure(args, lab, peer, variables, command, rate):
+    """Runs one peer once, and returns the row of its result."""
+    robots, folder = lab.robots, tempfile.mkdtemp(prefix="np.")
+    start = now() + int((0.25 + 0.02 * robots) * 1e9)
+    about = lab.counters()
+    stations = about["stations"]
+    environment = dict(os.environ, NP_N=str(robots), NP_RATE=str(rate / robots), NP_SECONDS=str(args.seconds),
+                       NP_DRAIN=str(args.drain), NP_IFACE=about["interface"], NP_DIR=folder, NP_START_NS=str(start),
+                       NP_HELLO_MS=str(100 if robots <= 5 else 200 if robots <= 10 else 500),
+                       NP_PEERS=",".join(station["address"] for station in stations), **variables)
+    processes = []
+    for station in stations:
+        own = dict(environment, NP_ID=str(station["station"]), NP_ADDR=station["address"])
+        log = open(os.path.join(folder, f"log.{station['station']}"), "w")
+        words = ["nice", "-n", os.environ.get("NP_NICE", "-15"), "ip", "netns", "exec", station["namespace"],
+                 "sh", "-c", "exec " + command]
+        processes.append(subprocess.Popen(words, env=own, cwd=folder, stdout=log, stderr=log, start_new_session=True))
+    try:
+        while now() < start + args.wait * 1e9:
+            ready = sum(os.path.exists(os.path.join(folder, f"ready.{at}")) for at in range(robots))
+            if ready == robots or any(process.poll() is not None for process in processes):
+                break
+            time.sleep(0.01)
+        met = lab.counters()
+        window = now() + int(0.5e9)
+        with open(os.path.join(folder, ".go"), "w") as go:
+            go.write(f"{window}\n")
+        os.rename(os.path.join(folder, ".go"), os.path.join(folder, "go"))
+        sleep_until(window - 20_000_000)
+        before = lab.counters()
+        sleep_until(window + int((args.seconds + args.drain - 0.05) * 1e9))
+        after = lab.counters()
+        end = time.monotonic() + 8
+        for process in processes:
+            try:
+                process.wait(max(0.1, end - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                pass
+    finally:
+        for process in processes:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+    row = result(args, folder, start, robots)
+    row.update(peer=peer, n=robots, rate=rate, preset=args.preset, radio=args.radio, seconds=args.seconds)
+    radio, (late, deliveries), lost = between(before, after)
+    discovery, _, _ = between(about, met)
+    row.update(airtime=radio["airtime_ns"] / max(1, radio["channel_ns"]),
+               air_ms_per_msg=radio["airtime_ns"] / 1e6 / max(1, row["sent"]),
+               frames_per_msg=radio["transmissions"] / max(1, row["sent"]), lost=lost,
+               mesh_airtime=discovery["airtime_ns"] / max(1, discovery["channel_ns"]),
+               late=late / max(1, deliveries))
+    if row["reports"] < robots:
+        with open(os.path.join(folder, "log.0")) as log:
+            row["log"] = log.read()[-300:]
+    shutil.rmtree(folder, ignore_errors=True)
+    return row
+
+
+def result(args, folder, start, robots):
+    """Reads what the participants have written."""
+    row = dict(sent=0, failed=0, delivered=0.0, reports=0, duplicates=0)
+    mesh, delays, unique, cpu = [], {}, 0, 0.0
+    for at in range(robots):
+        path = os.path.join(folder, f"out.{at}")
+        if not os.path.exists(path):
+            continue
+        with open(path) as lines:
+            for words in map(str.split, lines):
+                kind = words[0]
+                if kind == "mesh":
+                    mesh.append(int(words[1]))
+                elif kind == "sent":
+                    row["sent"] += int(words[1])
+                    row["failed"] += int(words[2])
+                elif kind == "cpu":
+                    cpu += float(words[1]) + float(words[2])
+                elif kind == "from":
+                    unique += int(words[2])
+                    row["duplicates"] += int(words[3])
+                elif kind == "h":
+                    delays[int(words[1])] = delays.get(int(words[1]), 0) + int(words[2])
+                elif kind == "end":
+                    row["reports"] += 1
+                elif len(words) == 4 and kind.isdigit():
+                    unique += 1
+                    delays[int(words[3])] = delays.get(int(words[3]), 0) + 1
+    wanted = row["sent"] * (robots - 1)
+    total = sum(delays.values())
+
+    def within(ms):
+        return sum(count for delay, count in delays.items() if delay <= ms * 1e6) / wanted if wanted else None
+
+    def quantile(share):
+        seen = 0
+        for delay, count in sorted(delays.items()):
+            seen += count
+            if seen >= share * total:
+                return delay / 1e6
+        return None
+
+    row.update(delivered=unique / wanted if wanted else None, in20ms=within(20), in50ms=within(50),
+               p50_ms=quantile(0.5), p90_ms=quantile(0.9), p99_ms=quantile(0.99),
+               mesh_s=(max(mesh) - start) / 1e9 if len(mesh) == robots and all(mesh) else None,
+               cpu_ms_per_s=1e3 * cpu / (args.seconds + args.drain))
+    return row
+
+
+def median(values):
+    values = sorted(value for value in values if value is not None)
+    return values[len(values) // 2] if values else float("nan")
+
+
+def table(rows):
+    """Prints the medians of each case."""
+    fields = [("deliv %", "delivered", 100, 1), ("20ms %", "in20ms", 100, 1), ("50ms %", "in50ms", 100, 1),
+              ("p50 ms", "p50_ms", 1, 2), ("p90 ms", "p90_ms", 1, 1), ("air %", "airtime", 100, 2),
+              ("frames", "frames_per_msg", 1, 2), ("mesh s", "mesh_s", 1, 2), ("mesh air %", "mesh_airtime", 100, 2),
+              ("cpu ms/s", "cpu_ms_per_s", 1, 0), ("late %", "late", 100, 2)]
+    print(f"{'n':>3} {'msg/s':>6} {'retries':>7} {'peer':16}" + "".join(f"{title:>11}" for title, *_ in fields))
+    cases = {}
+    for row in rows:
+        cases.setdefault((row["n"], row["rate"], row["retries"], row["peer"]), []).append(row)
+    for (robots, rate, retries, peer), runs in cases.items():
+        shown = "".join(f"{scale * median([run.get(key) for run in runs]):11.{digits}f}" for _, key, scale, digits in fields)
+        whole = all(run["reports"] == robots for run in runs)
+        name = peer.rsplit("/", 1)[-1][:16]
+        print(f"{robots:3} {rate:6.0f} {retries or '':>7} {name:16}{shown}{'' if whole else '  not all have reported'}")
+
+
+def main():
+    args = arguments()
+    if os.geteuid() != 0:
+        sys.exit("network namespaces need root")
+    chosen, rows = peers(args), []
+    out = open(args.out, "a") if args.out else None
+    for _ in range(args.rounds):
+        for robots in map(int, args.robots.split(",")):
+            for retries in args.retries.split(",") if args.retries else [None]:
+                with Lab(args, robots, retries) as lab:
+                    rates = map(float, args.rates.split(",")) if args.rates else [args.rate * robots]
+                    for rate in rates:
+                        for name, (variables, command) in chosen.items():
+                            row = measure(args, lab, name, variables, command, rate)
+                            row["retries"] = retries
+                            rows.append(row)
+                            if out:
+                                print(json.dumps(row), file=out, flush=True)
+    table(rows)
+
+
+main()

@@ -1,0 +1,58 @@
+//! `murmurate launch --lab`: a team whose hosts are stations of a laboratory.
+
+use std::path::Path;
+
+use anyhow::Result;
+
+use super::{Args, run_team};
+use crate::deploy::LinkMedium;
+use crate::lab::file::{CABLE, Laboratory};
+use crate::program::lab::{self, Running};
+use crate::program::output::talk;
+use crate::program::{BadInput, Ended};
+use crate::registry::Registry;
+
+/// Runs the team with each host in the station of its number. Prints the counters of the laboratory at the end.
+pub fn run(args: &Args, file: &Path, registry: &Registry) -> Result<Ended> {
+    let laboratory = lab::read(file)?;
+    let mut team = args.team.clone();
+    let read = team.read(registry)?;
+    let (hosts, deployment) = (read.hosts().count(), read.deployment());
+    if hosts > usize::from(laboratory.stations) {
+        let why = format!("the team has {hosts} hosts, and the lab {} stations", laboratory.stations);
+        return Err(BadInput(why).into());
+    }
+    for link in &deployment.links {
+        let interface = interface(&laboratory, link.medium).ok_or_else(|| {
+            BadInput(format!(
+                "the link '{}' is no radio, and the lab has no cable for it: set 'cable = \"10.78.0.0\"' in '{}'",
+                link.name,
+                file.display()
+            ))
+        })?;
+        team.set_interface(&link.name, interface);
+    }
+    lab::check_needs()?;
+    // The team is checked before anything is made.
+    let checked = team.read(registry)?;
+    for host in checked.hosts() {
+        team.for_host(&checked, host)?;
+    }
+    let running = Running::start(&laboratory, None)?;
+    let names: Vec<String> = (0..laboratory.stations).map(|station| laboratory.namespace(station)).collect();
+    let before = |_: &str, number: usize| ["ip", "netns", "exec", &names[number]].map(str::to_owned).to_vec();
+    let ended = run_team(args, &team, &before, registry);
+    let report = running.end()?;
+    if !args.quiet || report.lateness.late > 0 {
+        talk(&report.to_string());
+    }
+    ended
+}
+
+/// Returns the interface of a link in every station: the radio's, or the cable's if there is one.
+fn interface(lab: &Laboratory, medium: LinkMedium) -> Option<&str> {
+    match medium.topology() {
+        Some(_) => Some(&lab.interface),
+        None => lab.cable.map(|_| CABLE),
+    }
+}
