@@ -209,8 +209,7 @@ impl Trial {
         Ok(trial)
     }
 
-    /// Sets the plant (simulator) by name, and the robots' properties to the defaults of that plant. The method `check`
-    /// refuses an unknown name.
+    /// Sets the plant (simulator) by name, with its default properties of robots. `check` refuses an unknown name.
     pub fn plant(mut self, name: &str) -> Trial {
         (self.physics, self.deployment.plant) = (physics(&self.registry, name, &*self.scenario), name.to_owned());
         let clamp = self.clamp;
@@ -268,8 +267,7 @@ impl Trial {
         self.faults(plan)
     }
 
-    /// Sets the duration of the trial, with enough episodes to fill it. The totals in the report then count the traffic
-    /// of this time.
+    /// Sets the duration of the trial, with enough episodes to fill it. The report's totals are those of this time.
     pub fn lasting(mut self, lasts: Span) -> Trial {
         let episodes = 1 + lasts.as_nanos() / LEAST_EPISODE.as_nanos();
         // Events at the last instant are included.
@@ -296,8 +294,7 @@ impl Trial {
 
     /// Runs the trial on the calling thread until its end, or until `proceed` returns [`Proceed::Stop`], and reports
     /// what happens in it. The function `report` is called with each event, its time, and the host where it happened.
-    /// `proceed` is called after the events of each instant, with the actors, the time, and the results of the episodes
-    /// so far.
+    /// `proceed` is called after the events of each instant, with the actors, the time, and the results so far.
     pub fn run_observed(
         &self,
         report: impl Fn(Time, HostId, ProcessEvent) + 'static,
