@@ -271,7 +271,7 @@ impl Registry {
     /// be made for the scenario, otherwise the scripted one.
     pub fn default_policy(&self, scenario: &dyn Scenario) -> &'static str {
         let shipped = self.policy(policy::SHIPPED).is_some_and(|entry| (entry.build)(scenario).is_ok());
-        if shipped { policy::SHIPPED } else { policy::SCRIPTED }
+        if shipped { policy::SHIPPED } else { policy::scripted(scenario) }
     }
 
     /// Whether the registry has a part beyond those of [`Registry::builtin`], such as a user's own scenario.

@@ -13,6 +13,8 @@
 //! Equal trials give equal reports, bit for bit. Faults come from a [`FaultPlan`]; `examples/faults.rs` is an example
 //! to copy. Trials are independent of each other: run them on as many threads as there are cores.
 
+mod error;
+
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -30,7 +32,7 @@ use crate::hearing::CommRange;
 use crate::hearing::Handling;
 use crate::messages::ids::HostId;
 use crate::messages::wire::Stop;
-use crate::policy::Model;
+use crate::policy::{self, Model};
 use crate::random::Seed;
 use crate::registry::Registry;
 use crate::report::episode::Episode;
@@ -39,9 +41,11 @@ use crate::runtime::drive::{End, run_virtual};
 use crate::safety::Safety;
 use crate::scenario::judge::Verdict;
 use crate::scenario::layout::Layouts;
-use crate::scenario::{Arena, Scenario, ScenarioError, Settings};
+use crate::scenario::{Arena, Scenario, Settings};
 use crate::time::{Span, Time};
 use crate::world::{Clamp, Physics, Placement, kinematic};
+
+pub use error::TrialError;
 
 /// Rough duration of an episode with its reset \[s\], for planning faults.
 const EPISODE_S: f64 = 10.0;
@@ -93,23 +97,6 @@ pub struct Trial {
     pub steps: Steps,
 }
 
-/// Error of a trial that cannot be set up.
-#[derive(Debug, thiserror::Error)]
-pub enum TrialError {
-    /// The scenario cannot be made: its name is unknown, or its settings do not fit.
-    #[error(transparent)]
-    Scenario(#[from] ScenarioError),
-    /// A setting of the deployment is invalid; the error names the field.
-    #[error(transparent)]
-    Deployment(#[from] ConfigError),
-    /// No preset deployment mode has the given name.
-    #[error("there is no mode '{name}'; there are: {}", crate::deploy::MODES.join(", "))]
-    Mode {
-        /// The name that was not found.
-        name: String,
-    },
-}
-
 /// Decision of a caller, after each event of a trial, whether the trial continues.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Proceed {
@@ -155,7 +142,9 @@ impl Trial {
         let scenario = registry.scenario(scenario, &Settings { robots: robots.into(), gap_m: None })?;
         let deployment = Deployment::preset(mode, scenario.robots());
         let deployment = deployment.ok_or_else(|| TrialError::Mode { name: mode.to_owned() })?;
-        Ok(Trial::with_registry(registry, deployment, scenario, Model::Orca))
+        let scripted = registry.policy(policy::scripted(&*scenario)).map(|entry| (entry.build)(&*scenario));
+        let model = scripted.and_then(Result::ok).unwrap_or(Model::Orca);
+        Ok(Trial::with_registry(registry, deployment, scenario, model))
     }
 
     /// Makes a trial of one episode with seed 0, with a plant (simulator) of this crate. The deployment must have
@@ -356,6 +345,7 @@ impl Trial {
             reset_s: 0.0,
             min_separation_m: f32::INFINITY,
             judged: self.deployment.judged(),
+            cost: None,
         }));
         report.finished = true;
     }
@@ -377,10 +367,15 @@ impl Trial {
     }
 
     /// Returns the deployment as used by the trial. Robots are placed at their starts if these are not the goals of the
-    /// episode before.
+    /// episode before. So are all robots in a scenario without goals, with the velocities that they start with, if all
+    /// are simulated. Real robots drive to their starts and begin at rest.
     fn placed(&self) -> Deployment {
         let mut deployment = self.deployment.clone();
-        if !self.layouts.chained() {
+        let place = match self.scenario.cost() {
+            Some(_) => deployment.check_simulated().is_ok(),
+            None => !self.layouts.chained(),
+        };
+        if place {
             deployment.placement = Placement::Exact;
         }
         deployment

@@ -305,6 +305,7 @@ impl VecEnv {
             Field::GoalMinusPosition => "goal-minus-position",
             Field::Position => "position",
             Field::PositionPlusVelocity => "position-plus-velocity",
+            Field::Velocity => "velocity",
         };
         self.environments.options().observation.iter().map(name).collect()
     }

@@ -14,7 +14,7 @@ use xxhash_rust::xxh3::Xxh3;
 
 use crate::actor::Core;
 use crate::chassis::Chassis;
-use crate::messages::geometry::Vec2;
+use crate::messages::geometry::{Motion, Vec2};
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::local::{Contacts, Sample, Truth};
 use crate::messages::wire::{KINDS, Kind, Phase, Reading, Round, Wire};
@@ -29,7 +29,7 @@ use crate::safety::guard::SafetyCounts;
 use crate::scenario::judge::{Finding, Judge, JudgedRobot, Verdict};
 use crate::scenario::layout::Layouts;
 use crate::scenario::sightings::{Sighting, Sightings, Spot};
-use crate::scenario::{Arena, Rules};
+use crate::scenario::{Arena, Cost, Rules};
 use crate::time::{Span, Time};
 
 /// Input message of a Recorder, the actor that judges episodes and collects the results of a trial.
@@ -68,6 +68,8 @@ pub struct Config {
     pub repeat: u32,
     /// Rules by which an episode is judged.
     pub rules: Rules,
+    /// Cost by which an episode is judged; `None` in a scenario with goals.
+    pub cost: Option<Cost>,
     /// Whether the report has the true states of the robots at each step, and whose messages each robot then uses.
     pub steps: Steps,
     /// Number of other hosts that each broadcast latent should reach: the hosts with an Agent, without the sender.
@@ -210,7 +212,7 @@ impl Recorder {
             let lapsed = self.config.judged == Judged::Readings && self.sightings.lapsed(now);
             let finding = match &self.judge {
                 Some(judge) => judge.end(after, if lapsed { Verdict::Unseen } else { Verdict::Aborted }),
-                None => Finding { verdict: Verdict::Aborted, after, min_separation_m: f32::INFINITY },
+                None => Finding { verdict: Verdict::Aborted, after, min_separation_m: f32::INFINITY, cost: None },
             };
             self.close(now, finding, out);
         }
@@ -221,7 +223,8 @@ impl Recorder {
         let goes_on = (phase, round.episode) == (self.phase, self.round.episode);
         if phase == Phase::Running && self.judge.is_none() && round.episode == self.open {
             let tasks = self.config.layouts.episode(round.episode);
-            self.judge = Some(Judge::new(self.config.rules, tasks.iter().map(|task| task.goal).collect()));
+            let judge = Judge::new(self.config.rules, tasks.iter().map(|task| task.goal).collect());
+            self.judge = Some(judge.with_cost(self.config.cost));
             let starts: Vec<Vec2> = tasks.iter().map(|task| task.start).collect();
             self.sightings.begin(now, Some(&starts[..]).filter(|_| self.config.placed));
             self.reset = if self.phase == Phase::Resetting { now.since(self.since) } else { Span::ZERO };
@@ -263,6 +266,7 @@ impl Recorder {
             reset_s: self.reset.as_secs(),
             min_separation_m: finding.min_separation_m,
             judged: self.config.judged,
+            cost: finding.cost,
         };
         out.push(Out::Episode(episode, self.totals(now)));
         self.judge = None;
@@ -307,7 +311,8 @@ impl Recorder {
         {
             let seen = |sample: &Sample| {
                 let point = self.config.chassis[sample.robot.index()].point_of(sample);
-                JudgedRobot { position: sample.motion.position, point, contacts: sample.contacts }
+                let Motion { position, velocity } = sample.motion;
+                JudgedRobot { position, point, velocity, contacts: sample.contacts }
             };
             let seen: Vec<JudgedRobot> = samples.iter().map(seen).collect();
             if let Some(finding) = judge.update(now.since(self.since), &seen) {
@@ -325,9 +330,9 @@ impl Recorder {
         let centre = self.config.chassis[reading.robot.index()].centre(reading);
         let Some(Sighting { at, robots, lapsed }) = self.sightings.see(now, reading, centre) else { return };
         let (arena, radius_m) = (&self.config.arena, self.config.wall_radius_m);
-        let seen = |(robot, Spot { centre, point }): (RobotId, Spot)| {
+        let seen = |(robot, Spot { centre, point, velocity }): (RobotId, Spot)| {
             let contacts = Contacts { wall: arena.clearance(centre) <= radius_m, robot: false };
-            (robot, JudgedRobot { position: centre, point, contacts })
+            (robot, JudgedRobot { position: centre, point, velocity, contacts })
         };
         let Some(judge) = self.judge.as_mut().filter(|_| self.phase == Phase::Running) else { return };
         if lapsed {
@@ -406,10 +411,7 @@ impl Core for Recorder {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::messages::geometry::{Motion, Vec2};
-    use crate::messages::ids::RobotId;
     use crate::messages::latch::Latch;
-    use crate::messages::local::Contacts;
     use crate::messages::wire::Mode;
     use crate::scenario::{Settings, build};
 
@@ -420,6 +422,7 @@ mod tests {
             layouts,
             repeat: 4,
             rules: passage.rules(),
+            cost: None,
             steps: Steps::Discarded,
             receivers: 1,
             judged,

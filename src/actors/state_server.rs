@@ -1,10 +1,9 @@
 //! StateServer: leads the team through its episodes without a person (paper, section IV).
 //!
 //! It receives heartbeats, and sends an instruction several times a second: reset, run or stop. It never waits for an
-//! answer. While the emergency stop is engaged, and then until a resume, it holds the team. While a host that announced
-//! its shutdown is away, the team stops and waits for it. After a failed reset of real robots it holds the team until a
-//! person resumes it. A restarted server takes the team's state from heartbeats, aborts a running episode, and
-//! continues with the next.
+//! answer. It holds the team while the emergency stop is engaged, then until a resume, and after a failed reset of real
+//! robots; it stops the team while a host that announced its shutdown is away. A restarted server takes the team's
+//! state from heartbeats, aborts a running episode, and continues with the next.
 
 use std::collections::BTreeSet;
 
@@ -15,6 +14,7 @@ use crate::messages::latch::{self, Latch};
 use crate::messages::wire::{
     Heartbeat, Hindrance, Leading, MAX_BLOCK, MAX_HINDRANCES, Mode, Phase, Round, Status, Stop,
 };
+use crate::scenario::cost::Ending;
 use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
 use crate::world::Placement;
@@ -23,8 +23,7 @@ use crate::world::Placement;
 pub const TICK: Span = Span::from_millis(50);
 /// Period at which an unchanged instruction is repeated, with the tasks of 64 robots in turn if the team is larger.
 pub const MODE_PERIOD: Span = Span::from_millis(100);
-/// Number of times that a new instruction is sent with the tasks (starts and goals) of all robots, in case copies are
-/// lost. Each later repetition has the tasks of one block of up to 64 robots, block after block.
+/// Number of times that a new instruction is sent with the tasks of all robots, in case copies are lost.
 pub const NEW_MODE_REPEATS: u32 = 3;
 /// Time without a heartbeat after which a robot counts as missing: five heartbeat periods.
 pub const MISSING_AFTER: Span = Span::from_millis(1000);
@@ -68,6 +67,8 @@ pub struct Config {
     pub placement: Placement,
     /// Longest duration of an episode, after which it is aborted.
     pub limit: Span,
+    /// Way in which an episode ends that nobody aborts.
+    pub ending: Ending,
     /// For each host, by its id: the robots whose Agents or Bodies it runs, or which it measures.
     pub hosts: Vec<Vec<RobotId>>,
     /// Robots that no World simulates, in ascending order of ids. They reach their starts only by driving or by hand.
@@ -102,8 +103,7 @@ pub struct StateServer {
 }
 
 impl StateServer {
-    /// Creates a state server that does not know the team's state yet. `robots` is the number of robots; `incarnation`
-    /// is the number of this start of the server within its process, from 1.
+    /// Creates a state server of `robots` robots. `incarnation` counts its starts within the process, from 1.
     pub fn new(config: Config, robots: usize, incarnation: u32) -> StateServer {
         StateServer {
             config,
@@ -176,8 +176,7 @@ impl StateServer {
         }
     }
 
-    /// Takes a later term if a robot follows a later round, from an earlier incarnation or a corrupted message. That
-    /// robot would refuse all earlier rounds.
+    /// Takes a later term if a robot follows a later round, because that robot would refuse all earlier ones.
     fn overtake(&mut self, now: Time) {
         let latest = self.latest_round(now);
         if self.round.term == 0 || latest <= self.round {
@@ -338,11 +337,13 @@ impl StateServer {
             Phase::Resetting if self.all_are(now, Phase::FinishedResetting) => self.enter(now, Phase::Running),
             Phase::Resetting if lasted >= RESET_LIMIT => self.fail_reset(now),
             Phase::Running if self.all_are(now, Phase::FinishedRunning) => self.begin(now, self.round.episode + 1),
-            Phase::Running
-                if !everyone || lasted > self.config.limit + GRACE || self.present(now).flatten().any(gives_up) =>
-            {
+            Phase::Running if !everyone || self.present(now).flatten().any(gives_up) => {
                 self.enter(now, Phase::AbortRunning);
             }
+            Phase::Running if lasted > self.config.limit + GRACE => match self.config.ending {
+                Ending::Arrival => self.enter(now, Phase::AbortRunning),
+                Ending::Time => self.begin(now, self.round.episode + 1),
+            },
             Phase::AbortRunning if self.all_are(now, Phase::NeedReset) || lasted >= MUSTER_LIMIT => {
                 self.begin(now, self.round.episode + 1);
             }
@@ -350,8 +351,7 @@ impl StateServer {
         }
     }
 
-    /// Sends the instruction: a new one with the tasks of all robots, a repeated one with those of one block. So the
-    /// traffic that a robot receives does not grow with the team.
+    /// Sends the instruction: a new one with the tasks of all robots, a repeated one with those of one block of them.
     fn send_mode(&mut self, out: &mut Vec<Out>) {
         let last = self.config.layouts.len() - 1;
         let tasks = self.config.layouts.episode(self.round.episode.min(last));
@@ -430,7 +430,15 @@ mod tests {
         let limit = Span::from_millis(25_000);
         let hosts = vec![vec![RobotId(0)], vec![RobotId(1)], vec![RobotId(0), RobotId(1)]];
         StateServer::new(
-            Config { layouts, repeat: 0, placement: Placement::Drive, limit, hosts, real: Vec::new() },
+            Config {
+                layouts,
+                repeat: 0,
+                placement: Placement::Drive,
+                limit,
+                ending: Ending::Arrival,
+                hosts,
+                real: Vec::new(),
+            },
             2,
             1,
         )
@@ -476,6 +484,24 @@ mod tests {
     }
 
     #[test]
+    fn an_episode_without_goals_ends_by_time_and_is_not_aborted() {
+        let mut server = server();
+        (server.config.ending, server.config.placement) = (Ending::Time, Placement::Exact);
+        let (mut at, mut phases) = (0, Vec::new());
+        while server.round.episode < 2 && at < 60_000 {
+            at += 50;
+            let now = (server.round, server.phase);
+            beat(&mut server, at_ms(at), now.0, [now.1; 2]);
+            let next = tick(&mut server, at_ms(at));
+            if next != now {
+                phases.push(next.1);
+            }
+        }
+        assert_eq!(phases, [Phase::Running, Phase::Running, Phase::EpisodesFinished], "{at} ms");
+        assert!((51_000..52_000).contains(&at), "two episodes of 25 s and the grace: {at} ms");
+    }
+
+    #[test]
     fn after_a_failed_reset_of_a_real_robot_the_team_is_held_until_a_resume() {
         for (real, held) in [(vec![RobotId(1)], true), (vec![RobotId(0)], false), (Vec::new(), false)] {
             let mut server = server();
@@ -508,8 +534,15 @@ mod tests {
         let swap = build("swap", &Settings::of(150)).unwrap();
         let layouts = Layouts::of_scenario(&*swap, 1, 2);
         let limit = Span::from_millis(60_000);
-        let config =
-            Config { layouts, repeat: 0, placement: Placement::Exact, limit, hosts: Vec::new(), real: Vec::new() };
+        let config = Config {
+            layouts,
+            repeat: 0,
+            placement: Placement::Exact,
+            limit,
+            ending: Ending::Arrival,
+            hosts: Vec::new(),
+            real: Vec::new(),
+        };
         let mut server = StateServer::new(config, 150, 1);
         let blocks = |server: &mut StateServer, ms: u64, phase: Phase| -> Vec<u16> {
             for robot in RobotId::team(150) {

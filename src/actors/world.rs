@@ -10,6 +10,7 @@
 
 use std::cell::RefCell;
 use std::rc::Rc;
+use std::sync::Arc;
 
 use crate::actor::Core;
 use crate::chassis::Chassis;
@@ -17,12 +18,17 @@ use crate::messages::geometry::{Motion, Vec2};
 use crate::messages::ids::RobotId;
 use crate::messages::local::{Drive, Sample, Truth};
 use crate::messages::wire::{Mode, Phase, Reading, Round};
+use crate::scenario::Scenario;
 use crate::time::{Span, Time};
 use crate::world::{Placement, Plant, PlantState};
 
 /// Longest time for which a World extrapolates a robot that it does not simulate with the velocity of its newest
 /// reading; then that robot stands still in the plant. It is twice the age of own readings at which a robot stops.
 const MOVED_ON: Span = Span::from_millis(200);
+
+/// Time for which a robot that was placed in motion keeps its velocity, if it gets no command: the validity of a
+/// command. Its Agent needs a step of its own to command it.
+const COASTING: Span = Span::from_millis(200);
 
 /// Input message of a World, the actor that steps the plant (simulator) of simulated robots.
 #[derive(Clone, Debug)]
@@ -66,6 +72,7 @@ impl PersistentPlant {
 /// World: the actor that steps the plant (simulator) of all or some robots of a team, and publishes their true states.
 pub struct World {
     persistent: Rc<RefCell<PersistentPlant>>,
+    scenario: Arc<dyn Scenario>,
     period: Span,
     placement: Placement,
     bodies: Vec<Attached>,
@@ -108,11 +115,12 @@ impl Other {
 }
 
 impl World {
-    /// Creates a World that simulates `robots`; `others` stand in the plant where their readings say. Both are in the
-    /// order of their ids, and the plant in `persistent` has `robots` first, then `others`. `placement` says whether
-    /// this World places its robots at their starts, or they drive there.
+    /// Creates a World that simulates `robots`; `others` stand where their readings say. Both are in the order of their
+    /// ids. The plant holds the robots first, then the others, in the same order. `scenario` gives the velocities with
+    /// which placed robots start.
     pub fn new(
         persistent: Rc<RefCell<PersistentPlant>>,
+        scenario: Arc<dyn Scenario>,
         placement: Placement,
         robots: &[RobotId],
         others: &[(RobotId, Chassis)],
@@ -128,7 +136,7 @@ impl World {
         let period = persistent.borrow().plant.period();
         let bodies = robots.iter().map(attach).collect();
         let others = others.iter().enumerate().map(other).collect();
-        World { persistent, period, placement, bodies, others, next: Time::ZERO, placed_at: None }
+        World { persistent, scenario, period, placement, bodies, others, next: Time::ZERO, placed_at: None }
     }
 
     /// Returns whether the World places robots at their starts for the instruction `mode`, and stores the instruction's
@@ -155,6 +163,11 @@ impl World {
                 persistent.plant.place(index, task.start, task.heading());
                 persistent.placed[index] = mode.round;
                 (body.command, body.until) = (Vec2::zeros(), now);
+                let velocity = self.scenario.start_velocity(&task);
+                if velocity != Vec2::zeros() {
+                    persistent.plant.launch(index, velocity);
+                    (body.command, body.until) = (velocity, now + COASTING);
+                }
                 self.placed_at = Some(now);
                 out.push(Out::Sample(sample(now, body, &persistent.plant.states()[index])));
             }
@@ -242,7 +255,7 @@ mod tests {
         let starts = [Vec2::new(0.0, -1.0), Vec2::new(1.0, -1.0)];
         let physics = Physics::published(passage.arena());
         let persistent = PersistentPlant::new(kinematic::build(passage.arena(), &physics, &starts, Seed::of_run(0)));
-        World::new(Rc::new(RefCell::new(persistent)), placement, &[RobotId(0), RobotId(1)], &[])
+        World::new(Rc::new(RefCell::new(persistent)), passage, placement, &[RobotId(0), RobotId(1)], &[])
     }
 
     fn at_ms(ms: u64) -> Time {
@@ -290,7 +303,8 @@ mod tests {
         let physics = Physics::published(passage.arena());
         let plant = PersistentPlant::new(kinematic::build(passage.arena(), &physics, &starts, Seed::of_run(0)));
         let elsewhere = [(RobotId(0), Chassis::default())];
-        let mut world = World::new(Rc::new(RefCell::new(plant)), Placement::Drive, &[RobotId(1)], &elsewhere);
+        let plant = Rc::new(RefCell::new(plant));
+        let mut world = World::new(plant, passage, Placement::Drive, &[RobotId(1)], &elsewhere);
         let wall = Motion { position: Vec2::new(0.0, -2.0), velocity: Vec2::new(0.0, 0.5) };
         let mut see = |ms: u64| {
             world.handle(at_ms(ms), In::Reading(Reading::of_point(RobotId(0), ms, wall)), &mut Vec::new());

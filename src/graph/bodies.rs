@@ -2,6 +2,7 @@
 
 use std::cell::RefCell;
 use std::rc::Rc;
+use std::sync::Arc;
 
 use tracing::info_span;
 
@@ -144,7 +145,8 @@ pub(super) fn wire_world(
     }
     let (persistent, placement) = (Rc::new(RefCell::new(PersistentPlant::new(plant))), plan.deployment.placement);
     let place = &graph.worlds[simulated[0].index()];
-    let make = move |_| World::new(Rc::clone(&persistent), placement, &simulated, &others);
+    let scenario = Arc::clone(&plan.scenario);
+    let make = move |_| World::new(Rc::clone(&persistent), Arc::clone(&scenario), placement, &simulated, &others);
     start(clock, place, info_span!("world", host = host.0), make, move |out| match out {
         world::Out::Sample(sample) => sensors[sample.robot.index()].send(localizer::In::Sample(sample)),
         world::Out::Truth(truth) => {

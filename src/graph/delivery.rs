@@ -15,6 +15,7 @@ use crate::messages::phase::Phase;
 use crate::messages::wire::{Mode, Stop, Wire};
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::{Mailbox, start};
+use crate::scenario::cost::Ending;
 
 /// Mailboxes of the actors of one host that receive the state server's instructions ([`Mode`]) and emergency stop
 /// messages ([`Stop`]).
@@ -138,6 +139,7 @@ pub(super) fn wire_server(clock: &Clock, plan: &Plan, graph: &Graph) {
         repeat: plan.repeat,
         placement: plan.deployment.placement,
         limit: plan.scenario.rules().limit,
+        ending: Ending::of(&*plan.scenario),
         hosts: (0..plan.deployment.hosts.len()).map(|host| graph.routes.robots_of(host).to_vec()).collect(),
         real: RobotId::team(plan.deployment.robots).filter(|robot| graph.routes.world_host(*robot).is_none()).collect(),
     };

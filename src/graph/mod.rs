@@ -163,6 +163,7 @@ pub(super) fn wire_recorder(
         layouts: plan.layouts.clone(),
         repeat: plan.repeat,
         rules: plan.scenario.rules(),
+        cost: plan.scenario.cost(),
         steps: plan.steps,
         receivers: plan.deployment.hosts.iter().filter(|host| !host.agents.is_empty()).count() as u64 - 1,
         judged: plan.deployment.judged(),

@@ -41,16 +41,19 @@ pub enum Field {
     Position,
     /// Position of the robot plus its velocity times 1 s \[m\].
     PositionPlusVelocity,
+    /// Velocity of the robot \[m/s\].
+    Velocity,
 }
 
 impl Field {
-    /// Returns the value of this entry \[m\], policy frame, for a robot's `observation`.
+    /// Returns the value of this entry \[m\] or \[m/s\], policy frame, for a robot's `observation`.
     pub fn of(self, observation: &Observation) -> Vec2 {
         match self {
             Field::GoalMinusPosition => observation.goal - observation.motion.position,
             Field::Position => observation.motion.position,
             // The velocity counts as metres, that is, times one second.
             Field::PositionPlusVelocity => observation.motion.position + observation.motion.velocity,
+            Field::Velocity => observation.motion.velocity,
         }
     }
 }
@@ -100,6 +103,9 @@ impl Training {
     /// Returns the number of robots in the largest team of the training. `None` means that the configuration does not
     /// say so in the format of this program.
     pub fn largest_team(&self) -> Option<usize> {
+        if self.configuration.get("imitation").is_some() {
+            return usize::try_from(self.configuration.get("robots")?.as_u64()?).ok();
+        }
         let stages = self.configuration.get("curriculum")?.as_array()?;
         let groups = stages.iter().filter_map(|stage| stage.get("groups")?.as_array()).flatten();
         let sizes = groups.filter_map(|group| group.as_array()).flatten().filter_map(serde_json::Value::as_u64);

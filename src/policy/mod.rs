@@ -4,6 +4,7 @@
 //! that the crate makes. A policy works in the policy frame only: the world frame, or the world frame turned by half a
 //! turn. The code of this folder uses no network, actor or clock.
 
+pub mod flock;
 pub mod gnn;
 pub mod hops;
 pub mod manifest;
@@ -115,7 +116,7 @@ pub struct Entry {
 /// trained.
 pub const SHIPPED: &str = "shipped";
 /// Name of scripted navigation by optimal reciprocal collision avoidance (ORCA), a policy without training that works
-/// in every scenario.
+/// in every scenario with goals.
 pub const SCRIPTED: &str = "orca";
 
 /// The policies of this crate that a user selects by name; all other policies are loaded from files.
@@ -130,8 +131,37 @@ pub const REGISTRY: &[Entry] = &[
         about: "trained for the scenario, for the paper's own conditions",
         build: |scenario| Model::published(scenario.name()),
     },
-    Entry { name: SCRIPTED, about: "scripted navigation by message passing", build: |_| Ok(Model::Orca) },
+    Entry { name: SCRIPTED, about: "scripted navigation by message passing", build: orca },
+    Entry {
+        name: flock::GLOBAL,
+        about: "scripted flocking; each robot knows all others (for scenarios without goals)",
+        build: |scenario| flock::model(scenario, flock::Sight::All),
+    },
+    Entry {
+        name: flock::LOCAL,
+        about: "scripted flocking; each robot knows its neighbours within 2 m (for scenarios without goals)",
+        build: |scenario| flock::model(scenario, flock::Sight::Near),
+    },
 ];
+
+/// Makes scripted navigation; an error says that the scenario has no goals.
+fn orca(scenario: &dyn Scenario) -> Result<Model, ModelError> {
+    match scenario.cost() {
+        None => Ok(Model::Orca),
+        Some(_) => {
+            let name = scenario.name();
+            Err(ModelError::Refused(format!(
+                "the scenario '{name}' has no goals to navigate to; use '{}'",
+                flock::LOCAL
+            )))
+        }
+    }
+}
+
+/// Returns the name of the scripted policy of this crate that works in `scenario` with what a robot hears.
+pub fn scripted(scenario: &dyn Scenario) -> &'static str {
+    if scenario.cost().is_some() { flock::LOCAL } else { SCRIPTED }
+}
 
 /// Returns a network with random weights, for tests and benchmarks, of the architecture published with the paper arXiv
 /// 2111.01777. The weights are uniform and scaled by the width of each layer's input; the same `seed` gives the same

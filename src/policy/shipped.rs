@@ -5,6 +5,7 @@
 pub fn shipped(scenario: &str) -> Option<&'static [u8]> {
     match scenario {
         "passage" => Some(include_bytes!("../../policies/passage.safetensors")),
+        "flocking" => Some(include_bytes!("../../policies/flocking-k3.safetensors")),
         _ => None,
     }
 }

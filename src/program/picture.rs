@@ -10,7 +10,6 @@ use crate::program::output::talk;
 use crate::program::whole_file::WholeFile;
 use crate::report::episode::Episode;
 use crate::report::picture::{Scene, Stage, film, moving, still};
-use crate::scenario::judge::Verdict;
 use crate::time::Span;
 use crate::trial::{Trial, TrialReport};
 
@@ -50,7 +49,7 @@ impl Shown {
         episode.repeat == 0
             && match self {
                 Shown::Index(index) => episode.episode == index,
-                Shown::Failed => episode.verdict != Verdict::Success,
+                Shown::Failed => episode.verdict.is_failure(),
             }
     }
 }
@@ -153,6 +152,7 @@ fn stage<'a>(trial: &'a Trial, policy: &str, episode: u32) -> Stage<'a> {
         caption: format!("policy {policy}, seed {}, episode {episode}", trial.seed),
         arena: trial.scenario.arena(),
         rules: trial.scenario.rules(),
+        cost: trial.scenario.cost(),
         radius_m: trial.physics.wall_radius_m,
         window: Span::from_secs(window_s),
         tasks: trial.layouts.episode(episode),

@@ -32,6 +32,7 @@ pub const EPISODE: &str = r#"{"title":"murmurate.Episode","type":"object","prope
 "phase":{"type":"string","description":"phase that begins; absent in a result"},
 "verdict":{"type":"string","description":"only in a result"},
 "makespan_s":{"type":["number","null"],"description":"from start to the last arrival, of a success"},
+"cost":{"type":"number","description":"mean of the steps, in a scenario without goals"},
 "reset_s":{"type":"number"},"min_separation_m":{"type":["number","null"]},
 "judged":{"type":"string"}},"required":["repeat","episode"]}"#;
 

@@ -5,6 +5,7 @@ use std::fmt;
 
 use serde::Serialize;
 
+use super::outcomes::CostOutcomes;
 use super::summary::Summary;
 use super::trial::TrialReport;
 use crate::scenario::judge::Verdict;
@@ -40,10 +41,33 @@ impl Comparison {
     }
 }
 
+impl Comparison {
+    /// Writes one line for each policy with its cost, in a scenario without goals.
+    fn write_costs(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let width = self.policies.iter().map(|summary| summary.policy.len()).max().unwrap_or(0).max("policy".len());
+        write!(f, "{:<width$}  {:>8}  {:>16}  {:>9}  failures", "policy", "cost", "95 %", "completed")?;
+        for summary in &self.policies {
+            let (policy, outcomes) = (&summary.policy, &summary.outcomes);
+            let Some(CostOutcomes { completed, cost_mean, cost_ci95: [low, high], .. }) = &outcomes.cost else {
+                write!(f, "\n{policy:<width$}  {:>8}  {:>16}  {:>9}  {}", "-", "-", 0, outcomes.failures())?;
+                continue;
+            };
+            let (within, failures) = (format!("{low:.4} to {high:.4}"), outcomes.failures());
+            write!(f, "\n{policy:<width$}  {cost_mean:>8.4}  {within:>16}  {completed:>9}  {failures}")?;
+        }
+        let cost = self.policies.iter().find_map(|summary| summary.cost.as_ref());
+        let cost = cost.map_or(String::new(), |cost| format!("mean {} [{}]", cost.name, cost.unit));
+        write!(f, "\nThe episodes are the same; cost: {cost}.")
+    }
+}
+
 impl fmt::Display for Comparison {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for summary in &self.policies {
             writeln!(f, "{summary}\n")?;
+        }
+        if self.policies.iter().any(|summary| summary.outcomes.cost.is_some()) {
+            return self.write_costs(f);
         }
         let width = self.policies.iter().map(|summary| summary.policy.len()).max().unwrap_or(0).max("policy".len());
         write!(f, "{:<width$}  {:>8}  {:>10}  {:>9}  failures", "policy", "success", "makespan", "it alone")?;

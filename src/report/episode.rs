@@ -36,13 +36,17 @@ pub struct Episode {
     /// Data from which the episode was judged.
     #[serde(default)]
     pub judged: Judged,
+    /// Mean cost of the steps of the episode, in the unit of the scenario's cost; `None` in a scenario with goals.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cost: Option<f64>,
 }
 
 impl Episode {
-    /// Returns the verdict as text, and for a success the makespan, such as `success in 6.20 s`.
+    /// Returns the verdict in words, with the makespan of a success, or with the cost.
     pub fn in_words(&self) -> String {
         let makespan = self.makespan_s.map_or_else(String::new, |makespan| format!(" in {makespan:.2} s"));
-        format!("{}{makespan}", self.verdict.word())
+        let cost = self.cost.map_or_else(String::new, |cost| format!(", cost {cost:.4}"));
+        format!("{}{makespan}{cost}", self.verdict.word())
     }
 }
 

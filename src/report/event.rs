@@ -123,6 +123,7 @@ mod tests {
             reset_s: 1.5,
             min_separation_m,
             judged: Judged::Readings,
+            cost: Some(0.25),
         };
         let counts = SafetyCounts { late_tick: 2, ..SafetyCounts::default() };
         let counted = Counted {

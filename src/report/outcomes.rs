@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::episode::Episode;
-use super::statistics::{quantile, wilson_95};
+use super::statistics::{mean_95, quantile, wilson_95};
 use crate::scenario::judge::Verdict;
 
 /// Counts of verdicts, success rate and makespan of a set of episodes.
@@ -33,6 +33,42 @@ pub struct Outcomes {
     /// Number of episodes that could not be judged, because a robot was not measured for more than a second. Zero if
     /// true states are judged.
     pub unseen: usize,
+    /// Costs of the episodes; left out in a scenario with goals. In one without, nothing succeeds: the counts and rates
+    /// of successes are zero, and `completed` counts the episodes without a failure.
+    #[serde(flatten)]
+    pub cost: Option<CostOutcomes>,
+}
+
+/// Costs of some episodes of a scenario without goals. An episode with a collision lasts its time and counts, too; an
+/// aborted one has a cost only of its part.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct CostOutcomes {
+    /// Number of episodes that lasted their time without a collision.
+    pub completed: usize,
+    /// Mean cost of all episodes but the aborted ones, in the unit of the scenario's cost.
+    pub cost_mean: f64,
+    /// Interval of `cost_mean` at 95 %, by Student's t distribution.
+    pub cost_ci95: [f64; 2],
+    /// Median cost of these episodes.
+    pub cost_median: f64,
+}
+
+impl CostOutcomes {
+    /// Returns the costs of the episodes; `None` if none of them has one.
+    pub fn of(episodes: &[Episode]) -> Option<CostOutcomes> {
+        let lasted = episodes.iter().filter(|episode| episode.verdict != Verdict::Aborted);
+        let costs: Vec<f64> = lasted.filter_map(|episode| episode.cost).collect();
+        let (cost_mean, cost_ci95) = mean_95(&costs)?;
+        let cost_median = quantile(&costs, 0.5)?;
+        let completed = episodes.iter().filter(|episode| episode.verdict == Verdict::Completed).count();
+        Some(CostOutcomes { completed, cost_mean, cost_ci95, cost_median })
+    }
+
+    /// Returns the mean cost and its interval as text, such as `0.0123 (95 %: 0.0120 to 0.0126)`.
+    pub fn in_words(&self) -> String {
+        let [low, high] = self.cost_ci95;
+        format!("{:.4} (95 %: {low:.4} to {high:.4})", self.cost_mean)
+    }
 }
 
 impl Outcomes {
@@ -54,6 +90,7 @@ impl Outcomes {
             timeouts: count(Verdict::Timeout),
             aborted: count(Verdict::Aborted),
             unseen: count(Verdict::Unseen),
+            cost: CostOutcomes::of(episodes),
         }
     }
 

@@ -8,12 +8,14 @@ use xxhash_rust::xxh3::Xxh3;
 use super::episode::{Episode, Judged};
 use super::event::Unwritten;
 use super::hardware::RobotHardware;
-use super::outcomes::Outcomes;
+use super::outcomes::{CostOutcomes, Outcomes};
 use super::trial::TrialReport;
 use crate::net::media::radio::RadioCounts;
 use crate::net::protocol::link::LinkCounts;
+use crate::registry::Registry;
 use crate::safety::guard::SafetyCounts;
 use crate::scenario::judge::Verdict;
+use crate::scenario::{Cost, Scenario, Settings};
 use crate::time::Span;
 
 /// Hosts that the counts in a summary of a run cover.
@@ -45,6 +47,9 @@ pub struct Summary {
     /// kept for one version.
     #[serde(flatten)]
     former: FormerNames,
+    /// Name and unit of the cost of episodes; left out in a scenario with goals.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cost: Option<CostName>,
     /// Data from which episodes were judged: true states of a simulation, or readings.
     pub judged: Judged,
     /// Hosts whose messages, links and safety events are counted.
@@ -53,7 +58,7 @@ pub struct Summary {
     pub virtual_s: f64,
     /// Wall-clock time of the run \[s\].
     pub wall_s: f64,
-    /// Episodes that did not succeed.
+    /// Episodes that failed.
     pub failed: Vec<FailedEpisode>,
     /// Description of the emulated links: delay, loss and radio; null if they are ideal or not emulated.
     pub network: Option<String>,
@@ -88,7 +93,30 @@ pub struct Summary {
     pub interrupted: bool,
 }
 
-/// Episode that did not succeed.
+/// Name and unit of the cost of a scenario without goals.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct CostName {
+    /// Name of the cost, such as `velocity variance`.
+    pub name: String,
+    /// Unit of the cost, such as `m2/s2`.
+    pub unit: String,
+}
+
+impl CostName {
+    /// Returns name and unit of the cost of the scenario called `scenario`, for a team of `robots` robots; `None` for a
+    /// scenario with goals, and if the registry cannot make it.
+    pub fn named(registry: &Registry, scenario: &str, robots: usize) -> Option<CostName> {
+        CostName::of(&*registry.scenario(scenario, &Settings::of(robots)).ok()?)
+    }
+
+    /// Returns name and unit of the cost of a scenario; `None` for a scenario with goals.
+    pub fn of(scenario: &dyn Scenario) -> Option<CostName> {
+        let Cost { name, unit, .. } = scenario.cost()?;
+        Some(CostName { name: name.to_owned(), unit: unit.to_owned() })
+    }
+}
+
+/// Episode that failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct FailedEpisode {
     /// Index of the repeat, from 0.
@@ -119,6 +147,8 @@ pub struct Run {
     pub policy: String,
     /// Number of robots.
     pub robots: usize,
+    /// Name and unit of the cost of episodes; `None` in a scenario with goals.
+    pub cost: Option<CostName>,
     /// Data from which episodes are judged: true states of a simulation, or readings.
     pub judged: Judged,
     /// Seed of the run.
@@ -143,14 +173,14 @@ impl Summary {
     pub fn of(run: Run, trials: &[TrialReport]) -> Summary {
         let episodes: Vec<Episode> = trials.iter().flat_map(|trial| &trial.episodes).copied().collect();
         let outcomes = Outcomes::of(&episodes);
-        let failures = episodes.iter().filter(|episode| episode.verdict != Verdict::Success);
+        let failures = episodes.iter().filter(|episode| episode.verdict.is_failure());
         let failed =
             failures.map(|&Episode { repeat, episode, verdict, .. }| FailedEpisode { repeat, episode, verdict });
         let failed = failed.collect();
         let totals = || trials.iter().map(|trial| trial.totals);
         let mut trace = Xxh3::new();
         totals().for_each(|totals| trace.update(&totals.trace.to_le_bytes()));
-        let Run { mode, scenario, policy, robots, judged, seed, wall_s, network, faults, interrupted } = run;
+        let Run { mode, scenario, policy, robots, cost, judged, seed, wall_s, network, faults, interrupted } = run;
         Summary {
             mode,
             scenario,
@@ -162,6 +192,7 @@ impl Summary {
                 aborts: outcomes.aborted,
             },
             outcomes,
+            cost,
             judged,
             counts: Counts::Team,
             virtual_s: trials.iter().map(|trial| trial.simulated.as_secs()).sum(),
@@ -189,6 +220,18 @@ impl Summary {
     pub fn of_team(run: Run, report: TrialReport, counts: Counts, unwritten: Unwritten) -> Summary {
         // Runs in real time cannot be repeated exactly, so there is no trace to compare.
         Summary { counts, unwritten, trace_hash: None, ..Summary::of(run, &[report]) }
+    }
+
+    /// Writes the table's lines about costs and failures, in a scenario without goals.
+    fn write_cost(&self, f: &mut fmt::Formatter<'_>, cost: &CostOutcomes) -> fmt::Result {
+        let CostOutcomes { completed, cost_mean, cost_ci95: [low, high], cost_median } = cost;
+        let unit = self.cost.as_ref().map_or("", |cost| cost.unit.as_str());
+        let name = self.cost.as_ref().map_or("", |cost| cost.name.as_str());
+        writeln!(f, "  cost         {cost_mean:>8.4}   mean {name} [{unit}] (95 %: {low:.4} to {high:.4})")?;
+        writeln!(f, "  {:<12} {cost_median:>8.4}   median", "")?;
+        let episodes = self.outcomes.episodes;
+        writeln!(f, "  completed    {completed:>8}   of {episodes} episodes, without a failure")?;
+        writeln!(f, "  failures     {:>8}   {}", episodes - completed, self.outcomes.failures())
     }
 
     /// Writes the table's lines about emulated links and injected faults.
@@ -234,22 +277,20 @@ impl fmt::Display for Summary {
         if self.interrupted {
             writeln!(f, "  interrupted: what follows counts the episodes until then")?;
         }
-        let share = percent(self.outcomes.success_rate);
-        writeln!(
-            f,
-            "  success      {share:>8}   {} of {} (95 %: {} to {})",
-            successes,
-            episodes,
-            percent(low),
-            percent(high)
-        )?;
-        match (self.outcomes.makespan_median_s, self.outcomes.makespan_quartiles_s) {
-            (Some(median), Some([first, third])) => {
-                writeln!(f, "  makespan   {median:>8.2} s   median (quartiles {first:.2} and {third:.2} s)")?;
+        if let Some(cost) = &self.outcomes.cost {
+            self.write_cost(f, cost)?;
+        } else {
+            let share = percent(self.outcomes.success_rate);
+            let (low, high) = (percent(low), percent(high));
+            writeln!(f, "  success      {share:>8}   {successes} of {episodes} (95 %: {low} to {high})")?;
+            match (self.outcomes.makespan_median_s, self.outcomes.makespan_quartiles_s) {
+                (Some(median), Some([first, third])) => {
+                    writeln!(f, "  makespan   {median:>8.2} s   median (quartiles {first:.2} and {third:.2} s)")?;
+                }
+                _ => writeln!(f, "  makespan            -   no episode succeeded")?,
             }
-            _ => writeln!(f, "  makespan            -   no episode succeeded")?,
+            writeln!(f, "  failures     {:>8}   {}", episodes - successes, self.outcomes.failures())?;
         }
-        writeln!(f, "  failures     {:>8}   {}", episodes - successes, self.outcomes.failures())?;
         if !self.failed.is_empty() {
             writeln!(f, "  {:<12} {:>8}   {}", "", "in", self.failed_episodes())?;
         }

@@ -6,21 +6,25 @@
 use std::fmt::Display;
 
 use super::{Entry, Scenario, Settings, Stage};
-use crate::messages::geometry::{Motion, Task, Vec2};
+use crate::messages::geometry::{Motion, Task, Vec2, is_finite};
 use crate::messages::local::Contacts;
+use crate::time::Span;
 
 /// Team sizes with which the contract test builds a scenario, if the scenario accepts them; `None` is the scenario's
 /// default.
-const SIZES: [Option<usize>; 5] = [None, Some(2), Some(3), Some(8), Some(12)];
+const SIZES: [Option<usize>; 6] = [None, Some(2), Some(3), Some(8), Some(12), Some(20)];
 
 /// Tests the scenario of a registry entry for the properties that every scenario must have, with its default team size
-/// and with those of the sizes 2, 3, 8 and 12 that it accepts.
+/// and with those of the sizes 2, 3, 8, 12 and 20 that it accepts.
 ///
 /// - Tasks: one for each robot, the same for equal seeds and others for other seeds; each episode starts where the
 ///   one before has ended; goals are inside the arena, apart from each other, and not yet reached at the start.
+///   Without goals, these hold for the starts.
 /// - Frames: `steer` inverts the transformation of velocities by `observe`.
 /// - Distance to go: never less than the straight distance to the goal, and zero at the goal.
 /// - Reward: finite; stages never decrease; at the goal, the reward with contacts is less than without.
+/// - Without goals (`Scenario::cost`): the cost is finite and not below zero, no robot is ever at its goal, and initial
+///   velocities are finite and along the heading of the task.
 ///
 /// # Errors
 /// The scenario lacks a property: a sentence that names the first one, the scenario and the team size.
@@ -36,8 +40,12 @@ pub fn check(entry: &Entry) -> Result<(), String> {
         tasks(scenario).map_err(named)?;
         for task in (0..4).flat_map(|episode| scenario.tasks(5, episode)) {
             frames(scenario, &task).map_err(named)?;
-            distance(scenario, &task).map_err(named)?;
+            match scenario.cost() {
+                None => distance(scenario, &task).map_err(named)?,
+                Some(_) => no_goal(scenario, &task).map_err(named)?,
+            }
         }
+        costs(scenario).map_err(named)?;
         for task in scenario.tasks(3, 0) {
             reward(scenario, &task).map_err(named)?;
         }
@@ -57,13 +65,17 @@ fn tasks(scenario: &dyn Scenario) -> Result<(), String> {
         let tasks = scenario.tasks(seed, episode);
         require(tasks.len() == scenario.robots(), || format!("{} tasks, {at}", tasks.len()))?;
         require(tasks == scenario.tasks(seed, episode), || format!("other tasks the second time, {at}"))?;
+        let places: Vec<Vec2> = match scenario.cost() {
+            None => tasks.iter().map(|task| task.goal).collect(),
+            Some(_) => tasks.iter().map(|task| task.start).collect(),
+        };
         let starts: Vec<Vec2> = scenario.tasks(seed, episode + 1).iter().map(|task| task.start).collect();
-        let goals: Vec<Vec2> = tasks.iter().map(|task| task.goal).collect();
-        require(goals == starts, || format!("the next episode does not start at the goals, {at}"))?;
-        for (robot, goal) in goals.iter().enumerate() {
-            require(arena.admits(*goal), || format!("robot {robot} has no room at {goal}, {at}"))?;
-            let near = |other: &Vec2| (*other - *goal).norm() <= 2.0 * arena.robot_radius_m;
-            require(!goals[..robot].iter().any(near), || format!("robot {robot} overlaps another, {at}"))?;
+        let chained = places == starts || scenario.cost().is_some();
+        require(chained, || format!("the next episode does not start at the goals, {at}"))?;
+        for (robot, place) in places.iter().enumerate() {
+            require(arena.admits(*place), || format!("robot {robot} has no room at {place}, {at}"))?;
+            let near = |other: &Vec2| (*other - *place).norm() <= 2.0 * arena.robot_radius_m;
+            require(!places[..robot].iter().any(near), || format!("robot {robot} overlaps another, {at}"))?;
             let arrived = scenario.reached(&tasks[robot], tasks[robot].start);
             require(!arrived, || format!("robot {robot} starts at its goal, {at}"))?;
         }
@@ -93,6 +105,38 @@ fn distance(scenario: &dyn Scenario, task: &Task) -> Result<(), String> {
     })
 }
 
+/// Checks a task of a scenario without goals.
+fn no_goal(scenario: &dyn Scenario, task: &Task) -> Result<(), String> {
+    for position in [task.start, task.goal] {
+        require(!scenario.reached(task, position), || "a robot has reached a goal, but the scenario has a cost")?;
+        let left = scenario.distance_to_go(task, position);
+        require(left == 0.0, || format!("there are {left} m to go, but the scenario has no goals"))?;
+    }
+    let velocity = scenario.start_velocity(task);
+    require(is_finite(velocity), || format!("an initial velocity of {velocity}"))?;
+    let (sin, cos) = libm::sincosf(task.heading());
+    let across = cos * velocity.y - sin * velocity.x;
+    let along = across.abs() < 1e-3 && cos * velocity.x + sin * velocity.y > -1e-3;
+    require(along, || format!("an initial velocity of {velocity}, not along the way to the task's goal"))
+}
+
+/// Checks the cost of a scenario without goals, for its initial states and for a team at rest.
+fn costs(scenario: &dyn Scenario) -> Result<(), String> {
+    let Some(cost) = scenario.cost() else { return Ok(()) };
+    let limit = scenario.rules().limit;
+    require(limit > Span::ZERO, || "its episodes, which end by time, take none")?;
+    for tasks in (0..4).map(|episode| scenario.tasks(7, episode)) {
+        let moving = |task: &Task| Motion { position: task.start, velocity: scenario.start_velocity(task) };
+        let at_rest = |task: &Task| Motion::at_rest(task.start);
+        for team in [tasks.iter().map(moving).collect::<Vec<_>>(), tasks.iter().map(at_rest).collect()] {
+            let found = (cost.of)(&team);
+            require(found.is_finite() && found >= 0.0, || format!("a cost of {found}"))?;
+            require((cost.of)(&team) == found, || "another cost of the same team")?;
+        }
+    }
+    Ok(())
+}
+
 fn reward(scenario: &dyn Scenario, task: &Task) -> Result<(), String> {
     let mut stage = Stage::default();
     // From start to goal along a line, through walls, which a reward does not know.
@@ -106,7 +150,10 @@ fn reward(scenario: &dyn Scenario, task: &Task) -> Result<(), String> {
         require(earned.is_finite(), || format!("a reward of {earned} at {position}"))?;
         require(stage >= before, || format!("{stage:?} after {before:?} at {position}"))?;
     }
-    require(scenario.reached(task, task.goal), || "a robot at its goal has not reached it")?;
+    require(
+        scenario.reached(task, task.goal) || scenario.cost().is_some(),
+        || "a robot at its goal has not reached it",
+    )?;
     let motion = Motion::at_rest(task.goal);
     let free = scenario.reward(task, &motion, Contacts::default(), &mut stage.clone());
     let blocked = scenario.reward(task, &motion, Contacts { robot: true, wall: true }, &mut stage);

@@ -5,14 +5,18 @@
 //! policy commands has been at the goal. Judging ends with the last arrival or at the time limit; later states do not
 //! count. The code does no I/O, and the Recorder (an actor) and the trainer both use it.
 //!
+//! In a scenario without goals nobody arrives: judging ends at the time limit, and the result is the mean cost of all
+//! steps, with collisions.
+//!
 //! The states are the true ones of the whole team at each step, or measured ones of those robots that were seen in the
 //! step (module `sightings`).
 
 use serde::{Deserialize, Serialize};
 
 use super::Rules;
+use super::cost::{Cost, MeanCost};
 use crate::cells::{self, Cells};
-use crate::messages::geometry::Vec2;
+use crate::messages::geometry::{Motion, Vec2};
 use crate::messages::ids::RobotId;
 use crate::messages::local::Contacts;
 use crate::time::Span;
@@ -23,6 +27,8 @@ use crate::time::Span;
 pub enum Verdict {
     /// Every robot arrived in time without a collision.
     Success,
+    /// The episode of a scenario without goals lasted its time without a collision. Its result is its cost.
+    Completed,
     /// Two robots came nearer to each other than the rules allow.
     RobotCollision,
     /// A robot touched a wall.
@@ -41,12 +47,18 @@ impl Verdict {
     pub fn word(self) -> &'static str {
         match self {
             Verdict::Success => "success",
+            Verdict::Completed => "completed",
             Verdict::RobotCollision => "robot-collision",
             Verdict::WallCollision => "wall-collision",
             Verdict::Timeout => "timeout",
             Verdict::Aborted => "aborted",
             Verdict::Unseen => "unseen",
         }
+    }
+
+    /// Returns whether the episode failed: it is neither a success nor completed.
+    pub fn is_failure(self) -> bool {
+        !matches!(self, Verdict::Success | Verdict::Completed)
     }
 }
 
@@ -58,6 +70,9 @@ pub struct JudgedRobot {
     /// Position of the point that the robot's policy commands \[m\], world frame: the centre, unless its drive is
     /// differential.
     pub point: Vec2,
+    /// Velocity of the robot \[m/s\], world frame: that of the centre if true states are judged, that of the point if
+    /// readings are.
+    pub velocity: Vec2,
     /// Contacts of the robot with walls and other robots in this step.
     pub contacts: Contacts,
 }
@@ -71,6 +86,9 @@ pub struct Finding {
     pub after: Span,
     /// Smallest distance between the centres of two robots during the episode \[m\]; infinite for a single robot.
     pub min_separation_m: f32,
+    /// Mean cost of the steps until then, in the unit of the scenario's cost; `None` in a scenario with goals, and
+    /// before the first step.
+    pub cost: Option<f64>,
 }
 
 /// Judge of one episode, which processes the robots' states step by step and then returns the outcome.
@@ -81,13 +99,22 @@ pub struct Judge {
     arrived: Vec<bool>,
     failure: Option<Verdict>,
     min_separation_m: f32,
+    /// Cost of the episode so far; `None` in a scenario with goals.
+    cost: Option<MeanCost>,
 }
 
 impl Judge {
     /// Makes the judge of an episode with criteria `rules` and the robots' `goals` \[m\], world frame, in the order of
     /// robot ids.
     pub fn new(rules: Rules, goals: Vec<Vec2>) -> Judge {
-        Judge { rules, arrived: vec![false; goals.len()], goals, failure: None, min_separation_m: f32::INFINITY }
+        let (arrived, min_separation_m) = (vec![false; goals.len()], f32::INFINITY);
+        Judge { rules, arrived, goals, failure: None, min_separation_m, cost: None }
+    }
+
+    /// Returns the judge with this cost: with one the goals do not count, and the episode ends by time. `None` changes
+    /// nothing.
+    pub fn with_cost(self, cost: Option<Cost>) -> Judge {
+        Judge { cost: cost.map(MeanCost::new), ..self }
     }
 
     /// Processes the states of all robots at one step, in the order of robot ids. `after` is the time since the start
@@ -127,6 +154,11 @@ impl Judge {
                 self.failure = Some(Verdict::RobotCollision);
             }
         }
+        if let Some(cost) = &mut self.cost {
+            let motion = |robot: &JudgedRobot| Motion { position: robot.position, velocity: robot.velocity };
+            cost.add(&robots.iter().map(motion).collect::<Vec<_>>());
+            return (after >= self.rules.limit).then(|| self.end(after, Verdict::Completed));
+        }
         for (at, robot) in robots.iter().enumerate() {
             let at = index(at);
             self.arrived[at] |= (self.goals[at] - robot.point).norm() <= self.rules.arrival_m;
@@ -143,7 +175,8 @@ impl Judge {
     /// failure, or `without_failure` if there was none.
     pub fn end(&self, after: Span, without_failure: Verdict) -> Finding {
         let verdict = self.failure.unwrap_or(without_failure);
-        Finding { verdict, after, min_separation_m: self.min_separation_m }
+        let cost = self.cost.and_then(|cost| cost.mean());
+        Finding { verdict, after, min_separation_m: self.min_separation_m, cost }
     }
 }
 
@@ -176,7 +209,7 @@ mod tests {
 
     fn seen(x: f32) -> JudgedRobot {
         let position = Vec2::new(x, 0.0);
-        JudgedRobot { position, point: position, contacts: Contacts::default() }
+        JudgedRobot { position, point: position, velocity: Vec2::zeros(), contacts: Contacts::default() }
     }
 
     fn judge() -> Judge {
@@ -237,7 +270,7 @@ mod tests {
         let mut smallest = f32::INFINITY;
         for step in 0..20 {
             let mut point = || Vec2::new(stream.random_range(0.0..20.0), stream.random_range(0.0..20.0));
-            let robot = |at| JudgedRobot { position: at, point: at, contacts: Contacts::default() };
+            let robot = |at| JudgedRobot { position: at, ..seen(0.0) };
             let robots: Vec<JudgedRobot> = (0..100).map(|_| robot(point())).collect();
             for (index, robot) in robots.iter().enumerate() {
                 for other in &robots[..index] {

@@ -122,7 +122,10 @@ fn check(scenario: &dyn Scenario, tasks: &[Task]) -> Result<(), String> {
     if tasks.len() != scenario.robots() {
         return Err(format!("{} robots; the team has {}", tasks.len(), scenario.robots()));
     }
-    for (end, pick) in [("start", (|task| task.start) as fn(&Task) -> Vec2), ("goal", |task| task.goal)] {
+    // Without goals, only the starts are places of robots.
+    let ends = [("start", (|task| task.start) as fn(&Task) -> Vec2), ("goal", |task| task.goal)];
+    let ends = if scenario.cost().is_some() { &ends[..1] } else { &ends[..] };
+    for &(end, pick) in ends {
         for (robot, task) in tasks.iter().enumerate() {
             let at = pick(task);
             if !is_finite(at) || !scenario.arena().admits(at) {

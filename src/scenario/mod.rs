@@ -6,6 +6,8 @@
 
 pub mod arena;
 pub mod contract;
+pub mod cost;
+pub mod flocking;
 pub mod judge;
 pub mod layout;
 pub mod passage;
@@ -16,6 +18,7 @@ use std::fmt::{self, Debug};
 use std::sync::Arc;
 
 pub use arena::{Arena, KeepOut, Portal};
+pub use cost::Cost;
 
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
@@ -69,7 +72,7 @@ pub struct Rules {
     pub arrival_m: f32,
     /// Distance \[m\] between the centres of two robots below which they have collided.
     pub separation_m: f32,
-    /// Time since the start of an episode within which every robot must arrive.
+    /// Time since the start of an episode within which every robot must arrive. An episode without goals lasts as long.
     pub limit: Span,
 }
 
@@ -105,8 +108,25 @@ pub trait Scenario: Debug + Send + Sync {
     fn arena(&self) -> &Arena;
 
     /// Returns start and goal of every robot \[m\], world frame, in the order of robot ids. `seed` is the seed of the
-    /// run, and `episode` counts from 0. The starts of an episode are the goals of the previous episode.
+    /// run, and `episode` counts from 0. The starts of an episode are the goals of the previous episode, unless the
+    /// scenario has no goals (`cost`).
     fn tasks(&self, seed: u64, episode: u32) -> Vec<Task>;
+
+    /// Returns the cost by which an episode is judged, in a scenario without goals. Its episodes end by time,
+    /// `Rules::limit`, and their verdict is the cost, with collisions. `None`, the default, means that each robot has
+    /// to arrive at its goal.
+    ///
+    /// In a scenario without goals no robot is ever at its goal: `reached` is false, and `distance_to_go` is zero.
+    fn cost(&self) -> Option<Cost> {
+        None
+    }
+
+    /// Returns the velocity \[m/s\], world frame, that a robot with start and goal `_task` has at the start of an
+    /// episode, if a simulated world places it there. Robots that drive to their starts begin at rest. The default is
+    /// zero.
+    fn start_velocity(&self, _task: &Task) -> Vec2 {
+        Vec2::zeros()
+    }
 
     /// Returns the policy frame of a robot with start and goal `task`: the world frame, or that frame rotated by half a
     /// turn. In this frame the robot's policy observes and commands.
@@ -169,7 +189,7 @@ pub trait Scenario: Debug + Send + Sync {
     }
 
     /// Returns the success rate, 0 to 1, that scripted navigation (the policy `orca`) must reach with the scenario's
-    /// default team in mode `sim`. The test `tests/graph/contracts.rs` requires it.
+    /// default team in mode `sim`. The test `tests/graph/contracts.rs` requires it of scenarios with goals.
     fn scripted_success(&self) -> f64 {
         0.9
     }
@@ -252,6 +272,11 @@ pub const REGISTRY: &[Entry] = &[
         name: "passage",
         about: "a team crosses a narrow gap in a wall (the paper's case study)",
         build: passage::build,
+    },
+    Entry {
+        name: "flocking",
+        about: "a team that starts with random velocities agrees on one; nobody has a goal",
+        build: flocking::build,
     },
     Entry { name: "swap", about: "robots exchange places on open ground of constant density", build: swap::build },
 ];

@@ -40,7 +40,7 @@ pub struct Sighting {
     pub lapsed: bool,
 }
 
-/// Measured position of one robot in one step, world frame.
+/// Measured position and velocity of one robot in one step, world frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spot {
     /// Position of the centre of the robot's hull \[m\].
@@ -48,6 +48,8 @@ pub struct Spot {
     /// Position \[m\] of the point that the robot's policy commands, as the reading states it. The point is the centre,
     /// unless the drive is differential.
     pub point: Vec2,
+    /// Measured velocity of the point \[m/s\].
+    pub velocity: Vec2,
 }
 
 /// State of one robot in [`Sightings`]: its newest reading, when it was last seen, and its position in the unfinished
@@ -105,7 +107,7 @@ impl Sightings {
     /// frame. Returns the step that ends with this arrival; `None` if no step ends, or if the reading is old or
     /// repeated.
     pub fn see(&mut self, now: Time, reading: &Reading, centre: Vec2) -> Option<Sighting> {
-        let (at, position) = (reading.robot.index(), reading.pose.position);
+        let (at, position, velocity) = (reading.robot.index(), reading.pose.position, reading.twist.velocity);
         let known = &mut self.team[at];
         if !known.is_news(now, reading) {
             return None;
@@ -121,7 +123,7 @@ impl Sightings {
         let known = &mut self.team[at];
         self.lapsed |= now.since(known.since) > SIGHT;
         (known.since, self.at) = (now, now);
-        self.here += usize::from(known.here.replace(Spot { centre, point: position }).is_none());
+        self.here += usize::from(known.here.replace(Spot { centre, point: position, velocity }).is_none());
         // A robot that is seen again begins a new step alone. In a team of one, every step is complete at once.
         over.or_else(|| if self.here == self.team.len() { self.close() } else { None })
     }
@@ -166,7 +168,7 @@ mod tests {
     }
 
     fn step(ms: u64, robots: &[(u16, f32)]) -> Option<Sighting> {
-        let spot = |x: f32| Spot { centre: Vec2::new(x, 0.0), point: Vec2::new(x, 0.0) };
+        let spot = |x: f32| Spot { centre: Vec2::new(x, 0.0), point: Vec2::new(x, 0.0), velocity: Vec2::zeros() };
         let robots = robots.iter().map(|&(robot, x)| (RobotId(robot), spot(x))).collect();
         Some(Sighting { at: at_ms(ms), robots, lapsed: false })
     }

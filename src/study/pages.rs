@@ -12,6 +12,9 @@ use crate::report::page::{self, Part};
 
 /// Returns all figures of a study: first those of all policies, then those of each policy.
 pub fn figures(study: &Study, results: &Results) -> Result<Vec<Figure>, FigureError> {
+    if study.scenario.cost().is_some() {
+        return Ok(vec![costs(study, results)?]);
+    }
     let mut all = vec![overview(study, results)?];
     if study.name != "modes" {
         return Ok(all);
@@ -27,6 +30,29 @@ pub fn figures(study: &Study, results: &Results) -> Result<Vec<Figure>, FigureEr
         }
     }
     Ok(all)
+}
+
+/// Draws the cost in each column, one line per policy, in a scenario without goals.
+fn costs(study: &Study, results: &Results) -> Result<Figure, FigureError> {
+    let cells = by_column(study, results);
+    let point = |cell: &Cell| {
+        let cost = cell.row.outcomes.cost.as_ref()?;
+        // In thousandths, as the axis has one decimal.
+        Some(Point { value: 1e3 * cost.cost_mean, within: cost.cost_ci95.map(|end| 1e3 * end) })
+    };
+    let line = |policy: usize| Line {
+        name: study.policies[policy].name(),
+        points: cells.iter().map(|column| column[policy].and_then(point)).collect(),
+    };
+    let unit = study.scenario.cost().map_or("", |cost| cost.unit);
+    let (y, lines) = (format!("cost [0.001 {unit}]"), (0..study.policies.len()).map(line).collect());
+    let panel = Panel { title: "mean cost of an episode".to_owned(), y, ends: None, lines };
+    let places: Vec<String> = study.columns.iter().map(|column| column.name.clone()).collect();
+    let title = "Cost by column";
+    let caption =
+        "Marks: the mean cost over all layouts and repeats; bars: its 95 % interval by Student's t.".to_owned();
+    let (name, svg) = (format!("cost-{}", study.name), figures::sweep(title, "column", &places, &[panel])?);
+    Ok(Figure { name, title: "Cost".to_owned(), caption, svg })
 }
 
 fn overview(study: &Study, results: &Results) -> Result<Figure, FigureError> {
@@ -215,19 +241,22 @@ pub fn page(study: &Study, results: &Results, figures: &[Figure]) -> String {
         parts.push(Part::Heading(format!("Policy {}, handling {}", tested.policy, tested.handling.name)));
         parts.push(Part::Table(heads, rows));
         let drop = Results::largest_drop_points(&results.of_policy(study, at));
-        if let (Some(drop), "modes") = (drop, study.name) {
+        if let (Some(drop), "modes", None) = (drop, study.name, study.scenario.cost()) {
             let most = published::LARGEST_DROP_POINTS;
             let text = format!("Success falls by up to {drop:.1} points against sim; in the paper by up to {most}.");
             parts.push(Part::Text(text));
         }
     }
-    parts.push(Part::Text(
-        "Success with its 95 % Wilson interval; median makespan of the successes with its quartiles; 'paper': Table \
-         I of Blumenkamp et al., ICRA 2022, on real robots. Failures by what came first: \
-         robot collisions (nearer to each other than the rules allow), wall collisions, timeouts, aborted and unseen \
-         episodes. 'within 50 ms': messages between robots that arrived within 50 ms, of all expected deliveries."
-            .to_owned(),
-    ));
+    let costs = "Mean and median cost of the episodes, with the 95 % interval of the mean by Student's t; completed: \
+                 episodes without a collision that lasted their time. 'within 50 ms': messages between robots that \
+                 arrived within 50 ms, of all expected deliveries.";
+    let successes = "Success with its 95 % Wilson interval; median makespan of the successes with its quartiles; \
+                     'paper': Table I of Blumenkamp et al., ICRA 2022, on real robots. Failures by what came first: \
+                     robot collisions (nearer to each other than the rules allow), wall collisions, timeouts, aborted \
+                     and unseen episodes. 'within 50 ms': messages between robots that arrived within 50 ms, of all \
+                     expected deliveries.";
+    let legend = if study.scenario.cost().is_some() { costs } else { successes };
+    parts.push(Part::Text(legend.to_owned()));
     parts.push(Part::Heading("Figures".to_owned()));
     parts.extend(figures.iter().map(Part::Figure));
     parts.push(Part::Heading("What was run".to_owned()));

@@ -9,6 +9,25 @@ use super::{Study, published};
 const HEADS: [&str; 9] =
     ["column", "success", "95 %", "paper", "makespan", "quartiles", "paper", "failures", "within 50 ms"];
 
+/// Heads of the columns of a results table in a scenario without goals.
+const COST_HEADS: [&str; 7] = ["column", "cost", "95 %", "median", "completed", "failures", "within 50 ms"];
+
+/// Returns the cells of a row of the results table in a scenario without goals, as text.
+fn cost_cells(row: &Row) -> [String; 7] {
+    let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+    let dash = || "-".to_owned();
+    let cost = row.outcomes.cost.as_ref();
+    [
+        row.name.clone(),
+        cost.map_or_else(dash, |cost| format!("{:.4}", cost.cost_mean)),
+        cost.map_or_else(dash, |cost| format!("{:.4} to {:.4}", cost.cost_ci95[0], cost.cost_ci95[1])),
+        cost.map_or_else(dash, |cost| format!("{:.4}", cost.cost_median)),
+        format!("{} of {}", cost.map_or(0, |cost| cost.completed), row.outcomes.episodes),
+        row.outcomes.failures(),
+        row.delivered.zip(row.within_50ms).map_or_else(dash, |(delivered, within)| percent(delivered * within)),
+    ]
+}
+
 /// Returns the cells of a row of the results table, as text.
 fn cells(row: &Row) -> [String; 9] {
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
@@ -34,6 +53,10 @@ const WORDS: [&str; 2] = ["column", "failures"];
 /// Returns column heads and rows of the results table of the study's policy with the index `policy`. It has the paper's
 /// results beside them only in the study `modes`.
 pub fn of_policy(study: &Study, results: &Results, policy: usize) -> (Vec<&'static str>, Vec<Vec<String>>) {
+    if study.scenario.cost().is_some() {
+        let rows = results.of_policy(study, policy).into_iter().map(|cell| cost_cells(&cell.row).to_vec());
+        return (COST_HEADS.to_vec(), rows.collect());
+    }
     let compared = study.name == "modes";
     let shown = |at: &usize| compared || !PAPER.contains(at);
     let heads = (0..HEADS.len()).filter(shown).map(|at| HEADS[at]).collect();
@@ -71,6 +94,9 @@ pub fn text(study: &Study, results: &Results) -> String {
             let _ = writeln!(text, "{}", line.trim_end());
         }
         let cells = results.of_policy(study, at);
+        if study.scenario.cost().is_some() {
+            continue;
+        }
         if let (Some(drop), "modes") = (Results::largest_drop_points(&cells), study.name) {
             let most = published::LARGEST_DROP_POINTS;
             let _ =

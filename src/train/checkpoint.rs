@@ -117,7 +117,7 @@ impl Trainer {
 
 /// Returns the names of the vector instructions of this processor on which the last bits of a training depend: those by
 /// which the matrix products and the system's mathematical functions choose their code.
-fn vector_instructions() -> String {
+pub(super) fn vector_instructions() -> String {
     #[cfg(target_arch = "x86_64")]
     let found = [
         ("avx", std::is_x86_feature_detected!("avx")),

@@ -203,12 +203,19 @@ impl Environments {
         self.set_episode(team, layout, &tasks, episode);
         for (index, task) in tasks.iter().enumerate() {
             let robot = self.teams[team].first + index;
+            let velocity = self.scenario(team).start_velocity(task);
             self.position[robot] = task.start;
-            self.velocity[robot] = Vec2::zeros();
+            self.velocity[robot] = velocity;
             if let Some(rolling) = &mut self.rolling {
                 let turns = rolling.wheels[robot].chassis().drive == DriveKind::Differential;
-                rolling.wheels[robot].place(if turns { stream.random_range(-PI..PI) } else { 0.0 });
-                rolling.update(robot, &Motion::at_rest(task.start));
+                // A robot that starts in motion is placed as in a World: with its heading along its velocity.
+                let heading = match turns {
+                    true if velocity != Vec2::zeros() => task.heading(),
+                    true => stream.random_range(-PI..PI),
+                    false => 0.0,
+                };
+                rolling.wheels[robot].place(heading);
+                rolling.update(robot, &Motion { position: task.start, velocity });
             }
             self.contacts[robot] = Contacts::default();
             self.stage[robot] = Stage(0);

@@ -59,7 +59,7 @@ impl Evaluation<'_> {
             chunk.environments.place(team, (self.seed, episode), conditions(episode), &mut stream);
             let range = chunk.environments.teams[team].range();
             let goals = chunk.environments.tasks[range].iter().map(|task| task.goal);
-            judges.push(Judge::new(self.scenario.rules(), goals.collect()));
+            judges.push(Judge::new(self.scenario.rules(), goals.collect()).with_cost(self.scenario.cost()));
         }
         let mut findings: Vec<Option<Finding>> = vec![None; rows];
         let mut after = Span::ZERO;
@@ -75,6 +75,7 @@ impl Evaluation<'_> {
                 let state = |robot: usize| JudgedRobot {
                     position: environments.position[robot],
                     point: environments.point(robot).position,
+                    velocity: environments.velocity[robot],
                     contacts: environments.contacts[robot],
                 };
                 let states: Vec<JudgedRobot> = environments.teams[team].range().map(state).collect();

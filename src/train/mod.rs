@@ -14,6 +14,7 @@ pub mod evaluate;
 pub mod expectation;
 mod filters;
 mod gradient;
+pub mod imitation;
 mod limits;
 pub mod loss;
 pub mod matrix;

@@ -105,6 +105,15 @@ pub enum SetupError {
         /// Number of robots in the scenario's team.
         robots: usize,
     },
+    /// The scenario has no goals, so progress and arrival earn nothing, and its own reward has no weight.
+    #[error(
+        "reward.scenario: 0, but robots of the scenario '{scenario}' have no goals to be rewarded for; raise it, or \
+         train by imitation: --preset imitation"
+    )]
+    NoGoals {
+        /// Name of the scenario.
+        scenario: String,
+    },
     /// The configuration sets a weight for the scenario's own reward, but the scenario has none.
     #[error("reward.scenario: {weight}, but the scenario '{scenario}' has no reward of its own; set it to 0")]
     NoReward {
@@ -168,6 +177,9 @@ impl Trainer {
         let weight = plan.config.reward.scenario;
         if weight > 0.0 && !has_reward(&*scenario) {
             return Err(SetupError::NoReward { scenario: plan.scenario, weight });
+        }
+        if weight == 0.0 && scenario.cost().is_some() {
+            return Err(SetupError::NoGoals { scenario: plan.scenario });
         }
         let seed = Seed::of_run(plan.seed);
         let (actor, critic) = (Network::new(plan.config.actor()), Network::new(plan.config.critic()));

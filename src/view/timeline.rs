@@ -8,7 +8,6 @@ use crate::messages::local::Truth;
 use crate::messages::wire::Wire;
 use crate::report::episode::Episode;
 use crate::safety::guard::SafetyCounts;
-use crate::scenario::judge::Verdict;
 use crate::time::{Span, Time};
 
 /// Number of states of the team that a timeline stores between start and end of a record. To jump to a time, events are
@@ -76,7 +75,7 @@ impl Timeline {
             let lines = view.log_count();
             view.take(*at, sight);
             let kind = match sight {
-                Sight::Judged(episode) if episode.verdict == Verdict::Success => Some(MarkKind::Success),
+                Sight::Judged(episode) if !episode.verdict.is_failure() => Some(MarkKind::Success),
                 Sight::Judged(_) => Some(MarkKind::Failure),
                 Sight::Guard(..) if view.log_count() > lines => Some(MarkKind::Guard),
                 Sight::Message(Wire::Mode(_) | Wire::Heartbeat(_)) if view.latch().word() != latch => {

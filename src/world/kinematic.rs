@@ -252,6 +252,11 @@ impl Plant for Kinematic {
         self.update_state(robot);
     }
 
+    fn launch(&mut self, robot: usize, velocity: Vec2) {
+        (self.velocity[robot], self.commands[robot]) = (velocity, velocity);
+        self.update_state(robot);
+    }
+
     fn drive(&mut self, robot: usize, velocity: Vec2) {
         self.commands[robot] = velocity;
     }
@@ -311,6 +316,21 @@ mod tests {
         plant.advance();
         assert!(plant.states()[0].contacts.wall);
         assert_eq!(plant.states()[0].motion.position, Vec2::new(0.0, 0.249));
+    }
+
+    #[test]
+    fn a_robot_that_is_launched_keeps_its_velocity_until_it_is_commanded_another() {
+        let mut plant = build(&arena(), &Physics::published(&arena()), &[Vec2::zeros()], Seed::of_run(0));
+        let velocity = Vec2::new(0.4, -0.3);
+        plant.place(0, Vec2::new(0.5, -1.0), 0.0);
+        plant.launch(0, velocity);
+        assert_eq!(plant.states()[0].motion, Motion { position: Vec2::new(0.5, -1.0), velocity });
+        (0..10).for_each(|_| plant.advance());
+        let motion = plant.states()[0].motion;
+        assert!((motion.velocity - velocity).norm() < 1e-5, "{motion:?}");
+        assert!((motion.position - Vec2::new(0.7, -1.15)).norm() < 1e-4, "{motion:?}");
+        plant.place(0, Vec2::zeros(), 0.0);
+        assert_eq!(plant.states()[0].motion, Motion::at_rest(Vec2::zeros()), "placed anew, it stands");
     }
 
     #[test]

@@ -70,6 +70,15 @@ pub trait Plant {
     /// counter-clockwise from the x axis; a holonomic robot ignores it.
     fn place(&mut self, robot: usize, position: Vec2, heading: f32);
 
+    /// Gives a robot that was just placed a `velocity` \[m/s\], world frame, at the start of an episode that begins in
+    /// motion, and commands it to keep this velocity. `robot` is its index. A differential drive was placed with its
+    /// heading along the velocity.
+    ///
+    /// The default implementation only commands the velocity: the robot starts at rest and accelerates.
+    fn launch(&mut self, robot: usize, velocity: Vec2) {
+        self.drive(robot, velocity);
+    }
+
     /// Sets the commanded velocity \[m/s\], world frame, of the robot with index `robot`; it holds until the next call.
     /// The velocity is that of the commanded point: the centre of a holonomic robot, a point ahead of the axle of a
     /// differential drive.

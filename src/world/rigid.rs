@@ -148,6 +148,13 @@ impl Plant for Rigid {
         self.update_motion();
     }
 
+    fn launch(&mut self, robot: usize, velocity: Vec2) {
+        let (handle, drivetrain) = &mut self.robots[robot];
+        drivetrain.command = velocity;
+        self.world.bodies[*handle].set_linvel(to_glam(velocity), true);
+        self.update_motion();
+    }
+
     fn drive(&mut self, robot: usize, velocity: Vec2) {
         self.robots[robot].1.command = velocity;
     }

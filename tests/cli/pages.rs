@@ -170,6 +170,7 @@ impl Sandbox {
         fs::copy(weights, sandbox.at("weights.safetensors")).expect("a policy file");
         sandbox.write("my-room.toml", "noise_loss = 0.05\n");
         sandbox.write("small.toml", &small_training());
+        sandbox.write("small-imitation.toml", &small_imitation());
         for block in page.blocks() {
             if let Some(file) = block.file() {
                 sandbox.write(file, &block.text);
@@ -203,6 +204,14 @@ fn small_training() -> String {
     (config.ppo.environments, config.ppo.decisions, config.ppo.minibatch) = (40, 4, 80);
     (config.policy.encoder, config.policy.update) = (vec![6, 6], vec![8]);
     config.policy.message = vec![8, 8];
+    toml::to_string(&config).expect("a configuration is TOML")
+}
+
+/// A training by imitation that takes little time.
+fn small_imitation() -> String {
+    let mut config = murmurate::train::imitation::config::Config::preset();
+    (config.robots, config.imitation.episodes) = (Some(20), 1);
+    (config.policy.message, config.policy.update) = (vec![4], vec![4]);
     toml::to_string(&config).expect("a configuration is TOML")
 }
 
@@ -250,6 +259,7 @@ impl Args {
         match (self.0[0].as_str(), self.0.get(1).map(String::as_str)) {
             ("sim", _) => {
                 let large = self.value("--robots").is_some_and(|robots| robots.len() > 2);
+                let large = large || self.value("--scenario") == Some("flocking");
                 let few = if large { self.with("--robots", "20") } else { self };
                 let first = if few.has("--episode") { few.with("--episode", "0") } else { few };
                 // A plan may name the second episode.
@@ -262,6 +272,10 @@ impl Args {
             }
             ("study", _) => self.with("--layouts", "1").with("--repeats", "1").quiet(),
             ("train", _) if self.has("--print-config") => self,
+            ("train", Some("flocking")) => {
+                let small = self.without("--preset").without("--robots").with("--config", "small-imitation.toml");
+                small.without("--minutes").with("--steps", "100").quiet()
+            }
             ("train", _) => {
                 let small = self.without("--preset").without("--robots").with("--config", "small.toml");
                 small.without("--minutes").with("--steps", "160").quiet()

@@ -21,9 +21,12 @@ fn scenarios_keep_their_contract() {
 }
 
 #[test]
-fn the_scripted_baseline_solves_every_scenario() {
+fn the_scripted_baseline_solves_every_scenario_with_goals() {
     for entry in scenario::REGISTRY {
         let trial = Trial::preset("sim", entry.name).expect("a preset").episodes(12);
+        if trial.scenario.cost().is_some() {
+            continue;
+        }
         let bar = trial.scenario.scripted_success();
         let (mut successes, mut failed) = (0, Vec::new());
         for seed in 1..=5 {
@@ -34,6 +37,32 @@ fn the_scripted_baseline_solves_every_scenario() {
             failed.extend(wrong.map(|episode| (seed, episode.episode, episode.verdict)));
         }
         assert!(successes as f64 >= 60.0 * bar, "{}: {successes} of 60, bar {bar}: {failed:?}", entry.name);
+    }
+}
+
+#[test]
+fn episodes_without_goals_last_their_time_and_have_a_cost_in_every_mode() {
+    let scenarios = scenario::REGISTRY.iter().map(|entry| (entry.build)(&Settings::default()).expect("the default"));
+    for scenario in scenarios.filter(|scenario| scenario.cost().is_some()) {
+        let limit_s = scenario.rules().limit.as_secs();
+        for mode in ["sim", "onboard-adhoc"] {
+            let trial = Trial::preset(mode, scenario.name()).expect("a preset").seed(2).episodes(2);
+            let report = trial.run();
+            assert_eq!(report.episodes.len(), 2);
+            for episode in &report.episodes {
+                assert!(episode.verdict != Verdict::Aborted && episode.verdict != Verdict::Success, "{episode:?}");
+                assert_eq!((episode.makespan_s, episode.reset_s), (None, 0.0), "{mode}");
+                let tasks = trial.layouts.episode(episode.episode).iter();
+                let team: Vec<Motion> = tasks
+                    .map(|task| Motion { position: task.start, velocity: scenario.start_velocity(task) })
+                    .collect();
+                let at_first = (scenario.cost().expect("it has one").of)(&team);
+                let cost = episode.cost.expect("it has a cost");
+                assert!(cost > 0.0 && cost < 0.3 * at_first, "{mode}: {cost}, {at_first} at first");
+            }
+            let took_s = report.simulated.as_secs();
+            assert!((2.0 * limit_s..2.0 * limit_s + 2.0).contains(&took_s), "{mode}: {took_s} s");
+        }
     }
 }
 
@@ -89,11 +118,13 @@ fn situations(model: &Model) -> Vec<Situation> {
 #[test]
 fn a_policy_is_a_function_of_its_inputs_and_random_numbers() {
     let passage = scenario::build("passage", &Settings::default()).expect("the default is sound");
-    let named = policy::REGISTRY.iter().map(|entry| (entry.build)(&*passage).expect("the passage has every policy"));
+    let flocking = scenario::build("flocking", &Settings::default()).expect("the default is sound");
+    let of = |entry: &policy::Entry| (entry.build)(&*passage).or_else(|_| (entry.build)(&*flocking));
+    let named = policy::REGISTRY.iter().map(|entry| of(entry).expect("one of both has the policy"));
     for model in named.chain([policy::untrained(1), policy::untrained_full(1)]) {
         let name = model.name();
         let interface = model.interface();
-        assert!(interface.features > 0 && interface.period > Span::ZERO && interface.hold >= interface.period);
+        assert!(interface.period > Span::ZERO && interface.hold >= interface.period);
         let act = |situation: &Situation, seed| {
             let mut policy = model.instance(passage.arena());
             let mut features = vec![f32::NAN; interface.features];

@@ -55,7 +55,7 @@ fn truth(trial: &Trial, report: &TrialReport, episode: u32) -> Option<Finding> {
     report.steps.iter().filter(of).find_map(|step| {
         let seen = step.samples.iter().map(|s| {
             let position = s.motion.position;
-            JudgedRobot { position, point: position, contacts: s.contacts }
+            JudgedRobot { position, point: position, velocity: s.motion.velocity, contacts: s.contacts }
         });
         judge.update(step.samples[0].time.since(begun), &seen.collect::<Vec<_>>())
     })

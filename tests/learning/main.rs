@@ -3,5 +3,6 @@
 mod allocation;
 mod convolutions;
 mod gradients;
+mod imitation;
 mod python_export;
 mod training;

@@ -226,7 +226,7 @@ fn compose<'a>(inputs: &[Input], of: impl Fn(Input) -> &'a [f32], row: &mut [f32
 
 /// Writes the features of the edge from a neighbour to a robot with the state `own` into `row`.
 #[inline(always)]
-fn write_edge(edge: &[EdgeFeature], own: &Motion, neighbour: &Neighbour, row: &mut [f32]) {
+pub fn write_edge(edge: &[EdgeFeature], own: &Motion, neighbour: &Neighbour, row: &mut [f32]) {
     let mut rest = row;
     let relative = neighbour.motion.position - own.position;
     for feature in edge {

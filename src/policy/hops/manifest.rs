@@ -3,6 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::action::Action;
 use super::perceptron::Activation;
 use crate::messages::wire::MAX_FEATURES;
 use crate::policy::Draw;
@@ -168,8 +169,8 @@ impl Hop {
     }
 }
 
-/// Probability distribution of a robot's velocity \[m/s\], of which the decoder's outputs are the parameters: mean_x,
-/// mean_y, and one parameter of the standard deviation of each.
+/// Probability distribution of a robot's action, a velocity \[m/s\] or an acceleration, of which the decoder's outputs
+/// are the parameters: mean_x, mean_y, and one parameter of the standard deviation of each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Distribution {
@@ -212,6 +213,9 @@ pub struct Manifest {
     pub hops: Vec<Hop>,
     /// Network that turns the output of the last hop into the parameters of the action.
     pub decoder: Layers,
+    /// Quantity that the action is; the velocity if left out.
+    #[serde(default, skip_serializing_if = "Action::is_velocity")]
+    pub action: Action,
     /// Probability distribution of a robot's action, of which the decoder's outputs are the parameters.
     pub distribution: Distribution,
     /// Meaning of the decoder's last two outputs, from which the standard deviations of an action are computed.
@@ -299,6 +303,9 @@ impl Manifest {
                 "{field}: inputs of {widths:?} floats, {} together; a message carries {MAX_FEATURES}: narrow them",
                 self.latent()
             ));
+        }
+        if self.action == Action::Acceleration && self.distribution != Distribution::DiagonalNormal {
+            return Err("action: an acceleration needs the distribution 'diagonal-normal'".to_owned());
         }
         if self.deviation != Deviation::Log && self.log_std_max.is_some() {
             return Err("log_std_max: it limits a deviation of the kind 'log' only; leave it out".to_owned());

@@ -6,6 +6,7 @@
 //! asynchronous exchange of hidden layers of arXiv 2309.10164; the older inputs are the delayed aggregation of Tolstaya
 //! et al., CoRL 2019 (arXiv 1903.10527).
 
+pub mod action;
 pub mod attention;
 pub mod file;
 pub mod hop;

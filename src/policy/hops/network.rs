@@ -2,11 +2,13 @@
 
 use std::sync::Arc;
 
+use super::action::Action;
 use super::file::PolicyFile;
 use super::hop::{Hop, Space};
 use super::manifest::{Deviation, Distribution, Manifest, OUTPUTS};
 use super::perceptron::{Buffers, Perceptron};
 use crate::messages::geometry::Vec2;
+use crate::policy::flock::accelerated;
 use crate::policy::mlp::Instructions;
 use crate::policy::{Draw, Interface, Neighbour, Policy};
 use crate::random::{self, Stream};
@@ -161,7 +163,7 @@ impl Policy for Hops {
 
     fn act(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour], stream: &mut Stream) -> Vec2 {
         let outputs = self.outputs(own, features, neighbours);
-        let manifest = &self.network.manifest;
+        let Network { manifest, interface, .. } = &*self.network;
         let normal = match self.draw {
             Draw::Mean => Vec2::new(outputs[0], outputs[1]),
             Draw::Sample => {
@@ -170,6 +172,9 @@ impl Policy for Hops {
                 Vec2::new(drawn(outputs[0], outputs[2], x), drawn(outputs[1], outputs[3], y))
             }
         };
+        if manifest.action == Action::Acceleration {
+            return accelerated(own.motion.velocity, normal, interface.period);
+        }
         match manifest.distribution {
             Distribution::DiagonalNormal => normal,
             Distribution::TanhNormal => normal.map(|axis| manifest.limit_m_s * libm::tanhf(axis)),
@@ -230,6 +235,18 @@ mod tests {
             assert_eq!(squashed, normal.map(|axis| 1.5 * libm::tanhf(axis)));
         }
         assert_eq!(action(&constant("diagonal-normal", "log", raw), Draw::Mean), Vec2::new(0.5, -2.0));
+    }
+
+    #[test]
+    fn an_acceleration_changes_the_measured_velocity_within_its_limit() {
+        let mut network =
+            Arc::into_inner(constant("diagonal-normal", "log", [0.4, -7.0, 0.0, 0.0])).expect("it is new");
+        network.manifest.action = Action::Acceleration;
+        let motion = Motion { position: Vec2::zeros(), velocity: Vec2::new(0.5, 0.5) };
+        let own = Observation { motion, goal: Vec2::zeros() };
+        let mut policy = Hops::new(Arc::new(network), Draw::Mean);
+        let velocity = policy.act(&own, &[0.0], &[], &mut Seed::of_run(1).stream("draw"));
+        assert!((velocity - Vec2::new(0.52, 0.45)).norm() < 1e-6, "{velocity}");
     }
 
     #[test]

@@ -19,7 +19,7 @@ use crate::net::protocol::key::Key;
 use crate::net::protocol::link::DuplicateId;
 use crate::registry::Registry;
 use crate::report::event::HostEvent;
-use crate::report::summary::{Counts, Run, Summary};
+use crate::report::summary::{CostName, Counts, Run, Summary};
 use crate::time::{Span, Time};
 use crate::trial::Trial;
 use anyhow::{Result, anyhow};
@@ -83,12 +83,13 @@ pub struct Args {
 const COUNTED_PERIOD: Span = Span::from_millis(1000);
 
 /// Returns the description of the run for the table of results.
-fn results_of(team: &Team, policy: String, began: Instant, interrupted: bool) -> Run {
+fn results_of(team: &Team, cost: Option<CostName>, policy: String, began: Instant, interrupted: bool) -> Run {
     Run {
         mode: team.deployment.mode.clone(),
         scenario: team.scenario.clone(),
         policy,
         robots: team.deployment.robots,
+        cost,
         judged: team.deployment.judged(),
         seed: team.seed,
         wall_s: began.elapsed().as_secs_f64(),
@@ -174,7 +175,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     outlets.print_event(&if interrupted { HostEvent::Counted(counted) } else { HostEvent::Finished(counted) });
     if !args.json && !report.episodes.is_empty() {
         let counts = if team.deployment.hosts.len() == 1 { Counts::Team } else { Counts::Host };
-        let run = results_of(&team, policy.name, began, interrupted);
+        let run = results_of(&team, CostName::of(&*trial.scenario), policy.name, began, interrupted);
         outlets.print(&Summary::of_team(run, report, counts, unwritten).to_string());
     }
     outlets.close()?;

@@ -19,7 +19,7 @@ use crate::deploy::team::{Team, TeamFile};
 use crate::registry::Registry;
 use crate::report::episode::Episode;
 use crate::report::event::{Counted, HostEvent, Unwritten};
-use crate::report::summary::{Counts, Run, Summary};
+use crate::report::summary::{CostName, Counts, Run, Summary};
 use crate::report::trial::TrialReport;
 use crate::time::Span;
 use anyhow::{Context, Result, anyhow};
@@ -117,6 +117,7 @@ fn run_team(
         scenario: first.scenario.clone(),
         policy,
         robots: first.deployment.robots,
+        cost: CostName::named(registry, &first.scenario, first.deployment.robots),
         judged: first.deployment.judged(),
         seed: first.seed,
         wall_s,

@@ -1,6 +1,7 @@
 //! The table of `murmurate policy check` for a policy file of format 2.
 
 use super::facts::{Facts, drawn, lines, list, made, observation, probe};
+use crate::policy::hops::action::Action;
 use crate::policy::hops::manifest::{Aggregation, Deviation, Distribution, EdgeFeature, Hop, Layers, Manifest};
 
 /// Returns the table of `policy check` for a policy of several hops: the properties of its file, as text.
@@ -35,7 +36,11 @@ pub(super) fn table(facts: &Facts<Manifest>) -> String {
         (
             "action",
             format!(
-                "velocity [m/s], policy frame, at most {} along each axis, {} times a second; {}",
+                "{}, policy frame, at most {} along each axis, {} times a second; {}",
+                match manifest.action {
+                    Action::Velocity => "velocity [m/s]",
+                    Action::Acceleration => "acceleration [m/s2] of the measured velocity",
+                },
                 manifest.limit_m_s,
                 manifest.rate_hz,
                 drawn(manifest.draw)

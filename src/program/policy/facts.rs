@@ -61,6 +61,7 @@ pub fn observation(fields: &[Field]) -> String {
         Field::GoalMinusPosition => "goal - position [m]",
         Field::Position => "position [m]",
         Field::PositionPlusVelocity => "position + velocity x 1 s [m]",
+        Field::Velocity => "velocity [m/s]",
     };
     format!("{}; policy frame", list(fields.iter().map(name).collect()))
 }

@@ -12,7 +12,7 @@ use crate::hearing::Handling;
 use crate::policy::Draw;
 use crate::registry::Registry;
 use crate::report::comparison::Comparison;
-use crate::report::summary::{Run, Summary};
+use crate::report::summary::{CostName, Run, Summary};
 use crate::safety::Safety;
 use crate::trial::{Trial, TrialReport};
 use crate::world::{Clamp, ContactRule, Placement, Sensor};
@@ -50,8 +50,8 @@ pub struct Args {
     /// Task of the team
     #[arg(long, default_value = "passage")]
     scenario: String,
-    /// Policy of the robots: a name in the registry (shipped, published, orca, or one of your own crate) or a policy
-    /// file (safetensors). Several policies are compared on the same episodes [default: shipped, or orca for a
+    /// Policy of the robots: a name in the registry (shipped, published, orca or another, also of your crate) or a
+    /// policy file (safetensors). Several policies are compared on the same episodes [default: shipped, or orca for a
     /// scenario without a shipped policy]
     #[arg(long, value_name = "NAME|FILE")]
     policy: Vec<PathBuf>,
@@ -267,6 +267,7 @@ fn summary(args: &Args, trial: &Trial, policy: &str, reports: &[TrialReport], to
         scenario: trial.scenario.name().to_owned(),
         policy: policy.to_owned(),
         robots: trial.scenario.robots(),
+        cost: CostName::of(&*trial.scenario),
         judged: trial.deployment.judged(),
         seed: args.seed,
         wall_s: took.as_secs_f64(),

@@ -30,7 +30,7 @@ use crate::program::recording::RecordFlags;
 /// Flags that the studies `modes`, `delay` and `range` have in common.
 #[derive(clap::Args)]
 pub struct Shared {
-    /// Policies to compare, each a name in the registry (shipped, published, orca, or one of your own crate) or a
+    /// Policies to compare, each a name in the registry (shipped, published, orca or another, also of your crate) or a
     /// policy file (safetensors); may be given several times. 'NAME@HANDLING' gives one policy a handling of its own
     /// [default: shipped, or orca for a scenario without a shipped policy]
     #[arg(long = "policy", value_name = "NAME|FILE[@HANDLING]")]

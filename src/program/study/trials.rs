@@ -27,6 +27,7 @@ struct Line<'a> {
     makespan_s: Option<f64>,
     reset_s: f64,
     min_separation_m: Option<f32>,
+    cost: Option<f64>,
 }
 
 /// Opens or creates the output folder of a study. Fails if it belongs to another study.
@@ -87,5 +88,6 @@ fn lines(record: &Record) -> impl Iterator<Item = Line<'_>> {
         makespan_s: episode.makespan_s,
         reset_s: episode.reset_s,
         min_separation_m: Some(episode.min_separation_m).filter(|distance| distance.is_finite()),
+        cost: episode.cost,
     })
 }

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 /// Colours of the lines: blue, vermilion and green of the palette for colour-blind readers by Okabe and Ito.
 const COLOURS: [RGBColor; 3] = [RGBColor(0, 114, 178), RGBColor(213, 94, 0), RGBColor(0, 158, 115)];
 /// Width and height of the plot \[pixels\].
-const SIZE: (u32, u32) = (900, 720);
+pub(super) const SIZE: (u32, u32) = (900, 720);
 
 /// Row of a training's learning curve: the metrics of one iteration.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -176,9 +176,9 @@ impl Curve {
     }
 }
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
+pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 
-fn chart(
+pub(super) fn chart(
     area: &Area,
     title: &str,
     (last, range): (f64, std::ops::Range<f64>),
@@ -212,7 +212,7 @@ fn chart(
 }
 
 /// Returns the moving average of a line over ten points, since few episodes end in one iteration.
-fn smooth(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+pub(super) fn smooth(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     points
         .iter()
         .enumerate()

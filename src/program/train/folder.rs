@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::train::config::Config;
+use serde::Serialize;
+
 use crate::train::trainer::Trainer;
 use anyhow::{Context, Result};
 
@@ -45,7 +46,7 @@ impl Folder {
     }
 
     /// Writes the configuration of the training as `config.toml`, from which other trainings can start.
-    pub fn write_config(&self, config: &Config) -> Result<()> {
+    pub fn write_config(&self, config: &impl Serialize) -> Result<()> {
         let text = toml::to_string(config).context("a configuration is TOML")?;
         self.write("config.toml", text.as_bytes())
     }
@@ -62,15 +63,34 @@ impl Folder {
     /// Saves the policy, the learning curve (CSV and SVG) and the checkpoint. The checkpoint is written last, so that
     /// the other files are never older.
     pub fn save(&mut self, trainer: &Trainer, curve: &Curve) -> Result<()> {
+        let plot = curve.plot(&trainer.plan().scenario)?;
+        let files = (trainer.policy_file(), curve.to_csv()?, plot, trainer.checkpoint());
+        self.save_files(trainer.iterations(), files)
+    }
+
+    /// Saves policy, learning curve as CSV and as SVG, and checkpoint of this iteration, the checkpoint last.
+    pub fn save_files(
+        &mut self,
+        iteration: u64,
+        (policy, csv, svg, checkpoint): (Vec<u8>, String, String, Vec<u8>),
+    ) -> Result<()> {
         let files = || -> Result<()> {
-            self.write("policy.safetensors", &trainer.policy_file())?;
-            self.write("curve.csv", curve.to_csv()?.as_bytes())?;
-            self.write("curve.svg", curve.plot(&trainer.plan().scenario)?.as_bytes())?;
-            self.write("checkpoint.bin", &trainer.checkpoint())
+            self.write("policy.safetensors", &policy)?;
+            self.write("curve.csv", csv.as_bytes())?;
+            self.write("curve.svg", svg.as_bytes())?;
+            self.write("checkpoint.bin", &checkpoint)
         };
         files().with_context(|| self.last_saved())?;
-        self.saved = Some(trainer.iterations());
+        self.saved = Some(iteration);
         Ok(())
+    }
+
+    /// Returns the text of the saved learning curve. `iteration` is that of the checkpoint.
+    pub fn curve_text(&mut self, iteration: u64) -> Result<String> {
+        self.saved = Some(iteration);
+        let path = self.path.join("curve.csv");
+        Ok(std::fs::read_to_string(&path)
+            .map_err(|e| BadInput(format!("cannot read the curve '{}': {e}", path.display())))?)
     }
 
     /// Returns a text for error messages that says which checkpoint was saved last.

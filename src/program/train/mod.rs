@@ -1,8 +1,9 @@
 //! The command `murmurate train`: flags, time, progress bar and files of a training. The training itself is in
-//! `crate::train`.
+//! `crate::train`; `imitation` is the command for scenarios without goals.
 
 mod curve;
 mod folder;
+mod imitation;
 mod plan;
 
 use std::path::{Path, PathBuf};
@@ -14,6 +15,7 @@ use crate::registry::Registry;
 use crate::train::config::PRESETS;
 use crate::train::evaluate::{Scores, quick_evaluation};
 use crate::train::expectation;
+use crate::train::imitation::config::PRESET as PRESET_WITHOUT_GOALS;
 use crate::train::reward::has_reward;
 use crate::train::trainer::Trainer;
 use anyhow::{Context, Result};
@@ -44,12 +46,12 @@ const PRESET: &str = "robust";
 pub struct Args {
     /// Scenario to train for
     scenario: String,
-    /// Preset of the configuration: 'published' for lock step and perfect messages, 'robust' for delay, loss and lag
-    /// [default: robust]
+    /// Preset of the configuration: 'published' for lock step and perfect messages, 'robust' for delay, loss and lag,
+    /// 'imitation' of a scripted policy in a scenario without goals [default: robust, or imitation without goals]
     #[arg(
         long,
         conflicts_with = "config",
-        value_parser = PossibleValuesParser::new(PRESETS.iter().map(|(name, _)| *name))
+        value_parser = PossibleValuesParser::new(PRESETS.iter().map(|(name, _)| *name).chain([PRESET_WITHOUT_GOALS]))
     )]
     preset: Option<String>,
     /// A configuration of your own; --print-config prints one to start from
@@ -161,6 +163,9 @@ struct Report<'a> {
 
 /// Runs `train`: trains a policy until the budget is used or the run is interrupted, saves it, and prints the result.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
+    if imitation::is_meant(args, registry)? {
+        return imitation::run(args, registry);
+    }
     if args.print_config {
         print(plan::config_text(args, registry)?.trim_end())?;
         return Ok(Ended::Done);

@@ -1,10 +1,12 @@
 //! Creates the [`Trainer`] of a new or a resumed training from the flags.
 
 use anyhow::{Context, Result};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 
 use super::folder::Folder;
 use super::{Args, PRESET};
-use crate::config::{from_table, unquoted};
+use crate::config::{ConfigError, from_table, unquoted};
 use crate::deploy::conditions::Conditions;
 use crate::program::BadInput;
 use crate::program::conditions;
@@ -52,7 +54,7 @@ fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
             (config.scaled_for(&args.scenario, registry).map_err(|e| BadInput(format!("--robots: {e}")))?, preset)
         }
     };
-    config = with_fields(config, &args.set)?;
+    config = with_fields(config, &args.set, Config::from_table)?;
     config.body = args.drive.over(&config.body)?;
     if let Some(radio) = &args.radio {
         let settings = Settings { robots: config.robots, gap_m: None };
@@ -78,8 +80,13 @@ pub fn with_radio(flag: &str, radio: &str, robots: usize, conditions: &mut confi
         .ok_or_else(|| BadInput(format!("{flag}: none of a team's messages arrives on '{radio}'")).into())
 }
 
-/// Returns the configuration with these fields set (`FIELD=VALUE`, the value as TOML or as plain text).
-fn with_fields(config: Config, set: &[String]) -> Result<Config> {
+/// Returns the configuration with the fields of `set` changed (`FIELD=VALUE`, the value as TOML or as plain text).
+/// `check` converts the whole table to a configuration again and checks it.
+pub fn with_fields<T: Serialize + DeserializeOwned>(
+    config: T,
+    set: &[String],
+    check: impl Fn(&toml::Table) -> Result<T, ConfigError>,
+) -> Result<T> {
     if set.is_empty() {
         return Ok(config);
     }
@@ -100,9 +107,9 @@ fn with_fields(config: Config, set: &[String]) -> Result<Config> {
         }
         into.insert(last.to_owned(), value);
         // Each by itself, so that the error is of this flag.
-        from_table::<Config>(&table).map_err(|error| wrong(&error.to_string()))?;
+        from_table::<T>(&table).map_err(|error| wrong(&error.to_string()))?;
     }
-    Ok(Config::from_table(&table).map_err(|e| BadInput(format!("--set: {e}")))?)
+    Ok(check(&table).map_err(|e| BadInput(format!("--set: {e}")))?)
 }
 
 /// Returns the trainer of a new training from the flags. An error names the flag or the file.

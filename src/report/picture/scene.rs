@@ -8,7 +8,7 @@ use crate::messages::wire::Phase;
 use crate::report::episode::Episode;
 use crate::report::trial::{Hearing, Step};
 use crate::scenario::judge::{Judge, JudgedRobot, Verdict};
-use crate::scenario::{Arena, Rules};
+use crate::scenario::{Arena, Cost, Rules};
 use crate::time::{Span, Time};
 
 /// Shortest time between two frames; robots move little in it.
@@ -33,6 +33,8 @@ pub struct Stage<'a> {
     pub arena: &'a Arena,
     /// Rules by which the episode is judged.
     pub rules: Rules,
+    /// Cost by which the episode is judged; `None` in a scenario with goals.
+    pub cost: Option<Cost>,
     /// Radius of the robots' hulls \[m\].
     pub radius_m: f32,
     /// Age from which on a neighbour's message is old: a line between robots is then drawn with the least opacity.
@@ -132,6 +134,7 @@ impl<'a> Scene<'a> {
             (None, _) => steps.first().map_or(Time::ZERO, time),
         };
         let mut judge = Judge::new(stage.rules, stage.tasks.iter().map(|task| task.goal).collect());
+        judge = judge.with_cost(stage.cost);
         let (mut frames, mut contact, mut arrived): (Vec<Frame>, _, _) =
             (Vec::new(), None, vec![false; stage.tasks.len()]);
         frames.extend(before.map(|step| frame(&stage, Span::ZERO, step)));
@@ -140,7 +143,12 @@ impl<'a> Scene<'a> {
             let seen: Vec<JudgedRobot> = step
                 .samples
                 .iter()
-                .map(|s| JudgedRobot { position: s.motion.position, point: stage.point(s), contacts: s.contacts })
+                .map(|s| JudgedRobot {
+                    position: s.motion.position,
+                    point: stage.point(s),
+                    velocity: s.motion.velocity,
+                    contacts: s.contacts,
+                })
                 .collect();
             for ((arrived, task), seen) in arrived.iter_mut().zip(stage.tasks).zip(&seen) {
                 *arrived |= (task.goal - seen.point).norm() <= stage.rules.arrival_m;
@@ -262,6 +270,7 @@ fn ending(stage: &Stage, episode: &Episode, contact: Option<Contact>, arrived: &
         (Verdict::Success, _) => {
             (format!("Success: all have arrived after {:.2} s", episode.makespan_s.unwrap_or(0.0)), Vec::new())
         }
+        (Verdict::Completed, _) => ("Completed".to_owned(), Vec::new()),
         (Verdict::WallCollision, Some(Contact::Wall(after, robot, at))) => {
             (format!("Failure: robot {robot} touches a wall after {:.2} s", after.as_secs()), ring(after, at, 0.0))
         }
@@ -279,7 +288,11 @@ fn ending(stage: &Stage, episode: &Episode, contact: Option<Contact>, arrived: &
         (Verdict::Unseen, _) => ("A robot was out of sight for too long".to_owned(), Vec::new()),
         (Verdict::Aborted, _) => (format!("Aborted after {:.2} s", last.time.as_secs()), Vec::new()),
     };
-    Ending { success: episode.verdict == Verdict::Success, text, rings }
+    let text = match (stage.cost, episode.cost) {
+        (Some(Cost { name, unit, .. }), Some(cost)) => format!("{text}; {name} {cost:.4} {unit}"),
+        _ => text,
+    };
+    Ending { success: !episode.verdict.is_failure(), text, rings }
 }
 
 #[cfg(test)]
@@ -316,6 +329,7 @@ mod tests {
             caption: String::new(),
             arena: passage.arena(),
             rules: passage.rules(),
+            cost: None,
             radius_m: 0.16,
             window: Span::from_millis(200),
             tasks: &tasks,
@@ -331,8 +345,16 @@ mod tests {
         ];
         let (verdict, makespan_s) = (Verdict::RobotCollision, None);
         let judged = Judged::Truth;
-        let episode =
-            Episode { repeat: 0, episode: 0, verdict, judged, makespan_s, reset_s: 0.0, min_separation_m: 0.3 };
+        let episode = Episode {
+            repeat: 0,
+            episode: 0,
+            verdict,
+            judged,
+            makespan_s,
+            reset_s: 0.0,
+            min_separation_m: 0.3,
+            cost: None,
+        };
         let scene = Scene::new(stage, &episode, &steps);
         let times: Vec<u64> = scene.frames.iter().map(|frame| frame.time.as_nanos() / 1_000_000).collect();
         assert_eq!(times, [0, 50, 100, 150]);

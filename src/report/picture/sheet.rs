@@ -172,6 +172,9 @@ pub fn legend(view: &View, marks: &[(String, f32, String)]) -> String {
 /// circle.
 pub fn goals(view: &View, scene: &Scene, stay: bool, more: impl Fn(usize) -> String) -> String {
     let (mut text, stage) = (String::new(), &scene.stage);
+    if stage.cost.is_some() {
+        return text;
+    }
     for (robot, task) in stage.tasks.iter().enumerate() {
         let ring =
             view.circle("goal", task.goal, stage.rules.arrival_m, " stroke-width=\"2\" stroke-dasharray=\"5 4\"");
@@ -189,5 +192,8 @@ pub fn goals(view: &View, scene: &Scene, stay: bool, more: impl Fn(usize) -> Str
 /// Returns the legend's entry for goals: its mark (SVG), the width of the mark \[pixels\] and its text.
 pub fn goal_mark(scene: &Scene) -> (String, f32, String) {
     let mark = "<circle class=\"goal c7\" cx=\"10\" r=\"9\" stroke-width=\"2\" stroke-dasharray=\"5 4\"/>".to_owned();
-    (mark, 20.0, format!("goal, to within {} m", scene.stage.rules.arrival_m))
+    match scene.stage.cost {
+        Some(_) => (String::new(), 0.0, "no goals".to_owned()),
+        None => (mark, 20.0, format!("goal, to within {} m", scene.stage.rules.arrival_m)),
+    }
 }

@@ -1,0 +1,193 @@
+//! Training by imitation: every derivative of a policy of several hops against central differences in f64, rollouts
+//! that compute what the policy file computes, the same weights on any number of threads, exact resumption, and a
+//! policy that learns.
+
+use std::sync::Arc;
+
+use murmurate::policy::Model;
+use murmurate::policy::hops::manifest::{Aggregation, Layers, Manifest};
+use murmurate::policy::hops::perceptron::Activation;
+use murmurate::random::{Seed, Stream};
+use murmurate::registry::Registry;
+use murmurate::scenario::judge::Verdict;
+use murmurate::train::imitation::config::Config;
+use murmurate::train::imitation::graph::Graph;
+use murmurate::train::imitation::network::{Network, Space};
+use murmurate::train::imitation::trainer::{Plan, Trainer};
+use murmurate::trial::Trial;
+use rand::RngExt;
+
+/// Returns a graph of six nodes: with several edges, with none, and with edges back in time, as of earlier steps.
+fn graph(observation: usize, edge: usize, stream: &mut Stream) -> Graph<f64> {
+    let mut graph = Graph::default();
+    graph.clear();
+    let heard: [&[u32]; 6] = [&[1, 2], &[], &[0, 1, 5], &[0, 4], &[3], &[1, 3, 4, 2]];
+    for senders in heard {
+        graph.observations.extend((0..observation).map(|_| stream.random_range(-1.0..1.0)));
+        for sender in senders {
+            graph.sender.push(*sender);
+            graph.edges.extend((0..edge).map(|_| stream.random_range(-1.0..1.0)));
+        }
+        graph.end_node();
+    }
+    graph
+}
+
+fn manifest(hops: usize, aggregation: Aggregation, activation: Activation) -> Manifest {
+    let mut config = Config::preset();
+    (config.policy.hops, config.policy.aggregation, config.policy.activation) = (hops, aggregation, activation);
+    (config.policy.message, config.policy.update) = (vec![6, 5], vec![7, 4]);
+    config.manifest("flocking")
+}
+
+#[test]
+fn every_derivative_of_several_hops_matches_central_differences() {
+    let mut shapes: Vec<Manifest> = (1..=4).map(|hops| manifest(hops, Aggregation::Mean, Activation::Relu)).collect();
+    shapes.push(manifest(3, Aggregation::Sum, Activation::Tanh));
+    // All inputs that a network of the format may have, in another order.
+    let mut all = manifest(2, Aggregation::Sum, Activation::Relu);
+    let inputs = |text: &str, widths: &[usize]| -> Layers {
+        let form = serde_json::json!({"inputs": text.split(' ').collect::<Vec<_>>(), "widths": widths,
+            "activation": "relu", "output_activation": "tanh"});
+        serde_json::from_value(form).expect("it is a network")
+    };
+    all.hops[0].message = Some(inputs("edge own sender", &[7, 6, 5]));
+    all.hops[0].update = Some(inputs("messages own", &[6, 4]));
+    all.hops[1].update = Some(inputs("own", &[4, 4]));
+    all.check().expect("it is sound");
+    shapes.push(all);
+    for (index, manifest) in shapes.iter().enumerate() {
+        let network = Network::new(manifest).expect("training supports it");
+        let mut stream = Seed::of_run(5).stream(&format!("hops/{index}"));
+        let graph = graph(network.inputs(), network.edge(), &mut stream);
+        let mut parameters: Vec<f64> = (0..network.parameters()).map(|_| stream.random_range(-0.6..0.6)).collect();
+        // Positive biases keep most units active: an inactive one has no gradient.
+        for [_, _, bias, end] in network.layers() {
+            parameters[bias..end].iter_mut().for_each(|bias| *bias = bias.abs());
+        }
+        let weights: Vec<f64> =
+            (0..graph.nodes() * network.outputs()).map(|_| stream.random_range(-1.0..1.0)).collect();
+        let (mut space, mut other) = (Space::default(), Space::default());
+        // The loss is the weighted sum of the squared outputs.
+        let loss = |outputs: &[f64]| outputs.iter().zip(&weights).map(|(y, w)| w * y * y).sum::<f64>();
+        network.forward(&parameters, &graph, &mut space);
+        let d_outputs: Vec<f64> = space.outputs().iter().zip(&weights).map(|(y, w)| 2.0 * w * y).collect();
+        let mut gradient = vec![0.0; parameters.len()];
+        network.backward(&parameters, &graph, &d_outputs, &mut space, &mut gradient);
+        let alive = gradient.iter().filter(|g| g.abs() > 1e-9).count();
+        assert!(alive * 3 > gradient.len(), "shape {index}: {alive} of {} parameters matter", gradient.len());
+        for at in 0..parameters.len() {
+            let (kept, by) = (parameters[at], 1e-6);
+            let mut at_offset = |offset: f64| {
+                parameters[at] = kept + offset;
+                network.forward(&parameters, &graph, &mut other);
+                loss(other.outputs())
+            };
+            let difference = (at_offset(by) - at_offset(-by)) / (2.0 * by);
+            parameters[at] = kept;
+            let error = (difference - gradient[at]).abs() / (1.0 + difference.abs());
+            assert!(
+                error < 1e-6,
+                "shape {index}, parameter {at}: {} by hand, {difference} by difference",
+                gradient[at]
+            );
+        }
+    }
+}
+
+/// Returns the plan of a small training.
+fn plan(hops: usize, seed: u64) -> Plan {
+    let mut config = Config::preset();
+    (config.robots, config.policy.hops, config.imitation.episodes) = (Some(20), hops, 3);
+    (config.policy.message, config.policy.update) = (vec![16], vec![16, 8]);
+    Plan { scenario: "flocking".to_owned(), preset: "small".to_owned(), config, seed }
+}
+
+fn trainer(hops: usize, seed: u64) -> Trainer {
+    Trainer::new(plan(hops, seed), &Registry::builtin()).expect("it is sound")
+}
+
+/// Runs iterations; returns the checkpoint after the first, and the policy file after the last.
+fn train(mut trainer: Trainer, iterations: std::ops::Range<u32>, threads: usize) -> (Vec<u8>, Vec<u8>) {
+    let mut checkpoint = Vec::new();
+    for iteration in iterations {
+        trainer.iterate(f64::from(iteration) / 3.0, threads).expect("it stays finite");
+        if iteration == 0 {
+            checkpoint = trainer.checkpoint();
+        }
+    }
+    (checkpoint, trainer.policy_file())
+}
+
+#[test]
+fn the_same_seed_gives_the_same_weights_on_any_number_of_threads_and_after_a_resumption() {
+    let (checkpoint, file) = train(trainer(2, 3), 0..3, 1);
+    assert!(file == train(trainer(2, 3), 0..3, 3).1, "three threads");
+    let resumed = Trainer::resume(&checkpoint, &Registry::builtin()).expect("it was just written");
+    assert_eq!(resumed.iterations(), 1);
+    assert!(file == train(resumed, 1..3, 2).1, "resumed");
+    assert!(file != train(trainer(2, 4), 0..3, 1).1, "another seed");
+    assert!(Trainer::resume(&checkpoint[1..], &Registry::builtin()).is_err());
+}
+
+#[test]
+fn the_file_of_a_training_drives_a_team_as_the_trainers_rollouts_do() {
+    let trainer = train_for(2, 4);
+    let [_, lockstep, late] = &trainer.evaluate(4, 2)[..] else { panic!("three scores") };
+    assert!(lockstep.cost_mean.is_finite() && late.cost_mean.is_finite());
+    let model = Model::from_file(&trainer.policy_file(), "flocking").expect("it is sound");
+    assert_eq!((model.name(), model.largest_team()), ("gnn-hops", Some(20)));
+    // The layouts of the trainer's own evaluation.
+    let report =
+        Trial::of_team("sim", "flocking", 20).expect("a preset").model(model).seed(0x9a11_e7a1).episodes(4).run();
+    let costs: Vec<f64> = report.episodes.iter().filter_map(|episode| episode.cost).collect();
+    let mean = costs.iter().sum::<f64>() / 4.0;
+    assert_eq!(costs.len(), 4);
+    let difference = (mean - lockstep.cost_mean).abs() / mean;
+    assert!(difference < 0.02, "{mean} in a run, {} in the trainer", lockstep.cost_mean);
+}
+
+fn train_for(hops: usize, iterations: u32) -> Trainer {
+    let mut trainer = trainer(hops, 1);
+    for iteration in 0..iterations {
+        trainer.iterate(f64::from(iteration) / f64::from(iterations), 2).expect("it stays finite");
+    }
+    trainer
+}
+
+#[test]
+fn a_short_training_flocks_far_better_than_robots_that_keep_their_velocities() {
+    let trainer = train_for(1, 12);
+    let scores = trainer.evaluate(8, 2);
+    let (expert, policy) = (scores[0].cost_mean, scores[1].cost_mean);
+    assert!(policy < 0.15, "the variance at the start is 0.32; the policy keeps {policy}, the expert {expert}");
+    assert!(expert < policy);
+}
+
+#[test]
+fn scenarios_with_goals_and_unknown_experts_are_refused_by_name() {
+    let refused = |plan: Plan| Trainer::new(plan, &Registry::builtin()).expect_err("it is refused").to_string();
+    let why = refused(Plan { scenario: "swap".to_owned(), ..plan(1, 0) });
+    assert!(why.contains("'swap'") && why.contains("goals"), "{why}");
+    let mut unknown = plan(1, 0);
+    unknown.config.expert = "nobody".to_owned();
+    assert!(refused(unknown).contains("expert: 'nobody'"));
+}
+
+#[test]
+fn a_robot_that_sees_everyone_flocks_better_than_one_that_hears_its_neighbours() {
+    let registry = Registry::builtin();
+    let trial = Trial::of_team("sim", "flocking", 30).expect("a preset").seed(4).episodes(4);
+    let cost = |name: &str| {
+        let entry = registry.policy(name).expect("it is built in");
+        let model = (entry.build)(&*trial.scenario).expect("it is for flocking");
+        let report = trial.clone().model(model).run();
+        assert!(report.episodes.iter().all(|episode| episode.verdict != Verdict::Timeout));
+        report.episodes.iter().filter_map(|episode| episode.cost).sum::<f64>() / 4.0
+    };
+    let (global, local) = (cost("flock-global"), cost("flock-local"));
+    assert!(global < local && local < 0.1, "{global} {local}");
+    let swap = Arc::clone(&Trial::preset("sim", "swap").expect("a preset").scenario);
+    let refused = (registry.policy("flock-global").expect("it is built in").build)(&*swap);
+    assert!(refused.expect_err("swap has goals").to_string().contains("have goals"));
+}
