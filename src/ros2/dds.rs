@@ -9,7 +9,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use rustdds::mio1::{Events, Interest, Poll, Token, Waker, event::Source};
 use rustdds::no_key::{DataReaderCdr, DataWriterCdr};
-use rustdds::policy::{Durability, History, Reliability};
+use rustdds::policy::{Durability, History, Liveliness, Reliability};
 use rustdds::{
     DataReaderStatus, DataWriterStatus, DomainParticipant, DomainParticipantBuilder, DomainParticipantStatusEvent,
     DomainParticipantStatusListener, EndpointDescription, GUID, QosPolicies, QosPolicyBuilder, StatusEvented, Topic,
@@ -57,7 +57,7 @@ struct Link {
     /// Remote endpoints that DDS has matched. It matches by the topic's name and QoS, so endpoints that use another
     /// message type are included.
     matched: Vec<GUID>,
-    /// Remote endpoints that use the topic's name with another message type.
+    /// Remote endpoints that use the topic's name with another message type, or with manual liveliness.
     strangers: Vec<GUID>,
 }
 
@@ -273,7 +273,10 @@ impl Dds {
         while let Some(event) = self.listener.try_recv_status() {
             match event {
                 DomainParticipantStatusEvent::ReaderDetected { reader } => {
-                    self.writers.iter_mut().for_each(|(outlet, link)| link.check_type(outlet.type_name(), &reader));
+                    for (outlet, link) in &mut self.writers {
+                        link.check_type(outlet.type_name(), &reader);
+                        link.check_liveliness(&reader);
+                    }
                 }
                 DomainParticipantStatusEvent::WriterDetected { writer } => {
                     self.readers.iter_mut().for_each(|(inlet, link)| link.check_type(inlet.type_name(), &writer));
@@ -304,14 +307,29 @@ impl Link {
         if dds_topic(&self.state.topic) != endpoint.topic_name || ours == theirs {
             return;
         }
+        // The name comes from outside: it is shortened, and its odd characters are replaced.
+        let theirs: String = theirs.chars().take(80).map(|c| if c.is_ascii_graphic() { c } else { '?' }).collect();
+        let problem =
+            format!("a robot has it as {theirs}, here it is {ours}; set `stamped` for commands, `type` for poses");
+        self.leave_out(endpoint, problem);
+    }
+
+    /// Records `endpoint` as a problem of the topic if it subscribes with manual liveliness, which the writers of this
+    /// process do not offer. `rustdds` 0.15.1 matches it all the same, but other implementations of DDS do not.
+    fn check_liveliness(&mut self, endpoint: &EndpointDescription) {
+        let automatic = matches!(endpoint.qos.liveliness(), None | Some(Liveliness::Automatic { .. }));
+        if dds_topic(&self.state.topic) == endpoint.topic_name && !automatic {
+            let why = "a subscriber asks for another QoS policy Liveliness and gets nothing; it must take AUTOMATIC";
+            self.leave_out(endpoint, why.to_owned());
+        }
+    }
+
+    /// Counts `endpoint` no longer as a peer, for the reason `problem`.
+    fn leave_out(&mut self, endpoint: &EndpointDescription, problem: String) {
         if self.strangers.len() < MOST_ENDPOINTS && !self.strangers.contains(&endpoint.guid) {
             self.strangers.push(endpoint.guid);
         }
-        // The name comes from outside: it is shortened, and its odd characters are replaced.
-        let theirs: String = theirs.chars().take(80).map(|c| if c.is_ascii_graphic() { c } else { '?' }).collect();
-        self.state.problem = Some(format!(
-            "a robot has it as {theirs}, here it is {ours}; set `stamped` for commands, `type` for poses"
-        ));
+        self.state.problem = Some(problem);
         self.count();
     }
 
