@@ -244,13 +244,13 @@ fn line_of(text: &str, field: &str) -> Option<usize> {
         span = Some(key.span());
         inside = match value.get_ref() {
             DeValue::Table(table) => Some(table),
-            DeValue::Array(all) => {
-                let element = names.next().and_then(|index| all.get(index.parse::<usize>().ok()?))?;
-                match element.get_ref() {
+            DeValue::Array(all) => match names.next() {
+                Some(index) => match all.get(index.parse::<usize>().ok()?)?.get_ref() {
                     DeValue::Table(table) => Some(table),
                     _ => None,
-                }
-            }
+                },
+                None => None,
+            },
             _ => None,
         };
     }

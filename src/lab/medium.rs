@@ -3,13 +3,15 @@
 
 use std::sync::Arc;
 
+use rand::RngExt;
+
 use super::ethernet::{self, Addressee};
 use super::file::Laboratory;
 use super::path::Path;
 use crate::net::media::radio::channel::Transmission;
 use crate::net::media::radio::counts::StationCounts;
 use crate::net::media::radio::{Channel, Delivery, Destination, RadioCounts, Topology};
-use crate::random::Seed;
+use crate::random::{Seed, Stream};
 use crate::time::{Span, Time};
 
 /// Period at which the positions of moving stations are updated.
@@ -24,6 +26,15 @@ pub struct Frame {
     pub taken: Time,
     /// The frame's bytes, with the header of Ethernet.
     pub bytes: Box<[u8]>,
+}
+
+/// Ethernet frame that was found at a station's interface.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Found {
+    /// Number of the station.
+    pub station: u16,
+    /// The frame's bytes, with the header of Ethernet.
+    pub bytes: Vec<u8>,
 }
 
 /// Counters of the frames of one station that never came to the channel.
@@ -46,6 +57,10 @@ pub struct Medium {
     moving: Vec<(u16, Path)>,
     /// Time at which positions are updated next; `None` if no station moves.
     next_move: Option<Time>,
+    /// Time of the channel's last event.
+    last_event: Time,
+    /// Moments at which frames that were found together have come.
+    arrival: Stream,
     taken: Vec<u64>,
     refused: Vec<Refused>,
     deliveries: Vec<Delivery<Arc<Frame>>>,
@@ -70,6 +85,8 @@ impl Medium {
             everyone: (0..lab.stations).collect(),
             next_move: (!moving.is_empty()).then_some(Time::ZERO + MOVE_PERIOD),
             moving,
+            last_event: Time::ZERO,
+            arrival: seed.stream("arrival"),
             taken: vec![0; stations],
             refused: vec![Refused::default(); stations],
             deliveries: Vec::new(),
@@ -99,6 +116,27 @@ impl Medium {
         self.channel.offer(now, station, to, ethernet::datagram_bytes(bytes), frame);
     }
 
+    /// Takes frames that were found at the interfaces together, at time `now`. They have come within the time `window`
+    /// before, in an order that nobody has seen: each is taken at a random moment of that time, those of one station in
+    /// their order. Taken at one moment instead, frames of two stations would begin in the same slot and collide.
+    pub fn take_together(&mut self, now: Time, window: Span, mut found: Vec<Found>) {
+        self.wake(now);
+        // The channel cannot go back behind what it has done.
+        let since = self.last_event.max(Time::from_nanos(now.as_nanos().saturating_sub(window.as_nanos())));
+        let most = now.since(since).as_nanos();
+        let mut moments: Vec<(u16, u64)> =
+            found.iter().map(|one| (one.station, self.arrival.random_range(0..=most))).collect();
+        // Both sorts are by station; this one keeps the frames of a station in their order, and that one sorts their
+        // moments.
+        found.sort_by_key(|one| one.station);
+        moments.sort_unstable();
+        let mut all: Vec<(u64, Found)> = moments.into_iter().map(|(_, moment)| moment).zip(found).collect();
+        all.sort_by_key(|(moment, _)| *moment);
+        for (moment, one) in all {
+            self.take(since + Span::from_nanos(moment), one.station, &one.bytes);
+        }
+    }
+
     /// Returns the time at which `wake` is next due; `None` if nothing is under way.
     pub fn wake_at(&self) -> Option<Time> {
         [self.channel.wake_at(), self.next_move].into_iter().flatten().min()
@@ -107,13 +145,20 @@ impl Medium {
     /// Runs the channel up to time `now`.
     pub fn wake(&mut self, now: Time) {
         while let Some(due) = self.next_move.filter(|&due| due <= now) {
-            self.channel.wake(due, &mut self.deliveries);
+            self.run_channel(due);
             for (number, path) in &self.moving {
                 self.channel.place(*number, path.at(due));
             }
             self.next_move = Some(due + MOVE_PERIOD);
         }
-        self.channel.wake(now, &mut self.deliveries);
+        self.run_channel(now);
+    }
+
+    fn run_channel(&mut self, now: Time) {
+        while let Some(due) = self.channel.wake_at().filter(|&due| due <= now) {
+            self.channel.wake(due, &mut self.deliveries);
+            self.last_event = due;
+        }
     }
 
     /// Removes and returns the frames received so far, in the order of their arrival, each with the time at which its
@@ -217,6 +262,32 @@ mod tests {
         assert_eq!(drained(&mut medium), []);
         assert_eq!(medium.station_counts(0).0.transmissions, 5, "a frame for a group is not sent again");
         assert_eq!(medium.station_counts(1).0.missed_noise, 1);
+    }
+
+    #[test]
+    fn frames_found_together_have_come_one_after_another() {
+        let lab = lab("stations = 6\n[radio]\nchannel = \"ad-hoc\"\n");
+        let collided = |window: Span| {
+            let mut medium = Medium::new(&lab);
+            for turn in 1..500 {
+                let found = (0..3).map(|station| Found { station, bytes: frame(ethernet::station(5), 20) });
+                medium.take_together(Time::ZERO + Span::from_millis(10 * turn), window, found.collect());
+            }
+            let counts = medium.counts(Time::ZERO);
+            counts.collided as f64 / counts.transmissions as f64
+        };
+        let (at_once, apart) = (collided(Span::ZERO), collided(Span::from_millis(1)));
+        // The three first transmissions collide, and some of the retries.
+        assert!(at_once > 0.4 && apart < 0.2, "{at_once}, {apart}");
+        // Those of one station stay in their order.
+        let mut medium = Medium::new(&lab);
+        let sized = |bytes: usize| Found { station: 0, bytes: frame(ethernet::station(5), bytes) };
+        medium.take_together(Time::ZERO + Span::from_millis(5), Span::from_millis(1), (30..60).map(sized).collect());
+        while let Some(due) = medium.wake_at() {
+            medium.wake(due);
+        }
+        let sizes: Vec<usize> = medium.deliveries().map(|one| one.token.bytes.len()).collect();
+        assert!(sizes.len() == 30 && sizes.is_sorted(), "{sizes:?}");
     }
 
     #[test]

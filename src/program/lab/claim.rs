@@ -128,11 +128,6 @@ impl Drop for Claim {
             talk(&format!("warning: not everything of the lab '{}' is removed: {error:#}", self.name));
             return;
         }
-        // A log with warnings stays for its reader.
-        let log = path(&self.name, "log");
-        if fs::metadata(&log).is_ok_and(|about| about.len() == 0) {
-            let _ = fs::remove_file(log);
-        }
         // The lock itself goes last; whether that works changes nothing for the next start.
         let _ = fs::remove_file(path(&self.name, "lock"));
     }

@@ -99,7 +99,13 @@ fn here(args: &Args, lab: &Laboratory) -> Result<Ended> {
     }
     let report = carrier.carry(&Outside { control: Some(control), stop: &*stop })?;
     drop(claim);
-    if !args.behind {
+    if args.behind {
+        // A log with warnings stays for its reader.
+        let log = path(&lab.name, "log");
+        if fs::metadata(&log).is_ok_and(|about| about.len() == 0) {
+            let _ = fs::remove_file(log);
+        }
+    } else {
         print(&report.to_string())?;
     }
     let interrupted = signal.load(std::sync::atomic::Ordering::Relaxed) == signal_hook::consts::SIGINT as usize;
