@@ -4,8 +4,9 @@
 //!
 //! Robot i accelerates by `u_i = c * mean_j(v_j - v_i) - sum_j grad V(r_ij)`. The mean is over the robots that it
 //! knows, so that the law does not depend on the size of the team, where the source has the sum. V is the potential of
-//! the source, `1 / r^2 + log r^2` with r in metres, up to its minimum at 1 m and constant beyond: robots that are farther
-//! apart are not pulled near. The commanded velocity is the measured one plus the acceleration times the period.
+//! the source, `1 / r^2 + log r^2` with r in metres, up to its minimum at 1 m and constant beyond: robots that are
+//! farther apart are not pulled near. The commanded velocity is the measured one plus the acceleration times the
+//! period.
 //!
 //! The law is a policy with two sights. One knows all robots, which is the upper bound of what a policy can do that
 //! hears only its neighbours. The other is the lower bound: the same law with the neighbours alone.
