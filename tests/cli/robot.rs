@@ -9,9 +9,10 @@ use tempfile::TempDir;
 /// Commands of every build.
 const ALWAYS: [&str; 7] = ["policy", "host", "doctor", "stop", "resume", "key", "config"];
 /// Commands that depend on a feature, and whether this build has it.
-const WITH: [(&str, bool); 10] = [
+const WITH: [(&str, bool); 11] = [
     ("sim", cfg!(feature = "sim")),
     ("deployment", cfg!(feature = "sim")),
+    ("lab", cfg!(feature = "lab")),
     ("launch", cfg!(feature = "sim")),
     ("record", cfg!(feature = "sim")),
     ("replay", cfg!(feature = "sim")),

@@ -153,8 +153,7 @@ fn a_running_team_withstands_floods_of_junk() {
         ));
         assert_eq!(aborted, 0, "{kind:?} has ended an episode");
         for ((host, before), after) in HOSTS.iter().zip(before).zip(HOSTS.map(|host| resident_kib(&crew, host))) {
-            // In huge pages, a single byte more could be 2048 KiB.
-            assert!(after < before + 1024, "{host} has grown from {before} to {after} KiB");
+            assert!(after <= before + 2048, "{host} has grown from {before} to {after} KiB");
         }
         if judged && rate <= HARMLESS_PER_S {
             // On a shared machine with a debug build, single late ticks are no defect.
