@@ -28,6 +28,18 @@ pub enum Origin {
     Default,
 }
 
+impl Origin {
+    /// Returns the layer of the value: a value of a higher layer takes precedence.
+    pub fn layer(&self) -> u8 {
+        match self {
+            Origin::Default => 0,
+            Origin::File(_) => 1,
+            Origin::Environment(_) => 2,
+            Origin::Flag(_) => 3,
+        }
+    }
+}
+
 impl fmt::Display for Origin {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

@@ -626,6 +626,18 @@ interface = "wlan8"
     }
 
     #[test]
+    fn a_flag_may_choose_another_transport_than_the_file_has_fields_of() {
+        let peers = ["robot-0", "robot-1", "robot-2", "world"].map(|host| format!("link.infra.peers.{host}"));
+        let addresses = ["127.0.0.1:11", "127.0.0.1:12", "127.0.0.1:13", "127.0.0.1:14"];
+        let mut flags = vec![("--set", "link.infra.transport", "unicast")];
+        flags.extend(peers.iter().zip(addresses).map(|(peer, address)| ("--set", peer.as_str(), address)));
+        read(ADHOC, &[], &flags).expect("the file's group has no effect");
+        flags.push(("--set", "link.infra.group", "239.1.1.1:7"));
+        let error = read(ADHOC, &[], &flags).unwrap_err();
+        assert!(error.starts_with("link.infra.group (--set): transport 'unicast' has no"), "{error}");
+    }
+
+    #[test]
     fn two_links_do_not_share_a_group() {
         let text = "team = 1\nmode = \"centralized\"\n[link.infra]\ninterface = \"lo\"\ngroup = \"239.1.1.1:7\"\n\
                     [link.wires]\ninterface = \"lo\"\ngroup = \"239.1.1.1:7\"\n";

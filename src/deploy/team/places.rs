@@ -84,14 +84,18 @@ impl TeamFile {
     }
 
     /// Checks that no field of another transport is set on a link, where it would have no effect, except `interface`,
-    /// which a flag sets on every link. An error names the field.
+    /// which a flag sets on every link. What stands below the layer that chooses the transport is let through: a flag
+    /// can choose another transport than the file, but cannot take the file's fields away. An error names the field.
     fn check_own_fields(&self, scopes: &[String], link: &Link, own: &transport::Entry) -> Result<(), ConfigError> {
         let foreign =
             |field: &&Field| field.name != EVERY_INTERFACE && own.fields.iter().all(|other| other.name != field.name);
+        let chosen = self.layers.find(scopes, &format!("link.{}.transport", link.name));
+        let chosen = chosen.map_or(0, |entry| entry.origin.layer());
         for field in self.registry.transports().iter().flat_map(|entry| entry.fields).filter(foreign) {
             for name in self.names_of(field) {
                 let key = format!("link.{}.{name}", link.name);
-                let Some(LayerValue { origin, .. }) = self.layers.find(scopes, &key) else { continue };
+                let set = self.layers.find(scopes, &key).filter(|entry| entry.origin.layer() >= chosen);
+                let Some(LayerValue { origin, .. }) = set else { continue };
                 let why = format!("transport '{}' has no such field; leave it out, or choose another one", own.name);
                 return Err(ConfigError::field(place(&key, &origin), why));
             }
