@@ -77,7 +77,7 @@ full-python:
     target/python/bin/pip install --quiet ./python benchmarl torchrl torch_geometric ray pettingzoo gymnasium pytest \
         matplotlib nbclient nbformat ipykernel
     # The largest wheel that is handed on [bytes].
-    target/python/bin/pip wheel --quiet --no-deps --wheel-dir target/wheels ./python
+    MATURIN_PEP517_ARGS="--compression-level 9" target/python/bin/pip wheel --quiet --no-deps --wheel-dir target/wheels ./python
     test "$(stat --format=%s target/wheels/murmurate-*.whl)" -le 8000000
     target/python/bin/python -m pytest python/tests
     target/python/bin/python python/tests/rates.py
