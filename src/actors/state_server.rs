@@ -67,7 +67,7 @@ pub struct Config {
     pub placement: Placement,
     /// Longest duration of an episode, after which it is aborted.
     pub limit: Span,
-    /// Way in which an episode ends that nobody aborts.
+    /// Way in which an episode ends if it is not aborted.
     pub ending: Ending,
     /// For each host, by its id: the robots whose Agents or Bodies it runs, or which it measures.
     pub hosts: Vec<Vec<RobotId>>,

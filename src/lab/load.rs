@@ -40,7 +40,7 @@ pub struct Offer {
     pub station: u16,
 }
 
-/// What became of the datagrams of a load.
+/// Fates of the datagrams of a load.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
     /// Number of datagrams that were sent.

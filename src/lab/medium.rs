@@ -117,7 +117,7 @@ impl Medium {
     }
 
     /// Takes frames that were found at the interfaces together, at time `now`. They have come within the time `window`
-    /// before, in an order that nobody has seen: each is taken at a random moment of that time, those of one station in
+    /// before, in an unknown order: each is taken at a random moment of that time, those of one station in
     /// their order. Taken at one moment instead, frames of two stations would begin in the same slot and collide.
     pub fn take_together(&mut self, now: Time, window: Span, mut found: Vec<Found>) {
         self.wake(now);

@@ -52,7 +52,7 @@ pub fn velocity_variance(team: &[Motion]) -> f64 {
     velocities().map(|v| (v[0] - x).powi(2) + (v[1] - y).powi(2)).sum::<f64>() / robots
 }
 
-/// Way in which an episode ends that nobody aborts.
+/// Way in which an episode ends if it is not aborted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ending {
     /// The episode ends once every robot has arrived at its goal.

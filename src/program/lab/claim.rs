@@ -24,7 +24,7 @@ pub fn path(name: &str, kind: &str) -> PathBuf {
     PathBuf::from(format!("{FOLDER}/lab-{name}.{kind}"))
 }
 
-/// What a laboratory has made, or is about to make.
+/// Namespaces and interfaces that a laboratory has made, or is about to make.
 #[derive(Serialize, Deserialize)]
 struct Made {
     namespaces: Vec<String>,

@@ -1,4 +1,4 @@
-//! What a laboratory needs of the machine, checked before anything is made.
+//! Requirements of a laboratory on the machine, checked before anything is made.
 
 use std::fs::{File, OpenOptions};
 use std::io::ErrorKind;
