@@ -71,10 +71,9 @@ impl File {
         let mut command = murmurate(&["lab", "up", "--foreground", &self.path("lab.toml")]);
         let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("it starts");
         let mut lines = BufReader::new(child.stderr.take().unwrap());
-        let mut line = String::new();
-        while !line.contains(" is up: ") {
-            line.clear();
-            assert!(lines.read_line(&mut line).unwrap() > 0, "it has ended before it was up");
+        let mut said = String::new();
+        while !said.contains(" is up: ") {
+            assert!(lines.read_line(&mut said).unwrap() > 0, "it has ended before it was up: {said}");
         }
         std::thread::spawn(move || lines.lines().map_while(Result::ok).for_each(|line| report(&line)));
         child

@@ -4,9 +4,13 @@
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{ErrorKind, Write};
 use std::os::unix::fs::MetadataExt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow};
+use nix::poll::{PollTimeout, poll};
+use nix::sys::signal::kill;
+use nix::unistd::Pid;
 use serde::{Deserialize, Serialize};
 use tappers::Tap;
 
@@ -18,6 +22,9 @@ use crate::program::temporary::Temporary;
 
 /// Folder of the files by which commands find running laboratories.
 const FOLDER: &str = "/run/murmurate";
+/// Longest time for the kernel to release the lock of a process that was killed. It does so up to 0.1 s after others
+/// see the process end.
+const RELEASE: Duration = Duration::from_secs(2);
 
 /// Returns the path of a file of a laboratory: its `lock`, the list of what it has `made`, its socket or its log.
 pub fn path(name: &str, kind: &str) -> PathBuf {
@@ -57,11 +64,17 @@ impl Claim {
     pub fn try_take(name: &str) -> Result<Option<Claim>> {
         fs::create_dir_all(FOLDER).with_context(|| format!("cannot make the folder {FOLDER}"))?;
         let lock = path(name, "lock");
+        let began = Instant::now();
         loop {
             let file = OpenOptions::new().create(true).truncate(false).write(true).open(&lock);
             let file = file.with_context(|| format!("cannot open '{}'", lock.display()))?;
             match file.try_lock() {
                 Ok(()) => {}
+                Err(TryLockError::WouldBlock) if owner_has_ended(&lock) && began.elapsed() < RELEASE => {
+                    // It ends with a timeout, or a signal.
+                    let _ = poll(&mut [], PollTimeout::from(20u16));
+                    continue;
+                }
                 Err(TryLockError::WouldBlock) => return Ok(None),
                 Err(TryLockError::Error(error)) => {
                     return Err(error).with_context(|| format!("cannot lock '{}'", lock.display()));
@@ -70,6 +83,8 @@ impl Claim {
             // A laboratory that has just ended removes its file: then this lock is one of a file without a name.
             let own = file.metadata().context("a lock file has no metadata")?.ino();
             if fs::metadata(&lock).is_ok_and(|named| named.ino() == own) {
+                let written = file.set_len(0).and_then(|()| write!(&file, "{}", Pid::this()));
+                written.with_context(|| format!("cannot write '{}'", lock.display()))?;
                 return Ok(Some(Claim { name: name.to_owned(), _lock: file }));
             }
         }
@@ -120,6 +135,12 @@ impl Claim {
         }
         Ok(())
     }
+}
+
+/// Returns whether the process that is named in a lock file has ended.
+fn owner_has_ended(lock: &Path) -> bool {
+    let pid = fs::read_to_string(lock).ok().and_then(|text| text.parse().ok());
+    pid.is_some_and(|pid| kill(Pid::from_raw(pid), None).is_err())
 }
 
 impl Drop for Claim {
