@@ -2,7 +2,7 @@
 //! `murmurate host`, without robots. It sends what robots send: latents at a given rate, heartbeats and modes.
 //!
 //! Environment variables configure it (`NP_ID`, `NP_N`, `NP_RATE`, ...; `NP_RECORD` names a folder for records as a host
-//! makes them), and it writes its results to files in
+//! makes them; `NP_ROBOT=0` leaves out heartbeats and modes, which other peers do not send), and it writes its results to files in
 //! `NP_DIR`. The harness that starts it measures other middleware in the same way. A message of 152 bytes (sender,
 //! sequence number, timestamp, two floats of position, 32 floats) is sent as a latent. The sequence number is in its
 //! episode, the timestamp in its term and velocity, the position in its position.
@@ -140,6 +140,7 @@ impl Peer {
         let hello = Span::from_millis(variable("NP_HELLO_MS", 20));
         let first = Span::from_nanos(hello.as_nanos() * u64::from(id) / participants as u64);
         let next = Time::from_nanos(monotonic_ns() - zero_ns) + first;
+        let robot = variable("NP_ROBOT", 1) != 0;
         Peer {
             id,
             rate: variable("NP_RATE", 10.0),
@@ -151,8 +152,8 @@ impl Peer {
             hellos: 0,
             sent: 0,
             next,
-            next_heartbeat: next,
-            next_mode: next,
+            next_heartbeat: if robot { next } else { Time::MAX },
+            next_mode: if robot { next } else { Time::MAX },
             window: None,
             cpu: [0.0; 2],
             send_ns: 0,
