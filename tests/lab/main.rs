@@ -4,7 +4,7 @@
 #[path = "../program/mod.rs"]
 mod program;
 
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
@@ -296,6 +296,51 @@ fn every_command_of_the_page_works() {
         }
     }
     assert!(ran >= 6, "the page has {ran} commands");
+}
+
+/// Returns the body of a page of the server at `address`; empty if it does not answer.
+fn page(address: &str, path: &str) -> String {
+    let mut body = String::new();
+    if let Ok(mut stream) = std::net::TcpStream::connect(address) {
+        let _ = write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
+        let _ = stream.read_to_string(&mut body);
+    }
+    body
+}
+
+#[test]
+fn the_page_of_a_team_in_a_lab_is_at_a_station_of_its_own() {
+    if !possible() || !cfg!(feature = "watch") {
+        return;
+    }
+    let file = File::new("w", "stations = 6\npreset = \"wifi\"\ncable = \"10.78.0.0\"\n");
+    let (lab, key) = (file.path("lab.toml"), file.path("team.key"));
+    assert!(run(&["key", "new", "--out", &key]).status.success());
+    let team = concat!(env!("CARGO_MANIFEST_DIR"), "/teams/onboard-infra.toml");
+    let args = ["launch", team, "--lab", &lab, "--key-file", &key, "--watch", "--quiet"];
+    refuses(&args, &["--watch", "stations = 7", "lab.toml"]);
+    let text = std::fs::read_to_string(&lab).unwrap().replace("stations = 6", "stations = 7");
+    std::fs::write(&lab, text).unwrap();
+    let mut child = murmurate(&args).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("it starts");
+    let lines = BufReader::new(child.stderr.take().unwrap()).lines();
+    let mut lines = lines.map_while(Result::ok).inspect(|line| report(line));
+    let address =
+        lines.find_map(|line| line.split_once("http://").map(|(_, rest)| rest.trim_end_matches('/').to_owned()));
+    let address = address.expect("it says where the page is");
+    std::thread::spawn(move || lines.for_each(drop));
+    let hears_all = || {
+        let metrics = page(&address, "/metrics");
+        (0..5).all(|robot| metrics.contains(&format!("robot=\"{robot}\"")))
+    };
+    let began = std::time::Instant::now();
+    while !hears_all() {
+        assert!(began.elapsed().as_secs() < 60, "the page hears nobody: {}", page(&address, "/metrics"));
+        assert!(child.try_wait().unwrap().is_none(), "the team has ended");
+        std::thread::yield_now();
+    }
+    signal(&child, Signal::SIGINT);
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert!(!file.left());
 }
 
 #[test]

@@ -16,6 +16,8 @@ mod running;
 mod traffic;
 mod up;
 
+#[cfg(feature = "watch")]
+pub use namespace::inside;
 pub use needs::check as check_needs;
 pub use running::Running;
 

@@ -26,6 +26,8 @@ use anyhow::{Context, Result, anyhow};
 
 use crate::program::BadInput;
 use crate::program::Ended;
+#[cfg(all(feature = "watch", feature = "lab"))]
+use crate::program::lab;
 use crate::program::output::{colour, log_lines_dropped, print, talk};
 use crate::program::recording;
 use crate::program::team;
@@ -76,21 +78,25 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     if let Some(file) = &args.lab {
         return stations::run(args, file, registry);
     }
-    run_team(args, &args.team, &|host, _| through(args, host), registry)
+    let place = Place { before: &|host, _| through(args, host), page: None };
+    run_team(args, &args.team, &place, registry)
 }
 
-/// Starts the team `team`, waits for it, and prints the results. `before` returns the words that precede the command of
-/// a process, by the name and the number of its host.
-fn run_team(
-    args: &Args,
-    team: &team::TeamArgs,
-    before: &dyn Fn(&str, usize) -> Vec<String>,
-    registry: &Registry,
-) -> Result<Ended> {
+/// Where the processes of a team and the live page run on this machine.
+struct Place<'a> {
+    /// Returns the words that precede the command of a process, by the name and the number of its host.
+    before: &'a dyn Fn(&str, usize) -> Vec<String>,
+    /// Network namespace in which the page joins the team; `None` for that of this process.
+    #[cfg_attr(not(all(feature = "watch", feature = "lab")), expect(dead_code, reason = "there is no page or no lab"))]
+    page: Option<&'a str>,
+}
+
+/// Starts the team `team` at `place`, waits for it, and prints the results.
+fn run_team(args: &Args, team: &team::TeamArgs, place: &Place, registry: &Registry) -> Result<Ended> {
     let file = team.read(registry)?;
     let teams: Vec<Team> = file.hosts().map(|host| team.for_host(&file, host)).collect::<Result<_>>()?;
     let policy = checked(&teams, registry)?;
-    let supervisor = Supervisor::new(processes(args, team, &file, before)?, Limits::default());
+    let supervisor = Supervisor::new(processes(args, team, &file, place.before)?, Limits::default());
     let stopper = supervisor.stopper();
     let interrupted = Arc::new(AtomicBool::new(false));
     let signal = Arc::clone(&interrupted);
@@ -102,7 +108,7 @@ fn run_team(
 
     let names: Vec<String> = file.deployment().hosts.iter().map(|host| host.name.clone()).collect();
     let mut results = Results::new(&names, teams[0].episodes, args.quiet);
-    let outcome = supervise(args, team, registry, &file, supervisor, &mut results)?;
+    let outcome = supervise(args, (team, &file, place), registry, supervisor, &mut results)?;
     if let Outcome::Refused(why) = outcome {
         return Err(BadInput(why).into());
     }
@@ -180,9 +186,8 @@ fn through(args: &Args, host: &str) -> Vec<String> {
 /// meanwhile if `--watch` is given. Returns how the run ended.
 fn supervise(
     args: &Args,
-    _team: &team::TeamArgs,
+    (_team, _file, _place): (&team::TeamArgs, &TeamFile, &Place),
     _registry: &Registry,
-    _file: &TeamFile,
     supervisor: Supervisor,
     results: &mut Results,
 ) -> Result<Outcome> {
@@ -192,9 +197,19 @@ fn supervise(
         results.page = Some(sender);
         let page = watch::team::Page::open(_file, _team, &args.page.page, _registry, Some(receiver))?;
         let over = AtomicBool::new(false);
+        #[cfg(feature = "lab")]
+        let space = _place.page;
         return Ok(std::thread::scope(|scope| {
             scope.spawn(|| {
-                if let Err(error) = page.run(_team, _registry, None, || over.load(Ordering::Relaxed)) {
+                let run = || page.run(_team, _registry, None, || over.load(Ordering::Relaxed));
+                #[cfg(feature = "lab")]
+                let ended = match space {
+                    Some(space) => lab::inside(space, run),
+                    None => run(),
+                };
+                #[cfg(not(feature = "lab"))]
+                let ended = run();
+                if let Err(error) = ended {
                     talk(&format!("warning: the page has ended: {error:#}"));
                 }
             });

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 
-use super::{Args, run_team};
+use super::{Args, Place, run_team};
 use crate::deploy::LinkMedium;
 use crate::lab::file::{CABLE, Laboratory};
 use crate::program::lab::{self, Running};
@@ -12,7 +12,8 @@ use crate::program::output::talk;
 use crate::program::{BadInput, Ended};
 use crate::registry::Registry;
 
-/// Runs the team with each host in the station of its number. Prints the counters of the laboratory at the end.
+/// Runs the team with each host in the station of its number, and the live page, if there is one, in the station after
+/// the last host. Prints the counters of the laboratory at the end.
 pub fn run(args: &Args, file: &Path, registry: &Registry) -> Result<Ended> {
     let laboratory = lab::read(file)?;
     let mut team = args.team.clone();
@@ -20,6 +21,12 @@ pub fn run(args: &Args, file: &Path, registry: &Registry) -> Result<Ended> {
     let (hosts, deployment) = (read.hosts().count(), read.deployment());
     if hosts > usize::from(laboratory.stations) {
         let why = format!("the team has {hosts} hosts, and the lab {} stations", laboratory.stations);
+        return Err(BadInput(why).into());
+    }
+    if page(args) && hosts == usize::from(laboratory.stations) {
+        let (file, more) = (file.display(), hosts + 1);
+        let why =
+            format!("--watch needs a station of its own beside the {hosts} hosts: set 'stations = {more}' in '{file}'");
         return Err(BadInput(why).into());
     }
     for link in &deployment.links {
@@ -41,12 +48,21 @@ pub fn run(args: &Args, file: &Path, registry: &Registry) -> Result<Ended> {
     let running = Running::start(&laboratory, None)?;
     let names: Vec<String> = (0..laboratory.stations).map(|station| laboratory.namespace(station)).collect();
     let before = |_: &str, number: usize| ["ip", "netns", "exec", &names[number]].map(str::to_owned).to_vec();
-    let ended = run_team(args, &team, &before, registry);
+    let place = Place { before: &before, page: page(args).then(|| names[hosts].as_str()) };
+    let ended = run_team(args, &team, &place, registry);
     let report = running.end()?;
     if !args.quiet || report.lateness.late > 0 {
         talk(&report.to_string());
     }
     ended
+}
+
+/// Returns whether a live page of the team is served.
+fn page(_args: &Args) -> bool {
+    #[cfg(feature = "watch")]
+    return _args.page.watch;
+    #[cfg(not(feature = "watch"))]
+    false
 }
 
 /// Returns the interface of a link in every station: the radio's, or the cable's if there is one.
