@@ -8,6 +8,7 @@
 use super::bucket::Rate;
 use super::candidates::{Candidates, Novelty};
 use super::codec::{Flags, Header};
+use super::congestion::Congestion;
 use super::counts::LinkCounts;
 use super::duplicate_id::DuplicateIds;
 use super::gaps::Gaps;
@@ -93,6 +94,7 @@ pub struct Incoming {
     /// Datagrams that have not arrived, among those that their senders offer for retransmission.
     pub gaps: Gaps,
     schedule: ReportSchedule,
+    congestion: Congestion,
     /// Detection of other processes with the id of this host.
     pub duplicate_ids: DuplicateIds,
 }
@@ -103,7 +105,8 @@ impl Incoming {
         let schedule = ReportSchedule::new(local.host, local.authenticated, local.entry_bytes);
         let duplicate_ids = DuplicateIds::new(local.link, local.host, local.incarnation);
         let (senders, candidates) = (Senders::new(local.first_guest), Candidates::new(local.first_guest));
-        Incoming { local, rate, senders, candidates, gaps: Gaps::default(), schedule, duplicate_ids }
+        let (gaps, congestion) = (Gaps::default(), Congestion::default());
+        Incoming { local, rate, senders, candidates, gaps, schedule, congestion, duplicate_ids }
     }
 
     /// Decides whether to accept a datagram of this team whose tag was valid. `report` is the link report in the
@@ -154,7 +157,10 @@ impl Incoming {
         }
         if let Some(LivenessProof { entry, .. }) = proof {
             sender.proved = now;
-            sender.offsets.measure(now, self.local.stamps.of(now), report.stamp, &entry);
+            let round_trip_s = sender.offsets.measure(now, self.local.stamps.of(now), report.stamp, &entry);
+            if let Some(round_trip_s) = round_trip_s {
+                self.congestion.note(now, sender.base_delay.queueing_s(now, round_trip_s));
+            }
             sender.challenged |= entry.challenge;
             sender.note_reported_loss(now, entry.lost);
         }
@@ -370,9 +376,9 @@ impl Incoming {
     }
 
     /// Returns how many times a message to the hosts in `audience` is to be repeated, 0 to 2, by the loss that they
-    /// report.
+    /// report; none while the link is congested, because they would make it worse.
     pub fn repeats(&self, now: Time, audience: Audience) -> u8 {
-        self.senders.repeats(now, audience)
+        if self.congestion.is_on(now) { 0 } else { self.senders.repeats(now, audience) }
     }
 
     /// Returns a summary of each other host on the link: of its accepted incarnations, or else of its newest candidate.

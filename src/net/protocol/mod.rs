@@ -4,6 +4,7 @@ pub mod acks;
 pub mod bucket;
 pub mod candidates;
 pub mod codec;
+pub mod congestion;
 pub mod counts;
 pub mod duplicate_id;
 pub mod gaps;

@@ -29,18 +29,18 @@ pub struct Offset {
 pub struct Offsets(VecDeque<(Time, f64, f64)>);
 
 impl Offsets {
-    /// Adds a measurement from a link report of the other host that arrived at `now`. `entry` is its entry about this
-    /// host, `theirs` its stamp, and `here` the stamp of this host's clock at `now`.
-    pub fn measure(&mut self, now: Time, here: Stamp, theirs: Stamp, entry: &Entry) {
+    /// Adds a measurement from a link report of the other host that arrived at `now`, and returns its round trip \[s\].
+    /// `entry` is the report's entry about this host, `theirs` its stamp, and `here` the stamp of this host's clock at
+    /// `now`. `None` for a round trip that cannot be, which is left out.
+    pub fn measure(&mut self, now: Time, here: Stamp, theirs: Stamp, entry: &Entry) -> Option<f64> {
         let round_trip = here.ahead_us(entry.echo) as f64 * 1e-6 - entry.held.as_secs();
         // A negative round trip means that the sender claims to have held the stamp for longer than possible.
-        if round_trip >= -1e-5 {
-            let round_trip = round_trip.max(0.0);
-            if self.0.len() == KEPT {
-                self.0.pop_front();
-            }
-            self.0.push_back((now, theirs.ahead_us(here) as f64 * 1e-6 + 0.5 * round_trip, round_trip));
+        let round_trip = Some(round_trip).filter(|round_trip| *round_trip >= -1e-5)?.max(0.0);
+        if self.0.len() == KEPT {
+            self.0.pop_front();
         }
+        self.0.push_back((now, theirs.ahead_us(here) as f64 * 1e-6 + 0.5 * round_trip, round_trip));
+        Some(round_trip)
     }
 
     /// Returns whether a link report that arrived at `now` was certainly in transit for longer than `most`, or was

@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::bucket::{Bucket, Rate};
 use super::candidates::Candidate;
+use super::congestion::BaseDelay;
 use super::lateness::Lateness;
 use super::limits::{LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE};
 use super::offset::Offsets;
@@ -52,6 +53,8 @@ pub struct Sender {
     pub stamp: Option<(Stamp, Time)>,
     /// Measurements of the offset between the sender's stamps and this host's.
     pub offsets: Offsets,
+    /// Base delay of the round trips to the sender.
+    pub base_delay: BaseDelay,
     /// Time of this host's last link report with an entry about the sender; `None` if there was none.
     pub listed: Option<Time>,
     /// Number of lost datagrams among the sender's newest 64, as stated in this host's last link report about the
@@ -87,6 +90,7 @@ impl Sender {
             bucket: Bucket::full(now, rate.unwrap_or(&super::reliability::RATE)),
             stamp: None,
             offsets: Offsets::default(),
+            base_delay: BaseDelay::new(now),
             listed: None,
             loss_sent: 0,
             challenged: false,
