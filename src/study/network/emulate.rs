@@ -5,8 +5,8 @@ use super::endpoint::{DRAIN, Endpoint, Output, STEP, WARM_UP};
 use super::linked::{self, Linked};
 use super::medium::MediumEmulator;
 use super::outcome::{Outcome, Tally};
-use super::rtps::Rtps;
-use super::traffic::{self, Schedule};
+use super::rtps::{self, Rtps};
+use super::traffic::{self, Moments, Schedule};
 use crate::net::media::radio::Destination;
 use crate::random::Seed;
 use crate::time::{Span, Time};
@@ -17,21 +17,61 @@ pub fn seed(seed: u64, case: &Case) -> Seed {
     Seed::of_run(seed).child(&format!("network/{}", case.rate))
 }
 
+/// Times of a case, and the moments at which its stations publish.
+#[derive(Clone, Copy, Debug)]
+pub struct Timing {
+    /// Moments of a station's publications within its periods.
+    pub moments: Moments,
+    /// Time before the measurement in which messages are published and not counted.
+    pub warm_up: Span,
+    /// Time after the measurement in which late messages may still arrive; messages are published in it, too, unless
+    /// `stops` says otherwise.
+    pub drain: Span,
+    /// Whether publication stops at the end of the measurement.
+    pub stops: bool,
+}
+
+impl Timing {
+    /// Times of a network study's case.
+    pub const STUDY: Timing = Timing { moments: Moments::Random, warm_up: WARM_UP, drain: DRAIN, stops: false };
+    /// Times of the harness for real middleware (`netpeer/lab.py`): evenly spaced messages from the start of the
+    /// measurement to its end, and a drain of 1 s.
+    pub const HARNESS: Timing =
+        Timing { moments: Moments::Even, warm_up: Span::from_millis(0), drain: Span::from_millis(1000), stops: true };
+}
+
+/// Time between the starts of two participants of the harness, as its announcements show it.
+const STARTS: Span = Span::from_millis(3);
+
 /// Emulates `case` of the network study `sweep` and returns its outcome. Calls `proceed` every 4096 events; returns
 /// `None` as soon as `proceed` returns `false`.
 pub fn run(sweep: &Sweep, case: &Case, proceed: &dyn Fn() -> bool) -> Option<Outcome> {
-    let seed = seed(sweep.seed, case);
     match case.reliability {
-        ReliabilityMode::Ack | ReliabilityMode::AckOff => {
-            let end = |at| Rtps::new(at, sweep.stations, sweep.bytes, case.reliability, sweep.history);
-            Emulation::new(sweep, case, &seed, end).run(proceed)
-        }
+        ReliabilityMode::Ack | ReliabilityMode::AckOff => run_rtps(sweep, case, &Timing::STUDY, proceed),
         reliability => {
+            let seed = seed(sweep.seed, case);
             let setup = linked::setup(case.addressing, reliability);
             let end = |at| Linked::new(at, setup.clone(), sweep.features(), &seed);
-            Emulation::new(sweep, case, &seed, end).run(proceed)
+            Emulation::new(sweep, case, (&seed, &Timing::STUDY), end).run(proceed)
         }
     }
+}
+
+/// Emulates `case` with stations that use RTPS, at the times `timing`. In contrast to `run`, reliability mode
+/// `best-effort` is that of RTPS, too.
+pub fn run_rtps(sweep: &Sweep, case: &Case, timing: &Timing, proceed: &dyn Fn() -> bool) -> Option<Outcome> {
+    let seed = seed(sweep.seed, case);
+    let qos = (case.reliability, sweep.history);
+    let announcements: Vec<Span> = match timing.moments {
+        Moments::Random => traffic::phases(sweep.stations, rtps::ANNOUNCEMENT_PERIOD, &seed.child("announcements")),
+        // Processes that are started together announce themselves one after the other.
+        Moments::Even => (0..u64::from(sweep.stations)).map(|at| STARTS * at).collect(),
+    };
+    let end = |at: u16| {
+        let announcement = Time::ZERO + announcements[usize::from(at)];
+        Rtps::new((at, sweep.stations), sweep.bytes, case.addressing, qos, announcement)
+    };
+    Emulation::new(sweep, case, (&seed, timing), end).run(proceed)
 }
 
 struct Emulation<E: Endpoint> {
@@ -44,6 +84,8 @@ struct Emulation<E: Endpoint> {
     steps: Vec<Time>,
     everyone: Destination,
     tally: Tally,
+    /// Time from which no message is published.
+    last: Time,
     end: Time,
 }
 
@@ -58,19 +100,27 @@ enum Due {
 }
 
 impl<E: Endpoint> Emulation<E> {
-    fn new(sweep: &Sweep, case: &Case, seed: &Seed, end: impl Fn(u16) -> E) -> Emulation<E> {
+    fn new(
+        sweep: &Sweep,
+        case: &Case,
+        (seed, timing): (&Seed, &Timing),
+        end: impl Fn(u16) -> E,
+    ) -> Emulation<E> {
         let n = sweep.stations;
-        let window = (Time::ZERO + WARM_UP, Time::ZERO + WARM_UP + Span::from_secs(sweep.seconds));
+        let begin = Time::ZERO + timing.warm_up;
+        let window = (begin, begin + Span::from_secs(sweep.seconds));
+        let schedule = |at| Schedule::new(Time::ZERO, at, (n, case.rate), (seed, timing.moments));
         Emulation {
             addressing: case.addressing,
             stations: n,
             medium: MediumEmulator::new(sweep.medium_of(case), n, &seed.child("medium")),
             endpoints: (0..n).map(end).collect(),
-            schedules: (0..n).map(|at| Schedule::new(Time::ZERO, at, (n, case.rate), seed)).collect(),
+            schedules: (0..n).map(schedule).collect(),
             steps: traffic::phases(n, STEP, seed).into_iter().map(|phase| window.0 + phase).collect(),
             everyone: Destination::Many((0..n).collect()),
             tally: Tally::new(n, window),
-            end: window.1 + DRAIN,
+            last: if timing.stops { window.1 } else { Time::MAX },
+            end: window.1 + timing.drain,
         }
     }
 
@@ -130,11 +180,13 @@ impl<E: Endpoint> Emulation<E> {
     fn next(&self) -> (Time, Due) {
         let wakes =
             (0..self.stations).zip(&self.endpoints).filter_map(|(at, end)| Some((end.wake_at()?, Due::Wake(at))));
-        let publications =
-            (0..self.stations).zip(&self.schedules).map(|(at, schedule)| (schedule.next(), Due::Publish(at)));
+        let publications = (0..self.stations)
+            .zip(&self.schedules)
+            .map(|(at, schedule)| (schedule.next(), Due::Publish(at)))
+            .filter(|(at, _)| *at < self.last);
         let steps = (0..self.stations).zip(&self.steps).map(|(at, step)| (*step, Due::Step(at)));
         let medium = self.medium.wake_at().map(|at| (at, Due::Medium));
-        wakes.chain(publications).chain(steps).chain(medium).min().expect("stations go on speaking")
+        wakes.chain(publications).chain(steps).chain(medium).min().unwrap_or((Time::MAX, Due::Medium))
     }
 
     /// Executes the outputs of a station's protocol: counts delivered messages, and queues datagrams on the medium.
@@ -151,6 +203,10 @@ impl<E: Endpoint> Emulation<E> {
                 Output::Send { to: Some(to), bytes, packet } => {
                     tally.sent(now, 1, bytes);
                     medium.offer(now, station, Destination::One(to), bytes, packet);
+                }
+                Output::Multicast { bytes, packet } => {
+                    tally.sent(now, 1, bytes);
+                    medium.offer(now, station, everyone.clone(), bytes, packet);
                 }
                 Output::Send { to: None, bytes, packet } => match (addressing, everyone) {
                     (Addressing::Unicast, Destination::Many(all)) => {

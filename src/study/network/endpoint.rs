@@ -26,6 +26,13 @@ pub enum Output<P> {
         /// Content of the datagram.
         packet: P,
     },
+    /// Datagram to send to all other stations by multicast, also in a case with unicast.
+    Multicast {
+        /// Length of the datagram \[bytes\].
+        bytes: usize,
+        /// Content of the datagram.
+        packet: P,
+    },
     /// New message of another station, delivered to the application.
     Deliver {
         /// Station that published the message.

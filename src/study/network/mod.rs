@@ -17,6 +17,8 @@ pub mod outcome;
 pub mod pages;
 pub mod peer;
 pub mod rtps;
+mod rtps_reader;
+mod rtps_writer;
 pub mod saturation;
 pub mod scale;
 pub mod shaped;

@@ -7,7 +7,7 @@ use super::case::Case;
 use super::emulate;
 use super::endpoint::{DRAIN, NEVER, STEP, WARM_UP};
 use super::outcome::{Outcome, Tally};
-use super::traffic::{self, Schedule};
+use super::traffic::{self, Moments, Schedule};
 use crate::actor::Core;
 use crate::messages::wire::{Latent, Wire};
 use crate::time::{Span, Time};
@@ -95,7 +95,7 @@ impl Peer {
             window,
             over: window.1 + DRAIN,
             ended: false,
-            schedule: Schedule::new(begin, station, (task.stations, task.case.rate), &seed),
+            schedule: Schedule::new(begin, station, (task.stations, task.case.rate), (&seed, Moments::Random)),
             step: window.0 + traffic::phases(task.stations, STEP, &seed)[usize::from(station)],
             newest: vec![None; usize::from(task.stations)],
             result: StationResult::default(),

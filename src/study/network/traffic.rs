@@ -42,30 +42,50 @@ pub fn phases(stations: u16, period: Span, seed: &Seed) -> Vec<Span> {
     (0..stations).map(|_| Span::from_secs(period.as_secs() * stream.random_range(0.0..1.0))).collect()
 }
 
-/// Publication times of one station: one in every period, drawn uniformly within it. So stations are not synchronized,
-/// and no fixed offset dominates a case.
+/// Moments of a station's publications within its periods.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Moments {
+    /// Drawn uniformly in each period. So stations are not synchronized, and no fixed offset dominates a case.
+    Random,
+    /// The same in each period; those of the stations are evenly spaced.
+    Even,
+}
+
+/// Publication times of one station: one in every period.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     begin: Time,
     period: Span,
-    stream: Stream,
+    /// Random numbers for the moments within the periods, or the fixed moment.
+    within: Result<Stream, Span>,
     published: u32,
     next: Time,
 }
 
 impl Schedule {
     /// Returns the schedule of the station with the index `station`, from `begin` on. `stations` is the number of
-    /// stations, and `rate` the message rate of all together \[1/s\].
-    pub fn new(begin: Time, station: u16, (stations, rate): (u16, f64), seed: &Seed) -> Schedule {
+    /// stations, and `rate` the message rate of all together \[1/s\]; `moments` says when in its periods it publishes.
+    pub fn new(
+        begin: Time,
+        station: u16,
+        (stations, rate): (u16, f64),
+        (seed, moments): (&Seed, Moments),
+    ) -> Schedule {
         let period = Span::from_secs(f64::from(stations) / rate);
-        let stream = seed.stream(&format!("publish/{station}"));
-        let mut schedule = Schedule { begin, period, stream, published: 0, next: begin };
+        let within = match moments {
+            Moments::Random => Ok(seed.stream(&format!("publish/{station}"))),
+            Moments::Even => Err(Span::from_secs(f64::from(station) / rate)),
+        };
+        let mut schedule = Schedule { begin, period, within, published: 0, next: begin };
         schedule.draw();
         schedule
     }
 
     fn draw(&mut self) {
-        let within = Span::from_secs(self.period.as_secs() * self.stream.random_range(0.0..1.0));
+        let within = match &mut self.within {
+            Ok(stream) => Span::from_secs(self.period.as_secs() * stream.random_range(0.0..1.0)),
+            Err(fixed) => *fixed,
+        };
         self.next = self.begin + self.period * u64::from(self.published) + within;
     }
 
@@ -90,7 +110,7 @@ mod tests {
     #[test]
     fn a_station_publishes_once_a_period_and_its_timestamp_survives() {
         let seed = Seed::of_run(1);
-        let mut schedule = Schedule::new(Time::ZERO, 3, (5, 100.0), &seed);
+        let mut schedule = Schedule::new(Time::ZERO, 3, (5, 100.0), (&seed, Moments::Random));
         for k in 0..50 {
             let (at, low) = (schedule.next(), Time::ZERO + Span::from_millis(50 * k));
             assert!(at >= low && at <= low + Span::from_millis(50), "{k}: {at}");
