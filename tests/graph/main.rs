@@ -6,6 +6,8 @@ mod determinism;
 mod devices;
 mod drives;
 mod estimators;
+#[cfg(feature = "study")]
+mod fast_dds;
 mod faults;
 mod filter;
 mod gpsd;

@@ -6,7 +6,7 @@ use super::linked::{self, Linked};
 use super::medium::MediumEmulator;
 use super::outcome::{Outcome, Tally};
 use super::rtps::{self, Rtps};
-use super::traffic::{self, Moments, Schedule};
+use super::traffic::{self, HARNESS_WARM_UP, Moments, Schedule};
 use crate::net::media::radio::Destination;
 use crate::random::Seed;
 use crate::time::{Span, Time};
@@ -34,10 +34,10 @@ pub struct Timing {
 impl Timing {
     /// Times of a network study's case.
     pub const STUDY: Timing = Timing { moments: Moments::Random, warm_up: WARM_UP, drain: DRAIN, stops: false };
-    /// Times of the harness for real middleware (`netpeer/lab.py`): evenly spaced messages from the start of the
-    /// measurement to its end, and a drain of 1 s.
+    /// Times of the harness for real middleware (`netpeer/lab.py`): messages by which participants
+    /// find each other, then evenly spaced ones to the end of the measurement, and a drain of 1 s.
     pub const HARNESS: Timing =
-        Timing { moments: Moments::Even, warm_up: Span::from_millis(0), drain: Span::from_millis(1000), stops: true };
+        Timing { moments: Moments::Harness, warm_up: HARNESS_WARM_UP, drain: Span::from_millis(1000), stops: true };
 }
 
 /// Time between the starts of two participants of the harness, as its announcements show it.
@@ -65,7 +65,7 @@ pub fn run_rtps(sweep: &Sweep, case: &Case, timing: &Timing, proceed: &dyn Fn() 
     let announcements: Vec<Span> = match timing.moments {
         Moments::Random => traffic::phases(sweep.stations, rtps::ANNOUNCEMENT_PERIOD, &seed.child("announcements")),
         // Processes that are started together announce themselves one after the other.
-        Moments::Even => (0..u64::from(sweep.stations)).map(|at| STARTS * at).collect(),
+        Moments::Harness => (0..u64::from(sweep.stations)).map(|at| STARTS * at).collect(),
     };
     let end = |at: u16| {
         let announcement = Time::ZERO + announcements[usize::from(at)];
@@ -100,12 +100,7 @@ enum Due {
 }
 
 impl<E: Endpoint> Emulation<E> {
-    fn new(
-        sweep: &Sweep,
-        case: &Case,
-        (seed, timing): (&Seed, &Timing),
-        end: impl Fn(u16) -> E,
-    ) -> Emulation<E> {
+    fn new(sweep: &Sweep, case: &Case, (seed, timing): (&Seed, &Timing), end: impl Fn(u16) -> E) -> Emulation<E> {
         let n = sweep.stations;
         let begin = Time::ZERO + timing.warm_up;
         let window = (begin, begin + Span::from_secs(sweep.seconds));

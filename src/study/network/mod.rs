@@ -17,6 +17,7 @@ pub mod outcome;
 pub mod pages;
 pub mod peer;
 pub mod rtps;
+mod rtps_packet;
 mod rtps_reader;
 mod rtps_writer;
 pub mod saturation;

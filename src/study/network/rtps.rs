@@ -1,81 +1,19 @@
 //! Station of a network study with RTPS as Fast DDS 2.9 speaks it: one writer (`rtps_writer`), one reader
-//! (`rtps_reader`), and announcements. Reliable by OMG DDSI-RTPS 2.5, section 8.4, or best effort.
+//! (`rtps_reader`) and announcements. Reliable by OMG DDSI-RTPS 2.5, section 8.4, or best effort.
 //!
 //! Fragmentation, liveliness and the first phase of discovery are not modelled: all stations know each other.
 //! `docs/evidence/lab.md` holds this imitation against Fast DDS on the same channel.
 
 use super::case::{Addressing, History, ReliabilityMode};
 use super::endpoint::{Endpoint, Output};
+use super::rtps_packet::Packet;
 use super::rtps_reader::Reader;
 use super::rtps_writer::Writer;
 use crate::time::{Span, Time};
 
-/// Length of the RTPS header \[bytes\] (9.4.4). The following constants are lengths of submessages with their
-/// 4-byte headers (9.4.5): DATA includes the encapsulation of 4 bytes (10.2) and excludes the payload; ACKNACK excludes
-/// its bitmap.
-const HEADER: usize = 20;
-const INFO_TS: usize = 12;
-/// Length of a submessage INFO_DST \[bytes\], which names the participant that a datagram is for.
-pub const INFO_DST: usize = 16;
-const DATA: usize = 24 + 4;
-const HEARTBEAT: usize = 32;
-const ACKNACK: usize = 28;
-/// Length of the vendor's submessage 0x80 at the end of every datagram \[bytes\]: counters of Fast DDS that is built with
-/// `FASTDDS_STATISTICS`, as Debian's is.
-const STATISTICS: usize = 60;
-
-/// Period of a participant's announcements (`leaseDuration_announcementperiod` of Fast DDS), and their length
-/// \[bytes\]: SPDP, 8.5.3, to every known participant by unicast and to all by multicast.
+/// Period of a participant's announcements (SPDP, 8.5.3), which go to each known participant by unicast and to all by
+/// multicast: `leaseDuration_announcementperiod` of Fast DDS.
 pub const ANNOUNCEMENT_PERIOD: Span = Span::from_millis(3000);
-const ANNOUNCEMENT: usize = INFO_TS + 364;
-
-/// Range of sequence numbers of the samples that an RTPS writer keeps for retransmission: the first, and the one
-/// after the last.
-pub type Holds = (u32, u32);
-/// Sample of an RTPS writer: its sequence number and the time of its publication.
-pub type Sample = (u32, Time);
-
-/// RTPS message of a station in a network study.
-#[derive(Clone, Debug)]
-pub enum Packet {
-    /// One or more DATA with their INFO_TS: index of the writing station, and the samples in their order.
-    Data(u16, Vec<Sample>),
-    /// HEARTBEAT: index of the writing station, and the range of samples that it keeps.
-    Heartbeat(u16, Holds),
-    /// ACKNACK.
-    AckNack {
-        /// Index of the reading station.
-        reader: u16,
-        /// Sequence number below which the reader misses no sample.
-        base: u32,
-        /// Sequence numbers that the reader requests.
-        missing: Vec<u32>,
-    },
-    /// Announcement of a participant (SPDP).
-    Announcement,
-}
-
-/// Returns the length of `samples` DATA and their INFO_TS, with a payload of `payload` bytes each \[bytes\].
-pub fn data_bytes(payload: usize, samples: usize) -> usize {
-    samples * (INFO_TS + DATA + payload)
-}
-
-impl Packet {
-    /// Returns the length of the datagram for samples of `payload` bytes, without INFO_DST \[bytes\].
-    pub fn bytes(&self, payload: usize) -> usize {
-        HEADER
-            + STATISTICS
-            + match self {
-                Packet::Data(_, samples) => data_bytes(payload, samples.len()),
-                Packet::Heartbeat(..) => HEARTBEAT,
-                Packet::AckNack { missing, base, .. } => {
-                    let bits = missing.last().map_or(0, |last| last - base + 1);
-                    ACKNACK + 4 * bits.div_ceil(32) as usize
-                }
-                Packet::Announcement => ANNOUNCEMENT,
-            }
-    }
-}
 
 /// Station of a network study that uses RTPS.
 pub struct Rtps {
@@ -145,6 +83,7 @@ impl Endpoint for Rtps {
 
 #[cfg(test)]
 mod tests {
+    use super::super::rtps_packet::INFO_DST;
     use super::*;
 
     fn station(station: u16, addressing: Addressing, history: History) -> Rtps {
@@ -211,14 +150,21 @@ mod tests {
                 .iter()
                 .map(|(to, _, packet)| match packet {
                     Packet::Data(_, samples) => format!("{to:?} data {}", samples[0].0),
-                    other => format!("{to:?} {}", if matches!(other, Packet::Heartbeat(..)) { "heartbeat" } else { "?" }),
+                    other => {
+                        format!("{to:?} {}", if matches!(other, Packet::Heartbeat(..)) { "heartbeat" } else { "?" })
+                    }
                 })
                 .collect();
             let expected: &[&str] = match addressing {
                 Addressing::Multicast => &["None data 0", "None heartbeat", "None data 1", "None heartbeat"],
                 Addressing::Unicast => &[
-                    "Some(1) data 0", "Some(2) data 0", "Some(1) heartbeat", "Some(2) heartbeat",
-                    "Some(2) data 1", "Some(1) heartbeat", "Some(2) heartbeat",
+                    "Some(1) data 0",
+                    "Some(2) data 0",
+                    "Some(1) heartbeat",
+                    "Some(2) heartbeat",
+                    "Some(2) data 1",
+                    "Some(1) heartbeat",
+                    "Some(2) heartbeat",
                 ],
             };
             assert_eq!(kinds, expected);

@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::case::{History, ReliabilityMode};
 use super::endpoint::Output;
-use super::rtps::{self, Holds, Packet, Sample};
+use super::rtps_packet::{self, Holds, Packet, Sample};
 use crate::time::{Span, Time};
 
 /// `heartbeatResponseDelay` of Fast DDS; the standard has 500 ms (8.4.10.1.1).
@@ -121,7 +121,7 @@ impl Reader {
             let missing: Vec<u32> = (proxy.next..known).filter(|number| !proxy.received.contains(number)).collect();
             if positive || !missing.is_empty() {
                 let packet = Packet::AckNack { reader, base: proxy.next, missing };
-                out.push(Output::Send { to: Some(writer), bytes: packet.bytes(0) + rtps::INFO_DST, packet });
+                out.push(Output::Send { to: Some(writer), bytes: packet.bytes(0) + rtps_packet::INFO_DST, packet });
             }
         }
     }

@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use super::case::{Addressing, History, ReliabilityMode};
 use super::endpoint::Output;
-use super::rtps::{self, Holds, Packet, Sample};
+use super::rtps_packet::{self, Holds, Packet, Sample};
 use crate::time::{Span, Time};
 
 /// `heartbeatPeriod` of Fast DDS.
@@ -96,7 +96,7 @@ impl Writer {
     /// the last one. It has a datagram of its own: a heartbeat is also for the reader of the own station, samples are
     /// not, and Fast DDS ends a datagram where the receivers change (`select_all_readers_nts`).
     fn accompany(&mut self, out: &mut Vec<Output<Packet>>) {
-        self.since_heartbeat += rtps::data_bytes(self.payload, 1);
+        self.since_heartbeat += rtps_packet::data_bytes(self.payload, 1);
         if self.is_full() || self.since_heartbeat > SEND_BUFFER {
             self.send_heartbeat(out);
         }
@@ -194,7 +194,7 @@ impl Writer {
     /// given a multicast locator and no unicast one: then even what one of them has requested goes to all. Samples for a single reader name its participant (INFO_DST).
     fn send(&self, readers: &[u16], packet: Packet, out: &mut Vec<Output<Packet>>) {
         let named = readers.len() == 1 && matches!(packet, Packet::Data(..));
-        let bytes = packet.bytes(self.payload) + if named { rtps::INFO_DST } else { 0 };
+        let bytes = packet.bytes(self.payload) + if named { rtps_packet::INFO_DST } else { 0 };
         if self.addressing == Addressing::Multicast {
             out.push(Output::Multicast { bytes, packet });
             return;

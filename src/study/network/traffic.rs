@@ -42,13 +42,23 @@ pub fn phases(stations: u16, period: Span, seed: &Seed) -> Vec<Span> {
     (0..stations).map(|_| Span::from_secs(period.as_secs() * stream.random_range(0.0..1.0))).collect()
 }
 
+/// Number of messages of each participant of the harness before the measurement.
+const HELLOS: u32 = 10;
+/// Period of these messages, for up to five participants.
+const HELLO_PERIOD: Span = Span::from_millis(100);
+/// Time from the last of these messages to the measurement.
+const PAUSE: Span = Span::from_millis(500);
+/// Time from the first message of a participant of the harness to the measurement.
+pub const HARNESS_WARM_UP: Span = Span::from_millis(1500);
+
 /// Moments of a station's publications within its periods.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Moments {
     /// Drawn uniformly in each period. So stations are not synchronized, and no fixed offset dominates a case.
     Random,
-    /// The same in each period; those of the stations are evenly spaced.
-    Even,
+    /// The same in each period, evenly spaced among the stations, after the messages by which participants of the harness
+    /// for real middleware find each other (`netpeer/lab.py`): those are `HELLOS`, every `HELLO_PERIOD`, and a pause.
+    Harness,
 }
 
 /// Publication times of one station: one in every period.
@@ -56,8 +66,8 @@ pub enum Moments {
 pub struct Schedule {
     begin: Time,
     period: Span,
-    /// Random numbers for the moments within the periods, or the fixed moment.
-    within: Result<Stream, Span>,
+    /// Random numbers for the moments within the periods, or fixed moments in those of hellos and of messages.
+    within: Result<Stream, [Span; 2]>,
     published: u32,
     next: Time,
 }
@@ -65,16 +75,14 @@ pub struct Schedule {
 impl Schedule {
     /// Returns the schedule of the station with the index `station`, from `begin` on. `stations` is the number of
     /// stations, and `rate` the message rate of all together \[1/s\]; `moments` says when in its periods it publishes.
-    pub fn new(
-        begin: Time,
-        station: u16,
-        (stations, rate): (u16, f64),
-        (seed, moments): (&Seed, Moments),
-    ) -> Schedule {
+    pub fn new(begin: Time, station: u16, (stations, rate): (u16, f64), (seed, moments): (&Seed, Moments)) -> Schedule {
         let period = Span::from_secs(f64::from(stations) / rate);
         let within = match moments {
             Moments::Random => Ok(seed.stream(&format!("publish/{station}"))),
-            Moments::Even => Err(Span::from_secs(f64::from(station) / rate)),
+            Moments::Harness => {
+                let share = f64::from(station) / f64::from(stations);
+                Err([HELLO_PERIOD, period].map(|period| Span::from_secs(period.as_secs() * share)))
+            }
         };
         let mut schedule = Schedule { begin, period, within, published: 0, next: begin };
         schedule.draw();
@@ -82,11 +90,19 @@ impl Schedule {
     }
 
     fn draw(&mut self) {
-        let within = match &mut self.within {
-            Ok(stream) => Span::from_secs(self.period.as_secs() * stream.random_range(0.0..1.0)),
-            Err(fixed) => *fixed,
-        };
-        self.next = self.begin + self.period * u64::from(self.published) + within;
+        let published = u64::from(self.published);
+        self.next = self.begin
+            + match &mut self.within {
+                Ok(stream) => {
+                    let within = Span::from_secs(self.period.as_secs() * stream.random_range(0.0..1.0));
+                    self.period * published + within
+                }
+                Err([hello, _]) if self.published < HELLOS => HELLO_PERIOD * published + *hello,
+                Err([_, message]) => {
+                    let hellos = u64::from(HELLOS);
+                    HELLO_PERIOD * hellos + PAUSE + self.period * (published - hellos) + *message
+                }
+            };
     }
 
     /// Returns the time at which the next message is to be published.
