@@ -12,8 +12,8 @@ pub const INFO_DST: usize = 16;
 const DATA: usize = 24 + 4;
 const HEARTBEAT: usize = 32;
 const ACKNACK: usize = 28;
-/// Length of the vendor's submessage 0x80 at the end of every datagram \[bytes\]: counters of Fast DDS that is built with
-/// `FASTDDS_STATISTICS`, as Debian's is.
+/// Length of the vendor's submessage 0x80 at the end of every datagram \[bytes\]: counters of Fast DDS that is built
+/// with `FASTDDS_STATISTICS`, as Debian's is.
 const STATISTICS: usize = 60;
 /// Length of an announcement of a participant without header \[bytes\]: SPDP, 8.5.3.
 const ANNOUNCEMENT: usize = INFO_TS + 364;

@@ -1,8 +1,8 @@
 //! Reader of RTPS in a network study: OMG DDSI-RTPS 2.5, section 8.4.12, with what Fast DDS 2.9 does where the standard
 //! leaves a choice. One reader of a station hears the writers of all others.
 //!
-//! Sources of the choices, by files of Fast DDS 2.9.1: `WriterProxy.cpp` and `StatefulReader.cpp` (heartbeats, ACKNACKs,
-//! samples in order), `DataReaderHistory.cpp` (KEEP_LAST, which is for all writers together without keys).
+//! Sources of the choices, by files of Fast DDS 2.9.1: `WriterProxy.cpp` and `StatefulReader.cpp` (heartbeats,
+//! ACKNACKs, samples in order), `DataReaderHistory.cpp` (KEEP_LAST, which is for all writers together without keys).
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -20,8 +20,8 @@ const NACK_RESPONSE_DELAY: Span = Span::from_millis(5);
 /// Linux's `net.core.wmem_default` \[bytes\].
 const SEND_BUFFER: usize = 212_992;
 
-/// State that an RTPS writer keeps of one reader. The states of a sample in Fast DDS are here: requested, unsent (during
-/// a response only), and otherwise unacknowledged, because `nackSupressionDuration` is 0.
+/// State that an RTPS writer keeps of one reader. The states of a sample in Fast DDS are here: requested, unsent
+/// (during a response only), and otherwise unacknowledged, because `nackSupressionDuration` is 0.
 #[derive(Clone, Debug, Default)]
 struct ReaderProxy {
     /// Sequence number below which no sample is expected to be acknowledged any more.
@@ -143,8 +143,8 @@ impl Writer {
         }
     }
 
-    /// Retransmits all requested samples. One timer serves all readers, so that a sample goes to all that have requested
-    /// it; samples for the same readers share a datagram, unless a heartbeat to all readers goes between them.
+    /// Retransmits all requested samples. One timer serves all readers, so that a sample goes to all that have
+    /// requested it; samples for the same readers share a datagram, unless a heartbeat to all goes between them.
     fn respond(&mut self, now: Time, out: &mut Vec<Output<Packet>>) {
         let mut order: Vec<u32> = Vec::new();
         let mut wanted: BTreeMap<u32, Vec<u16>> = BTreeMap::new();
@@ -191,7 +191,8 @@ impl Writer {
     }
 
     /// Sends a datagram to readers. With multicast they have the group's address alone, as those of Fast DDS that are
-    /// given a multicast locator and no unicast one: then even what one of them has requested goes to all. Samples for a single reader name its participant (INFO_DST).
+    /// given a multicast locator and no unicast one: then even what one of them has requested goes to all. Samples for
+    /// a single reader name its participant (INFO_DST).
     fn send(&self, readers: &[u16], packet: Packet, out: &mut Vec<Output<Packet>>) {
         let named = readers.len() == 1 && matches!(packet, Packet::Data(..));
         let bytes = packet.bytes(self.payload) + if named { rtps_packet::INFO_DST } else { 0 };

@@ -56,8 +56,9 @@ pub const HARNESS_WARM_UP: Span = Span::from_millis(1500);
 pub enum Moments {
     /// Drawn uniformly in each period. So stations are not synchronized, and no fixed offset dominates a case.
     Random,
-    /// The same in each period, evenly spaced among the stations, after the messages by which participants of the harness
-    /// for real middleware find each other (`netpeer/lab.py`): those are `HELLOS`, every `HELLO_PERIOD`, and a pause.
+    /// The same in each period, evenly spaced among the stations, as in the harness for real middleware
+    /// (`netpeer/lab.py`). Before them are 10 messages of each participant, one every 100 ms, by which participants
+    /// find each other, and a pause of 0.5 s.
     Harness,
 }
 
