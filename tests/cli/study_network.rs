@@ -16,27 +16,37 @@ fn number(row: &Value, field: &str) -> f64 {
     row[field].as_f64().unwrap_or_else(|| panic!("{field} of {row}"))
 }
 
+/// Medium that was fitted to two figures of the paper with RTPS as Fast DDS speaks it (docs/evidence/network-fit.md).
+const REFITTED: &str = "rate = \"ofdm-18\"\nnoise_loss = 0.147\nbackground = 0.168\n";
+
 #[test]
 fn one_set_of_parameters_reproduces_the_paper_s_curves() {
-    let adhoc = ["--medium", "paper", "--networks", "ad-hoc", "--seconds", "20"];
+    let folder = tempfile::tempdir().unwrap();
+    let refitted = folder.path().join("refitted.toml");
+    fs::write(&refitted, REFITTED).unwrap();
+    let adhoc = |medium: &str, rest: &[&str]| {
+        rows(&[&["--medium", medium, "--networks", "ad-hoc", "--seconds", "40"][..], rest].concat())
+    };
     let unicast = ["--addressing", "unicast", "--reliability", "ack,ack-off", "--retries", "1,7", "--rates", "100,200"];
-    let all = rows(&[&adhoc[..], &unicast].concat());
+    let all = adhoc(&refitted.to_string_lossy(), &unicast);
     let row = |reliability: &str, retries: u64, rate: f64| {
         all.iter().find(|r| r["reliability"] == reliability && r["retries"] == retries && r["rate"] == rate).unwrap()
     };
     let seven = row("ack", 7, 200.0);
-    assert!((number(seven, "within_20ms") - 0.44).abs() < 0.1, "fitted: {seven}");
+    assert!((number(seven, "within_20ms") - 0.44).abs() < 0.12, "fitted: {seven}");
     assert!(number(row("ack", 7, 100.0), "within_20ms") > 0.95, "it is saturation: half the rate is carried");
     let faster = |one: &Value, other: &Value| {
         number(one, "within_20ms") > number(other, "within_20ms") && number(one, "p50_ms") < number(other, "p50_ms")
     };
     assert!(faster(row("ack", 1, 200.0), seven), "predicted: one retry is faster than seven");
     assert!(faster(row("ack-off", 7, 200.0), seven), "predicted: without positive acknowledgements delays are shorter");
-    let multicast = ["--addressing", "multicast", "--reliability", "best-effort", "--rates", "60"];
-    let all = rows(&[&adhoc[..], &multicast].concat());
-    let within = number(&all[0], "within_20ms");
-    assert!((within - 0.84).abs() < 0.05, "fitted: {}", all[0]);
-    assert!(number(&all[0], "delivered") - within < 0.01, "the rest is lost, not late: {}", all[0]);
+    for medium in ["paper", &refitted.to_string_lossy()] {
+        let multicast = ["--addressing", "multicast", "--reliability", "best-effort", "--rates", "60"];
+        let all = adhoc(medium, &multicast);
+        let within = number(&all[0], "within_20ms");
+        assert!((within - 0.84).abs() < 0.05, "fitted: {}", all[0]);
+        assert!(number(&all[0], "delivered") - within < 0.01, "the rest is lost, not late: {}", all[0]);
+    }
 }
 
 #[test]

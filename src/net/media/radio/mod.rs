@@ -197,9 +197,10 @@ impl Radio {
                 overhead_bytes: OVERHEAD_BYTES - 2,
                 ..Radio::default()
             },
-            // Fitted to two figures of the paper's network study, with five robots. At 200 messages/s, 44 % arrived
-            // within 20 ms by reliable unicast with 7 retries. At 60 messages/s, 84 % arrived by best-effort multicast;
-            // the rest were lost (`docs/evidence/network-fit.md` has the fit).
+            // Fitted to two figures of the paper's network study, with five robots: at 200 messages/s, 44 % arrived
+            // within 20 ms by reliable unicast with 7 retries; at 60 messages/s, 84 % arrived by best-effort multicast.
+            // The first one was fitted with an emulation of RTPS that sent less than Fast DDS does, which needs less
+            // background for it (`docs/evidence/network-fit.md` has both media).
             "paper" => Radio { rate: rate("ofdm-18"), noise_loss: 0.085, background: 0.6, ..Radio::default() },
             _ => return None,
         })
