@@ -215,6 +215,17 @@ mod tests {
     }
 
     #[test]
+    fn with_all_samples_kept_a_heartbeat_follows_once_a_send_buffer_was_sent() {
+        let mut writer = station(0, Addressing::Multicast, History::All);
+        let mut outputs = Vec::new();
+        (0..1200).for_each(|sequence| writer.publish(ms(0), sequence, &mut outputs));
+        let all = sent(&mut outputs);
+        assert_eq!(all.len(), 1201);
+        // 212 992 bytes are 1109 samples of 192 bytes, with INFO_TS and without the header.
+        assert!(matches!(all[1110].2, Packet::Heartbeat(0, (0, 1110))), "{:?}", all[1110]);
+    }
+
+    #[test]
     fn a_participant_announces_itself_to_each_other_and_to_the_group() {
         let qos = (ReliabilityMode::BestEffort, History::Last(1));
         let mut station = Rtps::new((0, 3), 152, Addressing::Unicast, qos, ms(3));
