@@ -89,6 +89,12 @@ full-twin:
     cargo build --release
     bash tests/peers/twin/full.sh target/release/murmurate
 
+# Teams through a real Zenoh router with loss, beside multicast, with the router killed. PYTHON has eclipse-zenoh and mcap
+# (10 minutes and 10 more to build, root, apt: nftables)
+full-zenoh python="python3":
+    cargo build --release --features zenoh
+    bash tests/peers/zenoh/full.sh {{python}} target/release/murmurate
+
 # How true the lab is on this machine, and how much it carries (10 minutes, root, /dev/net/tun, wants an idle machine)
 full-lab:
     cargo build --release --features lab

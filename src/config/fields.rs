@@ -79,6 +79,8 @@ pub enum FieldType {
     Number(f64, f64),
     /// A text that is not empty and not a team key (the team's secret of 64 hexadecimal digits).
     Text,
+    /// The path of a file: a text; in a file it is relative to the file's folder.
+    Path,
     /// The name of a network interface, such as `wlan0`.
     Interface,
     /// One of the words in this list.
@@ -99,11 +101,13 @@ impl FieldType {
                 Ok(number) if (least..=most).contains(&number) => Ok(Value::Number(number)),
                 _ => Err(format!("'{text}' is not a number of {least} to {most}")),
             },
-            FieldType::Text if text.is_empty() => Err("it is empty; leave it out or fill it in".to_owned()),
-            FieldType::Text if is_key(text.as_bytes()) => {
+            FieldType::Text | FieldType::Path if text.is_empty() => {
+                Err("it is empty; leave it out or fill it in".to_owned())
+            }
+            FieldType::Text | FieldType::Path if is_key(text.as_bytes()) => {
                 Err("it is a key itself, where a name or path belongs: keep it in a file and give its path".to_owned())
             }
-            FieldType::Text => Ok(Value::Text(text.to_owned())),
+            FieldType::Text | FieldType::Path => Ok(Value::Text(text.to_owned())),
             // As in Linux: IFNAMSIZ is 16 with the terminating zero, and these characters are refused.
             FieldType::Interface => {
                 let fits = (1..16).contains(&text.len()) && !text.contains(|c: char| c.is_whitespace() || c == '/');

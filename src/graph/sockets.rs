@@ -194,8 +194,13 @@ mod tests {
                 ("peers.here".to_owned(), said(Value::Address(at(port)))),
                 ("peers.there".to_owned(), said(Value::Address(at(47_751)))),
             ];
-            let settings =
-                LinkSettings { link: "test", host: HostId(0), hosts: vec!["here", "there"], values: values.into() };
+            let settings = LinkSettings {
+                link: "test",
+                team: None,
+                host: HostId(0),
+                hosts: vec!["here", "there"],
+                values: values.into(),
+            };
             let endpoint = (udp::unicast::ENTRY.read)(&settings).unwrap();
             (LinkId(3), endpoint.open(HostId(0), Filter::All).unwrap())
         };

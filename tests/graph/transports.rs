@@ -46,6 +46,15 @@ fn lines(name: &str) -> (&'static str, &'static [(&'static str, &'static str, &'
                 ("127.0.0.1:47824", "0.0.0.0:1", "link.infra.peers.world (line 11): 0.0.0.0 is no address"),
             ],
         ),
+        "zenoh" => (
+            "connect = \"udp/127.0.0.1:47831\"\n[host.robot-0.link.infra]\nmode = \"router\"\n\
+             listen = \"udp/127.0.0.1:47831\"\nconnect = \"none\"",
+            &[
+                ("connect = \"udp/", "connect = \"tcp/", "link.infra.connect (line 7): 'tcp/127.0.0.1:47831' is a"),
+                ("connect = \"udp/127.0.0.1:47831\"", "", "link.infra.connect: missing; say where a Zenoh router"),
+                ("listen = \"udp/127.0.0.1:47831\"", "", "link.infra.listen: missing; a router listens somewhere"),
+            ],
+        ),
         "hub" => ("hub = \"one\"", &[("hub = \"one\"", "", "link.infra.hub: missing; name the hub")]),
         _ => panic!("'{name}' is new: say here what a link of it needs, and what would be wrong"),
     }
@@ -61,10 +70,18 @@ fn registry() -> Registry {
     Registry::builtin().with_transport(HUB)
 }
 
+/// Transports that this build has.
+fn transports() -> Vec<transport::Entry> {
+    let built = |entry: &transport::Entry| entry.name != "zenoh" || cfg!(feature = "zenoh");
+    registry().transports().iter().copied().filter(built).collect()
+}
+
 fn text(name: &str) -> String {
     let (lines, _) = lines(name);
+    // A router may pass frames on to other machines, so a team with one has a key.
+    let key = if name == "zenoh" { "key_file = \"team.key\"" } else { "" };
     format!(
-        "team = 1\nmode = \"onboard-infra\"\nrobots = 3\n\n[link.infra]\ntransport = \"{name}\"\n{lines}\n\
+        "team = 1\nmode = \"onboard-infra\"\nrobots = 3\n{key}\n[link.infra]\ntransport = \"{name}\"\n{lines}\n\
          [link.wires]\ninterface = \"lo\"\n"
     )
 }
@@ -83,9 +100,33 @@ fn places(name: &str) -> Vec<Place> {
     (0..3).map(place).collect()
 }
 
-fn open(places: &[Place]) -> Vec<Box<dyn Transport>> {
-    let hosts = (0..).map(HostId);
-    hosts.zip(places).map(|(host, place)| place.endpoint.open(host, Filter::All).expect("it can be opened")).collect()
+fn open(name: &str, places: &[Place]) -> Vec<Box<dyn Transport>> {
+    let open = |(host, place): (HostId, &Place)| place.endpoint.open(host, Filter::All).expect("it can be opened");
+    let mut hosts: Vec<_> = (0..).map(HostId).zip(places).map(open).collect();
+    for to in 1..hosts.len() {
+        let (before, after) = hosts.split_at_mut(to);
+        for (from, host) in (0..).map(HostId).zip(before) {
+            settle(name, (from, &mut **host), (HostId(to as u16), &mut *after[0]));
+        }
+    }
+    hosts
+}
+
+/// Waits until two hosts hear each other, where routers first have to learn who listens.
+fn settle(name: &str, (one, at_one): (HostId, &mut dyn Transport), (other, at_other): (HostId, &mut dyn Transport)) {
+    if name != "zenoh" {
+        return;
+    }
+    let until_heard = |from: &mut dyn Transport, to: HostId, at: &mut dyn Transport| {
+        let heard = (0..100).any(|_| {
+            say(from, Audience::Host(to), b"are you there?");
+            !hear(at, 0).is_empty()
+        });
+        assert!(heard, "{to:?} hears nothing");
+        while !hear(at, 0).is_empty() {}
+    };
+    until_heard(&mut *at_one, other, &mut *at_other);
+    until_heard(at_other, one, at_one);
 }
 
 fn say(transport: &mut dyn Transport, audience: Audience, frame: &[u8]) {
@@ -113,8 +154,8 @@ fn frames(transport: &mut dyn Transport, count: usize) -> Vec<Vec<u8>> {
 #[test]
 fn a_frame_to_all_arrives_once_at_each_other_host() {
     let _alone = alone();
-    for entry in registry().transports() {
-        let mut hosts = open(&places(entry.name));
+    for entry in transports() {
+        let mut hosts = open(entry.name, &places(entry.name));
         say(&mut *hosts[0], Audience::All, b"to all");
         say(&mut *hosts[0], Audience::All, b"again");
         for (host, heard) in hosts.iter_mut().zip([0, 2, 2]) {
@@ -128,10 +169,10 @@ fn a_frame_to_all_arrives_once_at_each_other_host() {
 #[test]
 fn a_frame_to_one_host_reaches_only_that_host_on_an_addressed_link() {
     let _alone = alone();
-    for entry in registry().transports() {
+    for entry in transports() {
         let places = places(entry.name);
         let addressed = places[0].setup(&Reliabilities::new()).is_addressed();
-        let mut hosts = open(&places);
+        let mut hosts = open(entry.name, &places);
         say(&mut *hosts[0], Audience::Host(HostId(1)), b"to one");
         let others = usize::from(!addressed);
         for (host, heard) in hosts.iter_mut().zip([0, 1, others]) {
@@ -143,13 +184,16 @@ fn a_frame_to_one_host_reaches_only_that_host_on_an_addressed_link() {
 #[test]
 fn a_guest_reaches_all_hosts_and_is_answered_once_admitted() {
     let _alone = alone();
-    for entry in registry().transports() {
+    for entry in transports() {
         let places = places(entry.name);
-        let mut hosts = open(&places);
+        let mut hosts = open(entry.name, &places);
         let operator = HostId::operator(9);
         let guest = places[0].for_guest(HostId(0)).endpoint;
         assert_eq!(guest.claim(), places[1].for_guest(HostId(1)).endpoint.claim(), "{}: it is one link", entry.name);
         let mut guest = guest.open(operator, Filter::All).expect("it can be opened");
+        for (host, at) in (0..).map(HostId).zip(&mut hosts) {
+            settle(entry.name, (host, &mut **at), (operator, &mut *guest));
+        }
         say(&mut *guest, Audience::All, b"hello");
         for host in &mut hosts {
             let heard = hear(&mut **host, 1);
@@ -179,7 +223,7 @@ fn mistakes_in_a_team_file_are_refused_by_their_field() {
         let error = with(&format!("{transport}\ncolour = \"red\""));
         assert!(error.starts_with("link.infra.colour (line 7): there is no such field"), "{error}");
         let error = with("transport = \"pigeon\"");
-        assert!(error.contains("there is no transport 'pigeon'; there are: multicast, unicast, hub"), "{error}");
+        assert!(error.contains("there is no transport 'pigeon'; there are: multicast, unicast, zenoh, hub"), "{error}");
     }
 }
 
@@ -192,6 +236,14 @@ fn fields_of_one_name_take_the_same_values_in_all_transports() {
         all = all.with_transport(transport::Entry { name, ..*entry });
     }
     assert_eq!(all.transports().len(), 2 * transport::REGISTRY.len());
+}
+
+#[cfg(not(feature = "zenoh"))]
+#[test]
+fn a_transport_that_is_not_built_in_names_its_feature() {
+    let place = &places("zenoh")[1];
+    let Err(OpenError::Wrong(why)) = place.endpoint.open(HostId(1), Filter::All) else { panic!("it is not built in") };
+    assert!(why.contains("built without Zenoh") && why.contains("--features zenoh"), "{why}");
 }
 
 /// Transport that works on its own thread, as an asynchronous library does: hosts of this process exchange frames

@@ -8,6 +8,7 @@ use super::fields::EVERY_INTERFACE;
 use super::layers::{LayerValue, Origin, place};
 use super::{TeamFile, kebab, text, whole_u16};
 use crate::config::ConfigError;
+use crate::config::fields::{FieldType, Value};
 use crate::deploy::Link;
 use crate::deploy::Routes;
 use crate::messages::ids::{HostId, LinkId};
@@ -69,12 +70,18 @@ impl TeamFile {
         for (field, name) in
             transport.fields.iter().flat_map(|field| self.names_of(field).into_iter().map(move |n| (field, n)))
         {
-            let Some(LayerValue { value, origin }) = self.of_link(&scopes, at, (field, &name)) else { continue };
-            let value = FieldValue { value, place: place(&format!("link.{}.{name}", link.name), &origin) };
+            let Some(entry) = self.of_link(&scopes, at, (field, &name)) else { continue };
+            let place = place(&format!("link.{}.{name}", link.name), &entry.origin);
+            let value = match field.takes {
+                FieldType::Path => Value::Text(self.path(&entry).to_string_lossy().into_owned()),
+                _ => entry.value,
+            };
+            let value = FieldValue { value, place };
             values.insert(name, value);
         }
         let hosts = self.deployment.hosts.iter().map(|host| host.name.as_str()).collect();
-        let endpoint = (transport.read)(&LinkSettings { link: &link.name, host, hosts, values })?;
+        let team = self.layers.find(&scopes, "team").as_ref().map(whole_u16);
+        let endpoint = (transport.read)(&LinkSettings { link: &link.name, team, host, hosts, values })?;
         let reliability = KINDS.iter().filter_map(|&kind| {
             let entry = self.layers.find(&scopes, &format!("link.{}.reliability.{}", link.name, kebab(kind)))?;
             let named = Reliability::NAMED.iter().find(|(name, _)| *name == text(&entry));

@@ -5,9 +5,11 @@
 //! The emulated link of one-process runs (`net/media/ether.rs`) takes the same [`In`].
 
 mod endpoint;
+mod flood;
 pub mod interface;
 pub mod settings;
 pub mod udp;
+pub mod zenoh;
 
 pub use endpoint::{Claim, Endpoint, Filter, Finding, Fitness, OpenError, Place};
 pub use settings::{Field, LinkSettings};
@@ -75,7 +77,7 @@ pub struct Entry {
 }
 
 /// Registry entries of all transports of this crate.
-pub const REGISTRY: &[Entry] = &[udp::multicast::ENTRY, udp::unicast::ENTRY];
+pub const REGISTRY: &[Entry] = &[udp::multicast::ENTRY, udp::unicast::ENTRY, zenoh::ENTRY];
 
 /// Names of fields of a link that no transport may define, since every link has them.
 pub const RESERVED: [&str; 2] = ["transport", "reliability"];

@@ -46,6 +46,8 @@ pub struct FieldValue {
 pub struct LinkSettings<'a> {
     /// Name of the link.
     pub link: &'a str,
+    /// Number of the team; `None` if the file has none, which is refused elsewhere.
+    pub team: Option<u16>,
     /// Id of the host that the settings are for.
     pub host: HostId,
     /// Names of all hosts, indexed by id.

@@ -24,6 +24,7 @@ use crate::messages::ids::HostId;
 use crate::net::protocol::codec::{self, Content};
 use crate::net::protocol::link::Guest;
 use crate::net::protocol::router::Audience;
+use crate::net::transport::flood::{Flood, REST};
 use crate::net::transport::udp::batch::Batch;
 use crate::net::transport::udp::guests::Guests;
 use crate::net::transport::udp::loopback::Loopback;
@@ -38,13 +39,6 @@ const READ_AT_ONCE: usize = 128;
 /// turn of the event loop and than the delay by another link's flood. A link read once per event would otherwise never
 /// catch up if more than one datagram arrives between two events.
 const BUSY: Span = Span::from_millis(10);
-/// Time for which a flooded link is not read after each read. With at most 128 datagrams a read, it bounds the cost of
-/// a flood to 128 000 datagrams a second; further ones are lost once the kernel's buffer is full.
-pub const REST: Span = Span::from_millis(1);
-/// Number of datagrams within `REST` from which on a link is flooded: four times what the fastest team sends.
-const FLOOD: usize = 20;
-/// Number of datagrams in one read below which a flood has ended.
-const EBB: usize = 10;
 
 /// Open sockets of one link on one host.
 #[derive(Debug)]
@@ -149,29 +143,6 @@ impl Udp {
     }
 }
 
-/// Detection of a flood: more datagrams than are worth a wake-up each.
-#[derive(Clone, Copy, Debug, Default)]
-struct Flood {
-    on: bool,
-    /// Number of datagrams read since `since`.
-    count: usize,
-    since: Time,
-}
-
-impl Flood {
-    fn read(&mut self, now: Time, count: usize) {
-        if self.on {
-            *self = Flood { on: count >= EBB, count: 0, since: now };
-            return;
-        }
-        if now.since(self.since) >= REST {
-            (self.since, self.count) = (now, 0);
-        }
-        self.count += count;
-        self.on = self.count >= FLOOD;
-    }
-}
-
 impl To {
     fn peers(own: HostId, peers: &BTreeMap<HostId, SocketAddr>, guests: Option<Guests>) -> To {
         let others = peers.iter().filter(|(peer, _)| **peer != own).map(|(peer, at)| (*peer, *at));
@@ -247,7 +218,7 @@ impl Transport for Udp {
     /// A read of an empty socket costs as much as a successful one. So a quiet link is read once per readiness event,
     /// and a busy one until it is empty or the limit is reached.
     fn receive(&mut self, now: Time, take: &mut dyn FnMut(Option<SocketAddr>, &[u8])) {
-        let busy = now.since(self.looked) < BUSY || self.flood.on;
+        let busy = now.since(self.looked) < BUSY || self.flood.is_on();
         self.looked = now;
         let to = &mut self.to;
         let take = |from: SocketAddr, frame: &[u8]| {
@@ -270,7 +241,7 @@ impl Transport for Udp {
     }
 
     fn paused_until(&self) -> Option<Time> {
-        self.flood.on.then(|| self.looked + REST)
+        self.flood.is_on().then(|| self.looked + REST)
     }
 
     fn handle(&mut self, now: Time, input: In) {

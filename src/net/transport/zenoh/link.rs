@@ -1,0 +1,161 @@
+//! Open link of the transport `zenoh`: the control thread's side of a session, which is on a thread of its
+//! own behind a bounded channel.
+
+use std::net::SocketAddr;
+use std::os::fd::AsFd;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::thread;
+use std::time::Duration;
+
+use super::session::{Shared, TO_ALL, Worker, configuration, reach};
+use super::{SessionConfig, Streams};
+use crate::edge::{self, Gate};
+use crate::messages::ids::HostId;
+use crate::net::protocol::router::Audience;
+use crate::net::transport::flood::{Flood, REST};
+use crate::net::transport::{Counts, Finding, Fitness, In, OpenError, Transmit, Transport};
+use crate::time::Time;
+
+/// Longest wait for a session when a link is opened. Without a router, the host starts all the same.
+const OPENING: Duration = Duration::from_millis(1500);
+/// Longest wait for the last frames when a link is closed.
+const CLOSING: Duration = Duration::from_millis(300);
+/// Longest wait of a check for a router to answer.
+const CHECKING: Duration = Duration::from_millis(6000);
+
+impl SessionConfig {
+    /// Whether the session waits for others to connect, so that it opens without a router.
+    fn awaits(&self) -> bool {
+        self.mode.as_deref().is_some_and(|mode| mode != "client")
+    }
+}
+
+/// Opens the session of `host` on a thread of its own. Goes on without a router, which may come later.
+pub(super) fn open(config: &SessionConfig, host: HostId) -> Result<Box<dyn Transport>, OpenError> {
+    let zenoh = configuration(config).map_err(OpenError::Wrong)?;
+    let (gate, port) = edge::channel().map_err(|error| OpenError::NotNow(error.to_string()))?;
+    let shared = Arc::new(Shared::default());
+    let worker = Worker { config: config.clone(), zenoh, host, shared: Arc::clone(&shared) };
+    let ((opened_tx, opened), (ended_tx, ended)) = (sync_channel(1), sync_channel::<()>(1));
+    let run = move || {
+        worker.run(port, &opened_tx);
+        drop(ended_tx);
+    };
+    let named = thread::Builder::new().name("zenoh".to_owned()).spawn(run);
+    named.map_err(|error| OpenError::NotNow(error.to_string()))?;
+    match opened.recv_timeout(OPENING) {
+        Ok(Ok(())) => tracing::info!(key = config.key, "the Zenoh session of a link is open"),
+        // It cannot listen: this does not get better by itself.
+        Ok(Err(why)) if config.awaits() => return Err(OpenError::NotNow(format!("Zenoh: {why}"))),
+        _ => tracing::warn!("no Zenoh router answers at {} yet; going on without", config.connect.join(", ")),
+    }
+    Ok(Box::new(Link { gate: Some(gate), shared, ended, looked: Time::ZERO, flood: Flood::default(), unsent: 0 }))
+}
+
+/// Checks whether a session gets through from this machine; `link` is the name of the link, for advice.
+pub(super) fn check(config: &SessionConfig, link: &str) -> Vec<Finding> {
+    let fail = |found: String, advice: String| Finding { fitness: Fitness::Fail, what: "Zenoh", found, advice };
+    let zenoh = match configuration(config) {
+        Ok(zenoh) => zenoh,
+        Err(why) => return vec![fail(why, format!("mend it, or the fields of link.{link}"))],
+    };
+    let (tx, rx) = sync_channel(1);
+    thread::spawn(move || tx.send(reach(&zenoh)));
+    let places = if config.connect.is_empty() { &config.listen } else { &config.connect }.join(", ");
+    let mut found = vec![match rx.recv_timeout(CHECKING) {
+        Ok(Ok((0, 0))) if config.awaits() => Finding::ok("Zenoh", format!("session open, {places}: none here yet")),
+        Ok(Ok((0, 0))) | Err(_) => fail(
+            format!("no router answers at {places}"),
+            format!("does a Zenoh router run there, and let UDP through? See link.{link}.connect"),
+        ),
+        Ok(Ok((routers, peers))) => {
+            Finding::ok("Zenoh", format!("session by {places}: {routers} routers, {peers} peers"))
+        }
+        Ok(Err(why)) if config.awaits() => {
+            fail(why, "stop what listens there; is this host running already?".to_owned())
+        }
+        Ok(Err(why)) => fail(
+            format!("no session by {places}: {why}"),
+            format!("does a Zenoh router run there, and let UDP through? See link.{link}.connect"),
+        ),
+    }];
+    if config.streams == Streams::Allow {
+        let advice = format!("leave out link.{link}.streams where datagrams get through");
+        let said = "streams are allowed: a lost packet delays the frames after it".to_owned();
+        found.push(Finding { fitness: Fitness::Warn, what: "streams", found: said, advice });
+    }
+    found
+}
+
+/// Open link of the transport `zenoh`.
+struct Link {
+    /// Channel to the session's thread; `None` while the link is dropped.
+    gate: Option<Gate>,
+    shared: Arc<Shared>,
+    /// Disconnected once the session's thread has ended.
+    ended: Receiver<()>,
+    /// Time of the last read.
+    looked: Time,
+    flood: Flood,
+    /// Number of frames that were not sent because there was no session yet.
+    unsent: u64,
+}
+
+impl Link {
+    fn gate(&self) -> &Gate {
+        self.gate.as_ref().expect("it is there until the link is dropped")
+    }
+}
+
+impl Drop for Link {
+    fn drop(&mut self) {
+        self.gate = None;
+        // The last frames may say that this host leaves.
+        if self.shared.open.load(Ordering::Acquire)
+            && let Err(RecvTimeoutError::Timeout) = self.ended.recv_timeout(CLOSING)
+        {
+            tracing::debug!("a Zenoh session is still closing");
+        }
+    }
+}
+
+impl Transport for Link {
+    fn descriptor(&self) -> Rc<dyn AsFd> {
+        Rc::new(self.gate().event_fd())
+    }
+
+    fn receive(&mut self, now: Time, take: &mut dyn FnMut(Option<SocketAddr>, &[u8])) {
+        let mut count = 0;
+        self.looked = now;
+        let gate = self.gate.as_mut().expect("it is there until the link is dropped");
+        gate.take(|packet| {
+            count += 1;
+            take(None, &packet);
+        });
+        self.flood.read(now, count);
+    }
+
+    fn paused_until(&self) -> Option<Time> {
+        self.flood.is_on().then(|| self.looked + REST)
+    }
+
+    fn handle(&mut self, _: Time, input: In) {
+        let In::Transmit(Transmit { audience, frame, .. }) = input else { return };
+        // Frames that wait for a router would be stale once it answers.
+        if !self.shared.open.load(Ordering::Acquire) {
+            self.unsent += 1;
+            return;
+        }
+        let to = if let Audience::Host(host) = audience { host.0 } else { TO_ALL };
+        let gate = self.gate.as_mut().expect("it is there until the link is dropped");
+        gate.send([&to.to_le_bytes()[..], &frame].concat().into());
+    }
+
+    fn counts(&self) -> Counts {
+        let (full, dropped) = self.gate().dropped();
+        Counts { unsent: self.unsent + full + self.shared.refused.load(Ordering::Relaxed), dropped }
+    }
+}

@@ -1,0 +1,208 @@
+//! Thread of a Zenoh session: opens it, tries again while no router answers, publishes the frames of the control
+//! thread, and passes on those of others. The only file that calls the Zenoh library.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::SyncSender;
+use std::time::Duration;
+
+use ::zenoh::pubsub::{Publisher, Subscriber};
+use ::zenoh::qos::{CongestionControl, Priority, Reliability};
+use ::zenoh::sample::Locality;
+use ::zenoh::{Config, Session, Wait};
+
+use super::{SessionConfig, check_endpoint};
+use crate::edge::{PacketSender, Port};
+use crate::messages::ids::HostId;
+use crate::net::protocol::codec::MAX_FRAME_BYTES;
+
+/// Receiver number, in front of a packet from the control thread, that stands for all hosts. No host has it.
+pub(super) const TO_ALL: u16 = u16::MAX;
+/// Time between two attempts to open a session.
+const RETRY: Duration = Duration::from_millis(200);
+/// Number of attempts of a check to open a session.
+const ATTEMPTS: u32 = 5;
+/// Largest number of declared publishers: those of a large team, with operators.
+const MAX_PUBLISHERS: usize = 1024;
+
+/// Settings of a session without a file of Zenoh's own. There is no discovery, since a team file says where everyone
+/// is. A handshake of which a packet is lost is repeated after a second and not after ten, a connection that has broken
+/// is set up again within 0.2 s, and a peer that is silent for two seconds counts as gone.
+const DEFAULTS: [(&str, &str); 6] = [
+    ("scouting/multicast/enabled", "false"),
+    ("transport/unicast/open_timeout", "1000"),
+    ("transport/unicast/accept_timeout", "1000"),
+    ("transport/link/tx/lease", "2000"),
+    ("connect/retry", "{ period_init_ms: 100, period_max_ms: 200, period_increase_factor: 2 }"),
+    ("listen/endpoints", "[]"),
+];
+
+/// State of a session that the control thread reads.
+#[derive(Debug, Default)]
+pub(super) struct Shared {
+    /// Whether the session is open, so that frames can be published.
+    pub open: AtomicBool,
+    /// Number of frames that the session has refused.
+    pub refused: AtomicU64,
+}
+
+/// Returns the configuration of the Zenoh library for a session. An error says what is wrong with it, or with its file.
+pub(super) fn configuration(from: &SessionConfig) -> Result<Config, String> {
+    let file = |path: &Path| {
+        Config::from_file(path).map_err(|error| format!("Zenoh's configuration {}: {error}", path.display()))
+    };
+    let mut config = from.config.as_deref().map_or_else(|| Ok(Config::default()), file)?;
+    let mut set = |key: &str, value: &str| {
+        config.insert_json5(key, value).map_err(|error| format!("Zenoh takes no {key} of {value}: {error}"))
+    };
+    if from.config.is_none() {
+        DEFAULTS.iter().try_for_each(|(key, value)| set(key, value))?;
+    }
+    let list = |endpoints: &[String]| serde_json::to_string(endpoints).expect("texts are JSON");
+    if let Some(mode) = &from.mode {
+        set("mode", &format!("\"{mode}\""))?;
+    }
+    if !from.connect.is_empty() {
+        set("connect/endpoints", &list(&from.connect))?;
+    }
+    if !from.listen.is_empty() {
+        set("listen/endpoints", &list(&from.listen))?;
+    }
+    let listens = |config: &Config| config.get_json("listen/endpoints").unwrap_or_default();
+    // Zenoh's own default is a stream.
+    if from.guest || from.listen.is_empty() && listens(&config) == listens(&Config::default()) {
+        config.insert_json5("listen/endpoints", "[]").map_err(|error| error.to_string())?;
+    }
+    for key in ["connect/endpoints", "listen/endpoints"] {
+        let all = config.get_json(key).unwrap_or_default();
+        let all = serde_json::from_str(&all).unwrap_or(serde_json::Value::Null);
+        texts(&all)
+            .iter()
+            .try_for_each(|one| check_endpoint(one, from.streams))
+            .map_err(|why| format!("{key}: {why}"))?;
+    }
+    Ok(config)
+}
+
+/// Returns all texts within a JSON value: endpoints may differ by mode, or stand in groups.
+fn texts(value: &serde_json::Value) -> Vec<&str> {
+    match value {
+        serde_json::Value::String(text) => vec![text],
+        serde_json::Value::Array(all) => all.iter().flat_map(texts).collect(),
+        serde_json::Value::Object(all) => all.values().flat_map(texts).collect(),
+        _ => Vec::new(),
+    }
+}
+
+/// Opens a session for a check, and returns how many routers and peers it reaches. Tries again, since a packet of the
+/// handshake may be lost.
+pub(super) fn reach(config: &Config) -> Result<(usize, usize), String> {
+    let mut last = String::new();
+    let mut open = || ::zenoh::open(config.clone()).wait().map_err(|error| last = error.to_string()).ok();
+    let session = (0..ATTEMPTS).find_map(|_| open());
+    let Some(session) = session else { return Err(last) };
+    let info = session.info();
+    let reached = (info.routers_zid().wait().count(), info.peers_zid().wait().count());
+    let _ = session.close().wait();
+    Ok(reached)
+}
+
+/// Session of one host on one link, on its own thread.
+pub(super) struct Worker {
+    /// Configuration of the session.
+    pub config: SessionConfig,
+    /// The same for the library.
+    pub zenoh: Config,
+    /// Host that this process is.
+    pub host: HostId,
+    /// State that the control thread reads.
+    pub shared: Arc<Shared>,
+}
+
+impl Worker {
+    /// Runs the session until the control thread closes `port`. The first attempt's result goes to `opened`.
+    pub fn run(self, mut port: Port, opened: &SyncSender<Result<(), String>>) {
+        let sender = port.sender();
+        let Some((session, _subscribers)) = self.open(&sender, opened) else { return };
+        self.shared.open.store(true, Ordering::Release);
+        let _ = opened.try_send(Ok(()));
+        let mut publishers: BTreeMap<u16, Publisher<'static>> = BTreeMap::new();
+        while let Some(packet) = port.wait() {
+            let to = u16::from_le_bytes([packet[0], packet[1]]);
+            if let Err(error) = self.publish(&session, &mut publishers, to, &packet[2..]) {
+                let refused = self.shared.refused.fetch_add(1, Ordering::Relaxed) + 1;
+                if refused.is_power_of_two() {
+                    tracing::warn!(refused, "Zenoh has refused a frame: {error}");
+                }
+            }
+        }
+        // Flushes what was published last, and tells the router.
+        let _ = session.close().wait();
+    }
+
+    /// Opens the session with its subscriptions; tries again until that succeeds. Returns `None` once the control
+    /// thread has closed the channel.
+    fn open(
+        &self,
+        sender: &PacketSender,
+        opened: &SyncSender<Result<(), String>>,
+    ) -> Option<(Session, [Subscriber<()>; 2])> {
+        let mut failed: u32 = 0;
+        while !sender.is_closed() {
+            let error = match ::zenoh::open(self.zenoh.clone()).wait() {
+                Ok(session) => match self.subscribe(&session, sender) {
+                    Ok(subscribers) => return Some((session, subscribers)),
+                    Err(error) => error,
+                },
+                Err(error) => error,
+            };
+            failed += 1;
+            if failed.is_power_of_two() {
+                tracing::warn!(attempts = failed, "no Zenoh session on '{}' yet: {error}", self.config.key);
+            }
+            let _ = opened.try_send(Err(error.to_string()));
+            std::thread::park_timeout(RETRY);
+        }
+        None
+    }
+
+    fn subscribe(&self, session: &Session, sender: &PacketSender) -> ::zenoh::Result<[Subscriber<()>; 2]> {
+        let subscribe = |key: String| {
+            let sender = sender.clone();
+            let hear = move |sample: ::zenoh::sample::Sample| {
+                let frame = sample.payload().to_bytes();
+                if frame.len() <= MAX_FRAME_BYTES {
+                    sender.send(frame.into());
+                }
+            };
+            session.declare_subscriber(key).allowed_origin(Locality::Remote).callback(hear).wait()
+        };
+        Ok([subscribe(self.config.key_of_all())?, subscribe(self.config.key_of(self.host.0))?])
+    }
+
+    fn publish(
+        &self,
+        session: &Session,
+        publishers: &mut BTreeMap<u16, Publisher<'static>>,
+        to: u16,
+        frame: &[u8],
+    ) -> ::zenoh::Result<()> {
+        if !publishers.contains_key(&to) {
+            if publishers.len() >= MAX_PUBLISHERS {
+                publishers.pop_first();
+            }
+            let key = if to == TO_ALL { self.config.key_of_all() } else { self.config.key_of(to) };
+            let publisher = session
+                .declare_publisher(key)
+                .congestion_control(CongestionControl::Drop)
+                .priority(Priority::RealTime)
+                .express(true)
+                .reliability(Reliability::BestEffort)
+                .allowed_destination(Locality::Remote);
+            publishers.insert(to, publisher.wait()?);
+        }
+        publishers[&to].put(frame).wait()
+    }
+}
