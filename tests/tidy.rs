@@ -189,6 +189,7 @@ fn access_to_the_machine_is_confined_to_its_files() {
             &[
                 "src/drivers/robomaster/worker.rs",
                 "src/localization/natnet/worker.rs",
+                "src/net/transport/zenoh/session.rs",
                 "src/ros2/",
                 "src/runtime/real.rs",
                 "src/view/",

@@ -284,7 +284,8 @@ fn run_command(registry: &Registry, arguments: &[OsString]) -> ExitCode {
     // Warnings are shown, since the operator of a robot has to see what its guard does.
     let notes = matches!(cli.command, Command::Doctor(_));
     let level = match (real_time, notes) {
-        (true, _) => "warn",
+        // Zenoh's library warns of every attempt to reach a router; the transport says it once.
+        (true, _) => "warn,zenoh=error",
         (false, true) => doctor::LEVEL,
         (false, false) => "error",
     };

@@ -1,14 +1,13 @@
 //! Thread of a Zenoh session: opens it, tries again while no router answers, publishes the frames of the control
 //! thread, and passes on those of others. The only file that calls the Zenoh library.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::SyncSender;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use ::zenoh::pubsub::{Publisher, Subscriber};
+use ::zenoh::pubsub::Subscriber;
 use ::zenoh::qos::{CongestionControl, Priority, Reliability};
 use ::zenoh::sample::Locality;
 use ::zenoh::{Config, Session, Wait};
@@ -24,8 +23,8 @@ pub(super) const TO_ALL: u16 = u16::MAX;
 const RETRY: Duration = Duration::from_millis(200);
 /// Number of attempts of a check to open a session.
 const ATTEMPTS: u32 = 5;
-/// Largest number of declared publishers: those of a large team, with operators.
-const MAX_PUBLISHERS: usize = 1024;
+/// Time without a frame after which a subscription is declared anew.
+const REFRESH: Duration = Duration::from_secs(1);
 
 /// Settings of a session without a file of Zenoh's own. There is no discovery, since a team file says where everyone
 /// is. A handshake of which a packet is lost is repeated after a second and not after ten, a connection that has broken
@@ -51,11 +50,12 @@ pub(super) struct Shared {
 /// Returns the configuration of the Zenoh library for a session. An error says what is wrong with it, or with its file.
 pub(super) fn configuration(from: &SessionConfig) -> Result<Config, String> {
     let file = |path: &Path| {
-        Config::from_file(path).map_err(|error| format!("Zenoh's configuration {}: {error}", path.display()))
+        let why = |error| format!("Zenoh's configuration {}: {}", path.display(), reason(&error));
+        Config::from_file(path).map_err(why)
     };
     let mut config = from.config.as_deref().map_or_else(|| Ok(Config::default()), file)?;
     let mut set = |key: &str, value: &str| {
-        config.insert_json5(key, value).map_err(|error| format!("Zenoh takes no {key} of {value}: {error}"))
+        config.insert_json5(key, value).map_err(|error| format!("Zenoh takes no {key} of {value}: {}", reason(&error)))
     };
     if from.config.is_none() {
         DEFAULTS.iter().try_for_each(|(key, value)| set(key, value))?;
@@ -73,7 +73,7 @@ pub(super) fn configuration(from: &SessionConfig) -> Result<Config, String> {
     let listens = |config: &Config| config.get_json("listen/endpoints").unwrap_or_default();
     // Zenoh's own default is a stream.
     if from.guest || from.listen.is_empty() && listens(&config) == listens(&Config::default()) {
-        config.insert_json5("listen/endpoints", "[]").map_err(|error| error.to_string())?;
+        config.insert_json5("listen/endpoints", "[]").map_err(|error| reason(&error))?;
     }
     for key in ["connect/endpoints", "listen/endpoints"] {
         let all = config.get_json(key).unwrap_or_default();
@@ -84,6 +84,12 @@ pub(super) fn configuration(from: &SessionConfig) -> Result<Config, String> {
             .map_err(|why| format!("{key}: {why}"))?;
     }
     Ok(config)
+}
+
+/// Returns the reason of an error of the library without the place in its source.
+fn reason(error: &::zenoh::Error) -> String {
+    let text = error.to_string();
+    text.split(" at /").next().unwrap_or_default().trim_end().to_owned()
 }
 
 /// Returns all texts within a JSON value: endpoints may differ by mode, or stand in groups.
@@ -100,7 +106,7 @@ fn texts(value: &serde_json::Value) -> Vec<&str> {
 /// handshake may be lost.
 pub(super) fn reach(config: &Config) -> Result<(usize, usize), String> {
     let mut last = String::new();
-    let mut open = || ::zenoh::open(config.clone()).wait().map_err(|error| last = error.to_string()).ok();
+    let mut open = || ::zenoh::open(config.clone()).wait().map_err(|error| last = reason(&error)).ok();
     let session = (0..ATTEMPTS).find_map(|_| open());
     let Some(session) = session else { return Err(last) };
     let info = session.info();
@@ -121,88 +127,109 @@ pub(super) struct Worker {
     pub shared: Arc<Shared>,
 }
 
+/// Subscription to one key, which is declared anew while nothing is heard on it: on a link without retransmission, such
+/// as `udp/`, a lost declaration would leave this host deaf.
+struct Subscription {
+    /// Expression that is subscribed to: the key with a wildcard in place of its first part. The library abbreviates
+    /// what comes before a wildcard to a number, which it declares once. If that were lost, no later declaration and no
+    /// frame with this key would be understood.
+    expression: String,
+    /// Whether a frame has arrived since the last look.
+    heard: Arc<AtomicBool>,
+    subscriber: Option<Subscriber<()>>,
+}
+
+impl Subscription {
+    fn new(key: &str) -> Subscription {
+        let (_, rest) = key.split_once('/').expect("a key has several parts");
+        Subscription { expression: format!("*/{rest}"), heard: Arc::new(AtomicBool::new(false)), subscriber: None }
+    }
+
+    /// Declares the subscription unless a frame has arrived since the last call. Frames are passed to `sender`.
+    fn refresh(&mut self, session: &Session, sender: &PacketSender) -> ::zenoh::Result<()> {
+        if self.heard.swap(false, Ordering::Relaxed) {
+            return Ok(());
+        }
+        if let Some(former) = self.subscriber.take() {
+            former.undeclare().wait()?;
+        }
+        let (sender, heard) = (sender.clone(), Arc::clone(&self.heard));
+        let hear = move |sample: ::zenoh::sample::Sample| {
+            heard.store(true, Ordering::Relaxed);
+            let frame = sample.payload().to_bytes();
+            if frame.len() <= MAX_FRAME_BYTES {
+                sender.send(frame.into());
+            }
+        };
+        let builder = session.declare_subscriber(self.expression.clone());
+        self.subscriber = Some(builder.allowed_origin(Locality::Remote).callback(hear).wait()?);
+        Ok(())
+    }
+}
+
 impl Worker {
     /// Runs the session until the control thread closes `port`. The first attempt's result goes to `opened`.
     pub fn run(self, mut port: Port, opened: &SyncSender<Result<(), String>>) {
         let sender = port.sender();
-        let Some((session, _subscribers)) = self.open(&sender, opened) else { return };
+        let Some(session) = self.open(&sender, opened) else { return };
+        let keys = [self.config.key_of_all(), self.config.key_of(self.host.0)];
+        let mut subscriptions = keys.map(|key| Subscription::new(&key));
+        self.refresh(&mut subscriptions, &session, &sender);
         self.shared.open.store(true, Ordering::Release);
         let _ = opened.try_send(Ok(()));
-        let mut publishers: BTreeMap<u16, Publisher<'static>> = BTreeMap::new();
+        let mut refreshed = Instant::now();
         while let Some(packet) = port.wait() {
             let to = u16::from_le_bytes([packet[0], packet[1]]);
-            if let Err(error) = self.publish(&session, &mut publishers, to, &packet[2..]) {
-                let refused = self.shared.refused.fetch_add(1, Ordering::Relaxed) + 1;
-                if refused.is_power_of_two() {
-                    tracing::warn!(refused, "Zenoh has refused a frame: {error}");
-                }
+            self.note(self.publish(&session, to, &packet[2..]));
+            // Every host sends link reports several times a second, so this is done as often as needed.
+            if refreshed.elapsed() >= REFRESH {
+                refreshed = Instant::now();
+                self.refresh(&mut subscriptions, &session, &sender);
             }
         }
         // Flushes what was published last, and tells the router.
         let _ = session.close().wait();
     }
 
-    /// Opens the session with its subscriptions; tries again until that succeeds. Returns `None` once the control
-    /// thread has closed the channel.
-    fn open(
-        &self,
-        sender: &PacketSender,
-        opened: &SyncSender<Result<(), String>>,
-    ) -> Option<(Session, [Subscriber<()>; 2])> {
+    fn refresh(&self, subscriptions: &mut [Subscription], session: &Session, sender: &PacketSender) {
+        subscriptions.iter_mut().for_each(|one| self.note(one.refresh(session, sender)));
+    }
+
+    /// Counts and logs a refusal of the library.
+    fn note(&self, result: ::zenoh::Result<()>) {
+        let Err(error) = result else { return };
+        let refused = self.shared.refused.fetch_add(1, Ordering::Relaxed) + 1;
+        if refused.is_power_of_two() {
+            tracing::warn!(refused, "Zenoh has refused a frame: {}", reason(&error));
+        }
+    }
+
+    /// Opens the session; tries again until that succeeds. Returns `None` once the control thread has closed the
+    /// channel.
+    fn open(&self, sender: &PacketSender, opened: &SyncSender<Result<(), String>>) -> Option<Session> {
         let mut failed: u32 = 0;
         while !sender.is_closed() {
             let error = match ::zenoh::open(self.zenoh.clone()).wait() {
-                Ok(session) => match self.subscribe(&session, sender) {
-                    Ok(subscribers) => return Some((session, subscribers)),
-                    Err(error) => error,
-                },
-                Err(error) => error,
+                Ok(session) => return Some(session),
+                Err(error) => reason(&error),
             };
             failed += 1;
             if failed.is_power_of_two() {
-                tracing::warn!(attempts = failed, "no Zenoh session on '{}' yet: {error}", self.config.key);
+                tracing::warn!(attempts = failed, "no Zenoh session for '{}' yet: {error}", self.config.key);
             }
-            let _ = opened.try_send(Err(error.to_string()));
+            let _ = opened.try_send(Err(error));
             std::thread::park_timeout(RETRY);
         }
         None
     }
 
-    fn subscribe(&self, session: &Session, sender: &PacketSender) -> ::zenoh::Result<[Subscriber<()>; 2]> {
-        let subscribe = |key: String| {
-            let sender = sender.clone();
-            let hear = move |sample: ::zenoh::sample::Sample| {
-                let frame = sample.payload().to_bytes();
-                if frame.len() <= MAX_FRAME_BYTES {
-                    sender.send(frame.into());
-                }
-            };
-            session.declare_subscriber(key).allowed_origin(Locality::Remote).callback(hear).wait()
-        };
-        Ok([subscribe(self.config.key_of_all())?, subscribe(self.config.key_of(self.host.0))?])
-    }
-
-    fn publish(
-        &self,
-        session: &Session,
-        publishers: &mut BTreeMap<u16, Publisher<'static>>,
-        to: u16,
-        frame: &[u8],
-    ) -> ::zenoh::Result<()> {
-        if !publishers.contains_key(&to) {
-            if publishers.len() >= MAX_PUBLISHERS {
-                publishers.pop_first();
-            }
-            let key = if to == TO_ALL { self.config.key_of_all() } else { self.config.key_of(to) };
-            let publisher = session
-                .declare_publisher(key)
-                .congestion_control(CongestionControl::Drop)
-                .priority(Priority::RealTime)
-                .express(true)
-                .reliability(Reliability::BestEffort)
-                .allowed_destination(Locality::Remote);
-            publishers.insert(to, publisher.wait()?);
-        }
-        publishers[&to].put(frame).wait()
+    /// Publishes a frame. Its key is not declared: with a declared publisher, the library keeps frames back until a
+    /// router has told it of receivers, which may be lost on the way.
+    fn publish(&self, session: &Session, to: u16, frame: &[u8]) -> ::zenoh::Result<()> {
+        let key = if to == TO_ALL { self.config.key_of_all() } else { self.config.key_of(to) };
+        let publication = session.put(key, frame);
+        let publication = publication.congestion_control(CongestionControl::Drop).priority(Priority::RealTime);
+        let publication = publication.express(true).reliability(Reliability::BestEffort);
+        publication.allowed_destination(Locality::Remote).wait()
     }
 }
