@@ -61,7 +61,7 @@ pub struct SessionConfig {
     pub connect: Vec<String>,
     /// Endpoints at which the session listens; empty for those of the file `config`.
     pub listen: Vec<String>,
-    /// Configuration file of Zenoh itself, such as one with certificates; `None` for its defaults without discovery.
+    /// Configuration file of Zenoh itself, such as one with certificates.
     pub config: Option<PathBuf>,
     /// Whether endpoints may be streams.
     pub streams: Streams,

@@ -26,9 +26,10 @@ const ATTEMPTS: u32 = 5;
 /// Time without a frame after which a subscription is declared anew.
 const REFRESH: Duration = Duration::from_secs(1);
 
-/// Settings of a session without a file of Zenoh's own. There is no discovery, since a team file says where everyone
-/// is. A handshake of which a packet is lost is repeated after a second and not after ten, a connection that has broken
-/// is set up again within 0.2 s, and a peer that is silent for two seconds counts as gone.
+/// Settings in place of Zenoh's defaults, where its own file leaves them out. There is no discovery, since a team file
+/// says where everyone is. A handshake of which a packet is lost is repeated after a second and not after ten, a
+/// connection that has broken is set up again within 0.2 s, and a peer that is silent for two seconds counts as gone.
+/// Zenoh's default for `listen` is a stream.
 const DEFAULTS: [(&str, &str); 6] = [
     ("scouting/multicast/enabled", "false"),
     ("transport/unicast/open_timeout", "1000"),
@@ -54,26 +55,22 @@ pub(super) fn configuration(from: &SessionConfig) -> Result<Config, String> {
         Config::from_file(path).map_err(why)
     };
     let mut config = from.config.as_deref().map_or_else(|| Ok(Config::default()), file)?;
-    let mut set = |key: &str, value: &str| {
-        config.insert_json5(key, value).map_err(|error| format!("Zenoh takes no {key} of {value}: {}", reason(&error)))
-    };
-    if from.config.is_none() {
-        DEFAULTS.iter().try_for_each(|(key, value)| set(key, value))?;
+    let zenoh = Config::default();
+    let left_out = |config: &Config, key: &str| config.get_json(key).ok() == zenoh.get_json(key).ok();
+    for (key, value) in DEFAULTS {
+        if left_out(&config, key) {
+            set(&mut config, key, value)?;
+        }
     }
     let list = |endpoints: &[String]| serde_json::to_string(endpoints).expect("texts are JSON");
     if let Some(mode) = &from.mode {
-        set("mode", &format!("\"{mode}\""))?;
+        set(&mut config, "mode", &format!("\"{mode}\""))?;
     }
     if !from.connect.is_empty() {
-        set("connect/endpoints", &list(&from.connect))?;
+        set(&mut config, "connect/endpoints", &list(&from.connect))?;
     }
-    if !from.listen.is_empty() {
-        set("listen/endpoints", &list(&from.listen))?;
-    }
-    let listens = |config: &Config| config.get_json("listen/endpoints").unwrap_or_default();
-    // Zenoh's own default is a stream.
-    if from.guest || from.listen.is_empty() && listens(&config) == listens(&Config::default()) {
-        config.insert_json5("listen/endpoints", "[]").map_err(|error| reason(&error))?;
+    if !from.listen.is_empty() || from.guest {
+        set(&mut config, "listen/endpoints", &list(&from.listen))?;
     }
     for key in ["connect/endpoints", "listen/endpoints"] {
         let all = config.get_json(key).unwrap_or_default();
@@ -90,6 +87,10 @@ pub(super) fn configuration(from: &SessionConfig) -> Result<Config, String> {
 fn reason(error: &::zenoh::Error) -> String {
     let text = error.to_string();
     text.split(" at /").next().unwrap_or_default().trim_end().to_owned()
+}
+
+fn set(config: &mut Config, key: &str, value: &str) -> Result<(), String> {
+    config.insert_json5(key, value).map_err(|error| format!("Zenoh takes no {key} of {value}: {}", reason(&error)))
 }
 
 /// Returns all texts within a JSON value: endpoints may differ by mode, or stand in groups.
@@ -231,5 +232,53 @@ impl Worker {
         let publication = publication.congestion_control(CongestionControl::Drop).priority(Priority::RealTime);
         let publication = publication.express(true).reliability(Reliability::BestEffort);
         publication.allowed_destination(Locality::Remote).wait()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::net::transport::zenoh::Streams;
+
+    fn session(file: Option<&str>) -> (Result<Config, String>, tempfile::TempDir) {
+        let folder = tempfile::TempDir::new().unwrap();
+        let path = folder.path().join("zenoh.json5");
+        file.iter().for_each(|text| std::fs::write(&path, text).unwrap());
+        let from = SessionConfig {
+            key: "murmurate/7/air".to_owned(),
+            mode: file.is_none().then(|| "client".to_owned()),
+            connect: Vec::new(),
+            listen: Vec::new(),
+            config: file.map(|_| path),
+            streams: Streams::Refuse,
+            guest: false,
+        };
+        (configuration(&from), folder)
+    }
+
+    fn of(config: &Config, key: &str) -> String {
+        config.get_json(key).unwrap()
+    }
+
+    #[test]
+    fn what_neither_file_sets_is_for_teams() {
+        for file in [None, Some("{ mode: \"peer\", connect: { endpoints: [\"udp/10.0.0.1:7447\"] } }")] {
+            let (config, _folder) = session(file);
+            let config = config.unwrap();
+            assert_eq!(of(&config, "scouting/multicast/enabled"), "false");
+            assert_eq!(of(&config, "listen/endpoints"), "[]", "Zenoh's own default is a stream");
+            assert_eq!(of(&config, "mode"), if file.is_some() { "\"peer\"" } else { "\"client\"" });
+        }
+        let (config, _folder) = session(Some("{ scouting: { multicast: { enabled: true } } }"));
+        assert_eq!(of(&config.unwrap(), "scouting/multicast/enabled"), "true", "the file says so");
+    }
+
+    #[test]
+    fn streams_and_mistakes_in_a_file_of_zenoh_are_refused() {
+        let (config, _folder) = session(Some("{ connect: { endpoints: { client: [\"tcp/10.0.0.1:7447\"] } } }"));
+        assert!(config.unwrap_err().starts_with("connect/endpoints: 'tcp/10.0.0.1:7447' is a stream"));
+        let (config, _folder) = session(Some("{ conect: {} }"));
+        let why = config.unwrap_err();
+        assert!(why.contains("zenoh.json5") && !why.contains(".rs:"), "{why}");
     }
 }
