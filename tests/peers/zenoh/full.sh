@@ -89,7 +89,7 @@ N
 }
 
 start_router() {
-    ip netns exec zn-router "$python" "$here/router.py" "$work/router.json5" "udp/$router_at:$port" \
+    nice -n -15 ip netns exec zn-router "$python" "$here/router.py" "$work/router.json5" "udp/$router_at:$port" \
         "quic/$router_at:$((port + 1))?mixed_rel=1" >"$work/router.log" 2>&1 &
     router=$!
 }
@@ -120,7 +120,7 @@ team() { # MODE TRANSPORT LINK...
 begin() { # NAME FLAG...
     local name=$1
     shift
-    "$program" launch "$work/$name.toml" --through "ip netns exec zn-{host}" --record "$work/$name" --json "$@" \
+    "$program" launch "$work/$name.toml" --through "nice -n -15 ip netns exec zn-{host}" --record "$work/$name" --json "$@" \
         >"$work/$name.json" 2>"$work/$name.log" &
     launch=$!
 }

@@ -25,6 +25,8 @@ const RETRY: Duration = Duration::from_millis(200);
 const ATTEMPTS: u32 = 5;
 /// Time without a frame after which a subscription is declared anew.
 const REFRESH: Duration = Duration::from_secs(1);
+/// The same before the first frame: an operator has little time to be heard.
+const FIRST_REFRESH: Duration = Duration::from_millis(250);
 
 /// Settings in place of Zenoh's defaults, where its own file leaves them out. There is no discovery, since a team file
 /// says where everyone is. A handshake of which a packet is lost is repeated after a second and not after ten, a
@@ -137,18 +139,21 @@ struct Subscription {
     expression: String,
     /// Whether a frame has arrived since the last look.
     heard: Arc<AtomicBool>,
+    /// Whether a frame had arrived at any look.
+    ever_heard: bool,
     subscriber: Option<Subscriber<()>>,
 }
 
 impl Subscription {
     fn new(key: &str) -> Subscription {
         let (_, rest) = key.split_once('/').expect("a key has several parts");
-        Subscription { expression: format!("*/{rest}"), heard: Arc::new(AtomicBool::new(false)), subscriber: None }
+        Subscription { expression: format!("*/{rest}"), heard: Arc::default(), ever_heard: false, subscriber: None }
     }
 
     /// Declares the subscription unless a frame has arrived since the last call. Frames are passed to `sender`.
     fn refresh(&mut self, session: &Session, sender: &PacketSender) -> ::zenoh::Result<()> {
         if self.heard.swap(false, Ordering::Relaxed) {
+            self.ever_heard = true;
             return Ok(());
         }
         if let Some(former) = self.subscriber.take() {
@@ -183,7 +188,8 @@ impl Worker {
             let to = u16::from_le_bytes([packet[0], packet[1]]);
             self.note(self.publish(&session, to, &packet[2..]));
             // Every host sends link reports several times a second, so this is done as often as needed.
-            if refreshed.elapsed() >= REFRESH {
+            let period = if subscriptions.iter().any(|one| one.ever_heard) { REFRESH } else { FIRST_REFRESH };
+            if refreshed.elapsed() >= period {
                 refreshed = Instant::now();
                 self.refresh(&mut subscriptions, &session, &sender);
             }
