@@ -4,7 +4,7 @@
 #
 #   bash tests/peers/zenoh/full.sh PYTHON MURMURATE [EPISODES]
 #
-# PYTHON has eclipse-zenoh and mcap, MURMURATE the feature `zenoh`. Needs root, `ip`, `nft` and `openssl`. On Zenoh, 20 % of all packets from
+# PYTHON has eclipse-zenoh and mcap, MURMURATE the feature `zenoh`. Needs root, `ip` and `nft`. On Zenoh, 20 % of all packets from
 # the hosts to the router are lost; on multicast, 20 % of all packets to each host. So every message meets the same loss once.
 # Everything is removed at the end, also on Ctrl-C.
 set -euo pipefail
@@ -75,22 +75,8 @@ losses() { # NAMESPACE...
             END { printf "%d of %d packets were lost (%.1f %%)\n", n[1], n[0], n[0] ? 100 * n[1] / n[0] : 0 }'
 }
 
-# A certificate for the router, and configuration files of Zenoh that name it.
-certify() {
-    openssl req -x509 -newkey rsa:2048 -nodes -days 2 -subj "/CN=test" -keyout "$work/ca.key" -out "$work/ca.pem"
-    openssl req -newkey rsa:2048 -nodes -subj "/CN=router" -keyout "$work/router.key" -out "$work/router.csr"
-    openssl x509 -req -in "$work/router.csr" -CA "$work/ca.pem" -CAkey "$work/ca.key" -days 2 -out "$work/router.pem" \
-        -extfile <(echo "subjectAltName=IP:$router_at")
-    cat >"$work/router.json5" <<N
-{ scouting: { multicast: { enabled: false } },
-  transport: { link: { tls: { listen_private_key: "$work/router.key", listen_certificate: "$work/router.pem" } } } }
-N
-    echo "{ transport: { link: { tls: { root_ca_certificate: \"$work/ca.pem\" } } } }" >"$work/zenoh.json5"
-}
-
 start_router() {
-    nice -n -15 ip netns exec zn-router "$python" "$here/router.py" "$work/router.json5" "udp/$router_at:$port" \
-        "quic/$router_at:$((port + 1))?mixed_rel=1" >"$work/router.log" 2>&1 &
+    nice -n -15 ip netns exec zn-router "$python" "$here/router.py" "udp/$router_at:$port" >"$work/router.log" 2>&1 &
     router=$!
 }
 
@@ -107,11 +93,6 @@ team() { # MODE TRANSPORT LINK...
         echo "[link.$link]"
         case $transport in
         zenoh) echo 'transport = "zenoh"' && echo "connect = \"udp/$router_at:$port\"" ;;
-        zenoh-quic)
-            echo 'transport = "zenoh"' && echo "connect = \"quic/$router_at:$((port + 1))?mixed_rel=1\""
-            echo 'config = "zenoh.json5"'
-            echo 'mode = "client"'
-            ;;
         multicast) echo 'interface = "zn0"' && echo "group = \"239.255.83.$number:7783\"" ;;
         esac
     done
@@ -136,11 +117,11 @@ field() { # NAME FIELD
     "$python" -c 'import json, sys; print(json.load(open(sys.argv[1]))[sys.argv[2]])' "$work/$1.json" "$2"
 }
 
-# Whole episodes of one mode, on multicast, and on Zenoh over UDP and over QUIC.
+# Whole episodes of one mode, on multicast and on Zenoh.
 compare() { # MODE LINK...
     local mode=$1 transport
     shift
-    for transport in multicast zenoh zenoh-quic; do
+    for transport in multicast zenoh; do
         local name=$mode-$transport
         team "$mode" "$transport" "$@" >"$work/$name.toml"
         local lossy=(router)
@@ -154,10 +135,8 @@ compare() { # MODE LINK...
             "$(field "$name" aborted) aborted, makespan $(field "$name" makespan_median_s) s"
         "$python" "$here/figures.py" delivery "$program" "$work/$name"
     done
-    for transport in zenoh zenoh-quic; do
-        local extra=$(($(field "$mode-$transport" aborted) - $(field "$mode-multicast" aborted)))
-        [ "$extra" -le 0 ] || miss "$mode: $extra more episodes aborted on $transport than on multicast"
-    done
+    local extra=$(($(field "$mode-zenoh" aborted) - $(field "$mode-multicast" aborted)))
+    [ "$extra" -le 0 ] || miss "$mode: $extra more episodes aborted on Zenoh than on multicast"
 }
 
 # Waits until a team has finished so many episodes.
@@ -220,7 +199,6 @@ operators() {
 
 build
 "$program" key new --out "$work/team.key" >/dev/null 2>&1
-certify 2>/dev/null
 start_router
 compare offboard loopback infra
 compare onboard-infra infra wires
