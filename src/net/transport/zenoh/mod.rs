@@ -239,7 +239,7 @@ mod tests {
         says(&[], "connect: missing");
         says(&[("mode", "router")], "listen: missing");
         says(&[("mode", "client"), ("listen", "udp/[::]:7447")], "a client listens nowhere");
-        says(&[("connect", "none")], "connect: missing");
+        says(&[("connect", "none")], "missing; say where a Zenoh router listens");
         says(&[("connect", "udp/a:1, tcp/b:1")], "'tcp/b:1' is a stream");
         assert_eq!(error(&[("connect", "udp/a:1, tcp/b:1"), ("streams", "allow")]), "none");
         assert_eq!(error(&[("config", "zenoh.json5")]), "none");
