@@ -1,4 +1,4 @@
-//! Scenario `flocking`: a team that starts with random velocities agrees on one, and nobody has a goal. After Tolstaya,
+//! Scenario `flocking`: a team that starts with random velocities agrees on one; robots have no goals. After Tolstaya,
 //! Gama, Paulos, Pappas, Kumar and Ribeiro, CoRL 2019, arXiv 1903.10527.
 //!
 //! The robots start on an open disc. It is so large that a robot has six others within 2 m on average, and those links

@@ -5,7 +5,7 @@
 //! policy commands has been at the goal. Judging ends with the last arrival or at the time limit; later states do not
 //! count. The code does no I/O, and the Recorder (an actor) and the trainer both use it.
 //!
-//! In a scenario without goals nobody arrives: judging ends at the time limit, and the result is the mean cost of all
+//! In a scenario without goals no robot arrives: judging ends at the time limit, and the result is the mean cost of all
 //! steps, with collisions.
 //!
 //! The states are the true ones of the whole team at each step, or measured ones of those robots that were seen in the

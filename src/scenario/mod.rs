@@ -275,7 +275,7 @@ pub const REGISTRY: &[Entry] = &[
     },
     Entry {
         name: "flocking",
-        about: "a team that starts with random velocities agrees on one; nobody has a goal",
+        about: "a team that starts with random velocities agrees on one; robots have no goals",
         build: flocking::build,
     },
     Entry { name: "swap", about: "robots exchange places on open ground of constant density", build: swap::build },

@@ -334,7 +334,7 @@ fn the_page_of_a_team_in_a_lab_is_at_a_station_of_its_own() {
     };
     let began = std::time::Instant::now();
     while !hears_all() {
-        assert!(began.elapsed().as_secs() < 60, "the page hears nobody: {}", page(&address, "/metrics"));
+        assert!(began.elapsed().as_secs() < 60, "the page does not hear all robots: {}", page(&address, "/metrics"));
         assert!(child.try_wait().unwrap().is_none(), "the team has ended");
         std::thread::yield_now();
     }

@@ -18,7 +18,7 @@ pub enum Reliability {
     #[default]
     BestEffort,
     /// While a receiver reports that it loses 3 % or more of the datagrams, each message is sent again after 4 ms; from
-    /// 40 % on, once more after another 4 ms. Not while the link is congested.
+    /// 40 % on, once more after another 4 ms. None is sent again while the link is congested.
     Repeat,
     /// Receivers detect missing datagrams by their sequence numbers and request them again (RFC 5401).
     Nack,

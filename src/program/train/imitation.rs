@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::curve::{SIZE, chart, smooth};
 use super::folder::Folder;
-use super::{Args, Budget, Resume, SAVE_EVERY, bar, plan};
+use super::{Args, Budget, SAVE_EVERY, bar, finish, plan, resumes};
 use crate::config::unquoted;
 use crate::program::output::{print, read_text, talk};
 use crate::program::{BadInput, Ended, bad};
@@ -132,11 +132,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let threads = args.threads.map_or(cores, usize::from);
     let out = args.out.as_deref().expect("the parser requires it unless the configuration is printed");
     let mut folder = Folder::open(out, args.resume.is_some())?;
-    let resumes = match args.resume {
-        None => false,
-        Some(Resume::Always) => true,
-        Some(Resume::IfThere) => folder.checkpoint().exists(),
-    };
+    let resumes = resumes(args, &folder);
     let (mut trainer, mut rows) = match resumes {
         true => {
             let trainer = resume(args, &folder, registry)?;
@@ -186,8 +182,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     save(&mut folder, &trainer, &rows)?;
     let evaluation = (!interrupted).then(|| trainer.evaluate(EPISODES, threads));
     bar.finish_and_clear();
-    print_report(args, &folder, &trainer, (elapsed_s(), evaluation, interrupted))?;
-    Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
+    let report = report(&folder, &trainer, (elapsed_s(), evaluation, interrupted));
+    finish(args, &report, table, interrupted)
 }
 
 fn row(elapsed_s: f64, progress: f64, metrics: &Metrics) -> Row {
@@ -234,15 +230,14 @@ fn plot(scenario: &str, unit: &str, rows: &[Row]) -> Result<String> {
     Ok(svg)
 }
 
-/// Prints the result of the training.
-fn print_report(
-    args: &Args,
+/// Returns the result of the training.
+fn report<'a>(
     folder: &Folder,
-    trainer: &Trainer,
+    trainer: &'a Trainer,
     (wall_s, evaluation, interrupted): (f64, Option<Vec<Score>>, bool),
-) -> Result<()> {
+) -> Report<'a> {
     let plan = trainer.plan();
-    let report = Report {
+    Report {
         policy: folder.policy().display().to_string(),
         scenario: &plan.scenario,
         preset: &plan.preset,
@@ -253,12 +248,7 @@ fn print_report(
         unit: trainer.scenario().cost().map_or("", |cost| cost.unit),
         evaluation,
         interrupted,
-    };
-    print(&if args.json { serde_json::to_string(&report).context("a report is JSON")? } else { table(&report) })?;
-    if interrupted && !args.quiet {
-        talk("interrupted; everything is saved: the same command with --resume continues from here");
     }
-    Ok(())
 }
 
 fn table(report: &Report) -> String {

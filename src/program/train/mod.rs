@@ -223,20 +223,15 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     scores.iter().for_each(|scores| curve.set_last_scores(scores));
     folder.save(&trainer, &curve)?;
     bar.finish_and_clear();
-    print_report(args, &folder, &trainer, (elapsed_s(), scores.as_ref(), interrupted))?;
-    Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
+    let report = report(&folder, &trainer, (elapsed_s(), scores.as_ref(), interrupted));
+    finish(args, &report, table, interrupted)
 }
 
 /// Opens the output folder `out`, and returns it with the trainer and the learning curve: those of the training in the
 /// folder, or of a new one, which is saved there.
 fn begin(args: &Args, out: &Path, registry: &Registry) -> Result<(Folder, Trainer, Curve)> {
     let mut folder = Folder::open(out, args.resume.is_some())?;
-    let resumes = match args.resume {
-        None => false,
-        Some(Resume::Always) => true,
-        Some(Resume::IfThere) => folder.checkpoint().exists(),
-    };
-    if resumes {
+    if resumes(args, &folder) {
         let trainer = plan::resume(args, &folder, registry)?;
         let curve = folder.curve(trainer.iterations())?;
         return Ok((folder, trainer, curve));
@@ -247,15 +242,23 @@ fn begin(args: &Args, out: &Path, registry: &Registry) -> Result<(Folder, Traine
     Ok((folder, trainer, curve))
 }
 
-/// Prints the result of the training.
-fn print_report(
-    args: &Args,
+/// Returns whether the training in the output folder is continued.
+fn resumes(args: &Args, folder: &Folder) -> bool {
+    match args.resume {
+        None => false,
+        Some(Resume::Always) => true,
+        Some(Resume::IfThere) => folder.checkpoint().exists(),
+    }
+}
+
+/// Returns the result of the training.
+fn report<'a>(
     folder: &Folder,
-    trainer: &Trainer,
-    (wall_s, evaluation, interrupted): (f64, Option<&Scores>, bool),
-) -> Result<()> {
+    trainer: &'a Trainer,
+    (wall_s, evaluation, interrupted): (f64, Option<&'a Scores>, bool),
+) -> Report<'a> {
     let plan = trainer.plan();
-    let report = Report {
+    Report {
         policy: folder.policy().display().to_string(),
         scenario: &plan.scenario,
         preset: &plan.preset,
@@ -265,12 +268,16 @@ fn print_report(
         wall_s,
         evaluation,
         interrupted,
-    };
-    print(&if args.json { serde_json::to_string(&report).context("a report is JSON")? } else { table(&report) })?;
+    }
+}
+
+/// Prints the result of a training: as JSON, or by `table`. Returns how the command ends.
+fn finish<R: Serialize>(args: &Args, report: &R, table: impl Fn(&R) -> String, interrupted: bool) -> Result<Ended> {
+    print(&if args.json { serde_json::to_string(report).context("a report is JSON")? } else { table(report) })?;
     if interrupted && !args.quiet {
         talk("interrupted; everything is saved: the same command with --resume continues from here");
     }
-    Ok(())
+    Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
 }
 
 /// Returns a text on the success that trainings with this preset have reached after more decisions; `None` if none was

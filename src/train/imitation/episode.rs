@@ -23,7 +23,7 @@ use crate::time::Span;
 use crate::world::Physics;
 use crate::world::kinematic::{self, PERIOD};
 
-/// What all episodes of an iteration have in common.
+/// Setting that all episodes of an iteration share.
 #[derive(Clone, Copy, Debug)]
 pub struct Setting<'a> {
     /// Task of the team.
@@ -78,7 +78,7 @@ pub struct Episode {
     pub finding: Finding,
 }
 
-/// What robots have sent at one step: their states, and their inputs of every hop.
+/// Messages of all robots at one step: their states, and their inputs of every hop.
 #[derive(Debug, Default)]
 struct Sent {
     motion: Vec<Motion>,
@@ -93,7 +93,7 @@ struct Team<'a> {
     messages: Messages,
     /// For each receiver and sender, the number of steps since a message was received; `u8::MAX` for none.
     silence: Vec<u8>,
-    /// What was sent in this step and in those before it, the newest first.
+    /// Messages of this step and of those before it, the newest first.
     sent: VecDeque<Sent>,
     graph: Graph<f32>,
     space: Space<f32>,

@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn a_session_that_can_reach_nobody_is_refused_by_its_field() {
+    fn a_session_without_an_endpoint_is_refused_by_its_field() {
         says(&[], "connect: missing");
         says(&[("mode", "router")], "listen: missing");
         says(&[("mode", "client"), ("listen", "udp/[::]:7447")], "a client listens nowhere");
