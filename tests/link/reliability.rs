@@ -99,6 +99,31 @@ fn repeats_begin_within_half_a_second_of_loss_and_end_after_it() {
 }
 
 #[test]
+fn a_queue_ends_repeats_and_a_long_way_does_not() {
+    let far = Span::from_millis(60);
+    let mut rig = Rig::team(5, kinds(Reliability::Repeat));
+    rig.meet();
+    rig.loss = 0.2;
+    let near = run(&mut rig, 20, 4);
+    assert!(near.datagrams > 1.8, "{near:?}");
+    let usual = std::mem::replace(&mut rig.delay, far);
+    run(&mut rig, 20, 3);
+    let queued = run(&mut rig, 20, 4);
+    assert_eq!(queued.datagrams, 1.0, "a queue, in place of noise, may be what loses them");
+    rig.delay = usual;
+    run(&mut rig, 20, 12);
+    let after = run(&mut rig, 20, 4);
+    assert!(after.datagrams > 1.8, "{after:?}");
+    let mut rig = Rig::team(5, kinds(Reliability::Repeat));
+    rig.delay = far;
+    rig.meet();
+    rig.loss = 0.2;
+    run(&mut rig, 20, 2);
+    let away = run(&mut rig, 20, 4);
+    assert!(away.datagrams > 1.8, "{away:?}");
+}
+
+#[test]
 fn requested_datagrams_are_retransmitted_unless_superseded() {
     let mut rig = Rig::team(5, kinds(Reliability::Nack));
     rig.meet();
