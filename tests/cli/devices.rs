@@ -28,6 +28,10 @@ fn free_port() -> u16 {
     socket.local_addr().expect("it is bound").port()
 }
 
+/// Ages at which the guard stops a robot: beside seventy other tests the tracker, a Python program, and the control
+/// tick can be late, and the guard is not under test here.
+const SAFETY: &str = "[safety]\nown_state_s = 1.0\nlate_tick_s = 1.0\n";
+
 /// A folder with a team of one host, with one or two real robots of two, which have a fault.
 struct Bench {
     folder: TempDir,
@@ -44,7 +48,7 @@ impl Bench {
         let (all, rest) = if real == 1 { ("0", "simulates = [1]\n") } else { ("0, 1", "") };
         let file = format!(
             "team = 5\nscenario = \"swap\"\npolicy = \"orca\"\n[deployment]\nmode = \"bench\"\nrobots = 2\n\
-             placement = \"drive\"\nstepping = \"seeded\"\n[deployment.body]\n{body}\n\
+             placement = \"drive\"\nstepping = \"seeded\"\n{SAFETY}[deployment.body]\n{body}\n\
              [[deployment.host]]\nname = \"bench\"\n\
              agents = [[0], [1]]\nactuates = [{all}]\nlocalizes = [{all}]\n{rest}state_server = true\n\
              driver = {{ name = \"program\", command = {} }}\nsource = {{ name = \"program\", command = {} }}\n",
