@@ -5,11 +5,12 @@
 
 Every peer is a command by the contract of the harness (NP_ID, NP_RATE, NP_DIR and so on; its README has it all): one
 process is one participant. It runs in a station of a lab, so its frames contend for the channel like those of any program.
-Peers are those of $NETPEERS/peers.txt, with {B} for $BUILD (default $NETPEERS/.build), and `ours`: the example `netpeer`.
+Peers are those of $NETPEERS/peers.txt, with {B} for $BUILD (default $NETPEERS/.build), and the example `netpeer` as `ours`,
+`ours-be` (best effort) and `ours-uni` (unicast), each also with `-data` for messages alone.
 A name that is no peer's is taken as a command. Needs root and a program with the feature `lab`.
 
 Fields of a row: `delivered`, `in20ms`, `in50ms` are shares of all messages times receivers. `airtime` is the share of the
-measured window in which the stations' frames were on the air, `air_ms_per_msg` that time for each message sent.
+time of sending in which the stations' frames were on the air, `air_ms_per_msg` that time for each message sent.
 `frames_per_msg` counts transmissions with retries. `mesh_s` is the time until every participant has heard every other,
 `mesh_airtime` the share of airtime until then. `late` is the share of frames that the lab has written late: with more
 than 0.01 the machine was too slow for the case, and its delays are not the channel's."""
@@ -51,7 +52,11 @@ def peers(args):
     """Returns variables and command of each peer."""
     harness = os.environ.get("NETPEERS", "")
     build = os.environ.get("BUILD", os.path.join(harness, ".build"))
-    known = {"ours": ({}, args.ours)}
+    # Ours: multicast that repeats, without repeats, and unicast; `-data` without the heartbeats and modes of robots.
+    known = {name + data: (dict(variables, **bare), args.ours)
+             for name, variables in [("ours", {}), ("ours-be", {"NP_REPEAT": "0"}),
+                                     ("ours-uni", {"NP_VARIANT": "uni", "NP_REPEAT": "0"})]
+             for data, bare in [("", {}), ("-data", {"NP_ROBOT": "0"})]}
     listed = os.path.join(harness, "peers.txt")
     if harness and os.path.exists(listed):
         with open(listed) as lines:
@@ -134,6 +139,8 @@ def measure(args, lab, peer, variables, command, rate):
         os.rename(os.path.join(folder, ".go"), os.path.join(folder, "go"))
         sleep_until(window - 20_000_000)
         before = lab.counters()
+        sleep_until(window + int(args.seconds * 1e9))
+        busy = lab.counters()
         sleep_until(window + int((args.seconds + args.drain - 0.05) * 1e9))
         after = lab.counters()
         end = time.monotonic() + 8
@@ -150,8 +157,9 @@ def measure(args, lab, peer, variables, command, rate):
     row = result(args, folder, start, robots)
     row.update(peer=peer, n=robots, rate=rate, preset=args.preset, radio=args.radio, seconds=args.seconds)
     radio, (late, deliveries), lost = between(before, after)
+    sending, _, _ = between(before, busy)
     discovery, _, _ = between(about, met)
-    row.update(airtime=radio["airtime_ns"] / max(1, radio["channel_ns"]),
+    row.update(airtime=sending["airtime_ns"] / max(1, sending["channel_ns"]),
                air_ms_per_msg=radio["airtime_ns"] / 1e6 / max(1, row["sent"]),
                frames_per_msg=radio["transmissions"] / max(1, row["sent"]), lost=lost,
                mesh_airtime=discovery["airtime_ns"] / max(1, discovery["channel_ns"]),

@@ -2,18 +2,21 @@
 //! `murmurate host`, without robots. It sends what robots send: latents at a given rate, heartbeats and modes.
 //!
 //! Environment variables configure it (`NP_ID`, `NP_N`, `NP_RATE`, ...; `NP_RECORD` names a folder for records as a host
-//! makes them; `NP_ROBOT=0` leaves out heartbeats and modes, which other peers do not send), and it writes its results to files in
-//! `NP_DIR`. The harness that starts it measures other middleware in the same way. A message of 152 bytes (sender,
+//! makes them; `NP_ROBOT=0` leaves out heartbeats and modes, which other peers do not send; `NP_VARIANT=uni` sends to each
+//! other participant at its address in `NP_PEERS`, and not to a group; `NP_REPEAT=0` repeats nothing), and it writes its
+//! results to files in `NP_DIR`. The harness that starts it measures other middleware in the same way. A message of 152 bytes (sender,
 //! sequence number, timestamp, two floats of position, 32 floats) is sent as a latent. The sequence number is in its
 //! episode, the timestamp in its term and velocity, the position in its position.
 
 use std::cell::RefCell;
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
-use std::net::{Ipv4Addr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::rc::Rc;
 use std::str::FromStr;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use murmurate::actor::Core;
@@ -27,8 +30,8 @@ use murmurate::messages::wire::{Features, Heartbeat, Kind, Latent, Mode, Phase, 
 use murmurate::net::protocol::key::Key;
 use murmurate::net::protocol::reliability::{Reliabilities, Reliability, Setup};
 use murmurate::net::protocol::router::{Audience, Route, Router};
-use murmurate::net::transport::udp::multicast;
-use murmurate::net::transport::{Filter, Transport};
+use murmurate::net::transport::udp::{multicast, unicast};
+use murmurate::net::transport::{Endpoint, Filter, Transport};
 use murmurate::random::Seed;
 use murmurate::runtime::clock::Clock;
 use murmurate::runtime::real::{Readers, run_real};
@@ -330,10 +333,9 @@ fn main() {
     let (id, participants): (u16, usize) = (variable("NP_ID", 0), variable("NP_N", 2));
     let folder: PathBuf = variable("NP_DIR", PathBuf::from("."));
     sleep_until(variable("NP_START_NS", 0));
-    let group = SocketAddr::from((Ipv4Addr::new(239, 192, 7, 8), 45_451));
-    let endpoint = multicast::endpoint(group, &variable("NP_IFACE", "lo".to_owned()), 4 << 20);
-    let open =
-        endpoint.open(HostId(id), Filter::Team { number: 1, tagged: true }).unwrap_or_else(|error| panic!("{error}"));
+    let open = endpoint(id)
+        .open(HostId(id), Filter::Team { number: 1, tagged: true })
+        .unwrap_or_else(|error| panic!("{error}"));
     let (origin, zero_ns) = (Instant::now(), monotonic_ns());
     let peer = Rc::new(RefCell::new(Peer::new(id, participants, zero_ns)));
     let record = Record::open(id, participants);
@@ -362,6 +364,26 @@ fn main() {
         },
     );
     put(&folder, id, "out", &peer.borrow().result());
+}
+
+/// Whether messages go to each participant by itself, and not to a group.
+fn is_unicast() -> bool {
+    variable("NP_VARIANT", String::new()) == "uni"
+}
+
+/// Returns the endpoint of a participant: in a multicast group, or at its own address.
+fn endpoint(id: u16) -> Arc<dyn Endpoint> {
+    const PORT: u16 = 45_451;
+    let interface = variable("NP_IFACE", "lo".to_owned());
+    if !is_unicast() {
+        return multicast::endpoint((Ipv4Addr::new(239, 192, 7, 8), PORT).into(), &interface, 4 << 20);
+    }
+    let addresses = variable("NP_PEERS", String::new());
+    let at = |text: &str| text.parse::<IpAddr>().unwrap_or_else(|_| panic!("NP_PEERS={addresses} has no addresses"));
+    let mut peers: BTreeMap<HostId, SocketAddr> =
+        (0..).map(HostId).zip(addresses.split(',').map(|text| SocketAddr::from((at(text), PORT)))).collect();
+    let own = peers.remove(&HostId(id)).unwrap_or_else(|| panic!("NP_PEERS={addresses} has no entry {id}"));
+    unicast::endpoint(own, peers, &interface, 4 << 20)
 }
 
 /// Record of a participant, as a host makes it; none unless `NP_RECORD` names a folder.
@@ -452,11 +474,13 @@ fn wire(
         };
         Route { local, leaves: leaves.then_some((LINK, Audience::All)) }
     });
-    let reliability = Reliabilities::from([(Kind::Latent, Reliability::Repeat)]);
+    let mode = if variable("NP_REPEAT", 1) == 0 { Reliability::BestEffort } else { Reliability::Repeat };
+    let reliability = Reliabilities::from([(Kind::Latent, mode)]);
+    let setup = if is_unicast() { Setup::unicast(reliability) } else { Setup::multicast(reliability) };
     let attachment = Attachment {
         me: network::Identity { host: HostId(id), team: 1, incarnation: 1 },
         key: Some(Key::new(KEY)),
-        links: vec![Some(Setup::multicast(reliability))],
+        links: vec![Some(setup)],
         router,
         seed: Seed::of_run(u64::from(id)),
         stream: "network".to_owned(),

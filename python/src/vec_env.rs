@@ -298,7 +298,7 @@ impl VecEnv {
         self.environments.options().radius_m
     }
 
-    /// Names of the entries of an observation, each with two floats [m].
+    /// Names of the entries of an observation, each with two floats.
     #[getter]
     fn observation_fields(&self) -> Vec<&'static str> {
         let name = |field: &Field| match field {
@@ -306,6 +306,7 @@ impl VecEnv {
             Field::Position => "position",
             Field::PositionPlusVelocity => "position-plus-velocity",
             Field::Velocity => "velocity",
+            Field::FilterAndLag => "filter-and-lag",
         };
         self.environments.options().observation.iter().map(name).collect()
     }

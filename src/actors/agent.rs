@@ -10,14 +10,14 @@ use super::neighbours::{SharedData, Step};
 use crate::actor::Core;
 use crate::cells::{self, Cells};
 use crate::hearing::CommRange;
-use crate::messages::geometry::{Task, Vec2, is_finite};
+use crate::messages::geometry::{Motion, Task, Vec2, is_finite};
 use crate::messages::ids::RobotId;
 use crate::messages::local::{Action, NEAR_M, OtherRobot, Percept, Progress};
 use crate::messages::round::RoundFollower;
 use crate::messages::wire::{Features, Latent, MAX_FEATURES, Mode, Phase, Round, all_sound};
 use crate::policy::Policy;
 use crate::random::Stream;
-use crate::scenario::Scenario;
+use crate::scenario::{Dynamics, Observation, Scenario};
 use crate::time::{Span, Time};
 
 /// Largest distance between a robot and its start at which the robot counts as ready for the episode \[m\].
@@ -49,6 +49,8 @@ pub enum Out {
 pub struct RobotPolicies {
     /// Robot that the policies control.
     pub robot: RobotId,
+    /// How the robot follows the velocities that the policies command; a part of their observation.
+    pub dynamics: Dynamics,
     /// Policy under test, used in running episodes.
     pub run: Box<dyn Policy>,
     /// Policy that drives the robot to its start in a reset.
@@ -63,6 +65,11 @@ impl RobotPolicies {
     /// Returns the policy that is used in `phase`.
     fn of(&mut self, phase: Phase) -> &mut dyn Policy {
         if phase == Phase::Running { &mut *self.run } else { &mut *self.reset }
+    }
+
+    /// Returns the observation of the robot, which is bound for the goal of `task`; `estimate` is its motion.
+    fn observe(&self, scenario: &dyn Scenario, task: &Task, estimate: &Motion) -> Observation {
+        Observation { dynamics: self.dynamics, ..scenario.observe(task, estimate) }
     }
 }
 
@@ -256,9 +263,10 @@ impl Agent {
         // A message is drawn as received or not once a step, whatever the number of hops: by the same numbers.
         let mut ranges = policies.ranges.clone();
         let neighbours = step.neighbours(percept, companions, &mut ranges);
+        let seen = policies.observe(&*self.scenario, &task, &percept.estimate);
         let policy = policies.of(phase);
         if hop < policy.hops() {
-            policy.relay(hop, &self.scenario.observe(&task, &percept.estimate), features, &neighbours);
+            policy.relay(hop, &seen, features, &neighbours);
         }
     }
 
@@ -278,11 +286,12 @@ impl Agent {
         let declared = slot.width(phase);
         let (percept, task) = (slot.percept.as_ref()?, slot.task.as_ref()?);
         let task = bound_for(phase, task);
+        let seen = slot.policies.observe(&*self.scenario, &task, &percept.estimate);
         let policy = slot.policies.of(phase);
         let width = policy.interface().features;
         // The policy declares its width anew in each step; it may differ from that at the start.
         slot.features.resize(width, 0.0);
-        policy.encode(&self.scenario.observe(&task, &percept.estimate), &mut slot.features);
+        policy.encode(&seen, &mut slot.features);
         slot.check(width, declared).then_some(())
     }
 
@@ -311,8 +320,8 @@ impl Agent {
         let companions = self.near.iter().filter(|other| **other != at).filter_map(|&other| self.shared[other]);
         let neighbours = step.neighbours(percept, companions.clone(), &mut slot.policies.ranges);
 
+        let seen = slot.policies.observe(&*self.scenario, &task, &own);
         let policy = if phase == Phase::Running { &mut slot.policies.run } else { &mut slot.policies.reset };
-        let seen = self.scenario.observe(&task, &own);
         let velocity = match slot.valid {
             true => policy.act(&seen, &slot.features, &neighbours, &mut slot.policies.actions),
             // The Controller stops the robot for it, as for any output that is not finite.
@@ -402,7 +411,7 @@ mod tests {
     use crate::messages::local::NeighbourLatent;
     use crate::policy::{Interface, Neighbour};
     use crate::random::Seed;
-    use crate::scenario::{Observation, Settings, build};
+    use crate::scenario::{Settings, build};
 
     /// Test policy that moves at as many m/s as it has neighbours.
     struct Counting;
@@ -432,6 +441,7 @@ mod tests {
         let stream = || Seed::of_run(0).stream("agent");
         let policies = |&robot: &u16| RobotPolicies {
             robot: RobotId(robot),
+            dynamics: Dynamics::default(),
             run: Box::new(Counting),
             reset: Box::new(Counting),
             actions: stream(),

@@ -46,8 +46,8 @@ use crate::random::Seed;
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::start;
 use crate::safety::{Safety, Switch, guard};
-use crate::scenario::Scenario;
 use crate::scenario::layout::Layouts;
+use crate::scenario::{Dynamics, Scenario};
 use crate::time::{Span, Time};
 use crate::world::{Clamp, Entry, Physics, Placement};
 
@@ -100,6 +100,16 @@ pub struct Plan {
     /// Whether the Recorder reports the robots' true states after each step of the simulator, and with them whose
     /// messages each robot then uses.
     pub steps: recorder::Steps,
+}
+
+impl Plan {
+    /// Returns how a robot follows the velocities that its policy commands. The lag of a simulated robot is that of its
+    /// simulator, and that of a real one is in `safety`.
+    fn dynamics(&self, robot: RobotId) -> Dynamics {
+        let real = self.deployment.hosts.iter().any(|host| host.actuates.contains(&robot.0));
+        let lag_s = if real { self.safety.lag_s } else { self.physics.lag_s };
+        Dynamics { filtered: self.safety.distance == Switch::On, lag_s }
+    }
 }
 
 /// Starts and connects the actors of all hosts of a plan in one process, with emulated links. They run on `clock`.
@@ -296,6 +306,7 @@ fn wire_agent(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
             let arena = plan.scenario.arena().about_point(plan.deployment.chassis(robot).point_ahead_m);
             RobotPolicies {
                 robot,
+                dynamics: plan.dynamics(robot),
                 run: plan.run.instance(&arena),
                 reset: plan.reset.instance(&arena),
                 actions: plan.seed.stream(&format!("agent/{}/action/{incarnation}", robot.0)),

@@ -118,7 +118,7 @@ mod tests {
     fn act(own: Motion, others: &[Motion]) -> Vec2 {
         let heard = |motion: &Motion| Neighbour { motion: *motion, features: &[], age: Span::ZERO };
         let neighbours: Vec<Neighbour> = others.iter().map(heard).collect();
-        let seen = Observation { motion: own, goal: Vec2::zeros() };
+        let seen = Observation::new(own, Vec2::zeros());
         Flock { sight: Sight::Near }.act(&seen, &[], &neighbours, &mut Seed::of_run(0).stream("none"))
     }
 

@@ -466,7 +466,7 @@ mod tests {
             // More and then fewer neighbours, so that stale values in the buffers would show.
             for count in [0, 1, 2, 6, 3, 5, 4, 0] {
                 let motion = Motion::at_rest(Vec2::new(random(3.0), random(3.0)));
-                let own = Observation { motion, goal: Vec2::new(random(3.0), random(3.0)) };
+                let own = Observation::new(motion, Vec2::new(random(3.0), random(3.0)));
                 let mut features = vec![0.0; network.interface().features];
                 detected.encode(&own, &mut features);
                 let broadcasts: Vec<(Vec2, Vec<f32>)> = (0..count)
@@ -499,7 +499,7 @@ mod tests {
             weight.fill(0.0);
             bias.copy_from_slice(&[0.0, 0.0, log_std, log_std]);
             let mut gnn = Gnn::new(network(&manifest, &tensors), Draw::Sample);
-            let own = Observation { motion: Motion::default(), goal: Vec2::zeros() };
+            let own = Observation::new(Motion::default(), Vec2::zeros());
             assert_eq!(gnn.outputs(&own, &[0.5; 32], &[])[2], log_std, "the raw outputs are not clamped");
             gnn.act(&own, &[0.5; 32], &[], &mut Seed::of_run(1).stream("draw"))
         };

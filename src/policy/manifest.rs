@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::Draw;
 use crate::chassis::{self, Chassis};
 use crate::messages::geometry::Vec2;
-use crate::scenario::Observation;
+use crate::scenario::{Dynamics, Observation};
 
 /// Key of the safetensors metadata under which a policy file stores its manifest.
 pub const KEY: &str = "murmurate";
@@ -30,8 +30,8 @@ pub enum Architecture {
     Full,
 }
 
-/// One entry of the observation vector, the input of a policy's encoder. Each entry is two floats, x and y in the
-/// policy frame.
+/// One entry of the observation vector, the input of a policy's encoder. Each entry is two floats: x and y in the policy
+/// frame, but for `FilterAndLag`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Field {
@@ -43,10 +43,13 @@ pub enum Field {
     PositionPlusVelocity,
     /// Velocity of the robot \[m/s\].
     Velocity,
+    /// 1 if the robot's safety filter is on, else 0; and the time constant \[s\] of the lag of its drivetrain.
+    FilterAndLag,
 }
 
 impl Field {
-    /// Returns the value of this entry \[m\] or \[m/s\], policy frame, for a robot's `observation`.
+    /// Returns the value of this entry for a robot's `observation`: \[m\] or \[m/s\], policy frame, but for
+    /// `FilterAndLag`.
     pub fn of(self, observation: &Observation) -> Vec2 {
         match self {
             Field::GoalMinusPosition => observation.goal - observation.motion.position,
@@ -54,6 +57,10 @@ impl Field {
             // The velocity counts as metres, that is, times one second.
             Field::PositionPlusVelocity => observation.motion.position + observation.motion.velocity,
             Field::Velocity => observation.motion.velocity,
+            Field::FilterAndLag => {
+                let Dynamics { filtered, lag_s } = observation.dynamics;
+                Vec2::new(if filtered { 1.0 } else { 0.0 }, lag_s)
+            }
         }
     }
 }
@@ -339,6 +346,7 @@ pub(super) fn check_conditions(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::messages::geometry::Motion;
 
     #[test]
     fn an_inconsistent_manifest_is_refused_with_the_name_of_the_field() {
@@ -364,6 +372,26 @@ mod tests {
         assert!(broken(|m| m.message[3] = 32).starts_with("update"));
         assert!(broken(|m| m.update[0] = 64).starts_with("update"));
         assert!(broken(|m| m.architecture = Architecture::Published).starts_with("edge"));
+    }
+
+    #[test]
+    fn entries_of_an_observation_are_what_they_say() {
+        let motion = Motion { position: Vec2::new(0.5, -1.0), velocity: Vec2::new(0.25, 0.75) };
+        let dynamics = Dynamics { filtered: true, lag_s: 0.5 };
+        let own = Observation { dynamics, ..Observation::new(motion, Vec2::new(1.0, 1.0)) };
+        let entries = [
+            ("goal-minus-position", [0.5, 2.0]),
+            ("position", [0.5, -1.0]),
+            ("position-plus-velocity", [0.75, -0.25]),
+            ("velocity", [0.25, 0.75]),
+            ("filter-and-lag", [1.0, 0.5]),
+        ];
+        for (name, value) in entries {
+            let field: Field = serde_json::from_value(name.into()).expect("it is an entry");
+            assert_eq!(field.of(&own), Vec2::from(value), "{name}");
+        }
+        let plain = Observation::new(motion, Vec2::zeros());
+        assert_eq!(Field::FilterAndLag.of(&plain), Vec2::zeros());
     }
 
     #[test]

@@ -83,6 +83,12 @@ impl Model {
         Model::of_scenario(shipped::published(scenario), scenario)
     }
 
+    /// Returns the built-in policy that was trained for teams of any size, with the safety filter and without it, for the
+    /// scenario named `scenario`. Without such a policy the error is [`ModelError::None`].
+    pub fn any_size(scenario: &str) -> Result<Model, ModelError> {
+        Model::of_scenario(shipped::any_size(scenario), scenario)
+    }
+
     fn of_scenario(bytes: Option<&[u8]>, scenario: &str) -> Result<Model, ModelError> {
         let none = || ModelError::None { scenario: scenario.to_owned() };
         Model::from_file(bytes.ok_or_else(none)?, scenario)

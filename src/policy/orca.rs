@@ -331,7 +331,7 @@ mod tests {
         let orca = Orca::new(&passage());
         let portal = orca.arena.portals[0];
         let crossing = Crossing { entry: portal.far, exit: portal.near };
-        let own = Observation { motion: Motion::at_rest(Vec2::new(-0.2, -0.4)), goal: Vec2::new(-0.05, -0.46) };
+        let own = Observation::new(Motion::at_rest(Vec2::new(-0.2, -0.4)), Vec2::new(-0.05, -0.46));
         let away = orca.clear_mouth(&own, crossing).expect("it stands in the mouth");
         assert!(away.x < 0.0 && away.y <= 0.0);
     }

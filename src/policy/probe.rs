@@ -34,7 +34,7 @@ impl Probe {
         let robots = self.position.len() / 2;
         let motion = |robot| Motion { position: at(&self.position, robot), velocity: at(&self.velocity, robot) };
         let own: Vec<Observation> =
-            (0..robots).map(|robot| Observation { motion: motion(robot), goal: at(&self.goal, robot) }).collect();
+            (0..robots).map(|robot| Observation::new(motion(robot), at(&self.goal, robot))).collect();
         let mut gnn = Gnn::new(Arc::clone(network), Draw::Mean);
         let mut latents = vec![vec![0.0; network.interface().features]; robots];
         for (own, latent) in own.iter().zip(&mut latents) {

@@ -10,6 +10,15 @@ pub fn shipped(scenario: &str) -> Option<&'static [u8]> {
     }
 }
 
+/// Returns the content of the policy file trained for teams of any size, with the safety filter and without it, for the
+/// scenario named `scenario`. `None` means that no such policy is built in.
+pub fn any_size(scenario: &str) -> Option<&'static [u8]> {
+    match scenario {
+        "passage" => Some(include_bytes!("../../policies/passage-any-size.safetensors")),
+        _ => None,
+    }
+}
+
 /// Returns the content of the policy file trained under the conditions of the paper arXiv 2111.01777: robots act in
 /// lock step, and every message arrives. `scenario` is the scenario's name; `None` means that no such policy is built
 /// in.

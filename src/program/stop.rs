@@ -14,16 +14,18 @@ use crate::runtime::real::run_real;
 use crate::time::{Span, Time};
 use anyhow::{Result, anyhow};
 
-use crate::program::Ended;
 use crate::program::output::print;
 use crate::program::own_name;
 use crate::program::team;
+use crate::program::{Ended, bad};
 
 /// Shortest time for which the command repeats its order (stop, re-arm or resume), so that hosts that start late or
 /// have missed it receive it.
 const AT_LEAST: Span = Span::from_millis(500);
-/// Longest time that the command waits for all robots to confirm its order.
-const PATIENCE: Span = Span::from_millis(3000);
+/// Default of the longest time that the command waits for all robots to confirm its order \[s\].
+const WAIT_S: f64 = 3.0;
+/// Longest wait that a user may ask for \[s\].
+const LONGEST_WAIT_S: f64 = 60.0;
 
 /// Flags of `murmurate stop`.
 #[derive(clap::Args)]
@@ -36,9 +38,30 @@ pub struct Args {
     /// Re-arms after an emergency stop; robots stand still until 'murmurate resume'
     #[arg(long)]
     rearm: bool,
+    #[command(flatten)]
+    wait: Wait,
     /// Prints one JSON object
     #[arg(long)]
     json: bool,
+}
+
+/// How long an order is repeated to a team.
+#[derive(clap::Args)]
+struct Wait {
+    /// Longest time for which the order is repeated, until every robot has confirmed it, 0.5 to 60 [s]; for links that
+    /// lose much or come about late, such as Zenoh's
+    #[arg(long, value_name = "SECONDS", default_value_t = WAIT_S)]
+    wait: f64,
+}
+
+impl Wait {
+    fn span(&self) -> Result<Span> {
+        let (least, most) = (AT_LEAST.as_secs(), LONGEST_WAIT_S);
+        match (least..=most).contains(&self.wait) {
+            true => Ok(Span::from_secs(self.wait)),
+            false => bad(format!("--wait: {} is not {least} to {most} seconds", self.wait)),
+        }
+    }
 }
 
 /// Flags of `murmurate resume`.
@@ -50,6 +73,8 @@ pub struct Args {
 pub struct ResumeArgs {
     #[command(flatten)]
     team: team::TeamArgs,
+    #[command(flatten)]
+    wait: Wait,
     /// Prints one JSON object
     #[arg(long)]
     json: bool,
@@ -59,18 +84,19 @@ pub struct ResumeArgs {
 /// confirmed.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let kind = if args.rearm { OrderKind::Rearm } else { OrderKind::Stop };
-    Asked { team: &args.team, kind, json: args.json }.run(registry)
+    Asked { team: &args.team, kind, wait: args.wait.span()?, json: args.json }.run(registry)
 }
 
 /// Runs `resume`: lets a team go on that was re-armed after an emergency stop, and prints which robots have confirmed.
 pub fn resume(args: &ResumeArgs, registry: &Registry) -> Result<Ended> {
-    Asked { team: &args.team, kind: OrderKind::Resume, json: args.json }.run(registry)
+    Asked { team: &args.team, kind: OrderKind::Resume, wait: args.wait.span()?, json: args.json }.run(registry)
 }
 
 /// Order of the user to a team: emergency stop, re-arm or resume.
 struct Asked<'a> {
     team: &'a team::TeamArgs,
     kind: OrderKind,
+    wait: Span,
     json: bool,
 }
 
@@ -85,13 +111,13 @@ impl Asked<'_> {
             |clock, readers| {
                 operator::command((clock, readers), operator, &order);
                 // Timers that make the event loop check the end of the wait at least this often.
-                for beat in 0..=PATIENCE.as_nanos() / PERIOD.as_nanos() {
+                for beat in 0..=self.wait.as_nanos() / PERIOD.as_nanos() {
                     clock.call(Time::ZERO + PERIOD * beat, Box::new(|| {}));
                 }
             },
             |(), now| {
                 let waited = now.since(Time::ZERO);
-                waited >= PATIENCE || (order.borrow().confirmed_at().is_some() && waited >= AT_LEAST)
+                waited >= self.wait || (order.borrow().confirmed_at().is_some() && waited >= AT_LEAST)
             },
         );
         let order = order.borrow();

@@ -57,6 +57,24 @@ pub struct Observation {
     pub motion: Motion,
     /// Position of the robot's goal \[m\], in the policy frame (the world frame, possibly rotated by half a turn).
     pub goal: Vec2,
+    /// How the robot follows the velocities that its policy commands.
+    pub dynamics: Dynamics,
+}
+
+impl Observation {
+    /// Returns the observation of a robot without safety filter and without lag.
+    pub fn new(motion: Motion, goal: Vec2) -> Observation {
+        Observation { motion, goal, dynamics: Dynamics::default() }
+    }
+}
+
+/// How a robot follows the velocities that its policy commands, as its team file says or its simulator knows it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Dynamics {
+    /// Whether the safety filter may change the commands, so that the robot keeps its distance from others and walls.
+    pub filtered: bool,
+    /// Time constant of the first-order lag of the robot's velocity behind its commands \[s\].
+    pub lag_s: f32,
 }
 
 /// Stage of a robot's progress in an episode, as a number that only the reward uses. It is zero at the start of an
@@ -133,10 +151,11 @@ pub trait Scenario: Debug + Send + Sync {
     fn frame(&self, task: &Task) -> Frame;
 
     /// Returns the policy's observation for a robot with start and goal `task`, whose estimated state is `estimate` in
-    /// the world frame. The default implementation transforms the estimate and the goal to the policy frame.
+    /// the world frame. The default implementation transforms the estimate and the goal to the policy frame. The
+    /// caller sets the observation's `dynamics`.
     fn observe(&self, task: &Task, estimate: &Motion) -> Observation {
         let frame = self.frame(task);
-        Observation { motion: frame.turn_motion(estimate), goal: frame.turn(task.goal) }
+        Observation::new(frame.turn_motion(estimate), frame.turn(task.goal))
     }
 
     /// Transforms a policy's output `velocity` \[m/s\] from the policy frame to the world frame, for a robot with start

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::config::{Conditions, Range};
 use crate::random::Stream;
-use crate::scenario::Arena;
+use crate::scenario::{Arena, Dynamics};
 use crate::world::kinematic::{MAX_ACCELERATION_M_S2, PERIOD};
 use crate::world::{Clamp, ContactRule, Physics};
 
@@ -79,12 +79,13 @@ impl Episode {
         // zero, gets the same random numbers as before.
         let happens = |probability: f32, stream: &mut Stream| probability > 0.0 && stream.random::<f32>() < probability;
         episode.lockstep = stream.random::<f32>() < conditions.clean;
-        if stream.random::<f32>() < conditions.deployed {
+        let always = conditions.filtered_from.is_some_and(|least| robots >= least);
+        if stream.random::<f32>() < conditions.deployed || always {
             episode.lag_s = Some(draw(conditions.lag_s, stream));
             episode.wall_radius_m = conditions.wall_radius_m;
             let wheels = happens(conditions.wheels, stream);
             episode.clamp = if wheels { Clamp::Training } else { Clamp::Deployed };
-            episode.filtered = happens(conditions.filtered, stream);
+            episode.filtered = happens(conditions.filtered, stream) || always;
         }
         if happens(conditions.everyone, stream) {
             episode.connectivity = Connectivity::Everyone;
@@ -124,10 +125,36 @@ impl Episode {
         }
     }
 
+    /// Returns how the robots follow their policy's commands in this episode.
+    pub fn dynamics(&self) -> Dynamics {
+        Dynamics { filtered: self.filtered, lag_s: self.lag_s.unwrap_or(0.0) }
+    }
+
     /// Returns the mean delay \[s\] and the mean loss probability over all entries of `edges`.
     pub fn mean_edge(&self) -> (f32, f32) {
         let count = self.edges.len().max(1) as f32;
         let sum = self.edges.iter().fold((0.0, 0.0), |sum, edge| (sum.0 + edge.0, sum.1 + edge.1));
         (sum.0 / count, sum.1 / count)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::Seed;
+    use crate::train::config::Config;
+
+    #[test]
+    fn large_teams_always_have_the_filter_and_small_ones_their_share() {
+        let config = Config::preset("any-size").expect("it is a preset");
+        let conditions = Conditions { filtered: 0.25, deployed: 0.5, filtered_from: Some(6), ..config.conditions };
+        let mut stream = Seed::of_run(3).stream("conditions");
+        let mut filtered = |robots: usize| {
+            let episodes = (0..400).map(|_| Episode::draw(&conditions, robots, &mut stream));
+            episodes.filter(|episode| episode.filtered && episode.lag_s.is_some()).count()
+        };
+        assert_eq!([6, 12].map(&mut filtered), [400, 400]);
+        // An eighth of 400, within three standard deviations.
+        assert!((30..=70).contains(&filtered(5)), "{}", filtered(5));
     }
 }

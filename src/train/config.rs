@@ -13,6 +13,7 @@ use crate::policy::manifest::{Activation, Aggregation, Architecture, EdgeField, 
 pub const PRESETS: &[(&str, &str)] = &[
     ("published", include_str!("../../policies/published.toml")),
     ("robust", include_str!("../../policies/robust.toml")),
+    ("any-size", include_str!("../../policies/any-size.toml")),
 ];
 
 /// Bounds of a uniform distribution: \[low, high\].
@@ -150,6 +151,14 @@ pub struct Reward {
     pub wall_proximity_m: f32,
     /// Weight of the team's mean reward in a robot's reward, 0 to 1; the rest is the weight of the robot's own.
     pub shared: f32,
+    /// Factor on the penalties for contacts and proximity in episodes with the safety filter, which keeps robots apart
+    /// by itself.
+    #[serde(default = "unchanged")]
+    pub filtered: f32,
+}
+
+fn unchanged() -> f32 {
+    1.0
 }
 
 /// Distributions of the episodes' conditions. For each episode, a value is drawn from every range.
@@ -189,6 +198,10 @@ pub struct Conditions {
     /// Probability, in deployed physics, that the safety filter of real robots limits the policy's velocities.
     #[serde(default)]
     pub filtered: f32,
+    /// Size of the smallest team all of whose episodes have deployed physics and the safety filter, such as of teams
+    /// that would always collide without it; none if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub filtered_from: Option<usize>,
 }
 
 /// One stage of the curriculum: settings that hold for a part of the training.
@@ -220,6 +233,11 @@ impl Reward {
             wall_proximity: factor * self.wall_proximity,
             ..self
         }
+    }
+
+    /// Returns the weights for an episode; `filtered` says whether it has the safety filter.
+    pub fn in_episode(self, filtered: bool) -> Reward {
+        if filtered { self.with_penalties(self.filtered) } else { self }
     }
 }
 
@@ -320,4 +338,18 @@ fn shape(
     };
     let update = [&widths(update_inputs, update)[..], &[outputs]].concat();
     Shape { architecture, encoder: widths(inputs, encoder), message: widths(message_inputs, message), update, edge }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn penalties_have_their_factor_in_filtered_episodes_alone() {
+        let reward = Reward { filtered: 0.5, ..Config::preset("robust").expect("it is a preset").reward };
+        assert_eq!(reward.in_episode(false), reward);
+        let filtered = reward.in_episode(true);
+        assert_eq!((filtered.robot, filtered.wall), (reward.robot / 2.0, reward.wall / 2.0));
+        assert_eq!((filtered.proximity, filtered.time), (reward.proximity / 2.0, reward.time));
+    }
 }

@@ -248,6 +248,7 @@ impl Environments {
     /// robot of all teams, limited to `limit_m_s` along each axis. `weights` are those of the reward's terms.
     pub fn step(&mut self, team: usize, actions: &[Vec2], weights: &Reward, limit_m_s: f32, stream: &mut Stream) {
         let range = self.teams[team].range();
+        let weights = &weights.in_episode(self.teams[team].episode.filtered);
         let (judged, clamp) = (self.is_judged(team), self.teams[team].episode.clamp);
         for (robot, action) in range.clone().zip(&actions[range.clone()]) {
             let exact = self.teams[team].episode.lockstep || clamp == Clamp::Training;

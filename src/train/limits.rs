@@ -156,6 +156,7 @@ impl Reward {
             ("reward.robot", self.robot),
             ("reward.proximity", self.proximity),
             ("reward.wall_proximity", self.wall_proximity),
+            ("reward.filtered", self.filtered),
         ];
         for (field, value) in weights {
             within(field, value, 0.0, 1e4)?;

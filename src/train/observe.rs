@@ -3,15 +3,21 @@
 
 use crate::messages::geometry::{Motion, Task};
 use crate::policy::manifest::Field;
-use crate::scenario::{Scenario, Stage};
+use crate::scenario::{Dynamics, Observation, Scenario, Stage};
 
 /// Number of inputs of the critic per robot in addition to the policy's observation.
 pub const PRIVILEGED: usize = 8;
 
-/// Writes a robot's observation into `to`, two floats for each of `fields`, in the robot's policy frame. `task` is the
-/// robot's start and goal, and `estimate` its motion, both in the world frame.
-pub fn own(fields: &[Field], scenario: &dyn Scenario, task: &Task, estimate: &Motion, to: &mut [f32]) {
-    let observation = scenario.observe(task, estimate);
+/// Writes the observation of a robot with these `dynamics` into `to`, two floats for each of `fields`, in the robot's
+/// policy frame. `task` is the robot's start and goal, and `estimate` its motion, both in the world frame.
+pub fn own(
+    fields: &[Field],
+    scenario: &dyn Scenario,
+    dynamics: Dynamics,
+    (task, estimate): (&Task, &Motion),
+    to: &mut [f32],
+) {
+    let observation = Observation { dynamics, ..scenario.observe(task, estimate) };
     for (entry, field) in to.chunks_exact_mut(2).zip(fields) {
         entry.copy_from_slice(&field.of(&observation).to_array());
     }

@@ -189,7 +189,9 @@ impl Chunk {
                 }
                 let estimate = environments.estimate(at, robot);
                 let (_, to) = record.actor.source();
-                observe::own(fields, environments.scenario(at), &environments.tasks[robot], &estimate, to);
+                let dynamics = environments.teams[at].episode.dynamics();
+                let seen = (&environments.tasks[robot], &estimate);
+                observe::own(fields, environments.scenario(at), dynamics, seen, to);
             }
         }
         let offset = range.start % *robots;
@@ -208,8 +210,8 @@ impl Chunk {
                     let at = message.sender * HISTORY_STEPS + message.step as usize % HISTORY_STEPS;
                     *sources[at].get_or_insert_with(|| {
                         let (source, to) = graphs.source();
-                        let task = &tasks[range.start + message.sender];
-                        observe::own(fields, environments.scenario(team), task, &sent, to);
+                        let seen = (&tasks[range.start + message.sender], &sent);
+                        observe::own(fields, environments.scenario(team), episode.dynamics(), seen, to);
                         source
                     })
                 };
@@ -247,7 +249,9 @@ impl Chunk {
                 let truth = environments.point(robot);
                 let (_, to) = graphs.source();
                 let (own, more) = to.split_at_mut(2 * fields.len());
-                observe::own(fields, environments.scenario(team), &environments.tasks[robot], &truth, own);
+                let dynamics = environments.teams[team].episode.dynamics();
+                let seen = (&environments.tasks[robot], &truth);
+                observe::own(fields, environments.scenario(team), dynamics, seen, own);
                 let privileged = Privileged {
                     stage: environments.stage[robot],
                     arrived: environments.arrived[robot],

@@ -327,7 +327,8 @@ impl Chunk {
         let width = 2 * options.observation.len();
         for (robot, to) in environments.teams[row].range().zip(to.chunks_exact_mut(width)) {
             let (task, estimate) = (&environments.tasks[robot], environments.estimate(row, robot));
-            observe::own(&options.observation, environments.scenario(row), task, &estimate, to);
+            let dynamics = environments.teams[row].episode.dynamics();
+            observe::own(&options.observation, environments.scenario(row), dynamics, (task, &estimate), to);
         }
     }
 
@@ -361,8 +362,9 @@ impl Chunk {
                     let at = (row * HISTORY_STEPS + sent as usize % HISTORY_STEPS) * robots + sender;
                     content.copy_from_slice(&outputs[at * lengths.message..][..lengths.message]);
                 } else {
-                    let (task, estimate) = (&environments.tasks[first + sender], messages.estimate(sent, sender));
-                    observe::own(&options.observation, environments.scenario(row), task, &estimate, content);
+                    let (scenario, dynamics) = (environments.scenario(row), episode.dynamics());
+                    let seen = (&environments.tasks[first + sender], &messages.estimate(sent, sender));
+                    observe::own(&options.observation, scenario, dynamics, seen, content);
                 }
             };
             messages.receive((episode, options.radius_m), (step, behind), receiver, &mut streams[row], each);

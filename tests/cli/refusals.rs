@@ -35,6 +35,8 @@ fn wrong_flags_are_refused_in_one_line() {
     refuses(&["sim", "--mode", "telepathy"], &["--mode", "telepathy", "onboard-adhoc"]);
     refuses(&["sim", "--scenario", "maze"], &["--scenario", "maze", "passage"]);
     refuses(&["sim", "--colour"], &["--colour"]);
+    refuses(&["stop", "teams/offboard.toml", "--wait", "0.1"], &["--wait", "0.5 to 60 seconds"]);
+    refuses(&["resume", "teams/offboard.toml", "--wait", "NaN"], &["--wait", "0.5 to 60 seconds"]);
     refuses(&["sim", "--episodes", "0"], &["--episodes", "0"]);
     refuses(&["sim", "--episodes", "many"], &["--episodes", "many"]);
     refuses(&["sim", "--repeats", "0"], &["--repeats"]);

@@ -108,6 +108,8 @@ fn a_printed_configuration_is_for_the_team_of_the_scenario() {
     let swap = printed(&["train", "swap"]);
     assert_eq!((&swap.curriculum[0].groups, &swap.curriculum[1].groups), (&vec![vec![3, 5]], &vec![vec![8]]));
     assert_eq!(printed(&["train", "passage"]), Config::preset("robust").expect("it is a preset"));
+    let any = printed(&["train", "passage", "--preset", "any-size"]);
+    assert_eq!((any.robots, &any.curriculum[0].groups[0]), (Some(12), &vec![2, 3, 2, 3, 2]));
     let two = printed(&["train", "passage", "--preset", "published", "--robots", "2"]);
     assert_eq!((two.robots, &two.curriculum[0].groups), (Some(2), &vec![vec![2]]), "no robot trains by itself");
     let wheels = printed(&["train", "passage", "--drive", "differential", "--point-ahead-m", "0.1"]);

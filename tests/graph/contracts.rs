@@ -108,10 +108,10 @@ fn situations(model: &Model) -> Vec<Situation> {
     let neighbours = vec![(at(0.8, -1.2), said(0)), (at(-0.9, -1.1), said(3))];
     let goal = Vec2::new(0.4, 1.6);
     vec![
-        (Observation { motion: at(0.0, -1.5), goal }, neighbours.clone()),
-        (Observation { motion: at(0.0, -1.5), goal }, Vec::new()),
-        (Observation { motion: at(0.1, 0.0), goal }, neighbours[..1].to_vec()),
-        (Observation { motion: Motion::at_rest(goal), goal }, neighbours),
+        (Observation::new(at(0.0, -1.5), goal), neighbours.clone()),
+        (Observation::new(at(0.0, -1.5), goal), Vec::new()),
+        (Observation::new(at(0.1, 0.0), goal), neighbours[..1].to_vec()),
+        (Observation::new(Motion::at_rest(goal), goal), neighbours),
     ]
 }
 

@@ -3,7 +3,7 @@
 //! Teams of guards drive the training world with lag. Each guard knows its own state, and what arrives of the others:
 //! one step late, 30 % lost. Seeds are fixed, so a failure repeats.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use murmurate::chassis::{Chassis, DriveKind, Settings};
 use murmurate::deploy::Impair;
@@ -16,7 +16,7 @@ use murmurate::random::{Seed, Stream};
 use murmurate::safety::guard::{self, Decision, Guard};
 use murmurate::safety::{Safety, Switch};
 use murmurate::scenario::judge::Verdict;
-use murmurate::scenario::{self, Arena, Observation};
+use murmurate::scenario::{self, Arena, Dynamics, Observation};
 use murmurate::time::{Span, Time};
 use murmurate::trial::Trial;
 use murmurate::world::kinematic::{self, PERIOD, Team};
@@ -284,6 +284,41 @@ fn no_policy_makes_whole_teams_collide() {
             println!("{wish:?}, {clamp:?}: {episodes} episodes, {robots} collisions of robots, {walls} with walls");
             assert_eq!((report.episodes.len(), robots, walls), (episodes as usize, 0, 0), "{wish:?}, {clamp:?}");
         }
+    }
+}
+
+/// Policy that stands still and notes the dynamics that it observes.
+struct Noting(Arc<Mutex<Vec<Dynamics>>>);
+
+impl Policy for Noting {
+    fn interface(&self) -> Interface {
+        INTERFACE
+    }
+
+    fn encode(&mut self, own: &Observation, features: &mut [f32]) {
+        self.0.lock().expect("nobody panics").push(own.dynamics);
+        features.fill(0.0);
+    }
+
+    fn act(&mut self, own: &Observation, _: &[f32], _: &[Neighbour], _: &mut Stream) -> Vec2 {
+        self.0.lock().expect("nobody panics").push(own.dynamics);
+        Vec2::zeros()
+    }
+}
+
+#[test]
+fn a_policy_observes_whether_the_filter_is_on_and_the_lag_of_its_robot() {
+    for (filtered, lag_s) in [(false, 0.0), (false, 0.5), (true, 0.7)] {
+        let seen = Arc::new(Mutex::new(Vec::new()));
+        let mut trial = Trial::preset("onboard-adhoc", "passage").expect("a preset").lasting(Span::from_secs(20.0));
+        let notes = Arc::clone(&seen);
+        trial.model = Model::custom("noting", INTERFACE, move |_| Box::new(Noting(Arc::clone(&notes))));
+        trial.physics.lag_s = lag_s;
+        let trial = if filtered { trial.safety(Safety::filter()) } else { trial };
+        trial.run();
+        let seen = seen.lock().expect("nobody panics");
+        assert!(!seen.is_empty(), "the episode has begun");
+        assert!(seen.iter().all(|dynamics| *dynamics == Dynamics { filtered, lag_s }), "{:?}", seen[0]);
     }
 }
 

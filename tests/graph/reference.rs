@@ -53,7 +53,7 @@ fn the_forward_pass_matches_every_vector() {
         let motion = |i: usize| Motion { position: vec2(&pos, case * PAD + i), velocity: vec2(&vel, case * PAD + i) };
         let mut features = vec![vec![0.0; gnn.interface().features]; count];
         for (i, features) in features.iter_mut().enumerate() {
-            gnn.encode(&Observation { motion: motion(i), goal: vec2(&goal, case * PAD + i) }, features);
+            gnn.encode(&Observation::new(motion(i), vec2(&goal, case * PAD + i)), features);
             for (k, value) in features.iter().enumerate() {
                 worst_hidden = worst_hidden.max((value - hidden[(case * PAD + i) * features.len() + k]).abs());
             }
@@ -64,7 +64,7 @@ fn the_forward_pass_matches_every_vector() {
                 .filter(linked)
                 .map(|j| Neighbour { motion: motion(j), features: &features[j], age: Span::ZERO })
                 .collect();
-            let own = Observation { motion: motion(i), goal: vec2(&goal, case * PAD + i) };
+            let own = Observation::new(motion(i), vec2(&goal, case * PAD + i));
             for (k, value) in gnn.outputs(&own, &features[i], &neighbours).iter().enumerate() {
                 worst_out = worst_out.max((value - out[(case * PAD + i) * 4 + k]).abs());
             }

@@ -13,7 +13,7 @@ fn a_step_of_a_network_allocates_nothing() {
     let hops = Model::from_file(&hops.expect("it is part of the tests"), "passage").expect("it is sound");
     for model in [policy::untrained(1), policy::untrained_full(1), hops] {
         let mut policy = model.instance(passage.arena());
-        let observation = Observation { motion: Motion::at_rest(Vec2::new(0.3, -1.5)), goal: Vec2::new(-0.2, 1.5) };
+        let observation = Observation::new(Motion::at_rest(Vec2::new(0.3, -1.5)), Vec2::new(-0.2, 1.5));
         let mut features = vec![0.0; policy.interface().features];
         let heard = vec![vec![0.5; features.len()]; 4];
         let neighbour = |features| Neighbour { motion: observation.motion, features, age: Span::ZERO };

@@ -53,7 +53,7 @@ fn compare(architecture: &str) -> (Arc<Network>, f32, f32) {
     for case in cases {
         let team = 0..case.position.len();
         let motion = |i: usize| Motion { position: case.position[i].into(), velocity: case.velocity[i].into() };
-        let own = |i: usize| Observation { motion: motion(i), goal: Vec2::from(case.goal[i]) };
+        let own = |i: usize| Observation::new(motion(i), Vec2::from(case.goal[i]));
         let mut latent = vec![vec![0.0; gnn.interface().features]; team.len()];
         for (i, latent) in latent.iter_mut().enumerate() {
             gnn.encode(&own(i), latent);

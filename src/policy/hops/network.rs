@@ -222,7 +222,7 @@ mod tests {
     }
 
     fn action(network: &Arc<Network>, draw: Draw) -> Vec2 {
-        let own = Observation { motion: Motion::default(), goal: Vec2::zeros() };
+        let own = Observation::new(Motion::default(), Vec2::zeros());
         Hops::new(Arc::clone(network), draw).act(&own, &[0.0], &[], &mut Seed::of_run(1).stream("draw"))
     }
 
@@ -243,7 +243,7 @@ mod tests {
             Arc::into_inner(constant("diagonal-normal", "log", [0.4, -7.0, 0.0, 0.0])).expect("it is new");
         network.manifest.action = Action::Acceleration;
         let motion = Motion { position: Vec2::zeros(), velocity: Vec2::new(0.5, 0.5) };
-        let own = Observation { motion, goal: Vec2::zeros() };
+        let own = Observation::new(motion, Vec2::zeros());
         let mut policy = Hops::new(Arc::new(network), Draw::Mean);
         let velocity = policy.act(&own, &[0.0], &[], &mut Seed::of_run(1).stream("draw"));
         assert!((velocity - Vec2::new(0.52, 0.45)).norm() < 1e-6, "{velocity}");

@@ -20,7 +20,7 @@ impl TeamProbe {
         let robots = team.position.len() / 2;
         let motion = |robot| Motion { position: at(&team.position, robot), velocity: at(&team.velocity, robot) };
         let own: Vec<Observation> =
-            (0..robots).map(|robot| Observation { motion: motion(robot), goal: at(&team.goal, robot) }).collect();
+            (0..robots).map(|robot| Observation::new(motion(robot), at(&team.goal, robot))).collect();
         let mut policy = Hops::new(Arc::clone(network), Draw::Mean);
         let mut latents = vec![vec![0.0; network.interface().features]; robots];
         own.iter().zip(&mut latents).for_each(|(own, latent)| policy.encode(own, latent));

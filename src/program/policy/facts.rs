@@ -62,6 +62,7 @@ pub fn observation(fields: &[Field]) -> String {
         Field::Position => "position [m]",
         Field::PositionPlusVelocity => "position + velocity x 1 s [m]",
         Field::Velocity => "velocity [m/s]",
+        Field::FilterAndLag => "safety filter on (1) or off (0), and lag of the drivetrain [s]",
     };
     format!("{}; policy frame", list(fields.iter().map(name).collect()))
 }

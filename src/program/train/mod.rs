@@ -47,7 +47,8 @@ pub struct Args {
     /// Scenario to train for
     scenario: String,
     /// Preset of the configuration: 'published' for lock step and perfect messages, 'robust' for delay, loss and lag,
-    /// 'imitation' of a scripted policy in a scenario without goals [default: robust, or imitation without goals]
+    /// 'any-size' for these, teams of two to twelve and the safety filter, 'imitation' of a scripted policy in a
+    /// scenario without goals [default: robust, or imitation without goals]
     #[arg(
         long,
         conflicts_with = "config",
@@ -61,7 +62,7 @@ pub struct Args {
     /// times
     #[arg(long, value_name = "FIELD=VALUE")]
     set: Vec<String>,
-    /// Size of the team; a preset's groups scale with it [default: the scenario's own]
+    /// Size of the team; a preset's groups scale with it [default: the preset's, or else the scenario's own]
     #[arg(long, conflicts_with = "config")]
     robots: Option<usize>,
     /// Trains with the delay and loss of a medium instead of the configuration's: a preset (PRESETS) or a radio

@@ -50,7 +50,7 @@ fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
         }
         None => {
             let config = Config::preset(preset).expect("the parser accepts presets only");
-            let config = Config { robots: args.robots, ..config };
+            let config = Config { robots: args.robots.or(config.robots), ..config };
             (config.scaled_for(&args.scenario, registry).map_err(|e| BadInput(format!("--robots: {e}")))?, preset)
         }
     };

@@ -76,7 +76,7 @@ impl Shard {
                 let step = &steps[at];
                 for robot in 0..robots {
                     let motion = step.motion[robot];
-                    let seen = Observation { motion, goal: Vec2::zeros() };
+                    let seen = Observation::new(motion, Vec2::zeros());
                     let fields = manifest.observation.iter();
                     fields.for_each(|field| graph.observations.extend(field.of(&seen).to_array()));
                     let range = step.first[robot] as usize..step.first[robot + 1] as usize;

@@ -184,7 +184,7 @@ operators() {
         local before after
         before=$(date +%s%N)
         # shellcheck disable=SC2086 # Flags are words.
-        ip netns exec zn-laptop "$program" $order "$work/$name.toml" >"$work/order.log" 2>&1 || {
+        ip netns exec zn-laptop "$program" $order "$work/$name.toml" --wait 15 >"$work/order.log" 2>&1 || {
             tail -3 "$work/order.log"
             miss "$order"
         }
