@@ -1,12 +1,12 @@
 //! One participant of a messaging benchmark: the Network actor, link, codec, authentication and UDP transport of
 //! `murmurate host`, without robots. It sends what robots send: latents at a given rate, heartbeats and modes.
 //!
-//! Environment variables configure it (`NP_ID`, `NP_N`, `NP_RATE`, ...; `NP_RECORD` names a folder for records as a host
-//! makes them; `NP_ROBOT=0` leaves out heartbeats and modes, which other peers do not send; `NP_VARIANT=uni` sends to each
-//! other participant at its address in `NP_PEERS`, and not to a group; `NP_REPEAT=0` repeats nothing), and it writes its
-//! results to files in `NP_DIR`. The harness that starts it measures other middleware in the same way. A message of 152 bytes (sender,
-//! sequence number, timestamp, two floats of position, 32 floats) is sent as a latent. The sequence number is in its
-//! episode, the timestamp in its term and velocity, the position in its position.
+//! Environment variables configure it (`NP_ID`, `NP_N`, `NP_RATE`, ...; `NP_RECORD` names a folder for records as a
+//! host makes them; `NP_ROBOT=0` leaves out heartbeats and modes, which other peers do not send; `NP_VARIANT=uni` sends
+//! to each other participant at its address in `NP_PEERS`, and not to a group; `NP_REPEAT=0` repeats nothing), and it
+//! writes its results to files in `NP_DIR`. The harness that starts it measures other middleware in the same way. A
+//! message of 152 bytes (sender, sequence number, timestamp, two floats of position, 32 floats) is sent as a latent. The
+//! sequence number is in its episode, the timestamp in its term and velocity, the position in its position.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;

@@ -30,8 +30,8 @@ pub enum Architecture {
     Full,
 }
 
-/// One entry of the observation vector, the input of a policy's encoder. Each entry is two floats: x and y in the policy
-/// frame, but for `FilterAndLag`.
+/// One entry of the observation vector, the input of a policy's encoder. Each entry is two floats: x and y in the
+/// policy frame, but for `FilterAndLag`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Field {

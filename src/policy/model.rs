@@ -83,8 +83,8 @@ impl Model {
         Model::of_scenario(shipped::published(scenario), scenario)
     }
 
-    /// Returns the built-in policy that was trained for teams of any size, with the safety filter and without it, for the
-    /// scenario named `scenario`. Without such a policy the error is [`ModelError::None`].
+    /// Returns the built-in policy that was trained for teams of any size, with the safety filter and without it, for
+    /// the scenario named `scenario`. Without such a policy the error is [`ModelError::None`].
     pub fn any_size(scenario: &str) -> Result<Model, ModelError> {
         Model::of_scenario(shipped::any_size(scenario), scenario)
     }

@@ -44,9 +44,9 @@ fn read(settings: &LinkSettings) -> Result<Arc<dyn Endpoint>, ConfigError> {
     Ok(Arc::new(SocketConfig { addressing: Addressing::Unicast { listen, peers }, interface, receive_buffer_bytes }))
 }
 
-/// Returns the endpoint of a host that listens at `listen`, with the addresses of all other hosts in `peers`, on the named
-/// network interface, without a team file. `receive_buffer_bytes` is the size of the receive buffer that is requested from
-/// the kernel.
+/// Returns the endpoint of a host that listens at `listen`, with the addresses of all other hosts in `peers`, on the
+/// named network interface, without a team file. `receive_buffer_bytes` is the size of the receive buffer that is
+/// requested from the kernel.
 pub fn endpoint(
     listen: SocketAddr,
     peers: BTreeMap<HostId, SocketAddr>,
