@@ -73,6 +73,26 @@ fn config(given: &str) -> PyResult<Config> {
     }
 }
 
+/// Returns what messages between robots carry, as the arguments `message` and `message_size` say.
+fn content(message: Option<&str>, message_size: usize) -> PyResult<Content> {
+    match message {
+        None => Ok(Content::Nothing),
+        Some("observations") => Ok(Content::Observations),
+        Some("action") if (1..=1024).contains(&message_size) => Ok(Content::Actions(message_size)),
+        Some("action") => Err(wrong("message_size", format!("{message_size} is not 1 to 1024"))),
+        Some(other) => Err(wrong("message", format!("'{other}' is not None, 'observations' or 'action'"))),
+    }
+}
+
+/// Returns when an environment resets itself, as the argument `autoreset` says.
+fn autoreset(given: &str) -> PyResult<Autoreset> {
+    match given {
+        "same-step" => Ok(Autoreset::SameStep),
+        "disabled" => Ok(Autoreset::Disabled),
+        other => Err(wrong("autoreset", format!("'{other}' is not 'same-step' or 'disabled'"))),
+    }
+}
+
 /// Checks that an argument is an array of this type and shape, in row-major order, and returns its values.
 fn values<'py, T: Element + Copy>(
     (argument, given): (&str, &Bound<'py, PyAny>),
@@ -129,6 +149,27 @@ macro_rules! with_buffers {
     }};
 }
 
+impl VecEnv {
+    /// Returns `n` environments with buffers of their sizes, filled with zeros.
+    fn allocated(py: Python<'_>, n: usize, environments: VectorEnvironment) -> VecEnv {
+        let lengths = environments.lengths();
+        let (r, f, m) = (lengths.robots, lengths.observation, lengths.message);
+        let edges = if m > 0 { n } else { 0 };
+        VecEnv {
+            environments,
+            obs: PyArray3::zeros(py, [n, r, f], false).unbind(),
+            last_obs: PyArray3::zeros(py, [n, r, f], false).unbind(),
+            reward: PyArray2::zeros(py, [n, r], false).unbind(),
+            terminated: PyArray1::zeros(py, [n], false).unbind(),
+            truncated: PyArray1::zeros(py, [n], false).unbind(),
+            arrived: PyArray2::zeros(py, [n, r], false).unbind(),
+            heard: PyArray3::zeros(py, [edges, r, r], false).unbind(),
+            age: PyArray3::zeros(py, [edges, r, r], false).unbind(),
+            said: PyArray4::zeros(py, [edges, r, r, m], false).unbind(),
+        }
+    }
+}
+
 #[pymethods]
 impl VecEnv {
     #[new]
@@ -156,18 +197,7 @@ impl VecEnv {
         filtered: Option<f32>,
     ) -> PyResult<VecEnv> {
         let mut config = self::config(config)?;
-        let content = match message {
-            None => Content::Nothing,
-            Some("observations") => Content::Observations,
-            Some("action") if (1..=1024).contains(&message_size) => Content::Actions(message_size),
-            Some("action") => return Err(wrong("message_size", format!("{message_size} is not 1 to 1024"))),
-            Some(other) => return Err(wrong("message", format!("'{other}' is not None, 'observations' or 'action'"))),
-        };
-        let autoreset = match autoreset {
-            "same-step" => Autoreset::SameStep,
-            "disabled" => Autoreset::Disabled,
-            other => return Err(wrong("autoreset", format!("'{other}' is not 'same-step' or 'disabled'"))),
-        };
+        let (content, autoreset) = (self::content(message, message_size)?, self::autoreset(autoreset)?);
         for (argument, value, most) in [("num_envs", num_envs, 1 << 20), ("threads", threads, 1024)] {
             if !(1..=most).contains(&value) {
                 return Err(wrong(argument, format!("{value} is not 1 to {most}")));
@@ -209,21 +239,7 @@ impl VecEnv {
             autoreset,
             seed,
         });
-        let lengths = environments.lengths();
-        let (n, r, f, m) = (num_envs, lengths.robots, lengths.observation, lengths.message);
-        let edges = if m > 0 { n } else { 0 };
-        let mut this = VecEnv {
-            environments,
-            obs: PyArray3::zeros(py, [n, r, f], false).unbind(),
-            last_obs: PyArray3::zeros(py, [n, r, f], false).unbind(),
-            reward: PyArray2::zeros(py, [n, r], false).unbind(),
-            terminated: PyArray1::zeros(py, [n], false).unbind(),
-            truncated: PyArray1::zeros(py, [n], false).unbind(),
-            arrived: PyArray2::zeros(py, [n, r], false).unbind(),
-            heard: PyArray3::zeros(py, [edges, r, r], false).unbind(),
-            age: PyArray3::zeros(py, [edges, r, r], false).unbind(),
-            said: PyArray4::zeros(py, [edges, r, r, m], false).unbind(),
-        };
+        let mut this = VecEnv::allocated(py, num_envs, environments);
         this.reset(py, None, Some(seed))?;
         Ok(this)
     }

@@ -139,13 +139,18 @@ def test_a_sweep_has_a_folder_for_each_point_and_survives_the_loss_of_a_process(
 
 def test_ctrl_c_saves(tmp_path):
     script = f"import murmurate; murmurate.train('passage', steps=10**9, threads=1, seed=1, out={str(tmp_path)!r})"
-    child = subprocess.Popen([sys.executable, "-c", script], stderr=subprocess.PIPE, text=True)
-    until = time.monotonic() + 60
-    while not (tmp_path / "checkpoint.bin").exists() and time.monotonic() < until:
-        time.sleep(0.05)
-    first = (tmp_path / "checkpoint.bin").stat().st_mtime_ns
-    child.send_signal(signal.SIGINT)
-    _, said = child.communicate(timeout=60)
+    # Where this test itself runs in the background, SIGINT is ignored, and a child would inherit that.
+    listens = lambda: signal.signal(signal.SIGINT, signal.default_int_handler)  # noqa: E731
+    child = subprocess.Popen([sys.executable, "-c", script], stderr=subprocess.PIPE, text=True, preexec_fn=listens)
+    try:
+        until = time.monotonic() + 60
+        while not (tmp_path / "checkpoint.bin").exists() and time.monotonic() < until:
+            time.sleep(0.05)
+        first = (tmp_path / "checkpoint.bin").stat().st_mtime_ns
+        child.send_signal(signal.SIGINT)
+        _, said = child.communicate(timeout=60)
+    finally:
+        child.kill()
     assert "KeyboardInterrupt" in said and child.returncode != 0
     assert (tmp_path / "checkpoint.bin").stat().st_mtime_ns > first, "saved once more"
 

@@ -129,12 +129,12 @@ pub const REGISTRY: &[Entry] = &[
     Entry {
         name: "published",
         about: "trained for the scenario, for the paper's own conditions",
-        build: |scenario| Model::published(scenario.name()),
+        build: |scenario| Model::built_in("published", scenario.name()),
     },
     Entry {
         name: "any-size",
         about: "trained for the scenario, for teams of any size and the safety filter",
-        build: |scenario| Model::any_size(scenario.name()),
+        build: |scenario| Model::built_in("any-size", scenario.name()),
     },
     Entry { name: SCRIPTED, about: "scripted navigation by message passing", build: orca },
     Entry {

@@ -7,7 +7,7 @@ use super::gnn::{Gnn, Network};
 use super::hops::{self, network::Hops};
 use super::manifest::{Architecture, Training};
 use super::weights::{self, WeightsError};
-use super::{Draw, Interface, Policy, orca, probe, shipped};
+use super::{Draw, Interface, Policy, SHIPPED, orca, probe, shipped};
 use crate::chassis::Chassis;
 use crate::messages::wire::MAX_FEATURES;
 use crate::scenario::Arena;
@@ -73,25 +73,14 @@ impl Model {
     /// Returns the default trained policy that is built into the program for the scenario named `scenario`. Without one
     /// the error is [`ModelError::None`].
     pub fn shipped(scenario: &str) -> Result<Model, ModelError> {
-        Model::of_scenario(shipped::shipped(scenario), scenario)
+        Model::built_in(SHIPPED, scenario)
     }
 
-    /// Returns the built-in policy that was trained under the conditions of the paper arXiv 2111.01777: robots act in
-    /// lock step, and every message arrives. `scenario` is the scenario's name. Without such a policy the error is
-    /// [`ModelError::None`].
-    pub fn published(scenario: &str) -> Result<Model, ModelError> {
-        Model::of_scenario(shipped::published(scenario), scenario)
-    }
-
-    /// Returns the built-in policy that was trained for teams of any size, with the safety filter and without it, for
-    /// the scenario named `scenario`. Without such a policy the error is [`ModelError::None`].
-    pub fn any_size(scenario: &str) -> Result<Model, ModelError> {
-        Model::of_scenario(shipped::any_size(scenario), scenario)
-    }
-
-    fn of_scenario(bytes: Option<&[u8]>, scenario: &str) -> Result<Model, ModelError> {
+    /// Returns the built-in trained policy named `name`, one of [`shipped::NAMES`], for the scenario named `scenario`.
+    /// Without such a policy the error is [`ModelError::None`].
+    pub fn built_in(name: &str, scenario: &str) -> Result<Model, ModelError> {
         let none = || ModelError::None { scenario: scenario.to_owned() };
-        Model::from_file(bytes.ok_or_else(none)?, scenario)
+        Model::from_file(shipped::built_in(name, scenario).ok_or_else(none)?, scenario)
     }
 
     /// Makes a model from the content `bytes` of a policy file, for the scenario named `scenario`. Actions are drawn as

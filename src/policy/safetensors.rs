@@ -132,7 +132,7 @@ pub fn write(file: &SafeTensors) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::policy::shipped::{published, shipped};
+    use crate::policy::shipped::built_in;
 
     fn file(header: &str, data: &[u8]) -> Vec<u8> {
         [&(header.len() as u64).to_le_bytes()[..], header.as_bytes(), data].concat()
@@ -140,9 +140,9 @@ mod tests {
 
     #[test]
     fn a_file_that_is_read_and_written_is_unchanged() {
-        let shipped = shipped("passage").unwrap();
+        let shipped = built_in("shipped", "passage").unwrap();
         assert!(write(&read(shipped).unwrap()) == shipped, "as written by the reference library");
-        let published = published("passage").unwrap();
+        let published = built_in("published", "passage").unwrap();
         let file = read(published).unwrap();
         let again = write(&file);
         assert_eq!(read(&again).unwrap().tensors, file.tensors);

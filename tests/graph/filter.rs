@@ -296,12 +296,12 @@ impl Policy for Noting {
     }
 
     fn encode(&mut self, own: &Observation, features: &mut [f32]) {
-        self.0.lock().expect("nobody panics").push(own.dynamics);
+        self.0.lock().expect("no thread has panicked").push(own.dynamics);
         features.fill(0.0);
     }
 
     fn act(&mut self, own: &Observation, _: &[f32], _: &[Neighbour], _: &mut Stream) -> Vec2 {
-        self.0.lock().expect("nobody panics").push(own.dynamics);
+        self.0.lock().expect("no thread has panicked").push(own.dynamics);
         Vec2::zeros()
     }
 }
@@ -316,7 +316,7 @@ fn a_policy_observes_whether_the_filter_is_on_and_the_lag_of_its_robot() {
         trial.physics.lag_s = lag_s;
         let trial = if filtered { trial.safety(Safety::filter()) } else { trial };
         trial.run();
-        let seen = seen.lock().expect("nobody panics");
+        let seen = seen.lock().expect("no thread has panicked");
         assert!(!seen.is_empty(), "the episode has begun");
         assert!(seen.iter().all(|dynamics| *dynamics == Dynamics { filtered, lag_s }), "{:?}", seen[0]);
     }

@@ -16,7 +16,7 @@ use murmurate::messages::local::{Action, Progress};
 use murmurate::messages::wire::{Kind, Mode, Phase, Reading, Round, Stop};
 use murmurate::policy::gnn::Network;
 use murmurate::policy::manifest::Manifest;
-use murmurate::policy::shipped::shipped;
+use murmurate::policy::shipped::built_in;
 use murmurate::policy::{Draw, Model, weights};
 use murmurate::random::Seed;
 use murmurate::report::trial::{Step, TrialReport};
@@ -260,7 +260,7 @@ fn a_geofence_keeps_commands_inside() {
 
 #[test]
 fn a_minimum_distance_reduces_collisions_of_a_policy_without_messages() {
-    let model = weights::read(shipped("passage").expect("one is shipped")).expect("and it can be read");
+    let model = weights::read(built_in("shipped", "passage").expect("one is shipped")).expect("and it can be read");
     let model = Model::Gnn(Arc::new(Network::new(model)), Draw::Mean);
     let collisions = |distance: Switch| {
         let mut trial = Trial { model: model.clone(), ..trial("centralized", 9) }.episodes(24);

@@ -9,7 +9,7 @@ use crate::beside;
 use crate::program::{murmurate, text};
 use murmurate::deploy::Deployment;
 use murmurate::policy::gnn::Network;
-use murmurate::policy::shipped::shipped;
+use murmurate::policy::shipped::built_in;
 use murmurate::policy::{Model, weights};
 use murmurate::safety::Safety;
 use murmurate::scenario::{self, Settings};
@@ -25,7 +25,7 @@ const DIFFERENT: u32 = 2;
 fn simulated(episodes: u32) -> BTreeMap<u32, (String, String)> {
     let scenario = scenario::build("passage", &Settings::default()).expect("the scenario");
     let deployment = Deployment::preset("offboard", scenario.robots()).expect("a preset");
-    let file = weights::read(shipped("passage").expect("it is shipped")).expect("it is sound");
+    let file = weights::read(built_in("shipped", "passage").expect("it is shipped")).expect("it is sound");
     let draw = file.manifest.draw;
     let trial = Trial::new(deployment, scenario, Model::Gnn(Arc::new(Network::new(file)), draw));
     let report = Trial { safety: Safety::deployed(), ..trial }.seed(SEED).episodes(episodes).run();

@@ -91,16 +91,14 @@ fn foreign(scenario: &str, registry: &Registry) -> Option<String> {
 /// Returns the content of the policy file that the arguments name, or of a built-in policy of the scenario.
 fn bytes(args: &Args, registry: &Registry) -> Result<Cow<'static, [u8]>> {
     let Args { policy, scenario, .. } = args;
-    let (name, built_in) = match policy.to_str() {
-        Some("shipped") => ("shipped", shipped::shipped(scenario)),
-        Some("published") => ("published", shipped::published(scenario)),
-        Some("any-size") => ("any-size", shipped::any_size(scenario)),
+    let name = match policy.to_str() {
+        Some(name) if shipped::NAMES.contains(&name) => name,
         Some(name) if !policy.exists() && registry.policies().iter().any(|entry| entry.name == name) => {
             return Err(BadInput(format!("the policy '{name}' is code, not a file: there is nothing to check")).into());
         }
         _ => return Ok(Cow::Owned(read_bytes(policy, "policy file")?)),
     };
-    let Some(built_in) = built_in else {
+    let Some(built_in) = shipped::built_in(name, scenario) else {
         return Err(BadInput(format!("there is no {name} policy for the scenario '{scenario}'")).into());
     };
     Ok(Cow::Borrowed(built_in))
