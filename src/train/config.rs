@@ -135,6 +135,10 @@ pub struct Reward {
     pub arrival: f32,
     /// Penalty per second until the robot has arrived at its goal \[1/s\].
     pub time: f32,
+    /// Penalty per second for every robot of a team until the whole team has arrived \[1/s\], so that robots at their
+    /// goals make room for the last one.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub team_time: f32,
     /// Penalty for each step in which the robot touches a wall.
     pub wall: f32,
     /// Penalty for each step in which the robot touches another robot.
@@ -159,6 +163,10 @@ pub struct Reward {
 
 fn unchanged() -> f32 {
     1.0
+}
+
+fn is_zero(weight: &f32) -> bool {
+    *weight == 0.0
 }
 
 /// Distributions of the episodes' conditions. For each episode, a value is drawn from every range.

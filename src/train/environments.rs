@@ -16,7 +16,7 @@ use super::conditions::Episode;
 use super::config::{Conditions, Reward};
 use super::filters;
 use super::message_buffer::MessageBuffer;
-use super::reward::{RobotStep, proximity_penalty, robot_reward};
+use super::reward::{RobotStep, proximity_penalty, robot_reward, team_penalty};
 use super::rolling::Rolling;
 use crate::chassis::{Chassis, DriveKind};
 use crate::messages::geometry::{Motion, Task, Vec2};
@@ -298,15 +298,14 @@ impl Environments {
             sum += *reward;
             touched |= contacts.wall || (judged && contacts.robot);
         }
+        let waiting = team_penalty(weights, &self.arrived[range.clone()]);
         let mean = sum / range.len() as f32;
-        if weights.shared > 0.0 {
-            for reward in &mut self.reward[range] {
-                *reward += weights.shared * (mean - *reward);
-            }
+        for reward in &mut self.reward[range] {
+            *reward += weights.shared * (mean - *reward) - waiting;
         }
         let team_of = &mut self.teams[team];
         team_of.touched |= touched;
-        team_of.episode_return += mean;
+        team_of.episode_return += mean - waiting;
         team_of.step += 1;
         if !team_of.episode.lockstep {
             self.measure(team, stream);

@@ -82,3 +82,28 @@ pub fn proximity_penalty(weights: &Reward, robot: usize, positions: &[Vec2]) -> 
     }
     weights.scale * weights.proximity * near * PERIOD.as_secs() as f32
 }
+
+/// Returns the penalty, zero or more, of every robot of a team in a step; `arrived` says which robots have arrived at
+/// their goals.
+pub fn team_penalty(weights: &Reward, arrived: &[bool]) -> f32 {
+    if arrived.iter().all(|&arrived| arrived) {
+        return 0.0;
+    }
+    weights.scale * weights.team_time * PERIOD.as_secs() as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::train::config::Config;
+
+    #[test]
+    fn a_team_pays_until_its_last_robot_has_arrived() {
+        let reward = Config::preset("robust").expect("it is a preset").reward;
+        let weights = Reward { scale: 0.1, team_time: 2.0, ..reward };
+        let per_step = 0.1 * 2.0 * PERIOD.as_secs() as f32;
+        assert_eq!(team_penalty(&weights, &[true, false, true]), per_step);
+        assert_eq!(team_penalty(&weights, &[true, true, true]), 0.0);
+        assert_eq!(team_penalty(&reward, &[false]), 0.0);
+    }
+}
