@@ -95,6 +95,10 @@ full-zenoh python="python3":
     cargo build --release --features zenoh
     bash tests/peers/zenoh/full.sh {{python}} target/release/murmurate
 
+# Peers of netpeer/lab.py into BUILD: those of NETPEERS, and ROS 2 and Zenoh from PyPI (5 minutes, 350 MB)
+lab-peers:
+    bash netpeer/peers.sh
+
 # How true the lab is on this machine, and how much it carries (10 minutes, root, /dev/net/tun, wants an idle machine)
 full-lab:
     cargo build --release --features lab

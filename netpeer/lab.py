@@ -6,7 +6,10 @@
 Every peer is a command by the contract of the harness (NP_ID, NP_RATE, NP_DIR and so on; its README has it all): one
 process is one participant. It runs in a station of a lab, so its frames contend for the channel like those of any program.
 Peers are those of $NETPEERS/peers.txt, with {B} for $BUILD (default $NETPEERS/.build), and the example `netpeer` as `ours`,
-`ours-be` (best effort) and `ours-uni` (unicast), each also with `-data` for messages alone.
+`ours-be` (best effort) and `ours-uni` (unicast), each also with `-data` for messages alone. `fdds-uni-noack` and
+`fdds-mc-noack` are the harness's Fast DDS, reliable without positive acknowledgements. `ros-rel`, `ros-be` and
+`ros-noack` (each also with `-bare`) are ROS 2, and `zenoh-rel`, `zenoh-drop`, `zenoh-be` and `zenoh-mc` Zenoh, by
+participant.py. netpeer/peers.sh installs them.
 A name that is no peer's is taken as a command. Needs root and a program with the feature `lab`.
 
 Fields of a row: `delivered`, `in20ms`, `in50ms` are shares of all messages times receivers. `airtime` is the share of the
@@ -24,7 +27,10 @@ import sys
 import tempfile
 import time
 
-ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+HERE = os.path.dirname(os.path.abspath(__file__))
+ROOT = os.path.dirname(HERE)
+# Time that participants in Python have to import their middleware, before they touch the network [s].
+PYTHON_STARTS = "2"
 now = time.monotonic_ns
 
 
@@ -57,6 +63,14 @@ def peers(args):
              for name, variables in [("ours", {}), ("ours-be", {"NP_REPEAT": "0"}),
                                      ("ours-uni", {"NP_VARIANT": "uni", "NP_REPEAT": "0"})]
              for data, bare in [("", {}), ("-data", {"NP_ROBOT": "0"})]}
+    for cast in ["uni", "mc"]:
+        known[f"fdds-{cast}-noack"] = ({"NP_VARIANT": f"{cast}-rel-nopack"}, f"{build}/fastdds")
+    for kind, variants in [("ros", "rel be noack rel-bare be-bare noack-bare"), ("zenoh", "rel drop be mc")]:
+        for variant in variants.split():
+            name = f"{kind}-{variant}"
+            python = "zenoh-mc" if name == "zenoh-mc" else kind
+            known[name] = ({"NP_VARIANT": variant, "NP_LEAD": PYTHON_STARTS},
+                           f"{build}/{python}/bin/python {HERE}/participant.py {kind}")
     listed = os.path.join(harness, "peers.txt")
     if harness and os.path.exists(listed):
         with open(listed) as lines:
@@ -112,7 +126,7 @@ def between(before, after):
 def measure(args, lab, peer, variables, command, rate):
     """Runs one peer once, and returns the row of its result."""
     robots, folder = lab.robots, tempfile.mkdtemp(prefix="np.")
-    start = now() + int((0.25 + 0.02 * robots) * 1e9)
+    start = now() + int((0.25 + 0.02 * robots + float(variables.get("NP_LEAD", 0))) * 1e9)
     about = lab.counters()
     stations = about["stations"]
     environment = dict(os.environ, NP_N=str(robots), NP_RATE=str(rate / robots), NP_SECONDS=str(args.seconds),
@@ -127,6 +141,8 @@ def measure(args, lab, peer, variables, command, rate):
                  "sh", "-c", "exec " + command]
         processes.append(subprocess.Popen(words, env=own, cwd=folder, stdout=log, stderr=log, start_new_session=True))
     try:
+        sleep_until(start - 20_000_000)
+        quiet = lab.counters()
         while now() < start + args.wait * 1e9:
             ready = sum(os.path.exists(os.path.join(folder, f"ready.{at}")) for at in range(robots))
             if ready == robots or any(process.poll() is not None for process in processes):
@@ -158,7 +174,7 @@ def measure(args, lab, peer, variables, command, rate):
     row.update(peer=peer, n=robots, rate=rate, preset=args.preset, radio=args.radio, seconds=args.seconds)
     radio, (late, deliveries), lost = between(before, after)
     sending, _, _ = between(before, busy)
-    discovery, _, _ = between(about, met)
+    discovery, _, _ = between(quiet, met)
     row.update(airtime=sending["airtime_ns"] / max(1, sending["channel_ns"]),
                air_ms_per_msg=radio["airtime_ns"] / 1e6 / max(1, row["sent"]),
                frames_per_msg=radio["transmissions"] / max(1, row["sent"]), lost=lost,
