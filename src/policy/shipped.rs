@@ -13,6 +13,7 @@ pub fn built_in(name: &str, scenario: &str) -> Option<&'static [u8]> {
         ("shipped", "flocking") => Some(include_bytes!("../../policies/flocking-k3.safetensors")),
         ("published", "passage") => Some(include_bytes!("../../policies/passage-published.safetensors")),
         ("any-size", "passage") => Some(include_bytes!("../../policies/passage-any-size.safetensors")),
+        ("any-size", "swap") => Some(include_bytes!("../../policies/swap-any-size.safetensors")),
         _ => None,
     }
 }
