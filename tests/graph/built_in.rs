@@ -4,16 +4,17 @@ use murmurate::policy::Model;
 use murmurate::safety::Safety;
 use murmurate::scenario::judge::Verdict;
 use murmurate::trial::Trial;
-use murmurate::world::ContactRule;
+use murmurate::world::{Clamp, ContactRule};
 
-/// Runs twelve episodes as the policy `any-size` meets them on robots that hear each other, and checks that at least
+/// Runs twelve episodes of robots with a lag of 0.5 s, the policy `any-size` and the safety filter, and checks that at least
 /// `least` succeed and no robot touches anything.
 fn check(scenario: &str, robots: usize, least: usize) {
     let mut trial = Trial::of_team("onboard-adhoc", scenario, robots).expect("there is room").seed(3).episodes(12);
     trial.model = Model::built_in("any-size", scenario).expect("it is built in");
-    (trial.physics.contacts, trial.physics.wall_radius_m) = (ContactRule::Judge, 0.16);
-    trial.safety = Safety::deployed();
-    let report = trial.run();
+    (trial.physics.contacts, trial.physics.wall_radius_m, trial.physics.lag_s) = (ContactRule::Judge, 0.16, 0.5);
+    let acceleration_m_s2 = trial.physics.acceleration_m_s2;
+    trial.safety = Safety::deployed().driving(0.5, acceleration_m_s2);
+    let report = trial.clamp(Clamp::Deployed).run();
     let contacts = |verdict| matches!(verdict, Verdict::RobotCollision | Verdict::WallCollision);
     assert!(!report.episodes.iter().any(|episode| contacts(episode.verdict)), "{:?}", report.episodes);
     assert!(report.successes() >= least, "{scenario}, {robots} robots: {:?}", report.episodes);
