@@ -6,8 +6,8 @@ use murmurate::scenario::judge::Verdict;
 use murmurate::trial::Trial;
 use murmurate::world::{Clamp, ContactRule};
 
-/// Runs twelve episodes of robots with a lag of 0.5 s, the policy `any-size` and the safety filter, and checks that at least
-/// `least` succeed and no robot touches anything.
+/// Runs twelve episodes of robots with a lag of 0.5 s, the policy `any-size` and the safety filter, and checks that at
+/// least `least` succeed and no robot touches anything.
 fn check(scenario: &str, robots: usize, least: usize) {
     let mut trial = Trial::of_team("onboard-adhoc", scenario, robots).expect("there is room").seed(3).episodes(12);
     trial.model = Model::built_in("any-size", scenario).expect("it is built in");
