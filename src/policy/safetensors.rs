@@ -140,9 +140,9 @@ mod tests {
 
     #[test]
     fn a_file_that_is_read_and_written_is_unchanged() {
-        let shipped = built_in("shipped", "passage").unwrap();
+        let shipped = built_in("shipped", "passage").expect("one is shipped");
         assert!(write(&read(shipped).unwrap()) == shipped, "as written by the reference library");
-        let published = built_in("published", "passage").unwrap();
+        let published = built_in("published", "passage").expect("one is built in");
         let file = read(published).unwrap();
         let again = write(&file);
         assert_eq!(read(&again).unwrap().tensors, file.tensors);
