@@ -14,6 +14,10 @@ use crate::scenario::KeepOut;
 /// Length below which an offset has no direction \[m\].
 const LEAST_M: f32 = 1e-6;
 
+/// How often the room that is left is reduced by the distance between a robot's way to its stopping point and the
+/// straight line: once for the way itself, and once for a robot that does not brake but slides along its limits.
+const BENDS: f32 = 2.0;
+
 /// Parameters from which the safety filter of one robot computes the limits that neighbours and walls set.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Barrier {
@@ -62,7 +66,7 @@ impl Barrier {
             (n * (v - low)).max(n * (v - high))
         };
         let drift_m = known_s * (nearer(along.x, other.velocity.x) + nearer(along.y, other.velocity.y));
-        let bend_m = self.model.bend(own.velocity) + self.model.bend(other.velocity);
+        let bend_m = BENDS * (self.model.bend(own.velocity) + self.model.bend(other.velocity));
         let room_m = along.dot(&stopping) - drift_m - bend_m - self.distance_min_m;
         Limit { along, most_m_s: self.gain_per_s * room_m.max(0.0) }
     }
@@ -76,7 +80,7 @@ impl Barrier {
         let centre = (block.min + block.max) * 0.5;
         let along = (solid - point).try_normalize(LEAST_M).or_else(|| (centre - from).try_normalize(LEAST_M));
         let along = along.unwrap_or_else(Vec2::x);
-        let room_m = along.dot(&(solid - to)) - self.model.bend(own.velocity) - self.wall_min_m;
+        let room_m = along.dot(&(solid - to)) - BENDS * self.model.bend(own.velocity) - self.wall_min_m;
         Limit { along, most_m_s: 2.0 * self.gain_per_s * room_m.max(0.0) }
     }
 

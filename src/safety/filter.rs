@@ -34,6 +34,14 @@ pub struct Settings {
     pub period: Span,
 }
 
+impl Settings {
+    /// Returns the distance within which a robot has to be able to stop \[m\]: half of that from where two robots have
+    /// heard each other to the minimum distance.
+    fn stopping_m(&self) -> f32 {
+        (self.safety.distance_heard_m - self.safety.distance_min_m) / 2.0
+    }
+}
+
 /// Result of the safety filter: the velocity to command, and the kinds of limits that have changed it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Filtered {
@@ -91,6 +99,14 @@ impl Filter {
         if [fence, distance, walls] == [Switch::Off; 3] {
             return filtered;
         }
+        // Two robots that have not heard each other drive at each other at this speed at the most. As a limit of the
+        // drive, it is not counted.
+        let wanted = match distance {
+            Switch::On => {
+                barrier.model.stopping_within(wanted, settings.period.as_secs() as f32, settings.stopping_m())
+            }
+            Switch::Off => wanted,
+        };
         let aim = barrier.model.advance(own.velocity, wanted);
         let turned = yielding.turned(aim);
         let (mut limits, mut result) = (Limits::default(), turned);
@@ -127,5 +143,45 @@ impl Filter {
             Vec2::new(axis(result.x, aim.x, wanted.x, reduced.x), axis(result.y, aim.y, wanted.y, reduced.y));
         filtered.velocity = if is_finite(velocity) { velocity } else { Vec2::zeros() };
         filtered
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Drives two robots at each other along the diagonal, as fast as they can, and returns the least distance of their
+    /// centres \[m\]. They hear each other from 1.7 m on, and their settings say `heard_m` \[m\].
+    fn nearest_m(lag_s: f32, heard_m: f32) -> f32 {
+        let safety = Safety { distance_heard_m: heard_m, ..Safety::filter() }.driving(lag_s, 1.0);
+        let (half_extent, walls, period) = (Vec2::repeat(10.0), Arc::default(), Span::from_millis(50));
+        let settings = Settings { safety, half_extent, walls, limit_m_s: 1.05, clamp: Clamp::Training, period };
+        let mut filters = [Filter::new(settings.clone()), Filter::new(settings)];
+        let mut robots = [-3.0, 3.0].map(|at| Motion::at_rest(Vec2::repeat(at)));
+        let mut least_m = f32::INFINITY;
+        for _ in 0..200 {
+            let before = robots;
+            let apart_m = (before[1].position - before[0].position).norm();
+            for (own, robot) in robots.iter_mut().enumerate() {
+                let heard = (apart_m <= 1.7).then_some((before[1 - own], 0.0));
+                let wanted = Vec2::repeat(if own == 0 { 1.05 } else { -1.05 });
+                let command = filters[own].apply(robot, heard.into_iter(), wanted).velocity;
+                for _ in 0..50 {
+                    let change = (command - robot.velocity) / lag_s.max(1e-3);
+                    robot.velocity += change.map(|axis| axis.clamp(-1.0, 1.0)) * 1e-3;
+                    robot.position += robot.velocity * 1e-3;
+                }
+            }
+            least_m = least_m.min((robots[1].position - robots[0].position).norm());
+        }
+        least_m
+    }
+
+    #[test]
+    fn robots_drive_no_faster_than_they_can_stop_after_they_have_heard_each_other() {
+        for lag_s in [0.0, 0.5] {
+            let (limited, not) = (nearest_m(lag_s, 1.7), nearest_m(lag_s, 10.0));
+            assert!(limited > 0.36 && not < 0.3, "lag {lag_s} s: {limited} m apart, without the limit {not} m");
+        }
     }
 }

@@ -27,8 +27,8 @@ const MOST_LAG_S: f32 = 5.0;
 const LEAST_ACCELERATION_M_S2: f32 = 0.05;
 const MOST_ACCELERATION_M_S2: f32 = 1e3;
 
-/// Least distance of simulated robots to walls beyond that of a contact \[m\].
-const WALL_MARGIN_M: f32 = 0.02;
+/// Least room between the hull of a simulated robot and walls, and half of that between two hulls \[m\].
+const HULL_MARGIN_M: f32 = 0.02;
 
 /// State of a safety trigger, a condition that stops or slows a robot: monitored or ignored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -81,6 +81,9 @@ pub struct Safety {
     /// Longest time from a neighbour's measurement of itself to the arrival of its message \[s\], which the minimum
     /// distance allows for in addition to the age since the arrival.
     pub distance_delay_s: f32,
+    /// Distance between the centres of two robots \[m\] within which they hear each other. A robot drives no faster
+    /// than two robots that approach each other can stop in, from this distance to the minimum.
+    pub distance_heard_m: f32,
     /// Whether a minimum distance to the walls of the arena (`walls_min_m`) is enforced, and the edge of the ground.
     pub walls: Switch,
     /// Minimum distance of the robot's centre from a wall \[m\].
@@ -117,6 +120,7 @@ impl Safety {
             distance_gain_per_s: 5.0,
             distance_age_s: 1.0,
             distance_delay_s: 0.1,
+            distance_heard_m: 1.8,
             walls: Switch::On,
             walls_min_m: 0.2,
             lag_s: 0.5,
@@ -150,18 +154,21 @@ impl Safety {
     }
 
     /// Returns these settings for simulated robots: lag and acceleration are those of `physics`, and the minimum
-    /// distance to walls is at least 2 cm more than that of a contact.
+    /// distances to walls and to other robots are at least 2 and 4 cm more than those of a contact.
     pub fn simulated(self, physics: &Physics) -> Safety {
         let safety = self.driving(physics.lag_s, physics.acceleration_m_s2.min(physics.traction_m_s2));
-        Safety { walls_min_m: self.walls_min_m.max(physics.wall_radius_m + WALL_MARGIN_M), ..safety }
+        let walls_min_m = self.walls_min_m.max(physics.wall_radius_m + HULL_MARGIN_M);
+        let distance_min_m = self.distance_min_m.max(2.0 * (physics.wall_radius_m + HULL_MARGIN_M));
+        Safety { walls_min_m, distance_min_m, ..safety }
     }
 
     /// Returns these settings for a robot whose commanded point is `own_m` \[m\] ahead of its centre, among robots
     /// whose points are `others_m` \[m\] ahead at the most. The minimum distances are larger by that, since they are
     /// then distances of points.
     pub fn about_point(self, own_m: f32, others_m: f32) -> Safety {
-        let distance_min_m = self.distance_min_m + own_m + others_m;
-        Safety { distance_min_m, walls_min_m: self.walls_min_m + own_m, ..self }
+        let (distance_min_m, distance_heard_m) =
+            (self.distance_min_m + own_m + others_m, self.distance_heard_m + own_m + others_m);
+        Safety { distance_min_m, distance_heard_m, walls_min_m: self.walls_min_m + own_m, ..self }
     }
 
     /// Reads settings from TOML and checks them. Missing fields have their values for real hosts (`Safety::deployed`);
@@ -188,6 +195,7 @@ impl Safety {
             ("distance_gain_per_s", self.distance_gain_per_s.into(), 0.5, 20.0, "1/s"),
             ("distance_age_s", self.distance_age_s, 0.01, 5.0, "s"),
             ("distance_delay_s", self.distance_delay_s.into(), 0.0, 5.0, "s"),
+            ("distance_heard_m", self.distance_heard_m.into(), 0.1, 1e3, "m"),
             ("walls_min_m", self.walls_min_m.into(), 0.0, 2.0, "m"),
             ("lag_s", self.lag_s.into(), 0.0, MOST_LAG_S.into(), "s"),
             ("acceleration_m_s2", self.acceleration_m_s2.into(), least.into(), most.into(), "m/s^2"),
@@ -200,6 +208,10 @@ impl Safety {
         if self.geofence_stop_m < self.geofence_margin_m {
             let reason = format!("{} m is less than geofence_margin_m", self.geofence_stop_m);
             return Err(ConfigError::field("geofence_stop_m", reason));
+        }
+        if self.distance_heard_m <= self.distance_min_m {
+            let reason = format!("{} m is not more than distance_min_m", self.distance_heard_m);
+            return Err(ConfigError::field("distance_heard_m", reason));
         }
         Ok(())
     }
@@ -223,6 +235,7 @@ mod tests {
             ("geofence_stop_m = 0.1", "geofence_stop_m"),
             ("distance_m = 0.1", "distance_m"),
             ("distance = true", "distance"),
+            ("distance_heard_m = 0.3", "distance_heard_m"),
         ] {
             let error = Safety::from_toml(text).expect_err(text).to_string();
             assert!(error.contains(field), "{error}");

@@ -7,6 +7,13 @@
 
 use crate::messages::geometry::Vec2;
 
+/// Least lag in the model, in periods for which a command is held. With one or two periods, robots with a lag of 0.1 s
+/// or less came too near to a corner of a wall within 13 000 steps of hostile policies; with three, none did in a
+/// million.
+const LEAST_LAGS: f32 = 3.0;
+/// Number of bisections in the search for the share of a velocity from which a robot stops within a distance.
+const SHARE_BITS: i32 = 10;
+
 /// Model of how a robot's velocity follows its commands, along each axis of the world frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Model {
@@ -20,10 +27,10 @@ pub struct Model {
 
 impl Model {
     /// Makes the model of a robot with the time constant `lag_s` \[s\] and the largest acceleration `acceleration_m_s2`
-    /// \[m/s^2\]. A lag shorter than `period_s` \[s\], for which a command is held, is replaced by that. Commands that
-    /// do not brake differ from the velocity by `step_m_s` \[m/s\] at most along each axis.
+    /// \[m/s^2\]. A lag shorter than three times `period_s` \[s\], for which a command is held, is replaced by that.
+    /// Commands that do not brake differ from the velocity by `step_m_s` \[m/s\] at most along each axis.
     pub fn new(lag_s: f32, acceleration_m_s2: f32, period_s: f32, step_m_s: f32) -> Model {
-        let lag_s = lag_s.max(period_s);
+        let lag_s = lag_s.max(LEAST_LAGS * period_s);
         Model { lag_s, acceleration_m_s2, step_m_s: step_m_s.min(acceleration_m_s2 * lag_s) }
     }
 
@@ -51,6 +58,24 @@ impl Model {
         (long - short) / (long + short) * (travel.x * travel.y).abs() / travel.norm()
     }
 
+    /// Returns `velocity` \[m/s\], shortened if need be so that a robot that moves at it for another `delay_s` \[s\]
+    /// and is then commanded to stand comes to rest within `most_m` \[m\].
+    pub fn stopping_within(&self, velocity: Vec2, delay_s: f32, most_m: f32) -> Vec2 {
+        let distance_m = |v: Vec2| v.norm() * delay_s + self.travel(v).norm() + self.bend(v);
+        let stops = |velocity: Vec2| distance_m(velocity) <= most_m;
+        if stops(velocity) {
+            return velocity;
+        }
+        let mut share = 0.0;
+        for halves in 1..=SHARE_BITS {
+            let more = share + 0.5_f32.powi(halves);
+            if stops(velocity * more) {
+                share = more;
+            }
+        }
+        velocity * share
+    }
+
     /// Returns the speed of the stopping point for each m/s between command and velocity.
     fn ratio(&self, v: f32) -> f32 {
         (v.abs() / (self.acceleration_m_s2 * self.lag_s)).max(1.0)
@@ -75,7 +100,9 @@ impl Model {
     /// under its next command if the robot moves at `v` \[m/s\] along the axis. Zero is between them.
     pub fn reach(&self, v: f32) -> (f32, f32) {
         let step = self.step_m_s * self.ratio(v);
-        (v.min(0.0) - step, v.max(0.0) + step)
+        // Braking at the largest acceleration keeps the stopping point of a fast robot where it is, and no more.
+        let most = self.acceleration_m_s2 * self.lag_s * self.ratio(v);
+        ((v.min(0.0) - step).max(v - most), (v.max(0.0) + step).min(v + most))
     }
 }
 
@@ -100,6 +127,17 @@ mod tests {
                 assert!((p - end).abs() < 5e-3 && v.abs() < 5e-3, "{lag_s} s, {speed} m/s: {p} m, {end} m");
             }
         }
+    }
+
+    #[test]
+    fn a_velocity_is_shortened_until_the_robot_stops_in_time() {
+        let model = Model::new(0.5, 1.0, 0.05, 1.0);
+        let within = |x, y| model.stopping_within(Vec2::new(x, y), 0.05, 0.65);
+        assert_eq!(within(0.95, 0.0), Vec2::new(0.95, 0.0), "it stops after 0.0475 + 0.57625 m");
+        let (along, across) = (within(1.5, 0.0), within(-1.5, 1.5));
+        assert!(along.x > 0.97 && model.travel(along).norm() + 0.05 * along.x <= 0.65, "{along}");
+        assert!(across.x == -across.y && across.y > 0.76, "{across}");
+        assert!(model.travel(across).norm() + 0.05 * across.norm() <= 0.65, "{across}");
     }
 
     #[test]

@@ -82,10 +82,11 @@ impl Episode {
         let always = conditions.filtered_from.is_some_and(|least| robots >= least);
         if stream.random::<f32>() < conditions.deployed || always {
             episode.lag_s = Some(draw(conditions.lag_s, stream));
-            episode.wall_radius_m = conditions.wall_radius_m;
             let wheels = happens(conditions.wheels, stream);
             episode.clamp = if wheels { Clamp::Training } else { Clamp::Deployed };
             episode.filtered = happens(conditions.filtered, stream) || always;
+            let room = conditions.filtered_wall_radius_m.filter(|_| episode.filtered);
+            episode.wall_radius_m = room.map_or(conditions.wall_radius_m, |range| draw(range, stream));
         }
         if happens(conditions.everyone, stream) {
             episode.connectivity = Connectivity::Everyone;
@@ -156,5 +157,18 @@ mod tests {
         assert_eq!([6, 12].map(&mut filtered), [400, 400]);
         // An eighth of 400, within three standard deviations.
         assert!((30..=70).contains(&filtered(5)), "{}", filtered(5));
+    }
+
+    #[test]
+    fn walls_are_at_a_random_distance_in_filtered_episodes_alone() {
+        let config = Config::preset("any-size").expect("it is a preset");
+        let filtered_wall_radius_m = Some([0.1, 0.3]);
+        let conditions = Conditions { deployed: 1.0, filtered: 0.5, filtered_wall_radius_m, ..config.conditions };
+        let mut stream = Seed::of_run(4).stream("conditions");
+        let episodes: Vec<Episode> = (0..400).map(|_| Episode::draw(&conditions, 5, &mut stream)).collect();
+        let radii = |filtered: bool| episodes.iter().filter(move |e| e.filtered == filtered).map(|e| e.wall_radius_m);
+        assert!(radii(false).all(|radius_m| radius_m == conditions.wall_radius_m) && radii(false).count() > 150);
+        assert!(radii(true).all(|radius_m| (0.1..0.3).contains(&radius_m)));
+        assert!(radii(true).any(|radius_m| radius_m < 0.15) && radii(true).any(|radius_m| radius_m > 0.25));
     }
 }

@@ -210,6 +210,10 @@ pub struct Conditions {
     /// that would always collide without it; none if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub filtered_from: Option<usize>,
+    /// Range of `wall_radius_m` \[m\] in episodes with the safety filter, whose minimum distances grow with it;
+    /// `wall_radius_m` itself if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub filtered_wall_radius_m: Option<Range>,
 }
 
 /// One stage of the curriculum: settings that hold for a part of the training.

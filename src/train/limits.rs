@@ -136,7 +136,8 @@ impl Conditions {
             ("conditions.position_noise_m", self.position_noise_m, 10.0),
             ("conditions.velocity_noise_m_s", self.velocity_noise_m_s, 10.0),
         ];
-        for (field, [low, high], max) in ranges {
+        let filtered = self.filtered_wall_radius_m.map(|range| ("conditions.filtered_wall_radius_m", range, 10.0));
+        for (field, [low, high], max) in ranges.into_iter().chain(filtered) {
             within(field, low, 0.0, max)?;
             within(field, high, low, max)?;
         }

@@ -202,11 +202,12 @@ impl Bench {
 /// Runs teams for `steps` steps of 50 ms in total, with each wish and each world in turn. Returns the least distances.
 fn run(steps: u32, drive: &Settings) -> (f32, f32) {
     // The clamp of the training lets robots brake at the limit of their acceleration.
-    let worlds = [(Clamp::Deployed, 0.5), (Clamp::Deployed, 0.25), (Clamp::Deployed, 0.8), (Clamp::Training, 0.5)];
+    let braking = [0.5, 0.25, 0.1, 0.0].map(|lag_s| (Clamp::Training, lag_s));
+    let worlds = [[0.5, 0.25, 0.8, 0.1].map(|lag_s| (Clamp::Deployed, lag_s)), braking].concat();
     let wishes = [Wish::Jitter, Wish::Wander, Wish::Chase, Wish::Ram, Wish::Mixed];
     let (mut least, length) = ((f32::INFINITY, f32::INFINITY), 400);
     for episode in 0..steps / length {
-        let (wish, (clamp, lag_s)) = (wishes[episode as usize % 5], worlds[episode as usize / 5 % 4]);
+        let (wish, (clamp, lag_s)) = (wishes[episode as usize % 5], worlds[episode as usize / 5 % worlds.len()]);
         let robots = 2 + episode as usize * 5 % 7;
         let mut bench = Bench::new(robots, u64::from(episode), clamp, lag_s, drive);
         for step in 0..length {
