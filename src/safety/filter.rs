@@ -38,7 +38,7 @@ impl Settings {
     /// Returns the distance within which a robot has to be able to stop \[m\]: half of that from where two robots have
     /// heard each other to the minimum distance.
     fn stopping_m(&self) -> f32 {
-        (self.safety.distance_heard_m - self.safety.distance_min_m) / 2.0
+        (self.safety.distance_heard_m - self.safety.distance_min_m).max(0.0) / 2.0
     }
 }
 

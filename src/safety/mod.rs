@@ -81,8 +81,8 @@ pub struct Safety {
     /// Longest time from a neighbour's measurement of itself to the arrival of its message \[s\], which the minimum
     /// distance allows for in addition to the age since the arrival.
     pub distance_delay_s: f32,
-    /// Distance between the centres of two robots \[m\] within which they hear each other. A robot drives no faster
-    /// than two robots that approach each other can stop in, from this distance to the minimum.
+    /// Distance between two robots \[m\] at which they have heard each other. A robot drives no faster than two robots
+    /// that approach each other can stop in, from this distance to the minimum.
     pub distance_heard_m: f32,
     /// Whether a minimum distance to the walls of the arena (`walls_min_m`) is enforced, and the edge of the ground.
     pub walls: Switch,
@@ -166,9 +166,8 @@ impl Safety {
     /// whose points are `others_m` \[m\] ahead at the most. The minimum distances are larger by that, since they are
     /// then distances of points.
     pub fn about_point(self, own_m: f32, others_m: f32) -> Safety {
-        let (distance_min_m, distance_heard_m) =
-            (self.distance_min_m + own_m + others_m, self.distance_heard_m + own_m + others_m);
-        Safety { distance_min_m, distance_heard_m, walls_min_m: self.walls_min_m + own_m, ..self }
+        let distance_min_m = self.distance_min_m + own_m + others_m;
+        Safety { distance_min_m, walls_min_m: self.walls_min_m + own_m, ..self }
     }
 
     /// Reads settings from TOML and checks them. Missing fields have their values for real hosts (`Safety::deployed`);

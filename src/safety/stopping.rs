@@ -160,6 +160,20 @@ mod tests {
     }
 
     #[test]
+    fn the_stopping_point_reaches_no_farther_than_the_drive_can_move_it() {
+        for (lag_s, most, step) in [(0.5, 1.0, 2.0), (0.5, 1e3, 0.25), (0.1, 1.0, 2.0)] {
+            let model = Model::new(lag_s, most, 0.05, step);
+            for v in (-15..=15).map(|tenths| 0.1 * tenths as f32) {
+                let (low, high) = model.reach(v);
+                let at = |u: f32| model.advance(Vec2::new(v, 0.0), Vec2::new(u, 0.0)).x;
+                assert!(low <= 0.0 && high >= 0.0 && at(-1e3) <= low + 1e-4 && high <= at(1e3) + 1e-4, "{v} m/s");
+            }
+        }
+        let fast = Model::new(0.5, 1.0, 0.05, 2.0).reach(-1.2);
+        assert_eq!(fast.1, 0.0, "it brakes with all that its drive has, and so has nothing for a retreat");
+    }
+
+    #[test]
     fn the_stopping_point_moves_as_predicted_and_a_command_is_found_from_that() {
         for (lag_s, most) in [(0.5_f32, 1.0_f32), (0.5, 100.0), (0.05, 1.0)] {
             let model = Model::new(lag_s, most, 0.05, 1.0);

@@ -372,7 +372,7 @@ fn robots_that_meet_head_on_get_past_each_other() {
             .collect();
         bench.position.copy_from_slice(&starts);
         let mut after = None;
-        for step in 0..1200 {
+        for step in 0..1600 {
             bench.step(step, |bench, _, robot| (-starts[robot] - bench.position[robot]).cap_magnitude(1.0));
             assert!(bench.least().0 > 2.0 * HULL_M, "{robots} robots, step {step}: {} m apart", bench.least().0);
             if bench.position.iter().zip(&starts).all(|(at, start)| (*at + *start).norm() < 0.25) {

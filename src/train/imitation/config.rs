@@ -236,7 +236,6 @@ mod tests {
             (|config| config.policy.update.clear(), "policy.update"),
             (|config| config.policy.aggregation = Aggregation::Max, "policy.hops.0.aggregation"),
             (|config| config.policy.activation = Activation::Elu, "policy.hops.0.message.output_activation"),
-            (|config| config.policy.edge.push(EdgeFeature::Age), "policy.edge"),
         ] {
             let why = refused(change);
             assert!(why.contains(named), "{named}: {why}");

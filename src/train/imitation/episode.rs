@@ -150,7 +150,8 @@ impl Team<'_> {
         for receiver in 0..robots {
             for (sender, age) in &heard[first[receiver] as usize..first[receiver + 1] as usize] {
                 let sent = &self.sent[usize::from(*age)];
-                write_features(manifest, &self.motion[receiver], &sent.motion[usize::from(*sender)], &mut edge);
+                let motion = &sent.motion[usize::from(*sender)];
+                write_features(manifest, &self.motion[receiver], (motion, *age), &mut edge);
                 self.graph.edges.extend_from_slice(&edge);
                 self.graph.sender.push(u32::from(*age) * robots as u32 + u32::from(*sender));
             }
@@ -201,9 +202,10 @@ pub fn limited(axis: f32) -> f32 {
 }
 
 /// Writes the features of the edge to a robot with the state `own` from one that had the state `sent` when it sent its
-/// message.
-pub fn write_features(manifest: &Manifest, own: &Motion, sent: &Motion, row: &mut [f32]) {
-    write_edge(&manifest.edge, own, &Neighbour { motion: *sent, features: &[], age: Span::ZERO }, row);
+/// message, `steps` steps before.
+pub fn write_features(manifest: &Manifest, own: &Motion, (sent, steps): (&Motion, u8), row: &mut [f32]) {
+    let age = PERIOD * u64::from(steps);
+    write_edge(&manifest.edge, own, &Neighbour { motion: *sent, features: &[], age }, row);
 }
 
 /// Runs the episode with this layout, seed and episode number. With `expert` given, the steps are recorded with its
@@ -291,5 +293,22 @@ impl World {
             contacts: *contacts,
         };
         motion.iter().zip(&self.contacts).map(robot).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::policy::hops::manifest::EdgeFeature;
+    use crate::train::imitation::config::Config;
+
+    #[test]
+    fn an_edge_has_the_age_of_its_message() {
+        let mut manifest = Config::preset().manifest("flocking");
+        manifest.edge = vec![EdgeFeature::Age, EdgeFeature::Distance];
+        let (own, sent) = (Motion::default(), Motion::at_rest(Vec2::new(3.0, 4.0)));
+        let mut row = [f32::NAN; 2];
+        write_features(&manifest, &own, (&sent, 3), &mut row);
+        assert_eq!(row, [3.0 * PERIOD.as_secs() as f32, 5.0]);
     }
 }

@@ -85,7 +85,7 @@ impl Shard {
                             continue;
                         };
                         let sender = usize::from(*sender);
-                        write_features(manifest, &motion, &steps[sent].motion[sender], &mut edge);
+                        write_features(manifest, &motion, (&steps[sent].motion[sender], *age), &mut edge);
                         graph.edges.extend_from_slice(&edge);
                         let node = base + (sent - from) * robots + sender;
                         graph.sender.push(u32::try_from(node).expect("a batch has far fewer nodes"));

@@ -8,7 +8,7 @@ use super::graph::Graph;
 use super::perceptron::{self, Perceptron};
 use crate::policy::hops::action::Action;
 use crate::policy::hops::file::Tensors;
-use crate::policy::hops::manifest::{Aggregation, Distribution, EdgeFeature, Input, Manifest};
+use crate::policy::hops::manifest::{Aggregation, Distribution, Input, Manifest};
 use crate::policy::mlp::Instructions;
 use crate::train::matrix::Real;
 use crate::train::network::{add, resize};
@@ -77,9 +77,6 @@ impl Network {
     pub fn new(manifest: &Manifest) -> Result<Network, String> {
         if manifest.distribution != Distribution::DiagonalNormal {
             return Err("distribution: training by imitation supports 'diagonal-normal' only".to_owned());
-        }
-        if manifest.edge.contains(&EdgeFeature::Age) {
-            return Err("edge: training by imitation does not support 'age'".to_owned());
         }
         if manifest.action != Action::Acceleration {
             return Err("action: training by imitation supports 'acceleration' only".to_owned());
