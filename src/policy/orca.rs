@@ -182,8 +182,8 @@ impl Orca {
         preferred.normalize() * speed.max(-0.3)
     }
 
-    /// Returns the rotation of the preferred velocity to the right \[rad\]. It is small, but larger and to alternate sides
-    /// for a robot that has been held by others for long: in dense teams, robots that only yield hold each other for
+    /// Returns the rotation of the preferred velocity to the right \[rad\]. It is small, but larger and to alternate
+    /// sides for a robot that others have held for long: in dense teams, robots that only yield hold each other for
     /// ever.
     fn bearing(&mut self, preferred: Vec2, velocity: Vec2) -> f32 {
         let held = preferred.norm() > WANTS_M_S && velocity.norm() < STANDS_M_S;
