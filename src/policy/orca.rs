@@ -58,17 +58,6 @@ const MOUTH_ROOM_M: f32 = 0.9;
 /// Rotation of the preferred velocity to the right \[rad\], so that two robots that meet head-on pass each other.
 const BEAR_RIGHT_RAD: f32 = 0.08;
 
-/// Preferred speed from which a robot wants to move, and actual speed below which it stands \[m/s\].
-const WANTS_M_S: f32 = 0.3;
-const STANDS_M_S: f32 = 0.05;
-/// Number of steps for which a robot that is held waits before it turns its preferred velocity to the right \[5 s\],
-/// and for which it then turns before it tries the left.
-const PATIENCE: u32 = 100;
-const SIDE: u32 = 100;
-/// Rotation of the preferred velocity for each step beyond the patience, and the largest one \[rad\].
-const TURN_RAD: f32 = 0.03;
-const MOST_TURN_RAD: f32 = 1.57;
-
 /// Largest plausible distance \[m\] of a robot from the origin, of a neighbour from the robot, and of a broadcast
 /// radius. A neighbour beyond it is ignored; a robot whose own position is beyond it stands.
 const MAX_DISTANCE_M: f32 = 1e3;
@@ -92,8 +81,6 @@ pub const INTERFACE: Interface = Interface {
 pub struct Orca {
     arena: Arena,
     obstacles: Vec<Obstacle>,
-    /// Number of steps in which the robot wanted to move and others let it stand, less those in which it moved.
-    held: u32,
 }
 
 /// A robot's place in the queue at a bottleneck. Of two robots, the one that is nearer to the middle goes first.
@@ -128,7 +115,7 @@ impl Orca {
         };
         let blocks = arena.keep_outs.iter().map(|keep_out| block(keep_out.min, keep_out.max));
         let obstacles = blocks.chain([ground]).collect();
-        Orca { arena: arena.clone(), obstacles, held: 0 }
+        Orca { arena: arena.clone(), obstacles }
     }
 
     /// Returns the robot's preferred velocity \[m/s\] along the path to its goal, without other robots and without a
@@ -180,17 +167,6 @@ impl Orca {
             speed = speed.min(room / APPROACH_S);
         }
         preferred.normalize() * speed.max(-0.3)
-    }
-
-    /// Returns the rotation of the preferred velocity to the right \[rad\]. It is small, but larger and to alternate
-    /// sides for a robot that others have held for long: in dense teams, robots that only yield hold each other for
-    /// ever.
-    fn bearing(&mut self, preferred: Vec2, velocity: Vec2) -> f32 {
-        let held = preferred.norm() > WANTS_M_S && velocity.norm() < STANDS_M_S;
-        self.held = if held { self.held + 1 } else { self.held.saturating_sub(1) };
-        let Some(beyond) = self.held.checked_sub(PATIENCE) else { return BEAR_RIGHT_RAD };
-        let turn = (TURN_RAD * (beyond % SIDE) as f32).min(MOST_TURN_RAD);
-        if (beyond / SIDE).is_multiple_of(2) { BEAR_RIGHT_RAD + turn } else { -turn }
     }
 
     /// Returns the velocity \[m/s\] with which a robot moves away from the mouth (end of a bottleneck) at which another
@@ -283,7 +259,7 @@ impl Policy for Orca {
         }
         let broadcast = Vec2::new(features[1], features[2]);
         let preferred = limit_to_cruising(self.yielding(own, broadcast, neighbours));
-        let (sin, cos) = libm::sincosf(-self.bearing(preferred, own.motion.velocity));
+        let (sin, cos) = libm::sincosf(-BEAR_RIGHT_RAD);
         let preferred = Vec2::new(cos * preferred.x - sin * preferred.y, sin * preferred.x + cos * preferred.y);
         let agent = |position: Vec2, velocity: Vec2, radius_m: f32, share: f32| Agent {
             position: to_glam(position),
@@ -348,21 +324,6 @@ mod tests {
         assert!(assumed(&at_goal, underway).1 < 1.0 && assumed(&at_goal, underway).0.x > 0.0);
         assert!(assumed(&underway, at_goal).1 > 1.0 && assumed(&underway, at_goal).0 == Vec2::zeros());
         assert_eq!(assumed(&underway, underway).1, 1.0);
-    }
-
-    #[test]
-    fn a_robot_that_is_held_turns_aside_after_five_seconds_and_then_to_the_other_side() {
-        let mut orca = Orca::new(&passage());
-        let mut after = |steps: u32, preferred: f32, speed: f32| {
-            let mut step = || orca.bearing(Vec2::new(preferred, 0.0), Vec2::new(speed, 0.0));
-            (1..steps).for_each(|_| _ = step());
-            step()
-        };
-        assert_eq!(after(PATIENCE, 0.9, 0.0), BEAR_RIGHT_RAD);
-        assert!(after(60, 0.9, 0.0) > 1.5, "to the right");
-        assert!(after(90, 0.9, 0.0) < -1.4, "to the left");
-        assert_eq!(after(PATIENCE + SIDE, 0.9, 0.5), BEAR_RIGHT_RAD, "it has moved");
-        assert_eq!(after(2 * PATIENCE, 0.1, 0.0), BEAR_RIGHT_RAD, "it wants to stand");
     }
 
     #[test]

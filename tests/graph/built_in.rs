@@ -12,9 +12,7 @@ fn check(scenario: &str, robots: usize, least: usize) {
     let mut trial = Trial::of_team("onboard-adhoc", scenario, robots).expect("there is room").seed(3).episodes(12);
     trial.model = Model::built_in("any-size", scenario).expect("it is built in");
     (trial.physics.contacts, trial.physics.wall_radius_m, trial.physics.lag_s) = (ContactRule::Judge, 0.16, 0.5);
-    let acceleration_m_s2 = trial.physics.acceleration_m_s2;
-    trial.safety = Safety::deployed().driving(0.5, acceleration_m_s2);
-    let report = trial.clamp(Clamp::Deployed).run();
+    let report = trial.clamp(Clamp::Deployed).safety(Safety::deployed()).run();
     let contacts = |verdict| matches!(verdict, Verdict::RobotCollision | Verdict::WallCollision);
     assert!(!report.episodes.iter().any(|episode| contacts(episode.verdict)), "{:?}", report.episodes);
     assert!(report.successes() >= least, "{scenario}, {robots} robots: {:?}", report.episodes);
