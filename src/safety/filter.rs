@@ -9,7 +9,7 @@ use std::sync::Arc;
 use super::barrier::Barrier;
 use super::limits::{Limits, geofence};
 use super::stopping::Model;
-use super::yielding::Yielding;
+use super::yielding::{Close, Yielding};
 use super::{Safety, Switch};
 use crate::messages::geometry::{Motion, Vec2, is_finite};
 use crate::scenario::KeepOut;
@@ -130,12 +130,16 @@ impl Filter {
             limits.extend(blocks.chain(barrier.edge(own, settings.half_extent)).filter(|l| l.most_m_s < fastest_m_s));
             filtered.walls = reduce(&limits);
         }
+        let mut close = Close::default();
         if distance == Switch::On {
-            let others = neighbours.flat_map(|(motion, age_s)| barrier.neighbour(own, &motion, age_s));
+            let others = neighbours.flat_map(|(motion, age_s)| {
+                close.count(own.position, &motion, barrier.distance_min_m);
+                barrier.neighbour(own, &motion, age_s)
+            });
             limits.extend(others.filter(|limit| limit.most_m_s < fastest_m_s));
             filtered.distance = reduce(&limits);
         }
-        yielding.update(aim, result, settings.period.as_secs() as f32);
+        yielding.update(aim, result, close, settings.period.as_secs() as f32);
         let reduced = barrier.model.command(own.velocity, result);
         // Along an axis that nothing limits, the command stays as it was.
         let axis = |result: f32, aim: f32, wanted: f32, reduced: f32| if result == aim { wanted } else { reduced };
@@ -175,6 +179,33 @@ mod tests {
             least_m = least_m.min((robots[1].position - robots[0].position).norm());
         }
         least_m
+    }
+
+    #[test]
+    fn a_robot_passes_between_two_that_have_parked_too_near_to_each_other() {
+        let (half_extent, walls, period) = (Vec2::repeat(10.0), Arc::default(), Span::from_millis(50));
+        let safety = Safety::filter().driving(0.2, 1.0);
+        let settings = Settings { safety, half_extent, walls, limit_m_s: 1.05, clamp: Clamp::Training, period };
+        let mut filters = [(); 3].map(|()| Filter::new(settings.clone()));
+        let goals = [Vec2::new(3.0, 0.0), Vec2::new(0.0, 0.42), Vec2::new(0.0, -0.42)];
+        let mut robots = [Vec2::new(-1.0, 0.0), goals[1], goals[2]].map(Motion::at_rest);
+        for _ in 0..400 {
+            let before = robots;
+            for (own, robot) in robots.iter_mut().enumerate() {
+                let others = (0..3).filter(|other| *other != own).map(|other| (before[other], 0.05));
+                let wanted = (goals[own] - robot.position).map(|axis| axis.clamp(-0.5, 0.5));
+                let command = filters[own].apply(robot, others, wanted).velocity;
+                for _ in 0..50 {
+                    robot.velocity += ((command - robot.velocity) / 0.2).map(|axis| axis.clamp(-1.0, 1.0)) * 1e-3;
+                    robot.position += robot.velocity * 1e-3;
+                }
+            }
+            for pair in [(0, 1), (0, 2), (1, 2)] {
+                assert!((robots[pair.0].position - robots[pair.1].position).norm() > 0.4, "{robots:?}");
+            }
+        }
+        let off_m: [f32; 3] = std::array::from_fn(|own| (robots[own].position - goals[own]).norm());
+        assert!(off_m.iter().all(|off_m| *off_m < 0.1), "all are at their goals: {off_m:?}");
     }
 
     #[test]

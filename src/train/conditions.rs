@@ -87,6 +87,8 @@ impl Episode {
             episode.filtered = happens(conditions.filtered, stream) || always;
             let room = conditions.filtered_wall_radius_m.filter(|_| episode.filtered);
             episode.wall_radius_m = room.map_or(conditions.wall_radius_m, |range| draw(range, stream));
+        } else {
+            episode.filtered = happens(conditions.filtered_published, stream);
         }
         if happens(conditions.everyone, stream) {
             episode.connectivity = Connectivity::Everyone;
@@ -157,6 +159,17 @@ mod tests {
         assert_eq!([6, 12].map(&mut filtered), [400, 400]);
         // An eighth of 400, within three standard deviations.
         assert!((30..=70).contains(&filtered(5)), "{}", filtered(5));
+    }
+
+    #[test]
+    fn episodes_with_published_physics_have_the_filter_for_a_share_of_their_own() {
+        let config = Config::preset("any-size").expect("it is a preset");
+        let conditions = Conditions { deployed: 0.5, filtered: 0.0, filtered_published: 0.5, ..config.conditions };
+        let mut stream = Seed::of_run(5).stream("conditions");
+        let episodes: Vec<Episode> = (0..400).map(|_| Episode::draw(&conditions, 5, &mut stream)).collect();
+        let filtered = episodes.iter().filter(|episode| episode.filtered).count();
+        assert!((75..=125).contains(&filtered), "a quarter of 400, within three standard deviations: {filtered}");
+        assert!(episodes.iter().all(|episode| !episode.filtered || episode.lag_s.is_none()));
     }
 
     #[test]

@@ -153,6 +153,10 @@ pub struct Reward {
     pub wall_proximity: f32,
     /// Distance between a robot's centre and a wall at which the wall's proximity penalty becomes zero \[m\].
     pub wall_proximity_m: f32,
+    /// Whether a robot near its goal pays for nearness to a wall only where it is nearer than the goal itself.
+    /// Otherwise a robot does not drive to a goal that is within `wall_proximity_m` of a wall.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub goals_near_walls: bool,
     /// Weight of the team's mean reward in a robot's reward, 0 to 1; the rest is the weight of the robot's own.
     pub shared: f32,
     /// Factor on the penalties for contacts and proximity in episodes with the safety filter, which keeps robots apart
@@ -163,6 +167,10 @@ pub struct Reward {
 
 fn unchanged() -> f32 {
     1.0
+}
+
+fn is_false(switch: &bool) -> bool {
+    !switch
 }
 
 fn is_zero(weight: &f32) -> bool {
@@ -206,11 +214,14 @@ pub struct Conditions {
     /// Probability, in deployed physics, that the safety filter of real robots limits the policy's velocities.
     #[serde(default)]
     pub filtered: f32,
+    /// Probability of the safety filter in all other episodes, those with the physics of the paper's environment.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub filtered_published: f32,
     /// Size of the smallest team all of whose episodes have deployed physics and the safety filter, such as of teams
     /// that would always collide without it; none if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub filtered_from: Option<usize>,
-    /// Range of `wall_radius_m` \[m\] in episodes with the safety filter, whose minimum distances grow with it;
+    /// Range of `wall_radius_m` \[m\] in deployed physics with the safety filter, whose minimum distances grow with it;
     /// `wall_radius_m` itself if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub filtered_wall_radius_m: Option<Range>,

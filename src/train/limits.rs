@@ -127,6 +127,7 @@ impl Conditions {
         within("conditions.everyone", self.everyone, 0.0, 1.0)?;
         within("conditions.wheels", self.wheels, 0.0, 1.0)?;
         within("conditions.filtered", self.filtered, 0.0, 1.0)?;
+        within("conditions.filtered_published", self.filtered_published, 0.0, 1.0)?;
         let ranges = [
             ("conditions.lag_s", self.lag_s, 10.0),
             ("conditions.delay_s", self.delay_s, 0.5),
@@ -153,6 +154,7 @@ impl Reward {
             ("reward.progress", self.progress),
             ("reward.arrival", self.arrival),
             ("reward.time", self.time),
+            ("reward.team_time", self.team_time),
             ("reward.wall", self.wall),
             ("reward.robot", self.robot),
             ("reward.proximity", self.proximity),

@@ -6,6 +6,9 @@ use crate::messages::local::Contacts;
 use crate::scenario::{Scenario, Stage};
 use crate::world::kinematic::PERIOD;
 
+/// Distance of a robot from its goal within which the goal's own distance from a wall matters \[m\].
+const NEAR_GOAL_M: f32 = 0.5;
+
 /// State of one robot before and after a step, as input of the reward.
 #[derive(Debug)]
 pub struct RobotStep<'a> {
@@ -64,10 +67,20 @@ pub fn robot_reward(weights: &Reward, scenario: &dyn Scenario, step: RobotStep) 
         reward -= weights.robot;
     }
     if weights.wall_proximity > 0.0 {
-        let near = 1.0 - scenario.arena().clearance(position) / weights.wall_proximity_m;
+        let near_m = wall_proximity_m(weights, scenario, step.task.goal, position);
+        let near = 1.0 - scenario.arena().clearance(position) / near_m;
         reward -= weights.wall_proximity * near.max(0.0) * PERIOD.as_secs() as f32;
     }
     reward * weights.scale
+}
+
+/// Returns the distance from a wall at which a robot at `position` with the goal `goal` begins to pay for its nearness
+/// \[m\].
+fn wall_proximity_m(weights: &Reward, scenario: &dyn Scenario, goal: Vec2, position: Vec2) -> f32 {
+    if weights.goals_near_walls && (goal - position).norm_squared() < NEAR_GOAL_M * NEAR_GOAL_M {
+        return weights.wall_proximity_m.min(scenario.arena().clearance(goal)).max(f32::EPSILON);
+    }
+    weights.wall_proximity_m
 }
 
 /// Returns the penalty, zero or more, of robot `robot` in a step for its nearness to the other robots of its team.
@@ -96,6 +109,22 @@ pub fn team_penalty(weights: &Reward, arrived: &[bool]) -> f32 {
 mod tests {
     use super::*;
     use crate::train::config::Config;
+
+    #[test]
+    fn a_goal_near_a_wall_costs_nothing_if_the_configuration_says_so() {
+        let passage = crate::scenario::build("passage", &Default::default()).expect("the default is sound");
+        let reward = Config::preset("robust").expect("it is a preset").reward;
+        let from = |goals_near_walls, goal, position| {
+            let weights = Reward { wall_proximity_m: 0.4, goals_near_walls, ..reward };
+            wall_proximity_m(&weights, &*passage, goal, position)
+        };
+        // The face of the wall is at y = 0.15.
+        let (near, far) = (Vec2::new(1.0, 0.45), Vec2::new(1.0, 2.0));
+        assert!((from(true, near, Vec2::new(1.2, 0.4)) - 0.3).abs() < 1e-5);
+        assert_eq!(from(true, near, Vec2::new(0.4, 0.4)), 0.4, "a robot that has not come near its goal");
+        assert_eq!(from(true, far, far), 0.4);
+        assert_eq!(from(false, near, near), 0.4);
+    }
 
     #[test]
     fn a_team_pays_until_its_last_robot_has_arrived() {
