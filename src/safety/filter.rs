@@ -124,7 +124,7 @@ impl Filter {
             filtered.fence = reduce(&limits);
         }
         // A bound above this speed takes nothing away.
-        let fastest_m_s = aim.norm();
+        let fastest_m_s = turned.norm();
         if walls == Switch::On {
             let blocks = settings.walls.iter().map(|block| barrier.wall(own, block));
             limits.extend(blocks.chain(barrier.edge(own, settings.half_extent)).filter(|l| l.most_m_s < fastest_m_s));
@@ -206,6 +206,26 @@ mod tests {
         }
         let off_m: [f32; 3] = std::array::from_fn(|own| (robots[own].position - goals[own]).norm());
         assert!(off_m.iter().all(|off_m| *off_m < 0.1), "all are at their goals: {off_m:?}");
+    }
+
+    #[test]
+    fn a_robot_that_gives_way_keeps_its_distance_from_a_wall() {
+        let walls = Arc::from([KeepOut { min: Vec2::new(-2.0, -1.0), max: Vec2::new(2.0, 0.0) }]);
+        let (half_extent, period) = (Vec2::repeat(10.0), Span::from_millis(50));
+        let safety = Safety::filter().driving(0.2, 1.0);
+        let settings = Settings { safety, half_extent, walls, limit_m_s: 1.05, clamp: Clamp::Training, period };
+        let mut filter = Filter::new(settings);
+        let (mut robot, mut least_m) = (Motion::at_rest(Vec2::new(0.0, 0.3)), f32::INFINITY);
+        for _ in 0..60 {
+            let other = Motion::at_rest(robot.position + Vec2::new(0.0, 0.45));
+            let command = filter.apply(&robot, [(other, 0.05)].into_iter(), Vec2::zeros()).velocity;
+            for _ in 0..50 {
+                robot.velocity += ((command - robot.velocity) / 0.2).map(|axis| axis.clamp(-1.0, 1.0)) * 1e-3;
+                robot.position += robot.velocity * 1e-3;
+            }
+            least_m = least_m.min(robot.position.y);
+        }
+        assert!((0.2..0.28).contains(&least_m), "it moves toward the wall, and stops before it: {least_m} m");
     }
 
     #[test]

@@ -22,15 +22,18 @@ const RELEASE: f32 = 2.0;
 /// Sine of the angle between aim and limited velocity above which a robot is held more on one side than on the other.
 const SKEW: f32 = 0.05;
 
-/// Distance beyond the least one within which a neighbour that stands is close \[m\]. A robot that wants to pass is kept
-/// at the least distance and a few centimetres for the age of messages.
+/// Distance beyond the least one within which a neighbour that stands is close \[m\]. A robot that wants to pass is
+/// kept at the least distance and a few centimetres for the age of messages.
 const CLOSE_M: f32 = 0.09;
 /// Speed below which a neighbour stands \[m/s\].
 const STANDS_M_S: f32 = 0.1;
+/// Time over which a robot's aim is averaged to tell whether it is at rest by its own choice \[s\]. The aim of a policy
+/// that holds a robot in place may alternate from step to step.
+const MEAN_S: f32 = 0.5;
 /// Time for which a robot at rest has a neighbour close by before it gives way \[s\].
 const PATIENCE_S: f32 = 0.5;
 /// Time for which it gives way \[s\].
-const GIVES_S: f32 = 1.0;
+const GIVES_S: f32 = 1.5;
 /// Speed at which it gives way \[m/s\].
 const GIVES_M_S: f32 = 0.25;
 
@@ -58,15 +61,18 @@ impl Close {
 pub struct Yielding {
     held_s: f32,
     left: bool,
-    /// For how long a neighbour has stood close to the robot at rest \[s\]; while it gives way, the time since its start.
+    /// Mean of the last aims \[m/s\].
+    mean: [f32; 2],
+    /// For how long a neighbour has stood close to the robot at rest \[s\]; while the robot gives way, for how long.
     close_s: f32,
     /// Direction away from the neighbour that the robot gives way to; `None` if it does not.
     gives: Option<[f32; 2]>,
 }
 
 impl Yielding {
-    /// Returns the velocity to aim at \[m/s\] in place of the wanted `aim`: that of giving way, or the wanted one, turned
-    /// aside by an angle that grows with the time for which the robot has been kept from moving, up to a right angle.
+    /// Returns the velocity to aim at \[m/s\] in place of the wanted `aim`: that of giving way, or the wanted one,
+    /// turned aside by an angle that grows with the time for which the robot has been kept from moving, up to a right
+    /// angle.
     pub fn turned(&self, aim: Vec2) -> Vec2 {
         if let Some([x, y]) = self.gives {
             return Vec2::new(x, y) * GIVES_M_S;
@@ -86,12 +92,13 @@ impl Yielding {
     /// two robots that meet turn to different sides of the line between them.
     pub fn update(&mut self, aim: Vec2, limited: Vec2, close: Close, period_s: f32) {
         let square = aim.norm_squared();
-        self.close_s += period_s;
+        let mean = Vec2::from(self.mean) + (aim - Vec2::from(self.mean)) * (period_s / MEAN_S).min(1.0);
+        (self.mean, self.close_s) = ([mean.x, mean.y], self.close_s + period_s);
         match (self.gives, close.0) {
             (Some(_), _) if self.close_s < GIVES_S => return,
-            (None, Some((_, away))) if square < AIMS_M_S * AIMS_M_S => {
+            (None, Some((_, away))) if mean.norm_squared() < AIMS_M_S * AIMS_M_S => {
                 if self.close_s > PATIENCE_S {
-                    *self = Yielding { gives: Some([away.x, away.y]), ..Yielding::default() };
+                    *self = Yielding { mean: self.mean, gives: Some([away.x, away.y]), ..Yielding::default() };
                     return;
                 }
             }
@@ -129,11 +136,11 @@ mod tests {
         assert!(yielding.turned(aim).y > 0.0, "it may slide to the left: {yielding:?}");
         let mut resting = Yielding::default();
         resting.update(Vec2::new(0.05, 0.0), Vec2::zeros(), Close::default(), 0.05);
-        assert_eq!(resting, Yielding::default());
+        assert_eq!(resting.turned(aim), aim);
     }
 
     #[test]
-    fn a_robot_at_rest_gives_way_for_a_second_to_one_that_stands_close_and_to_no_other() {
+    fn a_robot_at_rest_gives_way_for_a_time_to_one_that_stands_close_and_to_no_other() {
         let close = |x: f32, speed_m_s: f32| {
             let mut close = Close::default();
             close.count(Vec2::zeros(), &Motion::at_rest(Vec2::new(0.0, 0.48)), 0.4);
@@ -143,17 +150,18 @@ mod tests {
         };
         let standing = close(0.45, 0.0);
         assert_eq!((close(0.5, 0.0), close(0.45, 0.2)), (close(9.0, 0.0), close(9.0, 0.0)), "too far, or it moves");
-        let (mut yielding, rest) = (Yielding::default(), Vec2::new(0.05, 0.0));
+        // What a policy wants that holds its robot in place.
+        let (mut yielding, rest) = (Yielding::default(), [Vec2::new(0.15, 0.0), Vec2::new(-0.15, 0.0)]);
         let mut given = Vec::new();
-        for _ in 0..40 {
-            given.push(yielding.turned(rest));
-            yielding.update(rest, rest, standing, 0.05);
+        for step in 0..50 {
+            given.push(yielding.turned(rest[step % 2]));
+            yielding.update(rest[step % 2], rest[step % 2], standing, 0.05);
         }
         let away = Vec2::new(-GIVES_M_S, 0.0);
-        assert_eq!((given[9], given[12], given[29]), (rest, away, away), "it waits, and gives way to the nearest");
-        assert_eq!(given[33], rest, "for a second");
+        assert_eq!((given[8], given[12], given[38]), (rest[0], away, away), "it waits, and gives way to the nearest");
+        assert_eq!(given[44], rest[0], "for a time");
         let mut driving = Yielding::default();
         (0..40).for_each(|_| driving.update(Vec2::new(0.5, 0.0), Vec2::new(0.4, 0.0), standing, 0.05));
-        assert_eq!(driving, Yielding::default(), "a robot that wants to move goes on");
+        assert_eq!(driving.turned(away), away, "a robot that wants to move goes on");
     }
 }
