@@ -154,12 +154,27 @@ impl Filter {
 mod tests {
     use super::*;
 
+    /// Settings of robots whose drives lag by `lag_s` \[s\], among `walls` on wide ground.
+    fn settings(lag_s: f32, walls: Arc<[KeepOut]>) -> Settings {
+        let safety = Safety::filter().driving(lag_s, 1.0);
+        let (half_extent, period) = (Vec2::repeat(10.0), Span::from_millis(50));
+        Settings { safety, half_extent, walls, limit_m_s: 1.05, clamp: Clamp::Training, period }
+    }
+
+    /// Moves a robot whose drive lags by `lag_s` \[s\] for a control period.
+    fn drive(robot: &mut Motion, command: Vec2, lag_s: f32) {
+        for _ in 0..50 {
+            let change = (command - robot.velocity) / lag_s.max(1e-3);
+            robot.velocity += change.map(|axis| axis.clamp(-1.0, 1.0)) * 1e-3;
+            robot.position += robot.velocity * 1e-3;
+        }
+    }
+
     /// Drives two robots at each other along the diagonal, as fast as they can, and returns the least distance of their
     /// centres \[m\]. They hear each other from 1.7 m on, and their settings say `heard_m` \[m\].
     fn nearest_m(lag_s: f32, heard_m: f32) -> f32 {
-        let safety = Safety { distance_heard_m: heard_m, ..Safety::filter() }.driving(lag_s, 1.0);
-        let (half_extent, walls, period) = (Vec2::repeat(10.0), Arc::default(), Span::from_millis(50));
-        let settings = Settings { safety, half_extent, walls, limit_m_s: 1.05, clamp: Clamp::Training, period };
+        let mut settings = settings(lag_s, Arc::default());
+        settings.safety.distance_heard_m = heard_m;
         let mut filters = [Filter::new(settings.clone()), Filter::new(settings)];
         let mut robots = [-3.0, 3.0].map(|at| Motion::at_rest(Vec2::repeat(at)));
         let mut least_m = f32::INFINITY;
@@ -170,59 +185,52 @@ mod tests {
                 let heard = (apart_m <= 1.7).then_some((before[1 - own], 0.0));
                 let wanted = Vec2::repeat(if own == 0 { 1.05 } else { -1.05 });
                 let command = filters[own].apply(robot, heard.into_iter(), wanted).velocity;
-                for _ in 0..50 {
-                    let change = (command - robot.velocity) / lag_s.max(1e-3);
-                    robot.velocity += change.map(|axis| axis.clamp(-1.0, 1.0)) * 1e-3;
-                    robot.position += robot.velocity * 1e-3;
-                }
+                drive(robot, command, lag_s);
             }
             least_m = least_m.min((robots[1].position - robots[0].position).norm());
         }
         least_m
     }
 
-    #[test]
-    fn a_robot_passes_between_two_that_have_parked_too_near_to_each_other() {
-        let (half_extent, walls, period) = (Vec2::repeat(10.0), Arc::default(), Span::from_millis(50));
-        let safety = Safety::filter().driving(0.2, 1.0);
-        let settings = Settings { safety, half_extent, walls, limit_m_s: 1.05, clamp: Clamp::Training, period };
-        let mut filters = [(); 3].map(|()| Filter::new(settings.clone()));
+    /// Drives a robot between two that are parked at their goals with too little room between them, and returns how far
+    /// each is from its goal after 20 s \[m\]. With `rigid`, the filters forget their way out of deadlocks every step.
+    fn off_m(rigid: bool) -> [f32; 3] {
+        let mut filters = [(); 3].map(|()| Filter::new(settings(0.2, Arc::default())));
         let goals = [Vec2::new(3.0, 0.0), Vec2::new(0.0, 0.42), Vec2::new(0.0, -0.42)];
         let mut robots = [Vec2::new(-1.0, 0.0), goals[1], goals[2]].map(Motion::at_rest);
         for _ in 0..400 {
             let before = robots;
             for (own, robot) in robots.iter_mut().enumerate() {
+                if rigid {
+                    filters[own].restore(Yielding::default());
+                }
                 let others = (0..3).filter(|other| *other != own).map(|other| (before[other], 0.05));
                 let wanted = (goals[own] - robot.position).map(|axis| axis.clamp(-0.5, 0.5));
                 let command = filters[own].apply(robot, others, wanted).velocity;
-                for _ in 0..50 {
-                    robot.velocity += ((command - robot.velocity) / 0.2).map(|axis| axis.clamp(-1.0, 1.0)) * 1e-3;
-                    robot.position += robot.velocity * 1e-3;
-                }
+                drive(robot, command, 0.2);
             }
             for pair in [(0, 1), (0, 2), (1, 2)] {
                 assert!((robots[pair.0].position - robots[pair.1].position).norm() > 0.4, "{robots:?}");
             }
         }
-        let off_m: [f32; 3] = std::array::from_fn(|own| (robots[own].position - goals[own]).norm());
-        assert!(off_m.iter().all(|off_m| *off_m < 0.1), "all are at their goals: {off_m:?}");
+        std::array::from_fn(|own| (robots[own].position - goals[own]).norm())
+    }
+
+    #[test]
+    fn a_robot_passes_between_two_that_have_parked_too_near_to_each_other() {
+        assert!(off_m(false).iter().all(|off_m| *off_m < 0.1), "all are at their goals: {:?}", off_m(false));
+        assert!(off_m(true)[0] > 3.0, "without the way out of deadlocks it stays before them: {:?}", off_m(true));
     }
 
     #[test]
     fn a_robot_that_gives_way_keeps_its_distance_from_a_wall() {
         let walls = Arc::from([KeepOut { min: Vec2::new(-2.0, -1.0), max: Vec2::new(2.0, 0.0) }]);
-        let (half_extent, period) = (Vec2::repeat(10.0), Span::from_millis(50));
-        let safety = Safety::filter().driving(0.2, 1.0);
-        let settings = Settings { safety, half_extent, walls, limit_m_s: 1.05, clamp: Clamp::Training, period };
-        let mut filter = Filter::new(settings);
+        let mut filter = Filter::new(settings(0.2, walls));
         let (mut robot, mut least_m) = (Motion::at_rest(Vec2::new(0.0, 0.3)), f32::INFINITY);
         for _ in 0..60 {
             let other = Motion::at_rest(robot.position + Vec2::new(0.0, 0.45));
             let command = filter.apply(&robot, [(other, 0.05)].into_iter(), Vec2::zeros()).velocity;
-            for _ in 0..50 {
-                robot.velocity += ((command - robot.velocity) / 0.2).map(|axis| axis.clamp(-1.0, 1.0)) * 1e-3;
-                robot.position += robot.velocity * 1e-3;
-            }
+            drive(&mut robot, command, 0.2);
             least_m = least_m.min(robot.position.y);
         }
         assert!((0.2..0.28).contains(&least_m), "it moves toward the wall, and stops before it: {least_m} m");
