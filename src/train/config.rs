@@ -119,6 +119,11 @@ pub struct Ppo {
     /// Upper limit of the log standard deviation at the beginning and at the end of the training, interpolated
     /// linearly.
     pub log_std_max: [f32; 2],
+    /// Weight in the policy's loss of the squares of the parts of its means beyond `policy.limit_m_s` \[s²/m²\].
+    /// Without it a policy whose robots mostly drive at the limit wants far more, and then no action that is drawn
+    /// tells what less speed brings.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub overshoot: f32,
 }
 
 /// Weights of the terms of a robot's reward in a step. A weight of zero leaves a term out.

@@ -109,6 +109,7 @@ impl Ppo {
         within("ppo.lambda", self.lambda, 0.0, 1.0)?;
         within("ppo.gradient_clip", self.gradient_clip, 1e-6, 1e6)?;
         within("ppo.log_std", self.log_std, -10.0, 2.0)?;
+        within("ppo.overshoot", self.overshoot, 0.0, 1e3)?;
         for at in [0, 1] {
             within("ppo.learning_rate", self.learning_rate[at], 1e-9, 1.0)?;
             within("ppo.entropy", self.entropy[at], 0.0, 1.0)?;

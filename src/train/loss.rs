@@ -23,6 +23,10 @@ pub struct Terms<T> {
     pub entropy: T,
     /// Upper limit of the log standard deviations that the network puts out.
     pub log_std_max: T,
+    /// Weight in the loss of the squares of the parts of the means beyond `limit` \[s²/m²\].
+    pub overshoot: T,
+    /// Largest speed along each axis that robots are commanded \[m/s\].
+    pub limit: T,
 }
 
 /// The policy's loss for one recorded action of one robot, with its derivatives.
@@ -40,8 +44,8 @@ pub struct PolicyLoss<T> {
 }
 
 /// Computes the policy's loss for one recorded action: the clipped surrogate loss (Schulman et al., arXiv 1707.06347,
-/// equation 7) minus the weighted entropy of a diagonal normal distribution. `outputs` are those of the policy's
-/// network now: mean_x, mean_y, log_std_x and log_std_y.
+/// equation 7) minus the weighted entropy of a diagonal normal distribution, plus the price of means beyond the speed
+/// limit. `outputs` are those of the policy's network now: mean_x, mean_y, log_std_x and log_std_y.
 pub fn policy<T: Real>(outputs: &[T], sample: &Sample<T>, terms: &Terms<T>) -> PolicyLoss<T> {
     let half = T::of(0.5);
     let (mut log_density, mut entropy) = (T::zero(), T::zero());
@@ -62,19 +66,19 @@ pub fn policy<T: Real>(outputs: &[T], sample: &Sample<T>, terms: &Terms<T>) -> P
     let (surrogate, clipped) = (ratio * sample.advantage, clipped * sample.advantage);
     // If the clipped term is the smaller one, the loss does not depend on the ratio.
     let d_log_density = if surrogate <= clipped { -surrogate } else { T::zero() };
+    let mut loss = -surrogate.min(clipped) - terms.entropy * entropy;
     let mut d_outputs = [T::zero(); 4];
     for axis in 0..2 {
         d_outputs[axis] = d_log_density * d_mean[axis];
+        // The part beyond the limit, with the mean's sign.
+        let beyond = outputs[axis] - outputs[axis].max(-terms.limit).min(terms.limit);
+        loss = loss + terms.overshoot * beyond * beyond;
+        d_outputs[axis] = d_outputs[axis] + T::of(2.0) * terms.overshoot * beyond;
         if free[axis] {
             d_outputs[2 + axis] = d_log_density * d_log_std[axis] - terms.entropy;
         }
     }
-    PolicyLoss {
-        loss: -surrogate.min(clipped) - terms.entropy * entropy,
-        d_outputs,
-        divergence: ratio - T::one() - log_ratio,
-        entropy,
-    }
+    PolicyLoss { loss, d_outputs, divergence: ratio - T::one() - log_ratio, entropy }
 }
 
 /// Returns the critic's loss for one estimate, half its squared error from `target`, and the derivative of the loss

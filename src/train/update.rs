@@ -102,7 +102,13 @@ pub fn update(
     for (index, record) in records.iter().enumerate() {
         workspace.order.extend((0..record.actor.len() as u32).map(|decision| (index as u32, decision)));
     }
-    let terms = Terms { clip: ppo.clip, entropy, log_std_max: settings.log_std_max };
+    let terms = Terms {
+        clip: ppo.clip,
+        entropy,
+        log_std_max: settings.log_std_max,
+        overshoot: ppo.overshoot,
+        limit: settings.config.policy.limit_m_s,
+    };
     let mut outcome = Outcome::default();
     let mut minibatches = 0.0;
     for _ in 0..ppo.epochs {
