@@ -120,8 +120,7 @@ pub struct Ppo {
     /// linearly.
     pub log_std_max: [f32; 2],
     /// Weight in the policy's loss of the squares of the parts of its means beyond `policy.limit_m_s` \[s²/m²\].
-    /// Without it a policy whose robots mostly drive at the limit wants far more, and then no action that is drawn
-    /// tells what less speed brings.
+    /// It keeps the means where drawn actions differ in the speed that robots are commanded.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub overshoot: f32,
 }

@@ -23,10 +23,10 @@ pub struct Terms<T> {
     pub entropy: T,
     /// Upper limit of the log standard deviations that the network puts out.
     pub log_std_max: T,
-    /// Weight in the loss of the squares of the parts of the means beyond `limit` \[s²/m²\].
+    /// Weight in the loss of the squares of the parts of the means beyond `limit_m_s` \[s²/m²\].
     pub overshoot: T,
     /// Largest speed along each axis that robots are commanded \[m/s\].
-    pub limit: T,
+    pub limit_m_s: T,
 }
 
 /// The policy's loss for one recorded action of one robot, with its derivatives.
@@ -71,9 +71,9 @@ pub fn policy<T: Real>(outputs: &[T], sample: &Sample<T>, terms: &Terms<T>) -> P
     for axis in 0..2 {
         d_outputs[axis] = d_log_density * d_mean[axis];
         // The part beyond the limit, with the mean's sign.
-        let beyond = outputs[axis] - outputs[axis].max(-terms.limit).min(terms.limit);
-        loss = loss + terms.overshoot * beyond * beyond;
-        d_outputs[axis] = d_outputs[axis] + T::of(2.0) * terms.overshoot * beyond;
+        let beyond = outputs[axis] - outputs[axis].max(-terms.limit_m_s).min(terms.limit_m_s);
+        loss += terms.overshoot * beyond * beyond;
+        d_outputs[axis] += T::of(2.0) * terms.overshoot * beyond;
         if free[axis] {
             d_outputs[2 + axis] = d_log_density * d_log_std[axis] - terms.entropy;
         }

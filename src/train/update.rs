@@ -107,7 +107,7 @@ pub fn update(
         entropy,
         log_std_max: settings.log_std_max,
         overshoot: ppo.overshoot,
-        limit: settings.config.policy.limit_m_s,
+        limit_m_s: settings.config.policy.limit_m_s,
     };
     let mut outcome = Outcome::default();
     let mut minibatches = 0.0;

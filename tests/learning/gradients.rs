@@ -43,7 +43,7 @@ fn shapes() -> Vec<Shape> {
 
 /// Returns the sum of both losses over all robots, and its derivatives by the outputs.
 fn lost(outputs: &[f64], samples: &[Sample<f64>]) -> (f64, Vec<f64>) {
-    let terms = Terms { clip: 0.2, entropy: 0.03, log_std_max: 0.4, overshoot: 0.7, limit: 0.2 };
+    let terms = Terms { clip: 0.2, entropy: 0.03, log_std_max: 0.4, overshoot: 0.7, limit_m_s: 0.2 };
     let (mut sum, mut d_outputs) = (0.0, Vec::new());
     for (outputs, sample) in outputs.chunks_exact(4).zip(samples) {
         let found = loss::policy(outputs, sample, &terms);
@@ -109,7 +109,7 @@ fn every_derivative_matches_central_differences() {
 
 #[test]
 fn the_policy_loss_is_flat_where_it_is_clipped_and_where_the_deviation_is_capped() {
-    let terms = Terms { clip: 0.2, entropy: 0.0, log_std_max: -1.0, overshoot: 0.0, limit: 1.0 };
+    let terms = Terms { clip: 0.2, entropy: 0.0, log_std_max: -1.0, overshoot: 0.0, limit_m_s: 1.0 };
     // Much more likely than before, with a positive advantage: clipped.
     let far = Sample { action: [0.0, 0.0], log_density: -5.0f64, advantage: 1.0 };
     assert_eq!(loss::policy(&[0.0, 0.0, -2.0, -2.0], &far, &terms).d_outputs, [0.0; 4]);
@@ -125,7 +125,7 @@ fn a_mean_beyond_the_limit_costs_the_square_of_what_is_beyond() {
     // The advantage is zero, so nothing else has a derivative by the means.
     let sample = Sample { action: [0.0, 0.0], log_density: -2.0f64, advantage: 0.0 };
     let found = |overshoot, mean: [f64; 2]| {
-        let terms = Terms { clip: 0.2, entropy: 0.0, log_std_max: 0.0, overshoot, limit: 1.0 };
+        let terms = Terms { clip: 0.2, entropy: 0.0, log_std_max: 0.0, overshoot, limit_m_s: 1.0 };
         loss::policy(&[mean[0], mean[1], -1.0, -1.0], &sample, &terms)
     };
     let beyond = found(2.0, [1.5, -3.0]);
