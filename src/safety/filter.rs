@@ -237,6 +237,27 @@ mod tests {
     }
 
     #[test]
+    fn a_robot_that_follows_at_once_turns_no_nearer_around_a_corner() {
+        let walls: Arc<[KeepOut]> = Arc::from([KeepOut { min: Vec2::new(-2.0, -0.15), max: Vec2::new(-0.5, 0.15) }]);
+        let mut least_m = f32::INFINITY;
+        for (start, slope) in (0..8).flat_map(|start| (0..12).map(move |slope| (start as f32, slope as f32))) {
+            let mut filter = Filter::new(settings(0.0, Arc::clone(&walls)));
+            let position = Vec2::new(-0.9 - 0.05 * start, -1.3);
+            let mut robot = Motion { position, velocity: Vec2::new(0.8, 0.9) };
+            for step in 0..40 {
+                let wanted = Vec2::new(1.05 - 0.01 * slope * step as f32, 1.0);
+                let command = filter.apply(&robot, [].into_iter(), wanted).velocity;
+                drive(&mut robot, command, 0.0);
+                least_m = least_m.min((walls[0].nearest(robot.position) - robot.position).norm());
+            }
+        }
+        assert!(
+            (0.199..0.25).contains(&least_m),
+            "it passes close to the corner, and no nearer than 0.2 m: {least_m} m"
+        );
+    }
+
+    #[test]
     fn robots_drive_no_faster_than_they_can_stop_after_they_have_heard_each_other() {
         for lag_s in [0.0, 0.5] {
             let (limited, not) = (nearest_m(lag_s, 1.7), nearest_m(lag_s, 10.0));

@@ -21,17 +21,26 @@ pub struct Model {
     lag_s: f32,
     /// Largest acceleration along each axis \[m/s^2\].
     acceleration_m_s2: f32,
-    /// Largest difference of a command from the velocity along each axis \[m/s\] that is not braking.
+    /// Largest difference of a command from the velocity along each axis \[m/s\] that is not braking, as the drive with
+    /// the lag above would need it.
     step_m_s: f32,
+    /// Difference between command and velocity after which the robot's velocity changes within a period as much as that
+    /// of a drive with the lag above does after a difference of 1; below 1 for a robot whose lag is shorter.
+    effort: f32,
 }
 
 impl Model {
     /// Makes the model of a robot with the time constant `lag_s` \[s\] and the largest acceleration `acceleration_m_s2`
-    /// \[m/s^2\]. A lag shorter than three times `period_s` \[s\], for which a command is held, is replaced by that.
+    /// \[m/s^2\]. A lag shorter than three times `period_s` \[s\], for which a command is held, is replaced by that, and
+    /// commands differ from the velocity by so much less that the robot follows them no faster.
     /// Commands that do not brake differ from the velocity by `step_m_s` \[m/s\] at most along each axis.
     pub fn new(lag_s: f32, acceleration_m_s2: f32, period_s: f32, step_m_s: f32) -> Model {
-        let lag_s = lag_s.max(LEAST_LAGS * period_s);
-        Model { lag_s, acceleration_m_s2, step_m_s: step_m_s.min(acceleration_m_s2 * lag_s) }
+        let least_s = LEAST_LAGS * period_s;
+        // Without this, a robot that brakes along one axis turns up to three times as fast as its limits allow for.
+        let effort =
+            if lag_s < least_s { (1.0 / LEAST_LAGS / (1.0 - (-period_s / lag_s).exp())).min(1.0) } else { 1.0 };
+        let lag_s = lag_s.max(least_s);
+        Model { lag_s, acceleration_m_s2, step_m_s: (step_m_s / effort).min(acceleration_m_s2 * lag_s), effort }
     }
 
     /// Returns the vector \[m\] from the position of a robot that moves at `velocity` \[m/s\] to its stopping point.
@@ -85,14 +94,14 @@ impl Model {
     /// velocity `command`, both \[m/s\].
     pub fn advance(&self, velocity: Vec2, command: Vec2) -> Vec2 {
         let most = self.acceleration_m_s2 * self.lag_s;
-        let axis = |v: f32, u: f32| v + (u - v).clamp(-most, most) * self.ratio(v);
+        let axis = |v: f32, u: f32| v + ((u - v) / self.effort).clamp(-most, most) * self.ratio(v);
         Vec2::new(axis(velocity.x, command.x), axis(velocity.y, command.y))
     }
 
     /// Returns the velocity \[m/s\] to command to a robot that moves at `velocity`, so that its stopping point moves at
     /// `advance`, both \[m/s\]: the inverse of the method `advance`.
     pub fn command(&self, velocity: Vec2, advance: Vec2) -> Vec2 {
-        let axis = |v: f32, w: f32| v + (w - v) / self.ratio(v);
+        let axis = |v: f32, w: f32| v + (w - v) / self.ratio(v) * self.effort;
         Vec2::new(axis(velocity.x, advance.x), axis(velocity.y, advance.y))
     }
 
