@@ -35,11 +35,9 @@ impl Model {
     /// and commands differ from the velocity by so much less that the robot follows them no faster.
     /// Commands that do not brake differ from the velocity by `step_m_s` \[m/s\] at most along each axis.
     pub fn new(lag_s: f32, acceleration_m_s2: f32, period_s: f32, step_m_s: f32) -> Model {
-        let least_s = LEAST_LAGS * period_s;
         // Without this, a robot that brakes along one axis turns up to three times as fast as its limits allow for.
-        let effort =
-            if lag_s < least_s { (1.0 / LEAST_LAGS / (1.0 - libm::expf(-period_s / lag_s))).min(1.0) } else { 1.0 };
-        let lag_s = lag_s.max(least_s);
+        let effort = (1.0 / LEAST_LAGS / (1.0 - libm::expf(-period_s / lag_s))).min(1.0);
+        let lag_s = lag_s.max(LEAST_LAGS * period_s);
         Model { lag_s, acceleration_m_s2, step_m_s: (step_m_s / effort).min(acceleration_m_s2 * lag_s), effort }
     }
 
