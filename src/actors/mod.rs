@@ -11,6 +11,7 @@ mod neighbours;
 pub mod network;
 pub mod order;
 pub mod recorder;
+pub mod roster;
 pub mod state_server;
 pub mod status;
 pub mod verdict;

@@ -7,10 +7,11 @@
 
 use std::collections::BTreeSet;
 
+use super::roster::Roster;
 use crate::actor::Core;
 use crate::messages::geometry::Task;
 use crate::messages::ids::{HostId, RobotId};
-use crate::messages::latch::{self, Latch};
+use crate::messages::latch::Latch;
 use crate::messages::wire::{
     Heartbeat, Hindrance, Leading, MAX_BLOCK, MAX_HINDRANCES, Mode, Phase, Round, Status, Stop,
 };
@@ -25,8 +26,6 @@ pub const TICK: Span = Span::from_millis(50);
 pub const MODE_PERIOD: Span = Span::from_millis(100);
 /// Number of times that a new instruction is sent with the tasks of all robots, in case copies are lost.
 pub const NEW_MODE_REPEATS: u32 = 3;
-/// Time without a heartbeat after which a robot counts as missing: five heartbeat periods.
-pub const MISSING_AFTER: Span = Span::from_millis(1000);
 /// Longest wait for missing robots at the start and after an aborted episode; then the team continues without them.
 pub const MUSTER_LIMIT: Span = Span::from_millis(10_000);
 /// Longest duration of a reset; after it, the reset has failed.
@@ -79,7 +78,7 @@ pub struct Config {
 #[derive(Debug)]
 pub struct StateServer {
     config: Config,
-    robots: Vec<Option<(Time, Heartbeat)>>,
+    roster: Roster,
     /// Number of this incarnation of the server; each later one begins with a higher term.
     incarnation: u32,
     /// Whether the server started its episodes without a heartbeat.
@@ -107,7 +106,7 @@ impl StateServer {
     pub fn new(config: Config, robots: usize, incarnation: u32) -> StateServer {
         StateServer {
             config,
-            robots: vec![None; robots],
+            roster: Roster::new(robots),
             incarnation,
             started_unheard: false,
             latch: Latch::default(),
@@ -122,18 +121,6 @@ impl StateServer {
             turn: 0,
             next: Time::ZERO,
         }
-    }
-
-    /// Returns the last heartbeat of each robot; `None` for a missing robot.
-    fn present(&self, now: Time) -> impl Iterator<Item = Option<&Heartbeat>> + Clone {
-        self.robots.iter().map(move |last| {
-            let (at, beat) = last.as_ref()?;
-            (now.since(*at) < MISSING_AFTER).then_some(beat)
-        })
-    }
-
-    fn all_are(&self, now: Time, phase: Phase) -> bool {
-        self.present(now).all(|beat| beat.is_some_and(|beat| beat.round == self.round && beat.phase == phase))
     }
 
     fn enter(&mut self, now: Time, phase: Phase) {
@@ -153,8 +140,8 @@ impl StateServer {
 
     /// Takes the team's state from heartbeats: begins the first episode, or goes on where an earlier server stopped.
     fn take_up(&mut self, now: Time) {
-        let beats: Vec<Heartbeat> = self.present(now).flatten().cloned().collect();
-        let last = self.latest_round(now);
+        let beats: Vec<Heartbeat> = self.roster.present(now).cloned().collect();
+        let last = self.roster.latest_round(now, self.round);
         let term = last.term.saturating_add(1).max(self.incarnation);
         self.round = Round { term, episode: last.episode.min(self.config.layouts.len()) };
         self.started_unheard = beats.is_empty();
@@ -178,7 +165,7 @@ impl StateServer {
 
     /// Takes a later term if a robot follows a later round, because that robot would refuse all earlier ones.
     fn overtake(&mut self, now: Time) {
-        let latest = self.latest_round(now);
+        let latest = self.roster.latest_round(now, self.round);
         if self.round.term == 0 || latest <= self.round {
             return;
         }
@@ -188,17 +175,6 @@ impl StateServer {
             self.round.term = latest.term.saturating_add(1);
             self.sent_at = None;
         }
-    }
-
-    /// Returns the latest round of the present robots, ignoring rounds too far ahead.
-    fn latest_round(&self, now: Time) -> Round {
-        Round::latest(self.round, self.present(now).flatten().map(|beat| beat.round))
-    }
-
-    /// Takes the latest latch of the present robots, ignoring latches too far ahead.
-    fn join_latches(&mut self, now: Time) {
-        let latest = latch::latest(self.latch, self.present(now).flatten().map(|beat| beat.latch));
-        self.latched(latest);
     }
 
     /// Counts a heartbeat with a term or latch number too far ahead, and logs the counts 1, 2, 4, 8, ...
@@ -224,7 +200,7 @@ impl StateServer {
             };
             Some((robot, hindrance))
         };
-        RobotId::team(self.robots.len()).zip(self.present(now)).filter_map(of).take(MAX_HINDRANCES).collect()
+        self.roster.all(now).filter_map(of).take(MAX_HINDRANCES).collect()
     }
 
     fn take_stop(&mut self, now: Time, stop: &Stop, out: &mut Vec<Out>) {
@@ -290,8 +266,7 @@ impl StateServer {
         let is_late = |(_, beat): &(RobotId, Option<&Heartbeat>)| {
             beat.is_none_or(|beat| beat.round != self.round || beat.phase != Phase::FinishedResetting)
         };
-        let team = RobotId::team(self.robots.len()).zip(self.present(now));
-        let late: Vec<RobotId> = team.filter(is_late).map(|(robot, _)| robot).collect();
+        let late: Vec<RobotId> = self.roster.all(now).filter(is_late).map(|(robot, _)| robot).collect();
         let names: Vec<String> = late.iter().map(RobotId::to_string).collect();
         let (episode, names) = (self.round.episode, names.join(", "));
         tracing::warn!("the reset before episode {episode} has failed: {names} not in place");
@@ -307,7 +282,7 @@ impl StateServer {
         if self.leaves {
             return self.wait(now);
         }
-        self.join_latches(now);
+        self.latched(self.roster.latest_latch(now, self.latch));
         self.overtake(now);
         if !self.latch.is_clear() {
             return self.hold(now);
@@ -317,34 +292,36 @@ impl StateServer {
         }
         let since = *self.since.get_or_insert(now);
         let lasted = now.since(since);
-        let everyone = self.present(now).all(|beat| beat.is_some());
-        let gives_up = |beat: &Heartbeat| beat.round == self.round && beat.phase == Phase::AbortRunning;
+        let all_are = |phase| self.roster.all_are(now, self.round, phase);
+        let aborts =
+            if self.phase == Phase::Running { self.roster.reasons_to_abort(now, self.round) } else { Vec::new() };
         match self.phase {
-            Phase::NeedReset if everyone || lasted >= MUSTER_LIMIT => {
+            Phase::NeedReset if self.roster.is_complete(now) || lasted >= MUSTER_LIMIT => {
                 self.take_up(now);
                 if !self.left.is_empty() {
                     self.wait(now);
                 }
             }
-            Phase::Waiting if self.all_are(now, Phase::Waiting) => self.begin(now, self.round.episode),
+            Phase::Waiting if all_are(Phase::Waiting) => self.begin(now, self.round.episode),
             Phase::Waiting if lasted >= MUSTER_LIMIT => {
                 self.since = Some(now);
-                let missing = RobotId::team(self.robots.len()).zip(self.present(now));
-                let missing = missing.filter(|(_, beat)| beat.is_none_or(|beat| beat.phase != Phase::Waiting));
+                let missing =
+                    self.roster.all(now).filter(|(_, beat)| beat.is_none_or(|beat| beat.phase != Phase::Waiting));
                 let names: Vec<String> = missing.map(|(robot, _)| robot.to_string()).collect();
                 tracing::warn!("the team stands and still waits for {}", names.join(", "));
             }
-            Phase::Resetting if self.all_are(now, Phase::FinishedResetting) => self.enter(now, Phase::Running),
+            Phase::Resetting if all_are(Phase::FinishedResetting) => self.enter(now, Phase::Running),
             Phase::Resetting if lasted >= RESET_LIMIT => self.fail_reset(now),
-            Phase::Running if self.all_are(now, Phase::FinishedRunning) => self.begin(now, self.round.episode + 1),
-            Phase::Running if !everyone || self.present(now).flatten().any(gives_up) => {
+            Phase::Running if all_are(Phase::FinishedRunning) => self.begin(now, self.round.episode + 1),
+            Phase::Running if !aborts.is_empty() => {
+                tracing::warn!(episode = self.round.episode, "the episode is aborted: {}", aborts.join(", "));
                 self.enter(now, Phase::AbortRunning);
             }
             Phase::Running if lasted > self.config.limit + GRACE => match self.config.ending {
                 Ending::Arrival => self.enter(now, Phase::AbortRunning),
                 Ending::Time => self.begin(now, self.round.episode + 1),
             },
-            Phase::AbortRunning if self.all_are(now, Phase::NeedReset) || lasted >= MUSTER_LIMIT => {
+            Phase::AbortRunning if all_are(Phase::NeedReset) || lasted >= MUSTER_LIMIT => {
                 self.begin(now, self.round.episode + 1);
             }
             _ => {}
@@ -386,8 +363,7 @@ impl Core for StateServer {
                 if overshoots && !fresh {
                     self.count_beyond_reach(&beat);
                 }
-                if let Some(last) = self.robots.get_mut(beat.robot.index()) {
-                    *last = Some((now, beat));
+                if self.roster.take(now, beat) {
                     self.latched(latch);
                 }
             }

@@ -2,7 +2,7 @@
 //!
 //! The first test is an example to copy for a system of your own.
 
-use murmurate::actors::state_server::MISSING_AFTER;
+use murmurate::actors::roster::MISSING_AFTER;
 use murmurate::faults::{ActorFault, ActorFaultKind, FaultPlan, LinkFault, LinkFaultKind, Role};
 use murmurate::graph::COMMAND_VALIDITY;
 use murmurate::messages::geometry::Vec2;

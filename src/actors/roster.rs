@@ -1,0 +1,114 @@
+//! The last heartbeat of each robot of a team, as a state server knows them.
+
+use crate::messages::ids::RobotId;
+use crate::messages::latch::{self, Latch};
+use crate::messages::wire::{Heartbeat, Phase, Round};
+use crate::time::{Span, Time};
+
+/// Time without a heartbeat after which a robot counts as missing: five heartbeat periods.
+pub const MISSING_AFTER: Span = Span::from_millis(1000);
+
+/// Last heartbeat of each robot, by its id, with the time at which it arrived.
+#[derive(Debug)]
+pub(super) struct Roster(Vec<Option<(Time, Heartbeat)>>);
+
+impl Roster {
+    /// Returns the roster of a team of `robots` before any heartbeat.
+    pub(super) fn new(robots: usize) -> Roster {
+        Roster(vec![None; robots])
+    }
+
+    /// Takes a heartbeat that arrived at time `now`. Returns whether it is of a robot of the team.
+    pub(super) fn take(&mut self, now: Time, beat: Heartbeat) -> bool {
+        let last = self.0.get_mut(beat.robot.index());
+        last.map(|last| *last = Some((now, beat))).is_some()
+    }
+
+    /// Returns the last heartbeat of each robot, in the order of their ids; `None` for a missing robot.
+    fn heard(&self, now: Time) -> impl Iterator<Item = Option<&Heartbeat>> + Clone {
+        self.0.iter().map(move |last| {
+            let (at, beat) = last.as_ref()?;
+            (now.since(*at) < MISSING_AFTER).then_some(beat)
+        })
+    }
+
+    /// Returns each robot with its last heartbeat; `None` for a missing robot.
+    pub(super) fn all(&self, now: Time) -> impl Iterator<Item = (RobotId, Option<&Heartbeat>)> {
+        RobotId::team(self.0.len()).zip(self.heard(now))
+    }
+
+    /// Returns the last heartbeats of the robots that are not missing.
+    pub(super) fn present(&self, now: Time) -> impl Iterator<Item = &Heartbeat> + Clone {
+        self.heard(now).flatten()
+    }
+
+    /// Returns whether no robot is missing.
+    pub(super) fn is_complete(&self, now: Time) -> bool {
+        self.heard(now).all(|beat| beat.is_some())
+    }
+
+    /// Returns whether no robot is missing and all are in `phase` of `round`.
+    pub(super) fn all_are(&self, now: Time, round: Round, phase: Phase) -> bool {
+        self.heard(now).all(|beat| beat.is_some_and(|beat| beat.round == round && beat.phase == phase))
+    }
+
+    /// Returns the latest of `round` and those of the present robots, ignoring rounds too far ahead.
+    pub(super) fn latest_round(&self, now: Time, round: Round) -> Round {
+        Round::latest(round, self.present(now).map(|beat| beat.round))
+    }
+
+    /// Returns the latest of `latch` and those of the present robots, ignoring latches too far ahead.
+    pub(super) fn latest_latch(&self, now: Time, latch: Latch) -> Latch {
+        latch::latest(latch, self.present(now).map(|beat| beat.latch))
+    }
+
+    /// Returns why the running episode of `round` has to be aborted: each robot that is missing or gives up. Empty if
+    /// it goes on.
+    pub(super) fn reasons_to_abort(&self, now: Time, round: Round) -> Vec<String> {
+        let of = |(robot, beat): (RobotId, Option<&Heartbeat>)| match beat {
+            None => Some(format!("{robot} has not been heard for {} s", MISSING_AFTER.as_secs())),
+            Some(beat) if beat.round == round && beat.phase == Phase::AbortRunning => {
+                Some(format!("{robot} has stopped and gives up"))
+            }
+            Some(_) => None,
+        };
+        self.all(now).filter_map(of).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ROUND: Round = Round { term: 1, episode: 0 };
+
+    fn heard(phases: [Phase; 2], at: Time) -> Roster {
+        let mut roster = Roster::new(2);
+        for (robot, phase) in RobotId::team(2).zip(phases) {
+            assert!(roster.take(at, Heartbeat { robot, round: ROUND, phase, latch: Latch::default() }));
+        }
+        roster
+    }
+
+    #[test]
+    fn a_reason_to_abort_names_the_robot() {
+        let roster = heard([Phase::Running, Phase::AbortRunning], Time::ZERO);
+        assert_eq!(roster.reasons_to_abort(Time::ZERO, ROUND), ["robot 1 has stopped and gives up"]);
+        let later = Round { episode: 1, ..ROUND };
+        assert!(roster.reasons_to_abort(Time::ZERO, later).is_empty(), "it gave up in an earlier episode");
+        let mut roster = heard([Phase::Running; 2], Time::ZERO);
+        assert!(roster.reasons_to_abort(Time::ZERO, ROUND).is_empty());
+        let late = Time::ZERO + MISSING_AFTER;
+        let running = Heartbeat { robot: RobotId(1), round: ROUND, phase: Phase::Running, latch: Latch::default() };
+        roster.take(late, running);
+        assert_eq!(roster.reasons_to_abort(late, ROUND), ["robot 0 has not been heard for 1 s"]);
+    }
+
+    #[test]
+    fn a_robot_that_is_not_of_the_team_is_not_taken() {
+        let mut roster = heard([Phase::Running; 2], Time::ZERO);
+        let stranger = Heartbeat { robot: RobotId(2), round: ROUND, phase: Phase::Waiting, latch: Latch::default() };
+        assert!(!roster.take(Time::ZERO, stranger));
+        assert!(roster.all_are(Time::ZERO, ROUND, Phase::Running));
+    }
+}
