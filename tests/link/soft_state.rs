@@ -1,13 +1,18 @@
 //! Cost and effect of soft state in teams of 5, 50 and 200: bytes a second, time to join, time until senders know of
-//! loss, and continued acceptance.
+//! loss, and continued acceptance. Its rate beside data that it cannot join.
 
 use std::collections::BTreeSet;
 
-use crate::rig::{Flight, Rig, heartbeat, latent, report};
-use murmurate::messages::wire::Kind;
+use crate::rig::{Flight, LINK, Rig, TEAM, heartbeat, key, latent, report};
+use murmurate::actors::network::{Config, Identity};
+use murmurate::messages::geometry::{Motion, Task};
+use murmurate::messages::ids::{HostId, RobotId};
+use murmurate::messages::latch::Latch;
+use murmurate::messages::wire::{Kind, Mode, Phase, Reading, Round, Wire};
 use murmurate::net::protocol::codec::TAG_BYTES;
 use murmurate::net::protocol::codec::{self, Content, HEADER_BYTES};
-use murmurate::net::protocol::reliability::Reliabilities;
+use murmurate::net::protocol::reliability::{Reliabilities, Setup};
+use murmurate::net::protocol::router::{Audience, Route, Router};
 use murmurate::time::Span;
 
 /// Budget of soft state of a host \[bytes/s\]: UDP payload with tags, without `Mode`.
@@ -107,4 +112,43 @@ fn soft_state_keeps_its_budget_and_works_in_teams_of_any_size() {
         });
         assert_eq!(least, pairs, "{hosts} hosts: none ceases to be accepted at 30 % loss");
     }
+}
+
+/// Returns one of two hosts on an addressed link: host 0 sends readings to host 1 alone, and instructions to all.
+fn of_server(host: u16) -> Config {
+    let router = Router::new(2, |kind, _| match kind {
+        Kind::Reading | Kind::Mode => {
+            let to = if kind == Kind::Mode { Audience::All } else { Audience::Host(HostId(1)) };
+            Route { local: host == 1, leaves: (host == 0).then_some((LINK, to)) }
+        }
+        _ => Route::default(),
+    });
+    let me = Identity { host: HostId(host), team: TEAM, incarnation: 1 };
+    Config { me, key: Some(key()), links: vec![Some(Setup::unicast(Reliabilities::new()))], router }
+}
+
+#[test]
+fn instructions_to_all_do_not_wait_for_data_to_one_host() {
+    let mut rig = Rig::new((0..2).map(of_server));
+    rig.run_ms(2500);
+    let task = Task { start: Motion::default().position, goal: Motion::default().position };
+    let instruction = |episode| Mode {
+        round: Round { term: 1, episode },
+        repeat: 0,
+        phase: Phase::Running,
+        first: RobotId(1),
+        tasks: vec![task].into(),
+        latch: Latch::default(),
+    };
+    // An instruction beside every third reading, a moment before one that waits would be due, which it would replace.
+    for number in 0..300 {
+        if number % 3 == 0 {
+            rig.publish(0, Wire::Mode(instruction(number as u32)));
+        }
+        rig.publish(0, Wire::Reading(Reading::of_point(RobotId(1), number, Motion::default())));
+        rig.run_ms(33);
+    }
+    let arrived = |kind| rig.delivered[1].iter().filter(|(_, message)| message.kind() == kind).count();
+    assert_eq!(arrived(Kind::Reading), 300);
+    assert!(arrived(Kind::Mode) >= 99, "{} of 100 instructions have arrived in time", arrived(Kind::Mode));
 }

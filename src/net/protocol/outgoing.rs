@@ -21,8 +21,8 @@ use crate::messages::wire::{Kind, Wire};
 use crate::time::{Span, Time};
 
 /// Longest time that soft state (repeated messages: instructions, heartbeats, telemetry) waits for a datagram with data
-/// to which it can be appended. It does not wait if the last datagram with data was sent longer ago than this. With
-/// data twelve times a second, all soft state is appended.
+/// to which it can be appended, one to the same receivers. It does not wait if the last of these was sent longer ago
+/// than this. With data twelve times a second, all soft state is appended.
 pub const PIGGYBACK_WAIT: Span = Span::from_millis(100);
 /// Smallest interval between datagrams that contain only soft state (repeated messages); half of it if they contain an
 /// instruction of the state server.
@@ -62,7 +62,8 @@ pub struct Outgoing {
     /// Time since which the soft state had been waiting that was last sent in a datagram of its own. The next period
     /// counts from there, so that waits do not add up.
     soft_sent: Option<Time>,
-    data_sent: Option<Time>,
+    /// For each set of receivers, the time at which data was last sent to it.
+    data_sent: BTreeMap<Audience, Time>,
     report_sent: Option<Time>,
     report_due: Option<Time>,
     /// Whether another host waits for a report.
@@ -94,7 +95,7 @@ impl Outgoing {
             soft_due: None,
             soft_since: None,
             soft_sent: None,
-            data_sent: None,
+            data_sent: BTreeMap::new(),
             report_sent: None,
             report_due,
             report_pending: false,
@@ -126,7 +127,7 @@ impl Outgoing {
         let frame = codec::encode(&self.header(audience, flags), message)?;
         if soft && self.setup.piggyback != Piggyback::Never {
             self.soft.insert(stream, (audience, frame.clone()));
-            self.plan_soft(now);
+            self.plan_soft(now, audience);
             self.send_soft(now, incoming, counts, out);
             return Ok(frame);
         }
@@ -145,7 +146,7 @@ impl Outgoing {
             counts.soft += 1;
         } else {
             counts.sent += 1;
-            self.data_sent = Some(now);
+            self.data_sent.insert(audience, now);
         }
         Ok(frame)
     }
@@ -295,10 +296,10 @@ impl Outgoing {
         }
     }
 
-    fn plan_soft(&mut self, now: Time) {
+    fn plan_soft(&mut self, now: Time, audience: Audience) {
         let modes = self.soft.keys().any(|(kind, _)| *kind == Kind::Mode);
         let period = if modes { Span::from_nanos(SOFT_PERIOD.as_nanos() / 2) } else { SOFT_PERIOD };
-        let flows = self.data_sent.is_some_and(|sent| now.since(sent) < PIGGYBACK_WAIT);
+        let flows = self.data_sent.get(&audience).is_some_and(|sent| now.since(*sent) < PIGGYBACK_WAIT);
         let wait = if flows { now + PIGGYBACK_WAIT } else { now };
         let due = self.soft_sent.map_or(wait, |sent| wait.max(sent + period));
         self.soft_due = Some(self.soft_due.map_or(due, |before| before.min(due)));

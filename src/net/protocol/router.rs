@@ -8,7 +8,7 @@ use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{Condition, KINDS, Kind, Wire};
 
 /// Hosts that a datagram is for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Audience {
     /// Every other host on the link.
     All,
