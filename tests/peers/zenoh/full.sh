@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Teams over the transport `zenoh` through a real Zenoh router, beside UDP multicast at the same loss: whole episodes, delivery, a
-# router that is killed for 2 s, and `stop` and `doctor` from a machine of their own. Exit code 1 if a bar is missed.
+# Teams over the transport `zenoh` through a real Zenoh router, on `udp/` and on encrypted `quic/`, beside UDP multicast at the same
+# loss: whole episodes, delivery, a router that is killed for 2 s, and `stop` and `doctor` from a machine of their own. Exit code 1
+# if a bar is missed.
 #
 #   bash tests/peers/zenoh/full.sh PYTHON MURMURATE [EPISODES]
 #
@@ -10,7 +11,7 @@
 set -euo pipefail
 here=$(realpath "$(dirname "$0")")
 python=$1 program=$(realpath "$2") episodes=${3:-16} missed=0
-router_at=10.83.0.1 port=7447 loss=20
+router_at=10.83.0.1 port=7447 quic_port=7448 loss=20
 work=$(mktemp -d)
 spaces=() router= launch=
 
@@ -75,8 +76,26 @@ losses() { # NAMESPACE...
             END { printf "%d of %d packets were lost (%.1f %%)\n", n[1], n[0], n[0] ? 100 * n[1] / n[0] : 0 }'
 }
 
+# A certificate of the router's address, signed by an authority of its own, and Zenoh's configuration files with them.
+certify() {
+    cd "$work"
+    openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 2 -subj /CN=authority \
+        -keyout authority.key -out authority.pem
+    openssl req -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -subj /CN=router -keyout router.key -out router.csr
+    openssl x509 -req -in router.csr -CA authority.pem -CAkey authority.key -days 2 -out router.pem \
+        -extfile <(echo "subjectAltName = IP:$router_at")
+    cat >router.json5 <<END
+{ transport: { link: { tls: { listen_private_key: "$work/router.key", listen_certificate: "$work/router.pem" } } } }
+END
+    cat >client.json5 <<END
+{ transport: { link: { tls: { root_ca_certificate: "$work/authority.pem" } } } }
+END
+    cd - >/dev/null
+}
+
 start_router() {
-    nice -n -15 ip netns exec zn-router "$python" "$here/router.py" "udp/$router_at:$port" >"$work/router.log" 2>&1 &
+    nice -n -15 ip netns exec zn-router "$python" "$here/router.py" "$work/router.json5" \
+        "udp/$router_at:$port" "quic/$router_at:$quic_port?mixed_rel=1" >"$work/router.log" 2>&1 &
     router=$!
 }
 
@@ -93,6 +112,10 @@ team() { # MODE TRANSPORT LINK...
         echo "[link.$link]"
         case $transport in
         zenoh) echo 'transport = "zenoh"' && echo "connect = \"udp/$router_at:$port\"" ;;
+        quic)
+            echo 'transport = "zenoh"' && echo 'config = "client.json5"'
+            echo "connect = \"quic/$router_at:$quic_port?mixed_rel=1\""
+            ;;
         multicast) echo 'interface = "zn0"' && echo "group = \"239.255.83.$number:7783\"" ;;
         esac
     done
@@ -117,26 +140,38 @@ field() { # NAME FIELD
     "$python" -c 'import json, sys; print(json.load(open(sys.argv[1]))[sys.argv[2]])' "$work/$1.json" "$2"
 }
 
-# Whole episodes of one mode, on multicast and on Zenoh.
+# Whole episodes of one mode on one transport. Prints why episodes were aborted.
+episodes() { # MODE TRANSPORT LINK...
+    local mode=$1 transport=$2
+    shift 2
+    local name=$mode-$transport
+    team "$mode" "$transport" "$@" >"$work/$name.toml"
+    local lossy=(router)
+    [ "$transport" != multicast ] || lossy=(world robot-{0..4} agent-{0..4})
+    lossy $loss "${lossy[@]}"
+    begin "$name" --set "episodes=$episodes"
+    finish "$name"
+    losses "${lossy[@]}"
+    lossy 0 "${lossy[@]}"
+    echo "$mode over $transport, $loss % lost: $(field "$name" successes) of $episodes succeed," \
+        "$(field "$name" aborted) aborted, makespan $(field "$name" makespan_median_s) s"
+    grep -o 'the episode is aborted: .*' "$work/$name.log" || true
+    "$python" "$here/figures.py" delivery "$program" "$work/$name" || miss "$name: no latents"
+}
+
+# Misses if more episodes of a mode were aborted on a transport than on multicast.
+no_more_aborts() { # MODE TRANSPORT
+    local extra=$(($(field "$1-$2" aborted) - $(field "$1-multicast" aborted)))
+    [ "$extra" -le 0 ] || miss "$1: $extra more episodes aborted on $2 than on multicast"
+}
+
+# Whole episodes of one mode, on multicast and on Zenoh's `udp/`.
 compare() { # MODE LINK...
-    local mode=$1 transport
+    local mode=$1
     shift
-    for transport in multicast zenoh; do
-        local name=$mode-$transport
-        team "$mode" "$transport" "$@" >"$work/$name.toml"
-        local lossy=(router)
-        [ "$transport" != multicast ] || lossy=(world robot-{0..4} agent-{0..4})
-        lossy $loss "${lossy[@]}"
-        begin "$name" --set "episodes=$episodes"
-        finish "$name"
-        losses "${lossy[@]}"
-        lossy 0 "${lossy[@]}"
-        echo "$mode over $transport, $loss % lost: $(field "$name" successes) of $episodes succeed," \
-            "$(field "$name" aborted) aborted, makespan $(field "$name" makespan_median_s) s"
-        "$python" "$here/figures.py" delivery "$program" "$work/$name"
-    done
-    local extra=$(($(field "$mode-zenoh" aborted) - $(field "$mode-multicast" aborted)))
-    [ "$extra" -le 0 ] || miss "$mode: $extra more episodes aborted on Zenoh than on multicast"
+    episodes "$mode" multicast "$@"
+    episodes "$mode" zenoh "$@"
+    no_more_aborts "$mode" zenoh
 }
 
 # Waits until a team has finished so many episodes.
@@ -199,9 +234,13 @@ operators() {
 
 build
 "$program" key new --out "$work/team.key" >/dev/null 2>&1
+certify >"$work/certify.log" 2>&1
 start_router
 compare offboard loopback infra
 compare onboard-infra infra wires
 outage
 operators
+# The same, encrypted.
+episodes onboard-infra quic infra wires
+no_more_aborts onboard-infra quic
 exit $missed

@@ -10,7 +10,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::thread;
 use std::time::Duration;
 
-use super::session::{Shared, TO_ALL, Worker, configuration, reach};
+use super::session::{Shared, TO_ALL, Worker, awaits, configuration, mode, reach};
 use super::{SessionConfig, Streams};
 use crate::edge::{self, Gate};
 use crate::messages::ids::HostId;
@@ -26,18 +26,12 @@ const CLOSING: Duration = Duration::from_millis(300);
 /// Longest wait of a check for a router to answer.
 const CHECKING: Duration = Duration::from_millis(6000);
 
-impl SessionConfig {
-    /// Whether the session waits for others to connect, so that it opens without a router.
-    fn awaits(&self) -> bool {
-        self.mode.as_deref().is_some_and(|mode| mode != "client")
-    }
-}
-
 /// Opens the session of `host` on a thread of its own. Goes on without a router, which may come later.
 pub(super) fn open(config: &SessionConfig, host: HostId) -> Result<Box<dyn Transport>, OpenError> {
     let zenoh = configuration(config).map_err(OpenError::Wrong)?;
     let (gate, port) = edge::channel().map_err(|error| OpenError::NotNow(error.to_string()))?;
     let shared = Arc::new(Shared::default());
+    let waits = awaits(&zenoh);
     let worker = Worker { config: config.clone(), zenoh, host, shared: Arc::clone(&shared) };
     let ((opened_tx, opened), (ended_tx, ended)) = (sync_channel(1), sync_channel::<()>(1));
     let run = move || {
@@ -49,7 +43,7 @@ pub(super) fn open(config: &SessionConfig, host: HostId) -> Result<Box<dyn Trans
     match opened.recv_timeout(OPENING) {
         Ok(Ok(())) => tracing::info!(key = config.key, "the Zenoh session of a link is open"),
         // It cannot listen: this does not get better by itself.
-        Ok(Err(why)) if config.awaits() => return Err(OpenError::NotNow(format!("Zenoh: {why}"))),
+        Ok(Err(why)) if waits => return Err(OpenError::NotNow(format!("Zenoh: {why}"))),
         _ => tracing::warn!("no Zenoh router answers at {} yet; going on without", config.connect.join(", ")),
     }
     Ok(Box::new(Link { gate: Some(gate), shared, ended, looked: Time::ZERO, flood: Flood::default(), unsent: 0 }))
@@ -63,20 +57,25 @@ pub(super) fn check(config: &SessionConfig, link: &str) -> Vec<Finding> {
         Err(why) => return vec![fail(why, format!("mend it, or the fields of link.{link}"))],
     };
     let (tx, rx) = sync_channel(1);
+    let (waits, mode) = (awaits(&zenoh), mode(&zenoh));
     thread::spawn(move || tx.send(reach(&zenoh)));
     let places = if config.connect.is_empty() { &config.listen } else { &config.connect }.join(", ");
     let mut found = vec![match rx.recv_timeout(CHECKING) {
-        Ok(Ok((0, 0))) if config.awaits() => Finding::ok("Zenoh", format!("session open, {places}: none here yet")),
+        Ok(Ok((0, 0))) if waits => Finding::ok("Zenoh", format!("session open, {places}: none here yet")),
         Ok(Ok((0, 0))) | Err(_) => fail(
             format!("no router answers at {places}"),
             format!("does a Zenoh router run there, and let UDP through? See link.{link}.connect"),
         ),
+        Ok(Ok((routers @ 1.., _))) if mode == "peer" => Finding {
+            fitness: Fitness::Warn,
+            what: "Zenoh",
+            found: format!("session by {places} as a peer of {routers} routers, which pass nothing on between peers"),
+            advice: format!("choose link.{link}.mode = \"client\", unless all peers connect to each other"),
+        },
         Ok(Ok((routers, peers))) => {
             Finding::ok("Zenoh", format!("session by {places}: {routers} routers, {peers} peers"))
         }
-        Ok(Err(why)) if config.awaits() => {
-            fail(why, "stop what listens there; is this host running already?".to_owned())
-        }
+        Ok(Err(why)) if waits => fail(why, "stop what listens there; is this host running already?".to_owned()),
         Ok(Err(why)) => fail(
             format!("no session by {places}: {why}"),
             format!("does a Zenoh router run there, and let UDP through? See link.{link}.connect"),

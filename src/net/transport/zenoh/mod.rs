@@ -55,7 +55,8 @@ pub enum Streams {
 pub struct SessionConfig {
     /// Prefix of the keys under which frames are published: `murmurate`, the team's number and the link's name.
     pub key: String,
-    /// Mode of the session: `client`, `peer` or `router`; `None` for that of the file `config`.
+    /// Mode of the session: `client`, `peer` or `router`; `None` for that of the file `config`, or
+    /// `client` where it has none.
     pub mode: Option<String>,
     /// Endpoints that the session connects to, such as `udp/10.0.0.1:7447`; empty for those of the file `config`.
     pub connect: Vec<String>,
@@ -93,7 +94,7 @@ fn read(settings: &LinkSettings) -> Result<Arc<dyn Endpoint>, ConfigError> {
     let text = |field: &str| settings.find(field).map(|value| value.text().to_owned());
     let streams = if text("streams").as_deref() == Some("allow") { Streams::Allow } else { Streams::Refuse };
     let config = text("config").map(PathBuf::from);
-    // A file of Zenoh's own has its mode.
+    // A file of Zenoh's own may have a mode.
     let mode = text("mode").or_else(|| config.is_none().then(|| "client".to_owned()));
     let endpoints = |field: &str| {
         // `none` takes back what the table of the whole team says.

@@ -31,7 +31,7 @@ const FIRST_REFRESH: Duration = Duration::from_millis(250);
 /// Settings in place of Zenoh's defaults, where its own file leaves them out. There is no discovery, since a team file
 /// says where everyone is. A handshake of which a packet is lost is repeated after a second and not after ten, a
 /// connection that has broken is set up again within 0.2 s, and a peer that is silent for two seconds counts as gone.
-/// Zenoh's default for `listen` is a stream.
+/// Zenoh's default for `listen` is a stream. Its default mode is `peer`, between which a router passes nothing on.
 const DEFAULTS: [(&str, &str); 6] = [
     ("scouting/multicast/enabled", "false"),
     ("transport/unicast/open_timeout", "1000"),
@@ -65,7 +65,8 @@ pub(super) fn configuration(from: &SessionConfig) -> Result<Config, String> {
         }
     }
     let list = |endpoints: &[String]| serde_json::to_string(endpoints).expect("texts are JSON");
-    if let Some(mode) = &from.mode {
+    let has_mode = from.mode.is_some() || !left_out(&config, "mode");
+    if let Some(mode) = from.mode.as_deref().or((!has_mode).then_some("client")) {
         set(&mut config, "mode", &format!("\"{mode}\""))?;
     }
     if !from.connect.is_empty() {
@@ -81,8 +82,21 @@ pub(super) fn configuration(from: &SessionConfig) -> Result<Config, String> {
             .iter()
             .try_for_each(|one| check_endpoint(one, from.streams))
             .map_err(|why| format!("{key}: {why}"))?;
+        if key == "listen/endpoints" && !has_mode && !texts(&all).is_empty() {
+            return Err(format!("{key}: a session that listens needs a mode, \"peer\" or \"router\""));
+        }
     }
     Ok(config)
+}
+
+/// Returns the mode of a session: `client`, `peer` or `router`.
+pub(super) fn mode(config: &Config) -> String {
+    config.get_json("mode").unwrap_or_default().trim_matches('"').to_owned()
+}
+
+/// Whether a session waits for others to connect, so that it opens without a router.
+pub(super) fn awaits(config: &Config) -> bool {
+    mode(config) != "client"
 }
 
 /// Returns the reason of an error of the library without the place in its source.
@@ -276,13 +290,17 @@ mod tests {
             assert_eq!(of(&config, "mode"), if file.is_some() { "\"peer\"" } else { "\"client\"" });
         }
         let (config, _folder) = session(Some("{ scouting: { multicast: { enabled: true } } }"));
-        assert_eq!(of(&config.unwrap(), "scouting/multicast/enabled"), "true", "the file says so");
+        let config = config.unwrap();
+        assert_eq!(of(&config, "scouting/multicast/enabled"), "true", "the file says so");
+        assert_eq!(of(&config, "mode"), "\"client\"", "a router passes nothing on between peers");
     }
 
     #[test]
     fn streams_and_mistakes_in_a_file_of_zenoh_are_refused() {
         let (config, _folder) = session(Some("{ connect: { endpoints: { client: [\"tcp/10.0.0.1:7447\"] } } }"));
         assert!(config.unwrap_err().starts_with("connect/endpoints: 'tcp/10.0.0.1:7447' is a stream"));
+        let (config, _folder) = session(Some("{ listen: { endpoints: [\"udp/10.0.0.1:7447\"] } }"));
+        assert!(config.unwrap_err().starts_with("listen/endpoints: a session that listens needs a mode"));
         let (config, _folder) = session(Some("{ conect: {} }"));
         let why = config.unwrap_err();
         assert!(why.contains("zenoh.json5") && !why.contains(".rs:"), "{why}");
