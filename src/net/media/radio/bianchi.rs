@@ -40,6 +40,11 @@ fn attempt(p: f64, window: f64, stages: i32) -> f64 {
 }
 
 impl Saturation {
+    /// Returns the number of frames that all stations together transmit per second \[1/s\], with those that collide.
+    pub fn transmitted_per_s(&self) -> f64 {
+        self.frames_per_s / (1.0 - self.collision)
+    }
+
     /// Solves Bianchi's model of a saturated channel for `stations` stations with unlimited retries. The initial
     /// contention window has `window` slots and is doubled at most `stages` times. `lengths` has the time intervals of
     /// the channel.
