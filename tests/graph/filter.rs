@@ -202,8 +202,9 @@ impl Bench {
 /// Runs teams for `steps` steps of 50 ms in total, with each wish and each world in turn. Returns the least distances.
 fn run(steps: u32, drive: &Settings) -> (f32, f32) {
     // The clamp of the training lets robots brake at the limit of their acceleration.
-    let braking = [0.5, 0.25, 0.1, 0.0].map(|lag_s| (Clamp::Training, lag_s));
-    let worlds = [[0.5, 0.25, 0.8, 0.1].map(|lag_s| (Clamp::Deployed, lag_s)), braking].concat();
+    let braking = [0.5, 0.25, 0.1, 0.05, 0.02, 0.0].map(|lag_s| (Clamp::Training, lag_s));
+    let deployed = [0.5, 0.25, 0.8, 0.1].map(|lag_s| (Clamp::Deployed, lag_s));
+    let worlds = [&deployed[..], &braking[..]].concat();
     let wishes = [Wish::Jitter, Wish::Wander, Wish::Chase, Wish::Ram, Wish::Mixed];
     let (mut least, length) = ((f32::INFINITY, f32::INFINITY), 400);
     for episode in 0..steps / length {
