@@ -248,13 +248,13 @@ impl Environments {
     /// robot of all teams, limited to `limit_m_s` along each axis. `weights` are those of the reward's terms.
     pub fn step(&mut self, team: usize, actions: &[Vec2], weights: &Reward, limit_m_s: f32, stream: &mut Stream) {
         let range = self.teams[team].range();
-        let weights = &weights.in_episode(self.teams[team].episode.filtered);
-        let (judged, clamp) = (self.is_judged(team), self.teams[team].episode.clamp);
+        let Episode { filtered, clamp, lockstep, .. } = self.teams[team].episode;
+        let weights = &weights.in_episode(filtered);
+        let (judged, exact) = (self.is_judged(team), lockstep || clamp == Clamp::Training);
         for (robot, action) in range.clone().zip(&actions[range.clone()]) {
-            let exact = self.teams[team].episode.lockstep || clamp == Clamp::Training;
             let measured = if exact { self.point(robot).velocity } else { self.estimate(team, robot).velocity };
             let wanted = clamp.limit(*action, measured, limit_m_s);
-            self.command[robot] = self.filtered(team, robot, wanted);
+            self.command[robot] = if filtered { self.filtered(team, robot, wanted) } else { wanted };
         }
         let scenario = &**self.scenarios[self.teams[team].robots].as_ref().expect("every team has a scenario");
         let mut world = kinematic::Team {

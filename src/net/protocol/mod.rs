@@ -22,5 +22,6 @@ pub mod retransmit;
 pub mod router;
 pub mod sender;
 pub mod senders;
+pub mod soft;
 mod unpack;
 pub mod window;

@@ -16,17 +16,11 @@ use super::report::{DatagramId, write_held, write_ids};
 use super::report_schedule::Occasion;
 use super::retransmit::{Retransmitter, StreamId, Untagged};
 use super::router::Audience;
+use super::soft::Soft;
 use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Wire};
 use crate::time::{Span, Time};
 
-/// Longest time that soft state (repeated messages: instructions, heartbeats, telemetry) waits for a datagram with data
-/// to which it can be appended, one to the same receivers. It does not wait if the last of these was sent longer ago
-/// than this. With data twelve times a second, all soft state is appended.
-pub const PIGGYBACK_WAIT: Span = Span::from_millis(100);
-/// Smallest interval between datagrams that contain only soft state (repeated messages); half of it if they contain an
-/// instruction of the state server.
-pub const SOFT_PERIOD: Span = Span::from_millis(200);
 /// Longest time between two link reports of a host on a link; then the next one is sent, in a datagram of its own if
 /// need be.
 pub const REPORT_PERIOD: Span = Span::from_millis(250);
@@ -54,14 +48,7 @@ pub struct Outgoing {
     to_all: u32,
     direct: BTreeMap<HostId, u32>,
     retransmitter: Retransmitter,
-    /// Pending soft state: for each stream the receivers of its newest message and its encoding.
-    soft: BTreeMap<StreamId, (Audience, Frame)>,
-    soft_due: Option<Time>,
-    /// Time since which soft state is pending; `None` if there is none.
-    soft_since: Option<Time>,
-    /// Time since which the soft state had been waiting that was last sent in a datagram of its own. The next period
-    /// counts from there, so that waits do not add up.
-    soft_sent: Option<Time>,
+    soft: Soft,
     /// For each set of receivers, the time at which data was last sent to it.
     data_sent: BTreeMap<Audience, Time>,
     report_sent: Option<Time>,
@@ -83,6 +70,7 @@ impl Outgoing {
     pub fn new(me: Header, link: LinkId, key: Option<Key>, setup: Setup, first_report: Span) -> Outgoing {
         let report_due = (setup.reports == Reports::On).then_some(Time::ZERO + first_report);
         let numbered = key.is_some() && setup.is_addressed();
+        let soft = Soft::new(setup.repeats_heartbeats);
         Outgoing {
             me,
             link,
@@ -91,10 +79,7 @@ impl Outgoing {
             to_all: 0,
             direct: BTreeMap::new(),
             retransmitter: Retransmitter::default(),
-            soft: BTreeMap::new(),
-            soft_due: None,
-            soft_since: None,
-            soft_sent: None,
+            soft,
             data_sent: BTreeMap::new(),
             report_sent: None,
             report_due,
@@ -126,8 +111,7 @@ impl Outgoing {
         let flags = if reliability == Reliability::Ack { Flags::ACK } else { 0 };
         let frame = codec::encode(&self.header(audience, flags), message)?;
         if soft && self.setup.piggyback != Piggyback::Never {
-            self.soft.insert(stream, (audience, frame.clone()));
-            self.plan_soft(now, audience);
+            self.soft.put(now, stream, (audience, frame.clone()), self.data_sent.get(&audience).copied());
             self.send_soft(now, incoming, counts, out);
             return Ok(frame);
         }
@@ -209,17 +193,7 @@ impl Outgoing {
     /// Appends all pending blocks that have the same receivers and fit into the datagram.
     fn piggyback(&mut self, now: Time, audience: Audience, bytes: &mut Vec<u8>, incoming: &mut Incoming) {
         let any = self.setup.piggyback == Piggyback::Any;
-        self.soft.retain(|_, (to, frame)| {
-            let block = &frame[HEADER_BYTES..];
-            let fits = *to == audience && bytes.len() + block.len() <= MAX_PLAIN_BYTES;
-            if fits {
-                bytes.extend_from_slice(block);
-            }
-            !fits
-        });
-        if self.soft.is_empty() {
-            (self.soft_due, self.soft_since) = (None, None);
-        }
+        self.soft.add_to(now, audience, bytes);
         if any {
             self.acks.add_to(bytes);
         }
@@ -296,32 +270,12 @@ impl Outgoing {
         }
     }
 
-    fn plan_soft(&mut self, now: Time, audience: Audience) {
-        let modes = self.soft.keys().any(|(kind, _)| *kind == Kind::Mode);
-        let period = if modes { Span::from_nanos(SOFT_PERIOD.as_nanos() / 2) } else { SOFT_PERIOD };
-        let flows = self.data_sent.get(&audience).is_some_and(|sent| now.since(*sent) < PIGGYBACK_WAIT);
-        let wait = if flows { now + PIGGYBACK_WAIT } else { now };
-        let due = self.soft_sent.map_or(wait, |sent| wait.max(sent + period));
-        self.soft_due = Some(self.soft_due.map_or(due, |before| before.min(due)));
-        self.soft_since = self.soft_since.or(Some(now));
-    }
-
     fn send_soft(&mut self, now: Time, incoming: &mut Incoming, counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
-        while self.soft_due.is_some_and(|due| due <= now) {
-            let Some((&stream, (audience, frame))) = self.soft.first_key_value() else {
-                (self.soft_due, self.soft_since) = (None, None);
-                return;
-            };
-            let (audience, block) = (*audience, frame[HEADER_BYTES..].to_vec());
-            self.soft_sent = self.soft_since.or(Some(now));
-            self.soft.remove(&stream);
+        while let Some((audience, frame)) = self.soft.next(now) {
             let mut bytes = codec::start(&self.header(audience, 0));
-            bytes.extend_from_slice(&block);
+            bytes.extend_from_slice(&frame[HEADER_BYTES..]);
             self.piggyback(now, audience, &mut bytes, incoming);
             self.send_alone(audience, bytes, counts, out);
-            if self.soft.is_empty() {
-                (self.soft_due, self.soft_since) = (None, None);
-            }
         }
     }
 
@@ -369,7 +323,7 @@ impl Outgoing {
 
     /// Returns the time at which `wake` has to be called next; `None` if nothing is due.
     pub fn due(&self) -> Option<Time> {
-        let dues = [self.retransmitter.due(), self.soft_due, self.acks.due(), self.report_due, self.urgent_due];
+        let dues = [self.retransmitter.due(), self.soft.due(), self.acks.due(), self.report_due, self.urgent_due];
         let first = dues.map(|due| due.unwrap_or(Time::MAX)).into_iter().fold(Time::MAX, Time::min);
         Some(first).filter(|due| *due < Time::MAX)
     }

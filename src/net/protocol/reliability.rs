@@ -72,6 +72,9 @@ pub struct Setup {
     pub reliability: Reliabilities,
     /// To which datagrams soft state (repeated messages such as heartbeats) may be appended.
     pub piggyback: Piggyback,
+    /// Whether each heartbeat leaves twice. Of a robot of which none has arrived for a second, all others think that it
+    /// is gone.
+    pub repeats_heartbeats: bool,
     /// Whether hosts send link reports.
     pub reports: Reports,
     /// Age of this host's last link report from which on the next one may be appended to a datagram that is sent anyway
@@ -98,6 +101,7 @@ impl Setup {
         Setup {
             reliability,
             piggyback: Piggyback::Never,
+            repeats_heartbeats: false,
             reports,
             report_piggyback_age: REPORT_PIGGYBACK_AGE,
             rate: None,
@@ -109,13 +113,21 @@ impl Setup {
     /// reports, the rate limit `RATE`, and soft state in any datagram.
     pub fn multicast(reliability: Reliabilities) -> Setup {
         let (piggyback, reports, report_piggyback_age) = (Piggyback::Any, Reports::On, REPORT_PIGGYBACK_AGE);
-        Setup { reliability, piggyback, reports, report_piggyback_age, rate: Some(RATE), hosts: None }
+        let repeats_heartbeats = false;
+        let rate = Some(RATE);
+        Setup { reliability, piggyback, repeats_heartbeats, reports, report_piggyback_age, rate, hosts: None }
     }
 
     /// Returns the setup of a link on which a datagram reaches only the host to which it is addressed: with link
     /// reports, the rate limit `RATE`, and soft state appended only to datagrams with the same receivers.
     pub fn unicast(reliability: Reliabilities) -> Setup {
         Setup { piggyback: Piggyback::SameAudience, ..Setup::multicast(reliability) }
+    }
+
+    /// Returns the setup of a link with a relay that passes datagrams on, each to one host or to all. One that is lost
+    /// before the relay is lost for all hosts at once, so heartbeats leave twice.
+    pub fn relayed(reliability: Reliabilities) -> Setup {
+        Setup { repeats_heartbeats: true, ..Setup::unicast(reliability) }
     }
 
     /// Returns whether the link can send a datagram to one host alone; on other links every datagram goes to all hosts.

@@ -144,7 +144,7 @@ impl Endpoint for SessionConfig {
     }
 
     fn setup(&self, reliability: Reliabilities) -> Setup {
-        Setup::unicast(reliability)
+        Setup::relayed(reliability)
     }
 
     /// A router on this machine may pass frames on to others, so they count as leaving it.
