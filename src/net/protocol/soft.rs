@@ -21,13 +21,11 @@ pub const SOFT_PERIOD: Span = Span::from_millis(200);
 /// [`Setup::repeats_heartbeats`]: super::reliability::Setup::repeats_heartbeats
 const COPY_AFTER: Span = Span::from_millis(100);
 
-/// Messages of soft state: for each stream the receivers of its newest message and its encoding.
-type Newest = BTreeMap<StreamId, (Audience, Frame)>;
-
 /// Soft state of a host that waits on one link.
 #[derive(Clone, Debug, Default)]
 pub struct Soft {
-    pending: Newest,
+    /// For each stream the receivers of its newest message and its encoding.
+    pending: BTreeMap<StreamId, (Audience, Frame)>,
     due: Option<Time>,
     /// Time since which soft state is pending; `None` if there is none.
     since: Option<Time>,
@@ -41,34 +39,41 @@ pub struct Soft {
 #[derive(Clone, Debug, Default)]
 struct Copies {
     wanted: bool,
-    newest: Newest,
-    due: Option<Time>,
+    /// For each stream the time at which the copy is due, its receivers and its encoding.
+    waiting: BTreeMap<StreamId, (Time, Audience, Frame)>,
 }
 
 impl Copies {
     /// Notes that a message has left.
     fn note(&mut self, now: Time, stream: StreamId, audience: Audience, frame: &Frame) {
         if self.wanted && stream.0 == Kind::Heartbeat {
-            self.newest.insert(stream, (audience, frame.clone()));
-            self.due = self.due.or(Some(now + COPY_AFTER));
+            self.waiting.insert(stream, (now + COPY_AFTER, audience, frame.clone()));
         }
+    }
+
+    fn due(&self) -> Option<Time> {
+        self.waiting.values().map(|(due, ..)| *due).min()
+    }
+
+    /// Appends what is due at `now`, has the receivers `audience` and fits to a datagram.
+    fn add_to(&mut self, now: Time, audience: Audience, bytes: &mut Vec<u8>) {
+        self.waiting.retain(|_, (due, to, frame)| *due > now || *to != audience || !append(frame, bytes));
     }
 
     fn next(&mut self, now: Time) -> Option<(Audience, Frame)> {
-        let (_, copy) = if self.due.is_some_and(|due| due <= now) { self.newest.pop_first() } else { None }?;
-        if self.newest.is_empty() {
-            self.due = None;
-        }
-        Some(copy)
+        let stream = *self.waiting.iter().find(|(_, (due, ..))| *due <= now)?.0;
+        self.waiting.remove(&stream).map(|(_, audience, frame)| (audience, frame))
     }
+}
 
-    /// Forgets the copy of a message of this stream, of which there is a newer one.
-    fn forget(&mut self, stream: StreamId) {
-        self.newest.remove(&stream);
-        if self.newest.is_empty() {
-            self.due = None;
-        }
+/// Appends the message in `frame` to a datagram if it fits. Returns whether it does.
+fn append(frame: &Frame, bytes: &mut Vec<u8>) -> bool {
+    let block = &frame[HEADER_BYTES..];
+    let fits = bytes.len() + block.len() <= MAX_PLAIN_BYTES;
+    if fits {
+        bytes.extend_from_slice(block);
     }
+    fits
 }
 
 impl Soft {
@@ -80,7 +85,7 @@ impl Soft {
     /// Takes a message in place of the last one of its stream. `data_sent` is the time at which data was last sent to
     /// the same receivers.
     pub fn put(&mut self, now: Time, stream: StreamId, to: (Audience, Frame), data_sent: Option<Time>) {
-        self.copies.forget(stream);
+        self.copies.waiting.remove(&stream);
         self.pending.insert(stream, to);
         let modes = self.pending.keys().any(|(kind, _)| *kind == Kind::Mode);
         let period = if modes { Span::from_nanos(SOFT_PERIOD.as_nanos() / 2) } else { SOFT_PERIOD };
@@ -98,20 +103,19 @@ impl Soft {
 
     /// Returns the time at which a datagram without data is due; `None` if nothing waits.
     pub fn due(&self) -> Option<Time> {
-        self.due.into_iter().chain(self.copies.due).min()
+        self.due.into_iter().chain(self.copies.due()).min()
     }
 
     /// Appends what has the receivers `audience` and fits to the datagram `bytes`, which leaves at `now`.
     pub fn add_to(&mut self, now: Time, audience: Audience, bytes: &mut Vec<u8>) {
         let Soft { pending, copies, .. } = self;
+        copies.add_to(now, audience, bytes);
         pending.retain(|stream, (to, frame)| {
-            let block = &frame[HEADER_BYTES..];
-            let fits = *to == audience && bytes.len() + block.len() <= MAX_PLAIN_BYTES;
-            if fits {
-                bytes.extend_from_slice(block);
+            let leaves = *to == audience && append(frame, bytes);
+            if leaves {
                 copies.note(now, *stream, audience, frame);
             }
-            !fits
+            !leaves
         });
         self.settle();
     }
