@@ -14,7 +14,7 @@ use super::key::Key;
 use super::reliability::{Piggyback, Reliability, Reports, Setup};
 use super::report::{DatagramId, write_held, write_ids};
 use super::report_schedule::Occasion;
-use super::retransmit::{Retransmitter, StreamId, Untagged};
+use super::retransmit::{Retransmitter, Untagged};
 use super::router::Audience;
 use super::soft::Soft;
 use crate::messages::ids::{HostId, LinkId};
