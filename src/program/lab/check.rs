@@ -27,8 +27,8 @@ pub struct Args {
     /// Numbers of stations
     #[arg(long, value_name = "N", value_delimiter = ',', default_value = "5,10")]
     stations: Vec<u16>,
-    /// Loads in percent of what the saturated channel delivers; above 100 %, of what it takes from the queues, which are
-    /// then full, and throughput is compared with the model
+    /// Loads in percent of what the saturated channel delivers; above 100 %, of what it takes from the queues, which
+    /// are then full, and throughput is compared with the model
     #[arg(long, value_name = "PERCENT", value_delimiter = ',', default_value = "30,50,70,90,250")]
     loads: Vec<u32>,
     /// Length of each measurement [s]

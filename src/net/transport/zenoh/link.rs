@@ -10,7 +10,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::thread;
 use std::time::Duration;
 
-use super::session::{Shared, TO_ALL, Worker, awaits, configuration, mode, reach};
+use super::session::{Role, Shared, TO_ALL, Worker, awaits, configuration, reach, role};
 use super::{SessionConfig, Streams};
 use crate::edge::{self, Gate};
 use crate::messages::ids::HostId;
@@ -57,7 +57,7 @@ pub(super) fn check(config: &SessionConfig, link: &str) -> Vec<Finding> {
         Err(why) => return vec![fail(why, format!("mend it, or the fields of link.{link}"))],
     };
     let (tx, rx) = sync_channel(1);
-    let (waits, mode) = (awaits(&zenoh), mode(&zenoh));
+    let (waits, role) = (awaits(&zenoh), role(&zenoh));
     thread::spawn(move || tx.send(reach(&zenoh)));
     let places = if config.connect.is_empty() { &config.listen } else { &config.connect }.join(", ");
     let mut found = vec![match rx.recv_timeout(CHECKING) {
@@ -66,7 +66,7 @@ pub(super) fn check(config: &SessionConfig, link: &str) -> Vec<Finding> {
             format!("no router answers at {places}"),
             format!("does a Zenoh router run there, and let UDP through? See link.{link}.connect"),
         ),
-        Ok(Ok((routers @ 1.., _))) if mode == "peer" => Finding {
+        Ok(Ok((routers @ 1.., _))) if role == Role::Peer => Finding {
             fitness: Fitness::Warn,
             what: "Zenoh",
             found: format!("session by {places} as a peer of {routers} routers, which pass nothing on between peers"),

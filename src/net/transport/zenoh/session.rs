@@ -89,14 +89,29 @@ pub(super) fn configuration(from: &SessionConfig) -> Result<Config, String> {
     Ok(config)
 }
 
-/// Returns the mode of a session: `client`, `peer` or `router`.
-pub(super) fn mode(config: &Config) -> String {
-    config.get_json("mode").unwrap_or_default().trim_matches('"').to_owned()
+/// What a session is for others: the mode of Zenoh's configuration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Role {
+    /// It connects to a router.
+    Client,
+    /// It connects to others and listens for others.
+    Peer,
+    /// A peer that also passes on.
+    Router,
+}
+
+/// Returns the role of a session.
+pub(super) fn role(config: &Config) -> Role {
+    match config.get_json("mode").unwrap_or_default().trim_matches('"') {
+        "peer" => Role::Peer,
+        "router" => Role::Router,
+        _ => Role::Client,
+    }
 }
 
 /// Whether a session waits for others to connect, so that it opens without a router.
 pub(super) fn awaits(config: &Config) -> bool {
-    mode(config) != "client"
+    role(config) != Role::Client
 }
 
 /// Returns the reason of an error of the library without the place in its source.
