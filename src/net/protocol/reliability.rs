@@ -72,8 +72,8 @@ pub struct Setup {
     pub reliability: Reliabilities,
     /// To which datagrams soft state (repeated messages such as heartbeats) may be appended.
     pub piggyback: Piggyback,
-    /// Whether each heartbeat leaves twice. Of a robot of which none has arrived for a second, all others think that it
-    /// is gone.
+    /// Whether each heartbeat is sent twice. A robot of which none arrives for a second counts as missing, and the
+    /// episode is aborted.
     pub repeats_heartbeats: bool,
     /// Whether hosts send link reports.
     pub reports: Reports,
@@ -125,7 +125,7 @@ impl Setup {
     }
 
     /// Returns the setup of a link with a relay that passes datagrams on, each to one host or to all. One that is lost
-    /// before the relay is lost for all hosts at once, so heartbeats leave twice.
+    /// before the relay is lost for all hosts at once, so each heartbeat is sent twice.
     pub fn relayed(reliability: Reliabilities) -> Setup {
         Setup { repeats_heartbeats: true, ..Setup::unicast(reliability) }
     }

@@ -15,11 +15,11 @@ pub const PIGGYBACK_WAIT: Span = Span::from_millis(100);
 /// Smallest interval between datagrams that contain only soft state; half of it if they contain an instruction of the
 /// state server.
 pub const SOFT_PERIOD: Span = Span::from_millis(200);
-/// Time after a heartbeat at which it leaves once more on a link with [`Setup::repeats_heartbeats`]: half of the period
-/// of heartbeats.
+/// Delay of the retransmission of a heartbeat, on a link with [`Setup::repeats_heartbeats`]: half of the period of
+/// heartbeats.
 ///
 /// [`Setup::repeats_heartbeats`]: super::reliability::Setup::repeats_heartbeats
-const COPY_AFTER: Span = Span::from_millis(100);
+const REPEAT_AFTER: Span = Span::from_millis(100);
 
 /// Soft state of a host that waits on one link.
 #[derive(Clone, Debug, Default)]
@@ -32,22 +32,24 @@ pub struct Soft {
     /// Time since which the soft state had been waiting that was last sent in a datagram of its own. The next period
     /// counts from there, so that waits do not add up.
     sent: Option<Time>,
-    copies: Copies,
+    repeats: Repeats,
 }
 
-/// Heartbeats that have left once and leave once more; none on most links.
+/// Heartbeats to be retransmitted; none on a link without [`Setup::repeats_heartbeats`].
+///
+/// [`Setup::repeats_heartbeats`]: super::reliability::Setup::repeats_heartbeats
 #[derive(Clone, Debug, Default)]
-struct Copies {
+struct Repeats {
     wanted: bool,
-    /// For each stream the time at which the copy is due, its receivers and its encoding.
+    /// For each stream the time at which the retransmission is due, its receivers and its encoding.
     waiting: BTreeMap<StreamId, (Time, Audience, Frame)>,
 }
 
-impl Copies {
+impl Repeats {
     /// Notes that a message has left.
     fn note(&mut self, now: Time, stream: StreamId, audience: Audience, frame: &Frame) {
         if self.wanted && stream.0 == Kind::Heartbeat {
-            self.waiting.insert(stream, (now + COPY_AFTER, audience, frame.clone()));
+            self.waiting.insert(stream, (now + REPEAT_AFTER, audience, frame.clone()));
         }
     }
 
@@ -77,15 +79,15 @@ fn append(frame: &Frame, bytes: &mut Vec<u8>) -> bool {
 }
 
 impl Soft {
-    /// Returns the state before any message. `repeats_heartbeats` says whether each heartbeat leaves twice.
+    /// Returns the state before any message. `repeats_heartbeats` says whether each heartbeat is sent twice.
     pub fn new(repeats_heartbeats: bool) -> Soft {
-        Soft { copies: Copies { wanted: repeats_heartbeats, ..Copies::default() }, ..Soft::default() }
+        Soft { repeats: Repeats { wanted: repeats_heartbeats, ..Repeats::default() }, ..Soft::default() }
     }
 
     /// Takes a message in place of the last one of its stream. `data_sent` is the time at which data was last sent to
     /// the same receivers.
     pub fn put(&mut self, now: Time, stream: StreamId, to: (Audience, Frame), data_sent: Option<Time>) {
-        self.copies.waiting.remove(&stream);
+        self.repeats.waiting.remove(&stream);
         self.pending.insert(stream, to);
         let modes = self.pending.keys().any(|(kind, _)| *kind == Kind::Mode);
         let period = if modes { Span::from_nanos(SOFT_PERIOD.as_nanos() / 2) } else { SOFT_PERIOD };
@@ -103,17 +105,17 @@ impl Soft {
 
     /// Returns the time at which a datagram without data is due; `None` if nothing waits.
     pub fn due(&self) -> Option<Time> {
-        self.due.into_iter().chain(self.copies.due()).min()
+        self.due.into_iter().chain(self.repeats.due()).min()
     }
 
     /// Appends what has the receivers `audience` and fits to the datagram `bytes`, which leaves at `now`.
     pub fn add_to(&mut self, now: Time, audience: Audience, bytes: &mut Vec<u8>) {
-        let Soft { pending, copies, .. } = self;
-        copies.add_to(now, audience, bytes);
+        let Soft { pending, repeats, .. } = self;
+        repeats.add_to(now, audience, bytes);
         pending.retain(|stream, (to, frame)| {
             let leaves = *to == audience && append(frame, bytes);
             if leaves {
-                copies.note(now, *stream, audience, frame);
+                repeats.note(now, *stream, audience, frame);
             }
             !leaves
         });
@@ -123,11 +125,11 @@ impl Soft {
     /// Takes out a message that is due at `now`, for a datagram without data; `None` if none is.
     pub fn next(&mut self, now: Time) -> Option<(Audience, Frame)> {
         if self.due.is_none_or(|due| due > now) {
-            return self.copies.next(now);
+            return self.repeats.next(now);
         }
         let (stream, (audience, frame)) = self.pending.pop_first()?;
         self.sent = self.since.or(Some(now));
-        self.copies.note(now, stream, audience, &frame);
+        self.repeats.note(now, stream, audience, &frame);
         self.settle();
         Some((audience, frame))
     }

@@ -89,7 +89,7 @@ pub(super) fn configuration(from: &SessionConfig) -> Result<Config, String> {
     Ok(config)
 }
 
-/// What a session is for others: the mode of Zenoh's configuration.
+/// Role of a Zenoh session: the field `mode` of Zenoh's configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Role {
     /// It connects to a router.
