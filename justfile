@@ -104,3 +104,13 @@ full-lab:
     cargo build --release --features lab
     cargo test --release --features lab --test lab
     bash tests/peers/lab/full.sh target/release/murmurate
+
+# Failures from public reports, each as a script with its expected end. PYTHON is 3.11, for ROS 2 from PyPI
+# (30 minutes and 8 GB, root, apt: iproute2 nftables; an absent package is a failure)
+full-cases python="python3.11":
+    cargo build --release --features lab,ros2,zenoh
+    {{python}} -m venv target/cases
+    target/cases/bin/pip install --quiet ./python mcap mcap-protobuf-support zstandard lz4 rosbags benchmarl torchrl torch_geometric \
+        "ray[rllib]" pettingzoo gymnasium supersuit stable-baselines3 "ros-rclpy[fastrtps]==9.1.2" ros-nav-msgs==5.5.1 \
+        ros-geometry-msgs==5.5.1 eclipse-zenoh
+    bash tests/cases/full.sh target/release/murmurate target/cases/bin/python
