@@ -10,7 +10,7 @@ set -uo pipefail
 cd "$(dirname "$0")/../.."
 program=$(realpath "$1") python=$(realpath --no-symlinks "$2") passed=0 failed=0
 shift 2
-for case in tests/cases/robots/*.sh tests/cases/python/*.py; do
+for case in tests/cases/robots/[0-9]*.sh tests/cases/python/[0-9]*.py; do
     [ -e "$case" ] || continue
     wanted=$([ $# -eq 0 ] && echo yes)
     for name in "$@"; do [[ $case == *$name* ]] && wanted=yes; done
