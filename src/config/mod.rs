@@ -3,6 +3,8 @@
 //! A user may pass the file of a team key (the team's secret) by mistake, so no error quotes a value of the text.
 
 pub mod fields;
+pub mod kinds;
+pub mod objects;
 
 use std::borrow::Cow;
 

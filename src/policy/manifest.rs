@@ -13,9 +13,10 @@ use crate::scenario::{Dynamics, Observation};
 
 /// Key of the safetensors metadata under which a policy file stores its manifest.
 pub const KEY: &str = "murmurate";
-/// Version of the manifest's format that this module reads, and that the trainer writes. The other format that this
-/// program reads is that of policies with several hops, `hops::manifest::FORMAT`.
+/// Version of the manifest's format that this module reads, and that the trainer writes.
 pub const FORMAT: u32 = 1;
+/// Versions of the manifest's format that this program reads: this one, and that of policies with several hops.
+pub const FORMATS: [u32; 2] = [FORMAT, 2];
 
 /// Layout of the message-passing network: how the messages of a robot's neighbours lead to its action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -151,7 +152,7 @@ impl TryFrom<String> for Activation {
     type Error = &'static str;
 
     fn try_from(name: String) -> Result<Activation, &'static str> {
-        if name == "relu" { Ok(Activation::Relu) } else { Err("activation: this program runs relu only") }
+        if name == "relu" { Ok(Activation::Relu) } else { Err("this program runs relu only") }
     }
 }
 
@@ -167,7 +168,7 @@ impl TryFrom<String> for Aggregation {
     type Error = &'static str;
 
     fn try_from(name: String) -> Result<Aggregation, &'static str> {
-        if name == "sum" { Ok(Aggregation::Sum) } else { Err("aggregation: this program computes sum only") }
+        if name == "sum" { Ok(Aggregation::Sum) } else { Err("this program computes sum only") }
     }
 }
 

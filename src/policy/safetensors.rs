@@ -11,8 +11,9 @@ use crate::config;
 
 /// Size of the field with the length of the header \[bytes\].
 const LENGTH_BYTES: usize = 8;
-/// Longest header that is accepted \[bytes\], the same limit as in the reference library.
-const MAX_HEADER_BYTES: u64 = 100_000_000;
+/// Longest header that is accepted \[bytes\]: a hundred times what a policy of eight hops has. A parsed header takes up
+/// to thirty times its length in memory, so the limit of the reference library, 100 MB, would take gigabytes.
+const MAX_HEADER_BYTES: u64 = 4_000_000;
 /// The data types of the format, with the size of one number \[bytes\].
 const TYPES: [(&str, usize); 15] = [
     ("BOOL", 1),
@@ -83,7 +84,8 @@ pub fn read(bytes: &[u8]) -> Result<SafeTensors<'_>, String> {
     }
     let length = usize::try_from(length).map_err(|e| e.to_string())?;
     let (header, data) = rest.split_at_checked(length).ok_or("it ends within its header")?;
-    let header: Header = serde_json::from_slice(header).map_err(|e| format!("its header: {}", config::json(&e)))?;
+    let header: Header = serde_json::from_slice(header)
+        .map_err(|e| metadata_is_no_text(header).unwrap_or(format!("its header: {}", config::json(&e))))?;
     let mut entries: Vec<(String, Entry)> = header.tensors.into_iter().collect();
     entries.sort_by_key(|(_, entry)| entry.data_offsets);
     let (mut tensors, mut at) = (BTreeMap::new(), 0);
@@ -103,6 +105,21 @@ pub fn read(bytes: &[u8]) -> Result<SafeTensors<'_>, String> {
         return Err("there are bytes after the last tensor".to_owned());
     }
     Ok(SafeTensors { metadata: header.metadata.unwrap_or_default(), tensors })
+}
+
+/// Returns the error of a header whose metadata hold something else than texts, such as a manifest as an object; `None`
+/// if they do not.
+fn metadata_is_no_text(header: &[u8]) -> Option<String> {
+    let header: serde_json::Value = serde_json::from_slice(header).ok()?;
+    let other = header.get("__metadata__")?.as_object()?.values().find(|value| !value.is_string())?;
+    let kind = match other {
+        serde_json::Value::Object(_) => "an object",
+        serde_json::Value::Array(_) => "a list",
+        _ => "no text",
+    };
+    Some(format!(
+        "its header: a value of '__metadata__' is {kind}; each has to be a text, so write the manifest as JSON text"
+    ))
 }
 
 /// Returns the bytes of a safetensors file with the content `file`; the tensors are in the order of their names.

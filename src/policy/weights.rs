@@ -12,7 +12,8 @@ use hmac_sha256::Hash;
 use super::manifest::{self, Manifest};
 use super::mlp::{Layer, Mlp};
 use super::safetensors::{self, F32, SafeTensors, Tensor};
-use crate::config;
+use crate::config::kinds::FileKind;
+use crate::config::objects;
 
 /// Tensor name prefixes of the three networks, in the order of use.
 const NAMES: [&str; 3] = ["encoder", "message", "update"];
@@ -75,6 +76,15 @@ pub struct PolicyFile {
 /// Error of a file that is not a valid policy file.
 #[derive(Debug, thiserror::Error)]
 pub enum WeightsError {
+    /// The file is of another kind than a policy file; the text says which, and what to do.
+    #[error("it is {0}")]
+    Foreign(&'static str),
+    /// The file has tensors that are not those of the published network, and no manifest, which describes them.
+    #[error(
+        "it has no manifest: put the network's description into its metadata under '{key}', as {PAGE} shows (only the \
+         published passage network is known without one: {0})", key = manifest::KEY
+    )]
+    NoManifest(Box<WeightsError>),
     /// The file is not in the safetensors format, or is truncated; the text describes the fault.
     #[error("not a complete safetensors file: {0}")]
     Format(String),
@@ -151,15 +161,69 @@ pub enum WeightsError {
     },
 }
 
+/// Page on how to write policy files.
+const PAGE: &str = "docs/bring-your-policy.md";
+
+/// Parses a safetensors file. The error of a file of a known other kind says what it is, and what to do with it.
+pub(super) fn tensors(bytes: &[u8]) -> Result<SafeTensors<'_>, WeightsError> {
+    let foreign = match FileKind::of(bytes) {
+        Some(FileKind::Zip) => {
+            "a zip archive, as torch.save writes PyTorch checkpoints (.pt, .pth), and no policy file: write its network \
+             as safetensors, with 'murmurate.export' in Python or as docs/bring-your-policy.md shows"
+        }
+        Some(FileKind::Pickle) => {
+            "a Python pickle, as torch.save wrote PyTorch checkpoints before 1.6, and no policy file: write its network \
+             as safetensors, with 'murmurate.export' in Python or as docs/bring-your-policy.md shows"
+        }
+        Some(FileKind::Hdf5) => {
+            "a file of HDF5, as Keras writes, and no policy file: write its network as safetensors, as \
+             docs/bring-your-policy.md shows"
+        }
+        Some(FileKind::Record) => "a record of a run, and no policy file; 'murmurate record info' shows it",
+        Some(FileKind::Checkpoint) => {
+            "the checkpoint of a training, and no policy file: the policy is 'policy.safetensors' in the same folder"
+        }
+        Some(FileKind::Text) => "a text, and no policy file: a policy is a safetensors file",
+        Some(FileKind::Safetensors | FileKind::Empty) | None => {
+            return safetensors::read(bytes).map_err(WeightsError::Format);
+        }
+    };
+    Err(WeightsError::Foreign(foreign))
+}
+
+/// Checks that the manifest `text` says of which format it is, and that this program reads that. The other fields of
+/// another format would be errors that say less.
+fn check_format(text: &str) -> Result<(), WeightsError> {
+    let Ok(serde_json::Value::Object(fields)) = serde_json::from_str(text) else { return Ok(()) };
+    let [first, second] = manifest::FORMATS;
+    let expected = format!("this program reads {first} and {second}");
+    let wrong = |why: String| Err(WeightsError::Manifest(format!("format: {why}")));
+    match fields.get("format") {
+        None => wrong(format!("it is missing; {expected}")),
+        Some(format) if manifest::FORMATS.into_iter().any(|ours| *format == ours) => Ok(()),
+        Some(format) => wrong(format!("{}; {expected}, as a number", objects::shown(format))),
+    }
+}
+
 /// Parses and checks a policy file of format 1, of which `bytes` is the whole content. An error describes the first
 /// fault found. The networks are not compared with the file's test data; `probe::network` does that.
 pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
-    let SafeTensors { metadata, tensors } = safetensors::read(bytes).map_err(WeightsError::Format)?;
-    let (manifest, names, assumed) = match metadata.get(manifest::KEY) {
-        Some(text) => {
-            let manifest: Manifest =
-                serde_json::from_str(text).map_err(|e| WeightsError::Manifest(config::json(&e)))?;
-            manifest.check().map_err(WeightsError::Manifest)?;
+    let file = tensors(bytes)?;
+    let Some(text) = file.metadata.get(manifest::KEY) else {
+        // Whatever is wrong, the cause is the missing manifest.
+        return of_manifest(bytes, file.tensors, None).map_err(|error| WeightsError::NoManifest(Box::new(error)));
+    };
+    check_format(text)?;
+    let manifest: Manifest = objects::parse(text).map_err(WeightsError::Manifest)?;
+    manifest.check().map_err(WeightsError::Manifest)?;
+    of_manifest(bytes, file.tensors, Some(manifest))
+}
+
+/// Checks the tensors of a policy file of format 1 against its manifest; without one, against the published network.
+fn of_manifest(bytes: &[u8], tensors: TensorsByName, given: Option<Manifest>) -> Result<PolicyFile, WeightsError> {
+    let has_manifest = given.is_some();
+    let (manifest, names, assumed) = match given {
+        Some(manifest) => {
             let assumed = assumed_of(&manifest);
             (manifest, NAMES, assumed)
         }
@@ -174,10 +238,7 @@ pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
             (manifest, PUBLISHED_NAMES, Some(assumed))
         }
     };
-    let has_manifest = metadata.contains_key(manifest::KEY);
-    let hint =
-        if has_manifest { "" } else { " (the file has no manifest, so it is taken for the published passage network)" };
-    let network = |name: &str, widths: &[usize]| network(&tensors, name, widths, hint);
+    let network = |name: &str, widths: &[usize]| network(&tensors, name, widths);
     let networks = [
         network(names[0], &manifest.encoder)?,
         network(names[1], &manifest.message)?,
@@ -196,10 +257,7 @@ pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
         return Err(WeightsError::Unknown(unknown.cloned().unwrap_or_default()));
     }
     if has_manifest {
-        let found = hash(&tensors);
-        if found != manifest.sha256 {
-            return Err(WeightsError::Hash { found, expected: manifest.sha256 });
-        }
+        check_hash(&tensors, &manifest.sha256)?;
     }
     let digest = blake3::hash(bytes).to_hex()[..16].to_owned();
     Ok(PolicyFile { manifest, assumed, digest, networks, probe })
@@ -252,9 +310,9 @@ pub(super) fn layer_names<'a>(
 /// Tensors of a policy file, by name.
 pub(super) type TensorsByName<'a> = BTreeMap<String, Tensor<'a>>;
 
-fn network(tensors: &TensorsByName, name: &str, widths: &[usize], hint: &'static str) -> Result<Mlp, WeightsError> {
+fn network(tensors: &TensorsByName, name: &str, widths: &[usize]) -> Result<Mlp, WeightsError> {
     let layers = layer_names(name, widths).map(|(weight, bias, shape)| {
-        Ok(Layer::new(&floats(tensors, &weight, &shape, hint)?, &floats(tensors, &bias, &shape[..1], hint)?))
+        Ok(Layer::new(&floats(tensors, &weight, &shape, "")?, &floats(tensors, &bias, &shape[..1], "")?))
     });
     Ok(Mlp::new(layers.collect::<Result<_, WeightsError>>()?))
 }
@@ -280,6 +338,23 @@ pub(super) fn floats(
         return Err(WeightsError::NotFinite { name, expected, index, value: floats[index] });
     }
     Ok(floats)
+}
+
+/// Checks that the hash that the manifest states is that of the tensors.
+pub(super) fn check_hash(tensors: &TensorsByName, stated: &str) -> Result<(), WeightsError> {
+    let found = hash(tensors);
+    let wrong = |why: String| Err(WeightsError::Manifest(format!("sha256: {why}")));
+    if found == stated {
+        return Ok(());
+    }
+    if found.eq_ignore_ascii_case(stated) {
+        return wrong("it is the tensors' hash in upper case; write its letters in lower case".to_owned());
+    }
+    if stated.len() != found.len() || !stated.bytes().all(|byte| byte.is_ascii_hexdigit()) {
+        let shown = objects::shown(&stated.into());
+        return wrong(format!("{shown}; expected 64 hexadecimal digits, those of all tensors' bytes by their names"));
+    }
+    Err(WeightsError::Hash { found, expected: stated.to_owned() })
 }
 
 /// Returns the SHA-256 of all tensors' bytes in the order of their names, in hexadecimal.

@@ -7,6 +7,7 @@ use super::environments::Snapshot;
 use super::network::Shape;
 use super::trainer::{Plan, SetupError, Trainer};
 use super::update::Learner;
+use crate::config::kinds::FileKind;
 use crate::registry::Registry;
 
 /// Version of the checkpoint format.
@@ -133,6 +134,9 @@ pub(super) fn vector_instructions() -> String {
 }
 
 fn read_state(bytes: &[u8]) -> Result<State, SetupError> {
+    if let Some(other) = FileKind::no_checkpoint(bytes) {
+        return Err(SetupError::Foreign(other));
+    }
     let state: State = rmp_serde::from_slice(bytes).map_err(|error| SetupError::Format(error.to_string()))?;
     if state.format != FORMAT {
         let reason = format!("its format is {}; this program reads {FORMAT}", state.format);

@@ -84,6 +84,9 @@ pub enum SetupError {
     /// The bytes are not a checkpoint of this version of the program; the text says why.
     #[error("not a complete checkpoint of this version of the program: {0}")]
     Format(String),
+    /// The file is of another kind than a checkpoint; the text says of which, and what to give instead.
+    #[error("it is {0}")]
+    Foreign(&'static str),
     /// The checkpoint is of a training with another network, or of a processor with other vector instructions.
     #[error("it is of another training: {what} is {theirs} there and {ours} here")]
     Other {

@@ -11,7 +11,7 @@ use serde::Deserialize;
 use super::hop::Hop;
 use super::manifest::{FORMAT, Layers, Manifest};
 use super::perceptron::Perceptron;
-use crate::config;
+use crate::config::objects;
 use crate::policy::manifest::KEY;
 use crate::policy::mlp::Layer;
 use crate::policy::safetensors::{self, F32, SafeTensors, Tensor};
@@ -65,9 +65,9 @@ pub fn is_format_2(bytes: &[u8]) -> bool {
 /// Parses and checks a policy file of format 2, of which `bytes` is the whole content. An error describes the first
 /// fault found. The networks are not compared with the file's test data; `probe::network` does that.
 pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
-    let SafeTensors { metadata, tensors } = safetensors::read(bytes).map_err(WeightsError::Format)?;
+    let SafeTensors { metadata, tensors } = weights::tensors(bytes)?;
     let text = metadata.get(KEY).ok_or_else(|| WeightsError::Manifest("it is missing".to_owned()))?;
-    let manifest: Manifest = serde_json::from_str(text).map_err(|e| WeightsError::Manifest(config::json(&e)))?;
+    let manifest: Manifest = objects::parse(text).map_err(WeightsError::Manifest)?;
     manifest.check().map_err(WeightsError::Manifest)?;
     let load = |name: &str, layers: &Layers| perceptron(&tensors, name, layers);
     let encoder = load("encoder", &manifest.encoder)?;
@@ -83,10 +83,7 @@ pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
     if let Some(unknown) = unknown(&tensors, &manifest) {
         return Err(WeightsError::Unknown(unknown));
     }
-    let found = weights::hash(&tensors);
-    if found != manifest.sha256 {
-        return Err(WeightsError::Hash { found, expected: manifest.sha256 });
-    }
+    weights::check_hash(&tensors, &manifest.sha256)?;
     let digest = blake3::hash(bytes).to_hex()[..16].to_owned();
     Ok(PolicyFile { manifest, digest, encoder, hops, decoder, probe })
 }

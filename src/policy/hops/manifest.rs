@@ -10,7 +10,7 @@ use crate::policy::Draw;
 use crate::policy::manifest::{self, Field, Training};
 
 /// Version of the manifest's format of policies with several hops, which this module reads.
-pub const FORMAT: u32 = 2;
+pub const FORMAT: u32 = manifest::FORMATS[1];
 /// Largest number of hops of a policy.
 pub const MAX_HOPS: usize = 8;
 /// Largest number of heads of an attention, an aggregation that is weighted by scores.

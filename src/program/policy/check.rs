@@ -42,6 +42,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     if hops::file::is_format_2(&bytes) {
         let file = hops::file::read(&bytes).map_err(|error| refuse(error.to_string()))?;
         let (network, difference) = hops::probe::network(file).map_err(|error| refuse(error.to_string()))?;
+        foreign(&network.manifest().scenario, registry).map_or(Ok(()), |why| Err(refuse(why)))?;
         let facts = Facts {
             file: name,
             digest: network.digest(),
@@ -49,7 +50,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
             parameters: network.parameters(),
             latent_bytes: 4 * network.interface().features,
             probe: difference.map(ProbeFacts::of),
-            warnings: foreign(&network.manifest().scenario, registry).into_iter().collect(),
+            warnings: Vec::new(),
         };
         return show(args, &facts, check_hops::table);
     }
@@ -58,7 +59,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let parameters = layers.map(|layer| (layer.inputs() + 1) * layer.outputs()).sum();
     let (network, difference) = probe::network(file).map_err(|error| refuse(error.to_string()))?;
     let manifest = network.manifest();
-    let foreign = foreign(&manifest.scenario, registry);
+    foreign(&manifest.scenario, registry).map_or(Ok(()), |why| Err(refuse(why)))?;
     let facts = Facts {
         file: name,
         digest: network.digest(),
@@ -66,7 +67,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         parameters,
         latent_bytes: 4 * network.interface().features,
         probe: difference.map(ProbeFacts::of),
-        warnings: network.assumed().map(str::to_owned).into_iter().chain(foreign).collect(),
+        warnings: network.assumed().map(str::to_owned).into_iter().collect(),
     };
     show(args, &facts, table)
 }
@@ -80,11 +81,15 @@ fn show<M: Serialize>(args: &Args, facts: &Facts<M>, table: fn(&Facts<M>) -> Str
     Ok(Ended::Done)
 }
 
-/// Returns a warning if the program has no scenario with this name.
+/// Returns the reason why no command runs the policy, if the program has no scenario with the name in its file.
 fn foreign(scenario: &str, registry: &Registry) -> Option<String> {
     let known: Vec<&str> = registry.scenarios().iter().map(|entry| entry.name).collect();
     (!known.contains(&scenario)).then(|| {
-        format!("this program has no scenario '{scenario}', only {}; a crate of your own can add it", known.join(", "))
+        format!(
+            "it is for the scenario '{scenario}', which this program does not have: it has {}; a crate of your own can \
+             add it (docs/library.md)",
+            known.join(", ")
+        )
     })
 }
 

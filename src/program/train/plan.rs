@@ -121,7 +121,7 @@ pub fn begin(args: &Args, registry: &Registry) -> Result<Trainer> {
     })?;
     if let Some(path) = &args.from {
         let wrong = |why: String| BadInput(format!("cannot begin with '{}': {why}", path.display()));
-        let bytes = read_bytes(path, "policy file")?;
+        let bytes = read_bytes(path, "checkpoint")?;
         trainer.initialize_from(&bytes).map_err(|e| wrong(e.to_string()))?;
     }
     Ok(trainer)

@@ -11,6 +11,7 @@ use super::config::Config;
 use super::episode::{self, Driver, Episode, Messages, Setting};
 use super::learn::{Shard, Window};
 use super::network::Network;
+use crate::config::kinds::FileKind;
 use crate::policy::hops::file;
 use crate::policy::hops::manifest::Manifest;
 use crate::policy::manifest::Training;
@@ -90,6 +91,9 @@ pub enum SetupError {
     /// The bytes are not a checkpoint of this training by imitation.
     #[error("not a complete checkpoint of this version of the program: {0}")]
     Format(String),
+    /// The file is of another kind than a checkpoint; the text says of which, and what to give instead.
+    #[error("it is {0}")]
+    Foreign(&'static str),
     /// The checkpoint is of a processor with other vector instructions, so results would be those of neither.
     #[error("it is of another processor: its vector instructions are {theirs} there and {ours} here")]
     Processor {
@@ -336,6 +340,9 @@ impl Trainer {
     /// # Errors
     /// If the bytes are not a checkpoint of this version, or are of a processor with other vector instructions.
     pub fn resume(bytes: &[u8], registry: &Registry) -> Result<Trainer, SetupError> {
+        if let Some(other) = FileKind::no_checkpoint(bytes) {
+            return Err(SetupError::Foreign(other));
+        }
         let state: State = rmp_serde::from_slice(bytes).map_err(|error| SetupError::Format(error.to_string()))?;
         let ours = vector_instructions();
         if state.vector != ours {
