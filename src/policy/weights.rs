@@ -168,8 +168,8 @@ const PAGE: &str = "docs/bring-your-policy.md";
 pub(super) fn tensors(bytes: &[u8]) -> Result<SafeTensors<'_>, WeightsError> {
     let foreign = match FileKind::of(bytes) {
         Some(FileKind::Zip) => {
-            "a zip archive, as torch.save writes PyTorch checkpoints (.pt, .pth), and no policy file: write its network \
-             as safetensors, with 'murmurate.export' in Python or as docs/bring-your-policy.md shows"
+            "a zip archive, as torch.save writes PyTorch checkpoints (.pt, .pth), and no policy file: write its \
+             network as safetensors, with 'murmurate.export' in Python or as docs/bring-your-policy.md shows"
         }
         Some(FileKind::Pickle) => {
             "a Python pickle, as torch.save wrote PyTorch checkpoints before 1.6, and no policy file: write its network \
