@@ -172,8 +172,8 @@ pub(super) fn tensors(bytes: &[u8]) -> Result<SafeTensors<'_>, WeightsError> {
              network as safetensors, with 'murmurate.export' in Python or as docs/bring-your-policy.md shows"
         }
         Some(FileKind::Pickle) => {
-            "a Python pickle, as torch.save wrote PyTorch checkpoints before 1.6, and no policy file: write its network \
-             as safetensors, with 'murmurate.export' in Python or as docs/bring-your-policy.md shows"
+            "a Python pickle, as torch.save wrote PyTorch checkpoints before 1.6, and no policy file: write its \
+             network as safetensors, with 'murmurate.export' in Python or as docs/bring-your-policy.md shows"
         }
         Some(FileKind::Hdf5) => {
             "a file of HDF5, as Keras writes, and no policy file: write its network as safetensors, as \
