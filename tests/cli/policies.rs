@@ -57,7 +57,7 @@ fn policy_check_refuses_what_the_program_cannot_run() {
     refuses(&["policy", "check", &path("Cargo.toml")], &["Cargo.toml", "safetensors"]);
 }
 
-/// Writes a copy of the policy file `name` whose manifest is changed by `change`; without a manifest if it returns false.
+/// Writes a copy of the policy file `name` with the manifest as `change` leaves it; without one if it returns false.
 fn with_manifest(folder: &TempDir, name: &str, change: impl Fn(&mut Value) -> bool) -> String {
     let bytes = std::fs::read(path(name)).expect("the file is there");
     let file = SafeTensors::deserialize(&bytes).expect("it is a policy file");
