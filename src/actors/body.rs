@@ -208,7 +208,8 @@ impl Body {
                     self.refused += 1;
                     // Log only the counts 1, 2, 4, 8, ...: a faulty robot may send nothing else.
                     if self.refused.is_power_of_two() {
-                        tracing::warn!(refused = self.refused, "output of the driver's worker is refused: {why}");
+                        let (refused, robot) = (self.refused, self.robot);
+                        tracing::warn!(refused, "{robot}: output of the driver's worker is refused: {why}");
                     }
                 }
             }

@@ -1,11 +1,13 @@
 //! Localizer: publishes readings of robots from one source, such as a tracker or a GNSS receiver. It runs on the host
 //! of the source.
 
+use std::collections::BTreeMap;
 use std::rc::Rc;
 
 use crate::actor::Core;
 use crate::chassis::Chassis;
 use crate::localization::{self, Source};
+use crate::messages::ids::RobotId;
 use crate::messages::local::Sample;
 use crate::messages::wire::Reading;
 use crate::time::Time;
@@ -26,8 +28,9 @@ pub struct Localizer {
     source: Box<dyn Source>,
     /// Chassis of each robot, indexed by robot id.
     chassis: Rc<[Chassis]>,
-    /// Number of packets that the source refused, and of readings without the heading that their chassis needs.
-    refused: u64,
+    /// Number of inputs that the source refused, and of readings without the heading that their chassis needs, by robot
+    /// and by reason. The robot is `None` if an input says of none.
+    refused: BTreeMap<(Option<RobotId>, &'static str), u64>,
     outputs: Vec<localization::Out>,
 }
 
@@ -35,31 +38,40 @@ impl Localizer {
     /// Creates a Localizer that has received no measurement yet. The `source` measures the centres of robots. Published
     /// readings are of their commanded points, computed with `chassis`: the chassis of all robots, indexed by robot id.
     pub fn new(source: Box<dyn Source>, chassis: Rc<[Chassis]>) -> Localizer {
-        Localizer { source, chassis, refused: 0, outputs: Vec::new() }
+        Localizer { source, chassis, refused: BTreeMap::new(), outputs: Vec::new() }
     }
 
     fn forward(&mut self, out: &mut Vec<Reading>) {
         for output in self.outputs.drain(..) {
             match output {
-                localization::Out::Reading(reading) => match self.chassis.get(reading.robot.index()) {
-                    None => out.push(reading),
-                    Some(chassis) => match chassis.point(reading) {
+                localization::Out::Reading(reading) => match (reading.robot, self.chassis.get(reading.robot.index())) {
+                    (_, None) => out.push(reading),
+                    (robot, Some(chassis)) => match chassis.point(reading) {
                         Some(reading) => out.push(reading),
-                        None => refuse(&mut self.refused, "it has no heading, which a differential drive needs"),
+                        None => refuse(
+                            &mut self.refused,
+                            Some(robot),
+                            "it has no heading, which a differential drive needs",
+                        ),
                     },
                 },
-                localization::Out::Refused(why) => refuse(&mut self.refused, why),
+                localization::Out::Refused(why) => refuse(&mut self.refused, None, why),
+                localization::Out::RefusedOf(robot, why) => refuse(&mut self.refused, Some(robot), why),
             }
         }
     }
 }
 
-/// Adds 1 to `refused`, the number of refused outputs of a source, and logs the reason `why` at the counts 1, 2, 4, 8,
-/// ...: a faulty tracker may send nothing else.
-fn refuse(refused: &mut u64, why: &str) {
+/// Adds 1 to the number of refusals of this robot for the reason `why`, and logs the reason at the counts 1, 2, 4, 8,
+/// ...: a faulty tracker may send nothing else. So a rare reason is not hidden behind a frequent one.
+fn refuse(refused: &mut BTreeMap<(Option<RobotId>, &'static str), u64>, robot: Option<RobotId>, why: &'static str) {
+    let refused = refused.entry((robot, why)).or_default();
     *refused += 1;
     if refused.is_power_of_two() {
-        tracing::warn!(refused, "output of the source is refused: {why}");
+        match robot {
+            Some(robot) => tracing::warn!(refused, "{robot}: a reading is refused: {why}"),
+            None => tracing::warn!(refused, "output of the source is refused: {why}"),
+        }
     }
 }
 

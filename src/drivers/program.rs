@@ -52,7 +52,7 @@ struct Line {
 #[serde(deny_unknown_fields)]
 struct Word {
     health: Condition,
-    battery: Option<u8>,
+    battery: Option<i64>,
     temperature_c: Option<f32>,
     reason: Option<String>,
 }
@@ -109,7 +109,7 @@ impl Driver for Lines {
 
     fn receive(&mut self, _: Time, packet: &[u8], out: &mut Vec<Out>) {
         match serde_json::from_slice::<Word>(packet) {
-            Ok(Word { battery: Some(101..), .. }) => out.push(Out::Refused("a battery has at most 100 %")),
+            // A value that is out of range is unknown; the rest of the line counts, above all a fault.
             Ok(Word { health, battery, temperature_c, reason }) => {
                 let health = match health {
                     Condition::Ready => Health::Ready,
@@ -117,11 +117,15 @@ impl Driver for Lines {
                     Condition::Silent => Health::Silent,
                 };
                 let temperature = temperature_c.and_then(Celsius::of);
-                if temperature.is_none() && temperature_c.is_some() {
-                    return out.push(Out::Refused("a temperature is not -40 to 215 \u{b0}C"));
-                }
+                let charge = battery.and_then(|battery| u8::try_from(battery).ok()).filter(|charge| *charge <= 100);
                 let reason = reason.as_deref().and_then(Reason::new);
-                out.push(Out::Condition(Hardware { health, battery, temperature, reason }));
+                out.push(Out::Condition(Hardware { health, battery: charge, temperature, reason }));
+                if charge.is_none() && battery.is_some() {
+                    out.push(Out::Refused("a battery is not 0 to 100 %"));
+                }
+                if temperature.is_none() && temperature_c.is_some() {
+                    out.push(Out::Refused("a temperature is not -40 to 215 \u{b0}C"));
+                }
             }
             Err(_) => out.push(Out::Refused("it is not a line in the driver's format")),
         }

@@ -119,10 +119,16 @@ pub fn make(
     if configs.is_empty() {
         return Ok(parts);
     }
+    let everyone = robots.iter().all(|robot| configs.contains_key(robot));
     let inner = parts.source;
     let fused = move || {
-        let filters = configs.iter().map(|(robot, config)| (*robot, Filter::new(*config))).collect();
-        Box::new(Fused { inner: inner(), filters, said: Vec::new() }) as Box<dyn Source>
+        let filters: BTreeMap<RobotId, Filter> =
+            configs.iter().map(|(robot, config)| (*robot, Filter::new(*config))).collect();
+        let mut inner = inner();
+        if everyone {
+            inner.positions_suffice();
+        }
+        Box::new(Fused { inner, filters, said: Vec::new() }) as Box<dyn Source>
     };
     Ok(Parts { source: Box::new(fused), worker: parts.worker })
 }
@@ -141,10 +147,13 @@ impl Fused {
         for said in self.said.drain(..) {
             match said {
                 Out::Reading(reading) => match self.filters.get_mut(&reading.robot) {
-                    Some(filter) => out.extend(filter.correct(now, &reading).err().map(Out::Refused)),
+                    Some(filter) => {
+                        let refused = |why| Out::RefusedOf(reading.robot, why);
+                        out.extend(filter.correct(now, &reading).err().map(refused));
+                    }
                     None => out.push(Out::Reading(reading)),
                 },
-                refused @ Out::Refused(_) => out.push(refused),
+                refused @ (Out::Refused(_) | Out::RefusedOf(..)) => out.push(refused),
             }
         }
     }
@@ -155,14 +164,19 @@ impl Source for Fused {
         if let In::Odometry(odometry) = input
             && let Some(filter) = self.filters.get_mut(&odometry.robot)
         {
+            let refused = |why| Out::RefusedOf(odometry.robot, why);
             match filter.advance(now, odometry) {
-                Ok(reading) => out.extend(reading.map(|one| one.unfit().map_or(Out::Reading(one), Out::Refused))),
-                Err(why) => out.push(Out::Refused(why)),
+                Ok(reading) => out.extend(reading.map(|one| one.unfit().map_or(Out::Reading(one), refused))),
+                Err(why) => out.push(refused(why)),
             }
             return;
         }
         self.inner.take(now, input, &mut self.said);
         self.absorb(now, out);
+    }
+
+    fn positions_suffice(&mut self) {
+        self.inner.positions_suffice();
     }
 
     fn wake_at(&self) -> Option<Time> {

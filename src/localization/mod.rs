@@ -4,6 +4,7 @@
 //! A source does no I/O: it converts the packets of its worker (I/O thread), or the samples of a World, to readings.
 
 mod alignment;
+pub mod check;
 pub mod fusion;
 pub mod gpsd;
 pub mod natnet;
@@ -37,6 +38,8 @@ pub enum Out {
     Reading(Reading),
     /// Notice that an input could not be used, with the reason.
     Refused(&'static str),
+    /// Notice that what an input says of one robot could not be used, with the reason. What it says of others counts.
+    RefusedOf(RobotId, &'static str),
 }
 
 /// Source of readings of robots: converts packets from sensors, or true states of simulated robots, to poses and
@@ -53,6 +56,10 @@ pub trait Source {
     /// Does the work that is due at time `_now` and appends readings to `_out`; called at the time that `wake_at`
     /// gives.
     fn wake(&mut self, _now: Time, _out: &mut Vec<Out>) {}
+
+    /// Tells the source that nothing uses its velocities and headings, because they are found from its positions: by
+    /// fusion with odometry, or by an estimator. So the source may put out positions that it cannot add them to.
+    fn positions_suffice(&mut self) {}
 }
 
 /// Parts of a source of readings: a constructor of its logic, and the worker that does its I/O.

@@ -71,14 +71,16 @@ impl Source for Odometry {
             In::Sample(_) => return,
         };
         let Some(alignment) = self.robots.get(&odometry.robot) else {
-            return out.push(Out::Refused("a driver has odometry of a robot that this source does not localize"));
+            let why = "a driver has odometry of a robot that this source does not localize";
+            return out.push(Out::RefusedOf(odometry.robot, why));
         };
         // A robot that repeats its last measurement has not measured again.
         if self.stamps.insert(odometry.robot, odometry.stamp_ns) == Some(odometry.stamp_ns) {
             return;
         }
         let reading = aligned(alignment, odometry);
-        out.push(reading.unfit().map_or(Out::Reading(reading), Out::Refused));
+        let robot = reading.robot;
+        out.push(reading.unfit().map_or(Out::Reading(reading), |why| Out::RefusedOf(robot, why)));
     }
 }
 
@@ -120,6 +122,6 @@ mod tests {
         assert!(out.is_empty(), "the same stamp is the same measurement");
         source.take(Time::ZERO, In::Odometry(&odometry(5, 2, 3.0)), &mut out);
         source.take(Time::ZERO, In::Odometry(&odometry(4, 2, f32::NAN)), &mut out);
-        assert!(matches!(&out[..], [Out::Refused(_), Out::Refused(_)]), "{out:?}");
+        assert!(matches!(&out[..], [Out::RefusedOf(RobotId(5), _), Out::RefusedOf(RobotId(4), _)]), "{out:?}");
     }
 }

@@ -67,14 +67,37 @@ impl Source for Lines {
     fn take(&mut self, _: Time, input: In, out: &mut Vec<Out>) {
         let In::Packet(packet) = input else { return };
         out.push(match serde_json::from_slice::<Line>(packet) {
-            Err(_) => Out::Refused("it is not a line in the source's format"),
+            Err(_) => match named(packet).filter(|robot| self.robots.contains(robot)) {
+                Some(robot) => Out::RefusedOf(robot, misread(packet)),
+                None => Out::Refused(misread(packet)),
+            },
             Ok(line) if !self.robots.contains(&RobotId(line.robot)) => Out::Refused("its robot is not of this source"),
-            Ok(line) if !(0.0..1e10).contains(&line.stamp_s) => Out::Refused("its stamp is out of range"),
+            Ok(line) if !(0.0..1e10).contains(&line.stamp_s) => {
+                Out::RefusedOf(RobotId(line.robot), "its stamp is not 0 to 1e10 s")
+            }
             Ok(line) => {
                 let reading = reading(&line);
-                reading.unfit().map_or(Out::Reading(reading), Out::Refused)
+                reading.unfit().map_or(Out::Reading(reading), |why| Out::RefusedOf(RobotId(line.robot), why))
             }
         });
+    }
+}
+
+/// Returns the robot that a line names although it is not in the source's format; `None` if it names none.
+fn named(packet: &[u8]) -> Option<RobotId> {
+    let (_, rest) = std::str::from_utf8(packet).ok()?.split_once("\"robot\"")?;
+    let number = rest.trim_start().strip_prefix(':')?.trim_start();
+    let end = number.find(|digit: char| !digit.is_ascii_digit()).unwrap_or(number.len());
+    number[..end].parse().ok().map(RobotId)
+}
+
+/// Returns the reason why a line is not in the source's format.
+fn misread(packet: &[u8]) -> &'static str {
+    let has = |word: &[u8]| packet.windows(word.len()).any(|part| part == word);
+    match () {
+        // As Python's `json` writes them.
+        () if has(b"NaN") || has(b"Infinity") => "its line has NaN or Infinity, which JSON has not; leave it out",
+        () => "it is not a line in the source's format",
     }
 }
 

@@ -343,6 +343,34 @@ pub fn wrapped(angle: f64) -> f64 {
     libm::remainder(angle, std::f64::consts::TAU)
 }
 
+/// Smallest and largest length of a quaternion that is taken for a rotation. Senders that round to f32 are within 1e-6
+/// of one, and some normalise seldom; a quaternion whose fields were confused is mostly further off.
+pub const QUATERNION_LENGTH: [f64; 2] = [0.9, 1.1];
+
+/// Reason why four numbers are no rotation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NoRotation {
+    /// All four are zero, as in a message whose orientation nobody has set.
+    Zero,
+    /// Their length as a quaternion is out of [`QUATERNION_LENGTH`], or not finite.
+    Length,
+}
+
+/// Returns the unit quaternion in the direction of `quaternion`, whose length has to be within
+/// [`QUATERNION_LENGTH`].
+pub fn unit_quaternion(quaternion: [f64; 4]) -> Result<[f64; 4], NoRotation> {
+    if quaternion == [0.0; 4] {
+        return Err(NoRotation::Zero);
+    }
+    let length = quaternion.iter().map(|number| number * number).sum::<f64>().sqrt();
+    let [least, most] = QUATERNION_LENGTH;
+    if (least..=most).contains(&length) {
+        Ok(quaternion.map(|number| number / length))
+    } else {
+        Err(NoRotation::Length)
+    }
+}
+
 /// Whether both components of a vector are finite and at most `MAX_SIZE` (1e5) in absolute value.
 pub fn is_sound(v: Vec2) -> bool {
     v.x.abs() <= MAX_SIZE && v.y.abs() <= MAX_SIZE
@@ -377,6 +405,18 @@ mod tests {
         }
         for turns in -5..5 {
             assert!((wrapped(PI + TAU * f64::from(turns)) as f32).abs() <= MAX_HEADING, "{turns}");
+        }
+    }
+
+    #[test]
+    fn a_quaternion_is_made_one_of_unit_length_if_it_is_nearly_one() {
+        for length in [0.901, 0.99, 1.0, 1.099] {
+            let unit = unit_quaternion([0.0, 0.6 * length, 0.0, 0.8 * length]).unwrap();
+            assert!((unit[1] - 0.6).abs() < 1e-12 && (unit[3] - 0.8).abs() < 1e-12, "{unit:?}");
+        }
+        assert_eq!(unit_quaternion([0.0; 4]), Err(NoRotation::Zero));
+        for wrong in [[0.0, 0.0, 0.0, 0.89], [0.0, 0.0, 0.0, 1.11], [0.0, 0.0, 0.5, 0.5], [f64::NAN; 4], [1e300; 4]] {
+            assert_eq!(unit_quaternion(wrong), Err(NoRotation::Length), "{wrong:?}");
         }
     }
 

@@ -3,6 +3,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::messages::geometry::{NoRotation, unit_quaternion};
+
 use super::messages::{
     BatteryState, Covariance, Header, Odometry, Pose, PoseStamped, PoseWithCovarianceStamped, Stamp,
     TwistWithCovariance,
@@ -170,15 +172,11 @@ fn pose(stamp: Stamp, pose: &Pose, covariance: Option<&Covariance>) -> Result<Po
 /// are zero, so that no orientation was set. An error says that it is not a unit quaternion.
 fn yaw(pose: &Pose) -> Result<Option<f64>, &'static str> {
     let q = pose.orientation;
-    if [q.x, q.y, q.z, q.w] == [0.0; 4] {
-        return Ok(None);
+    match unit_quaternion([q.x, q.y, q.z, q.w]) {
+        Ok([x, y, z, w]) => Ok(Some(libm::atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))),
+        Err(NoRotation::Zero) => Ok(None),
+        Err(NoRotation::Length) => Err("its orientation is not a unit quaternion; correct its sender"),
     }
-    let square = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w;
-    // Senders that round to f32 are within 1e-6; beyond 10 % it is no orientation.
-    if !(0.9..=1.1).contains(&square) {
-        return Err("its orientation is not a unit quaternion; correct its sender");
-    }
-    Ok(Some(libm::atan2(2.0 * (q.w * q.z + q.x * q.y), square - 2.0 * (q.y * q.y + q.z * q.z))))
 }
 
 fn twist(twist: &TwistWithCovariance) -> Result<TwistSample, &'static str> {

@@ -105,6 +105,10 @@ fn driver_error(settings: &Settings) -> String {
     driver(settings).err().expect("it is refused").to_string()
 }
 
+fn is_refusal(said: &localization::Out) -> bool {
+    matches!(said, localization::Out::Refused(_) | localization::Out::RefusedOf(..))
+}
+
 #[test]
 fn every_source_refuses_invalid_packets() {
     for entry in Registry::builtin().sources().iter().filter(|entry| entry.name != "ros2") {
@@ -113,7 +117,7 @@ fn every_source_refuses_invalid_packets() {
         for noise in [&b""[..], b"\n", b"{}", &[0xff; 5000], b"{\"robot\": 3}"] {
             source.take(Time::ZERO, In::Packet(noise), &mut out);
         }
-        assert!(out.iter().all(|said| matches!(said, localization::Out::Refused(_))), "{}: {out:?}", entry.name);
+        assert!(out.iter().all(is_refusal), "{}: {out:?}", entry.name);
     }
 }
 
@@ -161,9 +165,12 @@ fn a_program_drives_a_robot_and_reports_its_status() {
     driver.receive(Time::ZERO, &word, &mut out);
     let (temperature, reason) = (Celsius::of(41.5), Reason::new("bumper"));
     let hardware = Hardware { health: Health::Faulty, battery: Some(12), temperature, reason };
-    assert_eq!(out.pop(), Some(drivers::Out::Condition(hardware)));
-    driver.receive(Time::ZERO, b"{\"health\": \"ready\", \"temperature_c\": 1e9}", &mut out);
-    assert!(matches!(out.pop(), Some(drivers::Out::Refused(_))));
+    assert_eq!(out.pop(), Some(drivers::Out::Condition(hardware.clone())));
+    let odd = b"{\"health\": \"faulty\", \"temperature_c\": 1e9, \"battery\": 300, \"reason\": \"bumper\"}";
+    driver.receive(Time::ZERO, odd, &mut out);
+    assert!(matches!(out.pop(), Some(drivers::Out::Refused(_))) && matches!(out.pop(), Some(drivers::Out::Refused(_))));
+    let hardware = Hardware { battery: None, temperature: None, ..hardware };
+    assert_eq!(out.pop(), Some(drivers::Out::Condition(hardware)), "an odd value does not hide a fault");
     drop(gate);
     worker.join().expect("it does not panic");
 }
@@ -184,8 +191,7 @@ fn a_program_localizes_robots() {
     let localization::Out::Reading(reading) = &out[0] else { panic!("{out:?}") };
     assert_eq!((reading.robot, reading.stamp_ns, reading.pose.heading), (ROBOT, 1_500_000_000, Some(0.25)));
     assert_eq!((reading.twist.yaw_rate, reading.deviation.position_m), (None, None), "what is not said is unknown");
-    let refused = |said: &localization::Out| matches!(said, localization::Out::Refused(_));
-    assert!(refused(&out[1]) && refused(&out[2]), "another's robot, and a place that is none: {out:?}");
+    assert!(is_refusal(&out[1]) && is_refusal(&out[2]), "another's robot, and a place that is none: {out:?}");
     drop(gate);
     worker.join().expect("it does not panic");
 }

@@ -1,5 +1,6 @@
 //! The actor graph in one process under virtual time: whole trials and their guarantees.
 
+mod bad_entries;
 mod built_in;
 mod common;
 mod contracts;

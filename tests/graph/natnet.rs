@@ -57,7 +57,11 @@ fn readings(out: &[Out]) -> Vec<&Reading> {
 }
 
 fn refused(out: &[Out]) -> Vec<&'static str> {
-    out.iter().filter_map(|said| if let Out::Refused(why) = said { Some(*why) } else { None }).collect()
+    let why = |said: &Out| match said {
+        Out::Refused(why) | Out::RefusedOf(_, why) => Some(*why),
+        Out::Reading(_) => None,
+    };
+    out.iter().filter_map(why).collect()
 }
 
 /// Feeds the model definitions and frames of one bitstream. Returns what was said to each frame.
@@ -181,7 +185,7 @@ fn fuzz(seed: u64, rounds: u64, limit: Duration) -> (u64, BTreeMap<&'static str,
         }
         for out in take(&mut *source, &datagram) {
             let why = match out {
-                Out::Refused(why) => why,
+                Out::Refused(why) | Out::RefusedOf(_, why) => why,
                 Out::Reading(reading) => {
                     assert_eq!(Wire::Reading(reading.clone()).check(), Ok(()), "{reading:?}");
                     "reading"
@@ -215,7 +219,7 @@ fn a_lost_body_and_a_repeated_or_late_frame_give_no_reading() {
     lost.bodies[1].position = [f32::NAN; 3];
     let out = take(&mut *source, &fake::frame([4, 1], &lost));
     assert_eq!(readings(&out).iter().map(|reading| reading.robot).collect::<Vec<_>>(), [RobotId(0)]);
-    assert!(refused(&out).is_empty());
+    assert!(matches!(out[1], Out::RefusedOf(RobotId(1), "the tracker has lost its rigid body")), "{out:?}");
     for again in [scene(10), Scene { number: 11, ..scene(10) }, Scene { number: 10, ..scene(11) }, scene(8)] {
         let out = take(&mut *source, &fake::frame([4, 1], &again));
         assert!(readings(&out).is_empty() && refused(&out).len() == 1, "{out:?}");
@@ -224,6 +228,77 @@ fn a_lost_body_and_a_repeated_or_late_frame_give_no_reading() {
     assert_eq!(readings(&out).len(), 2);
     let absent = Scene { bodies: scene(12).bodies.split_off(1), ..scene(12) };
     assert_eq!(readings(&take(&mut *source, &fake::frame([4, 1], &absent))).len(), 1, "it has left the frame");
+}
+
+#[test]
+fn a_body_without_a_pose_costs_itself_alone() {
+    let bad: [fn(&mut Body); 4] = [
+        |body| body.rotation = [0.0; 4],
+        |body| body.rotation = [0.0, 0.0, 0.5, 0.5],
+        |body| body.position[1] = f32::NAN,
+        |body| body.rotation[3] = f32::INFINITY,
+    ];
+    for version in VERSIONS {
+        for spoil in bad {
+            let mut source = source("rate_hz = 1000.0", 2);
+            let foreign = |frame| {
+                let mut scene = scene(frame);
+                let mut other = Body::standing("other", 99, [0.0; 3], 0.0);
+                spoil(&mut other);
+                scene.bodies.insert(0, other);
+                scene
+            };
+            let all = feed(&mut *source, version, (0..10).map(foreign));
+            assert!(all.iter().all(|out| refused(out).is_empty()) && readings(&all[9]).len() == 2, "{all:?}");
+            let own = |frame| {
+                let mut scene = scene(frame);
+                spoil(&mut scene.bodies[1]);
+                scene
+            };
+            let all = feed(&mut *source, version, (10..20).map(own));
+            assert!(all.iter().all(|out| readings(out).len() == 1 && matches!(out[1], Out::RefusedOf(RobotId(1), _))));
+            let all = feed(&mut *source, version, (20..30).map(scene));
+            assert_eq!(readings(&all[9]).len(), 2, "it is back");
+        }
+    }
+}
+
+#[test]
+fn a_rotation_that_is_nearly_of_unit_length_is_one() {
+    let mut source = source("rate_hz = 1000.0", 2);
+    let scaled = |frame| {
+        let mut scene = scene(frame);
+        scene.bodies[0].rotation = scene.bodies[0].rotation.map(|number| 0.99 * number);
+        scene.bodies[1].rotation = scene.bodies[1].rotation.map(|number| 0.91 * number);
+        scene
+    };
+    let all = feed(&mut *source, [4, 1], (0..10).map(scaled));
+    let last = readings(&all[9]);
+    assert!((last[0].pose.heading.unwrap() - 0.5).abs() < 1e-5 && last.len() == 2, "{last:?}");
+}
+
+#[test]
+fn robots_that_cannot_be_told_apart_have_no_readings() {
+    let why = |text: &str, scene: fn(i32) -> Scene| {
+        let mut source = source(&format!("rate_hz = 1000.0\n{text}"), 2);
+        let all = feed(&mut *source, [4, 1], (0..10).map(scene));
+        let said = refused(&all[9]);
+        (readings(&all[9]).iter().map(|reading| reading.robot.0).collect::<Vec<_>>(), said.join("; "))
+    };
+    let (robots, said) = why("bodies = { 0 = 8 }", scene);
+    assert!(robots.is_empty() && said.contains("another robot has the same rigid body"), "{robots:?} {said}");
+    let (robots, said) = why("", |frame| {
+        let mut scene = scene(frame);
+        scene.bodies.push(Body::standing("robot-0", 7, [-1.0; 3], 0.0));
+        scene
+    });
+    assert!(robots == [1] && said.contains("two rigid bodies in a frame have its ID"), "{robots:?} {said}");
+    let (robots, _) = why("", |frame| {
+        let mut scene = scene(frame);
+        scene.bodies.push(Body::standing("robot-0", 9, [-1.0; 3], 0.0));
+        scene
+    });
+    assert_eq!(robots, [1], "two bodies have the name of robot 0");
 }
 
 #[test]

@@ -104,7 +104,7 @@ mod tests {
     use super::*;
 
     fn push(position: [f64; 2], yaw_deg: f64) -> Push {
-        Push { position: Some(position), attitude: Some([0.0, 0.0, yaw_deg]), rolled_over: None }
+        Push { position: Some(position), attitude: Some([0.0, 0.0, yaw_deg]), ..Push::default() }
     }
 
     #[test]

@@ -188,6 +188,8 @@ pub struct Push {
     pub attitude: Option<[f64; 3]>,
     /// Whether the robot lies on its side or back.
     pub rolled_over: Option<bool>,
+    /// Reason why a value of the datagram is not used; `None` if all are. The other values count.
+    pub refused: Option<Malformed>,
 }
 
 /// Number of flags in a chassis status: static, uphill, downhill, on slope, picked up, slips, hit along x, y, z, rolled
@@ -197,7 +199,8 @@ const FLAGS: usize = 11;
 const ROLLED_OVER: usize = 9;
 
 /// Decodes a state datagram (push), which names several values after one prefix:
-/// `chassis push position 1.000 2.000 ; attitude 0.100 0.200 30.000 ;;`. Pushes of other modules are skipped.
+/// `chassis push position 1.000 2.000 ; attitude 0.100 0.200 30.000 ;;`. Pushes of other modules are skipped. A value
+/// that cannot be read costs itself; an error says that nothing could be read.
 pub fn decode_push(datagram: &[u8]) -> Result<Push, Malformed> {
     let mut push = Push::default();
     let mut module = None;
@@ -210,17 +213,30 @@ pub fn decode_push(datagram: &[u8]) -> Result<Push, Malformed> {
         match (module, &words[..]) {
             (_, []) => {}
             (None, _) => return Err(Malformed::Words),
-            (Some("chassis"), ["position", values @ ..]) => push.position = Some(numbers(values, FARTHEST_M)?),
-            (Some("chassis"), ["attitude", values @ ..]) => push.attitude = Some(numbers(values, LARGEST_ANGLE_DEG)?),
-            (Some("chassis"), ["status", values @ ..]) => {
-                let flags: [f64; FLAGS] = numbers(values, 1.0)?;
-                push.rolled_over = Some(flags[ROLLED_OVER] > 0.5);
+            (Some("chassis"), ["position", values @ ..]) => push.position = push.value(numbers(values, FARTHEST_M)),
+            (Some("chassis"), ["attitude", values @ ..]) => {
+                push.attitude = push.value(numbers(values, LARGEST_ANGLE_DEG));
             }
-            (Some("chassis"), _) => return Err(Malformed::Words),
+            (Some("chassis"), ["status", values @ ..]) => {
+                let flags: Option<[f64; FLAGS]> = push.value(numbers(values, 1.0));
+                push.rolled_over = flags.map(|flags| flags[ROLLED_OVER] > 0.5);
+            }
+            (Some("chassis"), _) => drop(push.value::<0>(Err(Malformed::Words))),
             (Some(_), _) => {}
         }
     }
-    if module.is_none() { Err(Malformed::Words) } else { Ok(push) }
+    match push {
+        _ if module.is_none() => Err(Malformed::Words),
+        Push { position: None, attitude: None, rolled_over: None, refused: Some(why) } => Err(why),
+        push => Ok(push),
+    }
+}
+
+impl Push {
+    /// Returns the numbers of a value; `None` if they cannot be read, which is noted.
+    fn value<const N: usize>(&mut self, numbers: Result<[f64; N], Malformed>) -> Option<[f64; N]> {
+        numbers.map_err(|why| self.refused = Some(why)).ok()
+    }
 }
 
 /// Cause of a hit on the robot's armour.
@@ -349,6 +365,10 @@ mod tests {
         let alone = decode_push(b"chassis push attitude 0.1 1 3;").unwrap();
         assert_eq!(alone, Push { attitude: Some([0.1, 1.0, 3.0]), ..Push::default() });
         assert_eq!(decode_push(b"gimbal push attitude 20 10;"), Ok(Push::default()));
+        let partly = b"chassis push position nan 1 ; attitude 0.1 1 3 ; speed 1 1 ; status 1 0 0 0 0 0 0 0 0 1 0 ;";
+        let partly = decode_push(partly).unwrap();
+        assert_eq!((partly.position, partly.attitude), (None, Some([0.1, 1.0, 3.0])), "a bad value costs itself");
+        assert_eq!((partly.rolled_over, partly.refused), (Some(true), Some(Malformed::Words)));
         for (wrong, why) in [
             (&b"chassis push position nan 1;"[..], Malformed::Number),
             (b"chassis push position inf 1;", Malformed::Number),

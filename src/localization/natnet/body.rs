@@ -115,12 +115,16 @@ impl Body {
         if pose.stamp_s - held.since_s < limits.settle_s {
             return Err("a rigid body has jumped further than its robot can move; it has to stay there for settle_s");
         }
+        // No velocity is found across the jump.
+        self.window.clear();
         self.accept(pose, limits);
         Ok(())
     }
 
     fn accept(&mut self, pose: Pose, limits: &Limits) {
-        if self.held.take().is_some() || !self.newest.is_some_and(|newest| is_one_motion(&newest, &pose)) {
+        // Poses that were refused in between cost themselves: the accepted ones go on.
+        self.held = None;
+        if !self.newest.is_some_and(|newest| is_one_motion(&newest, &pose)) {
             self.window.clear();
         }
         self.newest = Some(pose);
@@ -217,9 +221,11 @@ mod tests {
         (5..105).for_each(|frame| assert!(body.take(pose(frame, 3.0), &LIMITS, empty()).is_err(), "{frame}"));
         body.take(pose(105, 3.0), &LIMITS, empty()).unwrap();
         assert_eq!(body.rates(&LIMITS), None, "the jump is no velocity");
-        body.take(pose(106, 5.0), &LIMITS, empty()).unwrap_err();
-        body.take(pose(107, 3.0), &LIMITS, empty()).unwrap();
-        for frame in 108..400 {
+        (106..110).for_each(|frame| body.take(pose(frame, 3.0), &LIMITS, empty()).unwrap());
+        body.take(pose(110, 5.0), &LIMITS, empty()).unwrap_err();
+        body.take(pose(111, 3.0), &LIMITS, empty()).unwrap();
+        assert_eq!(body.rates(&LIMITS).unwrap().velocity, [0.0; 2], "one refused pose costs itself");
+        for frame in 112..400 {
             let x = if frame % 2 == 0 { 5.0 } else { 7.0 };
             body.take(pose(frame, x), &LIMITS, empty()).expect_err("it flickers");
         }

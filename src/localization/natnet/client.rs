@@ -6,6 +6,7 @@
 use crate::time::{Span, Time};
 
 use super::frame::{self, Layout};
+use super::model;
 use super::packet::{self, ServerInfo, Version};
 
 /// Period at which an unanswered request is repeated.
@@ -81,21 +82,27 @@ impl Client {
         }
     }
 
-    /// Processes a datagram of the server. Returns the change of the connection that it causes; ignores a malformed
-    /// datagram.
+    /// Processes a datagram of the server. Returns the change of the connection that it causes. A malformed frame counts
+    /// as a frame that has arrived; other malformed datagrams are ignored.
     pub fn take(&mut self, now: Time, datagram: &[u8]) -> Option<Event> {
-        let (message, payload) = packet::split(datagram).ok()?;
-        match message {
-            packet::FRAME => {
-                let (frame, layout) = frame::decode(payload, self.layout).ok()?;
+        let split = packet::split(datagram);
+        // A frame that cannot be decoded has arrived all the same: opening the sockets again would not help.
+        if datagram.starts_with(&packet::FRAME.to_le_bytes()) {
+            if let Ok((frame, layout)) = split.and_then(|(_, payload)| frame::decode(payload, self.layout)) {
                 self.layout = layout;
                 self.named &= !frame.models_changed;
-                (self.heard, self.silent) = (now, false);
-                self.streaming.replace(self.streaming.unwrap_or(now)).is_none().then_some(Event::Frames)
             }
+            (self.heard, self.silent) = (now, false);
+            return self.streaming.replace(self.streaming.unwrap_or(now)).is_none().then_some(Event::Frames);
+        }
+        let (message, payload) = split.ok()?;
+        match message {
             packet::MODEL => {
-                self.named = true;
-                self.newest[1] = Some(datagram.into());
+                // Definitions that cannot be decoded are asked for again, and the source says why it refuses them.
+                self.named = model::decode(payload, self.server.as_ref().map(|server| server.natnet)).is_ok();
+                if self.named || self.newest[1].is_none() {
+                    self.newest[1] = Some(datagram.into());
+                }
                 None
             }
             packet::SERVER_INFO => {
@@ -206,6 +213,32 @@ mod tests {
         assert_eq!(client.take(at_ms(3010), &frame(true)), None);
         assert_eq!(asked(&mut client, 3010), [packet::REQUEST_MODEL]);
         assert!(asked(&mut client, 3500).is_empty(), "once a second");
+    }
+
+    #[test]
+    fn frames_that_cannot_be_decoded_are_no_silence() {
+        let mut client = Client::new(at_ms(0), false);
+        let mut damaged = frame(false);
+        damaged.truncate(40);
+        for ms in (0..10_000).step_by(10) {
+            let event = client.take(at_ms(ms), &damaged);
+            assert_eq!(event, (ms == 0).then_some(Event::Frames), "{ms}");
+            assert!(client.listen(at_ms(ms)) != Some(Event::Silent) && !client.is_silent());
+        }
+        assert_eq!(client.listen(at_ms(11_000)), Some(Event::Silent));
+    }
+
+    #[test]
+    fn definitions_that_cannot_be_decoded_are_asked_for_again() {
+        let mut client = Client::new(at_ms(0), false);
+        client.take(at_ms(0), &message(packet::SERVER_INFO, &[0; 264]));
+        let (good, bad) = (message(packet::MODEL, &[0; 4]), message(packet::MODEL, &[9, 0, 0, 0, 1]));
+        client.take(at_ms(100), &bad);
+        assert_eq!(asked(&mut client, 1000), [packet::REQUEST_MODEL]);
+        client.take(at_ms(1100), &good);
+        assert!(asked(&mut client, 3000).is_empty());
+        client.take(at_ms(3000), &bad);
+        assert!(client.reminders(at_ms(3100)).contains(&good.into()), "the last good ones");
     }
 
     #[test]

@@ -5,6 +5,8 @@
 //! Before 4.1, each section has to be decoded to find its end. The decoder was tested with frames from independent
 //! servers for 3.0 to 4.1, and only with hand-made frames for 4.2 to 4.4.
 
+use crate::messages::geometry::{MAX_SIZE, NoRotation, unit_quaternion};
+
 use super::packet::{Malformed, Reader, Version};
 
 /// Layout of a frame of motion capture data, which depends on the bitstream (version of the NatNet format).
@@ -25,12 +27,24 @@ pub struct RigidBody {
     /// Position of the body \[m\] in the tracker's own frame.
     pub position: [f64; 3],
     /// Rotation from the body's axes to those of the tracker's frame, as a quaternion (x, y, z, w); of unit length if
-    /// the body is tracked.
+    /// the body has a pose.
     pub rotation: [f64; 4],
     /// Mean distance between the body's measured markers and its model \[m\]; zero if the server does not report it.
     pub error_m: f32,
-    /// Whether the body is tracked in this frame. A lost body stays in the frame with an arbitrary pose.
-    pub tracked: bool,
+    /// Whether the body has a pose in this frame.
+    pub tracking: Tracking,
+}
+
+/// State of a rigid body in one frame: whether it has a pose.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tracking {
+    /// The body is tracked, and its pose is sound.
+    Tracked,
+    /// The body is lost. It stays in the frame with an arbitrary pose.
+    Lost,
+    /// The body is tracked, and its numbers are no pose, for this reason. The other bodies of the frame are not
+    /// concerned.
+    NoPose(&'static str),
 }
 
 /// Frame of motion capture data: the poses of all rigid bodies at one time.
@@ -56,8 +70,6 @@ const PRECISE_STAMP: usize = 8;
 const PARAMS: usize = 2;
 /// Size of the tag at the end of a frame \[bytes\].
 const END: usize = 4;
-/// Largest deviation of a rotation's squared length from one. The rounding of f32 is about 1e-6.
-const ROUNDING: f64 = 0.01;
 /// Latest stamp that is valid \[s\]: 300 years.
 const LATEST_S: f64 = 1e10;
 /// Bit in the flags of a rigid body: it is tracked in this frame.
@@ -198,10 +210,18 @@ fn rigid_body(reader: &mut Reader) -> Result<RigidBody, Malformed> {
     let id = reader.i32()?;
     let (position, rotation) = (reader.vector()?, reader.vector()?);
     let (error_m, tracked) = (reader.f32()?, reader.i16()? & TRACKED != 0);
-    let length = rotation.iter().map(|number| number * number).sum::<f64>();
-    let sound = position.iter().all(|number| number.is_finite()) && (length - 1.0).abs() <= ROUNDING;
-    if tracked && !sound {
-        return Err(Malformed("a tracked body in a NatNet frame has no pose"));
-    }
-    Ok(RigidBody { id, position, rotation, error_m, tracked })
+    let (rotation, tracking) = match unit_quaternion(rotation) {
+        _ if !tracked => (rotation, Tracking::Lost),
+        _ if !position.iter().all(|number| number.abs() <= f64::from(MAX_SIZE)) => {
+            (rotation, Tracking::NoPose("its rigid body is tracked, and its position is not finite, or beyond 100 km"))
+        }
+        Ok(unit) => (unit, Tracking::Tracked),
+        Err(NoRotation::Zero) => {
+            (rotation, Tracking::NoPose("its rigid body is tracked, and its rotation is all zero"))
+        }
+        Err(NoRotation::Length) => {
+            (rotation, Tracking::NoPose("its rigid body is tracked, and its rotation is no unit quaternion"))
+        }
+    };
+    Ok(RigidBody { id, position, rotation, error_m, tracking })
 }

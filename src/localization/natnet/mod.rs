@@ -15,13 +15,13 @@ use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::localization::alignment::Alignment;
 use crate::localization::{In, Out, Parts, Source};
-use crate::messages::geometry::{self, Deviation, MAX_HEADING, Twist, Vec2};
+use crate::messages::geometry::{self, Deviation, MAX_HEADING, MAX_SIZE, Twist, Vec2};
 use crate::messages::ids::RobotId;
-use crate::messages::wire::{Reading, Wire};
+use crate::messages::wire::Reading;
 use crate::time::{Span, Time};
 
 use body::{Body, Pose};
-use frame::{Frame, Layout, RigidBody};
+use frame::{Frame, Layout, RigidBody, Tracking};
 use model::Definition;
 use packet::{Malformed, Version};
 use settings::{BodyName, Config, Up};
@@ -38,6 +38,11 @@ const LEAST_ERROR_M: f32 = 1e-4;
 /// Smallest length of the projection of a body's unit x axis onto the floor. Below it the body, tilted by more than 60
 /// degrees, has no heading.
 const LEVEL: f64 = 0.5;
+
+/// Largest number of rigid bodies of others whose faults are logged, each once.
+const MOST_STRANGERS: usize = 8;
+/// Largest number of names of rigid bodies that a log line lists.
+const MOST_NAMES: usize = 12;
 
 /// Fraction of the period of readings by which a frame may come before a reading is due and still give that reading. So
 /// every second frame of 100 Hz gives a reading at 50 Hz.
@@ -69,6 +74,8 @@ struct NatNet {
     version: Option<Version>,
     /// Last received definitions (names and IDs) of the tracker's rigid bodies; empty before the first arrive.
     definitions: Vec<Definition>,
+    /// Streaming IDs of bodies of no robot that were tracked without a pose, each logged once.
+    strangers: Vec<i32>,
     /// Number and stamp \[s\] of the last frame; `None` before the first.
     last: Option<(i32, f64)>,
     /// Stamp of a frame from which the next readings are put out \[s\]; frames before it give none.
@@ -87,6 +94,7 @@ impl NatNet {
             layout: Layout::Sized,
             version: None,
             definitions: Vec::new(),
+            strangers: Vec::new(),
             last: None,
             due_s: 0.0,
         }
@@ -114,19 +122,19 @@ impl NatNet {
         Ok(())
     }
 
-    /// Finds the streaming ID of each robot's rigid body by the body's name in the model definitions. Does nothing if
-    /// the definitions have not changed.
+    /// Finds the streaming ID of each robot's rigid body by the body's name in the model definitions. A name that
+    /// several bodies have says nothing. Does nothing if the definitions have not changed.
     fn identify(&mut self, definitions: Vec<Definition>) {
         if definitions == self.definitions {
             return;
         }
         for Tracked { robot, name, id, body } in &mut self.robots {
             let BodyName::Name(name) = name else { continue };
-            let found = definitions.iter().find(|definition| definition.name == *name).map(|found| found.id);
+            let mut ids: Vec<i32> = definitions.iter().filter(|other| other.name == *name).map(|one| one.id).collect();
+            ids.dedup();
+            let found = if let [id] = ids[..] { Some(id) } else { None };
             if found.is_none() {
-                let known: Vec<&str> = definitions.iter().map(|definition| definition.name.as_str()).collect();
-                let known = known.join(", ");
-                tracing::warn!("the tracker has no rigid body '{name}' for {robot}: set `bodies`; it has: {known}");
+                tracing::warn!("{robot}: {}", not_found(name, &ids, &definitions));
             }
             if found != *id {
                 (*id, *body) = (found, Body::default());
@@ -161,7 +169,22 @@ impl NatNet {
             match self.follow(at, frame) {
                 Ok(Some(reading)) if is_due => out.push(checked(reading)),
                 Ok(_) => {}
-                Err(why) => out.push(Out::Refused(why)),
+                Err(why) => out.push(Out::RefusedOf(self.robots[at].robot, why)),
+            }
+        }
+        self.note_strangers(frame);
+    }
+
+    /// Logs each body of no robot that is tracked without a pose, once. It concerns nobody, and its tracker may have to
+    /// be corrected.
+    fn note_strangers(&mut self, frame: &Frame) {
+        for rigid in &frame.bodies {
+            let Tracking::NoPose(why) = rigid.tracking else { continue };
+            let id = rigid.id;
+            let is_ours = self.robots.iter().any(|tracked| tracked.id == Some(id));
+            if !is_ours && self.strangers.len() < MOST_STRANGERS && !self.strangers.contains(&id) {
+                self.strangers.push(id);
+                tracing::warn!("the tracker's rigid body {id}, which is no robot's, is ignored: {why}");
             }
         }
     }
@@ -171,12 +194,16 @@ impl NatNet {
     fn follow(&mut self, at: usize, frame: &Frame) -> Result<Option<Reading>, &'static str> {
         let (before, rest) = self.robots.split_at_mut(at);
         let Some((Tracked { robot, id: Some(id), body, .. }, after)) = rest.split_first_mut() else { return Ok(None) };
-        let Some(rigid) = frame.bodies.iter().find(|rigid| rigid.id == *id && rigid.tracked) else { return Ok(None) };
+        if before.iter().chain(&*after).any(|other| other.id == Some(*id)) {
+            return Err("another robot has the same rigid body: give each its own, in `bodies` or in the tracker");
+        }
+        let rigid = sole(frame, *id)?;
         let others = before.iter().chain(&*after).filter_map(|other| other.body.newest());
         let pose = self.config.frame.pose(frame.stamp_s, rigid);
         body.take(pose, &self.config.limits, others)?;
         Ok(body.rates(&self.config.limits).map(|rates| {
-            let error_m = (rigid.error_m > 0.0).then(|| rigid.error_m.max(LEAST_ERROR_M));
+            let known = rigid.error_m > 0.0 && rigid.error_m <= MAX_SIZE;
+            let error_m = known.then(|| rigid.error_m.max(LEAST_ERROR_M));
             let vector = |[x, y]: [f64; 2]| Vec2::new(x as f32, y as f32);
             let heading = pose.heading.map(|heading| (heading as f32).clamp(-MAX_HEADING, MAX_HEADING));
             Reading {
@@ -194,11 +221,47 @@ impl NatNet {
     }
 }
 
+/// Returns the rigid body with this streaming ID in a frame. An error says why the frame has no pose of it.
+fn sole(frame: &Frame, id: i32) -> Result<&RigidBody, &'static str> {
+    let mut own = frame.bodies.iter().filter(|rigid| rigid.id == id).peekable();
+    if own.peek().is_none() {
+        return Err("the tracker's frames have no rigid body of its ID: does it stream rigid bodies?");
+    }
+    let mut tracked = own.filter(|rigid| rigid.tracking != Tracking::Lost);
+    match (tracked.next(), tracked.next()) {
+        (None, _) => Err("the tracker has lost its rigid body"),
+        (Some(RigidBody { tracking: Tracking::NoPose(why), .. }), None) => Err(why),
+        (Some(rigid), None) => Ok(rigid),
+        (Some(_), Some(_)) => Err("two rigid bodies in a frame have its ID: correct the IDs in the tracker"),
+    }
+}
+
+/// Returns the text about a robot's body `name` that the model definitions have not, or several times, with the
+/// streaming IDs `ids`. Names of the tracker come from outside, so their odd characters are escaped.
+fn not_found(name: &str, ids: &[i32], definitions: &[Definition]) -> String {
+    let quoted = |name: &str| format!("'{}'", name.chars().take(40).collect::<String>().escape_debug());
+    let own = quoted(name);
+    if !ids.is_empty() {
+        let ids = ids.iter().map(i32::to_string).collect::<Vec<_>>().join(", ");
+        return format!("the tracker has several rigid bodies {own}, with the IDs {ids}: rename them, or set `bodies`");
+    }
+    let plain = |name: &str| name.trim().to_lowercase();
+    let is_alike = definitions.iter().any(|definition| plain(&definition.name) == plain(name));
+    let hint = if is_alike { "; blanks and capitals count" } else { "" };
+    let mut known: Vec<String> = definitions.iter().map(|definition| quoted(&definition.name)).collect();
+    let more = known.len().saturating_sub(MOST_NAMES);
+    known.truncate(MOST_NAMES);
+    if more > 0 {
+        known.push(format!("and {more} more"));
+    }
+    let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+    format!("the tracker has no rigid body {own}: set `bodies`; it has: {known}{hint}")
+}
+
 fn checked(reading: Reading) -> Out {
-    let reading = Wire::Reading(reading);
-    match (reading.check(), reading) {
-        (Ok(()), Wire::Reading(reading)) => Out::Reading(reading),
-        _ => Out::Refused("the pose of a rigid body is out of range"),
+    match reading.unfit() {
+        None => Out::Reading(reading),
+        Some(why) => Out::RefusedOf(reading.robot, why),
     }
 }
 

@@ -70,8 +70,9 @@ fn decode_as(payload: &[u8], layout: Layout) -> Result<(Vec<Definition>, usize),
         if layout == Layout::Sized {
             let length = reader.count()?;
             let mut definition = Reader::new(reader.bytes(length)?);
+            // A definition that cannot be read costs itself alone.
             if kind == RIGID_BODY {
-                definitions.push(named(&mut definition)?);
+                definitions.extend(named(&mut definition));
             }
             continue;
         }
