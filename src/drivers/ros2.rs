@@ -4,10 +4,9 @@
 //! the robot is told to stand. Zeros are repeated at full rate until the odometry says that the robot stands, then five
 //! times a second.
 
-use std::collections::BTreeMap;
-
 use crate::config::ConfigError;
 use crate::edge::Settings;
+use crate::edge::sender_clock::{Novelty, SenderClock};
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::RobotId;
 use crate::messages::wire::{Hardware, Health, MAX_VALIDITY, Reason};
@@ -16,12 +15,11 @@ use serde::Deserialize;
 
 use crate::drivers::{Command, Driver, Limits, Out, Parts};
 use crate::messages::local::BodyTwist;
-use crate::ros2::packet::{
-    self, Drive, FromNode, Plan, PoseSample, Read, Reader, Sample, ToNode, TopicState, Writer, Written,
-};
-use crate::ros2::reading::{self, Axes, Novelty, Stamps};
+use crate::ros2::packet::{self, Drive, FromNode, Plan, PoseSample, Read, Reader, Sample, ToNode, Writer, Written};
+use crate::ros2::reading::{self, Axes};
 use crate::ros2::settings;
 use crate::ros2::supervisor::Supervisor;
+use crate::ros2::topics::Topics;
 
 /// Description of the driver in one line, for lists of all drivers.
 pub const ABOUT: &str = "a ROS 2 robot: Twist or TwistStamped out, Odometry in";
@@ -37,6 +35,8 @@ const DISCOVERY: Span = Span::from_millis(6000);
 const UNHEARD: &str = "no odometry is heard: see namespace, odom, interface and its ROS_DOMAIN_ID";
 /// Validity of a zero velocity that is sent \[ms\], longer than the longest period of zero velocities.
 const ZERO_FOR_MS: u32 = 300;
+/// Number of older stamps in a row that show a clock that was set back: DDS may let messages overtake each other.
+const OVERTAKEN: u32 = 3;
 /// Largest speed \[m/s\] and yaw rate \[rad/s\] at which a robot counts as standing. The noise of wheel encoders is
 /// below a tenth of it.
 const STANDS: (f64, f64) = (0.01, 0.02);
@@ -174,7 +174,9 @@ struct Ros2 {
     heard: Option<Time>,
     /// Whether the robot was stopped because its odometry is missing, and none has arrived since.
     silent: bool,
-    stamps: Stamps,
+    clock: SenderClock,
+    /// Reason why the newest odometry message could not be used, with its topic; `None` if it could.
+    unusable: Option<String>,
     /// Whether the odometry has shown that the robot stands, since the driver began to send zero velocities.
     stood: bool,
     /// Time since which zero velocities are sent, and time of the next one. `None` while the robot moves and before the
@@ -183,10 +185,7 @@ struct Ros2 {
     /// Arrival time of the first packet of the DDS process, from which the wait for odometry counts; `None` after the
     /// first odometry or the warning that none arrives.
     waits: Option<Time>,
-    /// State of each topic (peers and problem) that the DDS process has reported, by the name of the topic.
-    topics: BTreeMap<String, TopicState>,
-    /// Number of new problems and lost peers of topics so far; it limits the log.
-    problems: u64,
+    topics: Topics,
     battery: Option<u8>,
     /// Last reported condition of the hardware.
     told: Option<Hardware>,
@@ -194,6 +193,8 @@ struct Ros2 {
 
 impl Ros2 {
     fn new(robot: RobotId, config: &Config) -> Ros2 {
+        // A robot without odometry has no such topic.
+        let odom = settings::full_topic("odom", &config.namespace, &config.odom).unwrap_or_default();
         Ros2 {
             robot,
             limits: Limits { speed_m_s: config.speed_m_s },
@@ -202,12 +203,12 @@ impl Ros2 {
             silence: (!config.odom.is_empty()).then(|| Span::from_secs(config.silence_s)),
             heard: None,
             silent: false,
-            stamps: Stamps::default(),
+            clock: SenderClock::new(OVERTAKEN),
+            unusable: None,
             stood: false,
             standing: None,
             waits: None,
-            topics: BTreeMap::new(),
-            problems: 0,
+            topics: Topics::new(robot, odom),
             battery: None,
             told: None,
         }
@@ -220,15 +221,18 @@ impl Ros2 {
 
     fn health(&self, now: Time) -> (Health, Option<Reason>) {
         let reason = |text: &str| Reason::new(text);
-        let obeyed = self.topics.values().any(|state| state.written && state.peers > 0);
-        let refused = self.topics.values().find(|state| state.peers == 0 && state.problem.is_some());
-        if let Some((topic, problem)) = refused.and_then(|state| Some((&state.topic, state.problem.as_ref()?))) {
-            return (Health::Faulty, reason(&format!("{topic}: {problem}")));
+        if let Some(problem) = self.topics.unmatched().or_else(|| self.topics.twins()) {
+            return (Health::Faulty, reason(&problem));
         }
+        // Odometry that arrives and cannot be used is no silence of the network.
+        let unusable = self.unusable.clone().or_else(|| self.topics.problem_of_odometry());
         match (self.silence, self.heard) {
+            (Some(_), _) if self.is_silent(now) && unusable.is_some() => {
+                (Health::Faulty, unusable.as_deref().and_then(Reason::new))
+            }
             (Some(_), None) => (Health::Silent, reason(UNHEARD)),
             (Some(_), Some(_)) if self.is_silent(now) => (Health::Faulty, reason("its odometry is silent")),
-            _ if obeyed => (Health::Ready, None),
+            _ if self.topics.is_obeyed() => (Health::Ready, None),
             // The robot reports odometry, but nothing subscribes to its commands yet.
             _ => (Health::Silent, reason("no subscriber of its commands")),
         }
@@ -279,16 +283,21 @@ impl Ros2 {
     fn odometry(&mut self, now: Time, pose: PoseSample, out: &mut Vec<Out>) {
         // A sender without stamps has zeros: then each message is new, at its arrival.
         let stamp_ns = if pose.stamp_ns == 0 { now.as_nanos() } else { pose.stamp_ns };
-        if self.stamps.take(stamp_ns) == Novelty::Old {
-            return;
-        }
+        let (Novelty::New(stamp_ns) | Novelty::Anew(stamp_ns)) = self.clock.take(now, stamp_ns) else { return };
         let pose = reading::in_rep103(self.axes, pose);
-        let Some(velocity) = reading::velocity(&pose) else {
-            return out.push(Out::Refused("the odometry has no orientation"));
+        let reading = match reading::velocity(&pose) {
+            None => Err("its orientation is all zero; correct its sender"),
+            Some(velocity) => reading::reading(self.robot, stamp_ns, &pose, velocity)
+                .ok_or("a number of it is out of range; correct its sender"),
         };
-        let Some(reading) = reading::reading(self.robot, stamp_ns, &pose, velocity) else {
-            return out.push(Out::Refused("the odometry has a number out of range"));
+        let reading = match reading {
+            Ok(reading) => reading,
+            Err(why) => {
+                self.unusable = Some(format!("{}: {why}", self.topics.odom()));
+                return out.push(Out::Refused(why));
+            }
         };
+        self.unusable = None;
         if std::mem::take(&mut self.silent) {
             tracing::info!("{}: its odometry is heard again", self.robot);
         }
@@ -298,34 +307,6 @@ impl Ros2 {
             self.stood |= slow;
         }
         out.push(Out::Odometry(reading));
-    }
-
-    fn topic(&mut self, state: TopicState) {
-        let known = self.topics.get(&state.topic);
-        let robot = self.robot;
-        // A problem of the participant concerns all topics, and is logged once.
-        let new = state
-            .problem
-            .as_ref()
-            .filter(|problem| self.topics.values().all(|known| known.problem.as_ref() != Some(*problem)));
-        let lost = known.is_some_and(|known| known.peers > 0) && state.peers == 0;
-        if new.is_some() || lost {
-            self.problems += 1;
-        }
-        // A hostile sender may change the state of a topic all the time.
-        if self.problems < 8 || self.problems.is_power_of_two() {
-            if let Some(problem) = new {
-                tracing::warn!(problems = self.problems, "{robot}: topic {}: {problem}", state.topic);
-            }
-            if lost {
-                tracing::warn!(
-                    "{robot}: topic {} has no subscriber or publisher left; see whether the robot's base runs",
-                    state.topic
-                );
-            }
-        }
-        // The DDS process names the topics of its plan alone, which are three at the most.
-        self.topics.insert(state.topic.clone(), state);
     }
 }
 
@@ -338,7 +319,7 @@ impl Driver for Ros2 {
         let left = command.drive.until.since(now).as_nanos().min(MAX_VALIDITY.as_nanos()) / 1_000_000;
         let for_ms = u32::try_from(left).unwrap_or(0);
         match command.body.and_then(|body| self.within_limits(body)) {
-            Some(body) if for_ms > 0 && !self.is_silent(now) => {
+            Some(body) if for_ms > 0 && !self.is_silent(now) && self.topics.twins().is_none() => {
                 self.standing = None;
                 self.send(body, for_ms, out);
             }
@@ -355,7 +336,7 @@ impl Driver for Ros2 {
                 Sample::Pose(pose) => self.odometry(now, pose, out),
                 Sample::Battery(charge) => self.battery = charge.map(|charge| (charge * 100.0).round() as u8),
             },
-            Ok(FromNode::Topic(state)) => self.topic(state),
+            Ok(FromNode::Topic(state)) => self.topics.take(state),
             Ok(FromNode::Beat(_)) => {}
             Err(error) => out.push(Out::Refused(error.reason())),
         }
@@ -373,7 +354,9 @@ impl Driver for Ros2 {
         if self.waits.is_some_and(|since| now >= since + DISCOVERY) {
             self.waits = None;
             let robot = self.robot;
-            tracing::warn!("{robot}: {UNHEARD}");
+            if self.unusable.is_none() && self.topics.problem_of_odometry().is_none() {
+                tracing::warn!("{robot}: {UNHEARD}");
+            }
         }
         if !self.silent && self.heard.is_some() && self.is_silent(now) {
             self.silent = true;
@@ -389,7 +372,7 @@ impl Driver for Ros2 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ros2::packet::{Heard, TwistSample};
+    use crate::ros2::packet::{Heard, TopicState, TwistSample};
 
     fn config(text: &str) -> Config {
         let text = format!("namespace = '/r1'\nspeed_m_s = 0.5\n{text}");
@@ -519,6 +502,58 @@ mod tests {
         bench.odometry(500, 0.0);
         bench.drive(510, Some([0.2, 0.0, 0.0]));
         assert!(bench.sent()[0].x > 0.0);
+    }
+
+    #[test]
+    fn odometry_that_cannot_be_used_is_named_and_is_no_fault_of_the_network() {
+        let reason = |bench: &mut Bench| {
+            let all = bench.out.drain(..).filter_map(|out| match out {
+                Out::Condition(Hardware { health, reason, .. }) => Some((health, reason?.text().to_owned())),
+                _ => None,
+            });
+            all.last()
+        };
+        let mut bench = Bench::new("");
+        let zero = |ms: u64| {
+            let pose = PoseSample { stamp_ns: ms + 1, twist: Some(TwistSample::default()), ..PoseSample::default() };
+            packet::encode(&FromNode::Heard(Heard { topic: 0, sample: Sample::Pose(pose) }))
+        };
+        bench.driver.receive(at_ms(20), &zero(20), &mut bench.out);
+        let why = "/r1/odom: its orientation is all zero; correct its sender".to_owned();
+        assert_eq!(reason(&mut bench), Some((Health::Faulty, why.clone())));
+        bench.odometry(40, 0.0);
+        assert_eq!(bench.condition(), Some((Health::Ready, None)), "the next message is a good one");
+        for ms in (60..600).step_by(20) {
+            bench.driver.receive(at_ms(ms), &zero(ms), &mut bench.out);
+        }
+        assert_eq!(reason(&mut bench), Some((Health::Faulty, why)));
+        // What the DDS process cannot read, it reports as a problem of the topic.
+        let mut bench = Bench::new("");
+        let state = TopicState {
+            topic: "/r1/odom".to_owned(),
+            written: false,
+            peers: 1,
+            problem: Some("a message: its position is not finite; see whether the sender is localized".to_owned()),
+        };
+        bench.driver.receive(at_ms(20), &packet::encode(&FromNode::Topic(state)), &mut bench.out);
+        let (health, why) = reason(&mut bench).unwrap();
+        assert!(health == Health::Faulty && why.starts_with("/r1/odom: a message: its position is not"), "{why}");
+    }
+
+    #[test]
+    fn two_robots_in_one_namespace_are_not_driven() {
+        let mut bench = Bench::new("");
+        bench.odometry(0, 0.0);
+        assert_eq!(bench.condition(), Some((Health::Ready, None)));
+        let state = TopicState { topic: "/r1/odom".to_owned(), written: false, peers: 2, problem: None };
+        bench.driver.receive(at_ms(10), &packet::encode(&FromNode::Topic(state)), &mut bench.out);
+        assert_eq!(bench.condition(), None, "a second publisher alone may be a base that was started again");
+        bench.topic(20, "/r1/cmd_vel", 2, None);
+        assert_eq!(bench.condition(), Some((Health::Faulty, None)));
+        bench.drive(30, Some([0.2, 0.0, 0.0]));
+        assert!(bench.sent().iter().all(|sent| sent.x == 0.0));
+        bench.topic(40, "/r1/cmd_vel", 1, None);
+        assert_eq!(bench.condition(), Some((Health::Ready, None)), "one was ended");
     }
 
     #[test]

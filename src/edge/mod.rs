@@ -7,6 +7,7 @@
 
 pub mod child;
 pub(crate) mod exclusive;
+pub mod sender_clock;
 mod settings;
 
 pub use settings::Settings;

@@ -202,6 +202,10 @@ impl Kalman {
 }
 
 impl Estimator for Kalman {
+    fn finds_velocities(&self) -> bool {
+        true
+    }
+
     fn take(&mut self, now: Time, reading: &Reading) {
         let at = self.measured_at(now.as_secs(), reading.stamp_ns);
         if self.is_outlier(at, reading) {

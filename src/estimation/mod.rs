@@ -35,6 +35,12 @@ pub trait Estimator: std::fmt::Debug {
     fn deviation_m(&self, _now: Time) -> f32 {
         0.0
     }
+
+    /// Returns true if the estimator finds velocities from positions alone, where a reading does not state how accurate
+    /// its velocity is. Then a source may put out positions without a velocity.
+    fn finds_velocities(&self) -> bool {
+        false
+    }
 }
 
 /// Entry of a kind of estimator in the registry: its name, its description, and the function that makes it.

@@ -12,6 +12,7 @@ use crate::actors::verdict::Verdict;
 use crate::actors::wiggle::{self, Wiggle};
 use crate::actors::{body, localizer};
 use crate::deploy::Deployment;
+use crate::estimation;
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::Latch;
@@ -79,11 +80,12 @@ impl Bench {
     }
 }
 
-/// Starts a bench in real time: the given devices of one host of a deployment, without a team. If `wiggle` is given,
+/// Starts a bench in real time: the given devices of one host of a deployment, without a team. The host uses readings by
+/// the given estimator. If `wiggle` is given,
 /// that check drives the robots after [`Bench::begin`] is called. `report` is called with each event.
 pub fn wire(
     (clock, readers): (&Clock, &mut Readers),
-    (deployment, host): (&Deployment, HostId),
+    (deployment, host, estimator): (&Deployment, HostId, &estimation::Entry),
     devices: &Devices,
     wiggle: Option<wiggle::Config>,
     report: impl Fn(Event) + 'static,
@@ -109,7 +111,7 @@ pub fn wire(
     }
     if let Some(device) = &devices.source {
         let (to, report_reading) = (Rc::clone(&bench), Rc::clone(&report));
-        start_source(clock, &bench.source, device, deployment, move |reading| {
+        start_source(clock, &bench.source, device, (deployment, estimator), move |reading| {
             to.reading(&reading);
             report_reading(Event::Reading(reading));
         });

@@ -17,6 +17,7 @@ use crate::chassis::Chassis;
 use crate::deploy::Deployment;
 use crate::drivers::Driver;
 use crate::drivers::simulated::Simulated;
+use crate::estimation;
 use crate::localization::{self, Source};
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, RobotId};
@@ -98,21 +99,29 @@ pub(super) fn wire_sensor(clock: &Clock, plan: &Plan, graph: &Graph, robot: Robo
 pub(super) fn wire_source(clock: &Clock, plan: &Plan, graph: &Graph, process: &Process) {
     let (Some(host), Some(device)) = (process.only, &process.devices.source) else { return };
     let network = graph.network_of(host);
-    start_source(clock, &graph.source, device, &plan.deployment, move |reading| {
+    start_source(clock, &graph.source, device, (&plan.deployment, &plan.estimator), move |reading| {
         network.send(network::In::Publish(Wire::Reading(reading)));
     });
 }
 
-/// Starts the Localizer (actor) that runs the source of readings in `device`; `out` receives the readings.
+/// Starts the Localizer (actor) that runs the source of readings in `device`, for the team's deployment and the
+/// estimator that uses the readings on this host; `out` receives the readings.
 pub(super) fn start_source(
     clock: &Clock,
     mailbox: &Mailbox<localizer::In>,
     device: &Device<dyn Source>,
-    deployment: &Deployment,
+    (deployment, estimator): (&Deployment, &estimation::Entry),
     out: impl FnMut(Reading) + 'static,
 ) {
     let (source, chassis) = (Rc::clone(&device.make), deployment.team_chassis());
-    let make = move |_| Localizer::new(source(), Rc::clone(&chassis));
+    let positions_suffice = (estimator.make)(&estimation::Settings::default()).finds_velocities();
+    let make = move |_| {
+        let mut source = source();
+        if positions_suffice {
+            source.positions_suffice();
+        }
+        Localizer::new(source, Rc::clone(&chassis))
+    };
     start(clock, mailbox, info_span!("localizer"), make, out);
 }
 

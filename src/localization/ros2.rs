@@ -5,6 +5,7 @@
 
 use crate::config::ConfigError;
 use crate::edge::Settings;
+use crate::edge::sender_clock::{Novelty, SenderClock};
 use crate::localization::alignment::Alignment;
 use crate::localization::{In, Out, Parts, Source};
 use crate::messages::geometry::wrapped;
@@ -13,7 +14,7 @@ use crate::time::Time;
 use serde::Deserialize;
 
 use crate::ros2::packet::{self, FromNode, Plan, PoseSample, Read, Reader, Sample, TopicState};
-use crate::ros2::reading::{self, Novelty, Stamps, Velocity};
+use crate::ros2::reading::{self, Velocity};
 use crate::ros2::settings;
 use crate::ros2::supervisor::Supervisor;
 
@@ -28,6 +29,9 @@ const LONGEST_S: f64 = 0.5;
 /// Shortest time between two poses from whose difference a velocity is computed \[s\]. At this time, noise of 0.2 mm
 /// alone gives a velocity of 0.1 m/s.
 const SHORTEST_S: f64 = 0.002;
+
+/// Number of older stamps in a row that show a clock that was set back: DDS may let messages overtake each other.
+const OVERTAKEN: u32 = 3;
 
 /// Settings of the source `ros2` in the team file.
 #[derive(Clone, Debug, Deserialize)]
@@ -81,7 +85,9 @@ pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigErro
     let config: Config = settings.read()?;
     let plan = plan(&config, robots)?;
     let frame = Alignment::new(config.yaw_rad, config.origin_m)?;
-    let (spare, robots) = (config.spare, robots.to_vec());
+    let topics = plan.readers.iter().map(|reader| reader.topic.clone());
+    let robots: Vec<(RobotId, String)> = robots.iter().copied().zip(topics).collect();
+    let spare = config.spare;
     Ok(Parts {
         source: Box::new(move || Box::new(Poses::new(frame, &robots))),
         worker: Box::new(Supervisor { plan, spare, program: None }),
@@ -125,26 +131,34 @@ struct Poses {
     frame: Alignment,
     /// Robots in the order of the plan's readers.
     tracks: Vec<Track>,
-    /// Number of problems of topics that were reported so far. A problem that repeats the last one is not counted.
-    problems: u64,
-    /// Last reported problem of a topic; `None` before the first.
-    logged: Option<String>,
 }
 
-/// State of the source `ros2` for one robot: stamps of its messages, and its last pose.
+/// State of the source `ros2` for one robot: stamps of its messages, its last pose, and what was wrong with its topic.
 struct Track {
     robot: RobotId,
-    stamps: Stamps,
+    topic: String,
+    clock: SenderClock,
+    /// Number of problems of the topic so far. One that repeats the last one is not counted.
+    problems: u64,
+    /// Last problem of the topic; `None` before the first.
+    problem: Option<String>,
     /// Stamp \[ns\] and pose of the last message from which a velocity can be computed, in the world frame; `None`
     /// before the first.
     last: Option<(u64, PoseSample)>,
 }
 
 impl Poses {
-    fn new(frame: Alignment, robots: &[RobotId]) -> Poses {
-        let track = |&robot: &RobotId| Track { robot, stamps: Stamps::default(), last: None };
-        let tracks = robots.iter().map(track).collect();
-        Poses { frame, tracks, problems: 0, logged: None }
+    /// Makes the source of `robots`, each with its topic, in the order of the plan's readers.
+    fn new(frame: Alignment, robots: &[(RobotId, String)]) -> Poses {
+        let track = |(robot, topic): &(RobotId, String)| Track {
+            robot: *robot,
+            topic: topic.clone(),
+            clock: SenderClock::new(OVERTAKEN),
+            problems: 0,
+            problem: None,
+            last: None,
+        };
+        Poses { frame, tracks: robots.iter().map(track).collect() }
     }
 
     /// Converts a pose from the messages' frame to the world frame.
@@ -160,11 +174,18 @@ impl Poses {
             return out.push(Out::Refused("its robot is not of this source"));
         };
         let stamp_ns = if pose.stamp_ns == 0 { now.as_nanos() } else { pose.stamp_ns };
-        match track.stamps.take(stamp_ns) {
-            Novelty::Old => return,
-            Novelty::Anew => track.last = None,
-            Novelty::New => {}
+        // A pose that is none is no beginning of a velocity either.
+        if reading::reading(track.robot, stamp_ns, &pose, Velocity::default()).is_none() {
+            return out.push(Out::RefusedOf(track.robot, "a pose has a number out of range"));
         }
+        let stamp_ns = match track.clock.take(now, stamp_ns) {
+            Novelty::Old => return,
+            Novelty::Anew(stamp_ns) => {
+                track.last = None;
+                stamp_ns
+            }
+            Novelty::New(stamp_ns) => stamp_ns,
+        };
         let last = track.last;
         let Some(velocity) = reading::velocity(&pose).or_else(|| difference(last?, (stamp_ns, &pose))) else {
             // A pose too soon after the stored one gives no velocity: the stored one is kept for the next message.
@@ -176,20 +197,22 @@ impl Poses {
         track.last = Some((stamp_ns, pose));
         out.push(match reading::reading(track.robot, stamp_ns, &pose, velocity) {
             Some(reading) => Out::Reading(reading),
-            None => Out::Refused("a pose has a number out of range"),
+            None => Out::RefusedOf(track.robot, "a velocity is out of range"),
         });
     }
 
     fn topic(&mut self, state: &TopicState) {
-        let Some(problem) = state.problem.as_deref().filter(|problem| self.logged.as_deref() != Some(*problem)) else {
-            return;
-        };
-        self.problems += 1;
+        let Some(track) = self.tracks.iter_mut().find(|track| track.topic == state.topic) else { return };
+        let mixed =
+            || format!("it has {} publishers, and its poses are a mixture of theirs; end all but one", state.peers);
+        let problem = if state.peers > 1 { Some(mixed()) } else { state.problem.clone() };
+        let Some(problem) = problem.filter(|problem| track.problem.as_ref() != Some(problem)) else { return };
+        track.problems += 1;
         // A hostile sender may change the problem all the time.
-        if self.problems < 8 || self.problems.is_power_of_two() {
-            tracing::warn!(problems = self.problems, "source ros2: topic {}: {problem}", state.topic);
+        if track.problems < 8 || track.problems.is_power_of_two() {
+            tracing::warn!(problems = track.problems, "{}: topic {}: {problem}", track.robot, state.topic);
         }
-        self.logged = Some(problem.to_owned());
+        track.problem = Some(problem);
     }
 }
 
@@ -230,6 +253,10 @@ mod tests {
     use crate::ros2::packet::{Heard, TwistSample};
     use crate::time::Span;
 
+    fn of(robots: &[u16]) -> Vec<(RobotId, String)> {
+        robots.iter().map(|robot| (RobotId(*robot), format!("/r{robot}/pose"))).collect()
+    }
+
     fn config(text: &str) -> Config {
         Settings { name: "ros2".to_owned(), table: text.parse().unwrap() }.read().unwrap()
     }
@@ -254,7 +281,7 @@ mod tests {
 
     #[test]
     fn velocity_is_the_difference_where_messages_have_none() {
-        let mut source = Poses::new(Alignment::default(), &[RobotId(4), RobotId(7)]);
+        let mut source = Poses::new(Alignment::default(), &of(&[4, 7]));
         assert_eq!(take(&mut source, 10, 1, at(10, 0.0)), [], "the first alone has no velocity");
         let out = take(&mut source, 20, 1, at(20, 0.01));
         let told = reading(&out);
@@ -270,7 +297,7 @@ mod tests {
 
     #[test]
     fn a_heading_that_passes_pi_gives_no_turn_of_its_own() {
-        let mut source = Poses::new(Alignment::default(), &[RobotId(0)]);
+        let mut source = Poses::new(Alignment::default(), &of(&[0]));
         take(&mut source, 0, 0, PoseSample { yaw: Some(3.0), ..at(10, 0.0) });
         let out = take(&mut source, 10, 0, PoseSample { yaw: Some(-3.0), ..at(20, 0.0) });
         let rate = reading(&out).twist.yaw_rate.unwrap();
@@ -280,7 +307,7 @@ mod tests {
     #[test]
     fn poses_and_velocities_are_turned_into_the_world() {
         let frame = Alignment::new(std::f64::consts::FRAC_PI_2, [10.0, 20.0]).unwrap();
-        let mut source = Poses::new(frame, &[RobotId(0)]);
+        let mut source = Poses::new(frame, &of(&[0]));
         let twist = Some(TwistSample { x: 0.5, y: 0.0, yaw_rate: 0.1, ..TwistSample::default() });
         let pose = PoseSample { stamp_ns: 1, x: 1.0, y: 2.0, yaw: Some(0.0), twist, ..PoseSample::default() };
         let out = take(&mut source, 0, 0, pose);
@@ -294,11 +321,44 @@ mod tests {
 
     #[test]
     fn a_sender_without_stamps_is_timed_by_arrival() {
-        let mut source = Poses::new(Alignment::default(), &[RobotId(0)]);
+        let mut source = Poses::new(Alignment::default(), &of(&[0]));
         let pose = |x| PoseSample { stamp_ns: 0, x, ..PoseSample::default() };
         take(&mut source, 100, 0, pose(0.0));
         let out = take(&mut source, 110, 0, pose(0.005));
         assert!((reading(&out).twist.velocity.x - 0.5).abs() < 1e-5);
+    }
+
+    #[test]
+    fn a_clock_that_is_set_under_the_stamps_costs_a_few_readings_and_no_false_velocity() {
+        // 0.5 m/s at 50 Hz; after 1 s the sender's clock is set by so much [ms].
+        for step in [-5000i64, -500, -40, 500, 3_600_000] {
+            let mut source = Poses::new(Alignment::default(), &of(&[0]));
+            let (mut lost, mut longest) = (0, 0);
+            for k in 0..150u64 {
+                let ms = 20 * k;
+                let stamp = (100_000 + ms as i64 + if k >= 50 { step } else { 0 }) as u64;
+                let out = take(&mut source, ms, 0, at(stamp, 0.0005 * ms as f64));
+                let Some(Out::Reading(reading)) = out.first() else {
+                    lost += 1;
+                    longest = longest.max(lost);
+                    continue;
+                };
+                lost = 0;
+                let speed = reading.twist.velocity.x;
+                // The one difference across a clock that is set forward is too small, never too large.
+                assert!((speed - 0.5).abs() < 1e-3 || (step == 500 && k == 50 && speed < 0.5), "{step} {k}: {speed}");
+            }
+            assert!(longest <= 3, "{step}: {longest} in a row");
+        }
+    }
+
+    #[test]
+    fn a_topic_of_two_publishers_is_named_once() {
+        let mut source = Poses::new(Alignment::default(), &of(&[4, 7]));
+        let state = TopicState { topic: "/r7/pose".to_owned(), written: false, peers: 2, problem: None };
+        (0..3).for_each(|_| source.topic(&state));
+        assert_eq!(source.tracks.iter().map(|track| track.problems).collect::<Vec<_>>(), [0, 1]);
+        assert!(source.tracks[1].problem.as_deref().unwrap().starts_with("it has 2 publishers"));
     }
 
     #[test]

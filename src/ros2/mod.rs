@@ -15,6 +15,7 @@ pub mod reading;
 pub mod sample;
 pub mod settings;
 pub mod supervisor;
+pub mod topics;
 
 /// Name of the hidden subcommand of this program that runs a DDS process: the child process of a host that connects it
 /// to ROS 2.

@@ -83,42 +83,6 @@ pub fn reading(robot: RobotId, stamp_ns: u64, pose: &PoseSample, velocity: Veloc
     reading.unfit().is_none().then_some(reading)
 }
 
-/// Filter of the time stamps of one sender of ROS messages, which tells new messages from repeated and late ones.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Stamps {
-    newest: Option<u64>,
-}
-
-/// Smallest step back of a message's time stamp \[ns\] that is taken for a clock that was set back. A smaller step is
-/// taken for a late message.
-const CLOCK_SET_NS: u64 = 1_000_000_000;
-
-/// Result of comparing the time stamp of a message with earlier stamps of the same sender.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Novelty {
-    /// The stamp is newer than all stamps before.
-    New,
-    /// The stamp is the first, or more than 1 s older than the newest, as the sender's clock was set back. The message
-    /// is new, but its time cannot be compared with earlier ones.
-    Anew,
-    /// The stamp belongs to a repeated or late message.
-    Old,
-}
-
-impl Stamps {
-    /// Records the stamp of a received message \[ns\] on the sender's clock, and returns whether the message is new.
-    pub fn take(&mut self, stamp_ns: u64) -> Novelty {
-        let novelty = match self.newest {
-            None => Novelty::Anew,
-            Some(newest) if stamp_ns > newest => Novelty::New,
-            Some(newest) if newest - stamp_ns > CLOCK_SET_NS => Novelty::Anew,
-            Some(_) => return Novelty::Old,
-        };
-        self.newest = Some(stamp_ns);
-        novelty
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -135,13 +99,6 @@ mod tests {
         let south = velocity(&in_rep103(Axes::Ned, north)).unwrap();
         assert!((south.x + 0.1).abs() < 1e-12 && (south.y + 0.5).abs() < 1e-12, "{south:?}");
         assert_eq!(south.yaw_rate, Some(-0.2));
-    }
-
-    #[test]
-    fn stamps_tell_new_from_repeated_and_follow_a_clock_that_is_set_back() {
-        let mut stamps = Stamps::default();
-        let taken = [5_000_000_000, 5_000_000_001, 5_000_000_001, 4_500_000_000, 7, 8].map(|stamp| stamps.take(stamp));
-        assert_eq!(taken, [Novelty::Anew, Novelty::New, Novelty::Old, Novelty::Old, Novelty::Anew, Novelty::New]);
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Reports of gpsd: decoder of its JSON lines TPV, GST and ERROR, with the terms of gpsd_json(5).
+//! Reports of gpsd: decoder of its JSON lines TPV, GST, ATT, SKY, DEVICES and ERROR, with the terms of gpsd_json(5).
 
 use serde::Deserialize;
 
@@ -14,9 +14,15 @@ pub enum Report {
     Tpv(Tpv),
     /// Report GST (statistics of pseudorange errors): expected error of a receiver's position.
     Gst(Gst),
+    /// Report ATT: attitude of a receiver with two antennas, or of a compass.
+    Att(Att),
+    /// Report SKY: the satellites in view of a receiver. Only its arrival is of use.
+    Sky,
+    /// Report DEVICES: number of the receivers that gpsd reads.
+    Devices(usize),
     /// Report ERROR: gpsd refuses a request.
     Error,
-    /// Report of gpsd of another class than TPV, GST and ERROR; it is ignored.
+    /// Report of gpsd of another class; it is ignored.
     Other,
 }
 
@@ -27,7 +33,7 @@ pub struct Tpv {
     pub device: Option<String>,
     /// Dimensions of the position fix: 0 or 1 for no fix, 2 or 3.
     pub mode: u8,
-    /// Kind of the position fix as a number of gpsd, explained at [`Fix::of`]; `None` if not reported.
+    /// Kind of the position fix as a number of gpsd, explained at [`Kind::of`]; `None` if not reported.
     pub status: Option<u8>,
     /// Time of measurement \[ns since 1970, UTC\]; `None` if not known, such as at the start of a receiver.
     pub time_ns: Option<u64>,
@@ -41,6 +47,18 @@ pub struct Tpv {
     pub track_deg: Option<f64>,
     /// Speed over ground \[m/s\]; `None` if not known.
     pub speed_m_s: Option<f64>,
+    /// Estimated error of the horizontal position \[m\] (`eph`), which gpsd means for 95 % of all fixes; `None` if not
+    /// known.
+    pub error_95_m: Option<f64>,
+}
+
+/// Report ATT of gpsd: attitude of a receiver with two antennas, or of a compass.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Att {
+    /// Path of the receiver's device on the machine that runs gpsd; `None` if not reported.
+    pub device: Option<String>,
+    /// Direction from the one antenna to the other \[deg\], clockwise from true north; `None` if not known.
+    pub heading_deg: Option<f64>,
 }
 
 /// Report GST of gpsd: the expected error of a receiver's position. A field is `None` if the report does not have it.
@@ -54,6 +72,22 @@ pub struct Gst {
     pub north_m: Option<f64>,
     /// Standard deviation of the position along east \[m\]; `None` if not known.
     pub east_m: Option<f64>,
+}
+
+/// Origin of a position, by the mode and the status of a report.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Fix in three dimensions from satellites alone, of this quality.
+    Satellites(Fix),
+    /// Fix in three dimensions from satellites and from wheel or inertial sensors of the receiver. The status does not
+    /// tell its quality, so that its stated error has to.
+    WithDeadReckoning,
+    /// Position from wheel or inertial sensors of the receiver alone, whose error grows.
+    DeadReckoning,
+    /// Position that is no measurement: surveyed by hand, or simulated.
+    NotMeasured,
+    /// No fix in three dimensions.
+    None,
 }
 
 /// Quality of a satellite position fix, in ascending order of accuracy.
@@ -73,6 +107,12 @@ pub enum Fix {
     RtkFixed,
 }
 
+/// Largest standard deviation of a position \[m\] with which a fix of an unknown kind counts as RTK fixed, RTK float and
+/// DGPS: accurate to centimetres, to decimetres, and to a metre or two.
+const ACCURATE_M: [(f64, Fix); 3] = [(0.05, Fix::RtkFixed), (0.5, Fix::RtkFloat), (2.0, Fix::Dgps)];
+/// Latest year of a report's time. A later one is a receiver's error.
+const LATEST_YEAR: u64 = 2500;
+
 /// Fields in use of the report classes TPV and GST. In GST, `lat` and `lon` are standard deviations \[m\].
 #[derive(Deserialize)]
 struct Line {
@@ -87,24 +127,38 @@ struct Line {
     alt_hae: Option<f64>,
     track: Option<f64>,
     speed: Option<f64>,
+    eph: Option<f64>,
+    heading: Option<f64>,
+    devices: Option<Vec<serde::de::IgnoredAny>>,
 }
 
-impl Fix {
-    /// Returns the quality of a fix; `None` if the fix has fewer than three dimensions or is not from satellites alone.
+impl Kind {
+    /// Returns the origin of the position in a report.
     ///
     /// Values of the status in gpsd_json(5): 0 unknown, 1 normal, 2 DGPS, 3 RTK fixed, 4 RTK float, 5 dead reckoning, 6
     /// satellites with dead reckoning, 7 time only (surveyed position), 8 simulated, 9 P(Y).
-    pub fn of(tpv: &Tpv) -> Option<Fix> {
+    pub fn of(tpv: &Tpv) -> Kind {
         if tpv.mode < 3 {
-            return None;
+            return Kind::None;
         }
         match tpv.status.unwrap_or(0) {
-            0 | 1 | 9 => Some(Fix::ThreeD),
-            2 => Some(Fix::Dgps),
-            4 => Some(Fix::RtkFloat),
-            3 => Some(Fix::RtkFixed),
-            _ => None,
+            0 | 1 | 9 => Kind::Satellites(Fix::ThreeD),
+            2 => Kind::Satellites(Fix::Dgps),
+            4 => Kind::Satellites(Fix::RtkFloat),
+            3 => Kind::Satellites(Fix::RtkFixed),
+            5 => Kind::DeadReckoning,
+            6 => Kind::WithDeadReckoning,
+            _ => Kind::NotMeasured,
         }
+    }
+}
+
+impl Fix {
+    /// Returns the quality of a fix of an unknown kind by the standard deviation of its position \[m\]; the lowest if
+    /// that is unknown.
+    pub fn of_error(deviation_m: Option<f64>) -> Fix {
+        let within = |(most_m, _): &&(f64, Fix)| deviation_m.is_some_and(|error_m| error_m <= *most_m);
+        ACCURATE_M.iter().find(within).map_or(Fix::ThreeD, |(_, fix)| *fix)
     }
 }
 
@@ -118,11 +172,18 @@ pub fn decode(line: &[u8]) -> Result<Report, Malformed> {
     const NO_REPORT: Malformed = Malformed("a line of gpsd is no report");
     let Class { class } = serde_json::from_slice(line).map_err(|_| NO_REPORT)?;
     match class.as_str() {
-        "TPV" | "GST" => {}
+        "TPV" | "GST" | "ATT" | "DEVICES" => {}
+        "SKY" => return Ok(Report::Sky),
         "ERROR" => return Ok(Report::Error),
         _ => return Ok(Report::Other),
     }
     let line: Line = serde_json::from_slice(line).map_err(|_| NO_REPORT)?;
+    if line.class == "DEVICES" {
+        return Ok(Report::Devices(line.devices.map_or(0, |devices| devices.len())));
+    }
+    if line.class == "ATT" {
+        return Ok(Report::Att(Att { device: line.device, heading_deg: line.heading }));
+    }
     let time_ns = match line.time.as_deref().map(nanoseconds) {
         Some(None) => return Err(Malformed("the time of a gpsd report is not in ISO 8601")),
         Some(time_ns) => time_ns,
@@ -141,8 +202,18 @@ pub fn decode(line: &[u8]) -> Result<Report, Malformed> {
             height_m: line.alt_hae,
             track_deg: line.track,
             speed_m_s: line.speed,
+            error_95_m: line.eph,
         })
     })
+}
+
+/// Returns whether a time \[ns since 1970, UTC\] is within a second of the end of a month, where leap seconds are. A
+/// receiver has the stamps of such a second twice, or with second 60, which counts as the first of the next month.
+pub fn may_leap(time_ns: u64) -> bool {
+    const DAY_S: u64 = 86_400;
+    // Two seconds before the end of the month's last day to two after it: 60.9 is 0.9 of the next day.
+    let seconds = time_ns / 1_000_000_000 + 2;
+    seconds % DAY_S < 4 && day_of_month(seconds / DAY_S) == 1
 }
 
 /// Converts a time such as "2026-11-22T12:00:00.100Z" to nanoseconds since 1970, without leap seconds; `None` if
@@ -158,7 +229,7 @@ fn nanoseconds(text: &str) -> Option<u64> {
     let (time, fraction) = time.split_once('.').unwrap_or((time, "0"));
     let mut time = time.splitn(3, ':').map(number);
     let (hour, minute, second) = (time.next()??, time.next()??, time.next()??);
-    let sound = (1970..=2500).contains(&year) && (1..=12).contains(&month) && (1..=31).contains(&day);
+    let sound = (1970..=LATEST_YEAR).contains(&year) && (1..=12).contains(&month) && (1..=31).contains(&day);
     if !(sound && hour < 24 && minute < 60 && second <= 60 && fraction.len() <= 9) {
         return None;
     }
@@ -175,6 +246,16 @@ fn days(year: u64, month: u64, day: u64) -> u64 {
     let in_year = (153 * month + 2) / 5 + day - 1;
     // 1970-01-01 is day 719468 from 0000-03-01.
     365 * year + year / 4 - year / 100 + year / 400 + in_year - 719_468
+}
+
+/// Returns the day of the month of the day that is `day` days after 1970-01-01.
+fn day_of_month(day: u64) -> u64 {
+    // The other way round of `days`, by eras of 400 years from March (Hinnant, chrono-compatible date algorithms).
+    let of_era = (day + 719_468) % 146_097;
+    let year = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
+    let of_year = of_era - (365 * year + year / 4 - year / 100);
+    let month = (5 * of_year + 2) / 153;
+    of_year - (153 * month + 2) / 5 + 1
 }
 
 #[cfg(test)]
@@ -199,21 +280,47 @@ mod tests {
     }
 
     #[test]
+    fn leap_seconds_are_at_the_ends_of_months() {
+        for (text, may) in [
+            ("2026-12-31T23:59:57.900Z", false),
+            ("2026-12-31T23:59:58.500Z", true),
+            ("2026-12-31T23:59:59.900Z", true),
+            ("2026-12-31T23:59:60.900Z", true),
+            ("2027-01-01T00:00:01.900Z", true),
+            ("2027-01-01T00:00:02.000Z", false),
+            ("2024-02-29T23:59:59.500Z", true),
+            ("2024-02-28T23:59:59.500Z", false),
+            ("2026-06-30T23:59:60.000Z", true),
+            ("2026-06-29T23:59:59.000Z", false),
+        ] {
+            assert_eq!(may_leap(nanoseconds(text).unwrap()), may, "{text}");
+        }
+        for day in 0..200_000 {
+            let (first, next) = (day_of_month(day), day_of_month(day + 1));
+            assert!((1..=31).contains(&first) && (next == first + 1 || (next == 1 && first >= 28)), "{day}");
+        }
+    }
+
+    #[test]
     fn a_report_is_read_and_its_quality_judged_by_mode_and_status() {
         let line = br#"{"class":"TPV","device":"/dev/pts/1","mode":3,"status":4,"time":"1970-01-01T00:00:01.000Z",
             "lat":52.2053,"lon":0.1218,"altHAE":58.0,"track":45.5,"speed":0.5,"eph":11.4,"unknown":[1,2]}"#;
         let Report::Tpv(tpv) = decode(line).unwrap() else { panic!("a TPV") };
         assert_eq!((tpv.time_ns, tpv.height_m, tpv.track_deg), (Some(1_000_000_000), Some(58.0), Some(45.5)));
-        assert_eq!(Fix::of(&tpv), Some(Fix::RtkFloat));
-        for (mode, status, fix) in [
-            (3, Some(3), Some(Fix::RtkFixed)),
-            (3, None, Some(Fix::ThreeD)),
-            (2, Some(3), None),
-            (3, Some(5), None),
-            (3, Some(8), None),
+        assert_eq!((Kind::of(&tpv), tpv.error_95_m), (Kind::Satellites(Fix::RtkFloat), Some(11.4)));
+        for (mode, status, kind) in [
+            (3, Some(3), Kind::Satellites(Fix::RtkFixed)),
+            (3, None, Kind::Satellites(Fix::ThreeD)),
+            (2, Some(3), Kind::None),
+            (3, Some(5), Kind::DeadReckoning),
+            (3, Some(6), Kind::WithDeadReckoning),
+            (3, Some(7), Kind::NotMeasured),
+            (3, Some(8), Kind::NotMeasured),
         ] {
-            assert_eq!(Fix::of(&Tpv { mode, status, ..tpv.clone() }), fix);
+            assert_eq!(Kind::of(&Tpv { mode, status, ..tpv.clone() }), kind);
         }
+        let by_error = [Some(0.02), Some(0.3), Some(1.5), Some(9.0), None].map(Fix::of_error);
+        assert_eq!(by_error, [Fix::RtkFixed, Fix::RtkFloat, Fix::Dgps, Fix::ThreeD, Fix::ThreeD]);
         assert!(Fix::RtkFixed > Fix::RtkFloat && Fix::RtkFloat > Fix::Dgps && Fix::Dgps > Fix::ThreeD);
     }
 
@@ -222,7 +329,12 @@ mod tests {
         let line = br#"{"class":"GST","device":"a","time":"2026-11-22T12:00:00.000Z","lat":0.01,"lon":0.02}"#;
         assert!(matches!(decode(line), Ok(Report::Gst(Gst { north_m: Some(_), east_m: Some(_), .. }))));
         (0..line.len()).for_each(|length| assert!(decode(&line[..length]).is_err()));
-        assert_eq!(decode(br#"{"class":"SKY","lat":"not looked at"}"#), Ok(Report::Other));
+        assert_eq!(decode(br#"{"class":"SKY","lat":"not looked at"}"#), Ok(Report::Sky));
+        assert_eq!(decode(br#"{"class":"VERSION","lat":"not looked at"}"#), Ok(Report::Other));
+        assert_eq!(decode(br#"{"class":"DEVICES","devices":[{"path":"/dev/ttyACM0"}]}"#), Ok(Report::Devices(1)));
+        let att = br#"{"class":"ATT","device":"a","time":"2026-11-22T12:00:00.000Z","heading":181.5,"mag_st":"N"}"#;
+        let known = Att { device: Some("a".to_owned()), heading_deg: Some(181.5) };
+        assert_eq!(decode(att), Ok(Report::Att(known)));
         assert_eq!(decode(br#"{"class":"ERROR","message":"Unrecognized request"}"#), Ok(Report::Error));
         for line in [&b"{}"[..], b"null", br#"{"class":7}"#, br#"{"class":"TPV","time":"now"}"#, &[b'['; 5000]] {
             assert!(decode(line).is_err());

@@ -5,6 +5,7 @@ use std::net::SocketAddr;
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::localization::alignment::Alignment;
+use crate::time::Span;
 use serde::Deserialize;
 
 use super::geodesy::{Geodetic, LocalFrame};
@@ -19,6 +20,8 @@ const PORT: u16 = 2947;
 pub enum Heading {
     /// The course over ground at speeds of at least 0.3 m/s. Only valid for robots that drive forwards.
     Track,
+    /// The direction from one antenna of the receiver to the other, by ATT reports; also at rest.
+    Att,
     /// Readings of the source have no heading.
     None,
 }
@@ -44,6 +47,10 @@ struct Fields {
     deviation_most_m: Option<f64>,
     /// Source of the robot's heading.
     heading: Heading,
+    /// Direction of the receiver's heading relative to the robot's front \[rad\], counter-clockwise, for `att`.
+    antennas_rad: f64,
+    /// Time for which positions by dead reckoning alone are used after the last fix from satellites \[s\].
+    dead_reckoning_s: f64,
 }
 
 impl Default for Fields {
@@ -58,6 +65,9 @@ impl Default for Fields {
             fix_least: Fix::RtkFixed,
             deviation_most_m: None,
             heading: Heading::Track,
+            antennas_rad: 0.0,
+            // Its error grows, and how fast no report says.
+            dead_reckoning_s: 0.0,
         }
     }
 }
@@ -79,6 +89,10 @@ pub struct Config {
     pub deviation_most_m: Option<f64>,
     /// Source of the robot's heading.
     pub heading: Heading,
+    /// Direction of the receiver's heading relative to the robot's front \[rad\], counter-clockwise.
+    pub antennas_rad: f64,
+    /// Time for which positions by dead reckoning alone are used after the last fix from satellites; zero for never.
+    pub dead_reckoning: Span,
 }
 
 impl Config {
@@ -98,6 +112,8 @@ impl Config {
             ("origin_latitude_deg", latitude_deg, -89.0, 89.0, "deg"),
             ("origin_longitude_deg", longitude_deg, -180.0, 180.0, "deg"),
             ("deviation_most_m", deviation_most_m, 0.001, 100.0, "m"),
+            ("antennas_rad", fields.antennas_rad, -7.0, 7.0, "rad"),
+            ("dead_reckoning_s", fields.dead_reckoning_s, 0.0, 60.0, "s"),
         ];
         for (name, value, least, most, unit) in within {
             if !(least..=most).contains(&value) {
@@ -116,6 +132,8 @@ impl Config {
             fix_least: fields.fix_least,
             deviation_most_m: fields.deviation_most_m,
             heading: fields.heading,
+            antennas_rad: fields.antennas_rad,
+            dead_reckoning: Span::from_secs(fields.dead_reckoning_s),
         })
     }
 }
@@ -143,6 +161,9 @@ mod tests {
             (&format!("{origin}\naddress = '10.0.0.1:0'"), "address: "),
             (&format!("{origin}\nyaw_rad = nan"), "yaw_rad: "),
             (&format!("{origin}\ndeviation_most_m = 0"), "deviation_most_m: "),
+            (&format!("{origin}\nantennas_rad = 90"), "antennas_rad: "),
+            (&format!("{origin}\ndead_reckoning_s = -1"), "dead_reckoning_s: it is out of range; give 0 to 60 s"),
+            (&format!("{origin}\nheading = 'gps'"), "gpsd.heading: "),
             (&format!("{origin}\ncolour = 1"), "colour"),
         ] {
             let error = read(text).expect_err(text);
