@@ -196,7 +196,7 @@ fn log(wanted: &str, notes: bool) -> Result<(), String> {
     let (registry, coloured) = (tracing_subscriber::registry(), output::colour());
     if notes {
         let lines = tracing_subscriber::fmt::layer().with_writer(|| output::LogLines).with_ansi(coloured);
-        let notes = doctor::Notes.with_filter(LevelFilter::WARN);
+        let notes = doctor::Notes.with_filter(doctor::Warnings);
         registry.with(lines.with_filter(targets)).with(notes).init();
     } else {
         // A single filter for all is the cheapest.

@@ -66,7 +66,7 @@ pub fn look(
     })?;
     let (signal, wake_reader) = signals::listen()?;
     notes::take(true);
-    let seen = Rc::new(RefCell::new(Seen::new(!host.localizes.is_empty())));
+    let seen = Rc::new(RefCell::new(Seen::new(!host.localizes.is_empty(), Span::from_secs(team.safety.own_state_s))));
     let stopped = Rc::new(RefCell::new(None));
     let (length, latest) = (Span::from_secs(seconds), Time::ZERO + Span::from_secs(seconds) + STARTING);
     let wiggles = wiggle.is_some();
@@ -83,7 +83,7 @@ pub fn look(
                 }
                 noted.borrow_mut().note(time.now(), event);
             };
-            let of = (&team.deployment, team.host);
+            let of = (&team.deployment, team.host, &team.estimator);
             let bench = bench::wire((clock, readers), of, &devices, config, report);
             drop(devices);
             if let Some(operator) = operator {
@@ -109,6 +109,7 @@ pub fn look(
             let ends = over || signal.load(Ordering::Relaxed) != 0 || stopped.borrow().is_some();
             if ends && stopping.get().is_none() {
                 stopping.set(Some(now));
+                seen.borrow_mut().end(now);
                 notes::take(false);
                 bench.leave();
             }

@@ -6,69 +6,13 @@ use std::collections::BTreeMap;
 use crate::actors::verdict::Verdict;
 use crate::deploy::team::Team;
 use crate::graph::bench::Event;
+use crate::localization::check::{self, Grade, Judgement, Needs, Track};
+use crate::messages::geometry::Vec2;
 use crate::messages::ids::RobotId;
 use crate::messages::wire::{Hardware, Health, Reading, Reason};
 use crate::time::{Span, Time};
 
 use super::{Found, Status, Subject, notes};
-
-/// Largest accepted deviation from 1 of the advance of the readings' stamps per time between their arrivals; a larger
-/// one is a warning. Clocks deviate by far less; jitter over a second of readings causes a few percent.
-const SKEW: f64 = 0.1;
-/// Shortest time between a robot's first and last reading from which the advance of the stamps is compared with the
-/// time between the arrivals.
-const COMPARED: Span = Span::from_millis(400);
-
-/// Statistics of the readings of one robot, from the host's source or from the robot's odometry: number, first and last
-/// reading, longest gap.
-#[derive(Clone, Debug)]
-struct Track {
-    first: (Time, u64),
-    last: Reading,
-    at: Time,
-    /// Number of all readings, including those with the same stamp as the reading before.
-    count: u32,
-    /// Number of readings with the same stamp as the reading before.
-    repeated: u32,
-    /// Longest time between the arrivals of two successive readings with different stamps.
-    gap: Span,
-}
-
-impl Track {
-    fn new(now: Time, reading: Reading) -> Track {
-        Track { first: (now, reading.stamp_ns), last: reading, at: now, count: 1, repeated: 0, gap: Span::ZERO }
-    }
-
-    fn note(&mut self, now: Time, reading: &Reading) {
-        self.count += 1;
-        if reading.stamp_ns == self.last.stamp_ns {
-            self.repeated += 1;
-        } else {
-            self.gap = self.gap.max(now.since(self.at));
-            self.at = now;
-        }
-        self.last = reading.clone();
-    }
-
-    /// Returns the rate of readings with new stamps \[Hz\].
-    fn rate_hz(&self) -> f64 {
-        f64::from(self.count - 1 - self.repeated) / self.at.since(self.first.0).as_secs().max(1e-9)
-    }
-
-    /// Returns by how much the stamps advance \[s\] in one second of the receiver's clock; 1 if both clocks run equally
-    /// fast. `None` if the readings span too little time (`COMPARED`).
-    fn pace(&self) -> Option<f64> {
-        let arrived = self.at.since(self.first.0);
-        let stamped = self.last.stamp_ns as f64 - self.first.1 as f64;
-        (arrived >= COMPARED).then(|| stamped * 1e-9 / arrived.as_secs())
-    }
-
-    fn pose(&self) -> String {
-        let at = self.last.pose.position;
-        let heading = self.last.pose.heading.map_or("no heading".to_owned(), |rad| format!("heading {rad:.2} rad"));
-        format!("at ({:.2}, {:.2}) m, {heading}", at.x, at.y)
-    }
-}
 
 /// All that a host's source and drivers have reported during `doctor`: readings, odometry, hardware conditions, and
 /// results of the wiggle (a short drive of each robot).
@@ -77,7 +21,13 @@ pub struct Seen {
     readings: BTreeMap<RobotId, Track>,
     odometry: BTreeMap<RobotId, Track>,
     hardware: BTreeMap<RobotId, Hardware>,
+    /// Reason of the newest fault of each robot after it was ready for the first time.
+    faults: BTreeMap<RobotId, String>,
     source_ended: bool,
+    /// Largest age of a robot's newest reading.
+    own_state: Span,
+    /// End of the check; `None` before. What is reported after it is not part of the check.
+    ended: Option<Time>,
     /// True if the host has a source of readings. Then the source's first reading starts the listening time; otherwise
     /// the first robot that is ready starts it.
     localizes: bool,
@@ -91,22 +41,35 @@ pub struct Seen {
     pub over: bool,
 }
 
-fn note(tracks: &mut BTreeMap<RobotId, Track>, now: Time, reading: Reading) {
+fn note(tracks: &mut BTreeMap<RobotId, Track>, own_state: Span, now: Time, reading: Reading) {
     match tracks.get_mut(&reading.robot) {
         Some(track) => track.note(now, &reading),
-        None => drop(tracks.insert(reading.robot, Track::new(now, reading))),
+        None => drop(tracks.insert(reading.robot, Track::new(own_state, now, reading))),
     }
 }
 
 impl Seen {
     /// Creates the collection of device reports, without any report. `localizes` is true if the host has a source of
-    /// readings.
-    pub fn new(localizes: bool) -> Seen {
-        Seen { localizes, ..Seen::default() }
+    /// readings, and `own_state` is the largest age of a robot's newest reading.
+    pub fn new(localizes: bool, own_state: Span) -> Seen {
+        Seen { localizes, own_state, ..Seen::default() }
+    }
+
+    /// Ends the check at `now`.
+    pub fn end(&mut self, now: Time) {
+        self.ended.get_or_insert(now);
+    }
+
+    /// Returns the last position of each robot that the source has measured.
+    pub fn places(&self) -> impl Iterator<Item = (RobotId, Vec2)> {
+        self.readings.iter().map(|(robot, track)| (*robot, track.place()))
     }
 
     /// Records `event`, which a device of the host or the wiggle has reported at the time `now`.
     pub fn note(&mut self, now: Time, event: Event) {
+        if self.ended.is_some() && matches!(event, Event::Reading(_) | Event::Odometry(_) | Event::Hardware(..)) {
+            return;
+        }
         let begins = match &event {
             Event::Reading(_) => self.localizes,
             Event::Hardware(_, hardware) => !self.localizes && hardware.health == Health::Ready,
@@ -116,10 +79,15 @@ impl Seen {
             self.began.get_or_insert(now);
         }
         match event {
-            Event::Reading(reading) => note(&mut self.readings, now, reading),
-            Event::Odometry(reading) => note(&mut self.odometry, now, reading),
+            Event::Reading(reading) => note(&mut self.readings, self.own_state, now, reading),
+            Event::Odometry(reading) => note(&mut self.odometry, self.own_state, now, reading),
             Event::Hardware(robot, hardware) => {
                 let known = self.hardware.remove(&robot);
+                let was_ready = known.as_ref().is_some_and(|known| known.health == Health::Ready);
+                if hardware.health != Health::Ready && (was_ready || self.faults.contains_key(&robot)) {
+                    let why = hardware.reason.as_ref().map_or("no reason given", Reason::text);
+                    self.faults.insert(robot, why.to_owned());
+                }
                 let kept = |of: fn(&Hardware) -> Option<u8>| known.as_ref().and_then(of);
                 let battery = hardware.battery.or(kept(|known| known.battery));
                 self.hardware.insert(robot, Hardware { battery, ..hardware });
@@ -132,40 +100,65 @@ impl Seen {
     }
 
     /// Returns the findings about the devices of the host `team.host`, which were observed for `seconds` \[s\]: one or
-    /// more about its source, and for each robot that it drives those about the driver and the odometry.
-    pub fn findings(&self, team: &Team, seconds: f64) -> Vec<Found> {
+    /// more about its source, and for each robot that it drives those about the driver and the odometry. The team's
+    /// ground reaches to `half_extent` \[m\].
+    pub fn findings(&self, team: &Team, seconds: f64, half_extent: Vec2) -> Vec<Found> {
         let host = &team.deployment.hosts[usize::from(team.host.0)];
         let ids = |robots: &[u16]| robots.iter().copied().map(RobotId).collect::<Vec<_>>();
-        let mut found = self.tracker(team, &ids(&host.localizes), seconds);
+        let needs = Needs { own_state: self.own_state, half_extent };
+        let mut found = self.tracker(team, &ids(&host.localizes), seconds, &needs);
+        // Odometry counts from where each robot was switched on, wherever that is.
+        let anywhere = Needs { half_extent: Vec2::repeat(f32::INFINITY), ..needs };
         for robot in ids(&host.actuates) {
             found.push(self.robot(team, robot));
-            found.extend(self.odometry.get(&robot).map(|track| self.own_odometry(team, robot, track)));
+            let track = self.odometry.get(&robot);
+            let end = self.ended.unwrap_or_default();
+            found.extend(track.map(|track| about_track(&format!("{robot}, odometry"), track, end, &anywhere, &[])));
         }
         found
     }
 
-    /// Returns the findings about the host's source of readings, which was observed for `seconds` \[s\]: a failure that
-    /// names those of `robots` without a reading, and a finding about the readings of each other robot.
-    fn tracker(&self, team: &Team, robots: &[RobotId], seconds: f64) -> Vec<Found> {
+    /// Returns the findings about the host's source of readings, which was observed for `seconds` \[s\]: failures that
+    /// name those of `robots` without a reading, and a finding about the readings of each other robot.
+    fn tracker(&self, team: &Team, robots: &[RobotId], seconds: f64, needs: &Needs) -> Vec<Found> {
         let host = &team.deployment.hosts[usize::from(team.host.0)];
         let name = host.source.as_ref().map_or("", |source| &source.name);
-        let missing: Vec<String> =
-            robots.iter().filter(|robot| !self.readings.contains_key(robot)).map(RobotId::to_string).collect();
+        let end = if self.source_ended { ", its worker has ended" } else { "" };
+        let whole = notes::of_whole_source();
         let mut found = Vec::new();
-        if !missing.is_empty() {
-            let (ended, note) = (self.source_ended, notes::newest(&["source", "localizer"]));
-            let why = note.map_or(String::new(), |note| format!(": {note}"));
-            let end = if ended { ", its worker has ended" } else { "" };
-            let all = missing.len() == robots.len();
-            let said = format!("no reading of {} in {seconds} s{end}{why}", missing.join(", "));
-            let advice = match all {
-                true => "does the tracker run, on this network, and does it measure these robots?",
-                false => "are they in its sight, and under these names or numbers?",
+        let mut missing: Vec<(Vec<RobotId>, Vec<String>)> = Vec::new();
+        for robot in robots.iter().filter(|robot| !self.readings.contains_key(robot)) {
+            let own = notes::of_source(*robot);
+            match missing.iter_mut().find(|(_, other)| *other == own) {
+                Some((group, _)) => group.push(*robot),
+                None => missing.push((vec![*robot], own)),
+            }
+        }
+        let count: usize = missing.iter().map(|(group, _)| group.len()).sum();
+        for (group, own) in &missing {
+            let advice = match () {
+                () if !own.is_empty() => "correct its source, or its settings",
+                () if count == robots.len() => where_to_look(name),
+                () => "are they in its sight, and under these names or numbers?",
             };
+            let why = own.iter().chain(&whole).map(String::as_str).collect::<Vec<_>>().join("; ");
+            let why = if why.is_empty() { why } else { format!(": {why}") };
+            let names = group.iter().map(RobotId::to_string).collect::<Vec<_>>().join(", ");
+            let said = format!("no reading of {names} in {seconds} s{end}{why}");
             found.push((Status::Fail, subject(&format!("source {name}")), said, advice.to_owned()));
         }
-        let heard = robots.iter().filter_map(|robot| Some((robot, self.readings.get(robot)?)));
-        found.extend(heard.map(|(robot, track)| about_track(team, &format!("{robot}, source {name}"), track)));
+        if missing.is_empty() && self.source_ended {
+            let advice = "see why it ended; without it all its robots stand";
+            found.push((Status::Fail, subject(&format!("source {name}")), end[2..].to_owned(), advice.to_owned()));
+        }
+        if missing.is_empty() && !whole.is_empty() {
+            found.push((Status::Warn, subject(&format!("source {name}")), whole.join("; "), String::new()));
+        }
+        let end = self.ended.unwrap_or_default();
+        let heard = robots.iter().filter_map(|robot| Some((*robot, self.readings.get(robot)?)));
+        found.extend(heard.map(|(robot, track)| {
+            about_track(&format!("{robot}, source {name}"), track, end, needs, &notes::of_source(robot))
+        }));
         found
     }
 
@@ -186,12 +179,8 @@ impl Seen {
         match known {
             Some(hardware) if hardware.health != Health::Ready => {
                 let state = if hardware.health == Health::Silent { "does not answer" } else { "faulty" };
-                let reason = hardware.reason.as_ref().map(|reason| reason.text().to_owned());
-                // The log's message is longer than the reason, which may be cut, and says what to do.
-                let short = hardware.reason.as_ref().is_none_or(Reason::is_cut);
-                let note = notes::newest(&[&format!("driver {}", robot.0)]).or_else(|| notes::about(robot));
-                let note = note.filter(|_| hardware.health == Health::Silent || short).or(reason);
-                let why = note.map_or(String::new(), |note| format!(": {note}"));
+                let why = why(hardware.health, hardware.reason.as_ref(), &notes::of_driver(robot));
+                let why = if why.is_empty() { why } else { format!(": {why}") };
                 fail(format!("{state}{why}{}", values()), "look at the robot and at its settings")
             }
             _ if limits.battery_least.is_some() && battery.is_none() => {
@@ -200,14 +189,34 @@ impl Seen {
             _ if limits.temperature_most.is_some() && known.is_none_or(|known| known.temperature.is_none()) => {
                 fail("it reports no temperature, which temperature_most_c needs".to_owned(), "the robot would stand")
             }
-            Some(_) => (Status::Ok, what, format!("ready{}", values()), String::new()),
-            None => (Status::Ok, what, "runs, and reports no condition".to_owned(), String::new()),
+            _ => {
+                let condition =
+                    known.map_or("runs, and reports no condition".to_owned(), |_| format!("ready{}", values()));
+                let fault = self.faults.get(&robot).map(|why| format!("it was not ready in between: {why}"));
+                let warnings: Vec<String> = notes::of_driver(robot).into_iter().chain(fault).collect();
+                let status = if warnings.is_empty() { Status::Ok } else { Status::Warn };
+                let said = std::iter::once(condition).chain(warnings).collect::<Vec<_>>().join("; ");
+                (status, what, said, String::new())
+            }
         }
     }
+}
 
-    /// Returns the finding about the odometry of `robot`, whose readings are `track`: rate, gaps, stamps and pose.
-    fn own_odometry(&self, team: &Team, robot: RobotId, track: &Track) -> Found {
-        about_track(team, &format!("{robot}, odometry"), track)
+/// Returns why a robot is not ready: by the reason that its driver gives, and by `notes`, the warnings about it.
+fn why(health: Health, reason: Option<&Reason>, notes: &[String]) -> String {
+    let text = reason.map_or("", Reason::text);
+    // The warning that continues a reason which was cut.
+    let begun = text.trim_end_matches('.');
+    let whole = notes.iter().find(|note| reason.is_some_and(Reason::is_cut) && note.contains(begun));
+    match (whole, health) {
+        (Some(whole), _) => whole.clone(),
+        // Warnings of the worker, which knows more than the driver that hears nothing.
+        (None, Health::Silent) => {
+            let own = Some(text).filter(|text| !text.is_empty() && !notes.iter().any(|note| note.contains(text)));
+            notes.iter().map(String::as_str).chain(own).collect::<Vec<_>>().join("; ")
+        }
+        (None, _) if reason.is_none() => notes.first().cloned().unwrap_or_default(),
+        (None, _) => text.to_owned(),
     }
 }
 
@@ -215,26 +224,39 @@ fn subject(what: &str) -> Subject {
     Subject::General(what.to_owned())
 }
 
-fn about_track(team: &Team, what: &str, track: &Track) -> Found {
-    let (rate, gap_ms) = (track.rate_hz(), track.gap.as_secs() * 1e3);
-    let said = format!("{rate:.0} Hz, {}, longest gap {gap_ms:.0} ms", track.pose());
-    let of = |status, said: String, advice: &str| (status, subject(what), said, advice.to_owned());
-    let own_state_ms = team.safety.own_state_s * 1e3;
-    match track.pace() {
-        _ if track.count > 1 && track.repeated + 1 == track.count => {
-            let advice = "is the tracker frozen, or does it not stamp? readings of one stamp count once";
-            of(Status::Fail, format!("one reading, repeated {} times, {}", track.repeated, track.pose()), advice)
-        }
-        _ if track.count == 1 => of(Status::Warn, format!("one reading, {}", track.pose()), "listen longer"),
-        Some(pace) if (pace - 1.0).abs() > SKEW => {
-            let said = format!("{said}; its stamps advance by {pace:.2} s in a second");
-            of(Status::Warn, said, "are its stamps seconds of one clock? velocities come from their differences")
-        }
-        _ if gap_ms > own_state_ms => {
-            let advice = format!("beyond own_state_s ({own_state_ms:.0} ms) the robot stops: raise it, or the rate");
-            of(Status::Warn, said, &advice)
-        }
-        _ => of(Status::Ok, said, ""),
+/// Returns the finding about the readings of a robot, by its `track` and by `notes`, the reasons for which some were
+/// refused.
+fn about_track(what: &str, track: &Track, end: Time, needs: &Needs, notes: &[String]) -> Found {
+    let Judgement { grade, mut found, advice } = track.judge(end, needs);
+    let mut status = match grade {
+        Grade::Ok => Status::Ok,
+        Grade::Warn => Status::Warn,
+        Grade::Fail => Status::Fail,
+    };
+    if !notes.is_empty() {
+        found += &format!("; {}", notes.join("; "));
+        status = status.max(Status::Warn);
+    }
+    (status, subject(what), found, advice)
+}
+
+/// Returns the findings about robots that are measured at one place, where two cannot be.
+pub fn at_one_place(places: &[(RobotId, Vec2)]) -> Vec<Found> {
+    let found = |(robot, other, place): (RobotId, RobotId, Vec2)| {
+        let said = format!("both are measured at ({:.2}, {:.2}) m, where two robots cannot be", place.x, place.y);
+        let advice = "do they share a body, a topic, a receiver or an origin? give each its own";
+        (Status::Fail, subject(&format!("{robot} and {other}")), said, advice.to_owned())
+    };
+    check::at_one_place(places).into_iter().map(found).collect()
+}
+
+/// Returns what to look after if a source with this name has no readings and says nothing.
+fn where_to_look(source: &str) -> &'static str {
+    match source {
+        "gpsd" => "does gpsd run, with a receiver that has a fix?",
+        "odometry" => "do the drivers of these robots report odometry?",
+        "ros2" => "does anything publish its topic? see topic, type, domain and interface",
+        _ => "does the tracker run, on this network, and does it measure these robots?",
     }
 }
 
@@ -242,24 +264,43 @@ fn about_track(team: &Team, what: &str, track: &Track) -> Found {
 mod tests {
     use super::*;
     use crate::messages::geometry::Motion;
+    use crate::messages::wire::Hardware;
 
-    fn track(stamps: impl Fn(u64) -> u64) -> Track {
-        let reading = |k: u64| Reading::of_point(RobotId(0), stamps(k), Motion::default());
-        let at = |k: u64| Time::ZERO + Span::from_millis(20 * k);
-        let mut track = Track::new(at(0), reading(0));
-        (1..=50).filter(|k| *k != 25).for_each(|k| track.note(at(k), &reading(k)));
-        track
+    #[test]
+    fn what_comes_after_the_end_of_the_check_is_not_seen_and_faults_before_it_are_kept() {
+        let at = |ms: u64| Time::ZERO + Span::from_millis(ms);
+        let mut seen = Seen::new(true, Span::from_millis(100));
+        let reading = |stamp_ns| Event::Reading(Reading::of_point(RobotId(0), stamp_ns, Motion::default()));
+        seen.note(at(0), reading(1));
+        seen.note(at(20), reading(2));
+        seen.end(at(2000));
+        seen.note(at(2010), reading(3));
+        let needs = Needs { own_state: Span::from_millis(100), half_extent: Vec2::repeat(2.0) };
+        let judgement = seen.readings[&RobotId(0)].judge(seen.ended.unwrap(), &needs);
+        assert!(judgement.grade == Grade::Fail && judgement.found.starts_with("no reading for the last 2.0 s"));
+        let mut seen = Seen::new(false, Span::from_millis(100));
+        for (ms, hardware) in [
+            (0, Hardware::of(Health::Silent)),
+            (10, Hardware::of(Health::Ready)),
+            (20, Hardware::of(Health::Faulty).because("bumper pressed")),
+            (30, Hardware::of(Health::Ready)),
+        ] {
+            seen.note(at(ms), Event::Hardware(RobotId(0), hardware));
+        }
+        assert_eq!(seen.faults[&RobotId(0)], "bumper pressed", "and not that it was silent before it was ready");
     }
 
     #[test]
-    fn rate_gap_and_pace_are_those_of_new_readings() {
-        let regular = track(|k| k * 20_000_000);
-        assert!((regular.rate_hz() - 49.0).abs() < 0.01, "{}", regular.rate_hz());
-        assert_eq!(regular.gap, Span::from_millis(40));
-        assert!((regular.pace().unwrap() - 1.0).abs() < 1e-9);
-        let milliseconds = track(|k| k * 20_000);
-        assert!((milliseconds.pace().unwrap() - 0.001).abs() < 1e-9);
-        let frozen = track(|_| 7);
-        assert_eq!((frozen.repeated, frozen.count), (49, 50));
+    fn a_cut_reason_is_completed_by_the_warning_that_continues_it() {
+        let long = "2 publishers of /r0/odom, 2 subscribers of /r0/cmd_vel: two robots have one namespace; both would be \
+                    driven";
+        let reason = Reason::new(long).unwrap();
+        let notes = ["other (8 times or more)".to_owned(), format!("{long}; end one")];
+        assert_eq!(why(Health::Faulty, Some(&reason), &notes), format!("{long}; end one"));
+        let short = Reason::new("bumper pressed").unwrap();
+        assert_eq!(why(Health::Faulty, Some(&short), &notes), "bumper pressed");
+        let silent = Reason::new("no odometry is heard").unwrap();
+        assert_eq!(why(Health::Silent, Some(&silent), &notes[..1]), "other (8 times or more); no odometry is heard");
+        assert_eq!(why(Health::Silent, None, &[]), "");
     }
 }

@@ -11,15 +11,17 @@ mod notes;
 mod table;
 mod wiggle;
 
-pub use notes::Notes;
+pub use notes::{Notes, Warnings};
 
 use std::fmt;
 use std::path::Path;
 
 use crate::deploy::team::{Team, TeamFile};
-use crate::messages::ids::HostId;
+use crate::messages::geometry::Vec2;
+use crate::messages::ids::{HostId, RobotId};
 use crate::net::transport::{Finding, Fitness, Place};
 use crate::registry::Registry;
+use crate::scenario::Settings;
 use anyhow::{Context, Result};
 use serde::{Serialize, Serializer};
 
@@ -60,7 +62,7 @@ pub const LEVEL: &str = "error,murmurate::drivers=off,murmurate::localization=of
     murmurate::ros2=off,murmurate::actors=off,murmurate::safety=off";
 
 /// Severity of a check's result, in rising order; `Fail` means that this machine is not fit.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum Status {
     Ok,
@@ -143,15 +145,17 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         let all: Vec<Team> = file.hosts().map(|host| args.team.for_host(&file, host)).collect::<Result<_>>()?;
         let heard = listen::listen(&teams, &all, args.listen)?;
         checks.extend(heard.found.iter().cloned().map(|found| check("here", found)));
+        let mut places = Vec::new();
         for team in &teams {
             let name = wiggle::host_of(team).name.clone();
-            let (found, end) = look(args, team, registry, &heard)?;
+            let (found, end) = look(args, team, registry, &heard, &mut places)?;
             checks.extend(found.into_iter().map(|found| check(&name, found)));
             if let bench::End::Interrupted = end {
                 interrupted = true;
                 break;
             }
         }
+        checks.extend(devices::at_one_place(&places).into_iter().map(|found| check("here", found)));
     }
     let unfit = checks.iter().any(|check| check.status == Status::Fail);
     if args.json {
@@ -179,8 +183,15 @@ fn check(host: &str, (status, what, found, advice): Found) -> Check {
 /// findings, and why the check ended.
 ///
 /// The devices are not opened if the host is running already, according to `heard`. With `--wiggle`, they are not
-/// opened either if `heard` has a reason why no robot may be driven, or if the user does not confirm the drive.
-fn look(args: &Args, team: &Team, registry: &Registry, heard: &Heard) -> Result<(Vec<Found>, bench::End)> {
+/// opened either if `heard` has a reason why no robot may be driven, or if the user does not confirm the drive. Where the
+/// source has measured robots is appended to `places`.
+fn look(
+    args: &Args,
+    team: &Team,
+    registry: &Registry,
+    heard: &Heard,
+    places: &mut Vec<(RobotId, Vec2)>,
+) -> Result<(Vec<Found>, bench::End)> {
     let host = wiggle::host_of(team);
     let wiggles = args.wiggle && !host.actuates.is_empty();
     let done = |found: Vec<Found>| Ok((found, bench::End::Done));
@@ -205,7 +216,10 @@ fn look(args: &Args, team: &Team, registry: &Registry, heard: &Heard) -> Result<
         plan = Some((wiggle::config(team, registry)?, listen::operator(team)?));
     }
     let (seen, end) = bench::look(team, registry, args.listen, plan)?;
-    let mut found = seen.findings(team, args.listen);
+    let scenario = registry.scenario(&team.scenario, &Settings::of(team.deployment.robots));
+    let scenario = scenario.map_err(|error| BadInput(error.to_string()))?;
+    let mut found = seen.findings(team, args.listen, scenario.arena().half_extent);
+    places.extend(seen.places());
     let localizes = !host.localizes.is_empty();
     found.extend(seen.results.iter().map(|(robot, verdict)| wiggle::finding(*robot, verdict, localizes)));
     if let bench::End::Team(why) = &end {
