@@ -7,8 +7,8 @@
 
 use crate::time::{Span, Time};
 
-/// Smallest step back of a stamp \[ns\] that is taken at once for a clock that was set back. A smaller step is taken for
-/// a late message at first.
+/// Smallest step back of a stamp \[ns\] that is taken at once for a clock that was set back. A smaller step is taken
+/// for a late message at first.
 const CLOCK_SET_NS: u64 = 1_000_000_000;
 /// Shortest and longest time between the arrivals of older messages whose stamps advance by a given time, as factors of
 /// that time, for them to be a clock that was set back. Messages that were held up arrive together.
@@ -24,8 +24,8 @@ const LEAP_NS: u64 = 900_000_000;
 pub enum Novelty {
     /// The measurement is newer than all before. Its stamp \[ns\] is on a clock that was not set since the one before.
     New(u64),
-    /// The measurement is new, but the time since earlier ones is unknown: it is the first, the sender's clock was set by
-    /// more than a second, or the one before had an older stamp. Its stamp \[ns\] follows.
+    /// The measurement is new, but the time since earlier ones is unknown: it is the first, the sender's clock was set
+    /// by more than a second, or the one before had an older stamp. Its stamp \[ns\] follows.
     Anew(u64),
     /// The stamp belongs to a repeated or late measurement.
     Old,
@@ -48,9 +48,9 @@ pub struct SenderClock {
 }
 
 impl SenderClock {
-    /// Makes the clock of a sender that has sent nothing. `patience` is the number of older stamps in a row, at the pace
-    /// at which they arrive, after which the clock counts as set back: three where messages may overtake each other, two
-    /// where they cannot.
+    /// Makes the clock of a sender that has sent nothing. `patience` is the number of older stamps in a row, at the
+    /// pace at which they arrive, after which the clock counts as set back: three where messages may overtake each
+    /// other, two where they cannot.
     pub fn new(patience: u32) -> SenderClock {
         SenderClock { newest: None, older: None, patience, shift_ns: 0, leapt: None }
     }

@@ -80,8 +80,8 @@ impl Bench {
     }
 }
 
-/// Starts a bench in real time: the given devices of one host of a deployment, without a team. The host uses readings by
-/// the given estimator. If `wiggle` is given,
+/// Starts a bench in real time: the given devices of one host of a deployment, without a team. The host uses readings
+/// by the given estimator. If `wiggle` is given,
 /// that check drives the robots after [`Bench::begin`] is called. `report` is called with each event.
 pub fn wire(
     (clock, readers): (&Clock, &mut Readers),

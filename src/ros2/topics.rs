@@ -119,8 +119,8 @@ mod tests {
         }
         topics.take(state("/r0/odom", 2));
         topics.take(state("/r0/cmd_vel", 2));
-        let text = "2 publishers of /r0/odom, 2 subscribers of /r0/cmd_vel: two robots have one namespace; both would be \
-                    driven";
+        let text = "2 publishers of /r0/odom, 2 subscribers of /r0/cmd_vel: two robots have one namespace; both would \
+                    be driven";
         assert_eq!(topics.twins().as_deref(), Some(text));
     }
 }

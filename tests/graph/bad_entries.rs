@@ -125,7 +125,8 @@ fn packets(kind: &Kind, number: u64, ms: u64, bad: Option<(u16, u32)>) -> Vec<Ve
                 }
                 bodies.push(body);
             }
-            let scene = Scene { number: number as i32, stamp_s: ms as f64 * 1e-3, models_changed: false, bodies, extras: 1 };
+            let (number, stamp_s) = (number as i32, ms as f64 * 1e-3);
+            let scene = Scene { number, stamp_s, models_changed: false, bodies, extras: 1 };
             vec![fake::frame([4, 1], &scene)]
         }
         "gpsd" => {
@@ -153,7 +154,8 @@ fn packets(kind: &Kind, number: u64, ms: u64, bad: Option<(u16, u32)>) -> Vec<Ve
             .map(|robot| {
                 let ([x, y], stamp) = (place(robot, ms), ms as f64 * 1e-3);
                 let good = format!(
-                    "{{\"robot\":{robot},\"stamp_s\":{stamp},\"x\":{x},\"y\":{y},\"vx\":0.1,\"vy\":0.0,\"heading\":0.5}}"
+                    "{{\"robot\":{robot},\"stamp_s\":{stamp},\"x\":{x},\"y\":{y},\"vx\":0.1,\"vy\":0.0,\
+                     \"heading\":0.5}}"
                 );
                 let line = match mistake(robot) {
                     None => good,

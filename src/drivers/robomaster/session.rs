@@ -303,9 +303,7 @@ impl Session {
         if self.state != State::Driving || push == Push::default() {
             return;
         }
-        if let Some(why) = push.refused {
-            out.push(Out::Refused(why.reason()));
-        }
+        out.extend(push.refused.map(|why| Out::Refused(why.reason())));
         (self.heard, self.pushed) = (now, true);
         if let Some(rolled_over) = push.rolled_over.filter(|rolled_over| *rolled_over != self.rolled_over) {
             self.rolled_over = rolled_over;

@@ -217,8 +217,8 @@ impl Gpsd {
         Ok(())
     }
 
-    /// Returns the place of a fix in the team's frame \[m\], and its height above the ellipsoid \[m\], which is the last
-    /// known one where the report has none or an impossible one.
+    /// Returns the place of a fix in the team's frame \[m\], and its height above the ellipsoid \[m\], which is the
+    /// last known one where the report has none or an impossible one.
     fn place(&self, tpv: &Tpv) -> Result<([f64; 2], f64), Malformed> {
         let (Some(latitude_deg), Some(longitude_deg)) = (tpv.latitude_deg, tpv.longitude_deg) else {
             return Err(Malformed("a fix of gpsd has no position"));

@@ -107,8 +107,8 @@ pub enum Fix {
     RtkFixed,
 }
 
-/// Largest standard deviation of a position \[m\] with which a fix of an unknown kind counts as RTK fixed, RTK float and
-/// DGPS: accurate to centimetres, to decimetres, and to a metre or two.
+/// Largest standard deviation of a position \[m\] with which a fix of an unknown kind counts as RTK fixed, RTK float
+/// and DGPS: accurate to centimetres, to decimetres, and to a metre or two.
 const ACCURATE_M: [(f64, Fix); 3] = [(0.05, Fix::RtkFixed), (0.5, Fix::RtkFloat), (2.0, Fix::Dgps)];
 /// Latest year of a report's time. A later one is a receiver's error.
 const LATEST_YEAR: u64 = 2500;

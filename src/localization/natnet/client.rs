@@ -82,8 +82,8 @@ impl Client {
         }
     }
 
-    /// Processes a datagram of the server. Returns the change of the connection that it causes. A malformed frame counts
-    /// as a frame that has arrived; other malformed datagrams are ignored.
+    /// Processes a datagram of the server. Returns the change of the connection that it causes. A malformed frame
+    /// counts as a frame that has arrived; other malformed datagrams are ignored.
     pub fn take(&mut self, now: Time, datagram: &[u8]) -> Option<Event> {
         let split = packet::split(datagram);
         // A frame that cannot be decoded has arrived all the same: opening the sockets again would not help.

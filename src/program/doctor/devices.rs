@@ -292,8 +292,8 @@ mod tests {
 
     #[test]
     fn a_cut_reason_is_completed_by_the_warning_that_continues_it() {
-        let long = "2 publishers of /r0/odom, 2 subscribers of /r0/cmd_vel: two robots have one namespace; both would be \
-                    driven";
+        let long = "2 publishers of /r0/odom, 2 subscribers of /r0/cmd_vel: two robots have one namespace; both would \
+                    be driven";
         let reason = Reason::new(long).unwrap();
         let notes = ["other (8 times or more)".to_owned(), format!("{long}; end one")];
         assert_eq!(why(Health::Faulty, Some(&reason), &notes), format!("{long}; end one"));

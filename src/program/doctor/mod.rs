@@ -183,8 +183,8 @@ fn check(host: &str, (status, what, found, advice): Found) -> Check {
 /// findings, and why the check ended.
 ///
 /// The devices are not opened if the host is running already, according to `heard`. With `--wiggle`, they are not
-/// opened either if `heard` has a reason why no robot may be driven, or if the user does not confirm the drive. Where the
-/// source has measured robots is appended to `places`.
+/// opened either if `heard` has a reason why no robot may be driven, or if the user does not confirm the drive. Where
+/// the source has measured robots is appended to `places`.
 fn look(
     args: &Args,
     team: &Team,

@@ -143,9 +143,9 @@ fn with<T>(of: impl FnOnce(&mut Collected) -> T) -> T {
     of(&mut NOTES.lock().unwrap_or_else(|poisoned| poisoned.into_inner()))
 }
 
-/// Starts the collection of drivers' and sources' warnings if `open` is true, without those of an earlier host, and ends
-/// it otherwise. It has to be ended before the threads of drivers and sources shut down, as their last messages are no
-/// findings.
+/// Starts the collection of drivers' and sources' warnings if `open` is true, without those of an earlier host, and
+/// ends it otherwise. It has to be ended before the threads of drivers and sources shut down, as their last messages
+/// are no findings.
 pub fn take(open: bool) {
     CLOSED.store(!open, Ordering::Relaxed);
     if open {
