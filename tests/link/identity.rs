@@ -77,6 +77,49 @@ fn a_restarted_host_is_accepted_within_a_second_with_any_incarnation() {
     println!("heard again by all at most {worst} after the start");
 }
 
+/// Counts of datagrams of a second live host with the id of another one, at each other host, and what they show of it.
+fn duplicates(rig: &mut Rig, of: u16) -> Vec<(u64, u64)> {
+    let shown = |rig: &Rig, host: usize| {
+        rig.peers[host].iter().filter(|peer| peer.host == of).map(|peer| peer.duplicate_ids).sum::<u64>()
+    };
+    let others = (0..rig.ids.len()).filter(|host| rig.ids[*host].0 != of);
+    others.collect::<Vec<_>>().into_iter().map(|host| (rig.counted(host).duplicate_id, shown(rig, host))).collect()
+}
+
+#[test]
+fn a_host_that_is_killed_and_started_again_at_once_is_no_duplicate_whatever_is_still_in_transit() {
+    let mut stream = Seed::of_run(9).stream("kills");
+    for key in [Some(key()), None] {
+        let own = |incarnation| config(1, 5, incarnation, key.clone(), setup());
+        let mut rig = Rig::new((0..5).map(|host| config(host, 5, 1, key.clone(), setup())));
+        talk(&mut rig, &[0, 1, 2, 3, 4], Some(1), 2000);
+        for kill in 0..60u32 {
+            // Half of them are killed again before they are accepted.
+            let lives_ms = [60, 180, 700, 3000][kill as usize % 4];
+            rig.jitter = Span::from_millis([0, 5, 100, 300][kill as usize / 4 % 4]);
+            rig.loss = [0.0, 0.2][kill as usize % 2];
+            rig.restart(1, own(stream.random_range(0..=u32::MAX)));
+            talk(&mut rig, &[0, 1, 2, 3, 4], Some(kill), lives_ms);
+            assert_eq!(duplicates(&mut rig, 1), [(0, 0); 4], "kill {kill} with a key: {}", key.is_some());
+            assert_eq!(rig.duplicates, [None; 5], "and none ends");
+        }
+    }
+}
+
+#[test]
+fn two_live_hosts_with_one_id_are_found_by_all_others_within_a_second() {
+    for (key, ms) in [(Some(key()), 1000), (None, 2500)] {
+        let own = |incarnation| config(1, 3, incarnation, key.clone(), setup());
+        let other = |host| config(host, 3, 1, key.clone(), setup());
+        let mut rig = Rig::new([other(0), own(1), other(2), config(9, 3, 1, None, setup())]);
+        talk(&mut rig, &[0, 1, 2], Some(1), 5000);
+        rig.restart(3, own(2));
+        talk(&mut rig, &[0, 1, 2, 3], Some(1), ms);
+        let found = duplicates(&mut rig, 1);
+        assert!(found.iter().all(|(counted, shown)| *counted > 0 && counted == shown), "{found:?}");
+    }
+}
+
 /// Returns all datagrams of a team in this many milliseconds.
 fn recording(epochs: u32, ms: u64) -> Vec<Flight> {
     let configs = (0..5).map(|host| config(host, 5, epochs, Some(key()), setup()));

@@ -24,10 +24,6 @@ use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::Kind;
 use crate::time::{Span, Time};
 
-/// Number of datagrams, from a second live host with the id of another one, from which on the log warns of it. A host
-/// that restarts within the time `SILENT` causes fewer.
-const DUPLICATES_TO_LOG: u64 = 8;
-
 /// How soon this host has to send its next link report because another host needs it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Urgency {
@@ -155,8 +151,11 @@ impl Incoming {
             let direct = proof.and_then(|proof| proof.entry.direct);
             sender.lateness.reported(now, [Some(header.sequence), direct]);
         }
-        if let Some(LivenessProof { entry, .. }) = proof {
+        if let Some(LivenessProof { entry, age }) = proof {
             sender.proved = now;
+            if self.local.authenticated {
+                sender.alive_within(now, age);
+            }
             let round_trip_s = sender.offsets.measure(now, self.local.stamps.of(now), report.stamp, &entry);
             if let Some(round_trip_s) = round_trip_s {
                 self.congestion.note(now, sender.base_delay.queueing_s(now, round_trip_s));
@@ -255,12 +254,8 @@ impl Incoming {
                 return Err(Verdict::Refused);
             }
             if now.since(current.reported) < SILENT {
-                counts.duplicate_id += 1;
-                current.duplicate_ids += 1;
-                if current.duplicate_ids >= DUPLICATES_TO_LOG && current.duplicate_ids.is_power_of_two() {
-                    let (id, times) = (header.sender.0, current.duplicate_ids);
-                    tracing::error!("two live hosts have the id {id} (noticed {times} times): stop one of them");
-                }
+                let duplicated = current.contest(now, header.incarnation);
+                refuse_another(header.sender, duplicated.then_some(current.duplicate_ids), counts);
                 self.candidates.note(now, header.sender, header.incarnation, report.stamp);
                 return Err(Verdict::Refused);
             }
@@ -293,8 +288,8 @@ impl Incoming {
         if let Some(current_id) = self.senders.other_incarnation((header.sender, header.incarnation)) {
             let current = self.senders.get_mut(current_id).expect("it was found");
             if current.age(now).is_some_and(|age| age < SILENT_WITHOUT_KEY) {
-                counts.duplicate_id += 1;
-                current.duplicate_ids += 1;
+                let duplicated = current.contest_without_key(now, header.incarnation);
+                refuse_another(header.sender, duplicated.then_some(current.duplicate_ids), counts);
                 return Err(Verdict::Refused);
             }
             sender.duplicate_ids = current.duplicate_ids;
@@ -392,5 +387,19 @@ impl Incoming {
         let us = self.local.host;
         let candidates = self.candidates.newest().filter(move |(host, _)| *host != us && !self.senders.knows(*host));
         candidates.map(move |(host, candidate)| Peer::candidate(now, link, host, &candidate)).chain(accepted)
+    }
+}
+
+/// Counts a refused datagram of another incarnation of `host` than the accepted one, and logs it if both are alive:
+/// `times` is the number of such datagrams. With `None`, the accepted one may have died and this is its restart.
+#[cold]
+fn refuse_another(host: HostId, times: Option<u64>, counts: &mut LinkCounts) {
+    let Some(times) = times else {
+        counts.unproven += 1;
+        return;
+    };
+    counts.duplicate_id += 1;
+    if times.is_power_of_two() {
+        tracing::error!("two live hosts have the id {} (noticed {times} times): stop one of them", host.0);
     }
 }

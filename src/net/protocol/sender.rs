@@ -9,7 +9,7 @@ use super::bucket::{Bucket, Rate};
 use super::candidates::Candidate;
 use super::congestion::BaseDelay;
 use super::lateness::Lateness;
-use super::limits::{LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE};
+use super::limits::{FRESH, LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE};
 use super::offset::Offsets;
 use super::report::Stamp;
 use super::window::{LOSS_SPAN, Window};
@@ -72,6 +72,11 @@ pub struct Sender {
     pub predecessor: Option<u32>,
     /// Number of refused datagrams of a second live host with the same id.
     pub duplicate_ids: u64,
+    /// Another incarnation of the same host, of which datagrams are refused, and the time of the first of them; `None` if
+    /// there is none.
+    contested: Option<(u32, Time)>,
+    /// Whether the sender and another incarnation of the same host were alive at the same time.
+    is_duplicated: bool,
     heard: Option<Time>,
     spacing_s: f64,
     jitter_s: f64,
@@ -98,6 +103,8 @@ impl Sender {
             repeat_until: [Time::ZERO; 2],
             predecessor: None,
             duplicate_ids: 0,
+            contested: None,
+            is_duplicated: false,
             heard: None,
             spacing_s: 0.0,
             jitter_s: 0.0,
@@ -119,6 +126,34 @@ impl Sender {
         for (until, bar) in self.repeat_until.iter_mut().zip([LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE]) {
             *until = if lost >= bar { now + REPEATS_FOR } else { (*until).min(now + STOPS_AFTER) };
         }
+    }
+
+    /// Records that a datagram of `other`, another incarnation of the same host, is refused at `now`, because this one
+    /// is accepted. Returns whether both are known to be alive at the same time, so that their id is a duplicate.
+    ///
+    /// A host that was killed is restarted within less time than it takes to count as silent, so another incarnation
+    /// alone tells nothing: this one may just have died.
+    pub fn contest(&mut self, now: Time, other: u32) -> bool {
+        self.contested.get_or_insert((other, now));
+        self.duplicate_ids += u64::from(self.is_duplicated);
+        self.is_duplicated
+    }
+
+    /// The same on a link without a key, where nothing proves when a host was alive: both have to be heard for longer
+    /// than a datagram of a dead process can be in transit.
+    pub fn contest_without_key(&mut self, now: Time, other: u32) -> bool {
+        match self.contested {
+            Some((before, since)) if before == other => self.is_duplicated |= now.since(since) > FRESH,
+            _ => self.contested = Some((other, now)),
+        }
+        self.contest(now, other)
+    }
+
+    /// Records that the sender was alive at some time in the last `age` before `now`. If another incarnation of the same
+    /// host was received before that, both are alive: a dead process cannot have echoed so recent a stamp, however long
+    /// its datagrams were in transit.
+    pub fn alive_within(&mut self, now: Time, age: Span) {
+        self.is_duplicated |= self.contested.is_some_and(|(_, since)| now.since(since) > age);
     }
 
     /// Records the arrival of a datagram of the sender, for age, mean interval and jitter.
