@@ -24,6 +24,9 @@ use crate::world::Clamp;
 
 /// Number of neighbours for which there is room from the start.
 const MOST_NEIGHBOURS: usize = 64;
+/// Time since a trigger has last begun to act after which it counts as new in the log. Readings that are too rare make
+/// one begin at nearly every tick.
+const NEW_AFTER: Span = Span::from_millis(5000);
 
 impl Trigger {
     /// Returns the decision while this trigger acts.
@@ -100,6 +103,10 @@ pub struct Guard {
     /// Triggers that act at the moment.
     acting: Vec<Trigger>,
     counts: SafetyCounts,
+    /// Time of the last call that had one.
+    now: Time,
+    /// By trigger: time at which it last began to act, and how many times it has begun since it was new.
+    begun: [(Time, u64); Trigger::ALL.len()],
 }
 
 impl Guard {
@@ -119,6 +126,8 @@ impl Guard {
             neighbours: Vec::with_capacity(MOST_NEIGHBOURS),
             acting: Vec::with_capacity(Trigger::ALL.len()),
             counts: SafetyCounts::default(),
+            now: Time::ZERO,
+            begun: [(Time::ZERO, 0); Trigger::ALL.len()],
         }
     }
 
@@ -169,7 +178,7 @@ impl Guard {
 
     /// Records that a message of the state server has arrived at time `now`, which ends its silence.
     pub fn server_heard(&mut self, now: Time) {
-        self.server = Some(now);
+        (self.server, self.now) = (Some(now), now);
         self.end(Trigger::Silence);
     }
 
@@ -194,13 +203,14 @@ impl Guard {
 
     /// Records that a new reading of the robot's own state has arrived at time `now`.
     pub fn own_state(&mut self, now: Time) {
-        self.own = Some(now);
+        (self.own, self.now) = (Some(now), now);
     }
 
     /// Decides at time `now` on an action of the policy, which must belong to the current phase of the episode. The
     /// robot may drive at the action's velocity, limited in speed and by geofence, walls and neighbours, unless a
     /// trigger forbids motion.
     pub fn decide(&mut self, now: Time, action: &Action) -> Decision {
+        self.now = now;
         self.remember(now, action);
         let Config { clamp, limit_m_s, .. } = self.config;
         let wanted = clamp.limit(action.velocity, action.estimate.velocity, limit_m_s);
@@ -271,20 +281,21 @@ impl Guard {
         }
         self.acting.push(trigger);
         *self.counts.of_mut(trigger) += 1;
-        match trigger {
-            // Reported where the latch changes, with its state.
-            Trigger::Stop => {}
-            Trigger::Silence => tracing::warn!("the state server has fallen silent; the robot stops"),
-            Trigger::Output => tracing::error!("the policy's output is not finite; the robot stops for the episode"),
-            Trigger::LateTick => tracing::warn!("a control tick is late; the robot stops until one is in time"),
-            Trigger::OwnState => tracing::warn!("the robot's own state is too old; it stops"),
-            // The Body says which, and what to do.
-            Trigger::Hardware => tracing::info!("battery or temperature is beyond its limit; the robot stops"),
-            Trigger::Outside => tracing::error!("the robot is far outside its ground; it stops: carry it back"),
-            Trigger::Fence => tracing::info!("the geofence limits the robot's velocity"),
-            Trigger::Distance => tracing::info!("the minimum distance to a neighbour limits the robot's velocity"),
-            Trigger::Walls => tracing::info!("the minimum distance to a wall limits the robot's velocity"),
+        if let Some(often) = self.log_due(trigger) {
+            log(trigger, &often);
         }
+    }
+
+    /// Returns whether to log that a trigger begins to act, and how often it has begun by now, in words: at the first
+    /// time after a while, and then at the 2nd, 4th, 8th time in a row. All are counted.
+    fn log_due(&mut self, trigger: Trigger) -> Option<String> {
+        let (last, times) = &mut self.begun[usize::from(u8::from(trigger))];
+        if self.now.since(*last) >= NEW_AFTER {
+            *times = 0;
+        }
+        (*last, *times) = (self.now, *times + 1);
+        let often = if *times == 1 { String::new() } else { format!(" ({times} times in a row)") };
+        times.is_power_of_two().then_some(often)
     }
 
     fn end(&mut self, trigger: Trigger) {
@@ -312,6 +323,7 @@ impl Guard {
     /// Handles the earliest deadline that has passed at time `now`. Returns the decision, to stop the
     /// robot or to abort the episode as well; `None` if no deadline has passed.
     pub fn wake(&mut self, now: Time) -> Option<Decision> {
+        self.now = now;
         let (_, trigger) = self.deadline().filter(|(at, _)| *at <= now)?;
         if trigger == Trigger::Silence {
             self.server = None;
@@ -319,6 +331,24 @@ impl Guard {
         self.driving = None;
         self.begin(trigger);
         Some(trigger.decision())
+    }
+}
+
+/// Logs that a trigger begins to act; `often` says how often in a row, in words.
+fn log(trigger: Trigger, often: &str) {
+    match trigger {
+        // Reported where the latch changes, with its state.
+        Trigger::Stop => {}
+        Trigger::Silence => tracing::warn!("the state server has fallen silent; the robot stops{often}"),
+        Trigger::Output => tracing::error!("the policy's output is not finite; the robot stops for the episode{often}"),
+        Trigger::LateTick => tracing::warn!("a control tick is late; the robot stops until one is in time{often}"),
+        Trigger::OwnState => tracing::warn!("the robot's own state is too old; it stops{often}"),
+        // The Body says which, and what to do.
+        Trigger::Hardware => tracing::info!("battery or temperature is beyond its limit; the robot stops{often}"),
+        Trigger::Outside => tracing::error!("the robot is far outside its ground; it stops: carry it back{often}"),
+        Trigger::Fence => tracing::info!("the geofence limits the robot's velocity{often}"),
+        Trigger::Distance => tracing::info!("the minimum distance to a neighbour limits the robot's velocity{often}"),
+        Trigger::Walls => tracing::info!("the minimum distance to a wall limits the robot's velocity{often}"),
     }
 }
 
@@ -404,6 +434,30 @@ mod tests {
         guard.own_state(at_ms(120));
         assert_eq!(guard.decide(at_ms(160), &action(160, EAST)), DRIVE);
         assert_eq!(guard.counts().own_state, 1);
+    }
+
+    #[test]
+    fn a_state_that_is_too_old_at_every_tick_is_counted_each_time_and_logged_ever_more_rarely() {
+        let mut guard = guard(Safety { late_tick: Switch::Off, ..Safety::deployed() });
+        let mut logged = Vec::new();
+        for beginning in 1..=100u64 {
+            // A reading every 150 ms, and one may be 100 ms old.
+            let at = 150 * beginning;
+            guard.server_heard(at_ms(at));
+            guard.own_state(at_ms(at));
+            assert_eq!(guard.decide(at_ms(at), &action(at, EAST)), DRIVE);
+            let last = guard.begun[usize::from(u8::from(Trigger::OwnState))].1;
+            assert_eq!(guard.wake(at_ms(at + 101)), Some(Decision::Stop));
+            let times = guard.begun[usize::from(u8::from(Trigger::OwnState))].1;
+            assert_eq!((times, guard.counts().own_state), (last + 1, beginning));
+            logged.extend(times.is_power_of_two().then_some(beginning));
+        }
+        assert_eq!(logged, [1, 2, 4, 8, 16, 32, 64]);
+        guard.server_heard(at_ms(30_000));
+        guard.own_state(at_ms(30_000));
+        assert_eq!(guard.decide(at_ms(30_000), &action(30_000, EAST)), DRIVE);
+        guard.wake(at_ms(30_101));
+        assert_eq!(guard.begun[usize::from(u8::from(Trigger::OwnState))].1, 1, "after a while it is new");
     }
 
     #[test]
