@@ -94,6 +94,10 @@ pub struct Network {
     next_counts: Time,
     /// Whether [`Out::Duplicate`] was sent: another live host with this host's id.
     duplicate_reported: bool,
+    /// Whether this host is an operator, whose user waits for an answer.
+    is_operator: bool,
+    /// Whether the counts were sent at once because the team has another key than this operator.
+    key_reported: bool,
     unauthorized: UnauthorizedPublishers,
 }
 
@@ -150,8 +154,15 @@ impl Network {
             outgoing,
             next_counts,
             duplicate_reported,
+            is_operator: host.is_operator(),
+            key_reported: false,
             unauthorized: UnauthorizedPublishers::default(),
         }
+    }
+
+    /// Returns the counts of all links of this host together.
+    fn counts(&self) -> LinkCounts {
+        self.links.iter().flatten().map(LinkState::counted).chain([self.local_counts]).sum()
     }
 
     fn link(&mut self, link: LinkId) -> Option<&mut LinkState> {
@@ -207,6 +218,11 @@ impl Network {
             out.push(Out::Duplicate(duplicate));
         }
         transmit(link, &mut self.outgoing, out);
+        if admitted.is_none() && self.is_operator && !self.key_reported && state.counted().key_trouble().is_some() {
+            self.key_reported = true;
+            out.push(Out::Counts(Box::new(self.counts())));
+            return;
+        }
         let Some((header, plain)) = admitted else { return };
         for (content, body) in codec::blocks(plain).flatten() {
             let Content::Message(kind) = content else { continue };
@@ -272,8 +288,7 @@ impl Core for Network {
             transmit(id, &mut self.outgoing, out);
         }
         if self.next_counts <= now {
-            let counts = self.links.iter().flatten().map(LinkState::counted).chain([self.local_counts]).sum();
-            out.push(Out::Counts(Box::new(counts)));
+            out.push(Out::Counts(Box::new(self.counts())));
             let peers: Vec<Peer> = self.links.iter().flatten().flat_map(|link| link.peers(now)).collect();
             if !peers.is_empty() {
                 out.push(Out::Peers(peers));

@@ -10,6 +10,7 @@ use crate::actor::Core;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::{self, Latch};
 use crate::messages::wire::{Following, Hindrance, Leading, Status, Stop};
+use crate::net::protocol::link::LinkCounts;
 use crate::time::{Span, Time};
 
 /// Period at which an operator's order, such as a stop, repeats its message until the process ends.
@@ -73,6 +74,8 @@ pub struct Order {
     first_answer: Option<Time>,
     next: Time,
     confirmed_at: Option<Time>,
+    /// Counts of the operator's links, which tell whether the team has another key.
+    links: LinkCounts,
 }
 
 impl Order {
@@ -91,7 +94,18 @@ impl Order {
             first_answer: None,
             next: Time::ZERO,
             confirmed_at: None,
+            links: LinkCounts::default(),
         }
+    }
+
+    /// Sets the counts of the operator's links so far.
+    pub fn note_links(&mut self, links: LinkCounts) {
+        self.links = links;
+    }
+
+    /// Returns the counts of the operator's links, as far as they were told.
+    pub fn links(&self) -> &LinkCounts {
+        &self.links
     }
 
     /// Creates an order that refers to the known emergency stop state `target`: the stop to re-arm, the hold to end, or

@@ -90,11 +90,11 @@ pub fn observe(clock: &Clock, network: &Mailbox<network::In>, by: HostId) {
 /// from `order` meanwhile.
 pub fn command((clock, readers): (&Clock, &mut Readers), operator: Operator, order: &Rc<RefCell<Order>>) {
     let answers: Mailbox<Status> = Mailbox::new("order");
-    let to_order = answers.clone();
-    let network = wire((clock, readers), operator, move |event| {
-        if let ProcessEvent::Message(Wire::Status(status)) = event {
-            to_order.send(status.clone());
-        }
+    let (to_order, counted) = (answers.clone(), Rc::clone(order));
+    let network = wire((clock, readers), operator, move |event| match event {
+        ProcessEvent::Message(Wire::Status(status)) => to_order.send(status.clone()),
+        ProcessEvent::Counts(counts) => counted.borrow_mut().note_links(*counts),
+        _ => {}
     });
     let order = Rc::clone(order);
     start(

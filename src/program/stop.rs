@@ -155,6 +155,21 @@ impl Asked<'_> {
         }
     }
 
+    /// Returns what may be the matter if robots say nothing: that their hosts have another key than this command, or that
+    /// nothing of the team is heard here. `None` if others are heard and no datagram has another key.
+    fn unheard(&self, order: &Order) -> Option<String> {
+        let links = order.links();
+        if let Some(trouble) = links.key_trouble() {
+            return Some(trouble.to_owned());
+        }
+        if links.other_key + links.untagged + links.keyed > 0 {
+            return Some("some hosts of this team have another key than the others, or none".to_owned());
+        }
+        let advice = "nothing of this team is heard: is this machine on its network, and has it the key of its hosts? \
+                      compare the fingerprints that 'doctor' shows";
+        (links.accepted == 0).then(|| advice.to_owned())
+    }
+
     /// Returns the reason why the order is not confirmed by all, with the robots concerned; `None` if it is.
     fn why(&self, order: &Order) -> Option<String> {
         if order.confirmed_at().is_some() {
@@ -193,6 +208,7 @@ impl Asked<'_> {
         }
         if !silent.is_empty() {
             why.push(format!("no word from robot {silent}: go and look at them"));
+            why.extend(self.unheard(order));
         }
         let (bodies, controllers) = (
             names(&unconfirmed, &[Unconfirmed::Body, Unconfirmed::Both]),

@@ -44,6 +44,12 @@ counts! {
     own,
     /// Datagrams refused: the tag is missing or wrong, or there is a tag and no key to check it.
     auth,
+    /// Of those in `auth`: they come from a host of this team, by version, team and sender, with a tag of another key.
+    other_key,
+    /// Of those in `auth`: they come from a host of this team without a tag, although this host has a key.
+    untagged,
+    /// Of those in `auth`: they come from a host of this team with a tag, although this host has no key.
+    keyed,
     /// Datagrams refused on a link with authentication: older than the replay window, or of an earlier incarnation.
     replay,
     /// Datagrams refused: held back on the way. Either sent before a link report that arrived long ago, or a link
@@ -102,5 +108,69 @@ impl LinkCounts {
             ("malformed", self.malformed),
             ("misrouted", self.misrouted),
         ]
+    }
+
+    /// Returns the number of datagrams and messages that were refused or dropped on arrival for each cause that may have
+    /// lost a message: (number, cause in words), without zeros. Left out is what costs nothing: own datagrams, second
+    /// copies, messages that a newer one has replaced, and datagrams of hosts that have just started or restarted.
+    pub fn losses(&self) -> impl Iterator<Item = (u64, &'static str)> {
+        let all = [
+            (self.auth, "with a wrong tag or none"),
+            (self.replay, "of former runs"),
+            (self.late, "held back on the way"),
+            (self.duplicate_id, "of a second host with one id"),
+            (self.team, "of another team"),
+            (self.version, "of another version"),
+            (self.range, "out of range"),
+            (self.rate, "beyond the rate limit"),
+            (self.crowd, "of too many senders"),
+            (self.queue, "by full queues"),
+            (self.malformed, "malformed"),
+            (self.misrouted, "from a host that may not send them"),
+        ];
+        all.into_iter().filter(|(count, _)| *count > 0)
+    }
+
+    /// Returns why this host understands nothing of its team although it hears it: their keys differ. `None` if
+    /// messages were accepted, or if nothing of the team was heard.
+    pub fn key_trouble(&self) -> Option<&'static str> {
+        match self {
+            LinkCounts { accepted: 1.., .. } => None,
+            LinkCounts { other_key: 1.., .. } => Some(
+                "the team is heard, and it has another key than this machine: compare the fingerprints that \
+                 'murmurate doctor' shows, here and on a host",
+            ),
+            LinkCounts { untagged: 1.., .. } => Some(
+                "the team is heard, and it has no key, but this machine has one: leave out key_file and --key-file",
+            ),
+            LinkCounts { keyed: 1.., .. } => Some(
+                "the team is heard, and it has a key, but this machine has none: give the team's key by --key-file",
+            ),
+            _ => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_costs_no_message_is_no_loss_and_every_other_cause_has_words() {
+        let one = LinkCounts { own: 1, duplicate: 1, stale: 1, unproven: 1, ..LinkCounts::default() };
+        assert_eq!((one.refused(), one.losses().count()), (4, 0));
+        let late = LinkCounts { late: 3, ..one };
+        assert_eq!(late.losses().collect::<Vec<_>>(), [(3, "held back on the way")]);
+    }
+
+    #[test]
+    fn a_key_is_blamed_only_if_the_team_is_heard_and_nothing_of_it_accepted() {
+        let none = LinkCounts { auth: 5, ..LinkCounts::default() };
+        assert_eq!(none.key_trouble(), None, "anybody may have sent it");
+        let other = LinkCounts { other_key: 5, ..none };
+        assert!(other.key_trouble().is_some_and(|why| why.contains("another key")));
+        assert_eq!(LinkCounts { accepted: 1, ..other }.key_trouble(), None);
+        assert!(LinkCounts { untagged: 1, ..none }.key_trouble().is_some_and(|why| why.contains("has no key")));
+        assert!(LinkCounts { keyed: 1, ..none }.key_trouble().is_some_and(|why| why.contains("has none")));
     }
 }

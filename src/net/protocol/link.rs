@@ -59,6 +59,8 @@ pub struct LinkState {
     me: Identity,
     id: LinkId,
     key: Option<Key>,
+    /// Smallest host id that is no host of the team.
+    first_guest: HostId,
     reports: Reports,
     incoming: Incoming,
     outgoing: Outgoing,
@@ -96,6 +98,7 @@ impl LinkState {
         let mut state = LinkState {
             me,
             id,
+            first_guest,
             reports: setup.reports,
             incoming: Incoming::new(local, setup.rate),
             outgoing: Outgoing::new(header, id, key.clone(), setup, first),
@@ -156,15 +159,22 @@ impl LinkState {
         out: &mut Vec<Outbound>,
     ) -> Result<Option<(Header, &'a [u8])>, DecodeError> {
         self.operator = None;
+        let tagged = frame.get(codec::FLAGS_AT).is_some_and(|flags| flags & Flags::TAGGED != 0);
+        if self.key.is_some() && !tagged {
+            self.note_key(frame);
+        }
         let shortest = HEADER_BYTES + if self.key.is_some() { TAG_BYTES } else { 0 };
         if frame.len() < shortest || frame.len() > MAX_FRAME_BYTES {
             return Err(DecodeError::Length(frame.len()));
         }
         let plain = match &self.key {
             Some(key) => key.open(frame, self.id, self.me.host),
-            None => (frame[codec::FLAGS_AT] & Flags::TAGGED == 0).then_some(frame),
+            None => (!tagged).then_some(frame),
         };
         let Some(plain) = plain else {
+            if tagged {
+                self.note_key(frame);
+            }
             self.counts.auth += 1;
             return Ok(None);
         };
@@ -208,6 +218,22 @@ impl LinkState {
             self.answer(now, header.sender, blocks, out);
         }
         Ok(Some((header, plain)))
+    }
+
+    /// Counts a datagram that a host of this team seems to have sent with another key than that of this host, or with
+    /// none, or although this host has none. Its header is not authenticated, so it is only counted.
+    #[cold]
+    fn note_key(&mut self, frame: &[u8]) {
+        let Ok(header) = codec::peek(frame) else { return };
+        if header.team != self.me.team || header.sender >= self.first_guest || header.sender == self.me.host {
+            return;
+        }
+        let count = match (&self.key, header.flags.has(Flags::TAGGED)) {
+            (Some(_), true) => &mut self.counts.other_key,
+            (Some(_), false) => &mut self.counts.untagged,
+            (None, _) => &mut self.counts.keyed,
+        };
+        *count += 1;
     }
 
     /// Handles a datagram of another process that uses the id of this host: a second live one, or a recording.

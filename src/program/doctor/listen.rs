@@ -112,6 +112,10 @@ pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Heard> {
             }
         }
     }
+    found.extend(received.counts.key_trouble().map(|trouble| {
+        let what = Subject::General("key".to_owned());
+        (Status::Fail, what, trouble.to_owned(), "give this machine and all hosts the same key".to_owned())
+    }));
     found.extend(refusals(&received.counts));
     // If no robot is reported, the findings about hosts say enough.
     if !received.robots.is_empty() {
@@ -194,6 +198,7 @@ fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds
                 | ProcessEvent::Truth(_)
                 | ProcessEvent::Recorded(_)
                 | ProcessEvent::Duplicate(_)
+                | ProcessEvent::Aborted(..)
                 | ProcessEvent::Safety(..)
                 | ProcessEvent::Hardware(..) => {}
             });
@@ -299,8 +304,17 @@ fn phase_name(phase: Phase) -> &'static str {
 /// Returns warnings about datagrams that were refused because of a wrong key, another version of the wire format, or an
 /// invalid content: each indicates a mistake in the team's setup. Causes without a refused datagram give none.
 fn refusals(counts: &LinkCounts) -> Vec<Found> {
+    let unknown = counts.auth.saturating_sub(counts.other_key + counts.untagged + counts.keyed);
+    let compare = "compare the fingerprints that doctor shows on every host";
     let all = [
-        (counts.auth, "with another key or none", "compare the fingerprints that doctor shows on every host"),
+        (counts.other_key, "of this team with another key than the one here", compare),
+        (counts.untagged, "of this team without a key, and there is one here", "give every host the same key_file"),
+        (
+            counts.keyed,
+            "of this team with a key, and there is none here",
+            "name the team's key by key_file or --key-file",
+        ),
+        (unknown, "with another key or none", compare),
         (counts.version, "of another version of the wire", "install one version of this program on all hosts"),
         (counts.malformed, "that are no messages", "find out who else sends to these groups, or choose others"),
     ];

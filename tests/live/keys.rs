@@ -1,0 +1,111 @@
+//! An operator with another key than its team, with none, or with one too many: it is told so, and never a key.
+
+use std::process::{Child, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+use tungstenite::Message;
+
+use crate::beside;
+use crate::crew::{Crew, folder};
+use crate::kill::team;
+use crate::program::{murmurate, run, text};
+use crate::restarts::control;
+
+/// Team whose host "world" runs, with or without a key, and what an operator may say to it.
+struct Keyed {
+    _folder: tempfile::TempDir,
+    _crew: Crew,
+    /// Team file with the right key, one without a key, and the path of another key.
+    own: String,
+    keyless: String,
+    other_key: String,
+}
+
+impl Keyed {
+    fn start(number: u16, has_key: bool) -> Keyed {
+        let (folder, own) = folder(&team(number));
+        let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+        let (keyless, other_key) = (path("keyless.toml"), path("other.key"));
+        std::fs::write(&keyless, team(number).replace("key_file = \"team.key\"\n", "")).expect("a folder");
+        assert_eq!(run(&["key", "new", "--out", &other_key]).status.code(), Some(0));
+        let file = if has_key { own.clone() } else { keyless.clone() };
+        let mut crew = Crew::new(move |host| murmurate(&["host", &file, "--host", host, "--json"]));
+        crew.start("world");
+        crew.ready(&["world"]);
+        Keyed { _folder: folder, _crew: crew, own, keyless, other_key }
+    }
+
+    /// Returns what a command says of its failure.
+    fn fails(&self, args: &[&str]) -> String {
+        let output = run(args);
+        let said = format!("{}{}", text(&output.stdout), text(&output.stderr));
+        assert_eq!(output.status.code(), Some(1), "{args:?}: {said}");
+        for key in ["team.key", "other.key"] {
+            let key = std::fs::read_to_string(self._folder.path().join(key)).expect("a key");
+            assert!(!said.contains(key.trim()), "no key is shown");
+        }
+        said
+    }
+}
+
+#[test]
+fn a_stop_with_a_wrong_key_or_none_says_that_the_key_is_wrong() {
+    let _beside = beside();
+    let keyed = Keyed::start(785, true);
+    for command in [&["stop"][..], &["stop", "--rearm"], &["resume"]] {
+        let asked = |file: &str, more: &[&str]| keyed.fails(&[command, &[file], more].concat());
+        let said = asked(&keyed.own, &["--key-file", &keyed.other_key]);
+        assert!(said.contains("it has another key than this machine"), "{command:?}: {said}");
+        let said = asked(&keyed.keyless, &[]);
+        assert!(said.contains("it has a key, but this machine has none"), "{command:?}: {said}");
+    }
+    // As soon as something was heard, and in JSON as well.
+    let said = keyed.fails(&["stop", &keyed.own, "--key-file", &keyed.other_key, "--wait", "0.6", "--json"]);
+    assert!(said.contains("another key"), "{said}");
+    let doctor = ["doctor", &keyed.own, "--host", "server", "--listen", "2", "--key-file", &keyed.other_key];
+    let said = keyed.fails(&doctor);
+    assert!(said.contains("of this team with another key") && said.contains("it has another key"), "{said}");
+}
+
+#[test]
+fn a_stop_with_a_key_for_a_team_without_one_says_so_and_an_absent_team_is_no_matter_of_keys_alone() {
+    let _beside = beside();
+    let keyed = Keyed::start(786, false);
+    let said = keyed.fails(&["stop", &keyed.own]);
+    assert!(said.contains("it has no key, but this machine has one"), "{said}");
+    let nobody = keyed.fails(&["stop", &keyed.own, "--set", "team=787"]);
+    assert!(nobody.contains("nothing of this team is heard") && nobody.contains("go and look"), "{nobody}");
+}
+
+/// Process that is ended when the test is over.
+struct Ended(Child);
+
+impl Drop for Ended {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn a_page_with_a_wrong_key_says_that_it_understands_nothing_and_stops_nobody() {
+    use std::io::{BufRead, BufReader};
+    let _beside = beside();
+    let keyed = Keyed::start(788, true);
+    let mut command = murmurate(&["watch", &keyed.own, "--key-file", &keyed.other_key]);
+    let mut watch = Ended(command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("it starts"));
+    let mut lines = BufReader::new(watch.0.stderr.take().expect("it is piped")).lines().map_while(Result::ok);
+    let url = lines.find_map(|line| Some(line.strip_prefix("watch: http://")?.to_owned())).expect("its address");
+    let mut page = control(url.split('/').next().expect("an address"));
+    let until = Instant::now() + Duration::from_secs(30);
+    loop {
+        assert!(Instant::now() < until, "the page never says it");
+        let Message::Text(said) = page.read().expect("it runs") else { continue };
+        let said: Value = serde_json::from_str(&said).expect("it is JSON");
+        if said["body"]["trouble"].as_str().is_some_and(|why| why.contains("it has another key")) {
+            break;
+        }
+    }
+    assert!(lines.any(|line| line.starts_with("warning: ") && line.contains("another key")), "and the terminal");
+}
