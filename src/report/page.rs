@@ -32,12 +32,33 @@ th,td{padding:.3em .8em;text-align:right;border-bottom:1px solid light-dark(#ddd
 th:first-child,td:first-child{text-align:left}\
 pre{padding:.8em;overflow-x:auto;background:light-dark(#f3f3f3,#24272a)}\
 dt{font-weight:600}dd{margin:0 0 .4em 1.2em;overflow-wrap:anywhere}\
-figure{margin:1.5em 0;padding:8px;background:#fff;color:#1a1a1a;border:1px solid light-dark(#ddd,#3a3d40)}\
+figure{margin:1.5em 0;padding:8px;border:1px solid light-dark(#ddd,#3a3d40)}\
+figure{--paper:light-dark(#fff,#16181a);--ink:light-dark(#000,#e8e8e8);--grey:light-dark(#6e6e6e,#a3a8ad);\
+--blue:light-dark(#0072b2,#4aa8e8);--brown:light-dark(#d55e00,#ff8a3d);--green:light-dark(#009e73,#2fc79b)}\
 figure svg{width:100%;height:auto;display:block}figcaption{padding:.5em 1em;max-width:75em}";
 
 /// Escapes text for HTML.
 fn plain(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+/// Colours of the figures that follow the scheme of the page, by name: the other colours are as clear on dark as on light
+/// ground. A figure's own file stays as it is, for papers.
+const FOLLOWING: [(&str, &str); 6] = [
+    ("#FFFFFF", "paper"),
+    ("#000000", "ink"),
+    ("#6E6E6E", "grey"),
+    ("#0072B2", "blue"),
+    ("#D55E00", "brown"),
+    ("#009E73", "green"),
+];
+
+/// Returns a figure's drawing with colours that follow the scheme of the page.
+fn drawing(figure: &Figure) -> String {
+    let svg = figure.svg.trim().to_owned();
+    FOLLOWING
+        .iter()
+        .fold(svg, |svg, (colour, name)| svg.replace(&format!("\"{colour}\""), &format!("\"var(--{name})\"")))
 }
 
 /// Returns the report page with this title and these parts as HTML.
@@ -64,7 +85,7 @@ pub fn page(title: &str, parts: &[Part]) -> String {
                 html,
                 "<figure role=\"img\" aria-label=\"{}\">\n{}\n<figcaption>{}</figcaption>\n</figure>",
                 plain(&figure.title),
-                figure.svg.trim(),
+                drawing(figure),
                 plain(&figure.caption)
             ),
         };
@@ -77,4 +98,20 @@ fn table(heads: &[&str], rows: &[Vec<String>]) -> String {
     let cells = |row: &Vec<String>| row.iter().map(|cell| format!("<td>{}</td>", plain(cell))).collect::<String>();
     let rows: String = rows.iter().map(|row| format!("<tr>{}</tr>\n", cells(row))).collect();
     format!("<div class=\"wide\"><table>\n<thead><tr>{heads}</tr></thead>\n<tbody>\n{rows}</tbody>\n</table></div>")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_follow_the_scheme_of_the_page() {
+        let svg =
+            "<svg><rect fill=\"#FFFFFF\"/><text fill=\"#000000\" stroke=\"#CC79A7\">#FFFFFF</text></svg>".to_owned();
+        let (name, title, caption) = ("a".to_owned(), "a".to_owned(), "b".to_owned());
+        let html = page("c", &[Part::Figure(&Figure { name, title, caption, svg })]);
+        let drawn = "<rect fill=\"var(--paper)\"/><text fill=\"var(--ink)\" stroke=\"#CC79A7\">#FFFFFF</text>";
+        assert!(html.contains(drawn), "{html}");
+        assert!(!html.contains("background:#fff"), "no white slab in a dark page");
+    }
 }

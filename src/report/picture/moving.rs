@@ -112,21 +112,25 @@ pub fn moving(scene: &Scene) -> String {
     text += "</g>\n";
     let style = ".still{display:none}.clock{font-size:26px}\
                  @media(prefers-reduced-motion:reduce){.still{display:inline}.moving{display:none}}";
-    let legends = [("still", still::marks(scene)), ("moving", marks(scene))];
+    let legends = [("still", still::marks(scene).to_vec()), ("moving", marks(scene))];
     let legends =
         legends.map(|(class, marks)| format!("<g class=\"{class}\">{}</g>\n", legend(&view, &marks))).concat();
     sheet(&view, scene, style, &text, &legends)
 }
 
-/// Returns the legend of the animation: goals, links by age, and one-way links.
-fn marks(scene: &Scene) -> [(String, f32, String); 3] {
+/// Returns the legend of the animation: goals, links by age, and one-way links. Without links, as in mode `sim`, where
+/// messages are perfect and go nowhere, they are not explained.
+fn marks(scene: &Scene) -> Vec<(String, f32, String)> {
+    if scene.pairs().is_empty() {
+        return vec![goal_mark(scene)];
+    }
     let line = |(at, strong): (usize, &&str)| {
         format!("<path class=\"link\" d=\"M{} 0h26\" stroke-width=\"3\" stroke-opacity=\"{strong}\"/>", 28 * at)
     };
     let lines = AGES.iter().enumerate().map(line).collect();
     let heard = format!("heard, new to {} s old", scene.stage.window.as_secs());
     let dashed = "<path class=\"link\" d=\"M0 0h30\" stroke-width=\"3\" stroke-dasharray=\"7 6\"/>".to_owned();
-    [goal_mark(scene), (lines, 138.0, heard), (dashed, 30.0, "one way".to_owned())]
+    vec![goal_mark(scene), (lines, 138.0, heard), (dashed, 30.0, "one way".to_owned())]
 }
 
 /// Draws the goals, whose dashed circles become solid at the arrival of their robots.
