@@ -346,6 +346,7 @@ impl Trial {
             min_separation_m: f32::INFINITY,
             judged: self.deployment.judged(),
             cost: None,
+            reason: None,
         }));
         report.finished = true;
     }

@@ -21,7 +21,7 @@ use crate::messages::wire::{KINDS, Kind, Phase, Reading, Round, Wire};
 use crate::net::media::radio::RadioCounts;
 use crate::net::protocol::codec::{self, Content, Flags, Frame, Header};
 use crate::net::protocol::link::LinkCounts;
-use crate::report::episode::{Episode, Judged};
+use crate::report::episode::{AbortReason, Episode, Judged};
 use crate::report::listening::{Datagram, Listener};
 pub use crate::report::trial::Told as Out;
 use crate::report::trial::{Hearing, Said, Step, Totals};
@@ -48,6 +48,9 @@ pub enum In {
     Radio(LinkId, Box<RadioCounts>),
     /// Numbers of times that a robot's guard has stopped or slowed it, since its Controller was started.
     Safety(RobotId, SafetyCounts),
+    /// The state server of this process aborts the episode with this index, from 0, for this reason. It comes before the
+    /// instruction.
+    Aborted(u32, AbortReason),
     /// Request for the totals of the run, which ends now even if an episode is running.
     Closing,
     /// Datagram that a host of this process has received.
@@ -135,6 +138,8 @@ pub struct Recorder {
     since: Time,
     reset: Span,
     judge: Option<Judge>,
+    /// Reason of the last episode that the state server has aborted, with the episode's index.
+    aborted: Option<(u32, AbortReason)>,
     /// Index of the first episode without a verdict.
     open: u32,
     finished: bool,
@@ -163,6 +168,7 @@ impl Recorder {
             since: Time::ZERO,
             reset: Span::ZERO,
             judge: None,
+            aborted: None,
             open: 0,
             finished: false,
         }
@@ -258,6 +264,7 @@ impl Recorder {
 
     fn close(&mut self, now: Time, finding: Finding, out: &mut Vec<Out>) {
         let success = finding.verdict == Verdict::Success;
+        let aborted = finding.verdict == Verdict::Aborted;
         let episode = Episode {
             repeat: self.config.repeat,
             episode: self.open,
@@ -267,6 +274,7 @@ impl Recorder {
             min_separation_m: finding.min_separation_m,
             judged: self.config.judged,
             cost: finding.cost,
+            reason: self.aborted.filter(|(episode, _)| aborted && *episode == self.open).map(|(_, reason)| reason),
         };
         out.push(Out::Episode(episode, self.totals(now)));
         self.judge = None;
@@ -385,6 +393,7 @@ impl Core for Recorder {
                 self.safety.insert(robot, counts);
             }
             In::Reading(reading) => self.take_reading(now, &reading, out),
+            In::Aborted(episode, reason) => self.aborted = Some((episode, reason)),
             In::Closing => out.push(Out::Closed(self.totals(now))),
             In::Arrived(to, frame) => {
                 // A corrupted datagram does not count as received. A datagram published in time counts even if it

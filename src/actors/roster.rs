@@ -3,6 +3,7 @@
 use crate::messages::ids::RobotId;
 use crate::messages::latch::{self, Latch};
 use crate::messages::wire::{Heartbeat, Phase, Round};
+use crate::report::episode::AbortCause;
 use crate::time::{Span, Time};
 
 /// Time without a heartbeat after which a robot counts as missing: five heartbeat periods.
@@ -64,12 +65,10 @@ impl Roster {
 
     /// Returns why the running episode of `round` has to be aborted: each robot that is missing or gives up. Empty if
     /// it goes on.
-    pub(super) fn reasons_to_abort(&self, now: Time, round: Round) -> Vec<String> {
+    pub(super) fn reasons_to_abort(&self, now: Time, round: Round) -> Vec<(RobotId, AbortCause)> {
         let of = |(robot, beat): (RobotId, Option<&Heartbeat>)| match beat {
-            None => Some(format!("{robot} has not been heard for {} s", MISSING_AFTER.as_secs())),
-            Some(beat) if beat.round == round && beat.phase == Phase::AbortRunning => {
-                Some(format!("{robot} has stopped and gives up"))
-            }
+            None => Some((robot, AbortCause::Missing)),
+            Some(beat) if beat.round == round && beat.phase == Phase::AbortRunning => Some((robot, AbortCause::GaveUp)),
             Some(_) => None,
         };
         self.all(now).filter_map(of).collect()
@@ -79,6 +78,7 @@ impl Roster {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::report::episode::AbortReason;
 
     const ROUND: Round = Round { term: 1, episode: 0 };
 
@@ -93,7 +93,7 @@ mod tests {
     #[test]
     fn a_reason_to_abort_names_the_robot() {
         let roster = heard([Phase::Running, Phase::AbortRunning], Time::ZERO);
-        assert_eq!(roster.reasons_to_abort(Time::ZERO, ROUND), ["robot 1 has stopped and gives up"]);
+        assert_eq!(roster.reasons_to_abort(Time::ZERO, ROUND), [(RobotId(1), AbortCause::GaveUp)]);
         let later = Round { episode: 1, ..ROUND };
         assert!(roster.reasons_to_abort(Time::ZERO, later).is_empty(), "it gave up in an earlier episode");
         let mut roster = heard([Phase::Running; 2], Time::ZERO);
@@ -101,7 +101,12 @@ mod tests {
         let late = Time::ZERO + MISSING_AFTER;
         let running = Heartbeat { robot: RobotId(1), round: ROUND, phase: Phase::Running, latch: Latch::default() };
         roster.take(late, running);
-        assert_eq!(roster.reasons_to_abort(late, ROUND), ["robot 0 has not been heard for 1 s"]);
+        assert_eq!(roster.reasons_to_abort(late, ROUND), [(RobotId(0), AbortCause::Missing)]);
+        assert_eq!(MISSING_AFTER, Span::from_millis(1000), "as the words of the cause say");
+        let words = |robots: &[(RobotId, AbortCause)]| AbortReason::of_robots(robots).map(|reason| reason.to_string());
+        let missing = (RobotId(0), AbortCause::Missing);
+        assert_eq!(words(&[missing; 3]).as_deref(), Some("robot 0 has not been heard for 1 s, and 2 more robots"));
+        assert_eq!(words(&[]), None);
     }
 
     #[test]

@@ -15,6 +15,7 @@ use crate::messages::latch::Latch;
 use crate::messages::wire::{
     Heartbeat, Hindrance, Leading, MAX_BLOCK, MAX_HINDRANCES, Mode, Phase, Round, Status, Stop,
 };
+use crate::report::episode::{AbortCause, AbortReason};
 use crate::scenario::cost::Ending;
 use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
@@ -53,6 +54,8 @@ pub enum Out {
     Mode(Mode),
     /// Emergency stop state and robots that prevent a resume: answer to an operator, sent through the Status.
     Leading(Leading),
+    /// The episode with this index, from 0, is aborted for this reason; said before the instruction. For reports only.
+    Aborted(u32, AbortReason),
 }
 
 /// Configuration of a state server, the actor that leads the episodes of a team.
@@ -92,6 +95,8 @@ pub struct StateServer {
     beyond_reach: u64,
     round: Round,
     phase: Phase,
+    /// Reason of an aborted episode that was not reported yet, with the episode's index.
+    aborted: Option<(u32, AbortReason)>,
     /// Time at which the present phase began; `None` before the first decision.
     since: Option<Time>,
     sent_at: Option<Time>,
@@ -115,6 +120,7 @@ impl StateServer {
             beyond_reach: 0,
             round: Round::default(),
             phase: Phase::NeedReset,
+            aborted: None,
             since: None,
             sent_at: None,
             times_sent: 0,
@@ -126,6 +132,11 @@ impl StateServer {
     fn enter(&mut self, now: Time, phase: Phase) {
         tracing::debug!(episode = self.round.episode, ?phase, "the team enters a phase");
         (self.phase, self.since, self.sent_at) = (phase, Some(now), None);
+    }
+
+    fn abort(&mut self, now: Time, reason: AbortReason) {
+        self.aborted = Some((self.round.episode, reason));
+        self.enter(now, Phase::AbortRunning);
     }
 
     fn begin(&mut self, now: Time, episode: u32) {
@@ -156,8 +167,9 @@ impl StateServer {
             // An earlier incarnation waited for a host. Its id is unknown, so all robots must report this phase first.
             self.enter(now, Phase::Waiting);
         } else if last.term > 0 && beats.iter().any(is_running) {
-            tracing::warn!(episode = last.episode, "a running episode is given up: the state server was restarted");
-            self.enter(now, Phase::AbortRunning);
+            let number = last.episode + 1;
+            tracing::warn!("episode {number} was running and is given up: the state server was restarted");
+            self.abort(now, AbortReason::of_team(AbortCause::ServerRestarted));
         } else {
             self.begin(now, last.episode);
         }
@@ -247,7 +259,7 @@ impl StateServer {
         match self.phase {
             // A hold between two episodes: the next one is reset anew after the resume, and none is lost.
             Phase::Resetting if self.latch.is_held() => self.enter(now, Phase::Waiting),
-            Phase::Resetting | Phase::Running => self.enter(now, Phase::AbortRunning),
+            Phase::Resetting | Phase::Running => self.abort(now, AbortReason::of_team(AbortCause::Stopped)),
             _ => self.since = Some(now),
         }
     }
@@ -268,13 +280,24 @@ impl StateServer {
         };
         let late: Vec<RobotId> = self.roster.all(now).filter(is_late).map(|(robot, _)| robot).collect();
         let names: Vec<String> = late.iter().map(RobotId::to_string).collect();
-        let (episode, names) = (self.round.episode, names.join(", "));
-        tracing::warn!("the reset before episode {episode} has failed: {names} not in place");
+        let (number, names) = (self.round.episode + 1, names.join(", "));
+        tracing::warn!("the reset before episode {number} has failed: {names} not in place");
         if late.iter().any(|robot| self.config.real.binary_search(robot).is_ok()) {
             tracing::error!("the team is held: look after {names}, then run 'murmurate resume'");
             self.latched(Latch::held(self.latch.number() + 1));
         }
-        self.enter(now, Phase::AbortRunning);
+        let causes: Vec<(RobotId, AbortCause)> = late.iter().map(|robot| (*robot, AbortCause::NotInPlace)).collect();
+        let reason = AbortReason::of_robots(&causes);
+        self.abort(now, reason.unwrap_or(AbortReason::of_team(AbortCause::NotInPlace)));
+    }
+
+    /// Aborts the running episode because of these robots, each with its cause; there is at least one.
+    fn give_up(&mut self, now: Time, causes: &[(RobotId, AbortCause)]) {
+        let reason = AbortReason::of_robots(causes).expect("there is a robot");
+        let each = |cause: &(RobotId, AbortCause)| AbortReason::of_robots(&[*cause]).map(|reason| reason.to_string());
+        let words: Vec<String> = causes.iter().filter_map(each).collect();
+        tracing::warn!("episode {} is aborted: {}", self.round.episode + 1, words.join(", "));
+        self.abort(now, reason);
     }
 
     /// Enters the next phase of the team if heartbeats, the latch, absent hosts or time limits require one.
@@ -313,12 +336,9 @@ impl StateServer {
             Phase::Resetting if all_are(Phase::FinishedResetting) => self.enter(now, Phase::Running),
             Phase::Resetting if lasted >= RESET_LIMIT => self.fail_reset(now),
             Phase::Running if all_are(Phase::FinishedRunning) => self.begin(now, self.round.episode + 1),
-            Phase::Running if !aborts.is_empty() => {
-                tracing::warn!(episode = self.round.episode, "the episode is aborted: {}", aborts.join(", "));
-                self.enter(now, Phase::AbortRunning);
-            }
+            Phase::Running if !aborts.is_empty() => self.give_up(now, &aborts),
             Phase::Running if lasted > self.config.limit + GRACE => match self.config.ending {
-                Ending::Arrival => self.enter(now, Phase::AbortRunning),
+                Ending::Arrival => self.abort(now, AbortReason::of_team(AbortCause::TimeLimit)),
                 Ending::Time => self.begin(now, self.round.episode + 1),
             },
             Phase::AbortRunning if all_are(Phase::NeedReset) || lasted >= MUSTER_LIMIT => {
@@ -382,6 +402,7 @@ impl Core for StateServer {
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         self.decide(now);
+        out.extend(self.aborted.take().map(|(episode, reason)| Out::Aborted(episode, reason)));
         // Before the server knows the team's state, it only sends instructions to stop.
         let may_send = self.round.term > 0 || !self.latch.is_clear() || self.leaves;
         // While its host is shutting down, it sends at every decision.

@@ -193,7 +193,7 @@ mod tests {
         let plan = FaultPlan::from_toml(text).unwrap();
         assert_eq!(plan.actors[0].episode, Some(5));
         assert_eq!(FaultPlan::from_toml(&plan.to_toml()).unwrap(), plan);
-        assert_eq!(plan.describe(), ["cache of robot 2: crash 2.0 s into episode 5, for 1.0 s"]);
+        assert_eq!(plan.describe(), ["cache of robot 2: crash 2.0 s into episode 6, for 1.0 s"]);
         assert!(plan.check_episodes(6).is_ok());
         assert!(plan.check_episodes(5).unwrap_err().to_string().contains("actor[0].episode"));
     }

@@ -273,7 +273,8 @@ impl FaultPlan {
     /// Returns a description of each fault in words, for a report.
     pub fn describe(&self) -> Vec<String> {
         let when = |episode: Option<u32>, at: Time| match episode {
-            Some(episode) => format!("{:.1} s into episode {episode}", at.as_secs()),
+            // A plan counts episodes from 0, and what people read from 1.
+            Some(episode) => format!("{:.1} s into episode {}", at.as_secs(), episode.saturating_add(1)),
             None => format!("at {:.1} s of the trial", at.as_secs()),
         };
         let actor = |fault: &ActorFault| {

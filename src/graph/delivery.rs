@@ -5,10 +5,10 @@ use std::collections::BTreeSet;
 
 use tracing::info_span;
 
-use super::process::Graph;
+use super::process::{Graph, ProcessEvent};
 use crate::actors::state_server::{self, StateServer};
 use crate::actors::status::{self, Status};
-use crate::actors::{agent, body, cache, controller, network, world};
+use crate::actors::{agent, body, cache, controller, network, recorder, world};
 use crate::graph::Plan;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::phase::Phase;
@@ -147,6 +147,7 @@ pub(super) fn wire_server(clock: &Clock, plan: &Plan, graph: &Graph) {
     let (network, status) = (graph.network_of(host), graph.status_of(host));
     let make = move |incarnation| StateServer::new(config.clone(), robots, incarnation);
     let episodes = graph.episodes.clone();
+    let (record, report) = (graph.record(), std::rc::Rc::clone(&graph.report));
     start(clock, &graph.server, info_span!("state server"), make, move |out| match out {
         state_server::Out::Mode(mode) => {
             if mode.phase == Phase::Running {
@@ -155,5 +156,9 @@ pub(super) fn wire_server(clock: &Clock, plan: &Plan, graph: &Graph) {
             network.send(network::In::Publish(Wire::Mode(mode)));
         }
         state_server::Out::Leading(leading) => status.send(status::In::Leading(leading)),
+        state_server::Out::Aborted(episode, reason) => {
+            record(recorder::In::Aborted(episode, reason));
+            report(host, ProcessEvent::Aborted(episode, reason));
+        }
     });
 }

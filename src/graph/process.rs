@@ -22,6 +22,7 @@ use crate::net::protocol::reliability::Setup;
 use crate::net::protocol::sender::Peer;
 use crate::net::transport;
 use crate::random::Seed;
+use crate::report::episode::AbortReason;
 use crate::runtime::shell::Mailbox;
 use crate::safety::guard::SafetyCounts;
 
@@ -79,6 +80,8 @@ pub enum ProcessEvent<'a> {
     Counts(&'a LinkCounts),
     /// Another running host uses the id of this host and was started earlier.
     Duplicate(DuplicateId),
+    /// The state server of this process has aborted the episode with this index, from 0, for this reason.
+    Aborted(u32, AbortReason),
     /// Numbers of times that a robot's guard has stopped or slowed it since the robot's Controller was started.
     Safety(RobotId, SafetyCounts),
     /// Condition of the hardware of a real robot, as its driver reports it.

@@ -22,8 +22,8 @@ pub struct Flags {
     /// File for a still picture of one episode
     #[arg(long, value_name = "FILE.svg")]
     svg: Option<PathBuf>,
-    /// Episode of the first repeat that --animate and --svg show: its index from 0, or 'failed' for the first one that
-    /// did not succeed [default: 0]
+    /// Episode of the first repeat that --animate and --svg show: its number from 1, as the table has it, or 'failed'
+    /// for the first one that did not succeed [default: 1]
     #[arg(long, value_name = "N|failed", value_parser = Shown::parse)]
     episode: Option<Shown>,
 }
@@ -41,7 +41,11 @@ impl Shown {
     fn parse(text: &str) -> Result<Shown, String> {
         match text {
             "failed" => Ok(Shown::Failed),
-            text => text.parse().map(Shown::Index).map_err(|_| "neither an index nor 'failed'".to_owned()),
+            text => match text.parse::<u32>() {
+                Ok(0) => Err("episodes count from 1, as in the table".to_owned()),
+                Ok(number) => Ok(Shown::Index(number - 1)),
+                Err(_) => Err("neither a number nor 'failed'".to_owned()),
+            },
         }
     }
 
@@ -85,7 +89,8 @@ impl Pictures {
                 return bad("--episode: there is nothing to draw; add --animate or --svg".to_owned());
             }
             Some(Shown::Index(episode)) if episode >= episodes => {
-                return bad(format!("--episode: there is no episode {episode}; there are {episodes}, from 0"));
+                let number = u64::from(episode) + 1;
+                return bad(format!("--episode: there is no episode {number}; there are {episodes}, from 1"));
             }
             _ => {}
         }
@@ -116,8 +121,8 @@ impl Pictures {
         let found = reports.iter().find_map(|report| result(report).map(|episode| (report, episode)));
         let Some((report, episode)) = found else {
             talk(&match self.shown {
-                Shown::Index(index) => format!("episode {index} was interrupted: there is no picture of it"),
-                Shown::Failed => "no episode of repeat 0 failed: there is no picture".to_owned(),
+                Shown::Index(index) => format!("episode {} was interrupted: there is no picture of it", index + 1),
+                Shown::Failed => "no episode of the first repeat failed: there is no picture".to_owned(),
             });
             return Ok(());
         };
@@ -149,7 +154,7 @@ fn stage<'a>(trial: &'a Trial, policy: &str, episode: u32) -> Stage<'a> {
     let many = if robots == 1 { "robot" } else { "robots" };
     Stage {
         title: format!("{robots} {many}, scenario {scenario}, mode {}", trial.deployment.mode),
-        caption: format!("policy {policy}, seed {}, episode {episode}", trial.seed),
+        caption: format!("policy {policy}, seed {}, episode {}", trial.seed, episode + 1),
         arena: trial.scenario.arena(),
         rules: trial.scenario.rules(),
         cost: trial.scenario.cost(),

@@ -130,6 +130,7 @@ impl Event {
             | ProcessEvent::Input(_)
             | ProcessEvent::Message(_)
             | ProcessEvent::Recorded(_)
+            | ProcessEvent::Aborted(..)
             | ProcessEvent::Duplicate(_) => return None,
         })
     }

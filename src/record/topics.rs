@@ -277,12 +277,12 @@ impl Topics {
         let (episode, phase) = (mode.round.episode, name_of(mode.phase));
         let said = json!({ "repeat": mode.repeat, "episode": episode, "phase": phase });
         json_to(Topic::Episode, at, &said, take);
-        self.say(at, Severity::Info, "state server", &format!("episode {episode}: {phase}"), take);
+        self.say(at, Severity::Info, "state server", &format!("episode {}: {phase}", episode + 1), take);
     }
 
     fn episode(&self, at: u64, episode: &Episode, take: Take) {
         json_to(Topic::Episode, at, episode, take);
-        self.say(at, Severity::Info, "judge", &format!("episode {}: {}", episode.episode, episode.in_words()), take);
+        self.say(at, Severity::Info, "judge", &format!("episode {}: {}", episode.number(), episode.in_words()), take);
     }
 
     fn guard(&mut self, at: u64, robot: RobotId, counts: SafetyCounts, take: Take) {

@@ -4,7 +4,7 @@ use std::iter::Sum;
 
 use serde::{Deserialize, Serialize};
 
-use super::episode::Episode;
+use super::episode::{AbortReason, Episode};
 use super::hardware::RobotHardware;
 use crate::messages::ids::RobotId;
 use crate::net::protocol::link::LinkCounts;
@@ -22,6 +22,13 @@ pub enum HostEvent {
     /// An episode has ended. The host that judges reports it: the one that simulates the whole team, or otherwise the
     /// host of the state server.
     Episode(Episode),
+    /// The state server, on this host, has aborted an episode. The host that judges may be another one.
+    Aborted {
+        /// Index of the episode, from 0.
+        episode: u32,
+        /// Reason of the end.
+        reason: AbortReason,
+    },
     /// All counts of the host so far. They are reported once a second, and as the last event if the team has not
     /// finished.
     Counted(Counted),
@@ -110,7 +117,7 @@ impl HostEvent {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::episode::Judged;
+    use crate::report::episode::{AbortCause, Judged};
     use crate::scenario::judge::Verdict;
 
     #[test]
@@ -124,6 +131,7 @@ mod tests {
             min_separation_m,
             judged: Judged::Readings,
             cost: Some(0.25),
+            reason: Some(AbortReason { cause: AbortCause::Missing, robot: Some(RobotId(3)), others: 1 }),
         };
         let counts = SafetyCounts { late_tick: 2, ..SafetyCounts::default() };
         let counted = Counted {
@@ -137,6 +145,7 @@ mod tests {
             HostEvent::Ready { host: "robot-2".to_owned() },
             HostEvent::Episode(episode(0.25)),
             HostEvent::Episode(episode(f32::INFINITY)),
+            HostEvent::Aborted { episode: 3, reason: AbortReason::of_team(AbortCause::Stopped) },
             HostEvent::Counted(counted.clone()),
             HostEvent::Finished(counted),
         ];

@@ -5,7 +5,7 @@ use std::fmt;
 use serde::Serialize;
 use xxhash_rust::xxh3::Xxh3;
 
-use super::episode::{Episode, Judged};
+use super::episode::{AbortReason, Episode, Judged};
 use super::event::Unwritten;
 use super::hardware::RobotHardware;
 use super::outcomes::{CostOutcomes, Outcomes};
@@ -125,6 +125,9 @@ pub struct FailedEpisode {
     pub episode: u32,
     /// Verdict on the episode.
     pub verdict: Verdict,
+    /// Reason of an aborted episode, with its robot; left out for other verdicts, and if it is not known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reason: Option<AbortReason>,
 }
 
 /// Counts of collisions and aborted episodes under the former names of fields of [`Outcomes`], for scripts that still
@@ -167,6 +170,8 @@ pub struct Run {
 const LISTED_FAULTS: usize = 4;
 /// Largest number of failed episodes that the summary's table lists; its JSON has all.
 const LISTED_FAILURES: usize = 6;
+/// Largest number of aborted episodes whose reasons the summary's table lists; its JSON has all.
+const LISTED_REASONS: usize = 4;
 
 impl Summary {
     /// Summarizes a simulated run from the reports of its trials, which are in the order of their repeats.
@@ -174,8 +179,12 @@ impl Summary {
         let episodes: Vec<Episode> = trials.iter().flat_map(|trial| &trial.episodes).copied().collect();
         let outcomes = Outcomes::of(&episodes);
         let failures = episodes.iter().filter(|episode| episode.verdict.is_failure());
-        let failed =
-            failures.map(|&Episode { repeat, episode, verdict, .. }| FailedEpisode { repeat, episode, verdict });
+        let failed = failures.map(|&Episode { repeat, episode, verdict, reason, .. }| FailedEpisode {
+            repeat,
+            episode,
+            verdict,
+            reason,
+        });
         let failed = failed.collect();
         let totals = || trials.iter().map(|trial| trial.totals);
         let mut trace = Xxh3::new();
@@ -250,13 +259,43 @@ impl Summary {
         Ok(())
     }
 
-    /// Lists the first failed episodes as text, such as "episode 3 of repeat 0, episode 1 of repeat 2".
-    fn failed_episodes(&self) -> String {
+    /// Writes the table's lines about messages that were not delivered, with the causes for which links refused them.
+    fn write_undelivered(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let frames: u64 = self.links.losses().map(|(count, _)| count).sum();
+        let (refused, lost) = (self.refused, self.lost);
+        let undelivered = refused + lost + frames;
+        if undelivered == 0 {
+            return Ok(());
+        }
+        let by = format!("{refused} by full mailboxes, {lost} in crashes, {frames} refused by links");
+        writeln!(f, "  undelivered  {undelivered:>8}   {by}")?;
+        let causes: Vec<String> = self.links.losses().map(|(count, cause)| format!("{count} {cause}")).collect();
+        if causes.is_empty() { Ok(()) } else { writeln!(f, "  {:<12} {:>8}   links: {}", "", "", causes.join(", ")) }
+    }
+
+    /// Returns the name of a failed episode, such as "episode 4 of repeat 1"; both count from 1.
+    fn name(&self, failed: &FailedEpisode) -> String {
         let several = self.failed.iter().any(|failed| failed.repeat > 0);
-        let words = |failed: &FailedEpisode| {
-            let of = if several { format!(" of repeat {}", failed.repeat) } else { String::new() };
-            format!("episode {}{of}", failed.episode)
-        };
+        let of = if several { format!(" of repeat {}", failed.repeat + 1) } else { String::new() };
+        format!("episode {}{of}", failed.episode + 1)
+    }
+
+    /// Writes the table's lines about failed episodes: their names, and the reasons of the first aborted ones.
+    fn write_failed(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.failed.is_empty() {
+            return Ok(());
+        }
+        writeln!(f, "  {:<12} {:>8}   {}", "", "in", self.failed_episodes())?;
+        let aborted = self.failed.iter().filter_map(|failed| Some((failed, failed.reason?)));
+        for (failed, reason) in aborted.take(LISTED_REASONS) {
+            writeln!(f, "  {:<12} {:>8}   {}: {reason}", "", "aborted", self.name(failed))?;
+        }
+        Ok(())
+    }
+
+    /// Lists the first failed episodes as text, such as "episode 4 of repeat 1, episode 2 of repeat 3".
+    fn failed_episodes(&self) -> String {
+        let words = |failed: &FailedEpisode| self.name(failed);
         let listed = self.failed.iter().take(LISTED_FAILURES).map(words).collect::<Vec<_>>().join(", ");
         match self.failed.len().checked_sub(LISTED_FAILURES) {
             Some(more) if more > 0 => format!("{listed} and {more} more"),
@@ -291,9 +330,7 @@ impl fmt::Display for Summary {
             }
             writeln!(f, "  failures     {:>8}   {}", episodes - successes, self.outcomes.failures())?;
         }
-        if !self.failed.is_empty() {
-            writeln!(f, "  {:<12} {:>8}   {}", "", "in", self.failed_episodes())?;
-        }
+        self.write_failed(f)?;
         self.write_imposed(f)?;
         if self.judged == Judged::Readings {
             writeln!(f, "  judged       readings   what touched between two readings of a robot was not seen")?;
@@ -315,12 +352,7 @@ impl fmt::Display for Summary {
             let (airtime, wanted) = (percent(radio.airtime()), radio.wanted);
             writeln!(f, "  radio        {airtime:>8}   of airtime used; of {wanted} copies of frames {lost}")?;
         }
-        let (refused, lost, frames) = (self.refused, self.lost, self.links.refused());
-        let undelivered = refused + lost + frames;
-        if undelivered > 0 {
-            let by = format!("{refused} by full mailboxes, {lost} in crashes, {frames} refused by links");
-            writeln!(f, "  undelivered  {undelivered:>8}   {by}")?;
-        }
+        self.write_undelivered(f)?;
         let Unwritten { log_lines, events, steps, record_events } = self.unwritten;
         if self.unwritten.total() > 0 {
             let what = format!("{log_lines} log lines, {events} events, {steps} steps of trajectories");

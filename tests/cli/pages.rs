@@ -261,7 +261,7 @@ impl Args {
                 let large = self.value("--robots").is_some_and(|robots| robots.len() > 2);
                 let large = large || self.value("--scenario") == Some("flocking");
                 let few = if large { self.with("--robots", "20") } else { self };
-                let first = if few.has("--episode") { few.with("--episode", "0") } else { few };
+                let first = if few.has("--episode") { few.with("--episode", "1") } else { few };
                 // A plan may name the second episode.
                 let episodes = if first.has("--faults") { "2" } else { "1" };
                 first.with("--episodes", episodes).with("--repeats", "1").quiet()

@@ -64,7 +64,7 @@ fn data(page: &str) -> serde_json::Value {
 #[test]
 fn an_episode_is_a_page_that_loads_no_file_and_is_reproducible() {
     let folder = TempDir::new().expect("a temporary folder");
-    let flags = ["--mode", "onboard-adhoc", "--episodes", "2", "--delay-ms", "60", "--loss", "0.3", "--episode", "1"];
+    let flags = ["--mode", "onboard-adhoc", "--episodes", "2", "--delay-ms", "60", "--loss", "0.3", "--episode", "2"];
     let (page, said) = drawn(folder.path(), "--animate", "episode.html", &flags);
     assert!(page.len() <= LARGEST, "{} bytes", page.len());
     loads_nothing(&page);
@@ -129,6 +129,19 @@ fn a_failure_of_a_large_team_is_drawn_at_its_place() {
 }
 
 #[test]
+fn lines_that_are_not_drawn_are_not_explained() {
+    let folder = TempDir::new().expect("a temporary folder");
+    for (mode, lines) in [("sim", false), ("offboard", true)] {
+        let flags = ["--mode", mode, "--episodes", "1"];
+        let (page, _) = drawn(folder.path(), "--animate", &format!("{mode}.html"), &flags);
+        assert_eq!(data(&page)["links"].as_array().expect("links").is_empty(), !lines, "{mode}");
+        assert!(page.contains("find(\"lines\").hidden = data.links.length === 0"));
+        let (moves, _) = drawn(folder.path(), "--animate", &format!("{mode}.svg"), &flags);
+        assert_eq!(moves.contains("heard, new to"), lines, "{mode}");
+    }
+}
+
+#[test]
 fn impossible_pictures_are_refused_before_the_run() {
     let folder = TempDir::new().expect("a temporary folder");
     let path = folder.path().join("episode.gif");
@@ -138,7 +151,8 @@ fn impossible_pictures_are_refused_before_the_run() {
     refuses(&["sim", "--svg", "episode.html"], &["--svg", "episode.html", ".svg"]);
     refuses(&["sim", "--svg", "/nowhere/at/all.svg"], &["/nowhere/at/all.svg"]);
     let html = path.replace(".gif", ".html");
-    refuses(&["sim", "--animate", &html, "--episodes", "2", "--episode", "2"], &["--episode", "2, from 0"]);
+    refuses(&["sim", "--animate", &html, "--episodes", "2", "--episode", "3"], &["--episode", "2, from 1"]);
+    refuses(&["sim", "--animate", &html, "--episode", "0"], &["--episode", "count from 1"]);
     refuses(&["sim", "--episode", "1"], &["--episode", "--animate"]);
     refuses(&["sim", "--animate", "one.svg", "--svg", "one.svg"], &["--svg", "--animate", "its own"]);
     assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0, "nothing is left behind");
@@ -154,19 +168,25 @@ fn the_first_failed_episode_is_listed_and_can_be_shown() {
     let plan = plan.to_str().expect("the path is text");
     let run_of = ["--mode", "offboard", "--episodes", "3", "--faults", plan];
     let (failed, json) = drawn(folder.path(), "--svg", "failed.svg", &[&run_of[..], &["--episode", "failed"]].concat());
-    let (second, _) = drawn(folder.path(), "--svg", "second.svg", &[&run_of[..], &["--episode", "1"]].concat());
+    let (second, _) = drawn(folder.path(), "--svg", "second.svg", &[&run_of[..], &["--episode", "2"]].concat());
     assert_eq!(failed, second);
+    assert!(
+        failed.contains("Aborted after") && failed.contains("robot 2 has not been heard for 1 s"),
+        "it names the robot"
+    );
     let json: serde_json::Value = serde_json::from_str(&json).expect("one JSON object");
-    let expected = serde_json::json!([{"repeat": 0, "episode": 1, "verdict": "aborted"}]);
-    assert_eq!(json["failed"], expected);
+    let reason = serde_json::json!({"cause": "missing", "robot": 2, "others": 0});
+    let expected = serde_json::json!([{"repeat": 0, "episode": 1, "verdict": "aborted", "reason": reason}]);
+    assert_eq!(json["failed"], expected, "in JSON, episodes count from 0");
     let output = run(&[&["sim", "--repeats", "1"], &run_of[..]].concat());
     let table = text(&output.stdout);
-    assert!(table.contains("1 aborted") && table.contains("in   episode 1\n"), "{table}");
-    assert!(table.contains("controller of robot 2: crash 2.0 s into episode 1, for 3.0 s"), "{table}");
+    assert!(table.contains("1 aborted") && table.contains("in   episode 2\n"), "{table}");
+    assert!(table.contains("aborted   episode 2: robot 2 has not been heard for 1 s\n"), "{table}");
+    assert!(table.contains("controller of robot 2: crash 2.0 s into episode 2, for 3.0 s"), "{table}");
     let picture = folder.path().join("none.svg");
     let none = ["sim", "--episodes", "1", "--repeats", "1", "--episode", "failed", "--svg"];
     let output = run(&[&none[..], &[picture.to_str().expect("the path is text")]].concat());
-    assert!(output.status.success() && text(&output.stderr).contains("no episode of repeat 0 failed"));
+    assert!(output.status.success() && text(&output.stderr).contains("no episode of the first repeat failed"));
     assert!(!picture.exists());
     refuses(&["sim", "--svg", "a.svg", "--episode", "last"], &["--episode", "last", "failed"]);
 }

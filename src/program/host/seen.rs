@@ -12,7 +12,7 @@ use crate::program::outlets::Outlets;
 use crate::program::recording::LiveRecord;
 #[cfg(feature = "watch")]
 use crate::program::watch::metrics::HostMetrics;
-use crate::report::event::{Counted, RobotSafety, Unwritten};
+use crate::report::event::{Counted, HostEvent, RobotSafety, Unwritten};
 use crate::report::hardware::RobotHardware;
 use crate::report::trial::TrialReport;
 use crate::safety::guard::SafetyCounts;
@@ -102,6 +102,9 @@ impl Seen {
             }
             ProcessEvent::Published(_) => self.messages.set(self.messages.get() + 1),
             ProcessEvent::Duplicate(duplicate) => self.duplicate.set(Some(duplicate)),
+            ProcessEvent::Aborted(episode, reason) => {
+                self.outlets.print_event(&HostEvent::Aborted { episode, reason });
+            }
         }
     }
 

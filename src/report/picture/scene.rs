@@ -286,7 +286,13 @@ fn ending(stage: &Stage, episode: &Episode, contact: Option<Contact>, arrived: &
             (format!("Failure: timeout; not at their goals: {names}"), rings)
         }
         (Verdict::Unseen, _) => ("A robot was out of sight for too long".to_owned(), Vec::new()),
-        (Verdict::Aborted, _) => (format!("Aborted after {:.2} s", last.time.as_secs()), Vec::new()),
+        (Verdict::Aborted, _) => {
+            let text = format!("Aborted after {:.2} s", last.time.as_secs());
+            let text = episode.reason.map_or(text.clone(), |reason| format!("{text}: {reason}"));
+            let robot = episode.reason.and_then(|reason| reason.robot);
+            let at = robot.and_then(|robot| last.at.get(robot.index()));
+            (text, at.map_or_else(Vec::new, |at| ring(last.time, *at, 0.0)))
+        }
     };
     let text = match (stage.cost, episode.cost) {
         (Some(Cost { name, unit, .. }), Some(cost)) => format!("{text}; {name} {cost:.4} {unit}"),
@@ -300,7 +306,7 @@ mod tests {
     use super::*;
     use crate::messages::geometry::Motion;
     use crate::messages::local::{Contacts, Sample};
-    use crate::report::episode::Judged;
+    use crate::report::episode::{AbortCause, AbortReason, Judged};
 
     fn step(ms: u64, phase: Phase, xs: [f32; 2]) -> Step {
         let sample = |(robot, x): (RobotId, f32)| Sample {
@@ -354,6 +360,7 @@ mod tests {
             reset_s: 0.0,
             min_separation_m: 0.3,
             cost: None,
+            reason: None,
         };
         let scene = Scene::new(stage, &episode, &steps);
         let times: Vec<u64> = scene.frames.iter().map(|frame| frame.time.as_nanos() / 1_000_000).collect();
@@ -363,5 +370,11 @@ mod tests {
         assert_eq!(scene.frames[1].links, [link]);
         assert!(scene.ending.text.contains("robots 0 and 1 collide after 0.10 s"), "{}", scene.ending.text);
         assert_eq!((scene.ending.rings.len(), scene.ending.rings[0].from), (1, Span::from_millis(100)));
+
+        let reason = Some(AbortReason { cause: AbortCause::Missing, robot: Some(RobotId(1)), others: 0 });
+        let aborted = Episode { verdict: Verdict::Aborted, reason, ..episode };
+        let ending = Scene::new(scene.stage.clone(), &aborted, &steps).ending;
+        assert_eq!(ending.text, "Aborted after 0.15 s: robot 1 has not been heard for 1 s");
+        assert_eq!(ending.rings.len(), 1, "and it is marked");
     }
 }

@@ -264,7 +264,18 @@ mod tests {
             let verdict = if failed { Verdict::Timeout } else { Verdict::Success };
             let makespan_s = (!failed).then_some(makespan_s + f64::from(episode) * 0.01);
             let judged = Judged::Truth;
-            Episode { repeat: 0, episode, verdict, makespan_s, reset_s: 0.0, min_separation_m: 1.0, judged, cost: None }
+            let (cost, reason) = (None, None);
+            Episode {
+                repeat: 0,
+                episode,
+                verdict,
+                makespan_s,
+                reset_s: 0.0,
+                min_separation_m: 1.0,
+                judged,
+                cost,
+                reason,
+            }
         };
         (0..16).map(episode).collect()
     }
