@@ -23,7 +23,7 @@ pub enum Control {
 }
 
 /// Token of the live page: a secret, random for each run or read from a file, as hexadecimal digits. A browser has to
-/// send it for every command except the emergency stop.
+/// send it for every command except the emergency stop, and for that as well if it is on another machine.
 #[derive(Clone)]
 pub struct Token(String);
 
@@ -58,10 +58,29 @@ fn same(one: &[u8], other: &[u8]) -> bool {
     one.len() == other.len() && std::hint::black_box(differences) == 0
 }
 
+/// What a browser has shown of its right to give commands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// It has sent the token.
+    Holder,
+    /// It has sent no token or a wrong one, and it runs on this machine or the server is not guarded. It may stop the
+    /// team.
+    Near,
+    /// It has sent no token or a wrong one, and it runs on another machine. It may see and do nothing.
+    Stranger,
+}
+
+impl Standing {
+    /// Whether the browser has sent the token.
+    pub fn is_holder(self) -> bool {
+        self == Standing::Holder
+    }
+}
+
 /// Access rules of the live page's server: which commands it accepts, and from which browsers.
 #[derive(Clone)]
 pub struct Access {
-    /// Token that a browser has to send for every command except the emergency stop.
+    /// Token that a browser has to send for every command, but on this machine not for the emergency stop.
     pub token: Token,
     /// Commands that the process accepts from browsers.
     pub control: Control,
@@ -73,10 +92,20 @@ pub struct Access {
 }
 
 impl Access {
-    /// Returns the reason why a command is refused, as text for the user; `None` if it is allowed. `holder` says
-    /// whether the browser has sent the token.
-    pub fn refuses(&self, command: &Command, holder: bool) -> Option<&'static str> {
+    /// Returns the standing of a browser at the address `peer`; `token` says whether it has sent the token.
+    pub fn standing(&self, peer: IpAddr, token: bool) -> Standing {
+        match token {
+            true => Standing::Holder,
+            false if self.guarded && !canonical(peer).is_loopback() => Standing::Stranger,
+            false => Standing::Near,
+        }
+    }
+
+    /// Returns the reason why a command is refused, as text for the user; `None` if it is allowed.
+    pub fn refuses(&self, command: &Command, standing: Standing) -> Option<&'static str> {
+        let holder = standing.is_holder();
         match (command.right(), self.control) {
+            _ if standing == Standing::Stranger => Some("no token: open the address that the program printed"),
             (Right::Playback, Control::Playback) if holder => None,
             (Right::Playback, Control::Playback) => Some("no token: open the address that the program printed"),
             (_, Control::Playback) => Some("this is a record: there is no team to command"),
@@ -157,17 +186,35 @@ mod tests {
     #[test]
     fn a_stop_needs_nothing_and_faults_need_an_emulated_team() {
         let access = |control| Access { token: Token::new(&[1]), control, guarded: false, page: true };
+        let standing = |holder: bool| if holder { Standing::Holder } else { Standing::Near };
         let link = Command::Link { link: "air".to_owned(), cut: true, delay_ms: 0.0, loss: 0.0 };
-        assert_eq!(access(Control::StopOnly).refuses(&Command::Stop, false), None);
-        assert!(access(Control::StopOnly).refuses(&Command::Rearm, true).is_some());
-        assert!(access(Control::Team).refuses(&Command::Rearm, false).is_some());
-        assert_eq!(access(Control::Team).refuses(&Command::Rearm, true), None);
-        assert!(access(Control::Team).refuses(&link, true).is_some());
-        assert_eq!(access(Control::Emulation).refuses(&link, true), None);
+        assert_eq!(access(Control::StopOnly).refuses(&Command::Stop, standing(false)), None);
+        assert!(access(Control::StopOnly).refuses(&Command::Rearm, standing(true)).is_some());
+        assert!(access(Control::Team).refuses(&Command::Rearm, standing(false)).is_some());
+        assert_eq!(access(Control::Team).refuses(&Command::Rearm, standing(true)), None);
+        assert!(access(Control::Team).refuses(&link, standing(true)).is_some());
+        assert_eq!(access(Control::Emulation).refuses(&link, standing(true)), None);
         let seek = Command::Seek { at_s: 1.0 };
-        assert_eq!(access(Control::Playback).refuses(&seek, true), None);
-        assert!(access(Control::Playback).refuses(&seek, false).is_some());
-        assert!(access(Control::Playback).refuses(&Command::Stop, true).is_some(), "nothing would be stopped");
-        assert!(access(Control::Emulation).refuses(&seek, true).is_some());
+        assert_eq!(access(Control::Playback).refuses(&seek, standing(true)), None);
+        assert!(access(Control::Playback).refuses(&seek, standing(false)).is_some());
+        assert!(
+            access(Control::Playback).refuses(&Command::Stop, standing(true)).is_some(),
+            "nothing would be stopped"
+        );
+        assert!(access(Control::Emulation).refuses(&seek, standing(true)).is_some());
+    }
+
+    #[test]
+    fn a_stop_from_another_machine_needs_the_token_where_others_reach_the_server() {
+        let access = |guarded| Access { token: Token::new(&[1]), control: Control::Team, guarded, page: true };
+        let [far, here]: [IpAddr; 2] = ["192.168.1.7", "127.0.0.1"].map(|ip| ip.parse().unwrap());
+        let mapped: IpAddr = "::ffff:127.0.0.1".parse().unwrap();
+        let refused = |guarded, peer, token| {
+            let access = access(guarded);
+            access.refuses(&Command::Stop, access.standing(peer, token)).is_some()
+        };
+        assert!(refused(true, far, false) && !refused(true, far, true));
+        assert!(!refused(true, here, false) && !refused(true, mapped, false), "as without a token file");
+        assert!(!refused(false, here, false));
     }
 }

@@ -1,13 +1,13 @@
 //! HTTP requests of the live page: reads a header within a time limit, and makes the response.
 
 use std::io::{self, Read};
-use std::net::{SocketAddr, TcpStream};
+use std::net::{IpAddr, SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
 use data_encoding::BASE64;
 use sha1_smol::Sha1;
 
-use super::access::{self, Access};
+use super::access::{self, Access, Standing};
 
 /// Largest header of an HTTP request that is accepted \[bytes\].
 pub const MAX_HEADER_BYTES: usize = 8192;
@@ -43,13 +43,23 @@ const FILES: [(&str, &str, &str); 3] = [
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Socket {
     /// Snapshots of the team in binary form, from the server to the browser.
-    View,
-    /// Goals and status from the server, and commands from the browser. It is separate from the snapshots, so that a
-    /// command never waits behind them.
-    Control {
+    View {
         /// Whether the browser has sent the page's token.
         holder: bool,
     },
+    /// Goals and status from the server, and commands from the browser. It is separate from the snapshots, so that a
+    /// command never waits behind them.
+    Control(Standing),
+}
+
+impl Socket {
+    /// Whether the browser has sent the page's token.
+    pub fn is_holder(self) -> bool {
+        match self {
+            Socket::View { holder } => holder,
+            Socket::Control(standing) => standing.is_holder(),
+        }
+    }
 }
 
 /// Response to an HTTP request.
@@ -113,9 +123,9 @@ pub fn too_many() -> Vec<u8> {
     refusal("503 Service Unavailable", "too many connections: close other pages")
 }
 
-/// Returns the response to a request with the header `header` that was received at the server's address `local`.
-/// `access` has the rules of who may request what.
-pub fn respond(header: &[u8], local: SocketAddr, access: &Access) -> Response {
+/// Returns the response to a request with the header `header` that was received at the server's address `local` from a
+/// browser at `peer`. `access` has the rules of who may request what.
+pub fn respond(header: &[u8], (local, peer): (SocketAddr, IpAddr), access: &Access) -> Response {
     let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
     let mut request = httparse::Request::new(&mut headers);
     if !matches!(request.parse(header), Ok(httparse::Status::Complete(_))) {
@@ -146,10 +156,12 @@ pub fn respond(header: &[u8], local: SocketAddr, access: &Access) -> Response {
         return Response::Whole(response("200 OK", kind, content));
     }
     let token = access.token.is_among(request.header("sec-websocket-protocol").unwrap_or_default());
+    let standing = access.standing(peer, token);
     match path {
         "/view" if access.guarded && !token => request.upgrade(host, None),
-        "/view" => request.upgrade(host, Some(Socket::View)),
-        "/control" => request.upgrade(host, Some(Socket::Control { holder: token })),
+        "/view" => request.upgrade(host, Some(Socket::View { holder: token })),
+        "/control" if standing == Standing::Stranger => request.upgrade(host, None),
+        "/control" => request.upgrade(host, Some(Socket::Control(standing))),
         _ => refused("404 Not Found", "there is no such page"),
     }
 }

@@ -1,13 +1,13 @@
-//! HTTP server of the live page: one thread accepts connections, and each connection has its own, at most 32.
+//! HTTP server of the live page: one thread accepts connections, and each connection has its own, within limits.
 //!
 //! The thread that drives the team never waits. It stores the newest snapshot and status with `try_lock`, without
 //! waking another thread, and takes commands from a bounded queue. The serving threads poll every 20 ms.
 
 use std::io::{self, Write};
-use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::net::{IpAddr, Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::Builder;
 use std::time::{Duration, Instant};
 
@@ -16,12 +16,14 @@ use tungstenite::Utf8Bytes;
 
 use super::access::Access;
 use super::command::Command;
+use super::places::{MAX_WAITING, Places, Stage};
 use super::request::{self, Response};
 use super::session;
 use super::shared::{LOOK, Shared, Slot};
 
-/// Largest number of simultaneous connections to the live page's server. A page has two, and three more while it loads.
-pub const MAX_CONNECTIONS: usize = 32;
+/// Largest number of simultaneous connections to the live page's server that are no WebSockets. A page has three while
+/// it loads, and then two WebSockets.
+pub const MAX_CONNECTIONS: usize = MAX_WAITING;
 /// Capacity of the command queue. Further commands are refused.
 const MAX_COMMANDS: usize = 64;
 /// Write timeout: a connection is closed if its client does not read for this long.
@@ -61,7 +63,7 @@ impl Server {
             stop: AtomicBool::new(false),
             commands: sender,
             closing: AtomicBool::new(false),
-            connections: AtomicUsize::new(0),
+            places: Mutex::new(Places::default()),
             refused: AtomicU64::new(0),
         });
         let accepting = Arc::clone(&shared);
@@ -77,7 +79,7 @@ impl Server {
 
     /// Returns the current number of connections.
     pub fn connections(&self) -> usize {
-        self.shared.connections.load(Ordering::Relaxed)
+        places(&self.shared).len()
     }
 
     /// Returns the number of requests and commands that were refused so far.
@@ -162,36 +164,31 @@ fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
             std::thread::park_timeout(LOOK);
             continue;
         };
-        if shared.connections.fetch_add(1, Ordering::AcqRel) >= MAX_CONNECTIONS {
-            shared.connections.fetch_sub(1, Ordering::AcqRel);
-            turn_away(stream, shared);
-            continue;
-        }
-        let taken = Taken(Arc::clone(shared));
+        let Ok(peer) = stream.peer_addr() else { continue };
+        let number = places(shared).enter(peer.ip(), stream.try_clone().ok());
+        let taken = Taken(Arc::clone(shared), number);
         // If no thread can be started, the connection is closed and no longer counted.
-        let _ = Builder::new().name("page client".to_owned()).spawn(move || serve(stream, &taken.0));
+        let _ = Builder::new().name("page client".to_owned()).spawn(move || serve(stream, peer.ip(), &taken));
     }
 }
 
-/// Refuses a connection beyond the limit of connections, without waiting for the client.
-fn turn_away(mut stream: TcpStream, shared: &Shared) {
-    shared.refuse();
-    if stream.set_nonblocking(true).is_ok() {
-        let _ = stream.write_all(&request::too_many());
-    }
+/// Returns the present connections, to be changed. No thread holds them for long.
+fn places(shared: &Shared) -> MutexGuard<'_, Places> {
+    shared.places.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Counts a connection of the server until it is dropped.
-struct Taken(Arc<Shared>);
+/// Place of a connection with its number, until it is dropped.
+struct Taken(Arc<Shared>, u64);
 
 impl Drop for Taken {
     fn drop(&mut self) {
-        self.0.connections.fetch_sub(1, Ordering::AcqRel);
+        places(&self.0).leave(self.1);
     }
 }
 
-/// Serves one connection until it ends.
-fn serve(mut stream: TcpStream, shared: &Shared) {
+/// Serves one connection of a browser at `peer` until it ends.
+fn serve(mut stream: TcpStream, peer: IpAddr, taken: &Taken) {
+    let shared = &*taken.0;
     let Ok(local) = stream.local_addr() else { return };
     if stream.set_write_timeout(Some(WRITE_TIME)).is_err() || stream.set_nodelay(true).is_err() {
         return;
@@ -204,7 +201,7 @@ fn serve(mut stream: TcpStream, shared: &Shared) {
             return;
         }
     };
-    match request::respond(&header.bytes, local, &shared.access) {
+    match request::respond(&header.bytes, (local, peer), &shared.access) {
         Response::Whole(bytes) => {
             if !bytes.starts_with(b"HTTP/1.1 200") {
                 shared.refuse();
@@ -214,6 +211,12 @@ fn serve(mut stream: TcpStream, shared: &Shared) {
         Response::Metrics => finish(&mut stream, &request::metrics(&shared.metrics.get())),
         Response::Health => finish(&mut stream, &request::health(shared.silent_for())),
         Response::Upgrade(socket, bytes) => {
+            let stage = if socket.is_holder() { Stage::Holder } else { Stage::Other };
+            if !places(shared).upgrade(taken.1, stage) {
+                shared.refuse();
+                finish(&mut stream, &request::too_many());
+                return;
+            }
             if stream.write_all(&bytes).is_ok() {
                 session::run(stream, header.rest, socket, shared);
             }

@@ -49,7 +49,8 @@ type Client = WebSocket<TcpStream>;
 
 impl Session {
     fn serve(&mut self, client: &mut Client, socket: Socket, shared: &Shared) -> tungstenite::Result<()> {
-        if let Socket::Control { holder } = socket {
+        if let Socket::Control(standing) = socket {
+            let holder = standing.is_holder();
             let hello = json!({ "kind": "hello", "body": { "holder": holder } });
             client.send(Message::text(hello.to_string()))?;
             if holder || !shared.access.guarded {
@@ -60,12 +61,12 @@ impl Session {
             // Read before the status is sent, so that the last status is sent before the connection ends.
             let closing = shared.closing.load(Ordering::Acquire);
             match socket {
-                Socket::View => {
+                Socket::View { .. } => {
                     if let Some(bytes) = shared.snapshot.newer(&mut self.seen[0]) {
                         client.send(Message::Binary(bytes))?;
                     }
                 }
-                Socket::Control { holder } => self.tell(client, holder, shared)?,
+                Socket::Control(standing) => self.tell(client, standing.is_holder(), shared)?,
             }
             if closing {
                 return Ok(());
@@ -104,9 +105,9 @@ impl Session {
 
     /// Handles one message of the client: queues its command, or refuses it.
     fn take(&mut self, message: &Message, socket: Socket, shared: &Shared) -> tungstenite::Result<()> {
-        let holder = match (message, socket) {
+        let standing = match (message, socket) {
             (Message::Close(_), _) => return Err(tungstenite::Error::ConnectionClosed),
-            (Message::Text(_), Socket::Control { holder }) => holder,
+            (Message::Text(_), Socket::Control(standing)) => standing,
             (Message::Ping(_) | Message::Pong(_), _) => return Ok(()),
             // The page sends no other messages, so this client is not the page.
             _ => {
@@ -115,7 +116,7 @@ impl Session {
             }
         };
         let result = Command::parse(message.to_text()?).and_then(|command| {
-            match shared.access.refuses(&command, holder) {
+            match shared.access.refuses(&command, standing) {
                 Some(why) => Err(why.to_owned()),
                 None if command == Command::Stop => {
                     shared.stop.store(true, Ordering::Release);

@@ -1,6 +1,6 @@
 //! State shared by the threads of the live page's server: the newest values for browsers, and the queue of commands.
 
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::sync::{Mutex, PoisonError, TryLockError};
 use std::time::{Duration, Instant};
@@ -9,6 +9,7 @@ use tungstenite::{Bytes, Utf8Bytes};
 
 use super::access::Access;
 use super::command::Command;
+use super::places::Places;
 
 /// Period at which the threads of the live page's server look for new values.
 pub(super) const LOOK: Duration = Duration::from_millis(20);
@@ -78,8 +79,8 @@ pub(super) struct Shared {
     pub commands: SyncSender<Command>,
     /// Whether the server is being closed.
     pub closing: AtomicBool,
-    /// Number of present connections.
-    pub connections: AtomicUsize,
+    /// Present connections, within their limits.
+    pub places: Mutex<Places>,
     /// Number of requests and commands that were refused so far.
     pub refused: AtomicU64,
 }
