@@ -25,6 +25,10 @@ full-stop:
 full-safety:
     MURMURATE_FILTER_STEPS=1000000 MURMURATE_FILTER_EPISODES=1000 cargo test --release --test graph filter:: -- --nocapture
 
+# A hundred kills of processes under `launch`, each started again (8 minutes)
+full-kills:
+    MURMURATE_RESTARTS=100 cargo test --release --test live restarts:: -- --nocapture
+
 # One policy step, and whole trials (a minute)
 bench:
     cargo bench

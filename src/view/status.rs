@@ -4,12 +4,17 @@ use std::collections::{BTreeMap, VecDeque};
 
 use serde::Serialize;
 
+use crate::messages::ids::RobotId;
 use crate::scenario::arena::Arena;
 
 /// Largest number of log lines that the live page gets.
 pub const LOG_LINES: usize = 40;
 /// Longest log line \[characters\].
 const LINE: usize = 300;
+/// Longest time between two events that share a line of the log \[s\].
+const BURST_S: f64 = 10.0;
+/// Largest number of robots that such a line names.
+const LISTED: usize = 8;
 
 /// Constant properties of a run, which the live page gets first: scenario, ground, robots and links.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -153,6 +158,15 @@ pub struct LinkImpairment {
     pub loss: f64,
 }
 
+/// End of a run, for the live page.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Ending {
+    /// Whether the run has ended as it should.
+    pub regular: bool,
+    /// Description of the end, as text.
+    pub text: String,
+}
+
 /// State of the team that the live page shows beside the snapshots: episode, emergency stop, results, faults and log.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Status {
@@ -185,19 +199,27 @@ pub struct Status {
     /// Id of a robot, and the time since the last message of the neighbour that has been silent longest \[ms\], as the
     /// robot's host reports it. The page shows it if this process does not know the links themselves.
     pub link: Vec<(u16, u32)>,
-    /// Id of a robot, and the last reason why its guard has stopped or slowed it; one pair for each robot with a
-    /// reason.
-    pub guard: Vec<(u16, &'static str)>,
+    /// Id of a robot, the last reason why its guard has stopped or slowed it, and the time since then \[s\], null if that
+    /// is unknown; one entry for each robot with a reason in the last minute. An emergency stop is left out once the
+    /// team may move again.
+    pub guard: Vec<(u16, &'static str, Option<f64>)>,
+    /// Ids of robots whose agent runs in a process that has died and is not back yet.
+    pub down: Vec<u16>,
     /// Id of a robot, and its battery charge \[%\]; one pair for each robot of which it is known.
     pub battery: Vec<(u16, u8)>,
     /// Descriptions of the actors that a user of the page has crashed.
     pub killed: Vec<String>,
     /// Faults that a user of the page has put on links, by the link's name.
     pub impaired: BTreeMap<String, LinkImpairment>,
-    /// Newest lines of the log, each with its number, the time since the start of the run \[s\] and its text.
-    pub log: VecDeque<(u64, f64, String)>,
-    /// Whether the run is over.
+    /// Newest lines of the log.
+    pub log: Vec<LogLine>,
+    /// Whether the run is over, or this process has ended the page.
     pub over: bool,
+    /// How the run has ended; null before its end.
+    pub ending: Option<Ending>,
+    /// Reason why this process understands nothing of the team that it hears, such as another key; null if there is
+    /// none. Then a stop of the page has no effect, either.
+    pub trouble: Option<&'static str>,
     /// State of the playback of a record; null for a running team.
     pub playback: Option<Playback>,
 }
@@ -209,31 +231,101 @@ impl Status {
     }
 }
 
-/// Newest lines of a run's log, for the live page.
+/// Line of a run's log for the live page.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LogLine {
+    /// Number of the line's newest change; later changes have larger ones.
+    pub number: u64,
+    /// Number that the line got first. It stays when the line changes, so that the page can replace it.
+    pub id: u64,
+    /// Time since the start of the run \[s\], of the newest event in the line.
+    pub time_s: f64,
+    /// Text of the line.
+    pub text: String,
+    #[serde(skip)]
+    burst: Option<Burst>,
+}
+
+/// Events of one kind that follow each other closely and share a line of the log.
+#[derive(Clone, Debug, PartialEq)]
+struct Burst {
+    kind: &'static str,
+    episode: Option<u32>,
+    /// Number of events of each robot.
+    robots: BTreeMap<RobotId, u64>,
+}
+
+impl Burst {
+    fn text(&self) -> String {
+        let times: u64 = self.robots.values().sum();
+        let often = if times > 1 { format!(" ({times} times)") } else { String::new() };
+        let mut ids = self.robots.keys();
+        match (ids.next(), self.robots.len()) {
+            (Some(robot), 1) => format!("{robot}: {}{often}", self.kind),
+            (_, many) => {
+                let listed: Vec<String> = self.robots.keys().take(LISTED).map(|robot| robot.0.to_string()).collect();
+                let more = many.checked_sub(LISTED).filter(|more| *more > 0);
+                let more = more.map_or_else(String::new, |more| format!(" and {more} more"));
+                format!("robots {}{more}: {}{often}", listed.join(", "), self.kind)
+            }
+        }
+    }
+}
+
+/// Newest lines of a run's log, for the live page. What guards do again and again takes one line for each kind, so that
+/// it pushes no other event out.
 #[derive(Clone, Debug, Default)]
 pub struct Log {
-    lines: VecDeque<(u64, f64, String)>,
+    lines: VecDeque<LogLine>,
     count: u64,
 }
 
 impl Log {
     /// Adds a line to the log. `time_s` is the time since the start of the run \[s\].
     pub fn add(&mut self, time_s: f64, line: &str) {
-        self.count += 1;
-        self.lines.push_back((self.count, time_s, line.chars().take(LINE).collect()));
-        if self.lines.len() > LOG_LINES {
-            self.lines.pop_front();
+        self.push(time_s, line.chars().take(LINE).collect(), None);
+    }
+
+    /// Adds an event of a robot that may happen many times, such as an action of its guard: to the line of the same kind
+    /// if that is of the same episode and at most 10 s old, otherwise in a line of its own.
+    pub fn repeat(&mut self, time_s: f64, kind: &'static str, robot: RobotId, episode: Option<u32>) {
+        let same = |line: &LogLine| {
+            let like = line.burst.as_ref().is_some_and(|burst| (burst.kind, burst.episode) == (kind, episode));
+            like && time_s - line.time_s <= BURST_S
+        };
+        let known = self.lines.iter().rposition(same).and_then(|at| self.lines.remove(at));
+        let (id, mut burst) = match known {
+            Some(LogLine { id, burst: Some(burst), .. }) => (Some(id), burst),
+            _ => (None, Burst { kind, episode, robots: BTreeMap::new() }),
+        };
+        *burst.robots.entry(robot).or_default() += 1;
+        let text = burst.text();
+        self.push(time_s, text, Some(burst));
+        if let (Some(id), Some(line)) = (id, self.lines.back_mut()) {
+            line.id = id;
         }
     }
 
-    /// Returns the number of lines that were added to the log since the start of the run.
+    fn push(&mut self, time_s: f64, text: String, burst: Option<Burst>) {
+        self.count += 1;
+        self.lines.push_back(LogLine { number: self.count, id: self.count, time_s, text, burst });
+        if self.lines.len() > LOG_LINES {
+            // The oldest line of a guard leaves first, unless it is the last one of its kind.
+            let kind = |line: &LogLine| line.burst.as_ref().map(|burst| burst.kind);
+            let newer = |at: usize| self.lines.iter().skip(at + 1).any(|line| kind(line) == kind(&self.lines[at]));
+            let repeated = (0..self.lines.len()).find(|at| kind(&self.lines[*at]).is_some() && newer(*at));
+            let event = (0..self.lines.len()).find(|at| kind(&self.lines[*at]).is_none());
+            self.lines.remove(repeated.or(event).unwrap_or(0));
+        }
+    }
+
+    /// Returns the number of changes of the log since the start of the run.
     pub fn count(&self) -> u64 {
         self.count
     }
 
-    /// Returns the newest lines of the log, each with its number, the time since the start of the run \[s\] and its
-    /// text.
-    pub fn lines(&self) -> &VecDeque<(u64, f64, String)> {
+    /// Returns the newest lines of the log, in the order of their newest changes.
+    pub fn lines(&self) -> &VecDeque<LogLine> {
         &self.lines
     }
 }
@@ -241,4 +333,44 @@ impl Log {
 /// Encodes a message to the page as JSON, with the name of its kind.
 fn message(kind: &str, body: &impl Serialize) -> String {
     serde_json::json!({ "kind": kind, "body": body }).to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn texts(log: &Log) -> Vec<&str> {
+        log.lines().iter().map(|line| &*line.text).collect()
+    }
+
+    #[test]
+    fn what_guards_do_again_and_again_takes_one_line_and_pushes_no_event_out() {
+        let mut log = Log::default();
+        log.add(0.0, "robot 3: silent");
+        for step in 0..2000 {
+            log.repeat(f64::from(step) * 0.05, "minimum distance", RobotId((step % 3) as u16), Some(0));
+            log.repeat(f64::from(step) * 0.05, "walls", RobotId(1), Some(0));
+        }
+        let expected =
+            ["robot 3: silent", "robots 0, 1, 2: minimum distance (2000 times)", "robot 1: walls (2000 times)"];
+        assert_eq!((texts(&log), log.count()), (expected.to_vec(), 4001));
+        let ids: Vec<u64> = log.lines().iter().map(|line| line.id).collect();
+        assert_eq!(ids, [1, 2, 3], "the page replaces a line by the same");
+        log.repeat(200.0, "walls", RobotId(1), Some(0));
+        log.repeat(200.1, "walls", RobotId(1), Some(1));
+        assert_eq!(texts(&log)[3..], ["robot 1: walls", "robot 1: walls"], "later, and in another episode");
+    }
+
+    #[test]
+    fn of_many_lines_those_of_guards_leave_first_but_the_last_of_each_kind_stays() {
+        let mut log = Log::default();
+        log.repeat(0.0, "geofence", RobotId(0), None);
+        (0..35).for_each(|event| log.add(f64::from(event), &format!("event {event}")));
+        (0..100).for_each(|burst| log.repeat(100.0 * f64::from(burst), "walls", RobotId(1), None));
+        assert_eq!(log.lines().len(), LOG_LINES);
+        assert!((0..35).all(|event| texts(&log).contains(&&*format!("event {event}"))));
+        assert!(texts(&log).contains(&"robot 0: geofence"), "{:?}", texts(&log));
+        (0..100).for_each(|event| log.add(f64::from(event), "later"));
+        assert!(texts(&log).contains(&"robot 1: walls") && !texts(&log).contains(&"event 34"));
+    }
 }

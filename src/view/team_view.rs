@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::heard::Heard;
+use super::robot_view::{RobotView, SILENT};
 use super::snapshot::{LinkState, MAX_LINKS, RobotState, Snapshot};
 use super::status::{Goals, Log, Scene, Status, Success};
 use crate::cells::Cells;
@@ -21,42 +22,9 @@ use crate::time::{Span, Time};
 
 /// Age from which a heading is no longer drawn, because the robot may have turned since.
 const HEADING_AGE: Span = Span::from_millis(1000);
-/// Time without a message of a robot after which the log calls it silent.
-const SILENT: Span = Span::from_millis(1500);
-
-/// State of one robot as known from received messages.
-#[derive(Clone, Debug, Default)]
-struct RobotView {
-    position: Option<Vec2>,
-    heading: Option<(Time, f32)>,
-    /// Whether the position is the true one of a simulated robot.
-    is_true: bool,
-    touches: bool,
-    phase: Option<Phase>,
-    heard: Option<Time>,
-    /// Whether the log has reported the robot as silent.
-    silent: bool,
-    controller: Option<Latch>,
-    body: Option<Latch>,
-    battery: Option<u8>,
-    /// Age of the oldest link, as the robot's host has reported it, and the time of the report.
-    oldest_link: Option<(Time, Span)>,
-    safety: SafetyCounts,
-    guard: Option<Trigger>,
-    /// Whether counts of the robot's guard, or a telemetry report of it, were received.
-    guarded: bool,
-    /// Number of times that the guard has acted, from telemetry.
-    acted: u16,
-}
-
-impl RobotView {
-    /// Returns the age of the robot's oldest link \[ms\] at the time `now`, from a report of its host; `None` without a
-    /// recent one.
-    fn link_age_ms(&self, now: Time) -> Option<u32> {
-        let (at, age) = self.oldest_link.filter(|(at, _)| now.since(*at) < SILENT)?;
-        Some(((age + now.since(at)).as_nanos() / 1_000_000) as u32)
-    }
-}
+/// Heading beyond which robots turn at all \[rad\]. Holonomic robots of the training world keep the heading zero, so a
+/// heading of theirs would only mislead.
+const TURNED_RAD: f32 = 0.05;
 
 /// State of a team as a process knows it, from the messages, true states of simulated robots and results that it has
 /// received.
@@ -71,6 +39,10 @@ pub struct TeamView {
     /// Number of changes of the goals so far.
     goals_changed: u64,
     leader: Option<(Phase, u32, Latch)>,
+    /// Time since which an episode runs; `None` between episodes.
+    running: Option<Time>,
+    /// Whether any robot has had another heading than zero.
+    turns: bool,
     verdicts: BTreeMap<String, u32>,
     episodes: usize,
     successes: usize,
@@ -90,6 +62,8 @@ impl TeamView {
             goals: vec![None; robots],
             goals_changed: 0,
             leader: None,
+            running: None,
+            turns: false,
             verdicts: BTreeMap::new(),
             episodes: 0,
             successes: 0,
@@ -119,16 +93,18 @@ impl TeamView {
             Wire::Latent(m) if m.robot.index() < self.robots.len() => {
                 self.heard.published(m.robot);
                 let robot = &mut self.robots[m.robot.index()];
-                robot.heard = Some(now);
+                (robot.heard, robot.latent) = (Some(now), Some(now));
                 if !robot.is_true {
                     robot.position = Some(m.motion.position);
                 }
             }
             Wire::Heartbeat(m) => self.robot(m.robot, |robot| {
                 (robot.heard, robot.phase, robot.controller) = (Some(now), Some(m.phase), Some(m.latch));
+                (robot.agent, robot.beats) = (Some(now), true);
             }),
             Wire::Mode(m) => self.led(now, m),
             Wire::Status(m) => {
+                self.host_lives(now, m.host);
                 for following in &m.robots {
                     self.robot(following.robot, |robot| {
                         robot.controller = following.controller.or(robot.controller);
@@ -137,6 +113,7 @@ impl TeamView {
                 }
             }
             Wire::Telemetry(m) => {
+                self.host_lives(now, m.host);
                 for condition in &m.robots {
                     if let Some(seen) = condition.seen {
                         let age = Span::from_millis(seen.age_ms.into());
@@ -165,6 +142,29 @@ impl TeamView {
         }
     }
 
+    /// Records that a host has sent a message, so that the agents on it live, as far as no heartbeats tell more.
+    fn host_lives(&mut self, now: Time, host: HostId) {
+        let robots = self.robots.iter_mut().zip(&self.homes).filter(|(robot, home)| **home == host && !robot.beats);
+        robots.for_each(|(robot, _)| robot.agent = Some(now));
+    }
+
+    /// Updates the state with the death of the process of the host `host`, which the log names with `text`.
+    pub fn process_died(&mut self, now: Time, host: HostId, text: &str) {
+        self.set_down(host, true);
+        self.note(now, text);
+    }
+
+    /// Updates the state with the return of the process of the host `host`, which the log names with `text`.
+    pub fn process_back(&mut self, now: Time, host: HostId, text: &str) {
+        self.set_down(host, false);
+        self.note(now, text);
+    }
+
+    fn set_down(&mut self, host: HostId, down: bool) {
+        let robots = self.robots.iter_mut().zip(&self.homes).filter(|(_, home)| **home == host);
+        robots.for_each(|(robot, _)| robot.down = down);
+    }
+
     fn robot(&mut self, id: RobotId, change: impl FnOnce(&mut RobotView)) {
         if let Some(robot) = self.robots.get_mut(id.index()) {
             change(robot);
@@ -172,6 +172,7 @@ impl TeamView {
     }
 
     fn measured(&mut self, at: Time, id: RobotId, pose: Pose) {
+        self.turns |= pose.heading.is_some_and(|heading| heading.abs() > TURNED_RAD);
         self.robot(id, |robot| {
             robot.heard = robot.heard.max(Some(at));
             if !robot.is_true {
@@ -189,6 +190,7 @@ impl TeamView {
         if before.is_none_or(|(_, episode, _)| episode != mode.round.episode) {
             self.goals.fill(None);
         }
+        self.running = if mode.phase == Phase::Running { self.running.or(Some(now)) } else { None };
         let first = mode.first.index();
         for (offset, task) in mode.tasks.iter().enumerate() {
             let Some(goal) = self.goals.get_mut(first + offset) else { continue };
@@ -202,6 +204,7 @@ impl TeamView {
     /// Updates the state with the true states of the simulated robots.
     pub fn see(&mut self, truth: &Truth) {
         for sample in truth.samples.iter() {
+            self.turns |= sample.heading.abs() > TURNED_RAD;
             self.robot(sample.robot, |robot| {
                 (robot.position, robot.is_true) = (Some(sample.motion.position), true);
                 robot.heading = Some((Time::MAX, sample.heading));
@@ -212,7 +215,7 @@ impl TeamView {
 
     /// Updates the state with the result of an episode, and logs it.
     pub fn judged(&mut self, now: Time, episode: &Episode) {
-        self.note(now, &format!("episode {}: {}", episode.episode + 1, episode.in_words()));
+        self.note(now, &format!("episode {}: {}", episode.number(), episode.in_words()));
         *self.verdicts.entry(episode.verdict.word().to_owned()).or_default() += 1;
         self.episodes += 1;
         self.successes += usize::from(episode.verdict == Verdict::Success);
@@ -223,7 +226,7 @@ impl TeamView {
     pub fn guarded(&mut self, now: Time, id: RobotId, counts: SafetyCounts) {
         let Some(robot) = self.robots.get_mut(id.index()) else { return };
         let begun: Vec<Trigger> = counts.begun_since(&robot.safety).collect();
-        (robot.guard, robot.guarded) = (begun.last().copied().or(robot.guard), true);
+        (robot.guard, robot.guarded) = (begun.last().map(|last| (*last, Some(now))).or(robot.guard), true);
         robot.safety = counts;
         begun.into_iter().for_each(|trigger| self.note_trigger(now, id, trigger));
     }
@@ -231,7 +234,8 @@ impl TeamView {
     /// Logs that a robot's guard has acted. An emergency stop of the team is logged once, not for each robot.
     fn note_trigger(&mut self, now: Time, id: RobotId, trigger: Trigger) {
         if trigger != Trigger::Stop {
-            self.note(now, &format!("{id}: {}", trigger.name()));
+            let episode = self.leader.map(|(_, episode, _)| episode);
+            self.log.repeat(now.as_secs(), trigger.name(), id, episode);
         }
     }
 
@@ -240,7 +244,9 @@ impl TeamView {
     fn reported(&mut self, now: Time, id: RobotId, report: GuardReport) {
         let Some(robot) = self.robots.get_mut(id.index()) else { return };
         let news = report.last.filter(|_| robot.guarded && report.acted != robot.acted);
-        (robot.acted, robot.guarded, robot.guard) = (report.acted, true, report.last.or(robot.guard));
+        let first = report.last.filter(|_| !robot.guarded).map(|trigger| (trigger, None));
+        let guard = news.map(|trigger| (trigger, Some(now))).or(first).or(robot.guard);
+        (robot.acted, robot.guarded, robot.guard) = (report.acted, true, guard);
         robot.safety.late_tick = report.late_ticks.into();
         news.into_iter().for_each(|trigger| self.note_trigger(now, id, trigger));
     }
@@ -272,7 +278,7 @@ impl TeamView {
 
     /// Returns the newest line of the log; empty if there is none.
     pub fn last_line(&self) -> String {
-        self.log.lines().back().map_or_else(String::new, |(.., line)| line.clone())
+        self.log.lines().back().map_or_else(String::new, |line| line.text.clone())
     }
 
     /// Returns the state of the team's emergency stop: the newest that the state server or a robot has reported.
@@ -304,9 +310,9 @@ impl TeamView {
     pub fn snapshot(&self, now: Time) -> Snapshot {
         let state = |robot: &RobotView| RobotState {
             position: robot.position,
-            heading: robot.heading.filter(|(at, _)| now.since(*at) <= HEADING_AGE).map(|(_, heading)| heading),
+            heading: robot.heading.filter(|(at, _)| self.turns && now.since(*at) <= HEADING_AGE).map(|(_, it)| it),
             phase: robot.phase,
-            age: robot.heard.map(|at| now.since(at)),
+            age: robot.age(now, self.running),
             touches: robot.touches,
             latched: robot.controller.is_some_and(|latch| !latch.is_clear()),
         };
@@ -373,20 +379,25 @@ impl TeamView {
                 interval: wilson_95(self.successes, self.episodes),
             }),
             late: numbered().filter(|(_, robot)| robot.guarded).map(|(at, r)| (at, r.safety.late_tick)).collect(),
-            guard: numbered().filter_map(|(at, robot)| Some((at, robot.guard?.name()))).collect(),
+            guard: numbered()
+                .filter_map(|(at, robot)| robot.last_guard(now).map(|(name, age_s)| (at, name, age_s)))
+                .collect(),
+            down: numbered().filter(|(_, robot)| robot.down).map(|(at, _)| at).collect(),
             link: numbered().filter_map(|(at, robot)| Some((at, robot.link_age_ms(now)?))).collect(),
             battery: numbered().filter_map(|(at, robot)| Some((at, robot.battery?))).collect(),
-            log: self.log.lines().clone(),
+            log: self.log.lines().iter().cloned().collect(),
             ..Status::default()
         }
     }
 
-    /// Logs each robot that falls silent or is received again.
+    /// Logs each robot whose agent falls silent or is received again. After the last episode all processes end, which
+    /// is no event.
     fn note_silence(&mut self, now: Time) {
-        let mut lines = Vec::new();
+        let (mut lines, running) = (Vec::new(), self.running);
+        let finished = self.leader.is_some_and(|(phase, ..)| phase == Phase::EpisodesFinished);
         for (at, robot) in self.robots.iter_mut().enumerate() {
-            let silent = robot.heard.is_some_and(|heard| now.since(heard) >= SILENT);
-            if silent != robot.silent {
+            let silent = robot.age(now, running).is_some_and(|age| age >= SILENT);
+            if silent != robot.silent && !finished {
                 robot.silent = silent;
                 let id = RobotId(at as u16);
                 lines.push(format!("{id}: {}", if silent { "silent" } else { "heard again" }));
@@ -467,8 +478,120 @@ mod tests {
         view.guarded(at(0), RobotId(2), SafetyCounts { late_tick: 2, ..SafetyCounts::default() });
         view.guarded(at(0), RobotId(2), SafetyCounts { late_tick: 2, fence: 1, ..SafetyCounts::default() });
         let status = view.status(at(2000));
-        assert_eq!((status.late, status.guard), (vec![(2, 2)], vec![(2, "geofence")]));
-        let lines: Vec<String> = view.status(at(2500)).log.into_iter().map(|(.., line)| line).collect();
-        assert_eq!(lines, ["robot 2: late ticks", "robot 2: geofence", "robot 2: silent"]);
+        assert_eq!((status.late, status.guard), (vec![(2, 2)], vec![(2, "geofence", Some(2.0))]));
+        assert_eq!(lines(&view.status(at(2500))), ["robot 2: late ticks", "robot 2: geofence", "robot 2: silent"]);
+        assert!(view.status(at(60_001)).guard.is_empty(), "a minute later it tells nothing");
+    }
+
+    fn lines(status: &Status) -> Vec<&str> {
+        status.log.iter().map(|line| &*line.text).collect()
+    }
+
+    #[test]
+    fn a_stop_is_no_guard_s_last_action_any_more_once_the_robot_may_move_again() {
+        let mut view = view();
+        let heartbeat = |latch| {
+            let round = Round::default();
+            Wire::Heartbeat(Heartbeat { robot: RobotId(0), round, phase: Phase::Running, latch })
+        };
+        let counts = |stop| SafetyCounts { stop, ..SafetyCounts::default() };
+        let report = || GuardReport { acted: 1, late_ticks: 0, last: Some(Trigger::Stop) };
+        view.hear(at(0), &heartbeat(Latch::engaged(1)));
+        view.guarded(at(0), RobotId(0), counts(1));
+        assert_eq!(view.status(at(100)).guard, [(0, "emergency stops", Some(0.1))]);
+        view.hear(at(200), &heartbeat(Latch::held(2)));
+        assert_eq!(view.status(at(200)).guard.len(), 1, "it still stands");
+        view.hear(at(300), &heartbeat(Latch::clear(3)));
+        assert!(view.status(at(300)).guard.is_empty());
+        // A page that joins later hears of the stop in telemetry, which repeats it for ever.
+        for ms in [400, 700] {
+            view.reported(at(ms), RobotId(0), report());
+            assert!(view.status(at(ms)).guard.is_empty());
+        }
+    }
+
+    #[test]
+    fn a_robot_whose_agent_has_died_is_silent_although_others_measure_it() {
+        let mut view = view();
+        let reading = |x| Wire::Reading(wire::Reading::of_point(RobotId(1), 1, Motion::at_rest(Vec2::new(x, 0.0))));
+        let heartbeat = || {
+            let (round, latch) = (Round::default(), Latch::default());
+            Wire::Heartbeat(Heartbeat { robot: RobotId(1), round, phase: Phase::Running, latch })
+        };
+        view.hear(at(0), &heartbeat());
+        for ms in (0..3000).step_by(50) {
+            view.hear(at(ms), &reading(0.1));
+        }
+        let robot = view.snapshot(at(3000)).robots[1];
+        assert_eq!((robot.age, robot.position), (Some(Span::from_millis(3000)), Some(Vec2::new(0.1, 0.0))));
+        assert_eq!(lines(&view.status(at(3000))), ["robot 1: silent"]);
+        view.hear(at(3100), &heartbeat());
+        assert_eq!(lines(&view.status(at(3100))), ["robot 1: silent", "robot 1: heard again"]);
+    }
+
+    #[test]
+    fn an_agent_without_latents_in_an_episode_is_silent_although_its_controller_lives() {
+        let mut view = view();
+        let heartbeat = || {
+            let (round, latch) = (Round::default(), Latch::default());
+            Wire::Heartbeat(Heartbeat { robot: RobotId(0), round, phase: Phase::Running, latch })
+        };
+        let mode = |phase| {
+            let (round, latch) = (Round::default(), Latch::default());
+            Wire::Mode(Mode { round, repeat: 0, phase, first: RobotId(0), tasks: Vec::new().into(), latch })
+        };
+        view.hear(at(0), &mode(Phase::Running));
+        view.hear(at(0), &latent(0, 0.5));
+        let age = |view: &mut TeamView, ms| {
+            view.hear(at(ms), &heartbeat());
+            view.snapshot(at(ms)).robots[0].age
+        };
+        assert_eq!(age(&mut view, 2000), Some(Span::from_millis(2000)));
+        view.hear(at(2000), &mode(Phase::AbortRunning));
+        assert_eq!(age(&mut view, 4000), Some(Span::ZERO), "between episodes agents need not speak");
+        view.hear(at(5000), &mode(Phase::Running));
+        assert_eq!(age(&mut view, 5100), Some(Span::from_millis(100)), "it has just begun");
+    }
+
+    #[test]
+    fn a_process_that_died_and_came_back_is_named_and_its_robot_is_down_meanwhile() {
+        let mut view = view();
+        view.process_died(at(100), HostId(2), "the process 'agent-2' has died");
+        assert_eq!(view.status(at(100)).down, [2]);
+        view.process_back(at(500), HostId(2), "the process 'agent-2' is back");
+        let status = view.status(at(500));
+        assert!(status.down.is_empty());
+        assert_eq!(lines(&status), ["the process 'agent-2' has died", "the process 'agent-2' is back"]);
+    }
+
+    #[test]
+    fn the_end_of_the_last_episode_makes_no_robot_silent_in_the_log() {
+        let mut view = view();
+        let (round, latch) = (Round::default(), Latch::default());
+        let phase = Phase::EpisodesFinished;
+        let mode = Mode { round, repeat: 0, phase, first: RobotId(0), tasks: Vec::new().into(), latch };
+        (0..3).for_each(|robot| view.hear(at(0), &latent(robot, 0.0)));
+        view.hear(at(10), &Wire::Mode(mode));
+        assert!(view.status(at(5000)).log.is_empty());
+    }
+
+    #[test]
+    fn robots_that_never_turn_show_no_heading() {
+        let mut view = view();
+        let heads = |view: &TeamView| view.snapshot(at(10)).robots.iter().filter(|r| r.heading.is_some()).count();
+        let mut see = |heading: f32| {
+            let sample = |robot| crate::messages::local::Sample {
+                robot,
+                time: at(0),
+                motion: Motion::at_rest(Vec2::zeros()),
+                heading,
+                yaw_rate: 0.0,
+                command: Vec2::zeros(),
+                contacts: crate::messages::local::Contacts::default(),
+            };
+            view.see(&Truth { time: at(0), samples: RobotId::team(3).map(sample).collect() });
+            heads(&view)
+        };
+        assert_eq!((see(0.0), see(0.3), see(0.0)), (0, 3, 3));
     }
 }

@@ -33,7 +33,7 @@ const HALT: Duration = Duration::from_millis(1500);
 const ROBOTS: [u16; 3] = [0, 1, 2];
 
 /// Agents, World and state server, each a process of its own.
-fn team(number: u16) -> String {
+pub fn team(number: u16) -> String {
     let mut text = format!("team = {number}\nkey_file = \"team.key\"\nepisodes = 10000\n\n[deployment]\n");
     text += "mode = \"apart\"\nrobots = 3\nplacement = \"drive\"\nstepping = \"seeded\"\n\n";
     for robot in ROBOTS {

@@ -7,6 +7,7 @@
 mod crew;
 mod flooded;
 mod junk;
+mod keys;
 mod kill;
 mod lab;
 mod launched;
@@ -15,6 +16,7 @@ mod namespaces;
 mod outlets;
 #[path = "../program/mod.rs"]
 mod program;
+mod restarts;
 mod robomaster;
 mod stop;
 

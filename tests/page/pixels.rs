@@ -4,7 +4,7 @@ use murmurate::messages::geometry::Vec2;
 use murmurate::time::{Span, Time};
 use murmurate::view::access::Control;
 use murmurate::view::snapshot::{RobotState, Snapshot, scale_m};
-use murmurate::view::status::Scene;
+use murmurate::view::status::{Goals, Scene};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::Duration;
@@ -31,7 +31,7 @@ fn robots_walls_and_ground_are_drawn_at_the_right_pixels() {
     let scene = Scene {
         robots: 3,
         half_extent: [2.0, 1.5],
-        walls: vec![[-0.2, -0.1, 0.3, 0.1]],
+        walls: vec![[-0.2, -0.1, 0.3, 0.1], [1.6, 1.0, 1.8, 1.5], [-2.5, -1.2, -1.9, -1.0]],
         hull_m: 0.2,
         scale_m: scale_m(4.0),
         hears_links: true,
@@ -41,6 +41,8 @@ fn robots_walls_and_ground_are_drawn_at_the_right_pixels() {
     let (server, publisher) = server(Control::StopOnly, false, &scene);
     let (over, moved) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU32::new(0)));
     let (end, place) = (Arc::clone(&over), Arc::clone(&moved));
+    let publisher_goals = Arc::new(AtomicBool::new(false));
+    let with_goals = Arc::clone(&publisher_goals);
     let publishing = std::thread::spawn(move || {
         let robot = |at| RobotState { position: Some(at), age: Some(Span::ZERO), ..RobotState::default() };
         while !end.load(Ordering::Relaxed) {
@@ -49,6 +51,9 @@ fn robots_walls_and_ground_are_drawn_at_the_right_pixels() {
             robots.push(RobotState::default());
             let snapshot = Snapshot { now: Time::ZERO, robots, ..Snapshot::default() };
             publisher.snapshot(snapshot.encode(scale_m(4.0)));
+            if with_goals.swap(false, Ordering::Relaxed) {
+                publisher.goals(Goals { goals: vec![Some([-0.3, 0.4]), Some([0.25, -0.4]), None] }.to_json());
+            }
             publisher.wait(Duration::from_millis(50));
         }
     });
@@ -74,7 +79,19 @@ fn robots_walls_and_ground_are_drawn_at_the_right_pixels() {
         }
         check(&mut browser, Vec2::new(0.25, 0.05), "wall");
         check(&mut browser, Vec2::new(0.35, 0.05), "ground");
+        // A wall at the edge goes on to the edge of the drawn ground, 0.2 m beyond, and one beyond it ends there.
+        check(&mut browser, Vec2::new(1.7, 1.65), "wall");
+        check(&mut browser, Vec2::new(-2.15, -1.1), "wall");
+        browser.until("pixel(-2.28, -1.1) !== colour('--wall')");
     }
+    browser.eval(
+        "window.written = []; const write = pen.fillText.bind(pen); \
+         pen.fillText = (text, x, y) => { written.push([text, (x - view.x) / view.k, (view.y - y) / view.k]); \
+         write(text, x, y); }; true",
+    );
+    publisher_goals.store(true, Ordering::Relaxed);
+    let beside = "written.some(([text, x, y]) => text === '1' && Math.hypot(x - 0.3, y + 0.4) < 0.1)";
+    browser.until(beside);
     let note = browser.eval("document.getElementById('note').textContent");
     assert_eq!(note, "1 of 3 robots: no position heard; no heading heard: none is drawn");
     over.store(true, Ordering::Relaxed);

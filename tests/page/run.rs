@@ -44,7 +44,8 @@ impl Watched {
     }
 
     pub fn end(mut self) -> Option<i32> {
-        self.signal(Signal::SIGINT);
+        // It may have been asked to end before.
+        let _ = kill(Pid::from_raw(self.child.id().cast_signed()), Signal::SIGINT);
         self.child.wait().unwrap().code()
     }
 }
@@ -168,6 +169,7 @@ fn the_page_of_a_real_team_stops_it_and_so_does_a_page_that_joins_later() {
     let from_a_shell = stop_from_a_shell(&mut browser, team, &number);
     browser.press_space();
     let stopped = browser.until(&format!("{STATE} === 'STOPPED' && {CONFIRMED} === '5/5'"));
+    browser.until(&format!("{}.every(guard => guard.startsWith('emergency stops'))", cells(6)));
     eprintln!(
         "launch: stop seen and confirmed on the page after {stopped:.0} ms, 'murmurate stop': {from_a_shell:.0} ms"
     );
@@ -181,8 +183,18 @@ fn the_page_of_a_real_team_stops_it_and_so_does_a_page_that_joins_later() {
     browser.until(&format!("{STATE} === 'HELD' && !document.getElementById('resume').disabled"));
     browser.eval("document.getElementById('resume').click()");
     browser.until(&format!("{STATE} === 'running'"));
-    browser.until(&format!("{}.every(guard => guard !== '–')", cells(6)));
+    // A stop that is over is no last action of a guard any more.
+    browser.until(&format!("{}.every(guard => !guard.startsWith('emergency'))", cells(6)));
+    let notice = "document.getElementById('notice')";
+    joined.signal(Signal::SIGINT);
+    browser.until(&format!("{notice}.textContent.includes('the team goes on without it')"));
+    assert_eq!(browser.eval(&format!("{notice}.className")), "calm", "a normal end is no alarm");
     assert_eq!(joined.end(), Some(0));
+    browser.open(&launched.url);
+    browser.until(&format!("{STATE} === 'running'"));
+    launched.signal(Signal::SIGINT);
+    browser.until(&format!("{STATE} === 'over' && {notice}.textContent.includes('was interrupted')"));
+    assert_eq!(browser.eval(&format!("{notice}.className")), "calm");
     assert_eq!(launched.end(), Some(130));
     // What the operator has received is shown again, and cannot be run again.
     let again = Watched::of(murmurate(&["replay", heard, "--watch"]));

@@ -4,38 +4,36 @@
 //! passed on with the host's name before each line.
 
 mod outcome;
+mod results;
 #[cfg(feature = "lab")]
 mod stations;
 mod supervisor;
 
-use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
 
 use crate::deploy::team::{Team, TeamFile};
 use crate::registry::Registry;
-use crate::report::episode::Episode;
-use crate::report::event::{Counted, HostEvent, Unwritten};
 use crate::report::summary::{CostName, Counts, Run, Summary};
-use crate::report::trial::TrialReport;
-use crate::time::Span;
 use anyhow::{Context, Result, anyhow};
 
 use crate::program::BadInput;
 use crate::program::Ended;
 #[cfg(all(feature = "watch", feature = "lab"))]
 use crate::program::lab;
-use crate::program::output::{colour, log_lines_dropped, print, talk};
+use crate::program::output::print;
+#[cfg(feature = "watch")]
+use crate::program::output::talk;
 use crate::program::recording;
 use crate::program::team;
 use crate::program::this_program;
 #[cfg(feature = "watch")]
-use crate::program::watch;
+use crate::program::watch::{self, team::News};
 use outcome::Outcome;
-use supervisor::{Limits, Output, Process, Response, Supervisor};
+use results::Results;
+use supervisor::{Limits, Process, Supervisor};
 
 /// Flags of `murmurate launch`.
 #[derive(clap::Args)]
@@ -66,9 +64,6 @@ pub struct Args {
     #[arg(long)]
     quiet: bool,
 }
-
-/// ANSI colour codes of the host names before log lines. Red is left out, because it looks like an error.
-const COLOURS: [u8; 10] = [36, 32, 33, 35, 34, 96, 92, 93, 95, 94];
 
 /// Runs `launch`: starts the team, waits for it, and prints the results.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
@@ -196,12 +191,12 @@ fn supervise(
         let (sender, receiver) = std::sync::mpsc::channel();
         results.page = Some(sender);
         let page = watch::team::Page::open(_file, _team, &args.page.page, _registry, Some(receiver))?;
-        let over = AtomicBool::new(false);
         #[cfg(feature = "lab")]
         let space = _place.page;
         return Ok(std::thread::scope(|scope| {
             scope.spawn(|| {
-                let run = || page.run(_team, _registry, None, || over.load(Ordering::Relaxed));
+                // The news of the end end the page.
+                let run = || page.run(_team, _registry, None, || false);
                 #[cfg(feature = "lab")]
                 let ended = match space {
                     Some(space) => lab::inside(space, run),
@@ -214,7 +209,7 @@ fn supervise(
                 }
             });
             let outcome = supervisor.run(|at, output| results.handle(at, &output));
-            over.store(true, Ordering::Relaxed);
+            results.tell_page(News::Over(results.ending(&outcome)));
             outcome
         }));
     }
@@ -246,117 +241,4 @@ fn checked(teams: &[Team], registry: &Registry) -> Result<String> {
         seen.push(team);
     }
     Ok(names.join(", "))
-}
-
-/// Results received from the processes so far.
-struct Results {
-    names: Vec<String>,
-    width: usize,
-    wanted: u32,
-    quiet: bool,
-    coloured: bool,
-    began: Instant,
-    ready: usize,
-    episodes: BTreeMap<u32, Episode>,
-    /// Counts (messages and the like) that the newest incarnation of each process has reported, by process.
-    counted: Vec<Counted>,
-    /// Last counts of processes that have been restarted since: one entry per earlier incarnation.
-    past: Vec<Counted>,
-    /// Sender of results to the live page; `None` without a page.
-    #[cfg(feature = "watch")]
-    page: Option<std::sync::mpsc::Sender<Episode>>,
-}
-
-impl Results {
-    fn new(names: &[String], wanted: u32, quiet: bool) -> Results {
-        Results {
-            names: names.to_vec(),
-            width: names.iter().map(|name| name.chars().count()).max().unwrap_or(0),
-            wanted,
-            quiet,
-            coloured: colour(),
-            began: Instant::now(),
-            ready: 0,
-            episodes: BTreeMap::new(),
-            counted: vec![Counted::default(); names.len()],
-            past: Vec::new(),
-            #[cfg(feature = "watch")]
-            page: None,
-        }
-    }
-
-    fn handle(&mut self, at: usize, output: &Output<'_>) -> Response {
-        match *output {
-            Output::Log(line) => self.pass_on(at, line),
-            Output::Note(note) => talk(&format!("warning: the process '{}' {note}", self.names[at])),
-            Output::Data(line) => match HostEvent::from_line(line) {
-                Some(HostEvent::Ready { .. }) => {
-                    self.past.push(std::mem::take(&mut self.counted[at]));
-                    self.ready();
-                }
-                Some(HostEvent::Episode(episode)) => self.episode(episode),
-                Some(HostEvent::Counted(counted)) => self.counted[at] = counted,
-                Some(HostEvent::Finished(counted)) => {
-                    self.counted[at] = counted;
-                    return Response::Done;
-                }
-                None => self.pass_on(at, line),
-            },
-        }
-        Response::Continue
-    }
-
-    /// Counts a process as ready. The run's clock starts when all are ready.
-    fn ready(&mut self) {
-        self.ready += 1;
-        if self.ready == self.names.len() {
-            self.began = Instant::now();
-            self.info(&format!("{} processes run; Ctrl-C stops them and prints the results so far", self.ready));
-        }
-    }
-
-    fn episode(&mut self, episode: Episode) {
-        // A restarted host may report an episode again; the first report counts.
-        if self.episodes.contains_key(&episode.episode) {
-            return;
-        }
-        self.episodes.insert(episode.episode, episode);
-        #[cfg(feature = "watch")]
-        if let Some(page) = &self.page {
-            // Sending fails if the page has ended, which does not matter.
-            let _ = page.send(episode);
-        }
-        self.info(&format!("episode {} of {}: {}", episode.episode + 1, self.wanted, episode.in_words()));
-    }
-
-    fn info(&self, text: &str) {
-        if !self.quiet {
-            talk(text);
-        }
-    }
-
-    fn pass_on(&self, at: usize, line: &str) {
-        let name = format!("{:1$}", self.names[at], self.width);
-        let name = if self.coloured { format!("\x1b[{}m{name}\x1b[0m", COLOURS[at % COLOURS.len()]) } else { name };
-        self.info(&format!("{name} | {line}"));
-    }
-
-    fn incarnations(&self) -> impl Iterator<Item = &Counted> + Clone {
-        self.past.iter().chain(&self.counted)
-    }
-
-    fn unwritten(&self) -> Unwritten {
-        let own = Unwritten { log_lines: log_lines_dropped(), ..Unwritten::default() };
-        self.incarnations().map(|counted| counted.unwritten).chain([own]).sum()
-    }
-
-    fn report(&self, wall_s: f64) -> TrialReport {
-        let report = TrialReport {
-            episodes: self.episodes.values().copied().collect(),
-            simulated: Span::from_secs(wall_s),
-            finished: self.episodes.len() == self.wanted as usize,
-            ..TrialReport::default()
-        };
-        report.counted(self.incarnations())
-    }
 }

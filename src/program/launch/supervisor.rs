@@ -42,7 +42,7 @@ pub struct Limits {
     /// Length of the time window in which restarts of a process are counted.
     pub window: Duration,
     /// Longest time for the remaining processes to end by themselves, after the work is done or a process has ended
-    /// with exit code 0. Then the run fails.
+    /// with exit code 0. Then they are asked to stop; it is a failure if the work is not done.
     pub finish: Duration,
     /// Longest time for a process to end after a request to stop (SIGTERM). Then it is killed.
     pub stop: Duration,
@@ -51,7 +51,7 @@ pub struct Limits {
 impl Default for Limits {
     fn default() -> Limits {
         let s = Duration::from_secs;
-        Limits { restarts: 3, window: s(60), finish: s(10), stop: s(5) }
+        Limits { restarts: 3, window: s(60), finish: s(4), stop: s(5) }
     }
 }
 
@@ -69,8 +69,17 @@ pub enum Output<'a> {
     Data(&'a str),
     /// Line that a process has printed on stderr.
     Log(&'a str),
-    /// Note about what has happened to a process, such as a restart.
+    /// Note about what has happened to a process: it did not stop, and was killed.
     Note(&'a str),
+    /// Note that a process has died before its work was done, and whether it is started again.
+    Died(&'a str),
+}
+
+/// Whether a note of the supervisor is about the death of a process.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum About {
+    Death,
+    Stop,
 }
 
 /// Response of the supervisor's caller to an output of a process.
@@ -138,7 +147,7 @@ pub struct Supervisor {
     slots: Vec<Slot>,
     phase: Phase,
     outcome: Outcome,
-    notes: Vec<(usize, String)>,
+    notes: Vec<(usize, About, String)>,
     events: Receiver<Event>,
     sender: SyncSender<Event>,
 }
@@ -196,8 +205,8 @@ impl Supervisor {
             }
             self.reap();
             self.enforce_limits();
-            for (at, note) in std::mem::take(&mut self.notes) {
-                handle(at, Output::Note(&note));
+            for (at, about, note) in std::mem::take(&mut self.notes) {
+                handle(at, if about == About::Death { Output::Died(&note) } else { Output::Note(&note) });
             }
         }
         self.outcome.clone()
@@ -276,6 +285,7 @@ impl Supervisor {
             return self.outcome.lose(format!("the process '{name}' could not write all of its output: {why}"));
         }
         if self.phase != Phase::Running {
+            self.notes.push((at, About::Death, format!("has failed at the very end ({how})")));
             let why = format!("the process '{name}' has failed at the very end ({how}){words}");
             return self.fail(Outcome::Failed(why));
         }
@@ -284,11 +294,13 @@ impl Supervisor {
         slot.crashes.push_back(now);
         let (crashes, window) = (slot.crashes.len(), limits.window.as_secs());
         if crashes > limits.restarts {
+            let note = format!("has failed too often, {crashes} times in {window} s ({how}); the team is stopped");
+            self.notes.push((at, About::Death, note));
             let why = format!("the process '{name}' has failed {crashes} times in {window} s ({how}){words}");
             return self.fail(Outcome::Failed(why));
         }
         let note = format!("has failed ({how}); started again, {crashes} of {} times in {window} s", limits.restarts);
-        self.notes.push((at, note));
+        self.notes.push((at, About::Death, note));
         self.start(at);
     }
 
@@ -320,19 +332,24 @@ impl Supervisor {
     fn enforce_limits(&mut self) {
         match &self.phase {
             Phase::Finishing(since, why) if since.elapsed() > self.limits.finish => {
-                let slots = self.slots.iter().filter(|slot| slot.child.is_some());
-                let late: Vec<&str> = slots.map(|slot| slot.process.name.as_str()).collect();
-                let s = self.limits.finish.as_secs_f64();
-                let why = match why {
-                    Why::Done => format!("still running {s} s after the team has finished: {}", late.join(", ")),
-                    Why::Ended(name) => format!("the process '{name}' has ended before the team has finished"),
-                };
-                self.fail(Outcome::Failed(why));
+                match why {
+                    // The work is done. A process that was restarted at the very end has not heard of it.
+                    Why::Done => {
+                        let note = "has not heard that the team has finished; it is asked to stop";
+                        let late = self.slots.iter().enumerate().filter(|(_, slot)| slot.child.is_some());
+                        self.notes.extend(late.map(|(at, _)| (at, About::Stop, note.to_owned())));
+                    }
+                    Why::Ended(name) => {
+                        let why = format!("the process '{name}' has ended before the team has finished");
+                        self.outcome.fail(Outcome::Failed(why));
+                    }
+                }
+                self.stop_all();
             }
             Phase::Stopping(since) if since.elapsed() > self.limits.stop => {
                 let why = format!("has not stopped in {} s", self.limits.stop.as_secs_f64());
                 let killed = self.kill(&why);
-                if !killed.is_empty() && self.outcome == Outcome::Interrupted {
+                if !killed.is_empty() && matches!(self.outcome, Outcome::Interrupted | Outcome::Done) {
                     self.outcome = Outcome::Failed(format!("killed, because it {why}: {}", killed.join(", ")));
                 }
             }
@@ -347,7 +364,7 @@ impl Supervisor {
         for (at, slot) in self.slots.iter_mut().enumerate().filter(|(_, slot)| slot.gone.is_none()) {
             let Some(child) = &mut slot.child else { continue };
             kill(child);
-            self.notes.push((at, format!("{why}; killed")));
+            self.notes.push((at, About::Stop, format!("{why}; killed")));
             killed.push(slot.process.name.clone());
         }
         killed
@@ -432,6 +449,7 @@ mod tests {
                 Output::Data(line) => ("out", line),
                 Output::Log(line) => ("err", line),
                 Output::Note(line) => ("note", line),
+                Output::Died(line) => ("note", line),
             };
             all.push(format!("{} {kind}: {line}", names[at]));
             ready += usize::from(line == "ready");
@@ -509,8 +527,11 @@ mod tests {
 
     #[test]
     fn a_process_that_runs_on_after_the_end_is_stopped_and_named() {
-        let (outcome, _) = run(vec![shell("a", "echo done"), shell("b", PATIENT)], short(), "");
-        assert_eq!(outcome, Outcome::Failed("still running 0.2 s after the team has finished: b".to_owned()));
+        let (outcome, heard) = run(vec![shell("a", "echo done"), shell("b", PATIENT)], short(), "");
+        assert_eq!(outcome, Outcome::Done, "the work is done, and it has stopped when it was asked to");
+        assert!(heard.iter().any(|line| line.starts_with("b note: has not heard that the team")), "{heard:?}");
+        let (outcome, _) = run(vec![shell("a", "echo done"), shell("b", STUBBORN)], short(), "");
+        assert_eq!(outcome, Outcome::Failed("killed, because it has not stopped in 0.2 s: b".to_owned()));
         let (outcome, _) = run(vec![shell("a", "exit 0"), shell("b", PATIENT)], short(), "");
         assert_eq!(outcome, Outcome::Failed("the process 'a' has ended before the team has finished".to_owned()));
     }

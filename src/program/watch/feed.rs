@@ -65,6 +65,16 @@ impl Feed {
         (self.look_at, self.snapshot_at) = (Instant::now(), Instant::now());
     }
 
+    /// Makes the next call of [`Feed::tell`] publish the status without waiting for its period, as something has happened.
+    pub fn status_at_once(&mut self) {
+        (self.look_at, self.status_at) = (Instant::now(), Instant::now());
+    }
+
+    /// Returns whether a status with this state of the process has been published.
+    pub fn has_told(&self, own: &str) -> bool {
+        self.told.is_some_and(|(.., told)| told == own)
+    }
+
     /// Publishes snapshot, metrics, goals and status of the team if they are due, without waiting. `now` is the time of
     /// the run. A change of `own`, the state of this process in a word, is published at once. `fill` sets the fields of
     /// the status that only this process knows.

@@ -1,13 +1,13 @@
 //! The command `murmurate watch`: serves the live page of a real team, from the messages that an operator receives.
 //! `launch --watch` serves the same page.
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::io::Read;
 #[cfg(feature = "record")]
 use std::path::Path;
 use std::rc::Rc;
 use std::sync::atomic::Ordering;
-use std::sync::mpsc::Receiver;
+use std::sync::mpsc::{Receiver, TryRecvError};
 use std::time::Instant;
 
 use anyhow::Result;
@@ -23,6 +23,7 @@ use crate::graph::process::ProcessEvent;
 use crate::live::links::ProcessIdentity;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{Phase, Stop, Wire};
+use crate::program::output::talk;
 use crate::program::recording::LiveRecord;
 #[cfg(feature = "record")]
 use crate::program::recording::RecordFlags;
@@ -41,13 +42,28 @@ use crate::view::command::Command;
 use crate::view::metrics::Metrics;
 use crate::view::orders::Orders;
 use crate::view::server::{Publisher, Server};
-use crate::view::status::Scene;
+use crate::view::status::{Ending, Scene};
 use crate::view::team_view::TeamView;
 
 /// Period at which commands of the page are executed, orders to the team repeated, and the page updated.
 const BEAT: Span = Span::from_millis(10);
 /// Period at which this operator asks all hosts for the state of the emergency stop latch at their robots.
 const ASK: Span = Span::from_millis(1000);
+
+/// What the program that runs a team tells the page of it.
+pub enum News {
+    /// Result of an episode.
+    Episode(Episode),
+    /// The process of the host with this index has died; the text names it and says how.
+    Died(usize, String),
+    /// The process of the host with this index is back; the text names it.
+    Back(usize, String),
+    /// The run is over.
+    Over(Ending),
+}
+
+/// State of this process, in a word, in its last message to the page.
+const OVER: &str = "over";
 
 /// Flags of `murmurate watch`.
 #[derive(clap::Args)]
@@ -87,7 +103,7 @@ pub struct Page {
     view: TeamView,
     server: Server,
     publisher: Publisher,
-    results: Option<Receiver<Episode>>,
+    news: Option<Receiver<News>>,
     /// Identity (incarnation and seed) of this process as an operator of the team.
     identity: ProcessIdentity,
     /// Time zero of this process's clock.
@@ -97,14 +113,14 @@ pub struct Page {
 }
 
 impl Page {
-    /// Opens the live page of a team, and prints its address. `results` receives the results of episodes; `None` if
-    /// this process does not get them.
+    /// Opens the live page of a team, and prints its address. `news` receives the results of episodes and what happens
+    /// to processes; `None` if this process does not get them.
     pub fn open(
         file: &TeamFile,
         team: &team::TeamArgs,
         flags: &PageFlags,
         registry: &Registry,
-        results: Option<Receiver<Episode>>,
+        news: Option<Receiver<News>>,
     ) -> Result<Page> {
         let deployment = file.deployment();
         let some = team.for_host(file, HostId(0))?;
@@ -122,7 +138,7 @@ impl Page {
             episodes: some.episodes,
             range_m: range_m.filter(|range_m| range_m.is_finite()),
             hears_links: false,
-            hears_results: results.is_some(),
+            hears_results: news.is_some(),
             ..Scene::of_arena(scenario.arena())
         };
         let homes = RobotId::team(deployment.robots).map(|robot| routes.agent_host(robot)).collect();
@@ -131,7 +147,7 @@ impl Page {
             view: TeamView::new(scene, homes, deployment.hosts.len()),
             server,
             publisher,
-            results,
+            news,
             identity: ProcessIdentity::draw()?,
             began: Instant::now(),
             #[cfg(feature = "record")]
@@ -149,8 +165,8 @@ impl Page {
         LiveRecord::of_operator(flags, run, self.began, vec![team.to_owned()])
     }
 
-    /// Joins the team's network as an operator, and updates the page on this thread until `over` returns `true`. What
-    /// the operator receives is also written to `record`, if given.
+    /// Joins the team's network as an operator, and updates the page on this thread until `over` returns `true`, or until
+    /// the news say that the run is over. The page is told of the end. What the operator receives is also written to `record`, if given.
     pub fn run(
         self,
         team: &team::TeamArgs,
@@ -158,7 +174,7 @@ impl Page {
         record: Option<LiveRecord>,
         over: impl Fn() -> bool,
     ) -> Result<()> {
-        let Page { view, server, publisher, results, identity, began, .. } = self;
+        let Page { view, server, publisher, news, identity, began, .. } = self;
         let file = team.read(registry)?;
         let operator = team.operator_as(&file, identity)?;
         let me = operator.me;
@@ -169,13 +185,19 @@ impl Page {
         let (feed, ask_at) = (Feed::new(Rc::clone(&view), Some(Rc::clone(&metrics))), Time::ZERO);
         let record = record.map(Rc::new);
         let (taken, turned) = (record.clone(), record.clone());
+        let (trouble, end) = (Rc::new(Cell::new(None)), Rc::new(End::default()));
+        let ended = Rc::clone(&end);
         run_real(
             began,
             |clock, readers| {
                 let (seen, given, time) = (Rc::clone(&view), Rc::clone(&orders), clock.clone());
+                let counted = Rc::clone(&trouble);
                 let network = operator::wire((clock, readers), operator, move |event| {
                     metrics.borrow_mut().take(me.host, event);
                     taken.iter().for_each(|record| record.push(me.host, event));
+                    if let ProcessEvent::Counts(counts) = event {
+                        counted.set(counts.key_trouble());
+                    }
                     let ProcessEvent::Message(message) = event else { return };
                     if let Wire::Status(status) = message {
                         given.borrow_mut().hear(time.now(), status);
@@ -183,17 +205,43 @@ impl Page {
                     seen.borrow_mut().hear(time.now(), message);
                 });
                 operator::observe(clock, &network, me.host);
-                let pause_after = None;
-                Desk { me: me.host, network, view, orders, publisher, results, feed, pause_after, ask_at }.beat(clock);
+                let (pause_after, ending) = (None, None);
+                let (known, trouble) = (None, trouble);
+                let desk = Desk {
+                    me: me.host,
+                    network,
+                    view,
+                    orders,
+                    publisher,
+                    news,
+                    feed,
+                    pause_after,
+                    ask_at,
+                    trouble,
+                    known,
+                    ending,
+                    end,
+                };
+                desk.beat(clock);
             },
             |(), now| {
                 turned.iter().for_each(|record| record.turn(now));
-                over()
+                ended.asked.set(ended.asked.get() || over());
+                ended.told.get()
             },
         );
         server.close();
         record.map_or(Ok(()), |record| record.finish())
     }
+}
+
+/// How the end of the page is agreed on between the event loop and the desk.
+#[derive(Default)]
+struct End {
+    /// Whether the user has ended this command.
+    asked: Cell<bool>,
+    /// Whether the page has been told of the end.
+    told: Cell<bool>,
 }
 
 /// Does the periodic work of the page: executes commands, repeats orders, and publishes the team's state.
@@ -203,12 +251,19 @@ struct Desk {
     view: Rc<RefCell<TeamView>>,
     orders: Rc<RefCell<Orders>>,
     publisher: Publisher,
-    results: Option<Receiver<Episode>>,
+    news: Option<Receiver<News>>,
     feed: Feed,
     /// Episode after which the team is to be held, because a page has asked for a pause; `None` without such a request.
     pause_after: Option<u32>,
     /// Time at which hosts are asked next for the state of the emergency stop latch at their robots.
     ask_at: Time,
+    /// Reason why this operator understands nothing of the team; `None` if there is none.
+    trouble: Rc<Cell<Option<&'static str>>>,
+    /// The last such reason that was logged.
+    known: Option<&'static str>,
+    /// End of the run, or of this page.
+    ending: Option<Ending>,
+    end: Rc<End>,
 }
 
 impl Desk {
@@ -217,9 +272,8 @@ impl Desk {
         while let Some(command) = self.publisher.command() {
             self.obey(now, command);
         }
-        while let Some(episode) = self.results.as_ref().and_then(|results| results.try_recv().ok()) {
-            self.view.borrow_mut().judged(now, &episode);
-        }
+        self.take_news(now);
+        self.tell_trouble(now);
         self.take_pause(now);
         let mut message = self.orders.borrow_mut().turn(now);
         if let Some(result) = self.orders.borrow_mut().take_result() {
@@ -231,10 +285,57 @@ impl Desk {
         message.into_iter().for_each(|stop| self.network.send(network::In::Publish(Wire::Stop(stop))));
         let ordering = self.orders.borrow().is_running();
         let pause = if self.pause_after.is_some() { "asked" } else { "no" };
-        let own = if ordering { "ordering" } else { pause };
-        self.feed.tell(&self.publisher, now, own, |status| (status.ordering, status.pause) = (ordering, pause));
+        let own = match &self.ending {
+            Some(_) => OVER,
+            None if ordering => "ordering",
+            None => pause,
+        };
+        let (ending, trouble) = (self.ending.clone(), self.trouble.get());
+        self.feed.tell(&self.publisher, now, own, |status| {
+            (status.ordering, status.pause, status.trouble) = (ordering, pause, trouble);
+            (status.over, status.ending) = (ending.is_some(), ending);
+        });
+        self.end.told.set(self.feed.has_told(OVER));
         let again = clock.clone();
         clock.call(now + BEAT, Box::new(move || self.beat(&again)));
+    }
+
+    /// Takes the news of the program that runs the team, and the request to end the page.
+    fn take_news(&mut self, now: Time) {
+        loop {
+            match self.news.as_ref().map(Receiver::try_recv) {
+                Some(Ok(News::Episode(episode))) => self.view.borrow_mut().judged(now, &episode),
+                Some(Ok(News::Died(host, text))) => {
+                    self.view.borrow_mut().process_died(now, id(host), &text);
+                    self.feed.status_at_once();
+                }
+                Some(Ok(News::Back(host, text))) => {
+                    self.view.borrow_mut().process_back(now, id(host), &text);
+                    self.feed.status_at_once();
+                }
+                Some(Ok(News::Over(ending))) => self.ending = Some(ending),
+                Some(Err(TryRecvError::Disconnected)) if self.ending.is_none() => {
+                    let text = "The program that ran the team has ended.".to_owned();
+                    self.ending = Some(Ending { regular: false, text });
+                }
+                Some(Err(_)) | None => break,
+            }
+        }
+        if self.end.asked.get() && self.ending.is_none() {
+            let text =
+                "This page has ended, and the team goes on without it: STOP has no effect here any more.".to_owned();
+            self.ending = Some(Ending { regular: true, text });
+        }
+    }
+
+    /// Says once, on the terminal and in the log of the page, why nothing of the team is understood.
+    fn tell_trouble(&mut self, now: Time) {
+        let trouble = self.trouble.get();
+        if let Some(trouble) = trouble.filter(|_| trouble != self.known) {
+            talk(&format!("warning: {trouble}"));
+            self.view.borrow_mut().note(now, trouble);
+        }
+        self.known = trouble.or(self.known);
     }
 
     /// Orders the team to hold once the episode `pause_after` is over, if a pause was requested. The next episode
@@ -283,4 +384,9 @@ impl Desk {
             self.view.borrow_mut().note(now, &format!("page: refused, {why}"));
         }
     }
+}
+
+/// Returns the id of the host with this index in the deployment.
+fn id(host: usize) -> HostId {
+    HostId(u16::try_from(host).expect("hosts are counted in u16"))
 }

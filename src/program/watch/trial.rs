@@ -29,7 +29,7 @@ use crate::view::command::Command;
 use crate::view::metrics::Metrics;
 use crate::view::orders::Orders;
 use crate::view::server::Publisher;
-use crate::view::status::{LinkImpairment, Scene, Status};
+use crate::view::status::{Ending, LinkImpairment, Scene, Status};
 use crate::view::team_view::TeamView;
 
 /// Flags of `sim` for its live page: those of the page, and the speed of the simulation.
@@ -283,6 +283,8 @@ impl Desk<'_> {
             status.killed = killed.iter().cloned().collect();
             status.impaired = impaired.clone();
             status.over = over;
+            let text = "The run is over; this is its last picture.".to_owned();
+            status.ending = over.then_some(Ending { regular: true, text });
         };
         let own = match (over, orders.borrow().is_running()) {
             (true, _) => "over",

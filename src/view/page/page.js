@@ -6,7 +6,9 @@ const HEADER = 16, ROBOT = 9, LINK = 6, UNKNOWN = -32768;
 const STALE_MS = 700;      // Snapshot age [ms] at which the page turns grey; checked every 100 ms, so within 1 s.
 const TRAIL_MS = 150, TRAIL_LENGTH = 30;
 const MANY = 500;          // Number of links above which they are drawn thin and without dashes.
+const MANY_GOALS = 30;     // Number of goals above which they have no numbers and no lines.
 const BINS = 20, BIN_MS = 25;
+const SILENT = 75;         // Encoded age of a robot, in 20 ms, above which its agent is missing.
 const RATES = [0.1, 0.25, 0.5, 1, 2, 5, 10];
 const JUMP_MS = 1500;      // Of the record: a longer step in its time is a jump, after which trails begin anew.
 const $ = id => document.getElementById(id);
@@ -27,13 +29,18 @@ if (given) { sessionStorage.setItem("token", given); history.replaceState(null, 
 const token = sessionStorage.getItem("token") || "";
 const protocols = /^[0-9a-f]+$/.test(token) ? ["murmurate", "token." + token] : ["murmurate"];
 let control = null, stopWanted = false, refusedUntil = 0;
+let barred = false; // The server has let this page in to nothing: there is no token, or a wrong one.
 
 function connect(path, open, message) {
   const socket = new WebSocket(`ws://${location.host}/${path}`, protocols);
+  let opened = false;
   socket.binaryType = "arraybuffer";
-  socket.onopen = () => open(socket);
+  socket.onopen = () => { opened = true; barred = false; open(socket); };
   socket.onmessage = event => message(event.data);
-  socket.onclose = () => { if (path === "control") control = null; setTimeout(connect, 500, path, open, message); };
+  socket.onclose = () => {
+    if (path === "control") { control = null; barred = !opened && heardAt < 0 && status === null; }
+    setTimeout(connect, 500, path, open, message);
+  };
 }
 
 connect("view", () => {}, data => {
@@ -75,13 +82,19 @@ function stop() {
   }
 }
 
-function notice(text) { $("notice").textContent = text; $("notice").hidden = !text; }
+function notice(text, kind = "alarm") {
+  $("notice").textContent = text;
+  $("notice").className = kind;
+  $("notice").hidden = !text;
+}
 
 // ---- set-up
 
 function setUp() {
   document.title = `${scene.scenario}, ${scene.robots} robots – Murmurate`;
-  world = null; trails = []; goals = [];
+  world = null; trails = []; goals = []; logLines.clear();
+  $("log").replaceChildren();
+  reachWalls();
   $("rows").replaceChildren(...Array.from({ length: scene.robots }, (_, robot) => row(robot)));
   $("faults").hidden = scene.control !== "emulation";
   setUpRecord();
@@ -94,6 +107,14 @@ function setUp() {
   const margin = scene.hull_m + 0.15, half = scene.half_extent;
   canvas.style.setProperty("--aspect", `${half[0] + margin} / ${half[1] + margin}`);
   dirty = true;
+}
+
+// The ground is drawn up to where hulls reach, since centres stay within it. A wall that ends at its edge, or beyond,
+// ends where the drawn ground does.
+function reachWalls() {
+  const edge = scene.half_extent.map(half => half + scene.hull_m);
+  const to = (at, axis) => Math.abs(at) >= scene.half_extent[axis] - 1e-3 ? Math.sign(at) * edge[axis] : at;
+  scene.walls = scene.walls.map(([x, y, x2, y2]) => [to(x, 0), to(y, 1), to(x2, 0), to(y2, 1)]);
 }
 
 // A record has no team to stop: the scrubber takes the place of the orders.
@@ -151,9 +172,10 @@ function showStatus() {
     for (const id of ["play", "step", "step-back", "mark-on", "mark-back", "seek", "rate"]) $(id).disabled = !holder;
   }
   if (s.latch === "stopped") stopWanted = false;
+  const finished = s.phase === 6 && s.latch === "clear";
   if (!stale) {
-    set($("state"), s.over ? "over" : words[s.latch]);
-    $("state").dataset.is = standing ? "held" : s.latch;
+    set($("state"), s.over ? "over" : finished ? "finished" : words[s.latch]);
+    $("state").dataset.is = s.over ? "stale" : standing ? "held" : s.latch;
   }
   set($("confirmed"), `${s.confirmed}/${s.robots}`);
   $("confirmed").className = s.confirmed < s.robots && s.latch !== "clear" ? "bad" : "";
@@ -188,16 +210,20 @@ function showTime() {
 function showRows() {
   if (!scene || !world) return;
   const n = world.getUint16(2, true), s = status, table = $("rows").rows;
-  const late = new Map(s.late), guard = new Map(s.guard), battery = new Map(s.battery), worst = worstAges(n);
-  const oldest = new Map(s.link);
+  const late = new Map(s.late), battery = new Map(s.battery), worst = worstAges(n);
+  const oldest = new Map(s.link), down = new Set(s.down);
+  const guard = new Map(s.guard.map(([robot, name, age]) => [robot, guardText(name, age)]));
   const noBattery = battery.size === 0;
   $("battery-head").hidden = noBattery;
   for (let robot = 0; robot < Math.min(n, table.length); robot++) {
     const at = HEADER + robot * ROBOT, phase = world.getUint8(at + 6), age = world.getUint8(at + 7);
     const cells = table[robot].cells;
-    set(cells[1], phase === 255 ? "–" : PHASES[phase]);
+    // A robot whose agent is not heard stands, whatever it said last.
+    const gone = down.has(robot) ? "process died" : age > SILENT && age < 255 && s.phase !== 6 ? "missing" : "";
+    set(cells[1], gone || (phase === 255 ? "–" : PHASES[phase]));
+    cells[1].className = gone ? "bad" : "";
     set(cells[2], age === 255 ? "never" : age === 250 ? "> 5 s" : `${(age / 50).toFixed(2)} s`);
-    cells[2].className = age > 75 ? "bad" : "";
+    cells[2].className = age > SILENT ? "bad" : "";
     const link = worst[robot];
     // Where links are not known, a robot's own host may have reported the age of its oldest one [ms].
     const told = scene.hears_links ? undefined : oldest.get(robot);
@@ -211,6 +237,10 @@ function showRows() {
     set(cells[6], guard.get(robot) || "–");
     cells[6].title = guard.get(robot) || "";
   }
+}
+
+function guardText(name, age) {
+  return age === null || age < 5 ? name : `${name}, ${age.toFixed(0)} s ago`;
 }
 
 // Decodes a snapshot's links: robots at both ends, ages and losses, as arrays.
@@ -279,15 +309,19 @@ function showAges() {
   set($("ages-text"), `(${median})`);
 }
 
+// A line that changes, as one of a guard that acts again and again, replaces itself and moves to the top.
 let logged = 0;
+const logLines = new Map();
 function showLog() {
-  const last = status.log.length ? status.log[status.log.length - 1][0] : 0;
-  if (last < logged) { logged = 0; $("log").replaceChildren(); }
-  const news = status.log.filter(([number]) => number > logged);
-  for (const [number, time, text] of news) {
+  const last = status.log.length ? status.log[status.log.length - 1].number : 0;
+  if (last < logged) { logged = 0; logLines.clear(); $("log").replaceChildren(); }
+  for (const { number, id, time_s, text } of status.log) {
+    if (number <= logged) continue;
     const line = document.createElement("li"), at = document.createElement("time");
-    at.textContent = `${time.toFixed(1)} s`;
+    at.textContent = `${time_s.toFixed(1)} s`;
     line.append(at, " " + text);
+    if (logLines.has(id)) logLines.get(id).remove();
+    logLines.set(id, line);
     $("log").prepend(line);
     logged = number;
   }
@@ -425,14 +459,15 @@ function drawGoals(at, hull, pixel) {
   const arm = Math.min(hull * 0.5, 7 * pixel);
   pen.strokeStyle = colours.goal; pen.lineWidth = 1.5 * pixel;
   pen.beginPath();
-  goals.forEach((goal, robot) => {
-    if (!goal || chosen !== null && robot !== chosen) return;
-    const [x, y] = goal;
+  const shown = goals.map((goal, robot) => [goal, robot]).filter(([goal, robot]) =>
+    goal && (chosen === null || robot === chosen));
+  for (const [[x, y]] of shown) {
     pen.moveTo(x - arm, y - arm); pen.lineTo(x + arm, y + arm);
     pen.moveTo(x - arm, y + arm); pen.lineTo(x + arm, y - arm);
-  });
+  }
   pen.stroke();
-  if (goals.length > 30 && chosen === null) return;
+  if (shown.length <= MANY_GOALS) drawGoalNumbers(shown, arm, pixel);
+  if (goals.length > MANY_GOALS && chosen === null) return;
   pen.globalAlpha = 0.5; pen.lineWidth = pixel; pen.setLineDash([2 * pixel, 5 * pixel]);
   pen.beginPath();
   goals.forEach((goal, robot) => {
@@ -443,6 +478,17 @@ function drawGoals(at, hull, pixel) {
   pen.setLineDash([]); pen.globalAlpha = 1;
 }
 
+// Writes the number of its robot beside each goal.
+function drawGoalNumbers(shown, arm, pixel) {
+  pen.setTransform(1, 0, 0, 1, 0, 0);
+  pen.fillStyle = colours.goal; pen.textAlign = "left"; pen.textBaseline = "middle";
+  pen.font = `600 ${12 * view.k * pixel}px system-ui, sans-serif`;
+  for (const [[x, y], robot] of shown) {
+    pen.fillText(String(robot), view.x + view.k * (x + arm + 3 * pixel), view.y - view.k * y);
+  }
+  pen.setTransform(view.k, 0, 0, -view.k, view.x, view.y);
+}
+
 function drawRobots(at, n, hull, pixel) {
   const kinds = { robot: [], done: [], halted: [], silent: [] }, hit = [];
   let unseen = 0, headings = 0;
@@ -451,7 +497,7 @@ function drawRobots(at, n, hull, pixel) {
     const from = HEADER + robot * ROBOT, phase = world.getUint8(from + 6), age = world.getUint8(from + 7);
     const heading = world.getInt16(from + 4, true), flags = world.getUint8(from + 8);
     if (at[2 * robot] !== at[2 * robot]) { unseen++; continue; }
-    kinds[age > 75 ? "silent" : flags & 2 ? "halted" : phase === 4 || phase === 2 ? "done" : "robot"].push(robot);
+    kinds[age > SILENT && status?.phase !== 6 ? "silent" : flags & 2 ? "halted" : phase === 4 || phase === 2 ? "done" : "robot"].push(robot);
     if (flags & 1) hit.push(robot);
     if (heading !== UNKNOWN) { headings++; noses.push(robot, heading / 1e4); }
   }
@@ -512,17 +558,28 @@ function checkStale() {
   document.documentElement.classList.toggle("stale", stale);
   if (stale) {
     const over = status && status.over;
-    set($("state"), over ? "over" : heardAt > 0 ? "no news" : "connecting");
+    set($("state"), over ? "over" : heardAt > 0 ? "no news" : barred ? "no token" : "connecting");
     $("state").dataset.is = "stale";
-    if (over) notice("The run is over; this is its last picture.");
+    if (over) showEnding();
     else if (heardAt > 0) notice(`No news for ${(age / 1000).toFixed(0)} s: this picture is old.`);
+    else if (barred) notice(`${token ? "The token is wrong" : "No token"}: this page shows nothing and stops nobody. ` +
+      "Open the address that the program printed, with # and the token behind it.");
   } else if (performance.now() > refusedUntil) {
-    notice(stopWanted ? "STOP is sent and not confirmed yet." : holder || !scene || scene.control === "stop" ? "" :
-      "No token: this page can stop the team and nothing else. Open the address that the program printed.");
+    if (status && status.over) showEnding();
+    else if (status && status.trouble) notice(`${status.trouble}. Nothing of it is shown, and STOP has no effect here.`);
+    else if (stopWanted) notice("STOP is sent and not confirmed yet.");
+    else if (holder || !scene || scene.control === "stop") notice("");
+    else notice("No token: this page can stop the team and nothing else. Open the address that the program printed.");
     if (status) showStatus();
   }
 }
 setInterval(checkStale, 100);
+
+// A run that ends as it should is no alarm.
+function showEnding() {
+  const { regular, text } = status.ending || { regular: true, text: "The run is over; this is its last picture." };
+  notice(text, regular ? "calm" : "alarm");
+}
 
 // ---- buttons and keys
 
