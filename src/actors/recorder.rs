@@ -48,8 +48,8 @@ pub enum In {
     Radio(LinkId, Box<RadioCounts>),
     /// Numbers of times that a robot's guard has stopped or slowed it, since its Controller was started.
     Safety(RobotId, SafetyCounts),
-    /// The state server of this process aborts the episode with this index, from 0, for this reason. It comes before the
-    /// instruction.
+    /// The state server of this process aborts the episode with this index, from 0, for this reason. It comes before
+    /// the instruction.
     Aborted(u32, AbortReason),
     /// Request for the totals of the run, which ends now even if an episode is running.
     Closing,

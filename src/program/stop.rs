@@ -155,8 +155,8 @@ impl Asked<'_> {
         }
     }
 
-    /// Returns what may be the matter if robots say nothing: that their hosts have another key than this command, or that
-    /// nothing of the team is heard here. `None` if others are heard and no datagram has another key.
+    /// Returns what may be the matter if robots say nothing: that their hosts have another key than this command, or
+    /// that nothing of the team is heard here. `None` if others are heard and no datagram has another key.
     fn unheard(&self, order: &Order) -> Option<String> {
         let links = order.links();
         if let Some(trouble) = links.key_trouble() {

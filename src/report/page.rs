@@ -42,8 +42,8 @@ fn plain(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// Colours of the figures that follow the scheme of the page, by name: the other colours are as clear on dark as on light
-/// ground. A figure's own file stays as it is, for papers.
+/// Colours of the figures that follow the scheme of the page, by name: the other colours are as clear on dark as on
+/// light ground. A figure's own file stays as it is, for papers.
 const FOLLOWING: [(&str, &str); 6] = [
     ("#FFFFFF", "paper"),
     ("#000000", "ink"),

@@ -42,8 +42,8 @@ pub struct Places {
 }
 
 impl Places {
-    /// Adds a connection from `address` that sends its header, and returns its number. If there are too many, the oldest
-    /// of the same address is ended, or else the oldest of the address that has most.
+    /// Adds a connection from `address` that sends its header, and returns its number. If there are too many, the
+    /// oldest of the same address is ended, or else the oldest of the address that has most.
     pub fn enter(&mut self, address: IpAddr, stream: Option<TcpStream>) -> u64 {
         let address = address.to_canonical();
         let waiting = |place: &&Place| place.stage == Stage::Waiting;

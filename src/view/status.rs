@@ -199,9 +199,9 @@ pub struct Status {
     /// Id of a robot, and the time since the last message of the neighbour that has been silent longest \[ms\], as the
     /// robot's host reports it. The page shows it if this process does not know the links themselves.
     pub link: Vec<(u16, u32)>,
-    /// Id of a robot, the last reason why its guard has stopped or slowed it, and the time since then \[s\], null if that
-    /// is unknown; one entry for each robot with a reason in the last minute. An emergency stop is left out once the
-    /// team may move again.
+    /// Id of a robot, the last reason why its guard has stopped or slowed it, and the time since then \[s\], null if
+    /// that is unknown; one entry for each robot with a reason in the last minute. An emergency stop is left out once
+    /// the team may move again.
     pub guard: Vec<(u16, &'static str, Option<f64>)>,
     /// Ids of robots whose agent runs in a process that has died and is not back yet.
     pub down: Vec<u16>,
@@ -286,8 +286,8 @@ impl Log {
         self.push(time_s, line.chars().take(LINE).collect(), None);
     }
 
-    /// Adds an event of a robot that may happen many times, such as an action of its guard: to the line of the same kind
-    /// if that is of the same episode and at most 10 s old, otherwise in a line of its own.
+    /// Adds an event of a robot that may happen many times, such as an action of its guard: to the line of the same
+    /// kind if that is of the same episode and at most 10 s old, otherwise in a line of its own.
     pub fn repeat(&mut self, time_s: f64, kind: &'static str, robot: RobotId, episode: Option<u32>) {
         let same = |line: &LogLine| {
             let like = line.burst.as_ref().is_some_and(|burst| (burst.kind, burst.episode) == (kind, episode));

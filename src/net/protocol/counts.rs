@@ -110,9 +110,10 @@ impl LinkCounts {
         ]
     }
 
-    /// Returns the number of datagrams and messages that were refused or dropped on arrival for each cause that may have
-    /// lost a message: (number, cause in words), without zeros. Left out is what costs nothing: own datagrams, second
-    /// copies, messages that a newer one has replaced, and datagrams of hosts that have just started or restarted.
+    /// Returns the number of datagrams and messages that were refused or dropped on arrival for each cause that may
+    /// have lost a message: (number, cause in words), without zeros. Left out is what costs nothing: own datagrams,
+    /// second copies, messages that a newer one has replaced, and datagrams of hosts that have just started or
+    /// restarted.
     pub fn losses(&self) -> impl Iterator<Item = (u64, &'static str)> {
         let all = [
             (self.auth, "with a wrong tag or none"),

@@ -72,8 +72,8 @@ pub struct Sender {
     pub predecessor: Option<u32>,
     /// Number of refused datagrams of a second live host with the same id.
     pub duplicate_ids: u64,
-    /// Another incarnation of the same host, of which datagrams are refused, and the time of the first of them; `None` if
-    /// there is none.
+    /// Another incarnation of the same host, of which datagrams are refused, and the time of the first of them; `None`
+    /// if there is none.
     contested: Option<(u32, Time)>,
     /// Whether the sender and another incarnation of the same host were alive at the same time.
     is_duplicated: bool,
@@ -149,9 +149,9 @@ impl Sender {
         self.contest(now, other)
     }
 
-    /// Records that the sender was alive at some time in the last `age` before `now`. If another incarnation of the same
-    /// host was received before that, both are alive: a dead process cannot have echoed so recent a stamp, however long
-    /// its datagrams were in transit.
+    /// Records that the sender was alive at some time in the last `age` before `now`. If another incarnation of the
+    /// same host was received before that, both are alive: a dead process cannot have echoed so recent a stamp, however
+    /// long its datagrams were in transit.
     pub fn alive_within(&mut self, now: Time, age: Span) {
         self.is_duplicated |= self.contested.is_some_and(|(_, since)| now.since(since) > age);
     }

@@ -65,7 +65,8 @@ impl Feed {
         (self.look_at, self.snapshot_at) = (Instant::now(), Instant::now());
     }
 
-    /// Makes the next call of [`Feed::tell`] publish the status without waiting for its period, as something has happened.
+    /// Makes the next call of [`Feed::tell`] publish the status without waiting for its period, as something has
+    /// happened.
     pub fn status_at_once(&mut self) {
         (self.look_at, self.status_at) = (Instant::now(), Instant::now());
     }

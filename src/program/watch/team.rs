@@ -165,8 +165,9 @@ impl Page {
         LiveRecord::of_operator(flags, run, self.began, vec![team.to_owned()])
     }
 
-    /// Joins the team's network as an operator, and updates the page on this thread until `over` returns `true`, or until
-    /// the news say that the run is over. The page is told of the end. What the operator receives is also written to `record`, if given.
+    /// Joins the team's network as an operator, and updates the page on this thread until `over` returns `true`, or
+    /// until the news say that the run is over. The page is told of the end. What the operator receives is also written
+    /// to `record`, if given.
     pub fn run(
         self,
         team: &team::TeamArgs,
