@@ -78,11 +78,14 @@ fn vectorised(bencher: Bencher, conditions: &str) {
     let late = if conditions == "late" { 1.0 } else { 0.0 };
     let mut environments = VectorEnvironment::new(Options {
         scenario: scenario::build("passage", &Settings::default()).expect("the default passes its check"),
+        gap_m: None,
+        repeat: 1,
+        hold_s: config.policy.hold_s,
         environments: ENVIRONMENTS,
         threads: 1,
         conditions: Conditions { clean: 1.0 - late, deployed: late, everyone: 0.0, ..config.conditions.clone() },
         reward: config.reward,
-        chassis: config.chassis(),
+        body: config.body.clone(),
         observation: config.policy.observation.clone(),
         radius_m: config.policy.radius_m,
         limit_m_s: config.policy.limit_m_s,

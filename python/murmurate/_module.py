@@ -1,7 +1,10 @@
 """The compiled module: this package's own, or that of an installed package with parts of its own (docs/python.md)."""
 
+from __future__ import annotations
+
 import importlib
 import importlib.metadata
+import pathlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -18,7 +21,14 @@ def _load():
         names = ", ".join(sorted(f"{entry.dist.name} ({entry.value})" for entry in others))
         raise ImportError(f"murmurate: several packages have parts of their own, {names}; uninstall all but one")
     if not others:
-        return importlib.import_module("._murmurate", __package__)
+        try:
+            return importlib.import_module("._murmurate", __package__)
+        except ModuleNotFoundError as error:
+            folder = pathlib.Path(__file__).parent
+            if list(folder.glob("_murmurate.*so")) or list(folder.glob("_murmurate*.pyd")):
+                raise
+            why = f"'{folder}' is the package's source, without its compiled module"
+            raise ImportError(f"murmurate: {why}; run Python in another folder, or 'pip install' it") from error
     module, ours = others[0].load(), importlib.metadata.version("murmurate")
     if module.__version__ != ours:
         raise ImportError(
@@ -32,3 +42,8 @@ VecEnv = _murmurate.VecEnv
 __version__ = _murmurate.__version__
 run_program = _murmurate.run_program
 sim_json = _murmurate.sim_json
+
+
+def restored(state: bytes) -> VecEnv:
+    """Makes environments that continue from a state: what a pickled :class:`VecEnv` calls where it is read."""
+    return VecEnv.from_state(state)

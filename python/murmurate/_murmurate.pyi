@@ -1,3 +1,4 @@
+import os
 from collections.abc import Sequence
 from typing import Literal
 
@@ -13,6 +14,9 @@ class VecEnv:
     The environment owns its buffers: every step writes into the same arrays, so copy what is to be kept. N is the number
     of environments, R that of robots in each, F that of floats of an observation, M that of floats of a message.
 
+    A pickled or copied environment continues to the bit as the original does. Attributes may be read from any thread;
+    ``step``, ``reset``, ``state`` and the like are for one thread at a time.
+
     Args:
         scenario: Name of the task.
         num_envs: Number of environments N.
@@ -21,13 +25,21 @@ class VecEnv:
             that act at times of their own) or "robust" (drawn for each episode from both).
         message: None (no messages), "observations" (what the sender observed when it sent) or "action" (floats that the
             policies put out, given to ``step``).
-        message_size: Number of floats M of a message with ``message="action"``.
+        message_size: Number of floats M of a message with ``message="action"``; None takes 16.
         autoreset: "same-step" (the next episode starts in the step in which one ends) or "disabled" (``reset(mask)``).
-        seed: Seed of all random numbers.
-        num_robots: Number of robots R; None takes the scenario's own.
-        gap_m: Width of the scenario's bottleneck [m]; None takes the scenario's own.
+        seed: Seed of all random numbers, 0 to 2**64 - 1; None draws one from the operating system.
+        num_robots: Number of robots R; None takes that of the configuration, else the scenario's own.
+        gap_m: Width of the scenario's bottleneck [m]; None takes that of the stage, else the scenario's own.
         episode_s: Longest duration of an episode [s]; None takes that of the configuration.
-        config: Preset or TOML file of a training, which has reward, observation, ranges of conditions and limits.
+        config: Preset or TOML file of a training, which has team, reward, observation, ranges of conditions and limits.
+            None takes the preset "robust"; in a scenario without goals, the scenario's own reward and duration, the fields
+            "position" and "velocity", and the limits of trainings by imitation.
+        stage: Number of a stage of the configuration's curriculum, from 0, or from -1 at the end: its ``penalties``,
+            ``repeat`` and ``gap_m`` are taken, where they are not given. Its groups must be whole teams.
+        penalties: Factor on the rewards' penalties for contacts and proximity, 0 to 100; None takes that of the stage,
+            else 1.
+        repeat: Number of steps of 50 ms for which ``step`` holds an action, whose rewards are added, 1 to 100; None takes
+            that of the stage, else 1.
         radio: Medium of ``murmurate train --radio`` (a preset or a radio file), whose delay and loss late messages have;
             None takes the ranges of the configuration.
         filtered: Probability that the safety filter of real robots limits an episode's actions; None takes that of the
@@ -44,14 +56,24 @@ class VecEnv:
             messages.
         age: Time since the message in use arrived [s] (N, R, R), by receiver and then by sender.
         said: Content of the message in use (N, R, R, M), by receiver and then by sender.
+        scenario: Name of the task.
         num_envs: Number of environments N.
         num_robots: Number of robots R of each environment.
+        seed: Seed from which the random numbers last began anew, also if it was drawn.
+        hold_s: Longest time for which a deployed robot uses a message [s], as the configuration says.
+        episode_s: Longest duration of an episode [s].
+        episode_steps: Largest number of calls of ``step`` in an episode.
+        repeat: Number of steps of 50 ms for which an action is held.
+        message: What messages carry, as given.
+        autoreset: When an ended episode is followed by the next one, as given.
         limit_m_s: Largest commanded velocity along each axis [m/s].
         radius_m: Largest distance between two robots that receive each other's messages [m].
         observation_fields: Names of the entries of an observation, each with two floats [m].
 
     Raises:
         ValueError: An argument is wrong; the message names it.
+        MemoryError: There is less memory than the environments need, which is reckoned before they are made.
+        RuntimeError: Another thread is in a step, a reset or a state of the environment.
     """
 
     obs: NDArray[np.float32]
@@ -63,8 +85,16 @@ class VecEnv:
     heard: NDArray[np.bool_]
     age: NDArray[np.float32]
     said: NDArray[np.float32]
+    scenario: str
     num_envs: int
     num_robots: int
+    seed: int
+    hold_s: float
+    episode_s: float
+    episode_steps: int
+    repeat: int
+    message: Literal["observations", "action"] | None
+    autoreset: Literal["same-step", "disabled"]
     limit_m_s: float
     radius_m: float
     observation_fields: list[str]
@@ -76,25 +106,29 @@ class VecEnv:
         threads: int = 1,
         conditions: Literal["perfect", "robust", "late"] = "perfect",
         message: Literal["observations", "action"] | None = None,
-        message_size: int = 16,
+        message_size: int | None = None,
         autoreset: Literal["same-step", "disabled"] = "same-step",
-        seed: int = 0,
+        seed: int | None = 0,
         num_robots: int | None = None,
         gap_m: float | None = None,
         episode_s: float | None = None,
-        config: str = "robust",
-        radio: str | None = None,
+        config: str | os.PathLike[str] | None = None,
+        stage: int | None = None,
+        penalties: float | None = None,
+        repeat: int | None = None,
+        radio: str | os.PathLike[str] | None = None,
         filtered: float | None = None,
     ) -> None: ...
     def step(self, actions: NDArray[np.float32], messages: NDArray[np.float32] | None = None) -> None:
-        """Advances every environment by 50 ms.
+        """Advances every environment by ``repeat`` steps of 50 ms.
 
         Args:
             actions: Velocities [m/s], policy frame (N, R, 2).
             messages: Floats that the policies put out (N, R, M), only with ``message="action"``.
 
         Raises:
-            ValueError: An array has another type, shape or order, or a value that is not finite.
+            ValueError: An array has another type, shape or order, or a value that is not finite; or a buffer of the
+                environment was changed from outside in type, shape or flags. Nothing changes then.
         """
 
     def reset(self, mask: NDArray[np.bool_] | None = None, *, seed: int | None = None) -> None:
@@ -105,6 +139,32 @@ class VecEnv:
         Raises:
             ValueError: The mask has another type or shape, or is given with a seed.
         """
+
+    def state(self) -> bytes:
+        """Returns the state of all environments: robots, random streams, held messages, filters and clocks of the
+        episodes, and the contents of the arrays."""
+
+    def set_state(self, state: bytes) -> None:
+        """Continues to the bit from a state of environments with the same arguments; ``seed`` and ``threads`` may differ.
+
+        Raises:
+            ValueError: The state is damaged, of another version of the package, or of other environments, by the name of
+                what differs. Nothing changes then.
+        """
+
+    @staticmethod
+    def from_state(state: bytes) -> VecEnv:
+        """Makes environments that continue from a state, with its arguments.
+
+        Raises:
+            ValueError: The state is damaged or of another version of the package.
+        """
+
+    def copy(self) -> VecEnv:
+        """Returns environments that continue to the bit as these do, with arrays of their own."""
+
+    def render(self, environment: int = 0) -> NDArray[np.uint8]:
+        """Returns a picture of one environment (height, width, 3): walls, robots as discs, and goals as rings."""
 
 def sim_json(arguments: Sequence[str]) -> str:
     """Runs ``murmurate sim`` with these arguments and returns its results as JSON.

@@ -1,6 +1,10 @@
 //! The Python module `murmurate._murmurate`: Murmurate's environments on numpy buffers, its simulations and its
 //! program. The package around it is in `murmurate/`. A crate with scenarios of its own fills a module with [`fill`].
 
+mod arguments;
+mod arrays;
+mod memory;
+mod picture;
 mod program;
 mod vec_env;
 

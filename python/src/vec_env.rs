@@ -1,139 +1,89 @@
 //! The class `VecEnv`: a vectorised environment on numpy buffers that it owns.
 
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
 use murmurate::policy::manifest::Field;
-use murmurate::scenario::Settings;
-use murmurate::train::config::{Conditions, Config};
-use murmurate::train::vector::{Autoreset, Buffers, Content, Options, VectorEnvironment};
-use numpy::{
-    Element, PyArray1, PyArray2, PyArray3, PyArray4, PyArrayDescrMethods, PyArrayMethods, PyReadonlyArrayDyn,
-    PyUntypedArray, PyUntypedArrayMethods, dtype,
-};
-use pyo3::exceptions::PyValueError;
+use murmurate::train::vector::{Autoreset, Buffers, Content, Options, VectorEnvironment, options_of};
+use numpy::{PyArray1, PyArray3, PyArrayDyn, PyArrayMethods};
+use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
+use pyo3::pybacked::PyBackedBytes;
+use pyo3::types::PyBytes;
+
+use crate::arguments::{Arguments, Given, Seed, whole, wrong};
+use crate::arrays::{Shapes, finite, opened, values, zeros};
+use crate::memory;
+use crate::picture::Picture;
 
 /// Vectorised environment of one scenario: N teams of R robots each, advanced together, with results in numpy arrays
 /// that every step writes again. docs/python.md describes the arrays.
-#[pyclass]
+///
+/// Its attributes may be read at any time. A step, a reset or a state keeps out those of other threads meanwhile.
+#[pyclass(frozen, weakref, module = "murmurate")]
 pub struct VecEnv {
-    environments: VectorEnvironment,
-    /// Observations (N, R, F), float32: goal minus position, position, position plus velocity [m], policy frame.
+    environments: Mutex<VectorEnvironment>,
+    /// Whether a thread works on the environments.
+    busy: AtomicBool,
+    /// Settings, but for the seed.
+    options: Options,
+    /// Seed from which the random streams last began anew.
+    seed: AtomicU64,
+    /// Observations (N, R, F), float32: pairs of floats [m] or [m/s], policy frame, as `observation_fields` names them.
     #[pyo3(get)]
-    obs: Py<PyArray3<f32>>,
+    obs: Py<PyArrayDyn<f32>>,
     /// Observations (N, R, F) before an automatic reset: where an episode has ended, its last ones.
     #[pyo3(get)]
-    last_obs: Py<PyArray3<f32>>,
+    last_obs: Py<PyArrayDyn<f32>>,
     /// Rewards (N, R), float32.
     #[pyo3(get)]
-    reward: Py<PyArray2<f32>>,
+    reward: Py<PyArrayDyn<f32>>,
     /// Whether all robots have arrived (N).
     #[pyo3(get)]
-    terminated: Py<PyArray1<bool>>,
+    terminated: Py<PyArrayDyn<bool>>,
     /// Whether the time of the episode is over (N).
     #[pyo3(get)]
-    truncated: Py<PyArray1<bool>>,
+    truncated: Py<PyArrayDyn<bool>>,
     /// Whether each robot has arrived (N, R).
     #[pyo3(get)]
-    arrived: Py<PyArray2<bool>>,
+    arrived: Py<PyArrayDyn<bool>>,
     /// Whether a receiver uses a message of a sender (N, R, R), by receiver and then by sender; (0, R, R) without
     /// messages.
     #[pyo3(get)]
-    heard: Py<PyArray3<bool>>,
+    heard: Py<PyArrayDyn<bool>>,
     /// Time since the message in use arrived [s] (N, R, R), by receiver and then by sender.
     #[pyo3(get)]
-    age: Py<PyArray3<f32>>,
+    age: Py<PyArrayDyn<f32>>,
     /// Content of the message in use (N, R, R, M), by receiver and then by sender.
     #[pyo3(get)]
-    said: Py<PyArray4<f32>>,
+    said: Py<PyArrayDyn<f32>>,
 }
 
-fn wrong(argument: &str, why: impl std::fmt::Display) -> PyErr {
-    PyValueError::new_err(format!("{argument}: {why}"))
-}
+/// Mark that a thread works on the environments; dropping it takes it away.
+struct Turn<'a>(&'a AtomicBool);
 
-/// Returns the conditions of this name, from those of a training's configuration.
-fn conditions(name: &str, config: &Config) -> PyResult<Conditions> {
-    let of = |clean, deployed| Conditions { clean, deployed, everyone: 0.0, ..config.conditions.clone() };
-    match name {
-        "perfect" => Ok(of(1.0, 0.0)),
-        "late" => Ok(of(0.0, 1.0)),
-        "robust" => Ok(config.conditions.clone()),
-        other => Err(wrong("conditions", format!("'{other}' is not 'perfect', 'robust' or 'late'"))),
+impl Drop for Turn<'_> {
+    fn drop(&mut self) {
+        self.0.store(false, Ordering::Release);
     }
 }
 
-/// Returns the configuration of a preset, or that in a TOML file.
-fn config(given: &str) -> PyResult<Config> {
-    match Config::preset(given) {
-        Some(config) => Ok(config),
-        None => {
-            let text = std::fs::read_to_string(given)
-                .map_err(|error| wrong("config", format!("'{given}' is neither a preset nor a file: {error}")))?;
-            Config::from_toml(&text).map_err(|error| wrong("config", format!("'{given}': {error}")))
-        }
-    }
-}
-
-/// Returns what messages between robots carry, as the arguments `message` and `message_size` say.
-fn content(message: Option<&str>, message_size: usize) -> PyResult<Content> {
-    match message {
-        None => Ok(Content::Nothing),
-        Some("observations") => Ok(Content::Observations),
-        Some("action") if (1..=1024).contains(&message_size) => Ok(Content::Actions(message_size)),
-        Some("action") => Err(wrong("message_size", format!("{message_size} is not 1 to 1024"))),
-        Some(other) => Err(wrong("message", format!("'{other}' is not None, 'observations' or 'action'"))),
-    }
-}
-
-/// Returns when an environment resets itself, as the argument `autoreset` says.
-fn autoreset(given: &str) -> PyResult<Autoreset> {
-    match given {
-        "same-step" => Ok(Autoreset::SameStep),
-        "disabled" => Ok(Autoreset::Disabled),
-        other => Err(wrong("autoreset", format!("'{other}' is not 'same-step' or 'disabled'"))),
-    }
-}
-
-/// Checks that an argument is an array of this type and shape, in row-major order, and returns its values.
-fn values<'py, T: Element + Copy>(
-    (argument, given): (&str, &Bound<'py, PyAny>),
-    shape: &[usize],
-) -> PyResult<PyReadonlyArrayDyn<'py, T>> {
-    let py = given.py();
-    let array = given
-        .cast::<PyUntypedArray>()
-        .map_err(|_| wrong(argument, format!("a {} is no numpy array", given.get_type())))?;
-    if !array.dtype().is_equiv_to(&dtype::<T>(py)) {
-        return Err(wrong(argument, format!("its type is {} and not {}", array.dtype(), dtype::<T>(py))));
-    }
-    if array.shape() != shape {
-        return Err(wrong(argument, format!("its shape is {:?} and not {shape:?}", array.shape())));
-    }
-    if !array.is_c_contiguous() {
-        return Err(wrong(argument, "it is not contiguous in row-major order: pass numpy.ascontiguousarray of it"));
-    }
-    let array = given.cast::<numpy::PyArrayDyn<T>>().map_err(|error| wrong(argument, error))?;
-    array.try_readonly().map_err(|error| wrong(argument, error))
-}
-
-fn finite(argument: &str, values: &[f32]) -> PyResult<()> {
-    match values.iter().position(|value| !value.is_finite()) {
-        Some(at) => Err(wrong(argument, format!("the value at flat index {at} is {}", values[at]))),
-        None => Ok(()),
-    }
-}
-
-/// Opens all buffers of the environment for writing, as `Buffers`.
+/// Opens all buffers of the environment for writing, as `Buffers`, and works on the environments without holding up
+/// other threads of Python.
 macro_rules! with_buffers {
     ($self:ident, $py:ident, |$environments:ident, $buffers:ident| $work:expr) => {{
+        let shapes = Shapes::of(&$self.options);
         macro_rules! open {
-            ($name:ident) => {
-                $self.$name.bind($py).try_readwrite().map_err(|error| wrong(stringify!($name), error))?
+            ($name:ident, $shape:ident) => {
+                opened((stringify!($name), $self.$name.bind($py)), &shapes.$shape)?
             };
         }
-        let (mut obs, mut last_obs, mut reward) = (open!(obs), open!(last_obs), open!(reward));
-        let (mut terminated, mut truncated, mut arrived) = (open!(terminated), open!(truncated), open!(arrived));
-        let (mut heard, mut age, mut said) = (open!(heard), open!(age), open!(said));
-        let $buffers = Buffers {
+        let (mut obs, mut last_obs, mut reward) = (open!(obs, obs), open!(last_obs, obs), open!(reward, rows));
+        let (mut terminated, mut truncated) = (open!(terminated, environments), open!(truncated, environments));
+        let (mut arrived, mut heard) = (open!(arrived, rows), open!(heard, edges));
+        let (mut age, mut said) = (open!(age, edges), open!(said, said));
+        #[allow(unused_mut, reason = "a step takes them apart")]
+        let mut $buffers = Buffers {
             observation: obs.as_slice_mut()?,
             last_observation: last_obs.as_slice_mut()?,
             reward: reward.as_slice_mut()?,
@@ -144,29 +94,55 @@ macro_rules! with_buffers {
             age_s: age.as_slice_mut()?,
             message: said.as_slice_mut()?,
         };
-        let $environments = &mut $self.environments;
-        $py.detach(move || $work);
+        let mutex = &$self.environments;
+        $py.detach(move || {
+            let mut guard = mutex.lock().map_err(|_| PyRuntimeError::new_err(PANICKED))?;
+            let $environments = &mut *guard;
+            Ok::<_, PyErr>($work)
+        })?
     }};
 }
 
+/// Text of the error after a defect.
+const PANICKED: &str = "a step of this environment has panicked before, a defect of murmurate; make a new one";
+
 impl VecEnv {
-    /// Returns `n` environments with buffers of their sizes, filled with zeros.
-    fn allocated(py: Python<'_>, n: usize, environments: VectorEnvironment) -> VecEnv {
-        let lengths = environments.lengths();
-        let (r, f, m) = (lengths.robots, lengths.observation, lengths.message);
-        let edges = if m > 0 { n } else { 0 };
-        VecEnv {
-            environments,
-            obs: PyArray3::zeros(py, [n, r, f], false).unbind(),
-            last_obs: PyArray3::zeros(py, [n, r, f], false).unbind(),
-            reward: PyArray2::zeros(py, [n, r], false).unbind(),
-            terminated: PyArray1::zeros(py, [n], false).unbind(),
-            truncated: PyArray1::zeros(py, [n], false).unbind(),
-            arrived: PyArray2::zeros(py, [n, r], false).unbind(),
-            heard: PyArray3::zeros(py, [edges, r, r], false).unbind(),
-            age: PyArray3::zeros(py, [edges, r, r], false).unbind(),
-            said: PyArray4::zeros(py, [edges, r, r, m], false).unbind(),
+    /// Returns these environments with buffers of their sizes, filled with zeros.
+    fn allocated(py: Python<'_>, environments: VectorEnvironment) -> PyResult<VecEnv> {
+        let options = environments.options().clone();
+        let shapes = Shapes::of(&options);
+        Ok(VecEnv {
+            environments: Mutex::new(environments),
+            busy: AtomicBool::new(false),
+            seed: AtomicU64::new(options.seed),
+            options,
+            obs: zeros(py, &shapes.obs)?,
+            last_obs: zeros(py, &shapes.obs)?,
+            reward: zeros(py, &shapes.rows)?,
+            terminated: zeros(py, &shapes.environments)?,
+            truncated: zeros(py, &shapes.environments)?,
+            arrived: zeros(py, &shapes.rows)?,
+            heard: zeros(py, &shapes.edges)?,
+            age: zeros(py, &shapes.edges)?,
+            said: zeros(py, &shapes.said)?,
+        })
+    }
+
+    /// Makes environments, if there is memory for them.
+    fn made(py: Python<'_>, options: Options) -> PyResult<VecEnv> {
+        let what = format!("num_envs: {} environments of {} robots", options.environments, options.scenario.robots());
+        memory::ensure(&what, options.memory_bytes())?;
+        let environments = py.detach(|| VectorEnvironment::new(options));
+        VecEnv::allocated(py, environments)
+    }
+
+    /// Keeps out other threads until the result is dropped. If one works on the environments, that is an error.
+    fn turn(&self, what: &str) -> PyResult<Turn<'_>> {
+        if self.busy.swap(true, Ordering::Acquire) {
+            let why = "another thread is in a step, a reset or a state of this environment; give each thread its own";
+            return Err(PyRuntimeError::new_err(format!("{what}: {why}")));
         }
+        Ok(Turn(&self.busy))
     }
 }
 
@@ -174,112 +150,91 @@ impl VecEnv {
 impl VecEnv {
     #[new]
     #[pyo3(signature = (
-        scenario = "passage", num_envs = 1, *, threads = 1, conditions = "perfect", message = None,
-        message_size = 16, autoreset = "same-step", seed = 0, num_robots = None, gap_m = None, episode_s = None,
-        config = "robust", radio = None, filtered = None,
-    ))]
+        scenario = None, num_envs = None, *, threads = None, conditions = None, message = None, message_size = None,
+        autoreset = None, seed = Some(Seed(0)), num_robots = None, gap_m = None, episode_s = None, config = None,
+        stage = None, penalties = None, repeat = None, radio = None, filtered = None,
+    ), text_signature = "(scenario='passage', num_envs=1, *, threads=1, conditions='perfect', message=None, \
+        message_size=None, autoreset='same-step', seed=0, num_robots=None, gap_m=None, episode_s=None, config=None, \
+        stage=None, penalties=None, repeat=None, radio=None, filtered=None)")]
     #[expect(clippy::too_many_arguments, reason = "keyword arguments of Python")]
     fn new(
         py: Python<'_>,
-        scenario: &str,
-        num_envs: usize,
-        threads: usize,
-        conditions: &str,
-        message: Option<&str>,
-        message_size: usize,
-        autoreset: &str,
-        seed: u64,
-        num_robots: Option<usize>,
-        gap_m: Option<f32>,
-        episode_s: Option<f32>,
-        config: &str,
-        radio: Option<&str>,
-        filtered: Option<f32>,
+        scenario: Given<'_, '_>,
+        num_envs: Given<'_, '_>,
+        threads: Given<'_, '_>,
+        conditions: Given<'_, '_>,
+        message: Given<'_, '_>,
+        message_size: Given<'_, '_>,
+        autoreset: Given<'_, '_>,
+        seed: Option<Seed>,
+        num_robots: Given<'_, '_>,
+        gap_m: Given<'_, '_>,
+        episode_s: Given<'_, '_>,
+        config: Given<'_, '_>,
+        stage: Given<'_, '_>,
+        penalties: Given<'_, '_>,
+        repeat: Given<'_, '_>,
+        radio: Given<'_, '_>,
+        filtered: Given<'_, '_>,
     ) -> PyResult<VecEnv> {
-        let mut config = self::config(config)?;
-        let (content, autoreset) = (self::content(message, message_size)?, self::autoreset(autoreset)?);
-        for (argument, value, most) in [("num_envs", num_envs, 1 << 20), ("threads", threads, 1024)] {
-            if !(1..=most).contains(&value) {
-                return Err(wrong(argument, format!("{value} is not 1 to {most}")));
-            }
-        }
-        let episode_s = episode_s.unwrap_or(config.episode_s);
-        if !(0.05..=3600.0).contains(&episode_s) {
-            return Err(wrong("episode_s", format!("{episode_s} is not 0.05 to 3600")));
-        }
-        let settings = Settings { robots: num_robots, gap_m };
-        let scenario = crate::registry().scenario(scenario, &settings).map_err(|error| wrong("scenario", error))?;
-        for (argument, given) in [("radio", radio.is_some()), ("filtered", filtered.is_some())] {
-            if given && conditions == "perfect" {
-                return Err(wrong(argument, "it has no effect with conditions='perfect'; take 'late' or 'robust'"));
-            }
-        }
-        if let Some(radio) = radio {
-            murmurate::program::with_radio("radio", radio, scenario.robots(), &mut config.conditions)
-                .map_err(crate::program::exception)?;
-        }
-        if let Some(filtered) = filtered {
-            if !(0.0..=1.0).contains(&filtered) {
-                return Err(wrong("filtered", format!("{filtered} is not 0 to 1")));
-            }
-            config.conditions.filtered = filtered;
-        }
-        let environments = VectorEnvironment::new(Options {
+        let arguments = Arguments {
             scenario,
-            environments: num_envs,
+            num_envs,
             threads,
-            conditions: self::conditions(conditions, &config)?,
-            reward: config.reward,
-            chassis: config.chassis(),
-            observation: config.policy.observation.clone(),
-            radius_m: config.policy.radius_m,
-            limit_m_s: config.policy.limit_m_s,
-            episode_s,
-            content,
+            conditions,
+            message,
+            message_size,
             autoreset,
-            seed,
-        });
-        let mut this = VecEnv::allocated(py, num_envs, environments);
-        this.reset(py, None, Some(seed))?;
+            num_robots,
+            gap_m,
+            episode_s,
+            config,
+            stage,
+            penalties,
+            repeat,
+            radio,
+            filtered,
+        };
+        let this = VecEnv::made(py, arguments.options(py, Seed::or_drawn(seed, py)?)?)?;
+        with_buffers!(this, py, |environments, buffers| environments.begin(buffers));
         Ok(this)
     }
 
-    /// Advances every environment by 50 ms. `actions` are velocities [m/s] in the policy frame, float32 (N, R, 2);
-    /// `messages` are the floats that the policies put out, float32 (N, R, M), only with `message="action"`.
+    /// Advances every environment by `repeat` steps of 50 ms. `actions` are velocities [m/s] in the policy frame,
+    /// float32 (N, R, 2); `messages` are the floats that the policies put out, float32 (N, R, M), only with
+    /// `message="action"`.
     #[pyo3(signature = (actions, messages = None))]
-    fn step(
-        &mut self,
-        py: Python<'_>,
-        actions: &Bound<'_, PyAny>,
-        messages: Option<&Bound<'_, PyAny>>,
-    ) -> PyResult<()> {
-        let (n, lengths) = (self.num_envs(), self.environments.lengths());
+    fn step(&self, py: Python<'_>, actions: &Bound<'_, PyAny>, messages: Given<'_, '_>) -> PyResult<()> {
+        let _turn = self.turn("step")?;
+        let (n, lengths) = (self.num_envs(), self.options.lengths());
         let actions = values::<f32>(("actions", actions), &[n, lengths.robots, 2])?;
         let actions = actions.as_slice()?;
         finite("actions", actions)?;
         let shape = [n, lengths.robots, lengths.message];
-        let said = match (self.environments.options().content, messages) {
+        let said = match (self.options.content, messages) {
             (Content::Actions(_), Some(messages)) => Some(values::<f32>(("messages", messages), &shape)?),
             (Content::Actions(_), None) => return Err(wrong("messages", format!("missing; their shape is {shape:?}"))),
             (_, Some(_)) => return Err(wrong("messages", "only an environment with message='action' takes them")),
             (_, None) => None,
         };
-        let said = said.as_ref().map_or(Ok(&[][..]), |said| said.as_slice())?;
-        finite("messages", said)?;
-        with_buffers!(self, py, |environments, buffers| environments.step(actions, said, buffers));
+        let words = said.as_ref().map_or(Ok(&[][..]), |said| said.as_slice())?;
+        finite("messages", words)?;
+        with_buffers!(self, py, |environments, buffers| environments.step(actions, words, buffers));
         Ok(())
     }
 
     /// Starts new episodes: in the environments where `mask`, bool (N), is true, or in all. Others do not change. With
     /// `seed` all random numbers begin anew; that is possible for all environments together.
     #[pyo3(signature = (mask = None, *, seed = None))]
-    fn reset(&mut self, py: Python<'_>, mask: Option<&Bound<'_, PyAny>>, seed: Option<u64>) -> PyResult<()> {
+    fn reset(&self, py: Python<'_>, mask: Given<'_, '_>, seed: Option<Seed>) -> PyResult<()> {
+        let _turn = self.turn("reset")?;
         let mask = mask.map(|mask| values::<bool>(("mask", mask), &[self.num_envs()])).transpose()?;
         let mask = mask.as_ref().map(|mask| mask.as_slice()).transpose()?;
         match seed {
             Some(_) if mask.is_some() => Err(wrong("seed", "it is for all environments; leave mask out")),
-            Some(seed) => {
+            Some(Seed(seed)) => {
                 with_buffers!(self, py, |environments, buffers| environments.reseed(seed, buffers));
+                self.seed.store(seed, Ordering::Relaxed);
                 Ok(())
             }
             None => {
@@ -290,28 +245,153 @@ impl VecEnv {
         }
     }
 
+    /// Returns the state of all environments as bytes: robots, random streams, held messages, filters and clocks of the
+    /// episodes, and the contents of the arrays. `set_state` continues from it to the bit.
+    fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let _turn = self.turn("state")?;
+        // The metadata, and then the whole.
+        memory::ensure("state: it would", 2 * self.options.memory_bytes())?;
+        let bytes = with_buffers!(self, py, |environments, buffers| environments.state(&buffers));
+        Ok(PyBytes::new(py, &bytes))
+    }
+
+    /// Continues from a state of environments with the same arguments; `seed` and `threads` may differ. Nothing changes
+    /// if the state is refused.
+    fn set_state(&self, py: Python<'_>, state: &Bound<'_, PyAny>) -> PyResult<()> {
+        let _turn = self.turn("set_state")?;
+        self.restore(py, &bytes_of(state)?)
+    }
+
+    /// Returns environments that continue to the bit as these do, with arrays of their own.
+    fn copy(&self, py: Python<'_>) -> PyResult<VecEnv> {
+        let _turn = self.turn("copy")?;
+        memory::ensure("copy: its environments", self.options.memory_bytes())?;
+        let copied = with_buffers!(self, py, |environments, _buffers| environments.clone());
+        let copy = VecEnv::allocated(py, copied)?;
+        macro_rules! copied {
+            ($($name:ident)*) => { $(self.$name.bind(py).copy_to(copy.$name.bind(py))?;)* };
+        }
+        copied!(obs last_obs reward terminated truncated arrived heard age said);
+        Ok(copy)
+    }
+
+    fn __copy__(&self, py: Python<'_>) -> PyResult<VecEnv> {
+        self.copy(py)
+    }
+
+    fn __deepcopy__(&self, py: Python<'_>, _memo: &Bound<'_, PyAny>) -> PyResult<VecEnv> {
+        self.copy(py)
+    }
+
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyBytes>,))> {
+        Ok((py.import("murmurate._module")?.getattr("restored")?, (self.state(py)?,)))
+    }
+
+    /// Makes environments from a state alone, with its scenario from the registry and its settings.
+    #[staticmethod]
+    fn from_state(py: Python<'_>, state: &Bound<'_, PyAny>) -> PyResult<VecEnv> {
+        let bytes = bytes_of(state)?;
+        let options = options_of(&bytes, crate::registry()).map_err(|error| wrong("state", error))?;
+        let this = VecEnv::made(py, options)?;
+        this.restore(py, &bytes)?;
+        Ok(this)
+    }
+
+    /// Returns a picture of one environment, uint8 (height, width, 3): walls, robots as discs, and goals as rings.
+    #[pyo3(signature = (environment = None))]
+    fn render<'py>(&self, py: Python<'py>, environment: Given<'_, '_>) -> PyResult<Bound<'py, PyArray3<u8>>> {
+        let _turn = self.turn("render")?;
+        let last = self.num_envs() as i64 - 1;
+        let environment = environment.map_or(Ok(0), |given| whole("environment", given, 0, last))? as usize;
+        let guard = self.environments.lock().map_err(|_| PyRuntimeError::new_err(PANICKED))?;
+        let (environments, row) = guard.place(environment);
+        let picture = Picture::of(environments, row, self.options.scenario.cost().is_none());
+        drop(guard);
+        PyArray1::from_vec(py, picture.pixels).reshape([picture.height, picture.width, 3])
+    }
+
+    fn __repr__(&self) -> String {
+        let (name, n, r) = (self.options.scenario.name(), self.num_envs(), self.num_robots());
+        format!("<VecEnv '{name}': {n} environments of {r} robots>")
+    }
+
+    /// Name of the scenario.
+    #[getter]
+    fn scenario(&self) -> &'static str {
+        self.options.scenario.name()
+    }
+
     /// Number of environments N.
     #[getter]
     fn num_envs(&self) -> usize {
-        self.environments.options().environments
+        self.options.environments
     }
 
     /// Number of robots R of each environment.
     #[getter]
     fn num_robots(&self) -> usize {
-        self.environments.lengths().robots
+        self.options.scenario.robots()
+    }
+
+    /// Seed from which the random numbers last began anew.
+    #[getter]
+    fn seed(&self) -> u64 {
+        self.seed.load(Ordering::Relaxed)
     }
 
     /// Largest commanded velocity along each axis [m/s].
     #[getter]
     fn limit_m_s(&self) -> f32 {
-        self.environments.options().limit_m_s
+        self.options.limit_m_s
     }
 
     /// Largest distance between two robots that receive each other's messages [m].
     #[getter]
     fn radius_m(&self) -> f32 {
-        self.environments.options().radius_m
+        self.options.radius_m
+    }
+
+    /// Longest time for which a deployed robot uses a message [s], as the configuration says.
+    #[getter]
+    fn hold_s(&self) -> f64 {
+        self.options.hold_s
+    }
+
+    /// Longest duration of an episode [s].
+    #[getter]
+    fn episode_s(&self) -> f32 {
+        self.options.episode_s
+    }
+
+    /// Largest number of calls of `step` in an episode.
+    #[getter]
+    fn episode_steps(&self) -> u32 {
+        self.options.decisions()
+    }
+
+    /// Number of steps of 50 ms for which an action is held.
+    #[getter]
+    fn repeat(&self) -> u32 {
+        self.options.repeat
+    }
+
+    /// What messages carry: None, "observations" or "action".
+    #[getter]
+    fn message(&self) -> Option<&'static str> {
+        match self.options.content {
+            Content::Nothing => None,
+            Content::Observations => Some("observations"),
+            Content::Actions(_) => Some("action"),
+        }
+    }
+
+    /// When an ended episode is followed by the next one: "same-step" or "disabled".
+    #[getter]
+    fn autoreset(&self) -> &'static str {
+        match self.options.autoreset {
+            Autoreset::SameStep => "same-step",
+            Autoreset::Disabled => "disabled",
+        }
     }
 
     /// Names of the entries of an observation, each with two floats.
@@ -324,6 +404,23 @@ impl VecEnv {
             Field::Velocity => "velocity",
             Field::FilterAndLag => "filter-and-lag",
         };
-        self.environments.options().observation.iter().map(name).collect()
+        self.options.observation.iter().map(name).collect()
     }
+}
+
+impl VecEnv {
+    /// Continues from a state, which the caller has a turn for.
+    fn restore(&self, py: Python<'_>, bytes: &[u8]) -> PyResult<()> {
+        let seed = with_buffers!(self, py, |environments, buffers| {
+            let set = environments.set_state(bytes, buffers);
+            set.map(|()| environments.options().seed)
+        });
+        self.seed.store(seed.map_err(|error| wrong("state", error))?, Ordering::Relaxed);
+        Ok(())
+    }
+}
+
+/// Returns the bytes of a state.
+fn bytes_of(state: &Bound<'_, PyAny>) -> PyResult<PyBackedBytes> {
+    state.extract().map_err(|_| wrong("state", format!("a {} is not what state() returns", state.get_type())))
 }

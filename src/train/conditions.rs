@@ -111,6 +111,23 @@ impl Episode {
         episode
     }
 
+    /// Returns whether conditions that were read are those of a team of `robots` robots, within the bounds that
+    /// configurations have.
+    pub(super) fn is_sound(&self, robots: usize) -> bool {
+        let within = |value: f32, most: f32| (0.0..=most).contains(&value);
+        let period_s = PERIOD.as_secs() as f32;
+        self.phase_s.len() == robots
+            && self.edges.len() == robots * robots
+            && self.phase_s.iter().all(|phase_s| within(*phase_s, period_s))
+            && self.edges.iter().all(|(delay_s, loss)| within(*delay_s, 0.5) && within(*loss, 1.0))
+            && within(self.hold_s, 0.5)
+            && within(self.wall_radius_m, 10.0)
+            && within(self.range_std_m, 100.0)
+            && within(self.position_noise_m, 10.0)
+            && within(self.velocity_noise_m_s, 10.0)
+            && self.lag_s.is_none_or(|lag_s| within(lag_s, 10.0))
+    }
+
     /// Returns the physical parameters of the robots in this episode; `arena` gives their radius.
     pub fn physics(&self, arena: &Arena) -> Physics {
         match self.lag_s {

@@ -29,6 +29,9 @@ use crate::scenario::{Scenario, Stage, TeamAfterStep};
 use crate::world::kinematic::{self, PERIOD};
 use crate::world::{Clamp, Physics};
 
+/// Largest number of steps of an episode in a snapshot: far beyond the longest, and far from overflows.
+const LATEST: u32 = 1 << 30;
+
 /// One team in the training environments, with the state of its episode.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Team {
@@ -54,6 +57,12 @@ impl Team {
     /// Returns the indices of the team's robots among all robots.
     pub fn range(&self) -> std::ops::Range<usize> {
         self.first..self.first + self.robots
+    }
+
+    /// Returns whether a team that was read has conditions and messages that an episode can have.
+    fn is_sound(&self) -> bool {
+        let Team { robots, step, episode, messages, .. } = self;
+        *step <= LATEST && episode.is_sound(*robots) && messages.is_sound(*robots, *step, episode.lockstep)
     }
 }
 
@@ -378,9 +387,9 @@ impl Environments {
         }
     }
 
-    /// Restores a snapshot. Returns `false` and changes nothing if the snapshot has other numbers of robots or other
-    /// teams.
-    pub fn restore(&mut self, snapshot: Snapshot) -> bool {
+    /// Returns whether a snapshot is of such environments: of the same teams and robots, with values that episodes of
+    /// theirs can have.
+    pub fn fits(&self, snapshot: &Snapshot) -> bool {
         let shape = |teams: &[Team]| teams.iter().map(|team| (team.first, team.robots)).collect::<Vec<_>>();
         let robots = self.position.len();
         let lengths = [
@@ -391,7 +400,17 @@ impl Environments {
             snapshot.to_go_m.len(),
         ];
         let turned = self.rolling.as_ref().map_or(0, |rolling| rolling.wheels.len());
-        if shape(&snapshot.teams) != shape(&self.teams) || lengths != [robots; 5] || snapshot.turned.len() != turned {
+        let mut motions = snapshot.position.iter().chain(&snapshot.velocity).chain(&snapshot.turned).flatten();
+        shape(&snapshot.teams) == shape(&self.teams)
+            && lengths == [robots; 5]
+            && snapshot.turned.len() == turned
+            && motions.all(|number| number.is_finite())
+            && snapshot.teams.iter().all(Team::is_sound)
+    }
+
+    /// Restores a snapshot. Returns `false` and changes nothing if the snapshot is not of such environments.
+    pub fn restore(&mut self, snapshot: Snapshot) -> bool {
+        if !self.fits(&snapshot) {
             return false;
         }
         self.teams = snapshot.teams;

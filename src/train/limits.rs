@@ -120,7 +120,8 @@ impl Ppo {
 }
 
 impl Conditions {
-    fn check(&self) -> Result<(), ConfigError> {
+    /// Checks the values of all fields. The error names the first wrong one.
+    pub(super) fn check(&self) -> Result<(), ConfigError> {
         within("conditions.clean", self.clean, 0.0, 1.0)?;
         within("conditions.deployed", self.deployed, 0.0, 1.0)?;
         within("conditions.wall_radius_m", self.wall_radius_m, 1e-3, 10.0)?;
@@ -148,7 +149,8 @@ impl Conditions {
 }
 
 impl Reward {
-    fn check(&self) -> Result<(), ConfigError> {
+    /// Checks the values of all fields. The error names the first wrong one.
+    pub(super) fn check(&self) -> Result<(), ConfigError> {
         let weights = [
             ("reward.scale", self.scale),
             ("reward.scenario", self.scenario),

@@ -59,6 +59,20 @@ impl MessageBuffer {
         self.undrawn.resize(robots * robots, 0);
     }
 
+    /// Returns whether a buffer that was read is that of a team of `robots` robots in `step`, which act in lock step or
+    /// do not. (It has a shorter list of undrawn messages in the checkpoints of older programs.)
+    pub(super) fn is_sound(&self, robots: usize, step: u32, lockstep: bool) -> bool {
+        let history = if lockstep { 1 } else { HISTORY_STEPS };
+        let pairs = robots * robots;
+        (self.robots, self.history) == (robots, history)
+            && self.estimates.len() == robots * history
+            && self.estimates.as_flattened().iter().all(|number| number.is_finite())
+            && self.held.len() == pairs
+            && self.held.iter().flatten().all(|held| *held <= step)
+            && self.undrawn.len() <= pairs
+            && self.undrawn.iter().all(|undrawn| *undrawn <= step + 1)
+    }
+
     /// Stores the estimate of its own motion, world frame, that the robot with index `robot` in the team has in `step`.
     pub fn store(&mut self, step: u32, robot: usize, estimate: &Motion) {
         let (p, v) = (estimate.position, estimate.velocity);

@@ -17,9 +17,12 @@ pub fn in_parallel<J: Send>(threads: usize, jobs: impl Iterator<Item = J> + Send
         }
     };
     std::thread::scope(|scope| {
-        (1..threads).for_each(|_| {
-            scope.spawn(run_jobs);
-        });
+        for _ in 1..threads {
+            // A system that gives no more threads leaves more work to those that there are.
+            if std::thread::Builder::new().spawn_scoped(scope, run_jobs).is_err() {
+                break;
+            }
+        }
         run_jobs();
     });
 }

@@ -1,10 +1,13 @@
-//! A policy step allocates no memory once it has had its largest number of neighbours.
+//! A policy step allocates no memory once it has had its largest number of neighbours; vectorised environments take no
+//! more than was reckoned.
 
 use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::policy::{self, Model, Neighbour};
 use murmurate::random::Seed;
 use murmurate::scenario::{self, Observation, Settings};
 use murmurate::time::Span;
+use murmurate::train::config::Config;
+use murmurate::train::vector::{Autoreset, Buffers, Content, Options, VectorEnvironment};
 
 #[test]
 fn a_step_of_a_network_allocates_nothing() {
@@ -32,4 +35,54 @@ fn a_step_of_a_network_allocates_nothing() {
     }
     // Checks that the counter works.
     assert_eq!(allocation_counter::measure(|| drop(std::hint::black_box(vec![0u8; 64]))).count_total, 1);
+}
+
+/// Makes environments and buffers of their sizes, and starts new episodes; the result is of no interest.
+fn allocate(options: Options) {
+    let (n, lengths) = (options.environments, options.lengths());
+    let (rows, edges) = (n * lengths.robots, n * lengths.robots * lengths.robots);
+    let edges = if lengths.message > 0 { edges } else { 0 };
+    let mut floats = [rows * lengths.observation, rows * lengths.observation, rows, edges, edges * lengths.message]
+        .map(|length| vec![0.0f32; length]);
+    let mut flags = [n, n, rows, edges].map(|length| vec![false; length]);
+    let [observation, last_observation, reward, age_s, message] = &mut floats;
+    let [terminated, truncated, arrived, heard] = &mut flags;
+    let buffers =
+        Buffers { observation, last_observation, reward, terminated, truncated, arrived, heard, age_s, message };
+    let mut environments = VectorEnvironment::new(options);
+    environments.reset(|_| true, buffers);
+    std::hint::black_box(environments);
+}
+
+#[test]
+fn environments_take_less_memory_than_was_reckoned_and_not_much_less() {
+    let config = Config::preset("robust").expect("it is a preset");
+    for (name, robots) in [("passage", 2), ("passage", 12), ("flocking", 40)] {
+        for content in [Content::Nothing, Content::Observations, Content::Actions(64)] {
+            let mut options = Options {
+                scenario: scenario::build(name, &Settings::of(robots)).expect("such teams are supported"),
+                gap_m: None,
+                environments: 320,
+                threads: 1,
+                conditions: config.conditions.clone(),
+                reward: config.reward,
+                body: config.body.clone(),
+                observation: config.policy.observation.clone(),
+                radius_m: config.policy.radius_m,
+                limit_m_s: config.policy.limit_m_s,
+                episode_s: config.episode_s,
+                repeat: 1,
+                hold_s: config.policy.hold_s,
+                content,
+                autoreset: Autoreset::SameStep,
+                seed: 1,
+            };
+            (options.conditions.clean, options.conditions.deployed, options.conditions.filtered) = (0.0, 1.0, 1.0);
+            let reckoned = options.memory_bytes();
+            let taken = allocation_counter::measure(|| allocate(options)).bytes_max;
+            assert!(taken < reckoned, "{name} of {robots}, {content:?}: {taken} of {reckoned}");
+            // The first megabyte is a margin for what does not grow with the environments.
+            assert!(taken * 3 > reckoned - (1 << 20), "{name} of {robots}, {content:?}: {taken} of {reckoned}");
+        }
+    }
 }

@@ -3,73 +3,24 @@
 //! An environment is one team with its own random stream. So its data depends neither on the number of threads, nor on
 //! that of the environments, nor on resets of others.
 
-use std::sync::Arc;
+mod memory;
+mod options;
+mod state;
+
+pub use options::{Autoreset, Content, Options};
+pub use state::{StateError, options_of};
 
 use super::conditions::Episode;
-use super::config::{Conditions, Reward};
+use super::config::Conditions;
 use super::environments::Environments;
 use super::message_buffer::{HISTORY_STEPS, HeldMessage};
 use super::observe;
 use super::parallel::in_parallel;
-use crate::chassis::Chassis;
 use crate::messages::geometry::Vec2;
-use crate::policy::manifest::Field;
 use crate::random::{Seed, Stream};
-use crate::scenario::Scenario;
 
 /// Number of environments that a thread takes at a time.
 const CHUNK: usize = 32;
-
-/// Treatment of an environment whose episode has ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Autoreset {
-    /// The next episode starts in the same step in which one ends.
-    SameStep,
-    /// No episode starts until the caller resets the environment.
-    Disabled,
-}
-
-/// Content of the messages that the robots of a vectorised environment receive.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Content {
-    /// Robots receive no messages.
-    Nothing,
-    /// The observation that the sender had when it sent, from which a training computes the sender's latent itself.
-    Observations,
-    /// This number of floats, which the sender's policy has put out with its action.
-    Actions(usize),
-}
-
-/// Settings of a vectorised environment.
-#[derive(Clone, Debug)]
-pub struct Options {
-    /// Scenario of every environment, with the number of robots R of a team.
-    pub scenario: Arc<dyn Scenario>,
-    /// Number of environments N, each with one team.
-    pub environments: usize,
-    /// Number of threads that step the environments; the data do not depend on it.
-    pub threads: usize,
-    /// Distributions from which each episode's conditions are drawn.
-    pub conditions: Conditions,
-    /// Weights of the terms of a robot's reward.
-    pub reward: Reward,
-    /// Chassis (kind of drive and limits) of all robots.
-    pub chassis: Chassis,
-    /// Entries of a robot's observation, two floats each, in the order in which they are written.
-    pub observation: Vec<Field>,
-    /// Largest distance between two robots that receive each other's messages \[m\].
-    pub radius_m: f32,
-    /// Largest commanded velocity along each axis \[m/s\].
-    pub limit_m_s: f32,
-    /// Longest duration of an episode \[s\]; an episode that reaches it is truncated.
-    pub episode_s: f32,
-    /// Content of the messages that robots receive.
-    pub content: Content,
-    /// Treatment of an environment whose episode has ended.
-    pub autoreset: Autoreset,
-    /// Seed from which the random streams of all environments are made.
-    pub seed: u64,
-}
 
 /// Buffers that a step fills, in row-major order. N is the number of environments, R that of robots in each, F that of
 /// floats of an observation, and M that of floats of a message.
@@ -113,6 +64,11 @@ impl Lengths {
     fn edges(self) -> usize {
         if self.message > 0 { self.robots * self.robots } else { 0 }
     }
+
+    /// Returns the number of floats that an environment keeps of what its policies have put out for messages.
+    fn outputs(self, content: Content) -> usize {
+        if matches!(content, Content::Actions(_)) { HISTORY_STEPS * self.robots * self.message } else { 0 }
+    }
 }
 
 impl<'a> Buffers<'a> {
@@ -140,7 +96,7 @@ impl<'a> Buffers<'a> {
 }
 
 /// Environments that one thread advances.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Chunk {
     environments: Environments,
     /// Random stream of each environment.
@@ -153,7 +109,7 @@ struct Chunk {
 }
 
 /// Vectorised environment: N teams of R robots each, stepped together, with results in flat buffers of the caller.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct VectorEnvironment {
     options: Options,
     lengths: Lengths,
@@ -163,24 +119,16 @@ pub struct VectorEnvironment {
 impl VectorEnvironment {
     /// Makes the environments and starts an episode in each of them.
     pub fn new(options: Options) -> VectorEnvironment {
-        let robots = options.scenario.robots();
-        let observation = 2 * options.observation.len();
-        let message = match options.content {
-            Content::Nothing => 0,
-            Content::Observations => observation,
-            Content::Actions(floats) => floats,
-        };
-        let lengths = Lengths { robots, observation, message };
-        let seed = Seed::of_run(options.seed);
-        let outputs = if matches!(options.content, Content::Actions(_)) { HISTORY_STEPS * robots * message } else { 0 };
+        let lengths = options.lengths();
+        let (robots, seed) = (lengths.robots, Seed::of_run(options.seed));
+        let outputs = lengths.outputs(options.content);
         let chunk = |first: usize| {
             let rows = CHUNK.min(options.environments - first);
             let scenarios = std::slice::from_ref(&options.scenario);
-            let environments = Environments::new(rows, &[vec![robots]], scenarios).equipped(&options.chassis);
-            let stream = |row: usize| seed.stream(&format!("environment {}", first + row));
+            let environments = Environments::new(rows, &[vec![robots]], scenarios).equipped(&options.chassis());
             let mut chunk = Chunk {
                 environments,
-                streams: (0..rows).map(stream).collect(),
+                streams: (0..rows).map(|row| stream_of(seed, first + row)).collect(),
                 velocities: vec![Vec2::zeros(); rows * robots],
                 outputs: vec![0.0; rows * outputs],
             };
@@ -203,14 +151,28 @@ impl VectorEnvironment {
 
     /// Begins all random streams anew from `seed`, starts a new episode in every environment, and fills all buffers.
     pub fn reseed(&mut self, seed: u64, buffers: Buffers) {
-        let options = Options { seed, ..self.options.clone() };
-        *self = VectorEnvironment::new(options);
+        self.options.seed = seed;
+        let (root, mut environment) = (Seed::of_run(seed), 0);
+        for chunk in &mut self.chunks {
+            chunk.outputs.fill(0.0);
+            for row in 0..chunk.streams.len() {
+                chunk.streams[row] = stream_of(root, environment);
+                chunk.start(&self.options.conditions, row);
+                environment += 1;
+            }
+        }
         self.look(buffers, |_| true);
     }
 
-    /// Advances every environment by one step of 50 ms and fills the buffers. `actions` are the robots' velocities
-    /// \[m/s\], policy frame, \[N, R, 2\]; `outputs` the floats of their messages, \[N, R, M\], empty unless the
-    /// content is `Content::Actions`. All must be finite.
+    /// Fills all buffers with what the robots observe and hear at the start of the episodes that `new` has started. It
+    /// is to be called once, before the first step.
+    pub fn begin(&mut self, buffers: Buffers) {
+        self.look(buffers, |_| true);
+    }
+
+    /// Advances every environment by `Options::repeat` steps of 50 ms and fills the buffers. `actions` are the robots'
+    /// velocities \[m/s\], policy frame, \[N, R, 2\]; `outputs` the floats of their messages, \[N, R, M\], empty
+    /// unless the content is `Content::Actions`. All must be finite.
     ///
     /// # Panics
     /// If `actions` or `outputs` has another length, or if a buffer is too short.
@@ -272,8 +234,19 @@ impl VectorEnvironment {
 
     /// Returns the conditions of the current episode of the environment with index `environment`.
     pub fn episode(&self, environment: usize) -> &Episode {
-        &self.chunks[environment / CHUNK].environments.teams[environment % CHUNK].episode
+        let (environments, row) = self.place(environment);
+        &environments.teams[row].episode
     }
+
+    /// Returns the training environments among which the environment with index `environment` is, and its index there.
+    pub fn place(&self, environment: usize) -> (&Environments, usize) {
+        (&self.chunks[environment / CHUNK].environments, environment % CHUNK)
+    }
+}
+
+/// Returns the random stream with which the environment with index `environment` begins.
+fn stream_of(seed: Seed, environment: usize) -> Stream {
+    seed.stream(&format!("environment {environment}"))
 }
 
 impl Chunk {
@@ -296,19 +269,20 @@ impl Chunk {
                 let task = &self.environments.tasks[robot];
                 self.velocities[robot] = self.environments.scenario(row).steer(task, wanted);
             }
-            if !self.outputs.is_empty() {
-                let (size, at) = (lengths.robots * lengths.message, self.environments.teams[row].step as usize);
-                let to = (row * HISTORY_STEPS + at % HISTORY_STEPS) * size;
-                self.outputs[to..to + size].copy_from_slice(&outputs[row * size..][..size]);
+            // The neutral element of addition, which zero is not: it would take the sign of a negative zero.
+            one.reward.fill(-0.0);
+            let mut ended = false;
+            for held in 0..options.repeat {
+                if held > 0 {
+                    // What arrives while an action is held is drawn as if it had been given anew.
+                    self.receive(options, lengths, row, &mut one);
+                }
+                ended = self.advance(options, lengths, (row, outputs), &mut one);
+                if ended {
+                    break;
+                }
             }
-            let Chunk { environments, streams, velocities, .. } = self;
-            environments.step(row, velocities, &options.reward, options.limit_m_s, &mut streams[row]);
-            one.reward.copy_from_slice(&environments.reward[range.clone()]);
-            one.arrived.copy_from_slice(&environments.arrived[range]);
-            let (done, over) = (environments.all_arrived(row), environments.elapsed_s(row) >= options.episode_s);
-            (one.terminated[0], one.truncated[0]) = (done, over && !done);
-            self.observe(options, row, one.last_observation);
-            if (done || over) && options.autoreset == Autoreset::SameStep {
+            if ended && options.autoreset == Autoreset::SameStep {
                 self.start(&options.conditions, row);
                 self.observe(options, row, one.observation);
             } else {
@@ -316,6 +290,33 @@ impl Chunk {
             }
             self.receive(options, lengths, row, &mut one);
         }
+    }
+
+    /// Advances an environment by 50 ms with the velocities of the current step, adds the rewards, and writes the last
+    /// observations. Returns whether the episode has ended.
+    fn advance(
+        &mut self,
+        options: &Options,
+        lengths: Lengths,
+        (row, outputs): (usize, &[f32]),
+        one: &mut Buffers,
+    ) -> bool {
+        let Chunk { environments, streams, velocities, outputs: kept } = self;
+        if !kept.is_empty() {
+            let (size, at) = (lengths.robots * lengths.message, environments.teams[row].step as usize);
+            let to = (row * HISTORY_STEPS + at % HISTORY_STEPS) * size;
+            kept[to..to + size].copy_from_slice(&outputs[row * size..][..size]);
+        }
+        environments.step(row, velocities, &options.reward, options.limit_m_s, &mut streams[row]);
+        let range = environments.teams[row].range();
+        for (sum, reward) in one.reward.iter_mut().zip(&environments.reward[range.clone()]) {
+            *sum += reward;
+        }
+        one.arrived.copy_from_slice(&environments.arrived[range]);
+        let (done, over) = (environments.all_arrived(row), environments.elapsed_s(row) >= options.episode_s);
+        (one.terminated[0], one.truncated[0]) = (done, over && !done);
+        self.observe(options, row, one.last_observation);
+        done || over
     }
 
     /// Writes the observations of an environment's robots.
@@ -376,18 +377,22 @@ impl Chunk {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::chassis;
     use crate::scenario::{self, Settings};
     use crate::train::config::Config;
 
-    fn options(environments: usize, threads: usize, content: Content) -> Options {
+    pub(super) fn options(environments: usize, threads: usize, content: Content) -> Options {
         let config = Config::preset("robust").expect("it is there");
         Options {
             scenario: scenario::build("passage", &Settings { robots: Some(3), gap_m: None }).expect("it is there"),
             environments,
             threads,
+            gap_m: None,
+            repeat: 1,
+            hold_s: 0.2,
             conditions: config.conditions.clone(),
             reward: config.reward,
-            chassis: Chassis::default(),
+            body: chassis::Settings::default(),
             observation: config.policy.observation.clone(),
             radius_m: 2.0,
             limit_m_s: 1.5,
@@ -399,13 +404,14 @@ mod tests {
     }
 
     /// Buffers of a vectorised environment.
-    struct Memory {
-        floats: Vec<Vec<f32>>,
-        flags: Vec<Vec<bool>>,
+    #[derive(Clone)]
+    pub(super) struct Memory {
+        pub(super) floats: Vec<Vec<f32>>,
+        pub(super) flags: Vec<Vec<bool>>,
     }
 
     impl Memory {
-        fn of(environments: usize, lengths: Lengths) -> Memory {
+        pub(super) fn of(environments: usize, lengths: Lengths) -> Memory {
             let Lengths { robots, observation, message } = lengths;
             let edges = lengths.edges();
             let floats = [robots * observation, robots * observation, robots, edges, edges * message];
@@ -416,7 +422,7 @@ mod tests {
             }
         }
 
-        fn buffers(&mut self) -> Buffers<'_> {
+        pub(super) fn buffers(&mut self) -> Buffers<'_> {
             let [observation, last_observation, reward, age_s, message] = &mut self.floats[..] else { unreachable!() };
             let [terminated, truncated, arrived, heard] = &mut self.flags[..] else { unreachable!() };
             Buffers { observation, last_observation, reward, terminated, truncated, arrived, heard, age_s, message }
@@ -502,6 +508,38 @@ mod tests {
             let same = memory.floats[0] == memory.floats[1];
             assert_eq!(same, autoreset == Autoreset::Disabled, "the last observations are those of the episode");
             assert_eq!(memory.flags[0], [false; 2]);
+        }
+    }
+
+    #[test]
+    fn a_held_action_is_as_one_that_is_given_again_and_its_rewards_are_added() {
+        for content in [Content::Observations, Content::Actions(1)] {
+            let mut once = options(6, 1, content);
+            once.conditions.filtered = 0.5;
+            once.autoreset = Autoreset::Disabled;
+            let held = Options { repeat: 3, ..once.clone() };
+            assert_eq!((once.decisions(), held.decisions()), (20, 7), "an episode of a second");
+            let mut environments = [once, held].map(VectorEnvironment::new);
+            let mut memories = [0, 1].map(|_| Memory::of(6, environments[0].lengths()));
+            (0..2).for_each(|of| environments[of].begin(memories[of].buffers()));
+            for step in 0..6 {
+                let actions: Vec<f32> = (0..36).map(|at| ((at + step) % 5) as f32 * 0.2 - 0.4).collect();
+                let said = vec![step as f32; if content == Content::Actions(1) { 18 } else { 0 }];
+                let mut rewards = vec![-0.0; 18];
+                for _ in 0..3 {
+                    environments[0].step(&actions, &said, memories[0].buffers());
+                    rewards.iter_mut().zip(&memories[0].floats[2]).for_each(|(sum, reward)| *sum += reward);
+                }
+                environments[1].step(&actions, &said, memories[1].buffers());
+                memories[0].floats[2] = rewards;
+                assert_eq!(memories[0].floats, memories[1].floats, "step {step}, {content:?}");
+                assert_eq!(memories[0].flags, memories[1].flags);
+            }
+            let actions = [0.0; 36];
+            let said = vec![0.0; if content == Content::Actions(1) { 18 } else { 0 }];
+            environments[1].step(&actions, &said, memories[1].buffers());
+            assert!(memories[1].flags[1].iter().all(|truncated| *truncated), "the seventh decision is the last");
+            assert_eq!(environments[1].place(0).0.teams[0].step, 20, "it ends with the episode, not with the hold");
         }
     }
 
