@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ._hops import Refused
+from ._like import Seen
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -43,18 +44,12 @@ class Actor:
     whole: Callable[[Tensor], tuple[Tensor, Tensor, Tensor]] | None = None
 
 
-def actor_of(policy: Any, fields: Sequence[str], limit_m_s: float) -> Actor:
-    """Takes a policy of BenchMARL or TorchRL apart into the parts of a policy file.
-
-    Args:
-        policy: Policy of one group of robots.
-        fields: Names of the entries of an observation, in order; each has two floats.
-        limit_m_s: Largest velocity along an axis [m/s].
+def module_of(policy: Any) -> Any:
+    """Returns the policy of the one group of robots of a policy of BenchMARL or TorchRL.
 
     Raises:
-        Refused: A policy file cannot hold the policy.
+        Refused: It is no such policy, or of several groups.
     """
-    import torch
     from torch import nn
 
     policies = getattr(policy, "group_policies", None)
@@ -67,6 +62,24 @@ def actor_of(policy: Any, fields: Sequence[str], limit_m_s: float) -> Actor:
         policy = policy.module[0]
     if not isinstance(policy, nn.Module) or not hasattr(policy, "in_keys"):
         raise Refused("policy", None, f"{type(policy).__name__} is no actor of BenchMARL or TorchRL; give encoder, hops and decoder")
+    return policy
+
+
+def actor_of(policy: Any, fields: Sequence[str], limit_m_s: float, seen: Seen) -> Actor:
+    """Takes a policy of BenchMARL or TorchRL apart into the parts of a policy file.
+
+    Args:
+        policy: Policy of one group of robots, as :func:`module_of` returns it.
+        fields: Names of the entries of an observation, in order; each has two floats.
+        limit_m_s: Largest velocity along an axis [m/s].
+        seen: What the policy reads of an observation.
+
+    Raises:
+        Refused: A policy file cannot hold the policy.
+    """
+    import torch
+    from torch import nn
+
     parts = list(_parts(policy))
     distributions = [part for part in parts if hasattr(part, "distribution_class")]
     extractors = [part for part in parts if type(part).__name__ == "NormalParamExtractor"]
@@ -87,12 +100,12 @@ def actor_of(policy: Any, fields: Sequence[str], limit_m_s: float) -> Actor:
         manifest["radius_m"] = EVERYWHERE_M
     first = gnns[0] if gnns and not sections[0] else None
     edge = _edge_of(gnns[0]) if gnns else []
-    entry = _entry(_read(policy, first), fields)
+    entry = _entry(_read(policy, first), fields, seen)
     encoder: list[nn.Module] = sections[0]
     if not gnns:
         encoder, decoder = [entry], sections[0]
     else:
-        encoder = _entered(entry, sections[0])
+        encoder = entered(entry, sections[0])
         width = gnns[-1].output_features
         decoder = sections[-1] or [_matrix(torch.eye(width))]
     if manifest["deviation"] == "biased-softplus":
@@ -105,7 +118,7 @@ def actor_of(policy: Any, fields: Sequence[str], limit_m_s: float) -> Actor:
         if at + 1 < len(gnns) and sections[at + 1]:
             hops.append(nn.Sequential(*sections[at + 1]))
     loops = {at for at, gnn in enumerate(gnns) if gnn.self_loops}
-    return Actor(nn.Sequential(*encoder), hops, nn.Sequential(*decoder), loops, edge, manifest, _whole(policy, fields))
+    return Actor(nn.Sequential(*encoder), hops, nn.Sequential(*decoder), loops, edge, manifest, _whole(policy, fields, seen))
 
 
 def _parts(module: Any) -> Iterator[Any]:
@@ -191,11 +204,12 @@ def _read(policy: Any, first: Any) -> list[str]:
     return read + ([first.velocity_key] if first.velocity_key is not None else [])
 
 
-def _entry(keys: Sequence[str], fields: Sequence[str]) -> nn.Module:
-    """Returns a linear layer that makes what the keys hold of an observation."""
+def _entry(keys: Sequence[str], fields: Sequence[str], seen: Seen) -> nn.Module:
+    """Returns a linear layer that makes what the keys hold of an observation, of which the policy reads ``seen``."""
     import torch
 
     rows = torch.eye(2 * len(fields))
+    nothing = torch.zeros(2)
 
     def of(field: str) -> Tensor:
         if field not in fields:
@@ -203,23 +217,31 @@ def _entry(keys: Sequence[str], fields: Sequence[str]) -> nn.Module:
         at = 2 * fields.index(field)
         return rows[at : at + 2]
 
-    known: dict[str, Callable[[], Tensor]] = {
-        "observation": lambda: rows,
-        "position": lambda: of("position"),
-        "velocity": lambda: of("position-plus-velocity") - of("position"),
+    def velocity() -> Tensor:
+        return of("velocity") if "velocity" in fields else of("position-plus-velocity") - of("position")
+
+    # Only the observation as a whole is read through a transform.
+    known: dict[str, Callable[[], tuple[Tensor, Tensor]]] = {
+        "observation": lambda: (rows * seen.scale[:, None], seen.loc),
+        "position": lambda: (of("position"), nothing),
+        "velocity": lambda: (velocity(), nothing),
     }
     unknown = [key for key in keys if key not in known]
     if unknown:
         raise Refused("policy", None, f"it reads the key '{unknown[0]}', which is none of {', '.join(known)}")
-    return _matrix(torch.cat([known[key]() for key in keys]))
+    weights, biases = zip(*(known[key]() for key in keys))
+    return _matrix(torch.cat(weights), torch.cat(biases))
 
 
-def _matrix(weight: Tensor) -> nn.Module:
-    """Returns a linear layer of this weight without a bias."""
+def _matrix(weight: Tensor, bias: Tensor | None = None) -> nn.Module:
+    """Returns a linear layer of this weight and bias; a bias of zeros is none."""
     from torch import nn
 
-    layer = nn.Linear(weight.shape[1], weight.shape[0], bias=False)
+    has_bias = bias is not None and bool((bias != 0).any())
+    layer = nn.Linear(weight.shape[1], weight.shape[0], bias=has_bias)
     layer.weight.data.copy_(weight)
+    if bias is not None and has_bias:
+        layer.bias.data.copy_(bias)
     return layer
 
 
@@ -234,21 +256,31 @@ def _shifted(layer: Any, more: Tensor) -> Any:
     return moved
 
 
-def _entered(entry: Any, section: list[nn.Module]) -> list[nn.Module]:
+def entered(entry: Any, section: list[nn.Module]) -> list[nn.Module]:
     """Returns the layers of a section whose inputs are made by a linear layer, as layers of that layer's inputs."""
+    import torch
     from torch import nn
 
     if not section or not isinstance(section[0], nn.Linear):
         return [entry, *section]
     first = section[0]
-    joined = nn.Linear(entry.weight.shape[1], first.weight.shape[0], bias=first.bias is not None)
-    joined.weight.data.copy_(first.weight.detach() @ entry.weight.detach())
-    if first.bias is not None:
-        joined.bias.data.copy_(first.bias.detach())
-    return [joined, *section[1:]]
+    weight = first.weight.detach()
+    if weight.shape[1] != entry.weight.shape[0]:
+        raise Refused("policy", first, f"it takes {weight.shape[1]} floats, and the policy reads {entry.weight.shape[0]}")
+    bias = torch.zeros(weight.shape[0]) if first.bias is None else first.bias.detach()
+    if entry.bias is not None:
+        bias = bias + weight @ entry.bias.detach()
+    return [_matrix(weight @ entry.weight.detach(), bias), *section[1:]]
 
 
-def _whole(policy: Any, fields: Sequence[str]) -> Callable[[Tensor], tuple[Tensor, Tensor, Tensor]]:
+def read_through(seen: Seen, section: list[nn.Module]) -> list[nn.Module]:
+    """Returns the layers of a section that reads an observation through ``seen``, as layers of the observation itself."""
+    import torch
+
+    return section if seen.is_raw else entered(_matrix(torch.diag(seen.scale), seen.loc), section)
+
+
+def _whole(policy: Any, fields: Sequence[str], seen: Seen) -> Callable[[Tensor], tuple[Tensor, Tensor, Tensor]]:
     """Returns a function that asks the actor itself, as its trainer does."""
 
     def answer(observation: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -258,7 +290,7 @@ def _whole(policy: Any, fields: Sequence[str]) -> Callable[[Tensor], tuple[Tenso
 
         team = TensorDict({}, batch_size=[1])
         for key in policy.in_keys:
-            made = _entry([key if isinstance(key, str) else key[-1]], fields)(observation)
+            made = _entry([key if isinstance(key, str) else key[-1]], fields, seen)(observation)
             team.set(key, made.unsqueeze(0))
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             distribution = policy.get_dist(team.clone())

@@ -2,28 +2,52 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
+import math
 import os
 import pathlib
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ._actors import SOFTPLUS_BIAS, Actor, actor_of
-from ._hops import ACTIVATIONS, Refused, activation_of, edges_of, followed, hop_of, network_of
+from ._actors import SOFTPLUS_BIAS, Actor, actor_of, module_of, read_through
+from ._hops import (
+    ACTIVATIONS,
+    Refused,
+    activation_of,
+    applied,
+    checked,
+    edges_of,
+    flat,
+    followed,
+    hop_of,
+    network_of,
+)
+from ._like import Seen, environment_of, seen_through
 from ._module import VecEnv
+from ._probe import EDGE_WIDTHS, Team
 from ._program import finished
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
+#: Tensors of a file by name, and fields of its manifest.
+_Written = tuple[dict[str, np.ndarray], dict[str, Any]]
+
 #: Largest difference between what PyTorch and the program compute for the robots of the probe.
 TOLERANCE = 1e-5
-#: Number of floats of each feature of an edge: of the pair of a message's sender and receiver.
-EDGE_WIDTHS = {"age": 1, "relative-position": 2, "distance": 1, "relative-velocity": 2}
+#: Values of arguments that are names.
+NAMES = {
+    "distribution": ("diagonal-normal", "tanh-normal"),
+    "deviation": ("log", "biased-softplus"),
+    "draw": ("mean", "sample"),
+}
+#: Bounds of the hold time: a step, and what a policy file may have [s].
+HOLDS_S = (0.05, 60.0)
 #: Log standard deviation of a policy whose decoder has the velocity alone.
 LOG_STD = -2.0
 
@@ -40,7 +64,7 @@ def export(
     distribution: Literal["diagonal-normal", "tanh-normal"] = "diagonal-normal",
     deviation: Literal["log", "biased-softplus"] = "log",
     draw: Literal["mean", "sample"] = "mean",
-    hold_s: float = 0.2,
+    hold_s: float | None = None,
 ) -> pathlib.Path:
     """Writes a policy of PyTorch modules to a policy file, for ``sim``, ``study`` and robots.
 
@@ -60,68 +84,184 @@ def export(
             followed by an activation or a network if there is one. Empty for a policy without messages.
         decoder: As the encoder; its outputs are the velocity along x and y [m/s], policy frame, and the parameters of
             their standard deviations. With two outputs alone these are constant.
-        like: Environment in which the policy was trained, a :class:`murmurate.VecEnv` or :class:`murmurate.torchrl.Env`: it
-            has the observation, the radius [m] and the limit of speed [m/s]. For an ``Experiment`` that of its task.
-        scenario: Task of that environment; "passage", or that of the ``Experiment``.
+        like: Environment in which the policy was trained, a :class:`murmurate.VecEnv` or one of the faces: it has the task,
+            the observation, the radius [m], the limit of speed [m/s] and the hold time [s]. For an ``Experiment`` that of
+            its task. An ``ObservationNorm`` of TorchRL around it is folded into the first layer; other transforms and
+            wrappers that change what the policy observes or commands are refused.
+        scenario: Task for which the file is; None takes that of the environment.
         edge: Features of an edge in the order in which convolutions take them: "age" [s], "relative-position" [m],
             "distance" [m], "relative-velocity" [m/s]; those of the sender minus those of the receiver.
         distribution: Distribution of actions; "tanh-normal" is the limit of speed times tanh of a normal one.
         deviation: What the decoder's last two outputs are: log standard deviations, or TorchRL's "biased_softplus_1.0".
         draw: Whether deployed robots take the mean or draw a sample.
-        hold_s: Longest time for which a neighbour's message is used [s].
+        hold_s: Longest time for which a neighbour's message is used [s]; None takes that of the environment.
+
+    Each module is in training or evaluation afterwards as it was before.
 
     Raises:
-        ValueError: A module cannot be written to such a file, by name; or the program's answers differ.
+        ValueError: A module cannot be written to such a file, or an argument is wrong, by name; or the program's answers
+            differ.
     """
-    import torch
-
-    unknown = [name for name in edge if name not in EDGE_WIDTHS]
-    if unknown:
-        raise ValueError(f"edge: '{unknown[0]}' is none of {', '.join(EDGE_WIDTHS)}")
-    if (hops is None) != (decoder is None):
-        raise ValueError(f"{'hops' if hops is None else 'decoder'}: give encoder, hops and decoder, or a whole actor alone")
-    if hops is None and hasattr(encoder, "task"):
-        like = encoder.task.environment() if like is None else like
-        scenario = scenario or encoder.task.name
-    like = getattr(like, "core", like)
-    if not isinstance(like, VecEnv):
-        raise ValueError(f"like: {type(like).__name__} is neither a VecEnv nor an environment that has one")
-    fields, limit_m_s = like.observation_fields, like.limit_m_s
-    manifest = {"scenario": scenario or "passage", "observation": fields, "draw": draw, "hold_s": hold_s, "rate_hz": 20.0}
-    manifest |= {"distribution": distribution, "deviation": deviation}
-    manifest |= {"radius_m": round(like.radius_m, 6), "limit_m_s": round(limit_m_s, 6)}
+    path = _path(file)
     try:
-        actor = actor_of(encoder, fields, limit_m_s) if hops is None else Actor(encoder, list(hops), decoder, edge=list(edge))
-        manifest |= actor.manifest | {"edge": actor.edge}
-        modules = torch.nn.ModuleList([actor.encoder, *actor.hops, actor.decoder])
-        training = modules.training
-        modules.eval()
-        try:
-            with torch.no_grad():
-                written = [_written(actor, _Team(fields, actor.edge))]
-                if actor.whole is not None:
-                    everybody = _Team(fields, actor.edge, like.num_robots)
-                    written.insert(0, _asked(actor, _written(actor, everybody), everybody, manifest))
-        finally:
-            modules.train(training)
+        edge = _edge(edge)
+        given = {"distribution": distribution, "deviation": deviation, "draw": draw}
+        _check_names(given)
+        if (hops is None) != (decoder is None):
+            missing = "hops" if hops is None else "decoder"
+            raise Refused(missing, None, "give encoder, hops and decoder, or a whole actor alone")
+        core, seen, whole = _trained_in(encoder, hops, like)
+        manifest = given | {"scenario": _scenario(scenario, core), "hold_s": _hold_s(hold_s, core), "rate_hz": 20.0}
+        manifest |= {"observation": core.observation_fields}
+        manifest |= {"radius_m": round(core.radius_m, 6), "limit_m_s": round(core.limit_m_s, 6)}
+        if whole is not None:
+            written = _of_actor(whole, core, seen, manifest)
+        else:
+            written = _of_parts((encoder, hops, decoder), edge, core, seen, manifest)
     except Refused as refused:
         raise ValueError(str(refused)) from None
-    path = pathlib.Path(file)
+    _write(path, written)
+    return path
+
+
+def _trained_in(encoder: Any, hops: Any, like: Any) -> tuple[VecEnv, Seen, Any]:
+    """Returns the environment of the policy, what it reads of observations, and the actor if it is a whole one."""
+    whole = None
+    if hops is None:
+        whole, task = encoder, getattr(encoder, "task", None)
+        if like is None and hasattr(task, "environment"):
+            like = encoder.test_env if hasattr(encoder, "test_env") else task.environment()
+    if like is None:
+        raise Refused("like", None, "missing; give the environment in which the policy was trained")
+    core, transforms = environment_of(like)
+    return core, seen_through(transforms, core), whole
+
+
+def _of_actor(policy: Any, core: VecEnv, seen: Seen, manifest: dict[str, Any]) -> list[_Written]:
+    """Returns what files of a whole actor hold: one that is asked as the actor itself, and the one to keep."""
+    import torch
+
+    policy = checked(module_of(policy), "policy")
+    with _evaluated([policy]), torch.no_grad():
+        actor = actor_of(policy, core.observation_fields, core.limit_m_s, seen)
+        manifest |= actor.manifest | {"edge": actor.edge}
+        with _evaluated([actor.encoder, *actor.hops, actor.decoder]):
+            everybody = Team(core.observation_fields, actor.edge, core.num_robots)
+            asked = _asked(actor, _written(actor, everybody), everybody, manifest)
+            kept = _written(actor, Team(core.observation_fields, actor.edge))
+    return [(tensors, manifest | form) for tensors, form in (asked, kept)]
+
+
+def _of_parts(
+    parts: tuple[Any, Any, Any], edge: list[str], core: VecEnv, seen: Seen, manifest: dict[str, Any]
+) -> list[_Written]:
+    """Returns what the file of a policy of three parts holds."""
+    import torch
+
+    encoder, hops, decoder = checked(parts[0], "encoder"), _hops(parts[1]), checked(parts[2], "decoder")
+    manifest |= {"edge": edge}
+    with _evaluated([encoder, *hops, decoder]), torch.no_grad():
+        team = Team(core.observation_fields, edge)
+        form, _ = network_of(encoder, "encoder")
+        takes, floats = form["widths"][0], team.observation.shape[1]
+        if takes != floats:
+            fields = ", ".join(core.observation_fields)
+            raise Refused("encoder", encoder, f"its first layer takes {takes} floats, and an observation has {floats} ({fields})")
+        direct = encoder
+        if not seen.is_raw:
+            direct = torch.nn.Sequential(*read_through(seen, flat(encoder)))
+            with _evaluated([direct]):
+                worst = (direct(team.observation) - encoder(seen.of(team.observation))).abs().max().item()
+            if not worst <= TOLERANCE:
+                raise Refused("like", None, f"folding its ObservationNorm into the encoder changes outputs by {worst:.1e}")
+        tensors, form = _written(Actor(direct, hops, decoder, edge=edge), team)
+    return [(tensors, manifest | form)]
+
+
+def _write(path: pathlib.Path, written: list[_Written]) -> None:
+    """Writes the last of these files, if the program answers each of them as PyTorch does."""
     with tempfile.TemporaryDirectory(dir=path.absolute().parent) as folder:
         whole = pathlib.Path(folder) / "policy.safetensors"
-        for tensors, form in written:
-            whole.write_bytes(_safetensors(tensors, manifest | form))
-            probe = json.loads(finished(["policy", "check", str(whole), "--json"]))["probe"]
+        for tensors, manifest in written:
+            whole.write_bytes(_safetensors(tensors, manifest))
+            try:
+                probe = json.loads(finished(["policy", "check", str(whole), "--json"]))["probe"]
+            except ValueError as error:
+                # The file that the program has read is gone when somebody reads this.
+                raise ValueError(str(error).replace(str(whole), str(path))) from None
             worst = max(probe["latent_difference"], probe["output_difference"])
             if not worst <= TOLERANCE:
                 raise ValueError(f"the program's answers differ by {worst:.1e} from those of the modules, over {TOLERANCE:.0e}")
         os.replace(whole, path)
+
+
+def _path(file: str | os.PathLike[str]) -> pathlib.Path:
+    """Returns the file as a path, if its folder is there."""
+    try:
+        path = pathlib.Path(os.fsdecode(file))
+    except TypeError:
+        raise ValueError(f"file: a {type(file).__name__} is no path") from None
+    if path.is_dir() or not path.absolute().parent.is_dir():
+        raise ValueError(f"file: '{path}' is a folder" if path.is_dir() else f"file: there is no folder '{path.parent}'")
     return path
 
 
-def _asked(
-    actor: Actor, written: tuple[dict[str, np.ndarray], dict[str, Any]], team: _Team, manifest: dict[str, Any]
-) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def _edge(given: Any) -> list[str]:
+    """Returns the features of edges, if they are a list of such."""
+    if isinstance(given, str) or not isinstance(given, Sequence):
+        shown = f"'{given}' is a text" if isinstance(given, str) else f"a {type(given).__name__} is no list"
+        raise Refused("edge", None, f"{shown}; give a list, such as ['age', 'relative-position']")
+    unknown = [name for name in given if name not in EDGE_WIDTHS]
+    if unknown:
+        raise Refused("edge", None, f"{unknown[0]!r} is none of {', '.join(EDGE_WIDTHS)}")
+    return list(given)
+
+
+def _check_names(given: dict[str, Any]) -> None:
+    for argument, value in given.items():
+        if value not in NAMES[argument]:
+            raise Refused(argument, None, f"{value!r} is none of {', '.join(NAMES[argument])}")
+
+
+def _hops(given: Any) -> list[Any]:
+    """Returns the convolutions with what follows each, if they are a list of modules."""
+    from torch import nn
+
+    if not isinstance(given, (list, tuple, nn.ModuleList, nn.Sequential)):
+        raise Refused("hops", None, f"a {type(given).__name__} is no list; give [{type(given).__name__}(...)]")
+    return [checked(part, f"hops[{at}]") for at, part in enumerate(given)]
+
+
+def _scenario(given: str | None, core: VecEnv) -> str:
+    """Returns the scenario of a file: one that there is, or that of the environment."""
+    return core.scenario if given is None else VecEnv(given).scenario
+
+
+def _hold_s(given: float | None, core: VecEnv) -> float:
+    """Returns the hold time of a file [s]: one that is possible, or that of the environment."""
+    if given is None:
+        return core.hold_s
+    if isinstance(given, bool) or not isinstance(given, (int, float, np.number)) or not math.isfinite(given):
+        raise Refused("hold_s", None, f"{given!r} is no time in seconds")
+    if not HOLDS_S[0] <= given <= HOLDS_S[1]:
+        raise Refused("hold_s", None, f"{given} is not {HOLDS_S[0]} to {HOLDS_S[1]}")
+    return float(given)
+
+
+@contextlib.contextmanager
+def _evaluated(modules: Sequence[nn.Module]) -> Iterator[None]:
+    """Puts modules into evaluation for the block, and each of their parts back as it was."""
+    parts = {part: part.training for module in modules for part in module.modules()}
+    for module in modules:
+        module.eval()
+    try:
+        yield
+    finally:
+        for part, training in parts.items():
+            part.training = training
+
+
+def _asked(actor: Actor, written: _Written, team: Team, manifest: dict[str, Any]) -> _Written:
     """Returns tensors whose probe has the means of the actor itself, if its deviations and actions are as the file says."""
     import torch
 
@@ -147,7 +287,7 @@ def biased_softplus(x: Tensor) -> Tensor:
     return torch.nn.functional.softplus(x + SOFTPLUS_BIAS) + 0.01
 
 
-def _written(actor: Actor, team: _Team) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def _written(actor: Actor, team: Team) -> _Written:
     """Returns the tensors of a policy with its answers for a team, and the part of the manifest that says its form."""
     import torch
 
@@ -155,8 +295,8 @@ def _written(actor: Actor, team: _Team) -> tuple[dict[str, np.ndarray], dict[str
     form, layers = network_of(encoder, "encoder")
     networks, hops, sent = {"encoder": layers}, [], []
     manifest: dict[str, Any] = {"format": 2, "encoder": form}
-    x = encoder(team.observation)
-    for part in parts:
+    x = applied(encoder, "encoder", team.observation)
+    for at, part in enumerate(parts):
         if isinstance(part, ACTIVATIONS()):
             if not hops:
                 raise Refused("hops", part, "it stands before the first convolution; end the encoder with it")
@@ -164,19 +304,19 @@ def _written(actor: Actor, team: _Team) -> tuple[dict[str, np.ndarray], dict[str
             if "output_activation" in update:
                 raise Refused("hops", part, "it follows another activation")
             update["output_activation"] = activation_of(part, "hops")
-            x = part(x)
+            x = applied(part, f"hops[{at}]", x)
             continue
         if isinstance(part, (torch.nn.Sequential, torch.nn.Linear)):
             if not hops:
                 raise Refused("hops", part, "it stands before the first convolution; end the encoder with it")
             name = f"hops.{len(hops) - 1}.update"
-            hops[-1]["update"], networks[name] = followed(hops[-1]["update"], networks[name], part, "hops")
-            x = part(x)
+            hops[-1]["update"], networks[name] = followed(hops[-1]["update"], networks[name], part, f"hops[{at}]")
+            x = applied(part, f"hops[{at}]", x)
             continue
         sent.append(x)
         # Convolutions without features of edges leave them to those that take them.
         edge = team.edge if edges_of(part) else team.edge[:, :0]
-        form, layers = hop_of(part, x.shape[1], edge.shape[1], f"hops[{len(hops)}]")
+        form, layers = hop_of(part, x.shape[1], edge.shape[1], f"hops[{at}]")
         index = team.index
         if len(hops) in actor.loops and "self_loop" not in form:
             form["self_loop"] = "zero-edge"
@@ -184,7 +324,7 @@ def _written(actor: Actor, team: _Team) -> tuple[dict[str, np.ndarray], dict[str
             edge = torch.cat([edge, edge.new_zeros(len(x), edge.shape[1])])
         networks |= {f"hops.{len(hops)}.{name}": some for name, some in layers.items()}
         hops.append(form)
-        x = part(x, index, edge) if edge.shape[1] > 0 else part(x, index)
+        x = applied(part, f"hops[{at}]", x, index, *([edge] if edge.shape[1] > 0 else []))
     if not hops:
         # A policy without messages gets a hop that ignores messages: its update returns the robot's own input.
         width = x.shape[1]
@@ -192,7 +332,12 @@ def _written(actor: Actor, team: _Team) -> tuple[dict[str, np.ndarray], dict[str
         hops = [{"aggregation": "sum", "update": {"inputs": ["own"], "widths": [width, width]}}]
         networks["hops.0.update"] = [(torch.eye(width), torch.zeros(width))]
     form, layers = network_of(decoder, "decoder")
-    out = decoder(x)
+    takes, puts = form["widths"][0], form["widths"][-1]
+    if takes != x.shape[1]:
+        raise Refused("decoder", decoder, f"its first layer takes {takes} floats, and what is before it gives {x.shape[1]}")
+    if puts not in (2, 4):
+        raise Refused("decoder", decoder, f"it has {puts} outputs; give 2, a velocity, or 4, with its standard deviations")
+    out = applied(decoder, "decoder", x)
     if out.shape[1] == 2:
         weight, bias = layers[-1]
         layers[-1] = (torch.cat([weight, torch.zeros_like(weight)]), torch.cat([bias, torch.full_like(bias, LOG_STD)]))
@@ -209,61 +354,6 @@ def _written(actor: Actor, team: _Team) -> tuple[dict[str, np.ndarray], dict[str
     tensors |= {f"probe.{name}": rows for name, rows in team.inputs.items()}
     tensors |= {"probe.latent": torch.cat(sent, dim=1), "probe.output": out}
     return {name: np.ascontiguousarray(tensor.detach().cpu().numpy(), np.float32) for name, tensor in tensors.items()}, manifest
-
-
-class _Team:
-    """Robots of a probe: eight, of which one receives no message, one a single message and the others four; or as many as
-    ``everybody`` says, who all hear each other.
-
-    Attributes:
-        observation: What each observes, by the fields of the environment (8, F).
-        index: Senders and receivers of the messages (2, E), as PyTorch Geometric takes them.
-        edge: Features of the messages' edges (E, D).
-        inputs: Tensors of the probe, by name.
-    """
-
-    def __init__(self, fields: Sequence[str], edge: Sequence[str], everybody: int | None = None):
-        import torch
-
-        robots, rng = everybody or 8, np.random.default_rng(1)
-        drawn = rng.uniform(-1.5, 1.5, (3, robots, 2)).round(3).astype(np.float32)
-        position, velocity, goal = torch.from_numpy(drawn)
-        known: dict[str, Tensor] = {
-            "goal-minus-position": goal - position,
-            "position": position,
-            "velocity": velocity,
-            "goal": goal,
-            "position-plus-velocity": position + velocity,
-        }
-        missing = [field for field in fields if field not in known]
-        if missing:
-            raise Refused("like", None, f"its observation has '{missing[0]}', which cannot be exported")
-        self.observation = torch.cat([known[field] for field in fields], dim=1)
-        # Whole milliseconds, in which the program counts time here.
-        age = torch.from_numpy(rng.integers(0, 200, (robots, robots)).astype(np.float32) / np.float32(1000.0))
-        heard = 1 - np.eye(robots, dtype=np.float32)
-        if everybody is None:
-            heard[:] = 0
-            heard[1, 2] = 1
-            for robot in range(2, robots):
-                heard[robot, rng.choice([other for other in range(robots) if other != robot], 4, replace=False)] = 1
-        receiver, sender = torch.from_numpy(heard).nonzero(as_tuple=True)
-        self.index = torch.stack([sender, receiver])
-        way = position[sender] - position[receiver]
-        features = {
-            "age": age[receiver, sender, None],
-            "relative-position": way,
-            "distance": way.norm(dim=1, keepdim=True),
-            "relative-velocity": velocity[sender] - velocity[receiver],
-        }
-        self.edge = torch.cat([features[name] for name in edge] or [way[:, :0]], dim=1)
-        self.inputs = {
-            "position": position,
-            "velocity": velocity,
-            "goal": goal,
-            "age": age,
-            "heard": torch.from_numpy(heard),
-        }
 
 
 def _safetensors(tensors: dict[str, np.ndarray], manifest: dict[str, Any]) -> bytes:

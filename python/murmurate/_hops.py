@@ -39,12 +39,12 @@ def activation_of(module: nn.Module, argument: str) -> Any:
     raise Refused(argument, module, "no such activation; there are ReLU, Tanh, ELU with alpha 1 and LeakyReLU")
 
 
-def _flat(module: nn.Module) -> list[nn.Module]:
+def flat(module: nn.Module) -> list[nn.Module]:
     """Returns the modules of nested sequences, without those that do nothing after a training."""
     from torch import nn
 
     if isinstance(module, nn.Sequential):
-        return [part for inner in module for part in _flat(inner)]
+        return [part for inner in module for part in flat(inner)]
     return [] if isinstance(module, (nn.Identity, nn.Dropout)) else [module]
 
 
@@ -61,7 +61,7 @@ def network_of(module: nn.Module, argument: str) -> tuple[dict[str, Any], list[t
     """
     from torch import nn
 
-    parts, layers, between, after = _flat(module), [], [], None
+    parts, layers, between, after = flat(module), [], [], None
     for at, part in enumerate(parts):
         if isinstance(part, nn.Linear):
             if after is not None:
@@ -96,6 +96,9 @@ def followed(
     Form (an entry of the manifest) and layers are as :func:`network_of` returns them.
     """
     more, behind = network_of(after, argument)
+    takes, gives = more["widths"][0], layers[-1][0].shape[0]
+    if takes != gives:
+        raise Refused(argument, after, f"it takes {takes} floats, and the convolution before it gives {gives}")
     between = form.get("output_activation")
     if between is None:
         # Two linear layers without an activation between them are one.
@@ -133,6 +136,9 @@ def hop_of(conv: nn.Module, width: int, edge: int, argument: str) -> tuple[dict[
     }
     if type(conv).__name__ not in known:
         raise Refused(argument, conv, f"it is none of {', '.join(known)}, nor an activation")
+    takes = getattr(conv, "in_channels", width)
+    if takes not in (width, (width, width)):
+        raise Refused(argument, conv, f"it takes {takes} floats of a robot, and what is before it gives {width}")
     return known[type(conv).__name__](conv, (width, edge), argument)
 
 
@@ -215,6 +221,8 @@ def _gine_conv(conv: Any, size: tuple[int, int], argument: str) -> Any:
 
     width, edge = size
     update, layers = network_of(conv.nn, f"{argument}.nn")
+    if update["widths"][0] != width:
+        raise Refused(f"{argument}.nn", conv.nn, f"it takes {update['widths'][0]} floats, and what is before it gives {width}")
     of_edge = _edges(conv, conv.lin, edge, argument)
     if of_edge is None:
         raise Refused(argument, conv, "it needs edge_dim, the number of features of an edge")
@@ -266,3 +274,44 @@ def _transformer_conv(conv: Any, size: tuple[int, int], argument: str) -> Any:
         "update": [(_beside(skip, torch.eye(hidden)), skip_bias)],
     }
     return form, networks
+
+
+def checked(module: Any, argument: str) -> nn.Module:
+    """Returns a module if its weights can be written: those of a module on another device from a copy on the processor.
+
+    Raises:
+        Refused: It is no module, or its weights are not made yet, not of single precision, not finite, or without numbers.
+    """
+    import copy
+
+    from torch import float32, nn
+    from torch.nn.parameter import is_lazy
+
+    if not isinstance(module, nn.Module):
+        name = getattr(module, "__name__", type(module).__name__)
+        raise Refused(argument, None, f"{name} is no module of PyTorch (torch.nn.Module)")
+    for name, parameter in module.named_parameters():
+        if is_lazy(parameter):
+            raise Refused(argument, module, f"'{name}' has no size yet; run the module once")
+        if parameter.is_meta:
+            raise Refused(argument, module, f"'{name}' is on the device 'meta', where it has no numbers; load it to 'cpu'")
+        if parameter.dtype != float32:
+            raise Refused(argument, module, f"'{name}' is {parameter.dtype}, a policy file has float32; export {argument}.float()")
+        if not parameter.isfinite().all():
+            raise Refused(argument, module, f"'{name}' has numbers that are not finite")
+    if all(parameter.device.type == "cpu" for parameter in module.parameters()):
+        return module
+    return copy.deepcopy(module).cpu()
+
+
+def applied(module: nn.Module, argument: str, *inputs: Any) -> Any:
+    """Returns what a module makes of these inputs.
+
+    Raises:
+        Refused: It cannot take them.
+    """
+    try:
+        return module(*inputs)
+    except Exception as error:
+        sizes = " and ".join(str(list(one.shape)) for one in inputs)
+        raise Refused(argument, module, f"it does not take inputs of {sizes}: {str(error).splitlines()[0]}") from None
