@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -12,28 +11,27 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from ._faces import NO_MESSAGES, refuse
 from ._module import VecEnv
 from .torchrl import Env
 
-#: Duration of a step [s].
-STEP_S = 0.05
-#: Longest duration of an episode, where the task does not say it [s].
-EPISODE_S = 25.0
-
 
 class _Env(Env):
-    """Batch of teams that hold an action for several steps, and whose group may have ``position`` and ``velocity``."""
+    """Batch of teams whose group may have ``position`` and ``velocity``."""
 
-    def __init__(self, *arguments: Any, edges: bool, repeat: int, **options: Any) -> None:
+    def __init__(self, *arguments: Any, edges: bool, **options: Any) -> None:
         super().__init__(*arguments, **options)
-        self._repeat, self._edges = repeat, edges
+        self._edges = edges
         if not edges:
             return
         fields = self.core.observation_fields
-        missing = [field for field in ("position", "position-plus-velocity") if field not in fields]
+        # A velocity is observed as such, or is what is added to the position.
+        velocity = "velocity" if "velocity" in fields else "position-plus-velocity"
+        missing = [field for field in ("position", velocity) if field not in fields]
         if missing:
             raise ValueError(f"edges: the observation does not have '{missing[0]}'")
-        self._at, self._ahead = (2 * fields.index(field) for field in ("position", "position-plus-velocity"))
+        self._added = velocity != "velocity"
+        self._at, self._ahead = (2 * fields.index(field) for field in ("position", velocity))
         n, r = self.core.num_envs, self.core.num_robots
         spec = self.observation_spec.clone()
         for key in ("position", "velocity"):
@@ -45,25 +43,7 @@ class _Env(Env):
         if not self._edges:
             return seen
         position, ahead = (seen["observation"][..., at : at + 2] for at in (self._at, self._ahead))
-        return seen | {"position": position.clone(), "velocity": ahead - position}
-
-    def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        result = super()._step(tensordict)
-        for _ in range(1, self._repeat):
-            # Rewards and states after the end of an episode are discarded; the environment runs on to the end of the step.
-            ended = result["done"]
-            if ended.all():
-                break
-            after = super()._step(tensordict)
-            reward = torch.where(ended.unsqueeze(-1), 0.0, after["agents", "reward"])
-            after["agents", "reward"] = result["agents", "reward"] + reward
-            for key in ("terminated", "truncated", "done"):
-                after[key] = torch.where(ended, result[key], after[key])
-            for key in self._seen():
-                before = result["agents", key]
-                after["agents", key] = torch.where(ended.unsqueeze(-1), before, after["agents", key])
-            result = after
-        return result
+        return seen | {"position": position.clone(), "velocity": ahead - position if self._added else ahead.clone()}
 
 
 class Task(TaskClass):
@@ -76,8 +56,12 @@ class Task(TaskClass):
         scenario: Name of the scenario.
         edges: Whether the group also has the keys ``position`` [m] and ``velocity`` [m/s], policy frame, of which a GNN of
             BenchMARL makes the features of edges (its ``position_key`` and ``velocity_key``).
-        repeat: Number of steps of 50 ms for which an action is held; its rewards are added. Four learn faster than one.
+        repeat: Number of steps of 50 ms for which an action is held; its rewards are added. Four learn faster than one. None
+            takes that of the ``stage``, else 1.
         options: Arguments of :class:`murmurate.VecEnv`, without ``num_envs``, ``autoreset``, ``message`` and ``seed``.
+
+    Raises:
+        ValueError: An argument is wrong, or not for a task of BenchMARL; the message names it.
     """
 
     def __init__(
@@ -85,28 +69,25 @@ class Task(TaskClass):
         scenario: str = "passage",
         *,
         edges: bool = False,
-        repeat: int = 1,
+        repeat: int | None = None,
         **options: Any,
     ) -> None:
-        config = {"edges": edges, "repeat": repeat} | options
-        for name in ("num_envs", "autoreset", "message", "seed"):
-            if name in config:
-                raise ValueError(f"{name}: BenchMARL says it, or it is not for tasks of BenchMARL")
-        if not 1 <= repeat <= 100:
-            raise ValueError(f"repeat: {repeat} is not 1 to 100")
-        super().__init__(scenario, config)
+        refuse(options, NO_MESSAGES | dict.fromkeys(("num_envs", "autoreset", "seed"), "BenchMARL says it"))
+        super().__init__(scenario, {"edges": edges, "repeat": repeat} | options)
+        # Mistakes are named here, not when an experiment begins.
+        self.environment()
 
     def environment(self, num_envs: int = 1) -> VecEnv:
         """Returns the environment of this task, as ``murmurate.export`` takes it for ``like``."""
         return VecEnv(self.name, num_envs, **self._options())
 
     def _options(self) -> dict[str, Any]:
-        return {name: value for name, value in self.config.items() if name not in ("edges", "repeat")}
+        return {name: value for name, value in self.config.items() if name != "edges"}
 
     def get_env_fun(
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
     ) -> Callable[[], EnvBase]:
-        return lambda: _Env(self.name, num_envs, seed=seed or 0, **self.config).to(device)
+        return lambda: _Env(self.name, num_envs, seed=seed, **self.config).to(device)
 
     def supports_continuous_actions(self) -> bool:
         return True
@@ -115,7 +96,7 @@ class Task(TaskClass):
         return False
 
     def max_steps(self, env: EnvBase) -> int:
-        return math.ceil((self.config.get("episode_s") or EPISODE_S) / STEP_S / self.config["repeat"])
+        return self.environment().episode_steps
 
     def has_render(self, env: EnvBase) -> bool:
         return False

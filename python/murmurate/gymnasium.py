@@ -1,60 +1,183 @@
-"""Many teams as a vector environment of Gymnasium (``pip install gymnasium``), for trainings with one flat policy a team.
+"""Teams as environments of Gymnasium (``pip install gymnasium``), for trainings with one flat policy a team.
 
-Observations and actions of a team's robots are joined; the reward is the mean of theirs.
+Observations and actions of a team's robots are joined; the reward is the mean of theirs. ``gymnasium.make`` finds
+``murmurate/Passage-v0``, ``murmurate/Swap-v0`` and ``murmurate/Flocking-v0`` without an import, ``gymnasium.make_vec`` too.
 """
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
+import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 
+from ._faces import NO_MESSAGES, Begun, action_of, refuse
 from ._module import VecEnv
+from ._register import register
+
+#: Treatment of an ended episode, as Gymnasium names it.
+MODES = {
+    "same-step": AutoresetMode.SAME_STEP,
+    "next-step": AutoresetMode.NEXT_STEP,
+    "disabled": AutoresetMode.DISABLED,
+}
+
+
+def _spaces(core: VecEnv, first: tuple[int, ...] = ()) -> tuple[spaces.Box, spaces.Box]:
+    """Spaces of a whole team's observations and actions."""
+    robots, limit = core.num_robots, core.limit_m_s
+    observed = spaces.Box(-np.inf, np.inf, (*first, robots * core.obs.shape[2]), np.float32)
+    return observed, spaces.Box(-limit, limit, (*first, 2 * robots), np.float32)
 
 
 class TeamVectorEnv(VectorEnv):
     """N environments, each with the observations (R * F) and actions (R * 2) of a whole team.
 
-    Arguments are those of :class:`murmurate.VecEnv`, without ``autoreset`` and ``message``. An episode that ends is
-    followed by the next one in the same step; ``infos["final_obs"]`` has its last observations.
+    Arguments are those of :class:`murmurate.VecEnv`, without ``message``. With ``seed=None``, the default, the seed is drawn.
+    ``core`` is the :class:`murmurate.VecEnv` within.
+
+    Args:
+        autoreset: "same-step": an episode that ends is followed by the next one in the same step; ``infos["final_obs"]`` has
+            its last observations, ``infos["final_info"]`` its last information. "next-step": the next one begins in the next
+            step, whose action is ignored and whose reward is 0. "disabled": in ``reset(options={"reset_mask": mask})``.
+            Wrappers that transform observations take the last two.
+
+    Raises:
+        ValueError: An argument is wrong, or not for this face; the message names it.
     """
 
-    metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20, "autoreset_mode": AutoresetMode.SAME_STEP}
 
-    def __init__(self, scenario: str = "passage", num_envs: int = 1, *, seed: int = 0, **options: Any) -> None:
-        core = self._core = VecEnv(scenario, num_envs, autoreset="same-step", seed=seed, **options)
-        self.num_envs = num_envs
-        floats = core.num_robots * core.obs.shape[2]
-        limit = core.limit_m_s
-        self.single_observation_space = spaces.Box(-np.inf, np.inf, (floats,), np.float32)
-        self.single_action_space = spaces.Box(-limit, limit, (2 * core.num_robots,), np.float32)
-        self.observation_space = spaces.Box(-np.inf, np.inf, (num_envs, floats), np.float32)
-        self.action_space = spaces.Box(-limit, limit, (num_envs, 2 * core.num_robots), np.float32)
+    def __init__(
+        self,
+        scenario: str | os.PathLike[str] = "passage",
+        num_envs: int = 1,
+        *,
+        seed: int | None = None,
+        autoreset: str = "same-step",
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
+        refuse(options, NO_MESSAGES)
+        if autoreset not in MODES:
+            raise ValueError(f"autoreset: '{autoreset}' is none of {', '.join(MODES)}")
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode: '{render_mode}' is neither None nor 'rgb_array'")
+        self.metadata = {**self.metadata, "autoreset_mode": MODES[autoreset]}
+        self.render_mode, self._mode = render_mode, MODES[autoreset]
+        within = "same-step" if autoreset == "same-step" else "disabled"
+        core = self.core = VecEnv(scenario, num_envs, autoreset=within, seed=seed, **options)
+        self._begun = Begun(core, seed)
+        self.num_envs = core.num_envs
+        self._ended = np.zeros(self.num_envs, bool)
+        self.single_observation_space, self.single_action_space = _spaces(core)
+        self.observation_space, self.action_space = _spaces(core, (self.num_envs,))
 
     def reset(self, *, seed: int | list[int] | None = None, options: dict | None = None):
-        if isinstance(seed, (list, tuple)):
+        """Starts new episodes, in all environments or in those of ``options["reset_mask"]``.
+
+        Raises:
+            ValueError: The seed is no single number, or given with a mask.
+        """
+        if isinstance(seed, (list, tuple, np.ndarray)):
             raise ValueError("seed: one number for all environments, each of which has its own random stream")
         mask = (options or {}).get("reset_mask")
-        self._core.reset(mask, seed=seed)
-        return self._flat(self._core.obs), {}
+        self._begun.reset(seed, mask)
+        self._ended &= False if mask is None else ~mask
+        return self._flat(self.core.obs), {}
 
     def step(self, actions: np.ndarray):
-        core = self._core
-        core.step(np.ascontiguousarray(actions, np.float32).reshape(self.num_envs, core.num_robots, 2))
+        """Advances all environments.
+
+        Raises:
+            ValueError: The actions are no real numbers (N, R * 2).
+            RuntimeError: An episode is over and waits for ``reset``.
+        """
+        core, before = self.core, self._ended
+        flat = action_of("actions", actions, self.action_space.shape)
+        if self._mode is AutoresetMode.DISABLED and before.any():
+            which = np.flatnonzero(before)[:5].tolist()
+            raise RuntimeError(f"step: episodes are over (environments {which}); call reset(options={{'reset_mask': ...}}) first")
+        core.step(flat.reshape(self.num_envs, core.num_robots, 2))
+        if self._mode is AutoresetMode.NEXT_STEP and before.any():
+            core.reset(before)
+        terminated, truncated = core.terminated.copy(), core.truncated.copy()
+        self._ended = terminated | truncated
         infos: dict[str, Any] = {"arrived": core.arrived.copy(), "_arrived": np.ones(self.num_envs, bool)}
-        ended = core.terminated | core.truncated
-        if ended.any():
-            infos["final_obs"] = self._flat(core.last_obs)
-            infos["_final_obs"] = ended
-        return (
-            self._flat(core.obs),
-            core.reward.mean(axis=1, dtype=np.float64),
-            core.terminated.copy(),
-            core.truncated.copy(),
-            infos,
-        )
+        if self._mode is AutoresetMode.SAME_STEP:
+            if self._ended.any():
+                infos["final_obs"], infos["_final_obs"] = self._flat(core.last_obs), self._ended
+                infos["final_info"] = {"arrived": core.arrived.copy(), "_arrived": self._ended}
+                infos["_final_info"] = self._ended
+            self._ended = np.zeros(self.num_envs, bool)
+        return self._flat(core.obs), core.reward.mean(axis=1, dtype=np.float64), terminated, truncated, infos
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Pictures of all environments, each (height, width, 3), with ``render_mode="rgb_array"``."""
+        return tuple(map(self.core.render, range(self.num_envs))) if self.render_mode else None
 
     def _flat(self, values: np.ndarray) -> np.ndarray:
         return values.reshape(self.num_envs, -1).copy()
+
+
+class TeamEnv(gymnasium.Env):
+    """One team, with the observations (R * F) and actions (R * 2) of all its robots.
+
+    Arguments are those of :class:`murmurate.VecEnv`, without ``num_envs``, ``threads``, ``autoreset`` and ``message``. With
+    ``seed=None``, the default, the seed is drawn. ``core`` is the :class:`murmurate.VecEnv` within.
+
+    Raises:
+        ValueError: An argument is wrong, or not for this face; the message names it.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 20}
+
+    def __init__(
+        self,
+        scenario: str | os.PathLike[str] = "passage",
+        *,
+        seed: int | None = None,
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
+        one = dict.fromkeys(("num_envs", "threads"), "it is one team; take TeamVectorEnv, or gymnasium.make_vec")
+        refuse(options, NO_MESSAGES | one | {"autoreset": "a single environment waits for reset()"})
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode: '{render_mode}' is neither None nor 'rgb_array'")
+        self.render_mode = render_mode
+        self.core = VecEnv(scenario, 1, autoreset="disabled", seed=seed, **options)
+        self._begun, self._over = Begun(self.core, seed), True
+        self.observation_space, self.action_space = _spaces(self.core)
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None):
+        super().reset(seed=seed)
+        self._begun.reset(seed)
+        self._over = False
+        return self.core.obs.reshape(-1).copy(), {}
+
+    def step(self, action: np.ndarray):
+        """Advances the team.
+
+        Raises:
+            ValueError: The action is no real numbers (R * 2).
+            RuntimeError: No episode has begun, or it is over: ``reset()`` comes first.
+        """
+        core = self.core
+        flat = action_of("action", action, self.action_space.shape)
+        if self._over:
+            raise RuntimeError("step: no episode has begun, or it is over; call reset() first")
+        core.step(flat.reshape(1, core.num_robots, 2))
+        terminated, truncated = bool(core.terminated[0]), bool(core.truncated[0])
+        self._over = terminated or truncated
+        infos = {"arrived": core.arrived[0].copy()}
+        return core.obs.reshape(-1).copy(), float(core.reward.mean(dtype=np.float64)), terminated, truncated, infos
+
+    def render(self) -> np.ndarray | None:
+        """Picture of the team (height, width, 3), with ``render_mode="rgb_array"``."""
+        return self.core.render() if self.render_mode else None
+
+
+register()

@@ -2,48 +2,87 @@
 
 from __future__ import annotations
 
-import functools
+import os
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
+from ._faces import NO_MESSAGES, Begun, action_of, refuse
 from ._module import VecEnv
+
+#: Arguments of :class:`murmurate.VecEnv` that are not for this face, and why.
+NOT_HERE = NO_MESSAGES | {
+    "num_envs": "an environment of PettingZoo is one team",
+    "threads": "one team needs one thread",
+    "autoreset": "an environment of PettingZoo waits for reset()",
+}
 
 
 class parallel_env(ParallelEnv):
     """One team; the agents are its robots, ``robot_0`` and so on.
 
-    Arguments are those of :class:`murmurate.VecEnv`, without ``num_envs``, ``threads``, ``autoreset`` and ``message``.
+    Arguments are those of :class:`murmurate.VecEnv`, without ``num_envs``, ``threads``, ``autoreset`` and ``message``. With
+    ``seed=None``, the default, the seed is drawn. ``core`` is the :class:`murmurate.VecEnv` within.
+
+    Raises:
+        ValueError: An argument is wrong, or not for this face; the message names it.
     """
 
-    metadata = {"name": "murmurate_v0", "render_modes": []}
-    render_mode = None
+    metadata = {"name": "murmurate_v0", "render_modes": ["rgb_array"], "render_fps": 20, "is_parallelizable": True}
 
-    def __init__(self, scenario: str = "passage", *, seed: int = 0, **options: Any) -> None:
-        self._core = VecEnv(scenario, 1, autoreset="disabled", seed=seed, **options)
-        self.possible_agents = [f"robot_{robot}" for robot in range(self._core.num_robots)]
+    def __init__(
+        self,
+        scenario: str | os.PathLike[str] = "passage",
+        *,
+        seed: int | None = None,
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
+        refuse(options, NOT_HERE)
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode: '{render_mode}' is neither None nor 'rgb_array'")
+        self.render_mode = render_mode
+        self.core = VecEnv(scenario, 1, autoreset="disabled", seed=seed, **options)
+        self._begun = Begun(self.core, seed)
+        self.possible_agents = [f"robot_{robot}" for robot in range(self.core.num_robots)]
         self.agents: list[str] = []
+        limit = self.core.limit_m_s
+        # One space an agent, as each has a random stream of its own.
+        self.observation_spaces = {
+            agent: spaces.Box(-np.inf, np.inf, self.core.obs.shape[2:], np.float32) for agent in self.possible_agents
+        }
+        self.action_spaces = {agent: spaces.Box(-limit, limit, (2,), np.float32) for agent in self.possible_agents}
+        self._was_reset = False
 
-    @functools.lru_cache(maxsize=None)
     def observation_space(self, agent: str) -> spaces.Box:
-        return spaces.Box(-np.inf, np.inf, self._core.obs.shape[2:], np.float32)
+        return self.observation_spaces[agent]
 
-    @functools.lru_cache(maxsize=None)
     def action_space(self, agent: str) -> spaces.Box:
-        return spaces.Box(-self._core.limit_m_s, self._core.limit_m_s, (2,), np.float32)
+        return self.action_spaces[agent]
 
     def reset(self, seed: int | None = None, options: dict | None = None):
-        self._core.reset(seed=seed)
+        self._begun.reset(seed)
+        self._was_reset = True
         self.agents = list(self.possible_agents)
-        return self._by_agent(self._core.obs[0].copy()), {agent: {} for agent in self.agents}
+        return self._by_agent(self.core.obs[0].copy()), {agent: {} for agent in self.agents}
 
     def step(self, actions: dict[str, np.ndarray]):
-        core = self._core
-        core.step(np.array([[actions[agent] for agent in self.possible_agents]], np.float32))
+        """Advances the team. After the end of an episode, and without actions, it returns five empty dictionaries.
+
+        Raises:
+            ValueError: An action is missing, of an unknown agent, or no two real numbers; the message names the agent.
+            RuntimeError: There are actions, but no episode: ``reset()`` comes first.
+        """
+        if not self.agents:
+            if self._was_reset and not actions:
+                return {}, {}, {}, {}, {}
+            ended = "the episode is over" if self._was_reset else "no episode has begun"
+            raise RuntimeError(f"step: {ended}; call reset() first")
+        core, agents = self.core, self.possible_agents
+        core.step(self._joined(actions))
         ended, over = bool(core.terminated[0]), bool(core.truncated[0])
-        agents = self.possible_agents
         result = (
             self._by_agent(core.obs[0].copy()),
             self._by_agent(core.reward[0].tolist()),
@@ -54,6 +93,25 @@ class parallel_env(ParallelEnv):
         if ended or over:
             self.agents = []
         return result
+
+    def render(self) -> np.ndarray | None:
+        """Picture of the team (height, width, 3), with ``render_mode="rgb_array"``."""
+        return self.core.render() if self.render_mode else None
+
+    def close(self) -> None:
+        """Does nothing: an environment holds memory alone."""
+
+    def _joined(self, actions: dict[str, np.ndarray]) -> np.ndarray:
+        """Checks the actions of all agents and returns them as (1, R, 2)."""
+        if not isinstance(actions, dict):
+            raise ValueError(f"actions: a {type(actions).__name__} is no dictionary by agent")
+        unknown = [agent for agent in actions if agent not in self.observation_spaces]
+        if unknown:
+            raise ValueError(f"actions: '{unknown[0]}' is none of the agents {', '.join(self.possible_agents)}")
+        missing = [agent for agent in self.possible_agents if agent not in actions]
+        if missing:
+            raise ValueError(f"actions: that of '{missing[0]}' is missing")
+        return np.stack([action_of(f"actions['{agent}']", actions[agent], (2,)) for agent in self.possible_agents])[None]
 
     def _by_agent(self, values):
         return dict(zip(self.possible_agents, values))

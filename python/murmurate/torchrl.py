@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from ._faces import Begun, refuse
 from ._module import VecEnv
 
 
@@ -19,17 +21,31 @@ class Env(EnvBase):
     Keys are ``("agents", "observation")`` (N, R, F), ``("agents", "action")`` (N, R, 2), ``("agents", "reward")``
     (N, R, 1), and with messages ``("agents", "heard")``, ``("agents", "age")`` (N, R, R), ``("agents", "said")``
     (N, R, R, M), by receiver and then by sender. With ``message="action"`` the policy also writes
-    ``("agents", "message")`` (N, R, M). Arguments are those of :class:`murmurate.VecEnv`, without ``autoreset``.
+    ``("agents", "message")`` (N, R, M). Arguments are those of :class:`murmurate.VecEnv`, without ``autoreset``. With
+    ``seed=None``, the default, the seed is drawn. ``core`` is the :class:`murmurate.VecEnv` within. The environment runs on
+    the processor; with ``.to(device)`` its tensors are on that device.
+
+    Raises:
+        ValueError: An argument is wrong, or not for this face; the message names it.
     """
 
     batch_locked = True
     _has_dynamic_specs = False
 
-    def __init__(self, scenario: str = "passage", num_envs: int = 1, *, seed: int = 0, **options: Any) -> None:
-        super().__init__(device="cpu", batch_size=torch.Size([num_envs]))
-        core = self.core = VecEnv(scenario, num_envs, autoreset="disabled", seed=seed, **options)
+    def __init__(
+        self,
+        scenario: str | os.PathLike[str] = "passage",
+        num_envs: int = 1,
+        *,
+        seed: int | None = None,
+        **options: Any,
+    ) -> None:
+        refuse(options, {"autoreset": "TorchRL resets environments itself"})
+        core = VecEnv(scenario, num_envs, autoreset="disabled", seed=seed, **options)
+        super().__init__(device="cpu", batch_size=torch.Size([core.num_envs]))
+        self.core, self._begun = core, Begun(core, seed)
         n, r, f = core.obs.shape
-        self._message = options.get("message")
+        self._message = core.message
         self.group_map = {"agents": [f"robot_{robot}" for robot in range(r)]}
         observed: dict[str, Any] = {"observation": Unbounded((n, r, f))}
         acted: dict[str, Any] = {"action": Bounded(-core.limit_m_s, core.limit_m_s, (n, r, 2))}
@@ -48,7 +64,9 @@ class Env(EnvBase):
         self.done_spec = Composite({"done": flag(), "terminated": flag(), "truncated": flag()}, shape=(n,))
 
     def _set_seed(self, seed: int | None) -> None:
-        self.core.reset(seed=int(seed or 0))
+        # As everywhere: without a seed, one is drawn.
+        self._begun = Begun(self.core, seed)
+        self._begun.reset(None if seed is None else int(seed))
 
     def _seen(self) -> dict[str, torch.Tensor]:
         names = {"observation": "obs"} | ({name: name for name in ("heard", "age", "said")} if self._message else {})
@@ -56,18 +74,18 @@ class Env(EnvBase):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
         mask = tensordict.get("_reset", None) if tensordict is not None else None
-        self.core.reset(None if mask is None else np.ascontiguousarray(mask.squeeze(-1).numpy()))
+        self._begun.reset(None, None if mask is None else np.ascontiguousarray(mask.squeeze(-1).cpu().numpy()))
         n, r = self.core.num_envs, self.core.num_robots
         ended = {key: torch.zeros(n, 1, dtype=torch.bool) for key in ("done", "terminated", "truncated")}
-        return TensorDict({"agents": TensorDict(self._seen(), (n, r)), **ended}, (n,))
+        return TensorDict({"agents": TensorDict(self._seen(), (n, r)), **ended}, (n,)).to(self.device)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         core, agents = self.core, tensordict["agents"]
-        said = agents["message"].detach().contiguous().numpy() if self._message == "action" else None
-        core.step(agents["action"].detach().contiguous().numpy(), said)
+        given = lambda key: agents[key].detach().cpu().contiguous().numpy()
+        core.step(given("action"), given("message") if self._message == "action" else None)
         n, r = core.num_envs, core.num_robots
         reward = torch.from_numpy(core.reward).clone().unsqueeze(-1)
         terminated = torch.from_numpy(core.terminated).clone().unsqueeze(-1)
         truncated = torch.from_numpy(core.truncated).clone().unsqueeze(-1)
         ended = {"done": terminated | truncated, "terminated": terminated, "truncated": truncated}
-        return TensorDict({"agents": TensorDict(self._seen() | {"reward": reward}, (n, r)), **ended}, (n,))
+        return TensorDict({"agents": TensorDict(self._seen() | {"reward": reward}, (n, r)), **ended}, (n,)).to(self.device)

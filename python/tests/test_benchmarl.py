@@ -3,12 +3,13 @@
 import json
 
 import pytest
+from needs import need
 
 import murmurate
 
-torch = pytest.importorskip("torch")
-pytest.importorskip("benchmarl")
-pytest.importorskip("torch_geometric")
+torch = need("torch")
+need("benchmarl")
+need("torch_geometric")
 
 from benchmarl.algorithms import IppoConfig, MappoConfig  # noqa: E402
 from benchmarl.experiment import Experiment, ExperimentConfig  # noqa: E402

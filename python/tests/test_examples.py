@@ -4,11 +4,12 @@ import pathlib
 import sys
 
 import pytest
+from needs import need
 
 import murmurate
 
-torch = pytest.importorskip("torch")
-pytest.importorskip("torch_geometric")
+torch = need("torch")
+need("torch_geometric")
 EXAMPLES = pathlib.Path(__file__).parent.parent / "examples"
 
 
@@ -34,7 +35,7 @@ def test_a_loop_of_ones_own_trains_and_is_exported(conditions, tmp_path):
 
 @pytest.mark.parametrize("algorithm, kind", [("ippo", "graph"), ("mappo", "transformer")])
 def test_the_experiment_of_benchmarl_trains_and_is_exported(algorithm, kind, tmp_path, monkeypatch):
-    pytest.importorskip("benchmarl")
+    need("benchmarl")
     import benchmarl_passage
 
     monkeypatch.setattr(benchmarl_passage, "TEAMS", 8)
@@ -45,9 +46,9 @@ def test_the_experiment_of_benchmarl_trains_and_is_exported(algorithm, kind, tmp
 
 
 def test_the_notebook_runs_from_top_to_bottom(tmp_path, monkeypatch):
-    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
-    pytest.importorskip("ipykernel")
-    pytest.importorskip("matplotlib")
+    nbclient, nbformat = need("nbclient"), need("nbformat")
+    need("ipykernel")
+    need("matplotlib")
     for name, value in (("MINUTES", "0.02"), ("TEAMS", "16"), ("LAYOUTS", "1")):
         monkeypatch.setenv(f"MURMURATE_{name}", value)
     monkeypatch.setenv("PYTHONPATH", str(EXAMPLES), prepend=":")

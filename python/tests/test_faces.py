@@ -1,11 +1,17 @@
 """The faces for other tools, by those tools' own checks. Each is skipped where its tool is not installed."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
+from needs import need
+
+from murmurate import VecEnv
 
 
 def test_pettingzoo():
-    pytest.importorskip("pettingzoo")
+    need("pettingzoo")
     from pettingzoo.test import parallel_api_test, parallel_seed_test
 
     from murmurate.pettingzoo import parallel_env
@@ -15,7 +21,7 @@ def test_pettingzoo():
 
 
 def test_gymnasium():
-    pytest.importorskip("gymnasium")
+    need("gymnasium")
     from gymnasium.vector import AutoresetMode
     from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
@@ -44,7 +50,7 @@ def test_gymnasium():
 @pytest.mark.parametrize("message", [None, "observations", "action"])
 @pytest.mark.parametrize("conditions", ["perfect", "late"])
 def test_torchrl(message, conditions):
-    pytest.importorskip("torchrl")
+    need("torchrl")
     from torchrl.envs.utils import check_env_specs
 
     from murmurate.torchrl import Env
@@ -53,3 +59,262 @@ def test_torchrl(message, conditions):
     check_env_specs(env)
     rollout = env.rollout(50, break_when_any_done=False)
     assert rollout["next", "done"].sum() >= 3 and not rollout["agents", "observation"].isnan().any()
+
+
+def test_torchrl_names_what_is_wrong_with_an_action():
+    torch = need("torch")
+    need("torchrl")
+    from tensordict import TensorDict
+
+    from murmurate.torchrl import Env
+
+    env = Env("passage", 3, seed=1)
+    given = lambda action: TensorDict({"agents": TensorDict({"action": action}, (3,))}, (3,))  # noqa: E731
+    zeros = torch.zeros(3, 5, 2)
+    for action, words in (
+        (zeros.double(), "type is float64"),
+        (zeros.transpose(1, 2).contiguous(), r"shape is \[3, 2, 5\]"),
+        (zeros.to(torch.complex64), "type is complex64"),
+        (zeros.bool(), "type is bool"),
+        (zeros / 0, "NaN"),
+    ):
+        with pytest.raises(ValueError, match=f"^actions: .*{words}"):
+            env._step(given(action))
+    # One that lies otherwise in memory is the same action.
+    lying = zeros.transpose(1, 2).contiguous().transpose(1, 2)
+    assert torch.equal(env._step(given(lying))["agents", "observation"], Env("passage", 3, seed=1)._step(given(zeros))["agents", "observation"])
+
+
+def test_pettingzoo_ends_and_begins_as_pettingzoo_says():
+    need("pettingzoo")
+    from murmurate.pettingzoo import parallel_env
+
+    env = parallel_env("passage", episode_s=0.5)
+    actions = {agent: np.zeros(2, np.float32) for agent in env.possible_agents}
+    for given in (actions, {}):
+        with pytest.raises(RuntimeError, match=r"no episode has begun; call reset\(\) first"):
+            env.step(given)
+    env.reset(seed=0)
+    steps = 0
+    while env.agents:
+        env.step({agent: actions[agent] for agent in env.agents})
+        steps += 1
+    assert steps == 10 and env.step({}) == ({}, {}, {}, {}, {})
+    with pytest.raises(RuntimeError, match=r"the episode is over; call reset\(\) first"):
+        env.step(actions)
+    env.reset()
+    assert len(env.agents) == 5 and len(env.step(actions)[0]) == 5
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (lambda a: a.pop("robot_3"), "actions: that of 'robot_3' is missing"),
+        (lambda a: a.update(nobody=np.zeros(2)), "actions: 'nobody' is none of the agents robot_0"),
+        (lambda a: a.update(robot_1=np.zeros(3, np.float32)), r"actions\['robot_1'\]: its shape is \[3\] and not \[2\]"),
+        (lambda a: a.update(robot_1=np.zeros((1, 2), np.float32)), r"actions\['robot_1'\]: its shape"),
+        (lambda a: a.update(robot_1=np.zeros(2, np.complex64)), r"actions\['robot_1'\]: its type is complex64"),
+        (lambda a: a.update(robot_1=np.zeros(2, bool)), r"actions\['robot_1'\]: its type is bool"),
+        (lambda a: a.update(robot_1=["1", "2"]), r"actions\['robot_1'\]: its type is <U1"),
+        (lambda a: a.update(robot_1=[[1], [2, 3]]), r"actions\['robot_1'\]: "),
+        (lambda a: a.update(robot_1=None), r"actions\['robot_1'\]: its type is object"),
+        (lambda a: a.update(robot_1=[np.nan, 0]), "actions: the value at flat index 2 is NaN"),
+        (lambda a: a.update(robot_1=[1e300, 0]), "actions: the value at flat index 2 is inf"),
+    ],
+)
+def test_pettingzoo_names_the_agent_whose_action_is_wrong(change, words):
+    need("pettingzoo")
+    from murmurate.pettingzoo import parallel_env
+
+    env = parallel_env("passage", seed=1)
+    env.reset()
+    before = env.core.state()
+    actions = {agent: np.zeros(2, np.float32) for agent in env.possible_agents}
+    change(actions)
+    with pytest.raises(ValueError, match=words):
+        env.step(actions)
+    assert env.core.state() == before
+    env.step({agent: [0.1, 0] for agent in env.possible_agents})
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (lambda a: np.ascontiguousarray(a.T), r"its shape is \[10, 4\] and not \[4, 10\]"),
+        (lambda a: a.reshape(20, 2), r"its shape is \[20, 2\]"),
+        (lambda a: a.ravel(), r"its shape is \[40\]"),
+        (lambda a: a.reshape(4, 5, 2), r"its shape is \[4, 5, 2\]"),
+        (lambda a: a.astype(str), "its type is <U"),
+        (lambda a: a.astype(np.complex64), "its type is complex64"),
+        (lambda a: a > 0, "its type is bool"),
+        (lambda a: a.astype(object), "its type is object"),
+        (lambda a: None, "its type is object"),
+    ],
+)
+@pytest.mark.parametrize("autoreset", ["same-step", "next-step", "disabled"])
+def test_gymnasium_takes_actions_of_its_space_alone(change, words, autoreset):
+    need("gymnasium")
+    from murmurate.gymnasium import TeamVectorEnv
+
+    env = TeamVectorEnv("passage", 4, autoreset=autoreset, seed=0)
+    actions = np.random.default_rng(0).uniform(-0.9, 0.9, (4, 10)).astype(np.float32)
+    before = env.core.state()
+    with pytest.raises(ValueError, match=f"^actions: {words}"):
+        env.step(change(actions))
+    assert env.core.state() == before
+    assert np.array_equal(env.step(actions)[0], TeamVectorEnv("passage", 4, seed=0).step(actions.astype(np.float64))[0])
+
+
+def test_gymnasium_in_its_three_modes_of_reset():
+    need("gymnasium")
+    from murmurate.gymnasium import TeamVectorEnv
+
+    with pytest.raises(ValueError, match="autoreset: 'never' is none of same-step"):
+        TeamVectorEnv(autoreset="never")
+    same, following, disabled = (
+        TeamVectorEnv("passage", 3, episode_s=0.5, seed=2, autoreset=mode) for mode in ("same-step", "next-step", "disabled")
+    )
+    actions = np.full((3, 10), 0.2, np.float32)
+    for env in (same, following, disabled):
+        env.reset()
+        for step in range(10):
+            obs, reward, terminated, truncated, infos = env.step(actions)
+        assert truncated.all() and not terminated.any()
+        if env is same:
+            assert infos["_final_obs"].all() and infos["_final_info"].all() and not np.array_equal(infos["final_obs"], obs)
+            assert infos["final_info"]["arrived"].shape == (3, 5)
+            last = infos["final_obs"]
+        else:
+            assert np.array_equal(obs, last) and "final_obs" not in infos
+    obs, reward, terminated, truncated, infos = following.step(actions)
+    assert not np.array_equal(obs, last) and (reward == 0).all() and not truncated.any()
+    assert not np.array_equal(following.step(actions)[0], obs)
+    with pytest.raises(RuntimeError, match="episodes are over .*call reset"):
+        disabled.step(actions)
+    mask = np.array([True, False, True])
+    disabled.reset(options={"reset_mask": mask})
+    with pytest.raises(RuntimeError, match=r"environments \[1\]"):
+        disabled.step(actions)
+    disabled.reset(options={"reset_mask": ~mask})
+    assert not disabled.step(actions)[3].any()
+
+
+def test_wrappers_of_gymnasium_that_transform_observations_work():
+    need("gymnasium")
+    from gymnasium.wrappers import vector
+
+    from murmurate.gymnasium import TeamVectorEnv
+
+    wrappers = {
+        "NormalizeObservation": vector.NormalizeObservation,
+        "DtypeObservation": lambda env: vector.DtypeObservation(env, np.float64),
+        "FlattenObservation": vector.FlattenObservation,
+        "TransformObservation": lambda env: vector.TransformObservation(env, lambda obs: obs / 2),
+    }
+    for name, wrapper in wrappers.items():
+        # Before version 1.3 of Gymnasium NormalizeObservation takes one mode alone.
+        for mode in ("next-step", *(["disabled"] if name != "NormalizeObservation" else [])):
+            env = wrapper(TeamVectorEnv("passage", 4, seed=1, episode_s=1.0, autoreset=mode))
+            obs, _ = env.reset(seed=1)
+            for _ in range(19):
+                obs, reward, terminated, truncated, _ = env.step(env.action_space.sample())
+                assert obs.shape == (4, 30) and np.isfinite(obs).all(), name
+
+
+def test_gymnasium_makes_a_single_environment_by_name_that_passes_its_check_and_draws_itself():
+    gymnasium = need("gymnasium")
+    from gymnasium.utils.env_checker import check_env
+
+    for name, robots in (("Passage", 5), ("Swap", 8), ("Flocking", 50)):
+        assert f"murmurate/{name}-v0" in gymnasium.registry
+    env = gymnasium.make("murmurate/Passage-v0", episode_s=1.0, render_mode="rgb_array")
+    check_env(env.unwrapped)
+    obs, _ = env.reset(seed=3)
+    assert obs in env.observation_space and np.array_equal(obs, env.reset(seed=3)[0])
+    picture = env.render()
+    assert picture.dtype == np.uint8 and picture.shape[2] == 3 and len(np.unique(picture.reshape(-1, 3), axis=0)) >= 7
+    for step in range(20):
+        obs, reward, terminated, truncated, infos = env.step(env.action_space.sample())
+        assert isinstance(reward, float) and truncated == (step == 19) and infos["arrived"].shape == (5,)
+    assert not np.array_equal(picture, env.render())
+    with pytest.raises(RuntimeError, match="reset"):
+        env.unwrapped.step(env.action_space.sample())
+    with pytest.raises(ValueError, match="action: its shape"):
+        env.unwrapped.step(np.zeros((5, 2), np.float32))
+    assert gymnasium.make("murmurate/Passage-v0").render_mode is None
+    many = gymnasium.make_vec("murmurate/Passage-v0", num_envs=3, vectorization_mode="vector_entry_point", num_robots=4)
+    assert many.reset(seed=1)[0].shape == (3, 4 * 6)
+    assert len(many.unwrapped.__class__("passage", 2, render_mode="rgb_array").render()) == 2
+
+
+def test_gymnasium_finds_the_environments_without_an_import():
+    import subprocess
+    import sys
+
+    need("gymnasium")
+    script = "import gymnasium; print(gymnasium.make('murmurate/Swap-v0', num_robots=4).reset(seed=1)[0].shape)"
+    said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
+    assert said.stdout.strip() == "(24,)", said.stderr
+
+
+FACES = ("pettingzoo.parallel_env", "gymnasium.TeamEnv", "gymnasium.TeamVectorEnv", "torchrl.Env")
+
+
+def face(name):
+    import importlib
+
+    module, kind = name.split(".")
+    need(module)
+    return getattr(importlib.import_module(f"murmurate.{module}"), kind)
+
+
+@pytest.mark.parametrize("name", FACES)
+def test_what_a_face_does_not_take_is_refused_by_name(name):
+    make = face(name)
+    wrong = {"gap_m": -1.0, "seed": -1, "scenario": "nowhere", "num_robots": -2}
+    if "torchrl" not in name:
+        wrong |= {"message": "observations", "message_size": 4}
+    if name in ("pettingzoo.parallel_env", "gymnasium.TeamEnv"):
+        wrong |= {"num_envs": 4, "threads": 2, "autoreset": "disabled", "render_mode": "human"}
+    if name == "torchrl.Env":
+        wrong |= {"autoreset": "same-step", "num_envs": -1}
+    for argument, value in wrong.items():
+        with pytest.raises(ValueError, match=f"^{argument}: "):
+            make(**{argument: value})
+
+
+def seen_first(env):
+    """What a face shows after its first reset, as one array."""
+    first = env.reset()
+    if isinstance(first, tuple):
+        first = first[0]
+    if isinstance(first, dict):
+        return np.stack(list(first.values()))
+    return first if isinstance(first, np.ndarray) else first["agents", "observation"].numpy()
+
+
+@pytest.mark.parametrize("name", FACES)
+def test_a_face_without_a_seed_draws_one_and_its_copies_do_so_until_they_are_reset(name):
+    make = face(name)
+    assert not np.array_equal(seen_first(make()), seen_first(make()))
+    assert np.array_equal(seen_first(make(seed=4)), seen_first(make(seed=4)))
+    new = make()
+    assert not np.array_equal(seen_first(pickle.loads(pickle.dumps(new))), seen_first(copy.deepcopy(new)))
+    seeded = make(seed=4)
+    assert np.array_equal(seen_first(pickle.loads(pickle.dumps(seeded))), seen_first(copy.deepcopy(seeded)))
+    # Once it was reset, copies continue to the bit.
+    seen_first(new)
+    again = copy.deepcopy(new)
+    assert np.array_equal(new.core.obs, again.core.obs) and again.core is not new.core
+    assert np.array_equal(seen_first(pickle.loads(pickle.dumps(new))), seen_first(again))
+    assert np.array_equal(seen_first(make(seed=new.core.seed)).shape, seen_first(new).shape)
+
+
+def test_pettingzoo_draws_the_team():
+    need("pettingzoo")
+    from murmurate.pettingzoo import parallel_env
+
+    env = parallel_env("passage", render_mode="rgb_array", seed=3)
+    env.reset()
+    assert np.array_equal(env.render(), env.core.render()) and parallel_env("passage").render() is None
+    assert isinstance(env.core, VecEnv)
