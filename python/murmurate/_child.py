@@ -19,6 +19,8 @@ def _end_with(parent: int) -> None:
             sys.exit(130)
 
 
-if __name__ == "__main__":
+def run() -> None:
+    """Runs the program with this process's arguments, of which the first two are a name and the parent's number."""
+    del sys.argv[1]
     _end_with(int(sys.argv.pop(1)))
     sys.exit(main())

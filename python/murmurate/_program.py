@@ -35,10 +35,40 @@ def words_of(flags: Mapping[str, Any]) -> list[str]:
     return words
 
 
+#: First statements of a child, in which no module may come from the current folder or from elsewhere than in its parent:
+#: it loads this package from where the parent has it, and looks where the parent looks, after its own standard library.
+_BOOT = """\
+import sys
+sys.path[:] = [folder for folder in sys.path if folder != ""]
+import importlib.util, json
+folder, others = json.loads(sys.argv.pop(2))
+sys.path += [other for other in others if other not in sys.path]
+where = {"submodule_search_locations": [folder]}
+spec = importlib.util.spec_from_file_location("murmurate", folder + "/__init__.py", **where)
+sys.modules["murmurate"] = package = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(package)
+from murmurate import _child
+_child.run()
+"""
+
+
+def safely() -> list[str]:
+    """Words that start this interpreter without the current folder in its path, where the interpreter has a flag for it."""
+    return [sys.executable, *(["-P"] if sys.version_info >= (3, 11) else [])]
+
+
+def child_of(words: Sequence[str]) -> list[str]:
+    """Returns the command that runs the program as a child of this process, with this package and these arguments."""
+    folder = os.path.dirname(os.path.abspath(__file__))
+    others = [other for other in map(os.path.abspath, filter(None, sys.path)) if other != os.getcwd()]
+    # Its own name is for those who look at a list of processes.
+    return [*safely(), "-c", _BOOT, "murmurate._child", json.dumps([folder, others]), str(os.getpid()), *words]
+
+
 @contextlib.contextmanager
 def _started(words: Sequence[str]) -> Iterator[subprocess.Popen[str]]:
     """Starts the program and ends it with the block: by Ctrl-C, which lets it save, if an exception leaves the block."""
-    command = [sys.executable, "-m", "murmurate._child", str(os.getpid()), *words]
+    command = child_of(words)
     # A session of its own: Ctrl-C of a terminal reaches it once, from here.
     pipe = subprocess.PIPE
     child = subprocess.Popen(command, stdout=pipe, stderr=pipe, stdin=subprocess.DEVNULL, text=True, start_new_session=True)

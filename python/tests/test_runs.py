@@ -11,9 +11,10 @@ import threading
 import time
 
 import pytest
+from needs import need
 
 import murmurate
-from murmurate._program import words_of
+from murmurate._program import finished, words_of
 
 SMALL = {"layouts": 2, "repeats": 2, "ranges_m": [1, 2], "policy": "orca"}
 #: A training that takes seconds, most of them for its evaluations.
@@ -50,7 +51,7 @@ def test_a_study_in_parts_is_that_of_one_process(tmp_path):
 
 def test_a_study_on_ray_is_that_of_one_process(tmp_path, monkeypatch):
     monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
-    ray = pytest.importorskip("ray")
+    ray = need("ray")
     whole = murmurate.study("range", out=tmp_path / "whole", **SMALL)
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     try:
@@ -175,3 +176,53 @@ def test_ctrl_c_saves(tmp_path):
 def test_mistakes_are_named(call, words, tmp_path):
     with pytest.raises(ValueError, match=words):
         call(tmp_path / "out")
+
+
+@pytest.mark.parametrize("module", ["signal", "json", "random", "numpy", "murmurate", "ctypes"])
+def test_a_child_takes_no_module_from_the_current_folder(module, tmp_path):
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    (folder / f"{module}.py").write_text("raise SystemExit('a module of the user')")
+    script = tmp_path / "run.py"
+    out = tmp_path / "out"
+    script.write_text(
+        "import murmurate\n"
+        f"training = murmurate.train(out={str(out)!r}, preset='published', robots=2, steps=500, threads=1,\n"
+        "    set=['ppo.environments=16', 'ppo.decisions=8', 'ppo.minibatch=128'])\n"
+        "print(training.decisions, murmurate.study('range', layouts=1, repeats=1, ranges_m=[1], policy='orca').study)\n"
+    )
+    environment = {**os.environ, "RAY_AUTH_MODE": "disabled"}
+    environment.pop("PYTHONPATH", None)
+    said = subprocess.run([sys.executable, script], cwd=folder, capture_output=True, text=True, timeout=300, env=environment)
+    assert said.stdout.split()[-1:] == ["range"] and int(said.stdout.split()[0]) >= 500, said.stderr
+
+
+def test_the_processes_of_a_launch_take_no_module_from_the_current_folder_either(tmp_path):
+    for module in ("signal", "json", "murmurate"):
+        (tmp_path / f"{module}.py").write_text("raise SystemExit('a module of the user')")
+    team = pathlib.Path(__file__).parents[2] / "teams" / "offboard.toml"
+    sets = ["--set", f"team={2000 + os.getpid() % 60_000}", "--set", "episodes=1", "--set", "robots=2"]
+    command = [sys.executable, "-P", "-m", "murmurate", "launch", team, *sets, "--json", "--quiet"]
+    said = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert said.returncode == 0 and '"episodes":1' in said.stdout, said.stderr
+
+
+def test_a_source_folder_without_the_compiled_module_says_so(tmp_path):
+    source = pathlib.Path(murmurate.__file__).parent
+    (tmp_path / "murmurate").mkdir()
+    for file in source.glob("*.py"):
+        (tmp_path / "murmurate" / file.name).write_bytes(file.read_bytes())
+    said = subprocess.run([sys.executable, "-c", "import murmurate"], cwd=tmp_path, capture_output=True, text=True)
+    words = "is the package's source, without its compiled module; run Python in another folder"
+    # Where another package brings a module of its own, that is taken.
+    assert words in said.stderr or said.returncode == 0, said.stderr
+
+
+@pytest.mark.parametrize("file", [pathlib.Path, str])
+def test_paths_are_taken_as_texts_are(file, tmp_path):
+    config = tmp_path / "mine.toml"
+    config.write_text(finished(["train", "passage", "--print-config", "--preset", "published", "--robots", "2"]))
+    sets = ["ppo.environments=16", "ppo.decisions=8", "ppo.minibatch=128"]
+    training = murmurate.train(out=file(tmp_path / "out"), config=file(config), steps=500, threads=1, set=sets)
+    assert murmurate.sim(policy=file(training.policy), robots=2, episodes=1, repeats=1).episodes == 1
+    assert murmurate.VecEnv(config=file(config), penalties=1).num_robots == 2
