@@ -8,9 +8,6 @@ pip install ./python benchmarl torch_geometric.
 import argparse
 import csv
 import pathlib
-import re
-import subprocess
-import sys
 import tempfile
 import time
 
@@ -58,19 +55,6 @@ def settings(folder, frames, lr):
     return config
 
 
-def configuration(folder, factor):
-    """File of the preset for perfect conditions, with the penalties times a factor."""
-    printed = subprocess.run(
-        [sys.executable, "-m", "murmurate", "train", "passage", "--print-config", "--preset", "published"],
-        check=True, capture_output=True, text=True,
-    ).stdout
-    for name in ("wall", "robot", "proximity", "wall_proximity"):
-        printed = re.sub(rf"(?m)^{name} = (.*)$", lambda found: f"{name} = {float(found[1]) * factor}", printed, count=1)
-    file = pathlib.Path(folder) / f"{factor}.toml"
-    file.write_text(printed)
-    return str(file)
-
-
 class Curve(Callback):
     """Minutes and frames since the training began, and the share of ended episodes in which all robots arrived."""
 
@@ -95,7 +79,7 @@ class Curve(Callback):
 def train(folder, algorithm="mappo", kind="graph", frames=2_000_000, conditions="perfect", seed=0):
     """Trains in stages; returns the last experiment and the rows of its curves. A frame is a decision of a whole team.
 
-    The experiments have their files in the folder, and what is exported later needs the configuration in it.
+    The experiments have their files in the folder.
     """
     torch.set_num_threads(1)  # networks this small are slower on more
     learnt, rows, done, begin = None, [], 0, time.time()
@@ -106,7 +90,7 @@ def train(folder, algorithm="mappo", kind="graph", frames=2_000_000, conditions=
         rule.use_tanh_normal, rule.scale_mapping = False, "biased_softplus_0.5"
         rule.lmbda, rule.entropy_coef = 0.95, 0.0
         # An action is held for four steps of 50 ms.
-        task = Task("passage", edges=edges, repeat=4, conditions=conditions, config=configuration(folder, factor))
+        task = Task("passage", edges=edges, repeat=4, conditions=conditions, config="published", penalties=factor)
         curve = Curve(begin, done)
         experiment = Experiment(
             task=task, algorithm_config=rule, model_config=model, critic_model_config=mlp(128, 128),

@@ -9,10 +9,6 @@ pip install ./python torch torch_geometric. Edit what you like: the network, the
 import argparse
 import csv
 import math
-import re
-import subprocess
-import sys
-import tempfile
 import time
 
 import numpy as np
@@ -60,18 +56,9 @@ class Policy(nn.Module):
         return self.critic(torch.cat([obs, team], dim=-1)).squeeze(-1)
 
 
-def environment(folder, factor, **options):
+def environment(factor, **options):
     """An environment whose penalties are those of the preset times a factor."""
-    printed = subprocess.run(
-        [sys.executable, "-m", "murmurate", "train", "passage", "--print-config", "--preset", "published"],
-        check=True, capture_output=True, text=True,
-    ).stdout
-    for name in ("wall", "robot", "proximity", "wall_proximity"):
-        printed = re.sub(rf"(?m)^{name} = (.*)$", lambda found: f"{name} = {float(found[1]) * factor}", printed, count=1)
-    file = f"{folder}/{factor}.toml"
-    with open(file, "w") as out:
-        out.write(printed)
-    return murmurate.VecEnv("passage", message="observations", config=file, **options)
+    return murmurate.VecEnv("passage", message="observations", config="published", penalties=factor, **options)
 
 
 def rollout(env, policy, std):
@@ -121,31 +108,30 @@ def train(minutes=None, decisions=None, teams=512, conditions="perfect", seed=0,
     updates, over, there = 0, 0, 0  # updates; since the last row, ended episodes and those in which all arrived
     share = lambda: max((time.time() - begin) / 60 / minutes if minutes else 0, done / decisions if decisions else 0)
     policy = None
-    with tempfile.TemporaryDirectory() as folder:
-        while share() < 1:
-            now = share()
-            stage = next(index for index, (until, _) in enumerate(STAGES) if now < until)
-            if stage != at:
-                at = stage
-                options = {"conditions": conditions, "threads": threads, "seed": seed + stage}
-                env = environment(folder, STAGES[stage][1], num_envs=teams, **options)
-            if policy is None:
-                policy = Policy(env.obs.shape[2], env.num_robots)
-                optimiser = torch.optim.Adam(policy.parameters(), lr=1e-3)
-            for group in optimiser.param_groups:
-                group["lr"] = 1e-3 + (5e-5 - 1e-3) * now
-            most = -0.3 + (-2.5 + 0.3) * now
-            with torch.no_grad():
-                policy.log_std.clamp_(max=most)
-            data, ended, arrived = rollout(env, policy, policy.log_std.detach().exp())
-            before = policy.log_std.detach().clone()
-            update(policy, optimiser, data, before, entropy=0.01 * (1 - now))
-            done += teams * STEPS
-            updates, over, there = updates + 1, over + ended, there + arrived
-            if updates % 10 == 0:
-                curve.append(((time.time() - begin) / 60, done, there / over if over else math.nan))
-                say(f"{curve[-1][0]:6.1f} min {done:9d} decisions, stage {stage}: all arrived in {there} of {over} episodes")
-                over, there = 0, 0
+    while share() < 1:
+        now = share()
+        stage = next(index for index, (until, _) in enumerate(STAGES) if now < until)
+        if stage != at:
+            at = stage
+            options = {"conditions": conditions, "threads": threads, "seed": seed + stage}
+            env = environment(STAGES[stage][1], num_envs=teams, **options)
+        if policy is None:
+            policy = Policy(env.obs.shape[2], env.num_robots)
+            optimiser = torch.optim.Adam(policy.parameters(), lr=1e-3)
+        for group in optimiser.param_groups:
+            group["lr"] = 1e-3 + (5e-5 - 1e-3) * now
+        most = -0.3 + (-2.5 + 0.3) * now
+        with torch.no_grad():
+            policy.log_std.clamp_(max=most)
+        data, ended, arrived = rollout(env, policy, policy.log_std.detach().exp())
+        before = policy.log_std.detach().clone()
+        update(policy, optimiser, data, before, entropy=0.01 * (1 - now))
+        done += teams * STEPS
+        updates, over, there = updates + 1, over + ended, there + arrived
+        if updates % 10 == 0:
+            curve.append(((time.time() - begin) / 60, done, there / over if over else math.nan))
+            say(f"{curve[-1][0]:6.1f} min {done:9d} decisions, stage {stage}: all arrived in {there} of {over} episodes")
+            over, there = 0, 0
     return policy, env, curve
 
 
