@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::adam::Adam;
-use super::environments::Snapshot;
 use super::network::Shape;
+use super::snapshot::Snapshot;
 use super::trainer::{Plan, SetupError, Trainer};
 use super::update::Learner;
 use crate::config::kinds::FileKind;

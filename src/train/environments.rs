@@ -24,13 +24,9 @@ use crate::messages::local::Contacts;
 use crate::random;
 use crate::random::Stream;
 use crate::safety::filter::Filter;
-use crate::safety::yielding::Yielding;
 use crate::scenario::{Scenario, Stage, TeamAfterStep};
 use crate::world::kinematic::{self, PERIOD};
 use crate::world::{Clamp, Physics};
-
-/// Largest number of steps of an episode in a snapshot: far beyond the longest, and far from overflows.
-const LATEST: u32 = 1 << 30;
 
 /// One team in the training environments, with the state of its episode.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -50,19 +46,13 @@ pub struct Team {
     /// Return of the episode so far, the mean over the team's robots.
     pub episode_return: f32,
     /// Seed and episode number from which the scenario makes the layout.
-    layout: (u64, u32),
+    pub(super) layout: (u64, u32),
 }
 
 impl Team {
     /// Returns the indices of the team's robots among all robots.
     pub fn range(&self) -> std::ops::Range<usize> {
         self.first..self.first + self.robots
-    }
-
-    /// Returns whether a team that was read has conditions and messages that an episode can have.
-    fn is_sound(&self) -> bool {
-        let Team { robots, step, episode, messages, .. } = self;
-        *step <= LATEST && episode.is_sound(*robots) && messages.is_sound(*robots, *step, episode.lockstep)
     }
 }
 
@@ -77,7 +67,7 @@ pub struct Environments {
     /// True velocity of each robot's centre \[m/s\], world frame.
     pub velocity: Vec<Vec2>,
     /// Wheels and commanded points of all robots; `None` for holonomic robots with the default chassis.
-    rolling: Option<Rolling>,
+    pub(super) rolling: Option<Rolling>,
     /// Contacts of each robot with walls and other robots in the last step.
     pub contacts: Vec<Contacts>,
     /// Start and goal of each robot in its current episode \[m\], world frame.
@@ -97,27 +87,10 @@ pub struct Environments {
     before: Vec<Vec2>,
     command: Vec<Vec2>,
     /// Safety filters; `None` in episodes without them.
-    filters: Vec<Option<Filter>>,
+    pub(super) filters: Vec<Option<Filter>>,
     /// Rewards of the scenario in the last step.
     scenario_reward: Vec<f32>,
     reached: Vec<bool>,
-}
-
-/// Saved state of training environments, from which [`Environments::restore`] continues exactly.
-#[derive(Debug, Serialize, Deserialize)]
-pub struct Snapshot {
-    teams: Vec<Team>,
-    position: Vec<[f32; 2]>,
-    velocity: Vec<[f32; 2]>,
-    stage: Vec<u8>,
-    arrived: Vec<bool>,
-    to_go_m: Vec<f32>,
-    /// Heading \[rad\] and yaw rate \[rad/s\] of each robot; empty for robots with the default chassis.
-    #[serde(default)]
-    turned: Vec<[f32; 2]>,
-    /// State of the safety filter of each robot; empty in snapshots of older programs.
-    #[serde(default)]
-    yielding: Vec<Yielding>,
 }
 
 impl Environments {
@@ -237,7 +210,7 @@ impl Environments {
         self.measure(team, stream);
     }
 
-    fn set_episode(&mut self, team: usize, layout: (u64, u32), tasks: &[Task], episode: Episode) {
+    pub(super) fn set_episode(&mut self, team: usize, layout: (u64, u32), tasks: &[Task], episode: Episode) {
         self.physics[team] = episode.physics(self.scenario(team).arena());
         let range = self.teams[team].range();
         self.tasks[range.clone()].copy_from_slice(tasks);
@@ -370,67 +343,5 @@ impl Environments {
     /// Returns the time since the start of a team's episode \[s\].
     pub fn elapsed_s(&self, team: usize) -> f32 {
         self.teams[team].step as f32 * PERIOD.as_secs() as f32
-    }
-
-    /// Returns the state of the environments, from which `restore` continues exactly.
-    pub fn snapshot(&self) -> Snapshot {
-        let pairs = |vectors: &[Vec2]| vectors.iter().map(|v| [v.x, v.y]).collect();
-        Snapshot {
-            teams: self.teams.clone(),
-            position: pairs(&self.position),
-            velocity: pairs(&self.velocity),
-            stage: self.stage.iter().map(|stage| stage.0).collect(),
-            arrived: self.arrived.clone(),
-            to_go_m: self.to_go_m.clone(),
-            turned: self.rolling.iter().flat_map(|r| &r.wheels).map(|w| [w.heading(), w.yaw_rate()]).collect(),
-            yielding: filters::yielding(&self.filters),
-        }
-    }
-
-    /// Returns whether a snapshot is of such environments: of the same teams and robots, with values that episodes of
-    /// theirs can have.
-    pub fn fits(&self, snapshot: &Snapshot) -> bool {
-        let shape = |teams: &[Team]| teams.iter().map(|team| (team.first, team.robots)).collect::<Vec<_>>();
-        let robots = self.position.len();
-        let lengths = [
-            snapshot.position.len(),
-            snapshot.velocity.len(),
-            snapshot.stage.len(),
-            snapshot.arrived.len(),
-            snapshot.to_go_m.len(),
-        ];
-        let turned = self.rolling.as_ref().map_or(0, |rolling| rolling.wheels.len());
-        let mut motions = snapshot.position.iter().chain(&snapshot.velocity).chain(&snapshot.turned).flatten();
-        shape(&snapshot.teams) == shape(&self.teams)
-            && lengths == [robots; 5]
-            && snapshot.turned.len() == turned
-            && motions.all(|number| number.is_finite())
-            && snapshot.teams.iter().all(Team::is_sound)
-    }
-
-    /// Restores a snapshot. Returns `false` and changes nothing if the snapshot is not of such environments.
-    pub fn restore(&mut self, snapshot: Snapshot) -> bool {
-        if !self.fits(&snapshot) {
-            return false;
-        }
-        self.teams = snapshot.teams;
-        self.position = snapshot.position.into_iter().map(Vec2::from).collect();
-        self.velocity = snapshot.velocity.into_iter().map(Vec2::from).collect();
-        self.stage = snapshot.stage.into_iter().map(Stage).collect();
-        self.arrived = snapshot.arrived;
-        self.to_go_m = snapshot.to_go_m;
-        if let Some(rolling) = &mut self.rolling {
-            for (robot, [heading, yaw_rate]) in snapshot.turned.into_iter().enumerate() {
-                rolling.wheels[robot].restore(heading, yaw_rate);
-                rolling.update(robot, &Motion { position: self.position[robot], velocity: self.velocity[robot] });
-            }
-        }
-        for team in 0..self.teams.len() {
-            let Team { layout, episode, .. } = self.teams[team].clone();
-            let tasks = self.scenario(team).tasks(layout.0, layout.1);
-            self.set_episode(team, layout, &tasks, episode);
-        }
-        filters::restore(&mut self.filters, &snapshot.yielding);
-        true
     }
 }

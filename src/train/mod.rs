@@ -27,6 +27,7 @@ pub mod reward;
 mod rolling;
 pub mod rollout;
 mod scale;
+pub mod snapshot;
 pub mod trainer;
 pub mod update;
 pub mod vector;

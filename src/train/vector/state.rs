@@ -16,7 +16,7 @@ use crate::random::Stream;
 use crate::registry::Registry;
 use crate::scenario::Settings;
 use crate::train::config::{Conditions, Reward};
-use crate::train::environments::Snapshot;
+use crate::train::snapshot::Snapshot;
 
 /// First bytes of every state.
 const MAGIC: &[u8; 16] = b"murmurate-state\n";
