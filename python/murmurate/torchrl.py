@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from typing import Any
 
@@ -62,6 +63,10 @@ class Env(EnvBase):
         self.reward_spec = group({"reward": Unbounded((n, r, 1))})
         flag = lambda: Categorical(2, shape=(n, 1), dtype=torch.bool)
         self.done_spec = Composite({"done": flag(), "terminated": flag(), "truncated": flag()}, shape=(n,))
+
+    def forward(self) -> Env:
+        """Returns a copy: ``ParallelEnv(2, env)`` calls what it is given, as a function that makes an environment."""
+        return copy.deepcopy(self)
 
     def _set_seed(self, seed: int | None) -> None:
         # As everywhere: without a seed, one is drawn.
