@@ -14,7 +14,7 @@ use crate::messages::wire::{Kind, Wire};
 use crate::net::protocol::codec::{self, Content, Flags, Frame, Header};
 use crate::net::protocol::key::Key;
 pub use crate::net::protocol::link::Identity;
-use crate::net::protocol::link::{DuplicateId, Guest, LinkCounts, LinkState};
+use crate::net::protocol::link::{DuplicateId, Guest, LinkCounts, LinkState, Refusal};
 use crate::net::protocol::outgoing::Outbound;
 use crate::net::protocol::reliability::{Piggyback, Setup};
 use crate::net::protocol::router::{Audience, Router};
@@ -31,6 +31,8 @@ pub enum In {
     Frame(LinkId, Frame, Option<SocketAddr>),
     /// Number of datagrams that a transport of the link has dropped because a queue was full, since it last told.
     Dropped(LinkId, u64),
+    /// Number of datagrams that were refused on the link for this cause, in a replay: they had no other effect.
+    Refused(LinkId, Refusal, u64),
 }
 
 /// Output message of a Network, the actor that sends and receives one host's messages on its links.
@@ -50,6 +52,8 @@ pub enum Out {
     Peers(Vec<Peer>),
     /// Another live host has the id of this host and was started earlier. Sent once.
     Duplicate(DuplicateId),
+    /// Datagram that was refused on the link without any effect but its count, for the record of the host.
+    Refused(LinkId, Refusal, Frame),
     /// Operator (host outside the deployment) from which a datagram has arrived, with its address. The transport of the
     /// link then also sends to that address.
     Admit(LinkId, Guest),
@@ -205,13 +209,16 @@ impl Network {
         }
     }
 
-    fn receive(&mut self, now: Time, (link, from): (LinkId, Option<SocketAddr>), frame: &[u8], out: &mut Vec<Out>) {
+    fn receive(&mut self, now: Time, (link, from): (LinkId, Option<SocketAddr>), frame: &Frame, out: &mut Vec<Out>) {
         let at = usize::from(link.0);
         let Some(state) = self.links.get_mut(at).and_then(Option::as_mut) else { return };
         let admitted = state.admit(now, frame, &mut self.stream, &mut self.outgoing);
         self.due[at] = state.due();
         if let (Some((host, standing)), Some(at), false) = (state.operator(), from, self.shared[at]) {
             out.push(Out::Admit(link, Guest { host, at, standing }));
+        }
+        if let Some(cause) = state.refusal() {
+            return out.push(Out::Refused(link, cause, Frame::clone(frame)));
         }
         if let Some(duplicate) = state.duplicate().filter(|_| !self.duplicate_reported) {
             self.duplicate_reported = true;
@@ -263,6 +270,11 @@ impl Core for Network {
         match input {
             In::Publish(message) => self.publish(now, message, out),
             In::Frame(link, frame, from) => self.receive(now, (link, from), &frame, out),
+            In::Refused(link, cause, count) => {
+                if let Some(state) = self.link(link) {
+                    state.counts().refuse(cause, count);
+                }
+            }
             In::Dropped(link, count) => {
                 if let Some(state) = self.link(link) {
                     state.counts().queue += count;

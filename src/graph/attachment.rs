@@ -10,7 +10,7 @@ use crate::messages::ids::LinkId;
 use crate::messages::wire::Wire;
 use crate::net::protocol::codec::Frame;
 use crate::net::protocol::key::Key;
-use crate::net::protocol::link::{DuplicateId, LinkCounts};
+use crate::net::protocol::link::{DuplicateId, LinkCounts, Refusal};
 use crate::net::protocol::reliability::Setup;
 use crate::net::protocol::router::Router;
 use crate::net::protocol::sender::Peer;
@@ -53,6 +53,8 @@ pub enum Out {
     Counts(Box<LinkCounts>),
     /// Other hosts on links with link reports, with incarnation, delay and loss of each.
     Peers(Vec<Peer>),
+    /// Datagram that was refused on this link without any effect but its count.
+    Refused(LinkId, Refusal, Frame),
     /// Another running host uses the id of this host and was started earlier.
     Duplicate(DuplicateId),
 }
@@ -80,6 +82,7 @@ impl Attachment {
             network::Out::Counts(counts) => output(Out::Counts(counts)),
             network::Out::Peers(peers) => output(Out::Peers(peers)),
             network::Out::Duplicate(duplicate) => output(Out::Duplicate(duplicate)),
+            network::Out::Refused(link, cause, frame) => output(Out::Refused(link, cause, frame)),
             network::Out::Admit(link, guest) => send(link, transport::In::Admit(guest)),
             network::Out::Transmit(link, audience, frame) => {
                 output(Out::Sent(link, Frame::clone(&frame)));
@@ -103,7 +106,7 @@ impl Attachment {
         let take: Take = Rc::new(move |input| match input {
             Input::Frame(link, frame, from) => arrived.send(network::In::Frame(link, frame, from)),
             Input::Dropped(link, count) => arrived.send(network::In::Dropped(link, count)),
-            Input::Packet(..) | Input::Ended(_) | Input::Leave | Input::Stop => {}
+            Input::Refused(..) | Input::Packet(..) | Input::Ended(_) | Input::Leave | Input::Stop => {}
         });
         sockets::wire_all((clock, readers), open, &transports, &take);
         self.start(clock, &network, transports, output);

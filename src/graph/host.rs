@@ -64,6 +64,7 @@ pub fn wire(
         report: Rc::new(report),
     };
     let graph = Rc::new(Graph::new(plan, &process));
+    let _ = graph.clock.set(clock.clone());
     wire_hosts(clock, plan, &graph, &process);
     let (inside, id) = (Rc::clone(&graph), host.id);
     let take: Take = Rc::new(move |input| inside.take(id, input));

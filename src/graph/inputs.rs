@@ -6,6 +6,7 @@ use std::net::SocketAddr;
 use crate::edge::Packet;
 use crate::messages::ids::{LinkId, RobotId};
 use crate::net::protocol::codec::Frame;
+use crate::net::protocol::counts::Refusal;
 
 /// Identity of a device of a host: a driver or the source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,6 +25,9 @@ pub enum Input {
     /// Number of datagrams that a transport of the link has dropped because a queue was full, since the last such
     /// input.
     Dropped(LinkId, u64),
+    /// Number of datagrams that have arrived on the link and were refused for this cause, without any other effect on
+    /// the host. Only in records and replays, in place of their bytes.
+    Refused(LinkId, Refusal, u64),
     /// Packet that the worker (I/O thread) of a driver or source has passed on, such as data from the hardware.
     Packet(DeviceId, Packet),
     /// Notice that the worker (I/O thread) of a driver or of the source has ended; no more packets arrive from it.

@@ -377,6 +377,7 @@ fn wire_network(
             report(host, ProcessEvent::Counts(&counts));
             record(recorder::In::Counts(host, counts));
         }
+        attachment::Out::Refused(link, cause, frame) => report(host, ProcessEvent::Refused(link, cause, &frame)),
         attachment::Out::Peers(peers) => report(host, ProcessEvent::Peers(&peers)),
         attachment::Out::Sent(link, frame) => report(host, ProcessEvent::Sent(link, &frame)),
         attachment::Out::Duplicate(duplicate) => report(host, ProcessEvent::Duplicate(duplicate)),

@@ -69,6 +69,7 @@ pub fn wire(
     attachment.open((clock, readers), transports, move |out| match out {
         attachment::Out::Deliver(message) => report(ProcessEvent::Message(&message)),
         attachment::Out::Counts(counts) => report(ProcessEvent::Counts(&counts)),
+        attachment::Out::Refused(..) => {}
         attachment::Out::Peers(peers) => report(ProcessEvent::Peers(&peers)),
         attachment::Out::Duplicate(duplicate) => report(ProcessEvent::Duplicate(duplicate)),
         attachment::Out::Tap(frame) => report(ProcessEvent::Published(&frame)),

@@ -17,12 +17,13 @@ use crate::messages::local::Truth;
 use crate::messages::wire::{Hardware, Stop, Wire};
 use crate::net::protocol::codec::Frame;
 use crate::net::protocol::key::Key;
-use crate::net::protocol::link::{DuplicateId, LinkCounts};
+use crate::net::protocol::link::{DuplicateId, LinkCounts, Refusal};
 use crate::net::protocol::reliability::Setup;
 use crate::net::protocol::sender::Peer;
 use crate::net::transport;
 use crate::random::Seed;
 use crate::report::episode::AbortReason;
+use crate::runtime::clock::Clock;
 use crate::runtime::shell::Mailbox;
 use crate::safety::guard::SafetyCounts;
 
@@ -68,6 +69,8 @@ pub enum ProcessEvent<'a> {
     /// Input from outside the actors, such as a datagram. Does not occur if all hosts run in one process with emulated
     /// links.
     Input(&'a Input),
+    /// A datagram that had arrived was refused for this cause, without any effect but its count.
+    Refused(LinkId, Refusal, &'a Frame),
     /// True states of simulated robots after a step of their World.
     Truth(&'a Truth),
     /// Output of the Recorder: the result of an episode, a step, or the end of the run.
@@ -119,6 +122,8 @@ impl Process {
 pub struct Graph {
     /// Hosts of all actors, and the routes of all messages.
     pub(super) routes: Routes,
+    /// Clock of the actors, in the process of one host.
+    pub(super) clock: OnceCell<Clock>,
     /// Mailboxes of Caches, indexed by robot.
     pub(super) caches: Rc<[Mailbox<cache::In>]>,
     /// Mailboxes of Agents, indexed by robot; the robots of one Agent share a mailbox.
@@ -197,6 +202,7 @@ impl Graph {
         }
         let links = deployment.links.iter().map(|link| format!("transport of {}", link.name));
         Graph {
+            clock: OnceCell::new(),
             caches: team().map(named("cache")).map(Mailbox::new).collect(),
             agents,
             controllers: team().map(named("controller")).map(Mailbox::new).collect(),
@@ -314,6 +320,12 @@ impl Graph {
 }
 
 impl Graph {
+    /// Returns how many things the actors have done so far: messages that they handled, and wake-ups. 0 if several
+    /// hosts are in one process.
+    pub fn steps(&self) -> u64 {
+        self.clock.get().map_or(0, Clock::steps)
+    }
+
     /// Passes an input from outside the actors, such as a datagram, to the actors of `host`, a host of this process.
     /// The input is reported as an event first.
     pub fn take(&self, host: HostId, input: Input) {
@@ -324,6 +336,9 @@ impl Graph {
             }
             Input::Dropped(link, count) => {
                 self.networks[usize::from(host.0)].send(network::In::Dropped(link, count));
+            }
+            Input::Refused(link, cause, count) => {
+                self.networks[usize::from(host.0)].send(network::In::Refused(link, cause, count));
             }
             Input::Packet(DeviceId::Driver(robot), packet) => {
                 self.bodies[robot.index()].send(body::In::Packet(packet));

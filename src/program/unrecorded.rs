@@ -46,7 +46,7 @@ impl LiveRecord {
     }
 
     /// Never called, because the type has no values.
-    pub fn turn(&self, _: Time) {
+    pub fn turn(&self, _: Time, _: Option<u64>) {
         match *self {}
     }
 

@@ -4,11 +4,15 @@
 //! fit are dropped and counted. A simulation waits for the writer instead and drops nothing.
 
 use std::cell::{Cell, RefCell};
+use std::collections::BTreeMap;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, TryLockError};
 use std::time::Duration;
 
 use super::Event;
 use crate::graph::inputs::Input;
+use crate::messages::ids::LinkId;
+use crate::net::protocol::codec::Frame;
+use crate::net::protocol::counts::Refusal;
 use crate::time::{Span, Time};
 
 /// Capacity of a record's queue \[events\]: about ten seconds of events of a host in a team of five, some 2 MB.
@@ -37,6 +41,14 @@ pub struct Inlet {
     when_full: WhenFull,
     shared: Arc<Shared>,
     events: RefCell<Vec<Event>>,
+    /// What has happened in the current turn of the event loop.
+    current: RefCell<Current>,
+    /// Numbers of refused datagrams of turns in which nothing else has happened, and the time of the last of these
+    /// turns.
+    carried: RefCell<Refused>,
+    carried_at: Cell<Time>,
+    /// Number of things that the actors had done at the end of the last turn.
+    steps: Cell<u64>,
     /// Number of dropped events that no `Event::Dropped` in the queue reports yet.
     missing: Cell<u64>,
     /// Time of the last `Event::Dropped` that was put into the queue; `None` before the first.
@@ -49,6 +61,39 @@ pub struct Inlet {
     turned: Cell<Time>,
     /// Whether the writer thread is known to have ended.
     abandoned: Cell<bool>,
+}
+
+/// Numbers of refused datagrams, by link and cause.
+type Refused = BTreeMap<(LinkId, Refusal), u64>;
+
+/// Events of the current turn of the event loop.
+#[derive(Default)]
+struct Current {
+    /// Events in their order; `None` in the place of a datagram that was refused.
+    events: Vec<Option<Event>>,
+    /// Place in `events` behind the last datagram that was refused: the next one is likely to come after it.
+    cursor: usize,
+    refused: Refused,
+    /// Number of datagrams in `refused`.
+    count: u64,
+}
+
+impl Current {
+    /// Replaces a datagram that has come in this turn by a count. One of an earlier turn, which a fault has delayed,
+    /// stays in the record.
+    fn refuse(&mut self, link: LinkId, cause: Refusal, frame: &Frame) {
+        let is = |event: &Option<Event>| {
+            matches!(event, Some(Event::Input(Input::Frame(at, other, _)))
+                if *at == link && std::sync::Arc::ptr_eq(other, frame))
+        };
+        let later = self.events[self.cursor..].iter().position(is).map(|at| at + self.cursor);
+        if let Some(at) = later.or_else(|| self.events[..self.cursor].iter().position(is)) {
+            self.events[at] = None;
+            self.cursor = at + 1;
+            *self.refused.entry((link, cause)).or_default() += 1;
+            self.count += 1;
+        }
+    }
 }
 
 /// Receiving end of a record's event queue, for the thread that writes the record.
@@ -70,6 +115,10 @@ struct State {
     abandoned: bool,
 }
 
+fn counts_of(refused: Refused) -> impl Iterator<Item = Event> {
+    refused.into_iter().map(|((link, cause), count)| Event::Input(Input::Refused(link, cause, count)))
+}
+
 /// Returns the sending and the receiving end of a new event queue for a record.
 pub fn queue(when_full: WhenFull) -> (Inlet, Outlet) {
     let room = if when_full == WhenFull::Drop { CAPACITY } else { BATCH * 2 };
@@ -80,6 +129,10 @@ pub fn queue(when_full: WhenFull) -> (Inlet, Outlet) {
         when_full,
         shared: Arc::clone(&shared),
         events,
+        current: RefCell::default(),
+        carried: RefCell::default(),
+        carried_at: Cell::new(Time::ZERO),
+        steps: Cell::new(0),
         missing: Cell::new(0),
         counted: Cell::new(None),
         input_bytes: Cell::new(0),
@@ -92,16 +145,21 @@ pub fn queue(when_full: WhenFull) -> (Inlet, Outlet) {
 }
 
 impl Inlet {
-    /// Adds an event of the current turn of the event loop. In real time it is dropped if the queue is full, or if it
-    /// is an input and the inputs of this second exceed 1 MB.
+    /// Adds an event of the current turn of the event loop. In real time it is dropped if the queue is full.
     pub fn push(&self, event: Event) {
-        let mut events = self.events.borrow_mut();
-        if self.when_full == WhenFull::Drop && (events.len() >= CAPACITY || self.is_beyond(&event)) {
-            self.missing.set(self.missing.get() + 1);
-            self.dropped.set(self.dropped.get() + 1);
-            return;
+        let mut current = self.current.borrow_mut();
+        if let Event::Refused(link, cause, frame) = &event {
+            return current.refuse(*link, *cause, frame);
         }
-        events.push(event);
+        if self.when_full == WhenFull::Drop && self.events.borrow().len() + current.events.len() >= CAPACITY {
+            return self.miss();
+        }
+        current.events.push(Some(event));
+    }
+
+    fn miss(&self) {
+        self.missing.set(self.missing.get() + 1);
+        self.dropped.set(self.dropped.get() + 1);
     }
 
     /// Adds the size of an input to that of the current second. Returns whether the inputs of this second are too large
@@ -119,6 +177,19 @@ impl Inlet {
     /// Ends the current turn of the event loop at the time `now`, and passes the events to the writer thread. A
     /// simulation collects those of many turns before it passes them.
     pub fn turn(&self, now: Time) {
+        self.end(now, false);
+    }
+
+    /// Ends the current turn as [`Inlet::turn`]. `steps` is the number of things that the actors have done so far. A
+    /// turn in which they have only refused datagrams is not recorded: its numbers go into the record before the next
+    /// turn.
+    pub fn turn_of(&self, now: Time, steps: u64) {
+        let done = steps - self.steps.replace(steps);
+        let refused = self.current.borrow().count;
+        self.end(now, refused > 0 && done == refused);
+    }
+
+    fn end(&self, now: Time, nothing_else: bool) {
         self.turned.set(now);
         let due = self.counted.get().is_none_or(|at| now.since(at) >= COUNT_PERIOD);
         if self.missing.get() > 0 && due && self.events.borrow().len() + 1 < CAPACITY {
@@ -129,12 +200,29 @@ impl Inlet {
             self.second_began.set(now);
             self.input_bytes.set(0);
         }
+        let Current { events, refused, .. } = std::mem::take(&mut *self.current.borrow_mut());
+        let mut turn: Vec<Event> = events.into_iter().flatten().collect();
+        if nothing_else && turn.is_empty() && self.when_full == WhenFull::Drop {
+            let mut carried = self.carried.borrow_mut();
+            refused.into_iter().for_each(|(cause, count)| *carried.entry(cause).or_default() += count);
+            return self.carried_at.set(now);
+        }
+        let carried = std::mem::take(&mut *self.carried.borrow_mut());
+        if !carried.is_empty() {
+            counts_of(carried).for_each(|event| self.add(event));
+            self.add(Event::Turn(self.carried_at.get()));
+        }
+        // A replay gives orders of the host's own process after all other inputs.
+        let is_order = |event: &Event| matches!(event, Event::Input(input) if input.is_order());
+        let at = turn.iter().position(is_order).unwrap_or(turn.len());
+        turn.splice(at..at, counts_of(refused));
         // A simulation's record has no use for a turn without events.
         let idle = |events: &[Event]| matches!(events.last(), None | Some(Event::Turn(_)));
-        if self.when_full == WhenFull::Wait && idle(&self.events.borrow()) {
+        if self.when_full == WhenFull::Wait && turn.is_empty() && idle(&self.events.borrow()) {
             return;
         }
-        self.push(Event::Turn(now));
+        turn.into_iter().for_each(|event| self.add(event));
+        self.add(Event::Turn(now));
         match self.when_full {
             WhenFull::Drop => self.offer(),
             WhenFull::Wait if self.events.borrow().len() >= BATCH => self.wait(),
@@ -142,8 +230,23 @@ impl Inlet {
         }
     }
 
+    /// Adds an event to those for the writer. In real time it is dropped if the queue is full, or if it is an input and
+    /// the inputs of this second exceed 1 MB.
+    fn add(&self, event: Event) {
+        let mut events = self.events.borrow_mut();
+        if self.when_full == WhenFull::Drop && (events.len() >= CAPACITY || self.is_beyond(&event)) {
+            return self.miss();
+        }
+        events.push(event);
+    }
+
     /// Passes the remaining events to the writer thread and closes the queue. Events that are added later are lost.
     pub fn close(&self) {
+        let carried = std::mem::take(&mut *self.carried.borrow_mut());
+        if !carried.is_empty() && self.events.borrow().len() + carried.len() + 4 <= CAPACITY {
+            counts_of(carried).for_each(|event| self.add(event));
+            self.add(Event::Turn(self.carried_at.get()));
+        }
         if self.missing.get() > 0 && self.events.borrow().len() + 2 <= CAPACITY {
             let last = [Event::Dropped(self.missing.replace(0)), Event::Turn(self.turned.get())];
             self.events.borrow_mut().extend(last);
@@ -299,6 +402,48 @@ mod tests {
         outlet.take(&mut events);
         let rest = events.iter().map(|event| if let Event::Dropped(count) = event { *count } else { 0 });
         assert_eq!(counted + rest.sum::<u64>(), 22_000, "the end counts the rest");
+    }
+
+    #[test]
+    fn refused_datagrams_are_counted_and_turns_of_nothing_else_are_one() {
+        let (inlet, outlet) = queue(WhenFull::Drop);
+        let at = |ms: u64| Time::from_nanos(ms * 1_000_000);
+        let arrive = |bytes: usize| {
+            let frame: Frame = vec![7; bytes].into();
+            inlet.push(Event::Input(Input::Frame(LinkId(1), Frame::clone(&frame), None)));
+            frame
+        };
+        let mut steps = 0;
+        // Three turns of nothing but junk: 2.2 MB in a second, more than is kept of inputs.
+        for turn in 0..3u64 {
+            let junk: Vec<Frame> = (0..700).map(|_| arrive(1100)).collect();
+            junk.iter().for_each(|frame| inlet.push(Event::Refused(LinkId(1), Refusal::Auth, Frame::clone(frame))));
+            steps += 700;
+            inlet.turn_of(at(turn), steps);
+        }
+        // One with a datagram that is taken, another copy of it that is not, and an order.
+        let (_taken, copy) = (arrive(40), arrive(40));
+        inlet.push(Event::Refused(LinkId(1), Refusal::Duplicate, copy));
+        inlet.push(Event::Input(Input::Leave));
+        inlet.turn_of(at(9), steps + 5);
+        // A refusal of a datagram of an earlier turn changes nothing.
+        inlet.push(Event::Refused(LinkId(1), Refusal::Late, vec![1].into()));
+        inlet.turn_of(at(10), steps + 6);
+        let mut events = Vec::new();
+        assert!(outlet.take(&mut events));
+        let said: Vec<String> = events
+            .iter()
+            .map(|event| match event {
+                Event::Input(Input::Refused(link, cause, count)) => format!("{cause:?} {} {count}", link.0),
+                Event::Input(Input::Frame(_, frame, _)) => format!("frame {}", frame.len()),
+                Event::Input(Input::Leave) => "leave".to_owned(),
+                Event::Turn(at) => format!("turn {}", at.as_nanos() / 1_000_000),
+                other => panic!("{other:?}"),
+            })
+            .collect();
+        let expected = ["Auth 1 2100", "turn 2", "frame 40", "Duplicate 1 1", "leave", "turn 9", "turn 10"];
+        assert_eq!(said, expected);
+        assert_eq!(inlet.dropped(), 0);
     }
 
     #[test]

@@ -9,6 +9,7 @@ use crate::edge::Packet;
 use crate::graph::inputs::{DeviceId, Input};
 use crate::messages::ids::{LinkId, RobotId};
 use crate::net::protocol::codec::Frame;
+use crate::net::protocol::counts::Refusal;
 use crate::time::Time;
 
 /// Turn of a host's event loop: one pass over all pending inputs.
@@ -20,6 +21,15 @@ pub struct Turn {
     pub sent: u64,
     /// Inputs of the turn in the order of their arrival. Orders from the host's own process come last.
     pub inputs: Vec<Input>,
+}
+
+impl Turn {
+    /// Returns the datagrams among the inputs, with their tags.
+    pub fn frames(self) -> impl Iterator<Item = Frame> {
+        self.inputs
+            .into_iter()
+            .filter_map(|input| if let Input::Frame(_, frame, _) = input { Some(frame) } else { None })
+    }
 }
 
 /// Running digest of the datagrams that a host sends in one turn.
@@ -49,6 +59,7 @@ const DRIVER_ENDED: u8 = 5;
 const SOURCE_ENDED: u8 = 6;
 const LEAVE: u8 = 7;
 const STOP: u8 = 8;
+const REFUSED: u8 = 9;
 
 /// Appends the beginning of an encoded turn to `out`: its time, and the digest of the datagrams sent in it.
 pub fn begin(out: &mut Vec<u8>, now: Time, sent: u64) {
@@ -68,6 +79,13 @@ pub fn add(out: &mut Vec<u8>, input: &Input) {
         Input::Dropped(link, count) => {
             out.push(DROPPED);
             out.extend(link.0.to_le_bytes());
+            out.extend(count.to_le_bytes());
+        }
+        Input::Refused(link, cause, count) => {
+            out.push(REFUSED);
+            out.extend(link.0.to_le_bytes());
+            let number = Refusal::ALL.iter().position(|one| one == cause).expect("all are in it");
+            out.push(u8::try_from(number).expect("there are few"));
             out.extend(count.to_le_bytes());
         }
         Input::Packet(DeviceId::Driver(robot), packet) => {
@@ -113,10 +131,14 @@ fn block(out: &mut Vec<u8>, bytes: &[u8]) {
     out.extend_from_slice(bytes);
 }
 
+/// Latest time of a turn [ns]: a hundred years. Later ones are damage, and no sum of times overflows.
+const LATEST: u64 = 1 << 61;
+
 /// Decodes a turn of a host's event loop; `None` if the bytes are invalid.
 pub fn read(bytes: &[u8]) -> Option<Turn> {
     let mut rest = bytes;
-    let (now, sent) = (Time::from_nanos(u64_of(&mut rest)?), u64_of(&mut rest)?);
+    let now = Some(u64_of(&mut rest)?).filter(|now| *now < LATEST).map(Time::from_nanos)?;
+    let sent = u64_of(&mut rest)?;
     let mut inputs = Vec::new();
     while !rest.is_empty() {
         inputs.push(input(&mut rest)?);
@@ -142,7 +164,12 @@ fn input(rest: &mut &[u8]) -> Option<Input> {
             };
             Input::Frame(link, Frame::from(block_of(rest)?), from)
         }
-        DROPPED => Input::Dropped(LinkId(u16_of(rest)?), u64_of(rest)?),
+        DROPPED => Input::Dropped(LinkId(u16_of(rest)?), Some(u64_of(rest)?).filter(|count| *count < 1 << 48)?),
+        REFUSED => {
+            let link = LinkId(u16_of(rest)?);
+            let cause = *Refusal::ALL.get(usize::from(*take(rest, 1)?.first()?))?;
+            Input::Refused(link, cause, Some(u64_of(rest)?).filter(|count| *count < 1 << 48)?)
+        }
         DRIVER => Input::Packet(robot(rest)?, Packet::from(block_of(rest)?)),
         SOURCE => Input::Packet(DeviceId::Source, Packet::from(block_of(rest)?)),
         DRIVER_ENDED => Input::Ended(robot(rest)?),
@@ -184,6 +211,8 @@ mod tests {
             Input::Frame(LinkId(2), frame(b""), Some("[fe80::1]:9".parse().unwrap())),
             Input::Frame(LinkId(0), frame(&[7; 1400]), None),
             Input::Dropped(LinkId(3), 9),
+            Input::Refused(LinkId(1), Refusal::Auth, 20_000),
+            Input::Refused(LinkId(4), Refusal::DuplicateId, 1),
             Input::Packet(DeviceId::Driver(RobotId(4)), b"xy"[..].into()),
             Input::Packet(DeviceId::Source, b"z"[..].into()),
             Input::Ended(DeviceId::Driver(RobotId(5))),

@@ -174,7 +174,7 @@ impl Topics {
                     take,
                 );
             }
-            Event::Sent(..) | Event::Input(_) | Event::Keep | Event::Turn(_) => {}
+            Event::Sent(..) | Event::Input(_) | Event::Refused(..) | Event::Keep | Event::Turn(_) => {}
         }
     }
 
@@ -342,7 +342,8 @@ fn json_to(topic: Topic, at: u64, value: &impl Serialize, take: Take) {
     take(topic, at, &serde_json::to_vec(value).expect("counts and results are JSON"));
 }
 
-fn name_of(phase: Phase) -> &'static str {
+/// Returns the name of a phase in records.
+pub fn name_of(phase: Phase) -> &'static str {
     match phase {
         Phase::NeedReset => "need-reset",
         Phase::Resetting => "resetting",

@@ -14,6 +14,7 @@ use crate::time::Time;
 pub struct Clock {
     now: Rc<Cell<Time>>,
     queue: Rc<RefCell<Queue>>,
+    steps: Rc<Cell<u64>>,
 }
 
 #[derive(Default)]
@@ -72,6 +73,17 @@ impl Clock {
     /// Returns the current time of the run.
     pub fn now(&self) -> Time {
         self.now.get()
+    }
+
+    /// Returns how many things the actors have done so far: messages that they handled, wake-ups, and scheduled calls.
+    pub fn steps(&self) -> u64 {
+        self.steps.get()
+    }
+
+    /// Notes that an actor has done something.
+    #[inline]
+    pub(super) fn count_step(&self) {
+        self.steps.set(self.steps.get() + 1);
     }
 
     /// Registers a task with the function `run`, which is called once each time that the task was woken.
@@ -177,7 +189,10 @@ impl Clock {
 
     fn execute(&self, action: Action) {
         match action {
-            Action::Call(call) => call(),
+            Action::Call(call) => {
+                self.count_step();
+                call();
+            }
             Action::Wake(task) => self.wake(task),
         }
     }

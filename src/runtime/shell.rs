@@ -203,6 +203,7 @@ pub fn start<C: Core + 'static>(
 
 impl<C: Core + 'static> Shell<C> {
     fn take_in(&mut self, now: Time, input: C::In) {
+        self.clock.count_step();
         let due = self.faults.taken_up(now);
         let Some(core) = &mut self.core else { return self.mailbox.lose(1) };
         if due <= now && self.held.is_empty() {
@@ -222,8 +223,14 @@ impl<C: Core + 'static> Shell<C> {
             match next {
                 None => break,
                 Some(Envelope::Deliver(input)) => self.take_in(now, input),
-                Some(Envelope::Inject(fault)) => self.inject(now, &fault),
-                Some(Envelope::Recover) => self.faults = Faults::default(),
+                Some(Envelope::Inject(fault)) => {
+                    self.clock.count_step();
+                    self.inject(now, &fault);
+                }
+                Some(Envelope::Recover) => {
+                    self.clock.count_step();
+                    self.faults = Faults::default();
+                }
             }
         }
         self.turn(now);
@@ -242,6 +249,7 @@ impl<C: Core + 'static> Shell<C> {
         if let Some(core) = &mut self.core {
             let mut wakes = 0;
             while next.is_some_and(|at| self.faults.taken_up(at) <= now) {
+                self.clock.count_step();
                 core.wake(now, &mut self.out);
                 wakes += 1;
                 assert!(wakes < MAX_WAKES_AT_ONCE, "a woken core wants to be woken later, not again at {now}");
@@ -260,6 +268,7 @@ impl<C: Core + 'static> Shell<C> {
     fn restart(&mut self, now: Time) {
         if self.alive && now >= self.faults.down {
             self.incarnation += 1;
+            self.clock.count_step();
             self.core = Some((self.make)(self.incarnation));
             tracing::info!(incarnation = self.incarnation, "restarted");
         }
@@ -271,6 +280,7 @@ impl<C: Core + 'static> Shell<C> {
         let Some(core) = &mut self.core else { return };
         while self.held.front().is_some_and(|(due, _)| (*due).max(self.faults.stalled) <= now) {
             let (_, input) = self.held.pop_front().expect("there is a front");
+            self.clock.count_step();
             core.handle(now, input, &mut self.out);
         }
     }

@@ -29,6 +29,11 @@ impl Acks {
         self.due = self.due.or(Some(now + ACK_WITHIN));
     }
 
+    /// Returns whether the acknowledgement of this datagram is pending, or nothing more of its sender can be.
+    pub fn has(&self, id: &DatagramId) -> bool {
+        self.pending.get(&id.host).is_some_and(|ids| ids.len() >= MAX_IDS || ids.contains(id))
+    }
+
     /// Returns true if no acknowledgement is pending.
     pub fn is_empty(&self) -> bool {
         self.pending.is_empty()

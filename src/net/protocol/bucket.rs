@@ -24,6 +24,11 @@ impl Bucket {
         Bucket { tokens: rate.burst, at: now }
     }
 
+    /// Returns whether a token is left at `now`. Unlike [`Bucket::take`], it changes nothing.
+    pub fn has(&self, now: Time, rate: &Rate) -> bool {
+        self.tokens + now.since(self.at).as_secs() * rate.per_s >= 1.0
+    }
+
     fn fill(&mut self, now: Time, rate: &Rate) {
         let passed: Span = now.since(self.at);
         self.tokens = (self.tokens + passed.as_secs() * rate.per_s).min(rate.burst);

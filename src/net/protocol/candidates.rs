@@ -158,6 +158,18 @@ impl Candidates {
         self.table(host).note(now, host, Candidate { incarnation, stamp, at: now, echoed: 0 })
     }
 
+    /// Returns what [`Candidates::note`] returns if it would change nothing, as the stamp is no news of a candidate
+    /// that is known; `None` if it would.
+    pub fn unchanged(&self, now: Time, host: HostId, incarnation: u32, stamp: Stamp) -> Option<Novelty> {
+        let table = if host < self.first_guest { &self.hosts } else { &self.guests };
+        let known = table.by_host.get(&host).into_iter().flatten();
+        // Of several that match, `note` takes the first one.
+        let mut same =
+            known.filter(|known| known.incarnation == incarnation && stamp.ahead_us(known.stamp).abs() < SAME_CLOCK_US);
+        let known = same.next().filter(|known| stamp.ahead_us(known.stamp) <= 0)?;
+        Some(if known.is_fresh(now) { Novelty::Repeated } else { Novelty::Expired })
+    }
+
     /// Removes an incarnation that has proved its liveness. Returns the removed candidate; `None` if it was not in the
     /// table.
     pub fn forget(&mut self, host: HostId, incarnation: u32) -> Option<Candidate> {

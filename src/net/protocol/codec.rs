@@ -233,6 +233,13 @@ pub fn peek(datagram: &[u8]) -> Result<Header, DecodeError> {
     Ok(Header { flags, team, sender, incarnation, sequence })
 }
 
+/// Returns a datagram without its authentication tag, if it says that it has one. The tag is not checked.
+pub fn untagged(datagram: &[u8]) -> &[u8] {
+    let tagged = datagram.get(FLAGS_AT).is_some_and(|flags| Flags(*flags).has(Flags::TAGGED));
+    let plain = datagram.len().checked_sub(TAG_BYTES).filter(|_| tagged);
+    &datagram[..plain.unwrap_or(datagram.len())]
+}
+
 /// Returns the blocks of a datagram without authentication tag, each as type of content and body. An error
 /// is the last item, since the bytes after it cannot be split.
 pub fn blocks(plain: &[u8]) -> impl Iterator<Item = Result<(Content, &[u8]), DecodeError>> {

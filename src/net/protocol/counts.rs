@@ -82,7 +82,85 @@ counts! {
     misrouted,
 }
 
+/// Cause for which a datagram is refused without any effect but its count: the state of the link after it is as before.
+/// So a record needs the number of such datagrams and not their bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Refusal {
+    /// The tag is missing or wrong, or there is a tag and no key.
+    Auth,
+    /// It was sent by this process itself.
+    Own,
+    /// It is from another team.
+    Team,
+    /// It has another version of the wire format.
+    Version,
+    /// A value in it is out of range.
+    Range,
+    /// Its bytes do not have the form of the wire format.
+    Malformed,
+    /// It was received before.
+    Duplicate,
+    /// It is older than the replay window, or of an earlier incarnation.
+    Replay,
+    /// It was held back on the way.
+    Late,
+    /// Its sender has not proved its liveness, and this datagram does not help it to.
+    Unproven,
+    /// It is from a second host with the id of this one, on a link without a key.
+    DuplicateId,
+    /// Its tag is wrong, and its header is that of a host of this team: that host has another key.
+    OtherKey,
+    /// It has no tag, and its header is that of a host of this team: that host has no key.
+    Untagged,
+    /// It has a tag, its header is that of a host of this team, and this host has no key.
+    Keyed,
+}
+
+impl Refusal {
+    /// All causes, in the order of their numbers in records.
+    pub const ALL: [Refusal; 14] = [
+        Refusal::Auth,
+        Refusal::Own,
+        Refusal::Team,
+        Refusal::Version,
+        Refusal::Range,
+        Refusal::Malformed,
+        Refusal::Duplicate,
+        Refusal::Replay,
+        Refusal::Late,
+        Refusal::Unproven,
+        Refusal::DuplicateId,
+        Refusal::OtherKey,
+        Refusal::Untagged,
+        Refusal::Keyed,
+    ];
+}
+
 impl LinkCounts {
+    /// Counts `number` datagrams that were refused for this cause.
+    pub fn refuse(&mut self, cause: Refusal, number: u64) {
+        if matches!(cause, Refusal::OtherKey | Refusal::Untagged | Refusal::Keyed) {
+            self.auth += number;
+        }
+        let count = match cause {
+            Refusal::Auth => &mut self.auth,
+            Refusal::Own => &mut self.own,
+            Refusal::Team => &mut self.team,
+            Refusal::Version => &mut self.version,
+            Refusal::Range => &mut self.range,
+            Refusal::Malformed => &mut self.malformed,
+            Refusal::Duplicate => &mut self.duplicate,
+            Refusal::Replay => &mut self.replay,
+            Refusal::Late => &mut self.late,
+            Refusal::Unproven => &mut self.unproven,
+            Refusal::DuplicateId => &mut self.duplicate_id,
+            Refusal::OtherKey => &mut self.other_key,
+            Refusal::Untagged => &mut self.untagged,
+            Refusal::Keyed => &mut self.keyed,
+        };
+        *count += number;
+    }
+
     /// Returns the number of datagrams and messages that were refused or dropped on arrival, for any cause.
     pub fn refused(&self) -> u64 {
         self.refusals().iter().map(|(_, count)| count).sum()

@@ -73,7 +73,7 @@ pub struct LocalEnd {
 
 /// Liveness proof of another host: an entry of its report that echoes a recent stamp of this host.
 #[derive(Clone, Copy, Debug)]
-struct LivenessProof {
+pub(super) struct LivenessProof {
     entry: Entry,
     /// Time since this host sent the echoed stamp.
     age: Span,
@@ -83,10 +83,10 @@ struct LivenessProof {
 /// datagrams.
 #[derive(Clone, Debug)]
 pub struct Incoming {
-    local: LocalEnd,
+    pub(super) local: LocalEnd,
     rate: Option<Rate>,
-    senders: Senders,
-    candidates: Candidates,
+    pub(super) senders: Senders,
+    pub(super) candidates: Candidates,
     /// Datagrams that have not arrived, among those that their senders offer for retransmission.
     pub gaps: Gaps,
     schedule: ReportSchedule,
@@ -316,7 +316,7 @@ impl Incoming {
     }
 
     /// Returns the liveness proof in a report: an entry about this host with a recent echo.
-    fn liveness_proof(&self, now: Time, report: &Report) -> Option<LivenessProof> {
+    pub(super) fn liveness_proof(&self, now: Time, report: &Report) -> Option<LivenessProof> {
         let about_this_host = report.heard.iter().filter(|entry| entry.host == self.local.host);
         about_this_host
             .filter_map(|entry| Some(LivenessProof { entry: *entry, age: self.local.stamps.age(now, entry.echo)? }))

@@ -46,6 +46,17 @@ impl Lateness {
         }
     }
 
+    /// Returns what [`Lateness::is_late`] returns, and changes nothing.
+    pub fn would_be_late(&self, now: Time, space: usize, sequence: u32) -> bool {
+        let passed = self.reports.iter().take_while(|(at, _)| now.since(*at) > LATE);
+        let numbers = passed.filter_map(|(_, numbers)| numbers[space]);
+        let advance = |least: Option<u32>, number: u32| match least {
+            Some(least) if !is_before(least, number) => Some(least),
+            _ => Some(number),
+        };
+        numbers.fold(self.least[space], advance).is_some_and(|least| is_before(sequence, least))
+    }
+
     /// Returns whether the datagram with this sequence number was sent before a link report that arrived more than 280
     /// ms ([`LATE`]) ago. `space` is 0 for datagrams to all hosts, 1 for those to this host.
     pub fn is_late(&mut self, now: Time, space: usize, sequence: u32) -> bool {

@@ -5,9 +5,10 @@ use std::net::SocketAddr;
 
 use rand::RngExt;
 
+use super::bucket::{Bucket, Rate};
 use super::codec::TAG_BYTES;
 use super::codec::{self, Content, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES};
-pub use super::counts::LinkCounts;
+pub use super::counts::{LinkCounts, Refusal};
 pub use super::duplicate_id::DuplicateId;
 use super::gaps::BACKOFF;
 use super::incoming::{Incoming, LocalEnd, Verdict};
@@ -70,7 +71,15 @@ pub struct LinkState {
     /// Operator that sent the last datagram; `None` if another host sent it, or if it was neither new nor of a
     /// candidate.
     operator: Option<(HostId, Standing)>,
+    /// Cause for which the last datagram was refused without any effect but its count; `None` for others.
+    refusal: Option<Refusal>,
+    /// Limit of the acknowledgements that are sent again for copies of datagrams.
+    again: Bucket,
 }
+
+/// Limit of the acknowledgements that are sent again on a link because a datagram has come again: anybody can send
+/// copies. Without one, a sender sends its datagram once more, or gives it up although it has arrived.
+const AGAIN: Rate = Rate { per_s: 200.0, burst: 200.0 };
 
 impl LinkState {
     /// Returns the state of a link at the start of this host. With a `key`, link reports are always sent, since they
@@ -106,6 +115,8 @@ impl LinkState {
             counts: LinkCounts::default(),
             due: None,
             operator: None,
+            refusal: None,
+            again: Bucket::full(Time::ZERO, &AGAIN),
         };
         state.plan();
         state
@@ -139,16 +150,24 @@ impl LinkState {
         stream: &mut Stream,
         out: &mut Vec<Outbound>,
     ) -> Option<(Header, &'a [u8])> {
-        self.incoming.duplicate_ids.uptime(now);
+        (self.operator, self.refusal) = (None, None);
         let read = self.read(now, frame, stream, out);
-        self.plan();
         match read {
-            Ok(admitted) => admitted,
-            Err(error) => {
-                self.refuse(&error);
+            Ok(admitted) => {
+                self.plan();
+                admitted
+            }
+            Err(cause) => {
+                self.refusal = Some(cause);
+                self.counts.refuse(cause, 1);
                 None
             }
         }
+    }
+
+    /// Returns the cause for which the last datagram was refused, if nothing but the count of it has changed.
+    pub fn refusal(&self) -> Option<Refusal> {
+        self.refusal
     }
 
     fn read<'a>(
@@ -157,39 +176,41 @@ impl LinkState {
         frame: &'a [u8],
         stream: &mut Stream,
         out: &mut Vec<Outbound>,
-    ) -> Result<Option<(Header, &'a [u8])>, DecodeError> {
-        self.operator = None;
+    ) -> Result<Option<(Header, &'a [u8])>, Refusal> {
         let tagged = frame.get(codec::FLAGS_AT).is_some_and(|flags| flags & Flags::TAGGED != 0);
-        if self.key.is_some() && !tagged {
-            self.note_key(frame);
-        }
         let shortest = HEADER_BYTES + if self.key.is_some() { TAG_BYTES } else { 0 };
         if frame.len() < shortest || frame.len() > MAX_FRAME_BYTES {
-            return Err(DecodeError::Length(frame.len()));
+            return Err(Refusal::Malformed);
         }
         let plain = match &self.key {
             Some(key) => key.open(frame, self.id, self.me.host),
             None => (!tagged).then_some(frame),
         };
-        let Some(plain) = plain else {
-            if tagged {
-                self.note_key(frame);
-            }
-            self.counts.auth += 1;
-            return Ok(None);
-        };
-        let header = codec::peek(plain)?;
+        let plain = plain.ok_or_else(|| self.key_trouble(frame).unwrap_or(Refusal::Auth))?;
+        let header = codec::peek(plain).map_err(|error| cause(&error))?;
         if header.team != self.me.team {
-            self.counts.team += 1;
-            return Ok(None);
+            return Err(Refusal::Team);
         }
         if (header.sender, header.incarnation) == (self.me.host, self.me.incarnation) {
-            self.counts.own += 1;
-            return Ok(None);
+            return Err(Refusal::Own);
         }
-        let blocks = ControlBlocks::read(plain)?;
+        let blocks = ControlBlocks::read(plain).map_err(|error| cause(&error))?;
+        let report = blocks.report.as_ref();
         // Operators draw their ids at random, so two of them may have the same.
-        if header.sender == self.me.host && !header.sender.is_operator() {
+        let own_id = header.sender == self.me.host && !header.sender.is_operator();
+        let refusal = match own_id {
+            true => self.incoming.refuses_own_id(now, &header, report),
+            false => self.incoming.refuses(now, &header, report),
+        };
+        if let Some(refusal) = refusal.filter(|refusal| !self.acknowledges_again(now, &header, *refusal)) {
+            let waits = refusal == Refusal::Unproven && self.incoming.is_of_waiting(now, &header, report);
+            if waits && header.sender.is_operator() {
+                self.operator = Some((header.sender, Standing::Candidate));
+            }
+            return Err(refusal);
+        }
+        self.incoming.duplicate_ids.uptime(now);
+        if own_id {
             self.note_duplicate_id(now, &header, &blocks);
             return Ok(None);
         }
@@ -220,20 +241,28 @@ impl LinkState {
         Ok(Some((header, plain)))
     }
 
-    /// Counts a datagram that a host of this team seems to have sent with another key than that of this host, or with
-    /// none, or although this host has none. Its header is not authenticated, so it is only counted.
+    /// Returns whether a datagram that is refused for this cause is a copy whose acknowledgement is sent again.
+    fn acknowledges_again(&mut self, now: Time, header: &Header, cause: Refusal) -> bool {
+        cause == Refusal::Duplicate
+            && header.flags.has(Flags::ACK)
+            && !self.outgoing.acknowledges(&DatagramId::of(header))
+            && self.again.has(now, &AGAIN)
+            && self.again.take(now, &AGAIN)
+    }
+
+    /// Returns what is wrong with the key of a datagram that a host of this team seems to have sent: it has another key
+    /// than this host, or none, or this host has none. Its header is not authenticated, so it is only counted.
     #[cold]
-    fn note_key(&mut self, frame: &[u8]) {
-        let Ok(header) = codec::peek(frame) else { return };
+    fn key_trouble(&self, frame: &[u8]) -> Option<Refusal> {
+        let header = codec::peek(frame).ok()?;
         if header.team != self.me.team || header.sender >= self.first_guest || header.sender == self.me.host {
-            return;
+            return None;
         }
-        let count = match (&self.key, header.flags.has(Flags::TAGGED)) {
-            (Some(_), true) => &mut self.counts.other_key,
-            (Some(_), false) => &mut self.counts.untagged,
-            (None, _) => &mut self.counts.keyed,
-        };
-        *count += 1;
+        Some(match (&self.key, header.flags.has(Flags::TAGGED)) {
+            (Some(_), true) => Refusal::OtherKey,
+            (Some(_), false) => Refusal::Untagged,
+            (None, _) => Refusal::Keyed,
+        })
     }
 
     /// Handles a datagram of another process that uses the id of this host: a second live one, or a recording.
@@ -282,11 +311,7 @@ impl LinkState {
     /// Counts a datagram that could not be decoded, by the cause `error`.
     #[cold]
     pub fn refuse(&mut self, error: &DecodeError) {
-        match error {
-            DecodeError::Version(_) => self.counts.version += 1,
-            DecodeError::Unfit(..) => self.counts.range += 1,
-            _ => self.counts.malformed += 1,
-        }
+        self.counts.refuse(cause(error), 1);
     }
 
     /// Returns the counters of the link, to be changed.
@@ -322,6 +347,15 @@ impl LinkState {
             }
         }
         self.plan();
+    }
+}
+
+/// Returns the cause that a datagram is counted by which cannot be decoded.
+fn cause(error: &DecodeError) -> Refusal {
+    match error {
+        DecodeError::Version(_) => Refusal::Version,
+        DecodeError::Unfit(..) => Refusal::Range,
+        _ => Refusal::Malformed,
     }
 }
 

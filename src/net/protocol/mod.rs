@@ -15,6 +15,7 @@ pub mod limits;
 pub mod link;
 pub mod offset;
 pub mod outgoing;
+mod refusal;
 pub mod reliability;
 pub mod report;
 pub mod report_schedule;

@@ -295,6 +295,11 @@ impl Outgoing {
         self.acks.note(now, id);
     }
 
+    /// Returns whether the acknowledgement of this datagram is pending, or nothing more of its sender can be.
+    pub fn acknowledges(&self, id: &DatagramId) -> bool {
+        self.acks.has(id)
+    }
+
     /// Handles acknowledgements that the host `from` has sent for datagrams of this host.
     pub fn acknowledged(&mut self, now: Time, from: HostId, ids: &[DatagramId]) {
         self.retransmitter.acknowledged(now, from, ids);

@@ -38,6 +38,20 @@ impl Window {
         window
     }
 
+    /// Returns the position of a datagram with this sequence number if [`Window::record`] would change nothing for it;
+    /// `None` if it would. `copy` says whether it is a retransmission.
+    pub fn unchanged(&self, sequence: u32, copy: bool) -> Option<Position> {
+        let behind = self.newest?.wrapping_sub(sequence);
+        if behind > u32::MAX / 2 {
+            return None;
+        }
+        if behind >= WINDOW {
+            return Some(Position::Behind);
+        }
+        let marked = copy || behind >= LOSS_SPAN || self.originals & (1 << behind) != 0;
+        (self.has(sequence) && marked).then_some(Position::Seen)
+    }
+
     /// Records the arrival of a datagram and returns its position relative to the window. `copy` says that it is a
     /// retransmission, which does not count for loss.
     pub fn record(&mut self, sequence: u32, copy: bool) -> Position {

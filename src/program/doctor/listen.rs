@@ -195,6 +195,7 @@ fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds
                 | ProcessEvent::Arrived(..)
                 | ProcessEvent::Sent(..)
                 | ProcessEvent::Input(_)
+                | ProcessEvent::Refused(..)
                 | ProcessEvent::Truth(_)
                 | ProcessEvent::Recorded(_)
                 | ProcessEvent::Duplicate(_)

@@ -151,7 +151,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         move |host, event| heard.hear(host, event),
         move |out| recorded.note(out),
         |readers, now| {
-            seen.end_turn(now);
+            seen.end_turn(now, None);
             outlets.notify(&NotifyState::Ready);
             let source = Rc::clone(&wake_reader);
             readers.watch(wake_reader, move || {
@@ -266,7 +266,7 @@ impl Watch {
         if self.keep.swap(false, Ordering::Relaxed) {
             seen.record().into_iter().for_each(LiveRecord::keep);
         }
-        seen.end_turn(now);
+        seen.end_turn(now, Some(graph.steps()));
         self.lost = outlets.failure();
         self.lost.is_some()
             || seen.duplicate.get().is_some()

@@ -69,13 +69,14 @@ impl Seen {
     }
 
     /// Marks the end of a turn of the event loop (one pass over all pending inputs), at the time `now`, in the record
-    /// and the metrics.
-    pub fn end_turn(&self, now: Time) {
+    /// and the metrics. `steps` is the number of things that the host's actors have done so far; `None` before its
+    /// first turn.
+    pub fn end_turn(&self, now: Time, steps: Option<u64>) {
         #[cfg(feature = "watch")]
         if let Some(Some(metrics)) = self.metrics.get() {
             metrics.turn(now, self.record().map(LiveRecord::dropped));
         }
-        self.record().into_iter().for_each(|record| record.turn(now));
+        self.record().into_iter().for_each(|record| record.turn(now, steps));
     }
 
     /// Updates the state with an event of the host `host`, and passes the event to the record and the metrics.
@@ -92,6 +93,7 @@ impl Seen {
             | ProcessEvent::Arrived(..)
             | ProcessEvent::Sent(..)
             | ProcessEvent::Input(_)
+            | ProcessEvent::Refused(..)
             | ProcessEvent::Truth(_)
             | ProcessEvent::Recorded(_) => {}
             ProcessEvent::Counts(counts) => self.counts.set(*counts),

@@ -105,10 +105,14 @@ impl LiveRecord {
     }
 
     /// Marks the end of a turn of the event loop (one pass over all pending inputs), at the time `now`, in the record.
-    /// Adds the lines that the program has logged since the last turn.
-    pub fn turn(&self, now: Time) {
+    /// Adds the lines that the program has logged since the last turn. `steps` is the number of things that the host's
+    /// actors have done so far; `None` if it is not known.
+    pub fn turn(&self, now: Time, steps: Option<u64>) {
         log::take(|line| self.inlet.push(Event::Logged(line)));
-        self.inlet.turn(now);
+        match steps {
+            Some(steps) => self.inlet.turn_of(now, steps),
+            None => self.inlet.turn(now),
+        }
         if self.inlet.is_abandoned() && !self.failed.replace(true) {
             tracing::error!("the record can no longer be written; this goes on without it");
         }

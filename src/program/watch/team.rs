@@ -226,7 +226,7 @@ impl Page {
                 desk.beat(clock);
             },
             |(), now| {
-                turned.iter().for_each(|record| record.turn(now));
+                turned.iter().for_each(|record| record.turn(now, None));
                 ended.asked.set(ended.asked.get() || over());
                 ended.told.get()
             },
