@@ -5,6 +5,7 @@
 pub mod fields;
 pub mod kinds;
 pub mod objects;
+pub mod regular;
 
 use std::borrow::Cow;
 

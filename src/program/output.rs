@@ -1,13 +1,21 @@
 //! Output to stdout and stderr, and reading of files that the user names.
 
 use std::backtrace::{Backtrace, BacktraceStatus};
+#[cfg(feature = "sim")]
+use std::cell::RefCell;
+use std::fmt;
 use std::io::{self, ErrorKind, IsTerminal, Write};
 use std::path::Path;
+#[cfg(feature = "sim")]
+use std::path::{Component, PathBuf};
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use crate::config::{is_key, redacted};
+use crate::config::{is_key, redacted, regular};
 use anyhow::{Context, Result};
+use tracing_subscriber::fmt::format::Writer;
+use tracing_subscriber::fmt::time::{FormatTime, SystemTime};
 
 use crate::program::BadInput;
 use crate::program::background_writer::{BackgroundWriter, Target};
@@ -67,6 +75,28 @@ fn say(lines: String) {
     }
 }
 
+/// Time of a record to which the lines belong that are logged now \[ns\]; `u64::MAX` while nothing is replayed.
+static RECORDED_AT: AtomicU64 = AtomicU64::new(u64::MAX);
+
+/// Marks the lines that are logged from now on as of a record, at the time `at` of its run; `None` ends that.
+#[cfg(feature = "sim")]
+pub fn stamp_as_recorded(at: Option<crate::time::Time>) {
+    RECORDED_AT.store(at.map_or(u64::MAX, crate::time::Time::as_nanos), Ordering::Relaxed);
+}
+
+/// Stamp at the beginning of a log line: the wall clock, or while a record is replayed the time of its run, so that old
+/// lines are not taken for those of today.
+pub struct Stamp;
+
+impl FormatTime for Stamp {
+    fn format_time(&self, w: &mut Writer<'_>) -> fmt::Result {
+        match RECORDED_AT.load(Ordering::Relaxed) {
+            u64::MAX => SystemTime.format_time(w),
+            at => write!(w, "of the record, at {:.3} s:", at as f64 / 1e9),
+        }
+    }
+}
+
 /// Writer that prints log lines on stderr, one per write. A team key in a line is replaced.
 pub struct LogLines;
 
@@ -95,6 +125,66 @@ pub fn print(text: &str) -> Result<()> {
     }
 }
 
+/// Largest file that is read whole \[bytes\]: policies, team files, faults, conditions, tokens. The largest policies
+/// have a tenth of it.
+const MAX_FILE: u64 = 1 << 26;
+
+/// Largest checkpoint of a training that is read \[bytes\].
+#[cfg(feature = "train")]
+pub const MAX_CHECKPOINT: u64 = 1 << 30;
+
+/// Reads a text file that this program has written itself, in a folder that the user has named.
+#[cfg(feature = "study")]
+pub fn read_own(path: &Path) -> io::Result<String> {
+    let bytes = regular::read(path, MAX_FILE)?;
+    String::from_utf8(bytes).map_err(|_| io::Error::new(ErrorKind::InvalidData, "it is no text in UTF-8"))
+}
+
+#[cfg(feature = "sim")]
+thread_local! {
+    /// While a record is replayed: the files and folders that may be read; `None` if all may.
+    static CONFINED: RefCell<Option<Vec<PathBuf>>> = const { RefCell::new(None) };
+}
+
+/// Limit of what this thread reads, as long as it lives: for work on a record that somebody else may have made, which
+/// must open no other file by naming it.
+#[cfg(feature = "sim")]
+pub struct Confined(());
+
+#[cfg(feature = "sim")]
+impl Confined {
+    /// Lets this thread read the files and folders `allowed` and nothing else of what is named to it.
+    pub fn to(allowed: Vec<PathBuf>) -> Confined {
+        CONFINED.set(Some(allowed));
+        Confined(())
+    }
+}
+
+#[cfg(feature = "sim")]
+impl Drop for Confined {
+    fn drop(&mut self) {
+        CONFINED.set(None);
+    }
+}
+
+/// Fails if this thread may not read the file `path`, because a record has named it.
+#[cfg(feature = "sim")]
+fn check_confined(path: &Path) -> Result<(), String> {
+    let climbs = path.components().any(|part| part == Component::ParentDir);
+    let inside = |allowed: &PathBuf| path == allowed || (path.starts_with(allowed) && !climbs);
+    CONFINED.with_borrow(|all| match all {
+        Some(all) if !all.iter().any(inside) => {
+            Err("a record names it and does not have it; a replay opens the files in the record alone".to_owned())
+        }
+        _ => Ok(()),
+    })
+}
+
+#[cfg(not(feature = "sim"))]
+fn check_confined(_: &Path) -> Result<(), String> {
+    Ok(())
+}
+
 /// Reads a text file that the user has named. `what` is the noun for the file in errors. A file that contains a team
 /// key is refused.
 pub fn read_text(path: &Path, what: &str) -> Result<String> {
@@ -106,11 +196,30 @@ pub fn read_text(path: &Path, what: &str) -> Result<String> {
 /// Reads a file that the user has named. `what` is the noun for the file in errors. A file that contains a team key is
 /// refused.
 pub fn read_bytes(path: &Path, what: &str) -> Result<Vec<u8>> {
-    let bytes =
-        std::fs::read(path).map_err(|e| BadInput(format!("cannot read the {what} '{}': {e}", path.display())))?;
+    let read = check_confined(path).and_then(|()| regular::read(path, MAX_FILE).map_err(|error| error.to_string()));
+    let bytes = read.map_err(|why| BadInput(format!("cannot read the {what} '{}': {why}", path.display())))?;
     if is_key(&bytes) {
         let name = what.split(" (").next().unwrap_or(what);
         return Err(BadInput(format!("'{}' is a key file, no {name}", path.display())).into());
     }
     Ok(bytes)
+}
+
+#[cfg(all(test, feature = "sim"))]
+mod tests {
+    use super::*;
+    use crate::time::Time;
+
+    #[test]
+    fn lines_of_a_replay_have_the_time_of_the_record_and_not_that_of_today() {
+        let stamp = || {
+            let mut text = String::new();
+            Stamp.format_time(&mut Writer::new(&mut text)).unwrap();
+            text
+        };
+        stamp_as_recorded(Some(Time::from_nanos(1_500_000_000)));
+        assert_eq!(stamp(), "of the record, at 1.500 s:");
+        stamp_as_recorded(None);
+        assert!(stamp().starts_with("20") && stamp().contains('T'), "{}", stamp());
+    }
 }

@@ -9,9 +9,9 @@ use anyhow::{Context, Result};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use crate::program::BadInput;
 use crate::program::temporary::Temporary;
 use crate::program::whole_file::WholeFile;
+use crate::program::{BadInput, output};
 
 /// Name of the file that identifies the study of the folder: its settings and the program's version.
 const IDENTITY: &str = "study.json";
@@ -40,8 +40,8 @@ impl Folder {
             std::fs::create_dir_all(path).map_err(|e| refuse(format!("cannot make this folder: {e}")))?;
             identify(path, identity).map_err(|e| refuse(format!("cannot write '{IDENTITY}': {e}")))?;
         }
-        let text = std::fs::read_to_string(path.join(IDENTITY))
-            .map_err(|e| refuse(format!("cannot read '{IDENTITY}': {e}")))?;
+        let text =
+            output::read_own(&path.join(IDENTITY)).map_err(|e| refuse(format!("cannot read '{IDENTITY}': {e}")))?;
         let theirs: I = serde_json::from_str(&text).map_err(|e| {
             refuse(format!("its '{IDENTITY}' is of another study, program or version ({})", config::json(&e)))
         })?;
@@ -68,7 +68,7 @@ impl Folder {
     /// Reads the results of a finished job from the file `name` of the folder; `None` if the file is missing or
     /// damaged.
     pub fn kept<R: DeserializeOwned>(&self, name: &str) -> Option<R> {
-        serde_json::from_str(&std::fs::read_to_string(self.0.join(name)).ok()?).ok()
+        serde_json::from_str(&output::read_own(&self.0.join(name)).ok()?).ok()
     }
 
     /// Writes the results of a finished job to the file `name` of the folder, atomically, so that an interruption loses

@@ -8,9 +8,9 @@ use crate::train::trainer::Trainer;
 use anyhow::{Context, Result};
 
 use super::curve::Curve;
-use crate::program::BadInput;
 use crate::program::temporary::Temporary;
 use crate::program::whole_file::WholeFile;
+use crate::program::{BadInput, output};
 
 /// Output folder of a training, with its policy, checkpoint, learning curve and configuration.
 pub struct Folder {
@@ -56,7 +56,7 @@ impl Folder {
         self.saved = Some(iterations);
         let path = self.path.join("curve.csv");
         let wrong = |e: String| BadInput(format!("cannot read the curve '{}': {e}", path.display()));
-        let text = std::fs::read_to_string(&path).map_err(|e| wrong(e.to_string()))?;
+        let text = output::read_own(&path).map_err(|e| wrong(e.to_string()))?;
         Ok(Curve::from_csv(&text, iterations).map_err(|e| wrong(e.to_string()))?)
     }
 
@@ -89,8 +89,7 @@ impl Folder {
     pub fn curve_text(&mut self, iteration: u64) -> Result<String> {
         self.saved = Some(iteration);
         let path = self.path.join("curve.csv");
-        Ok(std::fs::read_to_string(&path)
-            .map_err(|e| BadInput(format!("cannot read the curve '{}': {e}", path.display())))?)
+        Ok(output::read_own(&path).map_err(|e| BadInput(format!("cannot read the curve '{}': {e}", path.display())))?)
     }
 
     /// Returns a text for error messages that says which checkpoint was saved last.

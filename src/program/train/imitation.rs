@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 use super::curve::{SIZE, chart, smooth};
 use super::folder::Folder;
 use super::{Args, Budget, SAVE_EVERY, bar, finish, plan, resumes};
-use crate::config::unquoted;
-use crate::program::output::{print, read_text, talk};
+use crate::config::{regular, unquoted};
+use crate::program::output::{self, print, read_text, talk};
 use crate::program::{BadInput, Ended, bad};
 use crate::registry::Registry;
 use crate::scenario::Settings;
@@ -100,7 +100,7 @@ fn begin(args: &Args, registry: &Registry) -> Result<Trainer> {
 /// Loads the trainer of an earlier training; an error says in what it differs from the flags.
 fn resume(args: &Args, folder: &Folder, registry: &Registry) -> Result<Trainer> {
     let wrong = |why: String| BadInput(format!("cannot resume '{}': {why}", folder.checkpoint().display()));
-    let bytes = std::fs::read(folder.checkpoint())
+    let bytes = regular::read(&folder.checkpoint(), output::MAX_CHECKPOINT)
         .map_err(|e| wrong(format!("{e}; leave out --resume to start a training")))?;
     let trainer = Trainer::resume(&bytes, registry).map_err(|e| wrong(unquoted(&e.to_string())))?;
     let theirs = trainer.plan();

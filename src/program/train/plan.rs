@@ -6,11 +6,11 @@ use serde::de::DeserializeOwned;
 
 use super::folder::Folder;
 use super::{Args, PRESET};
-use crate::config::{ConfigError, from_table, unquoted};
+use crate::config::{ConfigError, from_table, regular, unquoted};
 use crate::deploy::conditions::Conditions;
 use crate::program::BadInput;
 use crate::program::conditions;
-use crate::program::output::{read_bytes, read_text};
+use crate::program::output::{self, read_bytes, read_text};
 use crate::program::own_name;
 use crate::program::study;
 use crate::registry::Registry;
@@ -131,7 +131,7 @@ pub fn begin(args: &Args, registry: &Registry) -> Result<Trainer> {
 /// configuration differs from the flags.
 pub fn resume(args: &Args, folder: &Folder, registry: &Registry) -> Result<Trainer> {
     let wrong = |why: String| BadInput(format!("cannot resume '{}': {why}", folder.checkpoint().display()));
-    let bytes = std::fs::read(folder.checkpoint())
+    let bytes = regular::read(&folder.checkpoint(), output::MAX_CHECKPOINT)
         .map_err(|e| wrong(format!("{e}; leave out --resume to start a training")))?;
     let trainer = Trainer::resume(&bytes, registry).map_err(|e| wrong(unquoted(&e.to_string())))?;
     let theirs = trainer.plan();
