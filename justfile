@@ -70,6 +70,14 @@ full-record python="python3":
     cargo build --release
     bash tests/peers/record/full.sh {{python}} target/release/murmurate
 
+# Records damaged at 10 000 random places, and 20 000 mutations that are meant to do harm (15 minutes)
+full-damage:
+    MURMURATE_DAMAGE=10000 MURMURATE_MUTATIONS=20000 cargo test --release --test record -- damage:: hostile::
+
+# Records under 20 000 datagrams a second of junk, and of copies, for half a minute each (3 minutes)
+full-record-junk:
+    MURMURATE_RECORD_JUNK="20000 4" cargo test --release --test record -- junk:: --nocapture
+
 # Metrics against a real Prometheus, with every query of the Grafana dashboard (a minute, apt: prometheus curl)
 full-metrics:
     cargo build --release

@@ -199,7 +199,7 @@ fn access_to_the_machine_is_confined_to_its_files() {
             ],
         ),
         ("SystemTime", &["src/ros2/dds.rs", "src/program/"]),
-        ("std::fs", &["src/record/file.rs", "src/record/reader.rs", "src/ros2/node.rs", "src/program/"]),
+        ("std::fs", &["src/config/regular.rs", "src/record/file.rs", "src/ros2/node.rs", "src/program/"]),
         ("std::env", &["src/ros2/", "src/program/"]),
         ("thread_rng", &[]),
         ("rand::rng()", &[]),

@@ -195,12 +195,18 @@ fn log(wanted: &str, notes: bool) -> Result<(), String> {
     let targets: Targets = wanted.parse().map_err(|error| format!("'{wanted}': {error}"))?;
     let (registry, coloured) = (tracing_subscriber::registry(), output::colour());
     if notes {
-        let lines = tracing_subscriber::fmt::layer().with_writer(|| output::LogLines).with_ansi(coloured);
+        let lines = tracing_subscriber::fmt::layer()
+            .with_timer(output::Stamp)
+            .with_writer(|| output::LogLines)
+            .with_ansi(coloured);
         let notes = doctor::Notes.with_filter(doctor::Warnings);
         registry.with(lines.with_filter(targets)).with(notes).init();
     } else {
         // A single filter for all is the cheapest.
-        let lines = tracing_subscriber::fmt::layer().with_writer(|| output::LogLines).with_ansi(coloured);
+        let lines = tracing_subscriber::fmt::layer()
+            .with_timer(output::Stamp)
+            .with_writer(|| output::LogLines)
+            .with_ansi(coloured);
         #[cfg(feature = "record")]
         let registry = registry.with(recording::log::Lines);
         registry.with(targets).with(lines).init();

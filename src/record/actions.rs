@@ -68,7 +68,8 @@ impl Commands {
     /// \[ns\] since 1970, from which the commands' times are counted.
     pub fn read(mut messages: Messages, anchor_ns: u64) -> Result<Commands, ReadError> {
         let mut commands = Commands::default();
-        while let Some(message) = messages.next_message()? {
+        // Behind a gap the replay has no inputs.
+        while let Some(message) = messages.next_message()?.filter(|_| messages.gaps() == 0) {
             if message.channel.topic.starts_with("/wire/") {
                 commands.take(message.at.saturating_sub(anchor_ns), &message.data);
             }

@@ -43,6 +43,9 @@ pub struct Comparison {
     cut: bool,
     /// Time since the start of the run at which the record lacks events \[s\]; `None` if no event was dropped.
     gap_s: Option<f64>,
+    /// Time since the start of the run behind which messages of the record are lost to damage \[s\]; `None` if none
+    /// are.
+    damaged_s: Option<f64>,
     difference: Option<Difference>,
     error: Option<ReadError>,
 }
@@ -59,6 +62,9 @@ pub struct Compared {
     /// Time since the start of the run \[s\] from which on the record lacks events, because they were dropped when it
     /// was made; nothing after it was compared. `None` if no event was dropped.
     pub gap_s: Option<f64>,
+    /// Time since the start of the run \[s\] behind which messages of the record are lost, because its file is damaged;
+    /// nothing after it was compared. `None` if none are.
+    pub damaged_s: Option<f64>,
 }
 
 impl Comparison {
@@ -75,6 +81,7 @@ impl Comparison {
             messages: 0,
             cut: false,
             gap_s: None,
+            damaged_s: None,
             difference: None,
             error: None,
         }
@@ -94,15 +101,20 @@ impl Comparison {
             self.instant.push(event);
             return;
         };
-        let Comparison { recorded, topics, instant, messages, cut, gap_s, difference, error, .. } = self;
+        let Comparison { recorded, topics, instant, messages, cut, gap_s, damaged_s, difference, error, .. } = self;
         let stage = topics.stage().clone();
         let (anchor_ns, tagless) = (self.anchor_ns, self.tagless);
         topics.instant(now, instant, &mut |topic, at, data| {
-            if difference.is_some() || error.is_some() || *cut || gap_s.is_some() {
+            if difference.is_some() || error.is_some() || *cut || gap_s.is_some() || damaged_s.is_some() {
                 return;
             }
             let at_s = (at - anchor_ns) as f64 / 1e9;
-            match next(recorded) {
+            let found = next(recorded);
+            if recorded.gaps() > 0 {
+                *damaged_s = Some(at_s);
+                return;
+            }
+            match found {
                 Ok(Some(mut message)) => {
                     if tagless && topic == Topic::Turn && message.data.len() >= 16 && data.len() >= 16 {
                         message.data[8..16].copy_from_slice(&data[8..16]);
@@ -139,10 +151,14 @@ impl Comparison {
         self.instant.clear();
     }
 
-    /// Returns whether the comparison has ended before the end of the record: at a difference, at dropped events, at a
-    /// cut by a crash, or at a read error.
+    /// Returns whether the comparison has ended before the end of the record: at a difference, at dropped events, at
+    /// damage, at a cut by a crash, or at a read error.
     pub fn is_over(&self) -> bool {
-        self.cut || self.gap_s.is_some() || self.difference.is_some() || self.error.is_some()
+        self.cut
+            || self.gap_s.is_some()
+            || self.damaged_s.is_some()
+            || self.difference.is_some()
+            || self.error.is_some()
     }
 
     /// Ends the comparison and returns its result. Recorded messages after the end of the replay count as a difference.
@@ -151,10 +167,9 @@ impl Comparison {
         if let Some(error) = self.error {
             return Err(error);
         }
-        if self.difference.is_none()
-            && !self.cut
-            && self.gap_s.is_none()
+        if !self.is_over()
             && let Some(message) = next(&mut self.recorded)?
+            && self.recorded.gaps() == 0
         {
             let at_s = message.at.saturating_sub(self.anchor_ns) as f64 / 1e9;
             self.difference = Some(Difference {
@@ -165,8 +180,8 @@ impl Comparison {
             });
         }
         self.cut |= self.difference.is_none() && !self.recorded.is_complete();
-        let Comparison { messages, difference, cut, gap_s, .. } = self;
-        Ok(Compared { messages, difference, cut, gap_s })
+        let Comparison { messages, difference, cut, gap_s, damaged_s, .. } = self;
+        Ok(Compared { messages, difference, cut, gap_s, damaged_s })
     }
 }
 

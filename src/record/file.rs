@@ -4,13 +4,18 @@
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{BufWriter, Write};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
-use mcap::records::MessageHeader;
+use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
 use mcap::{Attachment, McapError, WriteOptions, Writer};
 
+use super::digest;
 use super::identity::{Identity, METADATA};
+use super::reading::damage::{End, Survey};
+use super::reading::source::Source;
+use super::reading::survey::survey;
 use super::stage::{self, Stage};
 use super::topics::Topic;
 
@@ -66,6 +71,8 @@ pub struct RecordFile {
     schemas: BTreeMap<String, u16>,
     sequence: u32,
     bytes: u64,
+    /// Metadata of the file, which are written again at its end.
+    metadata: Vec<Metadata>,
 }
 
 impl RecordFile {
@@ -73,7 +80,10 @@ impl RecordFile {
     /// ground and walls. Fails if the file exists.
     pub fn create(path: &Path, beginning: &Beginning, stage: &Stage) -> Result<RecordFile, RecordError> {
         let failed = |error| RecordError::Create { path: path.to_owned(), error };
-        let file = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed)?;
+        // Not for everybody on the machine: it has the team's files, and where its robots were. Readable, as a write
+        // that fails is followed by a look at what was written.
+        let mut options = OpenOptions::new();
+        let file = options.read(true).write(true).create_new(true).mode(0o640).open(path).map_err(failed)?;
         let wrong = |error: McapError| RecordError::Write { path: path.to_owned(), reason: error.to_string() };
         let options = WriteOptions::new()
             .compression(None)
@@ -81,18 +91,21 @@ impl RecordFile {
             .disable_seeking(true)
             .library(concat!("murmurate ", env!("CARGO_PKG_VERSION")));
         let writer = options.create(NoSeek::new(BufWriter::with_capacity(1 << 16, file))).map_err(wrong)?;
-        let mut file =
-            RecordFile { writer, channels: BTreeMap::new(), schemas: BTreeMap::new(), sequence: 0, bytes: 0 };
-        file.begin(beginning, stage).map_err(wrong)?;
+        let metadata = with_digest(vec![
+            Metadata { name: METADATA.to_owned(), metadata: beginning.identity.to_metadata() },
+            Metadata { name: stage::METADATA.to_owned(), metadata: stage.to_metadata() },
+        ]);
+        let (channels, schemas) = (BTreeMap::new(), BTreeMap::new());
+        let mut file = RecordFile { writer, channels, schemas, sequence: 0, bytes: 0, metadata };
+        file.begin(beginning).map_err(wrong)?;
         Ok(file)
     }
 
-    fn begin(&mut self, beginning: &Beginning, stage: &Stage) -> Result<(), McapError> {
+    fn begin(&mut self, beginning: &Beginning) -> Result<(), McapError> {
         let Beginning { identity, attached } = beginning;
-        let metadata = mcap::records::Metadata { name: METADATA.to_owned(), metadata: identity.to_metadata() };
-        self.writer.write_metadata(&metadata)?;
-        let metadata = mcap::records::Metadata { name: stage::METADATA.to_owned(), metadata: stage.to_metadata() };
-        self.writer.write_metadata(&metadata)?;
+        for metadata in &self.metadata {
+            self.writer.write_metadata(metadata)?;
+        }
         for Attached { name, media_type, content } in attached {
             self.writer.attach(&Attachment {
                 log_time: identity.anchor_ns,
@@ -144,14 +157,53 @@ impl RecordFile {
         self.writer.flush()
     }
 
-    /// Writes the end of the file with the index that lets readers seek, and syncs the file to disk.
+    /// Writes the end of the file with the index that lets readers seek, and syncs the file to disk. If that fails, the
+    /// file ends with its last whole chunk.
     pub fn finish(mut self) -> Result<(), McapError> {
-        self.writer.finish()?;
+        if let Err(error) = self.end() {
+            self.salvage();
+            return Err(error);
+        }
         let mut file = self.writer.into_inner().into_inner();
-        file.flush()?;
+        if let Err(error) = file.flush() {
+            cut(file);
+            return Err(error.into());
+        }
         file.get_ref().sync_all()?;
         Ok(())
     }
+
+    fn end(&mut self) -> Result<(), McapError> {
+        // A second time, for a file whose beginning is damaged later.
+        for metadata in &self.metadata {
+            self.writer.write_metadata(metadata)?;
+        }
+        self.writer.finish().map(drop)
+    }
+
+    /// Gives up the file after a write has failed: cuts off what is behind its last whole chunk, without writing more.
+    pub fn salvage(self) {
+        cut(self.writer.into_inner().into_inner());
+    }
+}
+
+/// Cuts off what is behind the last whole chunk of a file. What is in its buffer is not written.
+fn cut(file: BufWriter<File>) {
+    let (file, _) = file.into_parts();
+    let Ok(copy) = file.try_clone() else { return };
+    let known = Source::new(copy).and_then(|mut source| survey(&mut source));
+    if let Ok(Some(Survey { end: End::Cut { at, .. }, .. })) = known {
+        // An error leaves a longer file, of which as much can be read.
+        let _ = file.set_len(at).and_then(|()| file.sync_all());
+    }
+}
+
+/// Returns `all` metadata of a file with the metadata that hold their digests.
+pub(super) fn with_digest(mut all: Vec<Metadata>) -> Vec<Metadata> {
+    let named: Vec<_> = all.iter().map(|metadata| (&*metadata.name, &metadata.metadata)).collect();
+    let metadata = digest::of_all(&named);
+    all.push(Metadata { name: digest::METADATA.to_owned(), metadata });
+    all
 }
 
 /// Converts an error of creating a further file of a record to an error of writing.

@@ -9,8 +9,9 @@ use crate::messages::ids::HostId;
 
 /// Name of the MCAP metadata that contains the identity of a record.
 pub const METADATA: &str = "murmurate.run";
-/// Version of the format of records that this program writes and reads.
-pub const FORMAT: u32 = 1;
+/// Version of the format of records that this program writes. It reads those before it, too: version 1 has no digests
+/// of metadata, and no numbers of refused datagrams.
+pub const FORMAT: u32 = 2;
 /// Digest of the sources that the program was built from. Programs with equal digests behave equally.
 pub const BUILD: &str = env!("SOURCE_DIGEST");
 
@@ -125,8 +126,9 @@ impl Identity {
     pub fn of_metadata(metadata: &BTreeMap<String, String>) -> Result<Identity, WrongIdentity> {
         const TEXTS: [&str; 3] = ["version", "build", "policy"];
         let format = metadata.get("format").map_or("", String::as_str);
-        if format != FORMAT.to_string() {
-            return Err(WrongIdentity(format!("it has format '{format}', and this program reads format {FORMAT}")));
+        if !(1..=FORMAT).any(|known| known.to_string() == format) {
+            let format: String = format.chars().take(20).collect();
+            return Err(WrongIdentity(format!("it has format {format:?}, and this program reads up to {FORMAT}")));
         }
         let mut fields = serde_json::Map::new();
         for (name, value) in metadata {
@@ -137,7 +139,13 @@ impl Identity {
             };
             fields.insert(name.clone(), value);
         }
-        serde_json::from_value(serde_json::Value::Object(fields)).map_err(|error| WrongIdentity(error.to_string()))
+        let read: Result<Identity, _> = serde_json::from_value(serde_json::Value::Object(fields));
+        let identity = read.map_err(|error| WrongIdentity(error.to_string()))?;
+        // Wall clocks have 61 bits until the year 2043, so that sums of times do not overflow.
+        if identity.anchor_ns >= 1 << 61 {
+            return Err(WrongIdentity("its start is no time of a wall clock".to_owned()));
+        }
+        Ok(identity)
     }
 }
 
@@ -164,6 +172,6 @@ mod tests {
         }
         let mut other = identity.to_metadata();
         other.insert("format".to_owned(), "9".to_owned());
-        assert!(Identity::of_metadata(&other).unwrap_err().to_string().contains("format '9'"));
+        assert!(Identity::of_metadata(&other).unwrap_err().to_string().contains("format \"9\""));
     }
 }

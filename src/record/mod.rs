@@ -13,12 +13,16 @@ mod schemas;
 
 pub mod actions;
 pub mod compare;
+pub mod digest;
 pub mod file;
+pub mod health;
 pub mod identity;
 pub mod merge;
 pub mod protobuf_reader;
 pub mod queue;
+pub mod read_error;
 pub mod reader;
+pub mod reading;
 pub mod repair;
 pub mod series;
 pub mod share;
@@ -37,7 +41,7 @@ use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::local::Truth;
 use crate::messages::wire::Wire;
 use crate::net::protocol::codec::Frame;
-use crate::net::protocol::link::LinkCounts;
+use crate::net::protocol::link::{LinkCounts, Refusal};
 use crate::net::protocol::sender::Peer;
 use crate::report::episode::Episode;
 use crate::safety::guard::SafetyCounts;
@@ -53,6 +57,9 @@ pub enum Event {
     /// An input of a host from outside its actors: a datagram, a packet of a device's worker, or an order. Only in
     /// records of hosts.
     Input(Input),
+    /// A datagram among the inputs that was refused for this cause, without any effect but its count. Only in records
+    /// of hosts, which keep the number of these and not their bytes.
+    Refused(LinkId, Refusal, Frame),
     /// A message that was delivered to actors of the host. Only in records of hosts and operators.
     Delivered(Wire),
     /// True states of the simulated robots at one instant.
@@ -116,6 +123,7 @@ impl Event {
             ProcessEvent::Published(frame) => Event::Published(host, Frame::clone(frame)),
             ProcessEvent::Sent(link, frame) if of_host => Event::Sent(link, Frame::clone(frame)),
             ProcessEvent::Input(input) if of_host => Event::Input(input.clone()),
+            ProcessEvent::Refused(link, cause, frame) if of_host => Event::Refused(link, cause, Frame::clone(frame)),
             ProcessEvent::Message(message @ (Wire::Reading(_) | Wire::Latent(_) | Wire::Mode(_))) if of_host => {
                 Event::Delivered(message.clone())
             }
@@ -128,6 +136,7 @@ impl Event {
             ProcessEvent::Sent(..)
             | ProcessEvent::Arrived(..)
             | ProcessEvent::Input(_)
+            | ProcessEvent::Refused(..)
             | ProcessEvent::Message(_)
             | ProcessEvent::Recorded(_)
             | ProcessEvent::Aborted(..)

@@ -1,22 +1,14 @@
-//! Repair of a record that a crash has cut: copies its complete messages to a new file with an end and an index, which
-//! every MCAP reader accepts.
+//! Repair of a record that was cut or damaged: copies everything intact to a new file with an end and an index, which
+//! every MCAP reader accepts. Also files of other programs: channels, schemas, times and numbers stay as they are.
 
-use std::collections::BTreeMap;
 use std::io::{Seek, Write};
 
-use mcap::records::MessageHeader;
-use mcap::{Attachment, McapError, WriteOptions, Writer};
+use mcap::records::{MessageHeader, Metadata};
+use mcap::{McapError, WriteOptions, Writer};
 
-use super::reader::{Item, ReadError, Reader};
-
-/// Result of the repair of a record that a crash has cut.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Repaired {
-    /// Number of messages that were copied.
-    pub messages: u64,
-    /// Whether the file was complete already and needed no repair.
-    pub was_complete: bool,
-}
+use super::digest;
+use super::file::with_digest;
+use super::reader::{Attachment, Item, ReadError, Reader};
 
 /// Error in the repair, or in another copy, of a record.
 #[derive(Debug, thiserror::Error)]
@@ -25,69 +17,62 @@ pub enum RepairError {
     #[error(transparent)]
     Read(#[from] ReadError),
     /// The new file cannot be written.
-    #[error("cannot write the repaired record: {0}")]
+    #[error("cannot write the copy: {0}")]
     Write(#[from] McapError),
 }
 
-/// Repairs a record that a crash has cut: copies all its complete elements to `to` and adds an end and an index.
-pub fn repair(from: &mut Reader, to: impl Write + Seek) -> Result<Repaired, RepairError> {
-    let mut copy = Copy::begin(to)?;
+/// Copies everything intact of `from`, and the attachments `more`, to `to`, with an end and an index. Returns the
+/// number of messages.
+pub fn copy(from: &mut Reader, more: Vec<Attachment>, to: impl Write + Seek) -> Result<u64, RepairError> {
+    let library = concat!("murmurate ", env!("CARGO_PKG_VERSION"));
+    let options = WriteOptions::new().compression(None).profile(from.profile()).library(library);
+    let mut writer = options.create(to)?;
+    let metadata = metadata(from);
+    metadata.iter().try_for_each(|metadata| writer.write_metadata(metadata))?;
+    more.into_iter().try_for_each(|attachment| attach(&mut writer, attachment))?;
+    let mut messages = 0;
     while let Some(item) = from.next_item()? {
-        copy.item(item)?;
-    }
-    let messages = copy.finish()?;
-    Ok(Repaired { messages, was_complete: from.is_complete() })
-}
-
-/// Writer of a copy of an MCAP file, element by element.
-pub(super) struct Copy<W: Write + Seek> {
-    writer: Writer<W>,
-    schemas: BTreeMap<u16, u16>,
-    channels: BTreeMap<String, u16>,
-    messages: u64,
-}
-
-impl<W: Write + Seek> Copy<W> {
-    /// Begins a copy in the new MCAP file `to`.
-    pub fn begin(to: W) -> Result<Copy<W>, McapError> {
-        let library = concat!("murmurate ", env!("CARGO_PKG_VERSION"));
-        let writer = WriteOptions::new().compression(None).library(library).create(to)?;
-        Ok(Copy { writer, schemas: BTreeMap::new(), channels: BTreeMap::new(), messages: 0 })
-    }
-
-    /// Writes one element of the original file to the copy.
-    pub fn item(&mut self, item: Item) -> Result<(), McapError> {
         match item {
-            Item::Metadata(name, metadata) => {
-                self.writer.write_metadata(&mcap::records::Metadata { name, metadata })?;
+            Item::Metadata(..) => {}
+            Item::Attachment(attachment) => attach(&mut writer, attachment)?,
+            Item::Schema(schema) => {
+                writer.add_schema_with_id(schema.id, &schema.name, &schema.encoding, &schema.data)?;
             }
-            Item::Attachment(name, media_type, data) => {
-                let data = data.into();
-                self.writer.attach(&Attachment { log_time: 0, create_time: 0, name, media_type, data })?;
-            }
-            Item::Schema(header, data) => {
-                let id = self.writer.add_schema(&header.name, &header.encoding, &data)?;
-                self.schemas.insert(header.id, id);
-            }
-            Item::Channel(_, channel) => {
-                let schema = self.schemas.get(&channel.schema).copied().unwrap_or(0);
-                let id = self.writer.add_channel(schema, &channel.topic, &channel.encoding, &BTreeMap::new())?;
-                self.channels.insert(channel.topic.clone(), id);
+            Item::Channel(channel) => {
+                // A channel may name a schema that is lost.
+                let schema = match from.has_schema(channel.schema) {
+                    true => channel.schema,
+                    false => 0,
+                };
+                let (topic, encoding) = (&channel.topic, &channel.encoding);
+                writer.add_channel_with_id(channel.id, schema, topic, encoding, &channel.metadata)?;
             }
             Item::Message(message) => {
-                let sequence = u32::try_from(self.messages % (1 << 32)).expect("it was reduced");
-                let channel_id = self.channels[&message.channel.topic];
-                let header = MessageHeader { channel_id, sequence, log_time: message.at, publish_time: message.at };
-                self.writer.write_to_known_channel(&header, &message.data)?;
-                self.messages += 1;
+                let (channel_id, sequence) = (message.channel.id, message.sequence);
+                let (log_time, publish_time) = (message.at, message.published);
+                let header = MessageHeader { channel_id, sequence, log_time, publish_time };
+                writer.write_to_known_channel(&header, &message.data)?;
+                messages += 1;
             }
         }
-        Ok(())
     }
+    // A record of ours has them twice.
+    let ours = metadata.iter().any(|metadata| metadata.name == digest::METADATA);
+    metadata.iter().filter(|_| ours).try_for_each(|metadata| writer.write_metadata(metadata))?;
+    writer.finish()?;
+    Ok(messages)
+}
 
-    /// Writes the end and the index of the copy. Returns the number of messages in it.
-    pub fn finish(mut self) -> Result<u64, McapError> {
-        self.writer.finish()?;
-        Ok(self.messages)
-    }
+/// Returns the metadata of a copy: those of the original, and the digests of ours, which may be fewer by now.
+fn metadata(from: &Reader) -> Vec<Metadata> {
+    let all = from.metadata().iter().filter(|(name, _)| name != digest::METADATA);
+    let all = all.map(|(name, values)| Metadata { name: name.clone(), metadata: values.clone() });
+    let (ours, theirs): (Vec<_>, Vec<_>) = all.partition(|metadata| metadata.name.starts_with("murmurate."));
+    let ours = if ours.is_empty() { ours } else { with_digest(ours) };
+    ours.into_iter().chain(theirs).collect()
+}
+
+fn attach<W: Write + Seek>(writer: &mut Writer<W>, attachment: Attachment) -> Result<(), McapError> {
+    let Attachment { log_time, create_time, name, media_type, data } = attachment;
+    writer.attach(&mcap::Attachment { log_time, create_time, name, media_type, data: data.into() })
 }

@@ -123,6 +123,14 @@ impl Series {
         self.file.as_mut().map_or(Ok(()), RecordFile::flush)
     }
 
+    /// Gives up the current file after a write has failed, as on a full disk: it ends with its last whole chunk. What
+    /// cannot be cut off stays; readers find the end of what is intact.
+    pub fn salvage(self) {
+        if let Some(file) = self.file {
+            file.salvage();
+        }
+    }
+
     /// Ends the record and finishes its current file.
     pub fn finish(self) -> Result<(), McapError> {
         self.file.map_or(Ok(()), RecordFile::finish)

@@ -4,8 +4,8 @@
 use std::collections::BTreeSet;
 use std::io::{Seek, Write};
 
-use super::reader::{Item, Messages, ReadError, Reader};
-use super::repair::{Copy, RepairError};
+use super::reader::{Attachment, Messages, ReadError, Reader};
+use super::repair::{self, RepairError};
 use super::tape;
 use crate::graph::inputs::Input;
 use crate::messages::ids::HostId;
@@ -47,13 +47,10 @@ pub fn accepted(mut messages: Messages, key: &Key, host: HostId) -> Result<Found
 /// Copies a record to `to`, with `accepted`, the digests of the datagrams that had a valid authentication tag, as an
 /// attachment.
 pub fn copy(from: &mut Reader, accepted: &BTreeSet<[u8; 16]>, to: impl Write + Seek) -> Result<(), RepairError> {
-    let mut copy = Copy::begin(to)?;
-    let list: Vec<u8> = accepted.iter().flatten().copied().collect();
-    copy.item(Item::Attachment(ACCEPTED.to_owned(), "application/octet-stream".to_owned(), list))?;
-    while let Some(item) = from.next_item()? {
-        copy.item(item)?;
-    }
-    copy.finish()?;
+    let data = accepted.iter().flatten().copied().collect();
+    let (name, media_type) = (ACCEPTED.to_owned(), "application/octet-stream".to_owned());
+    let list = Attachment { log_time: 0, create_time: 0, name, media_type, data };
+    repair::copy(from, vec![list], to)?;
     Ok(())
 }
 

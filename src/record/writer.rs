@@ -44,7 +44,17 @@ impl Recording {
         let thread = thread::Builder::new()
             .name("record".to_owned())
             .spawn(move || {
-                if let Err(error) = serve(series, &outlet, topics, flush) {
+                let mut series = series;
+                let served = serve(&mut series, &outlet, topics, flush);
+                drop(outlet);
+                let ended = match served {
+                    Ok(()) => series.finish(),
+                    Err(error) => {
+                        series.salvage();
+                        Err(error)
+                    }
+                };
+                if let Err(error) = ended {
                     *failed.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = Some(reason(&error));
                 }
             })
@@ -92,7 +102,7 @@ fn reason(error: &McapError) -> String {
 }
 
 /// Writes the events from the queue until its other end is closed.
-fn serve(mut series: Series, outlet: &Outlet, mut topics: Topics, flush: Option<Duration>) -> Result<(), McapError> {
+fn serve(series: &mut Series, outlet: &Outlet, mut topics: Topics, flush: Option<Duration>) -> Result<(), McapError> {
     let (mut taken, mut instant) = (Vec::new(), Vec::new());
     let (mut flushed, mut written) = (Instant::now(), false);
     let (mut triggers, mut happens) = (Triggers::default(), false);
@@ -123,5 +133,5 @@ fn serve(mut series: Series, outlet: &Outlet, mut topics: Topics, flush: Option<
             (flushed, written) = (Instant::now(), false);
         }
     }
-    series.finish()
+    Ok(())
 }

@@ -61,6 +61,8 @@ pub struct Record {
     pub duration_s: f64,
     /// Marks on the timeline of the record (such as ends of episodes), in the order of time.
     pub marks: Vec<Mark>,
+    /// What the record cannot show, and why, in words; empty if there is nothing to say.
+    pub note: String,
 }
 
 /// Kind of an event that is marked on the timeline of a record.

@@ -172,7 +172,7 @@ impl Rig {
                 Out::Peers(peers) => self.peers[host] = peers,
                 Out::Duplicate(duplicate) => self.duplicates[host] = Some(duplicate),
                 Out::Admit(_, guest) => self.admitted[host].push(guest),
-                Out::Tap(_) => {}
+                Out::Tap(_) | Out::Refused(..) => {}
                 Out::Transmit(_, audience, frame) => {
                     let bytes = frame.len();
                     self.sent.push(Flight { from: host, at: self.now, audience, frame: frame.clone(), bytes });

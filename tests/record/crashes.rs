@@ -4,19 +4,20 @@ use std::io::Cursor;
 use std::path::Path;
 
 use murmurate::record::reader::Reader;
-use murmurate::record::repair::repair;
+use murmurate::record::repair::copy;
 use tempfile::TempDir;
 
 use crate::program::{murmurate, run, text};
 use crate::records;
 
-/// Number of messages in the first bytes of a file. Damage is a failure.
+/// Number of messages in the first bytes of a file, and whether it has its end.
 fn messages(bytes: &[u8]) -> (u64, bool) {
-    let mut reader = Reader::of(Path::new("cut"), Cursor::new(bytes.to_vec()));
+    let Ok(mut reader) = Reader::of(Path::new("cut"), Cursor::new(bytes.to_vec())) else { return (0, false) };
     let mut count = 0;
     while reader.next_message().expect("a cut is no damage").is_some() {
         count += 1;
     }
+    assert!(reader.health().is_whole() == reader.is_complete() || reader.health().faults.len() == 1);
     (count, reader.is_complete())
 }
 
@@ -39,9 +40,10 @@ fn a_file_cut_at_any_byte_is_read_and_a_longer_one_never_holds_less() {
     assert_eq!(before, whole.0);
     let mut mended = Cursor::new(Vec::new());
     let half = &bytes[..bytes.len() / 2];
-    let found = repair(&mut Reader::of(Path::new("half"), Cursor::new(half.to_vec())), &mut mended).unwrap();
-    assert_eq!((found.messages, true), messages(mended.get_ref()), "whole again");
-    assert_eq!((found.messages, found.was_complete), (messages(half).0, false));
+    let mut half_read = Reader::of(Path::new("half"), Cursor::new(half.to_vec())).unwrap();
+    let found = copy(&mut half_read, Vec::new(), &mut mended).unwrap();
+    assert_eq!((found, true), messages(mended.get_ref()), "whole again");
+    assert_eq!((found, false), messages(half));
 }
 
 #[test]
@@ -86,11 +88,13 @@ fn a_launch_whose_records_do_not_fit_on_the_disk_prints_all_results_and_names_th
     std::fs::create_dir(&to).unwrap();
     std::fs::write(&team, "team = 814\nmode = \"centralized\"\nrobots = 2\nepisodes = 1\n").unwrap();
     // A file system of its own, which goes with the command.
-    let script =
-        "mount -t tmpfs -o size=150k small \"$1\" && exec \"$0\" launch \"$2\" --interface lo --json --record \"$1\"";
+    let kept = folder.path().join("kept");
+    let script = "mount -t tmpfs -o size=150k small \"$1\" && \
+                  \"$0\" launch \"$2\" --interface lo --json --record \"$1\"; \
+                  code=$?; cp -r \"$1\" \"$3\"; exit $code";
     let program = murmurate(&[]).get_program().to_owned();
     let mut command = std::process::Command::new("unshare");
-    command.args(["--user", "--map-root-user", "--mount", "sh", "-c", script]).arg(program).args([&to, &team]);
+    command.args(["--user", "--map-root-user", "--mount", "sh", "-c", script]).arg(program).args([&to, &team, &kept]);
     let output = command.env_remove("MURMURATE_LOG").stdin(std::process::Stdio::null()).output();
     let Some(output) = output.ok().filter(|output| !text(&output.stderr).contains("unshare:")) else {
         return eprintln!("skipped: no file system can be mounted here");
@@ -103,4 +107,17 @@ fn a_launch_whose_records_do_not_fit_on_the_disk_prints_all_results_and_names_th
     let results: serde_json::Value = serde_json::from_slice(&output.stdout).expect("the results");
     assert_eq!((&results["episodes"], &results["interrupted"]), (&1.into(), &false.into()), "{results}");
     assert!(!said.contains("started again"), "{said}");
+    let gone = said.matches("can no longer be written").count();
+    // Each record ends with its last whole chunk, and is read up to there.
+    let mut cut = 0;
+    for record in records(&kept) {
+        let reader = Reader::open(&record).expect("it has a beginning");
+        let health = reader.health();
+        assert!(health.faults.is_empty(), "{health:?}");
+        if let Some(end) = &health.cut {
+            assert_eq!((end.from, end.to), (health.bytes, health.bytes), "nothing is behind its end: {end}");
+            cut += 1;
+        }
+    }
+    assert!(cut >= 1 && gone <= cut, "{cut} are cut, and it is said {gone} times: {said}");
 }

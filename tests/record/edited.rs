@@ -32,13 +32,13 @@ pub fn copy(from: &Path, to: &Path, mut keep: impl FnMut(&mut Message) -> bool) 
     while let Some(item) = reader.next_item().expect("it is whole") {
         match item {
             Item::Metadata(name, metadata) => writer.write_metadata(&Metadata { name, metadata }).expect("written"),
-            Item::Attachment(name, media_type, data) => {
+            Item::Attachment(murmurate::record::reader::Attachment { name, media_type, data, .. }) => {
                 let attachment = Attachment { log_time: 0, create_time: 0, name, media_type, data: data.into() };
                 writer.attach(&attachment).expect("written");
             }
-            Item::Schema(header, data) => {
-                let id = writer.add_schema(&header.name, &header.encoding, &data).expect("written");
-                schemas.insert(header.id, id);
+            Item::Schema(schema) => {
+                let id = writer.add_schema(&schema.name, &schema.encoding, &schema.data).expect("written");
+                schemas.insert(schema.id, id);
             }
             Item::Channel(..) => {}
             Item::Message(mut message) => {

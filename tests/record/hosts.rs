@@ -1,6 +1,7 @@
 //! Records of the hosts of a real team, which run again alone.
 
 use std::fs::write;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use murmurate::graph::inputs::Input;
@@ -48,10 +49,14 @@ fn hosts_of_a_team_with_a_key_run_again_to_the_bit_and_each_change_is_noticed() 
     let (folder, records_of) = launched(811);
     let key = folder.path().join("team.key");
     let with_key = ["--key-file", key.to_str().unwrap()];
+    let (status, said) = replayed(&records_of, &with_key);
+    assert_eq!((status, said.matches("equal, ").count()), (0, 4), "{said}");
+    // The key is never taken from where a record says, which may be of somebody else.
     let (status, said) = replayed(&records_of, &[]);
-    assert_eq!((status, said.matches("equal, ").count()), (0, 4), "the key is where the team file says: {said}");
+    assert!(status == 2 && said.contains("--key-file"), "{said}");
     let secret = std::fs::read_to_string(&key).unwrap();
     for record in records(&records_of) {
+        assert_eq!(record.metadata().unwrap().permissions().mode() & 0o007, 0, "not for everybody");
         let bytes = std::fs::read(record).unwrap();
         assert!(!bytes.windows(16).any(|part| secret.as_bytes().windows(16).any(|key| key == part)), "no key in it");
     }
@@ -94,6 +99,7 @@ fn hosts_of_a_team_with_a_key_run_again_to_the_bit_and_each_change_is_noticed() 
     edit(&agent, &changed, |_| {});
     assert_eq!(replayed(&changed, &with_key).0, 0, "a copy is equal");
     shares(&agent, &key, &changed);
+    shares_a_folder(&records_of, &key, folder.path());
     differs_with_another_policy(&agent, &key, folder.path());
     std::fs::remove_file(&key).unwrap();
     assert_eq!(replayed(&changed, &[]).0, 0, "a shared copy needs no key");
@@ -122,6 +128,22 @@ fn shares(agent: &Path, key: &Path, copy: &Path) {
         }
     });
     assert_eq!(replayed(&copy.with_extension("cut"), &[]).0, 1, "no latent is accepted");
+}
+
+/// Makes copies of all records of the team, beside which a file lies that is none.
+fn shares_a_folder(records_of: &Path, key: &Path, folder: &Path) {
+    let copies = folder.join("copies");
+    let empty = records_of.join("a.mcap");
+    write(&empty, "").unwrap();
+    let [from, key, to] = [records_of, key, &copies].map(|path| path.to_str().unwrap());
+    let output = run(&["record", "share", from, "--key-file", key, "-o", to]);
+    let (said, why) = (text(&output.stdout), text(&output.stderr));
+    assert_eq!((output.status.code(), said.matches("had a valid tag").count()), (Some(1), 4), "{said}{why}");
+    assert!(why.contains("left out") && why.contains("a.mcap"), "{why}");
+    std::fs::remove_file(&empty).unwrap();
+    let (status, said) = replayed(&copies, &[]);
+    assert_eq!((status, said.matches("equal, ").count()), (0, 4), "{said}");
+    refuses(&["record", "share", from, "--key-file", key, "-o", from], &["another folder"]);
 }
 
 fn differs_with_another_policy(agent: &Path, key: &Path, folder: &Path) {

@@ -4,8 +4,12 @@
 mod program;
 
 mod crashes;
+mod damage;
 mod edited;
+mod folders;
+mod hostile;
 mod hosts;
+mod junk;
 mod kept;
 mod readers;
 mod simulated;

@@ -1,19 +1,21 @@
 //! The command `murmurate record export`: writes tables of a record as CSV.
 
-use std::io::{BufWriter, Write};
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use serde_json::Value as Json;
 
 use crate::graph::inputs::Input;
+use crate::messages::wire::Wire;
 use crate::net::protocol::codec::{self, Content};
 use crate::program::output::talk;
+use crate::program::record::chosen::tell;
 use crate::program::whole_file::WholeFile;
 use crate::program::{BadInput, Ended, bad};
 use crate::record::protobuf_reader::{Fields, Value};
-use crate::record::reader::{self, Message, Opened};
+use crate::record::reader::{self, Message};
 use crate::record::tape;
+use crate::record::topics::name_of;
 
 /// Flags of `murmurate record export`.
 #[derive(clap::Args)]
@@ -37,30 +39,44 @@ const TRAJECTORIES: &str = "episode,phase,time_s,robot,x_m,y_m,vx_m_s,vy_m_s,hea
 const LINKS: &str = "time_s,host,link,peer,incarnation,accepted,age_s,loss,passed,missing,round_trip_s,uncertainty_s";
 const MESSAGES: &str = "time_s,event,host,link,sender,incarnation,sequence,kind,bytes";
 
-/// CSV table of `record export`, collected in memory until its file is written.
+/// Number of bytes of a table that are written at once.
+const PIECE: usize = 1 << 16;
+
+/// CSV table of `record export`, whose file appears once it is complete.
 struct Table {
     file: WholeFile,
     rows: Vec<u8>,
     count: u64,
+    /// First error of writing.
+    failure: Option<std::io::Error>,
 }
 
 impl Table {
     fn open(path: Option<&PathBuf>, header: &str) -> Result<Option<Table>> {
         let Some(path) = path else { return Ok(None) };
         let rows = format!("{header}\n").into_bytes();
-        Ok(Some(Table { file: WholeFile::create(path)?, rows, count: 0 }))
+        Ok(Some(Table { file: WholeFile::create(path)?, rows, count: 0, failure: None }))
     }
 
     fn row(&mut self, row: &str) {
         self.count += 1;
         self.rows.extend_from_slice(row.as_bytes());
         self.rows.push(b'\n');
+        if self.rows.len() >= PIECE {
+            self.flush();
+        }
+    }
+
+    fn flush(&mut self) {
+        if self.failure.is_none() {
+            self.failure = self.file.writer().write_all(&self.rows).err();
+        }
+        self.rows.clear();
     }
 
     fn keep(mut self, what: &str) -> Result<()> {
-        let mut writer = BufWriter::new(self.file.writer());
-        writer.write_all(&self.rows).and_then(|()| writer.flush()).context("cannot write the table")?;
-        drop(writer);
+        self.flush();
+        self.failure.map_or(Ok(()), Err).context("cannot write the table")?;
         self.file.keep()?;
         if self.count == 0 {
             talk(&format!("warning: the record has no {what}: the table has its header alone"));
@@ -74,26 +90,38 @@ pub fn run(args: &Args) -> Result<Ended> {
     if args.trajectories.is_none() && args.links.is_none() && args.messages.is_none() {
         return bad("name what to export: --trajectories, --links or --messages".to_owned());
     }
-    let opened = reader::open(&args.record).map_err(|error| BadInput(error.to_string()))?;
-    let Opened { identity, mut messages, .. } = opened;
+    let opened = reader::messages(&args.record).map_err(|error| BadInput(error.to_string()))?;
+    let (identity, mut messages) = opened;
+    let whole = tell(messages.health(), identity.anchor_ns);
     let mut trajectories = Table::open(args.trajectories.as_ref(), TRAJECTORIES)?;
     let mut links = Table::open(args.links.as_ref(), LINKS)?;
     let mut datagrams = Table::open(args.messages.as_ref(), MESSAGES)?;
     let host = identity.host.map_or(String::new(), |host| host.name);
-    let mut phase = (Json::Null, String::new());
+    let (mut phase, mut gaps) = (Some((Json::Null, String::new())), 0);
     while let Some(message) = messages.next_message()? {
+        if std::mem::replace(&mut gaps, messages.gaps()) != messages.gaps() {
+            // The phase may have changed in what is lost.
+            phase = None;
+        }
         let at_s = message.at.saturating_sub(identity.anchor_ns) as f64 / 1e9;
         match &*message.channel.topic {
             "/episode" => {
                 let said: Json = serde_json::from_slice(&message.data).unwrap_or_default();
                 if let Some(begins) = said["phase"].as_str() {
-                    phase = (said["episode"].clone(), begins.to_owned());
+                    phase = Some((said["episode"].clone(), begins.to_owned()));
                 }
             }
-            "/truth" => trajectories.iter_mut().for_each(|table| truth(table, at_s, &phase, &message.data)),
+            "/truth" => trajectories.iter_mut().for_each(|table| truth(table, at_s, phase.as_ref(), &message.data)),
             "/links" => links.iter_mut().for_each(|table| peers(table, at_s, &message.data)),
-            "/tape/turn" => datagrams.iter_mut().for_each(|table| arrived(table, at_s, &host, &message.data)),
+            "/tape/turn" => {
+                if phase.is_none() {
+                    let frames = tape::read(&message.data).into_iter().flat_map(|turn| turn.frames());
+                    phase = frames.filter_map(|frame| followed(codec::untagged(&frame))).next();
+                }
+                datagrams.iter_mut().for_each(|table| arrived(table, at_s, &host, &message.data));
+            }
             topic if topic.starts_with("/wire/") => {
+                phase = phase.or_else(|| followed(&message.data));
                 datagrams.iter_mut().for_each(|table| published(table, at_s, &message));
             }
             _ => {}
@@ -102,10 +130,17 @@ pub fn run(args: &Args) -> Result<Ended> {
     for (table, what) in [(trajectories, "true states"), (links, "links"), (datagrams, "messages")] {
         table.map_or(Ok(()), |table| table.keep(what))?;
     }
-    Ok(Ended::Done)
+    Ok(if whole { Ended::Done } else { Ended::Unfit })
 }
 
-fn truth(table: &mut Table, at_s: f64, (episode, phase): &(Json, String), data: &[u8]) {
+/// Returns episode and phase that the instruction in a datagram gives; `None` for another datagram.
+fn followed(datagram: &[u8]) -> Option<(Json, String)> {
+    let (_, Wire::Mode(mode)) = codec::decode(datagram).ok()? else { return None };
+    Some((mode.round.episode.into(), name_of(mode.phase).to_owned()))
+}
+
+fn truth(table: &mut Table, at_s: f64, phase: Option<&(Json, String)>, data: &[u8]) {
+    let (episode, phase) = phase.map_or((&Json::Null, ""), |(episode, phase)| (episode, &**phase));
     for (_, robot) in Fields(data).filter(|(field, _)| *field == 2) {
         let mut fields = [0.0; 12];
         for (field, value) in Fields(robot.bytes().unwrap_or_default()) {

@@ -2,14 +2,14 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use serde::Serialize;
 use serde_json::Value;
 
 use crate::program::output::print;
-use crate::program::replay::files;
+use crate::program::record::chosen::first_files;
 use crate::program::{BadInput, Ended};
 use crate::record::identity::Identity;
 use crate::record::reader::{self, ReadError};
@@ -37,10 +37,12 @@ struct Info {
     attached: Vec<String>,
     duration_s: f64,
     bytes: u64,
-    /// Whether the record is complete: its end was written, and no crash has cut it.
+    /// Whether the record is complete and intact: its end was written, and no checksum is wrong.
     whole: bool,
-    /// Error at which reading stopped, if the record is damaged; `None` otherwise.
-    damaged: Option<String>,
+    /// State of the record in words, such as `whole` or `cut`.
+    state: String,
+    /// Damaged places of the record, with their times since its start.
+    damaged: Vec<String>,
     /// Number of events that the record lacks, because they could not be written in time.
     dropped: u64,
     /// Number of messages by topic.
@@ -54,56 +56,64 @@ struct Table {
     records: Vec<Info>,
 }
 
-/// Runs `record info`: prints what records contain. Returns [`Ended::Unfit`] if one is damaged or lacks events.
+/// Runs `record info`: prints what records contain. Returns [`Ended::Unfit`] if one is cut, damaged or lacks events.
 pub fn run(args: &Args) -> Result<Ended> {
-    let records = files(&args.records)?.into_iter().map(look).collect::<Result<_>>()?;
-    let table = Table { records };
+    let paths = first_files(&args.records)?;
+    let only = paths.len() == 1;
+    let mut table = Table { records: Vec::new() };
+    for path in paths {
+        match look(&path) {
+            Err(error) if only => return Err(error),
+            Err(error) => table.records.push(Info { record: path, state: error.to_string(), ..Info::default() }),
+            Ok(info) => table.records.push(info),
+        }
+    }
     print(&if args.json { serde_json::to_string(&table).context("a table is JSON")? } else { table.to_string() })?;
-    let sound = table.records.iter().all(|info| info.damaged.is_none() && info.dropped == 0);
+    let sound = table.records.iter().all(|info| info.whole && info.dropped == 0);
     Ok(if sound { Ended::Done } else { Ended::Unfit })
 }
 
-fn look(path: PathBuf) -> Result<Info> {
+fn look(path: &Path) -> Result<Info> {
     let wrong = |error: ReadError| BadInput(error.to_string());
-    let (identity, attached, mut messages) = reader::open_any(&path).map_err(wrong)?;
+    let (identity, attached, mut messages) = reader::open_any(path).map_err(wrong)?;
+    let health = messages.health().clone();
     let of = match identity.as_ref().map(|identity| (&identity.host, identity.repeat)) {
         _ if identity.as_ref().is_some_and(|identity| identity.operator) => "what an operator received".to_owned(),
         Some((Some(host), _)) => format!("host {}, incarnation {:08x}", host.name, host.incarnation),
         Some((None, repeat)) => format!("simulation, repeat {repeat}"),
+        None if health.nothing => "nothing".to_owned(),
+        None if health.loses_identity => "not known: its metadata are damaged".to_owned(),
         None => "a merged record, or another program's file".to_owned(),
     };
     let said = |of: fn(&Identity) -> String| identity.as_ref().map(of).unwrap_or_default();
-    let mut info = Info {
-        of,
-        version: said(|identity| identity.version.clone()),
-        build: said(|identity| identity.build.clone()),
-        command: said(|identity| identity.arguments.join(" ")),
-        attached: attached.iter().map(|(name, _)| name.clone()).collect(),
-        bytes: path.metadata().map_or(0, |about| about.len()),
-        ..Info::default()
-    };
+    let (mut info, zero) = (Info::default(), identity.as_ref().map_or(0, |identity| identity.anchor_ns));
+    (info.record, info.of, info.bytes) = (path.to_owned(), of, health.bytes);
+    info.version = said(|identity| identity.version.clone());
+    info.build = said(|identity| identity.build.clone());
+    info.command = said(|identity| identity.arguments.join(" "));
+    info.attached = attached.iter().map(|(name, _)| name.clone()).collect();
     let (mut first, mut last) = (None, 0);
-    loop {
-        match messages.next_message() {
-            Ok(Some(message)) => {
-                first = first.or(Some(message.at));
-                last = message.at.max(last);
-                *info.topics.entry(message.channel.topic.clone()).or_default() += 1;
-                if message.channel.encoding == "json" {
-                    note(&mut info, &message.data);
-                }
-            }
-            Ok(None) => break,
-            Err(ReadError::Damaged { error, .. }) => {
-                info.damaged = Some(error.to_string());
-                break;
-            }
-            Err(error) => return Err(error.into()),
+    while let Some(message) = messages.next_message()? {
+        first = first.or(Some(message.at));
+        last = message.at.max(last);
+        *info.topics.entry(message.channel.topic.clone()).or_default() += 1;
+        if message.channel.encoding == "json" {
+            note(&mut info, &message.data);
         }
     }
-    info.whole = messages.is_complete();
+    info.whole = health.is_whole();
+    info.state = match &health.cut {
+        _ if health.nothing && health.bytes == 0 => "empty: nothing was written".to_owned(),
+        _ if health.nothing => "empty: nothing was written but zeros".to_owned(),
+        _ if !health.faults.is_empty() => "DAMAGED".to_owned(),
+        Some(cut) => format!("cut, {}; 'record repair' gives it an end", cut.since(zero)),
+        None if health.unchecked => "whole, unchecked: parts of it have no checksum".to_owned(),
+        None => "whole".to_owned(),
+    };
+    // The end of a file that is damaged and cut is one place more.
+    let cut = health.cut.iter().filter(|_| !health.faults.is_empty());
+    info.damaged = health.faults.iter().chain(cut).map(|fault| fault.since(zero)).collect();
     info.duration_s = last.saturating_sub(first.unwrap_or(last)) as f64 / 1e9;
-    info.record = path;
     Ok(info)
 }
 
@@ -122,16 +132,18 @@ impl fmt::Display for Table {
                 writeln!(f, "\n")?;
             }
             writeln!(f, "{}", info.record.display())?;
+            if info.of.is_empty() {
+                write!(f, "  {}", info.state)?;
+                continue;
+            }
             writeln!(f, "  of        {}", info.of)?;
             if !info.version.is_empty() {
                 writeln!(f, "  made by   version {}, build {}: {}", info.version, info.build, info.command)?;
             }
-            let state = match (&info.damaged, info.whole) {
-                (Some(why), _) => format!("DAMAGED: {why}"),
-                (None, true) => "whole".to_owned(),
-                (None, false) => "cut by a crash; 'record repair' gives it an end".to_owned(),
-            };
-            writeln!(f, "  holds     {:.2} s, {} bytes, {state}", info.duration_s, info.bytes)?;
+            writeln!(f, "  holds     {:.2} s, {} bytes, {}", info.duration_s, info.bytes, info.state)?;
+            for damage in &info.damaged {
+                writeln!(f, "  damaged   {damage}")?;
+            }
             if info.dropped > 0 {
                 writeln!(f, "  lacks     {} events, which were dropped", info.dropped)?;
             }

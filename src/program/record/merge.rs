@@ -10,10 +10,10 @@ use mcap::records::{MessageHeader, Metadata};
 use mcap::{WriteOptions, Writer};
 
 use crate::program::output::{print, talk};
-use crate::program::replay::files;
+use crate::program::record::chosen::{self, Chosen, tell};
 use crate::program::temporary::Temporary;
 use crate::program::{BadInput, Ended, bad};
-use crate::record::identity::METADATA;
+use crate::record::identity::{Identity, METADATA};
 use crate::record::merge::{Alignment, Part, Traffic, align};
 use crate::record::reader::{self, Item, Reader};
 use crate::record::stage;
@@ -35,11 +35,11 @@ const DRAWN: [&str; 4] = ["/scene", "/robots", "/tf", "/episode"];
 /// Runs `record merge`: merges the records of hosts into one file, and prints the clock offset that was found for each
 /// host.
 pub fn run(args: &Args) -> Result<Ended> {
-    let paths = files(&args.records)?;
+    let Chosen { records, left_out } = chosen::records(&args.records)?;
     let folder = args.output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let no_room = || format!("cannot write '{}'", args.output.display());
-    let mut fresh = Temporary::new_in(folder, 0o666).with_context(no_room)?;
-    let (parts, alignment) = merge(paths, fresh.seekable())?;
+    let mut fresh = Temporary::new_in(folder, 0o640).with_context(no_room)?;
+    let Merge { parts, alignment, whole } = merge(records, fresh.seekable())?;
     fresh.sync().with_context(no_room)?;
     fresh.replace(&args.output).with_context(no_room)?;
     for part in &parts {
@@ -52,29 +52,48 @@ pub fn run(args: &Args) -> Result<Ended> {
          the lengths of turns",
         alignment.matched
     ))?;
-    Ok(Ended::Done)
+    Ok(if whole && !left_out { Ended::Done } else { Ended::Unfit })
 }
 
-/// Merges the records of the hosts of one run into the file `output`, in the order of a common clock. Returns the
-/// merged records, each with its clock offset, and the result of the alignment of the clocks. A host whose clock offset
-/// cannot be found is left out, with a warning.
-pub fn merge(paths: Vec<PathBuf>, output: &mut File) -> Result<(Vec<Part>, Alignment)> {
+/// Records that were merged.
+pub struct Merge {
+    /// The merged records, each with its clock offset.
+    pub parts: Vec<Part>,
+    /// Result of the alignment of the clocks.
+    pub alignment: Alignment,
+    /// Whether all of them are whole, and none had to be left out.
+    pub whole: bool,
+}
+
+/// Merges the records of the hosts of one run into the file `output`, in the order of a common clock. A host whose
+/// clock offset cannot be found is left out, and so are records that are not of hosts; damaged places are named. All
+/// that is said on stderr.
+pub fn merge(records: Vec<(PathBuf, Identity)>, output: &mut File) -> Result<Merge> {
     let wrong = |error: reader::ReadError| BadInput(error.to_string());
-    let (mut hosts, mut of_hosts) = (Vec::new(), Vec::new());
-    for path in paths {
-        let identity = reader::open(&path).map_err(wrong)?.identity;
-        if identity.operator {
-            talk(&format!("'{}' is left out: an operator has recorded what it received", path.display()));
-            continue;
-        }
-        let Some(host) = identity.host else {
-            return bad(format!("'{}' is the record of a simulation, which has one time already", path.display()));
+    let (only, mut whole) = (records.len() == 1, true);
+    let (mut paths, mut hosts, mut traffic) = (Vec::new(), Vec::new(), Vec::new());
+    for (path, identity) in records {
+        let at = path.display();
+        let why = match &identity.host {
+            _ if identity.operator => format!("'{at}' is what an operator has received"),
+            None => format!("'{at}' is the record of a simulation, which has one time already"),
+            Some(host) => {
+                hosts.push(format!("{}-{:08x}", host.name, host.incarnation));
+                whole &= tell(reader::messages(&path).map_err(wrong)?.1.health(), identity.anchor_ns);
+                traffic.push(Traffic::read(&path)?);
+                paths.push(path);
+                continue;
+            }
         };
-        hosts.push(format!("{}-{:08x}", host.name, host.incarnation));
-        of_hosts.push(path);
+        if only {
+            return bad(why);
+        }
+        talk(&format!("left out: {why}"));
+        whole &= identity.operator;
     }
-    let paths = of_hosts;
-    let traffic: Vec<Traffic> = paths.iter().map(|path| Traffic::read(path)).collect::<Result<_, _>>()?;
+    if paths.is_empty() {
+        return bad("none of these records is of a host".to_owned());
+    }
     let mut alignment = align(&traffic);
     drop(traffic);
     let mut parts = Vec::new();
@@ -88,7 +107,7 @@ pub fn merge(paths: Vec<PathBuf>, output: &mut File) -> Result<(Vec<Part>, Align
     }
     write(&parts, Writer::with_options(BufWriter::new(output), options())?)
         .context("cannot write the merged record")?;
-    Ok((parts, alignment))
+    Ok(Merge { parts, alignment, whole })
 }
 
 fn options() -> WriteOptions {
@@ -114,7 +133,7 @@ fn write(parts: &[Part], mut writer: Merged<'_>) -> Result<()> {
         let (ahead, uncertainty) = (part.clock.ahead_ns(i64::MAX / 2), part.clock.uncertainty_ns().unwrap_or(0));
         (part.host.clone(), format!("{{\"ahead_ns\":{ahead},\"uncertainty_ns\":{uncertainty}}}"))
     });
-    writer.write_metadata(&Metadata { name: "murmurate.merge".to_owned(), metadata: clocks.collect() })?;
+    writer.write_metadata(&Metadata { name: chosen::MERGED.to_owned(), metadata: clocks.collect() })?;
     let painter = painter(parts)?;
     let mut sources = Vec::new();
     for (index, part) in parts.iter().enumerate() {
@@ -146,7 +165,7 @@ fn painter(parts: &[Part]) -> Result<usize> {
         let mut reader = Reader::open(&part.path)?;
         // A channel appears with its first message, which may be late: a World is restarted, or begins after readings.
         while let Some(item) = reader.next_item()? {
-            if matches!(item, Item::Channel(_, channel) if channel.topic == "/truth") {
+            if matches!(item, Item::Channel(channel) if channel.topic == "/truth") {
                 return Ok(index);
             }
         }
@@ -168,9 +187,9 @@ impl Source<'_> {
                 Item::Metadata(name, metadata) if name == stage::METADATA && self.draws => {
                     writer.write_metadata(&Metadata { name, metadata })?;
                 }
-                Item::Schema(header, data) => {
-                    let id = writer.add_schema(&header.name, &header.encoding, &data)?;
-                    self.schemas.insert(header.id, id);
+                Item::Schema(schema) => {
+                    let id = writer.add_schema(&schema.name, &schema.encoding, &schema.data)?;
+                    self.schemas.insert(schema.id, id);
                 }
                 Item::Message(message) => {
                     let topic = &message.channel.topic;
@@ -188,7 +207,7 @@ impl Source<'_> {
                     self.next = Some((at, channel, message.data));
                     return Ok(());
                 }
-                Item::Metadata(..) | Item::Attachment(..) | Item::Channel(..) => {}
+                Item::Metadata(..) | Item::Attachment(_) | Item::Channel(_) => {}
             }
         }
         Ok(())

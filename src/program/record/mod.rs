@@ -1,5 +1,6 @@
 //! The command `murmurate record`: describes, repairs, merges, shares and exports records.
 
+pub mod chosen;
 mod export;
 mod info;
 pub mod merge;

@@ -1,4 +1,4 @@
-//! The command `murmurate record share`: copies a record so that it can be replayed without the team's key.
+//! The command `murmurate record share`: copies records so that they can be replayed without the team's key.
 
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
@@ -6,46 +6,86 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 
 use crate::net::protocol::key::Key;
-use crate::program::output::print;
+use crate::program::output::{print, talk};
+use crate::program::record::chosen::{self, Chosen, tell};
 use crate::program::temporary::Temporary;
 use crate::program::{BadInput, Ended, bad, key};
+use crate::record::identity::Identity;
 use crate::record::reader::{self, Reader};
+use crate::record::repair;
 use crate::record::share::{accepted, copy};
 
 /// Flags of `murmurate record share`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Record of a host of a team with a key
-    #[arg(value_name = "FILE")]
+    /// Record of a host of a team with a key, or the folder of the records of its hosts
+    #[arg(value_name = "FILE|DIR")]
     record: PathBuf,
     /// File with the team's key
     #[arg(long, value_name = "FILE")]
     key_file: PathBuf,
-    /// The copy, which says which datagrams had a valid tag
-    #[arg(short, long, value_name = "FILE.mcap")]
+    /// The copy, which says which datagrams had a valid tag; for a folder, a folder of copies
+    #[arg(short, long, value_name = "FILE.mcap|DIR")]
     output: PathBuf,
 }
 
-/// Runs `record share`: checks the authentication tags in a host's record with the team's key, and writes a copy of the
-/// record with the list of the datagrams that had a valid tag.
+/// Runs `record share`: checks the authentication tags in the records of hosts with the team's key, and writes copies
+/// of the records with the lists of the datagrams that had a valid tag. Of a folder, records without a key are copied,
+/// too. Returns [`Ended::Unfit`] if a file of a folder was left out, or a record is damaged.
 pub fn run(args: &Args) -> Result<Ended> {
-    let wrong = |error: reader::ReadError| BadInput(error.to_string());
-    let identity = reader::open(&args.record).map_err(wrong)?.identity;
-    let Some(host) = identity.host.filter(|host| host.keyed) else {
-        return bad(format!("'{}' is not of a team with a key: share it as it is", args.record.display()));
-    };
     let key = Key::new(key::read(&args.key_file)?);
-    let found = accepted(reader::open(&args.record).map_err(wrong)?.messages, &key, host.id)?;
-    if found.accepted.is_empty() && found.refused > 0 {
-        return bad(format!("--key-file: no datagram of '{}' has a tag of this key", args.record.display()));
+    let Chosen { records, left_out } = chosen::records(std::slice::from_ref(&args.record))?;
+    let whole_folder = args.record.is_dir();
+    if whole_folder {
+        let no_folder = || format!("cannot make the folder '{}'", args.output.display());
+        std::fs::create_dir_all(&args.output).with_context(no_folder)?;
+        let same = |path: &Path| path.canonicalize().ok();
+        if same(&args.record) == same(&args.output) {
+            return bad("--output: name another folder than that of the records".to_owned());
+        }
     }
-    let folder = args.output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let no_room = || format!("cannot write '{}'", args.output.display());
+    let mut sound = !left_out;
+    for (path, identity) in records {
+        let name = path.file_name().unwrap_or_default();
+        let output = if whole_folder { args.output.join(name) } else { args.output.clone() };
+        match one((&path, &identity), &key, &output, whole_folder) {
+            Ok(whole) => sound &= whole,
+            Err(error) if whole_folder && error.is::<BadInput>() => {
+                talk(&format!("left out: {error}"));
+                sound = false;
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(if sound { Ended::Done } else { Ended::Unfit })
+}
+
+/// Copies one record to `output`. One that was made without a key is only copied if `as_it_is`. Returns whether the
+/// record is whole.
+fn one((path, identity): (&Path, &Identity), key: &Key, output: &Path, as_it_is: bool) -> Result<bool> {
+    let wrong = |error: reader::ReadError| BadInput(error.to_string());
+    let (_, messages) = reader::messages(path).map_err(wrong)?;
+    let whole = tell(messages.health(), identity.anchor_ns);
+    let folder = output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let no_room = || format!("cannot write '{}'", output.display());
+    let Some(host) = identity.host.as_ref().filter(|host| host.keyed) else {
+        if !as_it_is {
+            return bad(format!("'{}' is not of a team with a key: share it as it is", path.display()));
+        }
+        let mut fresh = Temporary::new_in(folder, 0o666).with_context(no_room)?;
+        repair::copy(&mut Reader::open(path)?, Vec::new(), BufWriter::new(fresh.seekable()))?;
+        fresh.sync().and_then(|()| fresh.replace(output)).with_context(no_room)?;
+        print(&format!("{}: made without a key, as it is", output.display()))?;
+        return Ok(whole);
+    };
+    let found = accepted(messages, key, host.id)?;
+    if found.accepted.is_empty() && found.refused > 0 {
+        return bad(format!("--key-file: no datagram of '{}' has a tag of this key", path.display()));
+    }
     let mut fresh = Temporary::new_in(folder, 0o666).with_context(no_room)?;
-    copy(&mut Reader::open(&args.record)?, &found.accepted, BufWriter::new(fresh.seekable()))?;
-    fresh.sync().with_context(no_room)?;
-    fresh.replace(&args.output).with_context(no_room)?;
+    copy(&mut Reader::open(path)?, &found.accepted, BufWriter::new(fresh.seekable()))?;
+    fresh.sync().and_then(|()| fresh.replace(output)).with_context(no_room)?;
     let (valid, refused) = (found.accepted.len(), found.refused);
-    print(&format!("{}: {valid} datagrams had a valid tag, {refused} had not", args.output.display()))?;
-    Ok(Ended::Done)
+    print(&format!("{}: {valid} datagrams had a valid tag, {refused} had not", output.display()))?;
+    Ok(whole)
 }

@@ -9,6 +9,8 @@ mod sights;
 
 use std::cell::RefCell;
 use std::fmt;
+use std::fs::DirBuilder;
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
@@ -17,14 +19,14 @@ use serde::Serialize;
 
 use crate::graph::process::ProcessEvent;
 use crate::messages::ids::HostId;
-use crate::program::output::{print, talk};
+use crate::program::output::{self, Confined, print, talk};
+use crate::program::record::chosen::{self, Chosen};
 #[cfg(feature = "study")]
 use crate::program::study;
 use crate::program::{BadInput, Ended, bad, sim};
 use crate::record::compare::{Compared, Comparison};
-use crate::record::identity::{BUILD, Identity};
+use crate::record::identity::BUILD;
 use crate::record::reader::{self, Opened};
-use crate::record::series;
 use crate::record::share::ACCEPTED;
 use crate::record::topics::{Stage, Topics};
 use crate::record::{Event, Scope};
@@ -36,7 +38,8 @@ use crate::trial::Proceed;
 #[derive(clap::Args)]
 #[command(
     after_help = "Exit codes: 0 everything is equal, to the bit; 1 there is a difference: the first is named; 2 a \
-    flag or a file is wrong, or a record is of another build or lacks its key, and nothing was compared."
+    flag or a file is wrong, or a record is of another build or lacks its key, and nothing was compared. Of several \
+    files those that cannot be used are named and left out, and the code is 1; so it is where a file is damaged."
 )]
 pub struct Args {
     /// Records, or folders of records (docs/record.md)
@@ -48,8 +51,7 @@ pub struct Args {
     /// Takes only records of hosts: runs each again alone, with its recorded inputs
     #[arg(long)]
     host: bool,
-    /// File with the team's key, for records of a team with one; the key is in no record [default: where the team file
-    /// says]
+    /// File with the team's key, for records of a team with one; the key is in no record
     #[arg(long, value_name = "FILE")]
     key_file: Option<PathBuf>,
     /// Gives the recorded inputs to another policy, and prints by how much its actions differ
@@ -86,6 +88,11 @@ struct Line {
     /// Time since the start of the run at which the record lacks events \[s\]. Nothing after it is compared. `None` if
     /// it lacks none.
     gap_s: Option<f64>,
+    /// Time since the start of the run behind which messages are lost, as the file is damaged \[s\]. Nothing after it
+    /// is compared. `None` if none are.
+    damaged_s: Option<f64>,
+    /// Damaged places of the file, in words.
+    damaged: Vec<String>,
     difference: Option<String>,
 }
 
@@ -102,72 +109,75 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     if args.page.is_on() {
         return page::watch(args, registry);
     }
-    let mut table = Table { records: Vec::new() };
-    for path in files(&args.records)? {
-        let opened = reader::open(&path).map_err(|error| BadInput(error.to_string()))?;
-        check(args, &path, &opened.identity)?;
-        let of = match &opened.identity.host {
-            Some(host) => format!("host {}", host.name),
-            // A record of a study is named by its column, its policy and its repeat.
-            None if opened.identity.job.is_some() => {
-                path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned())
+    let Chosen { records, left_out } = chosen::records(&args.records)?;
+    let (only, mut table, mut sound) = (records.len() == 1 && !left_out, Table { records: Vec::new() }, !left_out);
+    let (mut shown, mut refused) = (false, None);
+    for (path, _) in records {
+        match one(args, &path, registry) {
+            Ok(line) => {
+                shown = true;
+                table.records.extend(line);
             }
-            None => format!("repeat {}", opened.identity.repeat),
-        };
-        let files = Files::extract(&opened)?;
-        let compared = match &opened.identity.host {
-            Some(_) if args.policy.is_some() => {
-                actions::show(args, of_host::prepare(args, (&path, opened), &files, registry)?)?;
-                continue;
+            Err(error) if !only && error.is::<BadInput>() => {
+                talk(&format!("left out: {error}"));
+                refused.get_or_insert(error);
+                sound = false;
             }
-            Some(_) => of_host::compare(of_host::prepare(args, (&path, opened), &files, registry)?)?,
-            None if args.policy.is_some() => {
-                return bad(format!(
-                    "--policy: '{}' is the record of a simulation; use 'sim --policy'",
-                    path.display()
-                ));
-            }
-            None => rerun(opened, &files, registry)?,
-        };
-        let Compared { messages, difference, cut, gap_s } = compared;
-        let equal = difference.is_none();
-        let difference = difference.map(|difference| difference.to_string());
-        table.records.push(Line { record: path, of, equal, messages, cut, gap_s, difference });
+            Err(error) => return Err(error),
+        }
+    }
+    if let Some(error) = refused.filter(|_| !shown) {
+        return Err(error);
     }
     if args.policy.is_some() {
-        return Ok(Ended::Done);
+        return Ok(if sound { Ended::Done } else { Ended::Unfit });
     }
     print(&if args.json { serde_json::to_string(&table).context("a result is JSON")? } else { table.to_string() })?;
-    Ok(if table.records.iter().all(|line| line.equal) { Ended::Done } else { Ended::Unfit })
+    sound &= table.records.iter().all(|line| line.equal && line.damaged.is_empty());
+    Ok(if sound { Ended::Done } else { Ended::Unfit })
 }
 
-/// Returns the paths `named`, with each folder among them replaced by its records (`*.mcap`), sorted by name. In a
-/// folder, a file that continues another file of its record is left out, as it is read together with the first one.
-pub fn files(named: &[PathBuf]) -> Result<Vec<PathBuf>> {
-    let mut all = Vec::new();
-    for path in named {
-        if !path.is_dir() {
-            all.push(path.clone());
-            continue;
+/// Replays one record. Returns its line of the table; `None` with the flag `--policy`, which prints another table.
+fn one(args: &Args, path: &Path, registry: &Registry) -> Result<Option<Line>> {
+    let opened = reader::open(path).map_err(|error| BadInput(error.to_string()))?;
+    check(args, path, &opened)?;
+    let damage = opened.messages.health().faults.iter().map(|fault| fault.since(opened.identity.anchor_ns));
+    let damaged: Vec<String> = damage.collect();
+    let of = match &opened.identity.host {
+        Some(host) => format!("host {}", host.name),
+        // A record of a study is named by its column, its policy and its repeat.
+        None if opened.identity.job.is_some() => {
+            path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned())
         }
-        let wrong = |error| BadInput(format!("cannot read the folder '{}': {error}", path.display()));
-        let entries = std::fs::read_dir(path).map_err(wrong)?;
-        let found = entries.filter_map(|entry| Some(entry.ok()?.path()));
-        let mut found: Vec<PathBuf> = found.filter(|path| path.extension().is_some_and(|e| e == "mcap")).collect();
-        // The further files of a record are read together with its first one.
-        found.retain(|path| series::first_of(path).is_none_or(|first| !first.exists()));
-        found.sort();
-        if found.is_empty() {
-            return bad(format!("the folder '{}' has no record (*.mcap)", path.display()));
+        None => format!("repeat {}", opened.identity.repeat),
+    };
+    let files = Files::extract(&opened)?;
+    let compared = match &opened.identity.host {
+        Some(_) if args.policy.is_some() => {
+            damaged.iter().for_each(|damage| talk(&format!("'{}' is damaged: {damage}", path.display())));
+            actions::show(args, of_host::prepare(args, (path, opened), &files, registry)?)?;
+            return Ok(None);
         }
-        all.extend(found);
-    }
-    Ok(all)
+        Some(_) => of_host::compare(of_host::prepare(args, (path, opened), &files, registry)?)?,
+        None if args.policy.is_some() => {
+            return bad(format!("--policy: '{}' is the record of a simulation; use 'sim --policy'", path.display()));
+        }
+        None => rerun(opened, &files, registry)?,
+    };
+    let Compared { messages, difference, cut, gap_s, damaged_s } = compared;
+    let equal = difference.is_none();
+    let difference = difference.map(|difference| difference.to_string());
+    Ok(Some(Line { record: path.to_owned(), of, equal, messages, cut, gap_s, damaged_s, damaged, difference }))
 }
 
 /// Fails if a record cannot be replayed with these flags: if it is of an operator, of the other kind than the flags
 /// permit, not from the beginning of its run, or of another build without `--force`.
-fn check(args: &Args, path: &Path, identity: &Identity) -> Result<()> {
+fn check(args: &Args, path: &Path, Opened { identity, messages, .. }: &Opened) -> Result<()> {
+    let health = messages.health();
+    if health.loses_files {
+        let why = health.lines(identity.anchor_ns).join("; ");
+        return bad(format!("files that a replay of '{}' needs may be lost: {why}", path.display()));
+    }
     let of_host = identity.host.is_some();
     if identity.operator {
         return bad(format!(
@@ -218,16 +228,28 @@ impl Files {
         let mut number = [0; 8];
         getrandom::fill(&mut number).map_err(|error| anyhow::anyhow!("no random bytes: {error}"))?;
         let folder = std::env::temp_dir().join(format!("murmurate-replay-{:016x}", u64::from_le_bytes(number)));
-        std::fs::create_dir(&folder).with_context(|| format!("cannot make the folder '{}'", folder.display()))?;
+        // The files may not be for everybody, and the folder stays if this program is killed.
+        DirBuilder::new()
+            .mode(0o700)
+            .create(&folder)
+            .with_context(|| format!("cannot make the folder '{}'", folder.display()))?;
         let mut files = Files { folder, files: Vec::new() };
         let named = opened.attached.iter().filter(|(name, _)| name != ACCEPTED);
         for (index, (name, content)) in named.enumerate() {
             let last = Path::new(name).file_name().map_or("file".into(), |last| last.to_string_lossy().into_owned());
+            // Somebody else may have chosen the name.
+            let last: String = last.chars().filter(|c| c.is_ascii_alphanumeric() || "-_.".contains(*c)).collect();
+            let last = &last[last.len().saturating_sub(100)..];
             let path = files.folder.join(format!("{index}-{last}"));
             std::fs::write(&path, content).with_context(|| format!("cannot write '{}'", path.display()))?;
             files.files.push((name.clone(), path));
         }
         Ok(files)
+    }
+
+    /// Lets this thread read these files and those that the user has named, and nothing else that the record names.
+    pub fn confine(&self, named: Option<&Path>) -> Confined {
+        Confined::to([Some(&*self.folder), named].into_iter().flatten().map(Path::to_owned).collect())
     }
 
     /// Returns the name of the team file of a host's record, as given on the command line; `None` if no file is
@@ -286,6 +308,7 @@ fn rerun_observed(
 ) -> Result<Compared> {
     let Opened { identity, messages, .. } = opened;
     let arguments = files.in_place(&identity.arguments);
+    let confined = files.confine(None);
     let trial = match identity.job {
         #[cfg(feature = "study")]
         Some(job) => study::of_record(&arguments, (job, identity.repeat), registry)?,
@@ -293,6 +316,7 @@ fn rerun_observed(
         Some(_) => return bad("the record of a study needs a program with the feature 'study'".to_owned()),
         None => sim::of_record(&arguments, identity.repeat, registry)?,
     };
+    drop(confined);
     let topics = Topics::new(Stage::of(&trial.plan()), Scope::Simulation, 0);
     let comparison = Rc::new(RefCell::new(Comparison::new(messages, topics, 0)));
     let heard = Rc::clone(&comparison);
@@ -304,12 +328,14 @@ fn rerun_observed(
             }
         },
         |_, now, _| {
+            output::stamp_as_recorded(Some(now));
             turned(now);
             let mut comparison = comparison.borrow_mut();
             comparison.push(Event::Turn(now));
             if comparison.is_over() { Proceed::Stop } else { Proceed::Continue }
         },
     );
+    output::stamp_as_recorded(None);
     finish(comparison)
 }
 
@@ -325,16 +351,21 @@ impl fmt::Display for Table {
             if index > 0 {
                 writeln!(f)?;
             }
-            let Line { of, messages, cut, gap_s, difference, .. } = line;
+            let Line { of, messages, cut, gap_s, damaged_s, damaged, difference, .. } = line;
             write!(f, "{of:width$}  ")?;
             match difference {
                 None => write!(f, "equal, {messages} messages")?,
                 Some(difference) => write!(f, "DIFFERS after {messages} equal messages\n{difference}")?,
             }
-            if let Some(gap_s) = gap_s {
+            if let Some(damaged_s) = damaged_s {
+                write!(f, ", up to {damaged_s:.3} s, where the file is damaged")?;
+            } else if let Some(gap_s) = gap_s {
                 write!(f, ", up to {gap_s:.3} s, where the record lacks events")?;
             } else if *cut {
                 write!(f, ", up to the end of the record, which a crash has cut")?;
+            }
+            for damage in damaged {
+                write!(f, "\n  the file is damaged: {damage}")?;
             }
         }
         Ok(())

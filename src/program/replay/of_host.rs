@@ -4,7 +4,7 @@ use std::cell::{Cell, RefCell};
 use std::path::Path;
 use std::rc::Rc;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 
 use super::{Args, Files, finish};
 use crate::deploy::team::Team;
@@ -15,7 +15,7 @@ use crate::live::links::ProcessIdentity;
 use crate::messages::ids::HostId;
 use crate::net::protocol::key::Key;
 use crate::program::output::talk;
-use crate::program::{BadInput, bad, host, team};
+use crate::program::{BadInput, bad, host, key, output, team};
 use crate::random::Seed;
 use crate::record::compare::{Compared, Comparison};
 use crate::record::identity::{HostIdentity, Identity};
@@ -48,18 +48,17 @@ pub fn prepare(args: &Args, (path, opened): (&Path, Opened), files: &Files, regi
     let Opened { identity, messages, attached } = opened;
     let of = identity.host.clone().expect("the caller has seen a host");
     let policy = args.policy.as_deref().or(files.policy());
+    let confined = files.confine(args.policy.as_deref());
     let team = team_of(&identity, files, registry, |team_args| {
         team_args.set.extend(policy.map(|policy| format!("policy={}", policy.display())));
-        if args.key_file.is_some() {
-            team_args.key_file.clone_from(&args.key_file);
-        }
     })?;
     let list = trusted(&attached).filter(|_| args.key_file.is_none());
     let trusts = list.is_some();
     let key = match list {
         _ if !of.keyed => None,
         Some(list) => Some(list),
-        None => team::key(&team).with_context(|| keyless(path))?.map(Key::new),
+        // Not where the record says: it may be of somebody else.
+        None => args.key_file.as_deref().map(key::read).transpose()?.map(Key::new),
     };
     if of.keyed && key.is_none() {
         return bad(keyless(path));
@@ -68,6 +67,7 @@ pub fn prepare(args: &Args, (path, opened): (&Path, Opened), files: &Files, regi
         talk(&format!("warning: '{}': no tag is checked; what its list says of them is trusted", path.display()));
     }
     let policy = team::policy(&team, registry)?;
+    drop(confined);
     let trial = Trial::of_host(registry, &team, policy.model).map_err(|error| BadInput(error.to_string()))?;
     let live = LiveHost::closed(&team, &trial, key, registry, (&process(path, &of)?, &of.transports))?;
     Ok(Prepared { turns: Turns::open(path)?, identity, messages, policy: policy.name, live, trusts })
@@ -107,7 +107,7 @@ fn keyless(path: &Path) -> String {
 pub fn compare(prepared: Prepared) -> Result<Compared> {
     let Prepared { identity, messages, live, mut turns, trusts, .. } = prepared;
     let Some((begun, _)) = turns.next() else {
-        return Ok(Compared { messages: 0, difference: None, cut: true, gap_s: None });
+        return Ok(Compared { messages: 0, difference: None, cut: true, gap_s: None, damaged_s: None });
     };
     let topics = Topics::new(Stage::of(live.plan()), Scope::Host, identity.anchor_ns);
     let comparison = Comparison::new(messages, topics, identity.anchor_ns);
@@ -126,10 +126,12 @@ pub fn compare(prepared: Prepared) -> Result<Compared> {
         },
         |_| {},
         move |now| {
+            output::stamp_as_recorded(Some(now));
             ended.borrow_mut().push(Event::Turn(now));
             over.set(ended.borrow().is_over());
         },
     );
+    output::stamp_as_recorded(None);
     finish(comparison)
 }
 
@@ -140,13 +142,17 @@ pub fn published(live: LiveHost, mut turns: Turns, take: impl FnMut(Time, &[u8])
     let now = Rc::new(Cell::new(begun));
     let (time, take) = (Rc::clone(&now), RefCell::new(take));
     // A datagram needs the time of its turn, which is only passed on at the end of the turn.
-    let turns = turns.inspect(move |(at, _)| time.set(*at));
+    let turns = turns.inspect(move |(at, _)| {
+        time.set(*at);
+        output::stamp_as_recorded(Some(*at));
+    });
     let heard = move |_, event: ProcessEvent| {
         if let ProcessEvent::Published(frame) = event {
             (take.borrow_mut())(now.get(), frame);
         }
     };
     live.run_again(begun, turns, heard, |_| {}, |_| {});
+    output::stamp_as_recorded(None);
 }
 
 impl Prepared {
@@ -158,11 +164,14 @@ impl Prepared {
 
 /// Iterator over the recorded turns of a host's event loop: the time since the start of the run, and the inputs, of
 /// each turn.
-pub struct Turns(Messages);
+pub struct Turns {
+    messages: Messages,
+    last: Time,
+}
 
 impl Turns {
     fn open(path: &Path) -> Result<Turns> {
-        Ok(Turns(reader::open(path)?.messages))
+        Ok(Turns { messages: reader::messages(path)?.1, last: Time::ZERO })
     }
 }
 
@@ -171,9 +180,14 @@ impl Iterator for Turns {
 
     fn next(&mut self) -> Option<Self::Item> {
         // Damage in the middle of the file is reported by the comparison, which reads the same bytes.
-        while let Ok(Some(message)) = self.0.next_message() {
+        while let Ok(Some(message)) = self.messages.next_message() {
+            if self.messages.gaps() > 0 {
+                return None;
+            }
             if message.channel.encoding == Topic::Turn.encoding() {
-                let turn = tape::read(&message.data)?;
+                // Time does not run backwards in a record of ours.
+                let turn = tape::read(&message.data).filter(|turn| turn.now >= self.last)?;
+                self.last = turn.now;
                 return Some((turn.now, turn.inputs));
             }
         }

@@ -1,24 +1,26 @@
 //! The command `murmurate replay --watch`: serves a page that plays a record, with a scrubber.
 
 use std::cell::RefCell;
-use std::path::PathBuf;
 use std::rc::Rc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 
-use super::sights::{self, Shown};
-use super::{Args, Files, files, rerun_observed};
+use super::sights::{self, Keys, Shown};
+use super::{Args, Files, rerun_observed};
 use crate::graph::process::ProcessEvent;
 use crate::messages::wire::Wire;
+use crate::net::protocol::key::Key;
 use crate::program::output::talk;
+use crate::program::record::chosen::{self, first_files, tell};
 use crate::program::record::merge::merge;
 use crate::program::temporary::Temporary;
 use crate::program::watch::feed::Feed;
-use crate::program::{BadInput, Ended, bad, signals};
-use crate::record::identity::{BUILD, Identity};
+use crate::program::{BadInput, Ended, bad, key, signals};
+use crate::record::identity::BUILD;
 use crate::record::reader::{self, Opened};
+use crate::record::share::trusted;
 use crate::registry::Registry;
 use crate::time::{Span, Time};
 use crate::view::command::Command;
@@ -38,7 +40,10 @@ pub fn watch(args: &Args, registry: &Registry) -> Result<Ended> {
         [only] => only.display().to_string(),
         several => format!("{} records", several.len()),
     };
-    let shown = read(&args.records, registry)?;
+    let shown = read(args, registry)?;
+    if !shown.note.is_empty() {
+        talk(&shown.note);
+    }
     if shown.sights.is_empty() {
         return bad(format!("'{name}' has nothing to show: no messages and no states of robots"));
     }
@@ -47,7 +52,12 @@ pub fn watch(args: &Args, registry: &Registry) -> Result<Ended> {
     let homes = shown.stage.homes.clone();
     let blank = TeamView::new(scene.clone(), homes, shown.stage.hosts.len());
     let timeline = Timeline::new(blank, shown.sights);
-    let record = Record { name, duration_s: timeline.end().as_secs(), marks: timeline.marks().to_vec() };
+    let record = Record {
+        name,
+        duration_s: timeline.end().as_secs(),
+        marks: timeline.marks().to_vec(),
+        note: shown.note.clone(),
+    };
     let (server, publisher) = args.page.open(Scene { record: Some(record), ..scene })?;
     let (view, taken) = timeline.picture(Time::ZERO);
     let view = Rc::new(RefCell::new(view));
@@ -60,23 +70,37 @@ pub fn watch(args: &Args, registry: &Registry) -> Result<Ended> {
 
 /// Reads the events of the named records for the page. A simulation is run again to get the links between robots (which
 /// messages arrived at which robot); several records of hosts are merged on one time axis.
-fn read(named: &[PathBuf], registry: &Registry) -> Result<Shown> {
-    let mut paths = files(named)?;
+fn read(args: &Args, registry: &Registry) -> Result<Shown> {
+    let named = &args.records;
+    let mut paths = first_files(named)?;
+    let of_team = args.key_file.as_deref().map(key::read).transpose()?.map(Key::new);
+    let mut keys = Keys { of_team, ..Keys::default() };
     if paths.len() > 1 {
-        talk(&format!("reads the records of {} hosts as one", paths.len()));
+        let records = chosen::records(named)?.records;
+        talk(&format!("reads the records of {} hosts as one", records.len()));
+        for (path, _) in &records {
+            note_shared(&mut keys, &reader::open(path)?);
+        }
+        if let [(only, _)] = &records[..] {
+            return sights::read(only, &keys);
+        }
         let mut merged = Temporary::new_in(&std::env::temp_dir(), 0o600).context("cannot write a temporary file")?;
-        merge(paths, merged.seekable())?;
-        return sights::read(merged.path());
+        merge(records, merged.seekable())?;
+        return sights::read(merged.path(), &keys);
     }
     let path = paths.remove(0);
-    let mut shown = sights::read(&path)?;
     let (identity, attached, messages) = reader::open_any(&path).map_err(|error| BadInput(error.to_string()))?;
-    let Some(identity) = identity.filter(Identity::is_of_simulation) else { return Ok(shown) };
+    let zero = identity.as_ref().map_or(0, |identity| identity.anchor_ns);
+    tell(messages.health(), zero);
+    let opened = identity.map(|identity| Opened { identity, attached, messages });
+    opened.iter().for_each(|opened| note_shared(&mut keys, opened));
+    let mut shown = sights::read(&path, &keys)?;
+    let Some(opened) = opened.filter(|opened| opened.identity.is_of_simulation()) else { return Ok(shown) };
+    let identity = &opened.identity;
     if identity.build != BUILD {
         talk("links between robots are not shown: the record was made by another build of this program");
         return Ok(shown);
     }
-    let opened = Opened { identity, attached, messages };
     let (files, mut arrivals) = (Files::extract(&opened)?, Vec::new());
     let instant = Rc::new(RefCell::new(Vec::new()));
     let arrived = Rc::clone(&instant);
@@ -102,6 +126,13 @@ fn read(named: &[PathBuf], registry: &Registry) -> Result<Shown> {
     shown.sights.append(&mut arrivals);
     shown.hears_links = true;
     Ok(shown)
+}
+
+/// Notes the list of valid tags in a copy of a record that was shared without the key.
+fn note_shared(keys: &mut Keys, opened: &Opened) {
+    if let (Some(host), Some(key)) = (&opened.identity.host, trusted(&opened.attached)) {
+        keys.of_records.insert(format!("{}-{:08x}", host.name, host.incarnation), key);
+    }
 }
 
 fn scene(shown: &Shown, name: &str) -> Scene {

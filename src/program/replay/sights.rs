@@ -12,6 +12,7 @@ use crate::messages::ids::{HostId, RobotId};
 use crate::messages::local::{Contacts, Sample, Truth};
 use crate::messages::wire::{Features, Wire};
 use crate::net::protocol::codec;
+use crate::net::protocol::key::Key;
 use crate::program::BadInput;
 use crate::record::identity::{self, Identity};
 use crate::record::protobuf_reader::{Fields, Value};
@@ -36,10 +37,28 @@ pub struct Shown {
     pub hears_links: bool,
     /// Whether the record contains the results of episodes.
     pub hears_results: bool,
+    /// What is not known of the run, and why, in words; empty if all is.
+    pub note: String,
 }
 
+/// Keys by which arrivals in the records of a team with a key are checked: the team's key, and those of copies that
+/// were shared without it, each by its host's name and incarnation.
+#[derive(Default)]
+pub struct Keys {
+    /// Key that the user has given.
+    pub of_team: Option<Key>,
+    /// Keys of shared copies, which hold for one record.
+    pub of_records: BTreeMap<String, Key>,
+}
+
+/// What is said if there is no key.
+const KEYLESS: &str = "what arrived is not known: the record is of a team with a key, which is in no record; give it \
+    with --key-file";
+/// What is said if the key is another one.
+const OTHER_KEY: &str = "what arrived is not known: no datagram in the record has a tag of this key";
+
 /// Collects the events for a page while a record is read.
-struct Reading {
+struct Reading<'a> {
     stage: Option<Stage>,
     /// Host whose record this is; `None` for a merged record of several hosts or the record of a simulation.
     host: Option<HostId>,
@@ -51,14 +70,20 @@ struct Reading {
     published: BTreeSet<HostId>,
     /// Hosts whose turns of the event loop, with the datagrams they received, are in the record.
     taped: BTreeSet<HostId>,
+    keys: &'a Keys,
+    /// Hosts of a team with a key, each with the key by which its arrivals are checked, if there is one.
+    keyed: BTreeMap<HostId, Option<Key>>,
+    /// Numbers of datagrams of hosts with a key that had a valid tag, and that had not.
+    tags: [u64; 2],
     /// Incarnation and sequence number of the newest datagram, by receiving host and sending host. Tells repeated
     /// datagrams.
     newest: BTreeMap<(HostId, HostId), (u32, u32)>,
     results: bool,
 }
 
-/// Reads from a record the content that the live page can show. An error says why the file cannot be read.
-pub fn read(path: &Path) -> Result<Shown> {
+/// Reads from a record the content that the live page can show. Arrivals at hosts of a team with a key are checked with
+/// `keys`; without one they are left out, as they may be of anybody. An error says why the file cannot be read.
+pub fn read(path: &Path, keys: &Keys) -> Result<Shown> {
     let wrong = |error: ReadError| BadInput(error.to_string());
     let mut reader = Reader::open(path).map_err(wrong)?;
     let mut reading = Reading {
@@ -68,6 +93,9 @@ pub fn read(path: &Path) -> Result<Shown> {
         sights: Vec::new(),
         published: BTreeSet::new(),
         taped: BTreeSet::new(),
+        keys,
+        keyed: BTreeMap::new(),
+        tags: [0; 2],
         newest: BTreeMap::new(),
         results: false,
     };
@@ -77,7 +105,14 @@ pub fn read(path: &Path) -> Result<Shown> {
                 let identity = Identity::of_metadata(&metadata)
                     .map_err(|error| BadInput(format!("'{}' is no record of this program: {error}", path.display())))?;
                 reading.zero = Some(identity.anchor_ns);
-                reading.host = identity.host.map(|host| host.id);
+                reading.host = identity.host.as_ref().map(|host| host.id);
+                reading.note_key(&identity);
+            }
+            // Of a merged record: one for each host.
+            Item::Metadata(name, metadata) if name.starts_with(identity::METADATA) => {
+                if let Ok(identity) = Identity::of_metadata(&metadata) {
+                    reading.note_key(&identity);
+                }
             }
             Item::Metadata(name, metadata) if name == stage::METADATA => {
                 reading.stage = Stage::of_metadata(&metadata);
@@ -94,8 +129,14 @@ pub fn read(path: &Path) -> Result<Shown> {
         );
         return Err(BadInput(why).into());
     };
-    let hears_links = stage.homes.iter().all(|home| reading.taped.contains(home));
-    Ok(Shown { stage, sights: reading.sights, hears_links, hears_results: reading.results })
+    let note = match (reading.keyed.values().any(Option::is_none), reading.tags) {
+        (true, _) => KEYLESS,
+        (false, [0, refused]) if refused > 0 => OTHER_KEY,
+        _ => "",
+    };
+    let hears_links = note.is_empty() && stage.homes.iter().all(|home| reading.taped.contains(home));
+    let (sights, hears_results) = (reading.sights, reading.results);
+    Ok(Shown { stage, sights, hears_links, hears_results, note: note.to_owned() })
 }
 
 /// Returns the message as it is needed for the live page: a latent without its features, and any other message
@@ -110,7 +151,7 @@ pub fn slim(message: Wire) -> Wire {
     }
 }
 
-impl Reading {
+impl Reading<'_> {
     fn take(&mut self, message: &Message) {
         let zero = *self.zero.get_or_insert(message.at);
         let now = Time::from_nanos(message.at.saturating_sub(zero));
@@ -149,6 +190,15 @@ impl Reading {
         }
     }
 
+    /// Notes that the recorded host has a key, and by which key its arrivals are checked.
+    fn note_key(&mut self, identity: &Identity) {
+        if let Some(host) = identity.host.as_ref().filter(|host| host.keyed) {
+            let of_record = self.keys.of_records.get(&format!("{}-{:08x}", host.name, host.incarnation));
+            let key = self.keys.of_team.as_ref().or(of_record).cloned();
+            self.keyed.entry(host.id).or_insert(None).clone_from(&key);
+        }
+    }
+
     fn host_named(&self, name: &str) -> Option<HostId> {
         let at = self.stage.as_ref()?.hosts.iter().position(|host| host == name)?;
         u16::try_from(at).ok().map(HostId)
@@ -167,8 +217,18 @@ impl Reading {
     /// the turn; repeated datagrams are added once.
     fn turn(&mut self, now: Time, host: HostId, data: &[u8]) {
         for input in tape::read(data).into_iter().flat_map(|turn| turn.inputs) {
-            let Input::Frame(_, frame, _) = input else { continue };
-            let Ok((header, message)) = codec::decode(&frame) else { continue };
+            let Input::Frame(link, frame, _) = input else { continue };
+            let plain = match self.keyed.get(&host) {
+                None => &*frame,
+                Some(None) => continue,
+                Some(Some(key)) => {
+                    let plain = key.open(&frame, link, host);
+                    self.tags[usize::from(plain.is_none())] += 1;
+                    let Some(plain) = plain else { continue };
+                    plain
+                }
+            };
+            let Ok((header, message)) = codec::decode(plain) else { continue };
             let number = (header.incarnation, header.sequence);
             let newest = self.newest.insert((host, header.sender), number);
             if newest.is_some_and(|(incarnation, sequence)| incarnation == number.0 && sequence >= number.1) {
@@ -212,4 +272,65 @@ fn truth(time: Time, data: &[u8]) -> Option<Truth> {
         });
     }
     Some(Truth { time, samples: samples.into() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::ids::LinkId;
+    use crate::messages::phase::Phase;
+    use crate::messages::round::Round;
+    use crate::messages::wire::Latent;
+    use crate::net::protocol::codec::{Flags, Header};
+    use crate::record::file::{Beginning, RecordFile};
+    use crate::record::identity::HostIdentity;
+    use crate::record::topics::Topics;
+    use crate::record::{Event, Scope};
+    use crate::trial::Trial;
+
+    /// A record of host 0 of a team with the key `key`, at which three latents of robot 1 have arrived, sent by host 1.
+    fn recorded(folder: &Path, key: &Key) -> std::path::PathBuf {
+        let trial = Trial::preset("offboard", "passage").unwrap();
+        let stage = Stage::of(&trial.plan());
+        let mut identity = Identity::here(vec!["host".to_owned()], "");
+        let name = stage.hosts[0].clone();
+        let (seed, transports) = ("00".repeat(32), vec![1; 2]);
+        let host = HostIdentity { name, id: HostId(0), incarnation: 5, seed, transports, keyed: true };
+        identity.host = Some(host);
+        let path = folder.join("host.mcap");
+        let mut file = RecordFile::create(&path, &Beginning { identity, attached: Vec::new() }, &stage).unwrap();
+        let mut topics = Topics::new(Stage::of(&trial.plan()), Scope::Host, 0);
+        for sequence in 0..3u32 {
+            let header = Header { flags: Flags::default(), team: 1, sender: HostId(1), incarnation: 9, sequence };
+            let features = Features(vec![0.5; 4].into());
+            let round = Round { term: 1, episode: 0 };
+            let latent =
+                Latent { robot: RobotId(1), round, phase: Phase::Running, motion: Motion::default(), features };
+            let mut datagram = codec::encode(&header, &Wire::Latent(latent)).unwrap().to_vec();
+            key.seal(&mut datagram, LinkId(0), None);
+            let events = [Event::Input(Input::Frame(LinkId(0), datagram.into(), None))];
+            let now = Time::from_nanos(u64::from(sequence + 1) * 50_000_000);
+            topics.instant(now, &events, &mut |topic, at, bytes| file.write(&stage, topic, at, bytes).unwrap());
+        }
+        file.finish().unwrap();
+        path
+    }
+
+    #[test]
+    fn arrivals_at_a_host_with_a_key_are_seen_with_the_key_and_otherwise_said_to_be_unknown() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let path = recorded(folder.path(), &Key::new([7; 32]));
+        let seen = |keys: &Keys| {
+            let shown = read(&path, keys).unwrap();
+            let arrived =
+                shown.sights.iter().filter(|(_, sight)| matches!(sight, Sight::Arrived(HostId(0), RobotId(1))));
+            (arrived.count(), shown.hears_links, shown.note)
+        };
+        let (arrived, _, note) = seen(&Keys { of_team: Some(Key::new([7; 32])), ..Keys::default() });
+        assert_eq!((arrived, &*note), (3, ""));
+        let (arrived, links, note) = seen(&Keys::default());
+        assert!(arrived == 0 && !links && note.contains("--key-file"), "{note}");
+        let (arrived, links, note) = seen(&Keys { of_team: Some(Key::new([8; 32])), ..Keys::default() });
+        assert!(arrived == 0 && !links && note.contains("no datagram"), "{note}");
+    }
 }

@@ -63,7 +63,7 @@ impl OptionalPage {
 #[derive(clap::Args)]
 pub struct RecordPage {
     /// Serves a page that shows the records with a scrubber, and prints its address (docs/watch.md)
-    #[arg(long, conflicts_with_all = ["policy", "rerun", "host", "json", "key_file"])]
+    #[arg(long, conflicts_with_all = ["policy", "rerun", "host", "json"])]
     watch: bool,
     /// Address at which the page is served; one that other machines reach needs --token-file [default: 127.0.0.1 and a
     /// free port]

@@ -61,17 +61,19 @@ pub struct Log {
     results: Vec<(i64, Episode)>,
     /// Times of the host's first and last recorded turn \[ns\] on its own clock; `None` if there is none.
     span: Option<[i64; 2]>,
-    /// Whether the record was finished, and was not cut by a crash of its host.
+    /// Whether the record is whole: it was not cut by a crash of its host, and is not damaged.
     pub complete: bool,
+    /// Whether messages in the middle of the record are lost to damage.
+    pub has_gaps: bool,
 }
 
 impl Log {
     /// Reads the record of the host `host` from a file. An error says why the file cannot be read.
     pub fn read(path: &Path, host: HostId) -> Result<Log, ReadError> {
-        let mut messages = reader::open(path)?.messages;
+        let (_, mut messages) = reader::messages(path)?;
         let (sent, arrived, states, results) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         let (traffic, span, complete) = (Traffic::default(), None, false);
-        let mut log = Log { host, traffic, sent, arrived, states, results, span, complete };
+        let mut log = Log { host, traffic, sent, arrived, states, results, span, complete, has_gaps: false };
         while let Some(message) = messages.next_message()? {
             let at_ns = message.at as i64;
             match &*message.channel.topic {
@@ -84,7 +86,8 @@ impl Log {
                 _ => {}
             }
         }
-        log.complete = messages.is_complete();
+        log.complete = messages.health().is_whole();
+        log.has_gaps = messages.gaps() > 0;
         Ok(log)
     }
 

@@ -109,6 +109,8 @@ function setUp() {
   dirty = true;
 }
 
+// Why links are not shown: a record may say it.
+function unheard() { return scene.record && scene.record.note || "links between robots are not heard here"; }
 // The ground is drawn up to where hulls reach, since centres stay within it. A wall that ends at its edge, or beyond,
 // ends where the drawn ground does.
 function reachWalls() {
@@ -282,7 +284,7 @@ function showLinks() {
     lines.push(item);
   }
   const title = document.createElement("h2"), list = document.createElement("ul");
-  title.textContent = !scene.hears_links ? `robot ${chosen}: links between robots are not heard here` :
+  title.textContent = !scene.hears_links ? `robot ${chosen}: ${unheard()}` :
     `links of robot ${chosen}: ${lines.length || "no robot in range"}`;
   list.append(...lines);
   place.replaceChildren(title, list);
@@ -522,7 +524,7 @@ function drawRobots(at, n, hull, pixel) {
   const left = world.getUint16(10, true);
   set($("note"), [unseen ? `${unseen} of ${n} robots: no position heard` : "",
     unseen < n && headings === 0 ? "no heading heard: none is drawn" : "",
-    scene.hears_links ? "" : "links between robots are not heard here",
+    scene.hears_links ? "" : unheard(),
     left ? `the ${left} longest links are left out` : ""].filter(Boolean).join("; "));
 }
 

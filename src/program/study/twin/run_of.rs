@@ -1,13 +1,15 @@
 //! Reads the records of all hosts of a run, joins them on a common clock, and builds a trial with the settings of the
 //! run.
 
-use std::path::PathBuf;
+use std::io::Read;
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 
+use crate::config::regular;
 use crate::deploy::Routes;
-use crate::program::output::read_bytes;
-use crate::program::replay::{Files, files, of_host};
+use crate::program::record::chosen;
+use crate::program::replay::{Files, of_host};
 use crate::program::{BadInput, bad, team};
 use crate::record::identity::Identity;
 use crate::record::merge::{Traffic, align};
@@ -34,11 +36,11 @@ pub struct Recorded {
 /// Reads the records of all hosts of a run; `named` has their files or folders. Fails if the record of a host is
 /// missing.
 pub fn read(named: &[PathBuf], registry: &Registry) -> Result<Recorded> {
-    let paths = files(named)?;
+    let chosen = chosen::records(named)?.records;
     let wrong = |error: ReadError| BadInput(error.to_string());
     let (mut logs, mut identities, mut notes, mut digests) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    for path in &paths {
-        let identity = reader::open(path).map_err(wrong)?.identity;
+    let mut paths = Vec::new();
+    for (path, identity) in chosen {
         let Some(host) = &identity.host else {
             return bad(format!(
                 "'{}' is the record of a simulation, and only records of hosts have arrivals of messages: a twin is \
@@ -52,13 +54,21 @@ pub fn read(named: &[PathBuf], registry: &Registry) -> Result<Recorded> {
                 path.display()
             ));
         }
-        let log = Log::read(path, host.id).map_err(wrong)?;
+        let log = Log::read(&path, host.id).map_err(wrong)?;
+        if log.has_gaps {
+            return bad(format!(
+                "'{}' is damaged in its middle: what is lost there would count as lost on its way ('record info' says \
+                 where)",
+                path.display()
+            ));
+        }
         if !log.complete {
-            notes.push(format!("'{}' was cut: its data count up to there", path.display()));
+            notes.push(format!("'{}' was cut or is damaged: what is intact counts", path.display()));
         }
         let name = path.file_name().map_or(String::new(), |name| name.to_string_lossy().into_owned());
-        digests.push(format!("{name} {}", blake3::hash(&read_bytes(path, "record")?).to_hex()));
+        digests.push(format!("{name} {}", digest(&path)?));
         logs.push(log);
+        paths.push(path);
         identities.push(identity);
     }
     let (trial, policy) = trial(&paths, &identities, &logs, registry)?;
@@ -91,6 +101,17 @@ pub fn read(named: &[PathBuf], registry: &Registry) -> Result<Recorded> {
     Ok(Recorded { run: Run::of(&logs, &alignment, &team), trial, policy, notes, digests })
 }
 
+/// Returns the digest of a file, which may be longer than memory.
+fn digest(path: &Path) -> Result<String> {
+    let (mut file, mut hasher, mut piece) = (regular::open(path)?, blake3::Hasher::new(), vec![0; 1 << 16]);
+    loop {
+        match file.read(&mut piece)? {
+            0 => return Ok(hasher.finalize().to_hex().to_string()),
+            read => hasher.update(&piece[..read]),
+        };
+    }
+}
+
 /// Returns a trial with the settings that the hosts ran, from the team file in the record of the host that judged the
 /// episodes; and the policy's name.
 fn trial(paths: &[PathBuf], identities: &[Identity], logs: &[Log], registry: &Registry) -> Result<(Trial, String)> {
@@ -105,6 +126,7 @@ fn trial(paths: &[PathBuf], identities: &[Identity], logs: &[Log], registry: &Re
     let (path, identity) = (&paths[judge], &identities[judge]);
     let files = Files::extract(&reader::open(path).map_err(wrong)?)?;
     let policy = files.files.get(1).map(|(_, policy)| policy);
+    let _confined = files.confine(None);
     let team = of_host::team_of(identity, &files, registry, |flags| {
         flags.set.extend(policy.map(|policy| format!("policy={}", policy.display())));
     })?;

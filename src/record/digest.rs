@@ -1,0 +1,120 @@
+//! Digests of the metadata of a record, in metadata of their own: MCAP has no checksum for single metadata, and the
+//! checksum over all of a file is at its end, which a crash may have cut off.
+//!
+//! The digests are of names and values, not of bytes, so they hold in a copy that another program has made.
+
+use super::reading::element::Map;
+
+/// Name of the metadata with the digests of the others.
+pub const METADATA: &str = "murmurate.digest";
+
+/// Returns the digest of metadata, as hexadecimal digits.
+fn of(name: &str, values: &Map) -> String {
+    let mut bytes = Vec::new();
+    let pairs = values.iter().flat_map(|(name, value)| [name, value]);
+    for text in std::iter::once(name).chain(pairs.map(String::as_str)) {
+        bytes.extend((text.len() as u64).to_le_bytes());
+        bytes.extend(text.as_bytes());
+    }
+    format!("{:032x}", xxhash_rust::xxh3::xxh3_128(&bytes))
+}
+
+/// Returns the values of the metadata [`METADATA`] for the metadata `all`, each a name and values.
+pub fn of_all(all: &[(&str, &Map)]) -> Map {
+    all.iter().map(|(name, values)| ((*name).to_owned(), of(name, values))).collect()
+}
+
+/// Whether metadata are as they were written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// They agree with their digest.
+    Right,
+    /// They have no digest.
+    Unknown,
+    /// They contradict their digest.
+    Wrong {
+        /// Whether a copy of them is right, so that nothing is lost.
+        copied: bool,
+    },
+}
+
+/// Which metadata of a file are as they were written.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Judged {
+    /// Verdict on each of the metadata, in their order.
+    pub of: Vec<Verdict>,
+    /// Names of metadata with a digest that are not in the file.
+    pub absent: Vec<String>,
+}
+
+/// Decides which of the metadata `all`, in the order of the file, are as they were written. A file may have digests
+/// twice, so that damage to them is told from damage to what they are of.
+pub fn judge(all: &[(&str, &Map)]) -> Judged {
+    let lists: Vec<&Map> = all.iter().filter(|(name, _)| *name == METADATA).map(|(_, values)| *values).collect();
+    let listed = |name: &str, digest: &str| lists.iter().any(|list| list.get(name).is_some_and(|is| is == digest));
+    let confirmed = |name: &str| {
+        all.iter().any(|(other, values)| *other == name && *other != METADATA && listed(name, &of(other, values)))
+    };
+    let verdict = |(name, values): &(&str, &Map)| {
+        if *name == METADATA {
+            // One of two lists that contradicts what the other one confirms is itself damaged.
+            let agrees = |(name, digest): (&String, &String)| {
+                !confirmed(name) || all.iter().any(|(n, v)| n == name && of(n, v) == *digest)
+            };
+            let whole = lists.iter().all(|list| list.keys().all(|name| values.contains_key(name) || !confirmed(name)));
+            return match whole && values.iter().all(agrees) {
+                true => Verdict::Right,
+                false => Verdict::Wrong { copied: true },
+            };
+        }
+        if listed(name, &of(name, values)) {
+            Verdict::Right
+        } else if lists.iter().any(|list| list.contains_key(*name)) {
+            Verdict::Wrong { copied: confirmed(name) }
+        } else if !lists.is_empty() && name.starts_with("murmurate.") {
+            // The name itself is damaged.
+            Verdict::Wrong { copied: false }
+        } else {
+            Verdict::Unknown
+        }
+    };
+    let verdicts = all.iter().map(verdict).collect();
+    let named = lists.iter().flat_map(|list| list.keys());
+    let mut absent: Vec<String> = named.filter(|name| !all.iter().any(|(other, _)| other == name)).cloned().collect();
+    absent.sort();
+    absent.dedup();
+    // A name that only a damaged list has was never that of metadata.
+    absent.retain(|name| lists.iter().all(|list| list.contains_key(name)));
+    Judged { of: verdicts, absent }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn map(pairs: &[(&str, &str)]) -> Map {
+        pairs.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect()
+    }
+
+    #[test]
+    fn changed_metadata_are_told_from_a_changed_list_by_the_second_copy() {
+        let (run, stage) = (map(&[("seed", "7"), ("format", "2")]), map(&[("walls", "[]")]));
+        let list = of_all(&[("murmurate.run", &run), ("murmurate.stage", &stage)]);
+        let other = map(&[("seed", "6"), ("format", "2")]);
+        let [r, s, l] = ["murmurate.run", "murmurate.stage", METADATA];
+        let right = Verdict::Right;
+        let whole = judge(&[(r, &run), (s, &stage), (l, &list)]);
+        assert_eq!((whole.of, whole.absent), (vec![right; 3], vec![]));
+        let changed = judge(&[(r, &other), (s, &stage), (l, &list)]);
+        assert_eq!(changed.of, [Verdict::Wrong { copied: false }, right, right]);
+        let copied = judge(&[(r, &other), (s, &stage), (l, &list), (r, &run), (l, &list)]);
+        assert_eq!(copied.of, [Verdict::Wrong { copied: true }, right, right, right, right]);
+        let mut wrong = list.clone();
+        wrong.insert(r.to_owned(), "00".to_owned());
+        let listed = judge(&[(r, &run), (s, &stage), (l, &wrong), (r, &run), (l, &list)]);
+        assert_eq!(listed.of, [right, right, Verdict::Wrong { copied: true }, right, right]);
+        assert_eq!(judge(&[(r, &run), (l, &list)]).absent, [s]);
+        assert_eq!(judge(&[(r, &run), ("theirs", &stage)]).of, [Verdict::Unknown; 2]);
+        assert_eq!(judge(&[("murmurate.ruN", &run), (s, &stage), (l, &list)]).of[0], Verdict::Wrong { copied: false });
+    }
+}

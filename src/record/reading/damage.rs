@@ -1,0 +1,95 @@
+//! What is known of a file after all of it was read: its intact ranges, and what is damaged where.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use super::element::{Channel, Map, Schema};
+
+/// What of a record is lost by damage.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Loss {
+    /// Nothing, as an index is damaged, or a copy is left.
+    Nothing,
+    /// Messages.
+    Messages,
+    /// Metadata or attached files, and no message.
+    Other,
+}
+
+/// Damaged place of a file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Damage {
+    /// Place of the damage \[bytes\] from the beginning of the file.
+    pub range: Range<u64>,
+    /// What is wrong there.
+    pub what: String,
+    /// Time of the last intact message before the damage and of the first after it \[ns\].
+    pub times: (Option<u64>, Option<u64>),
+    /// What is lost by it.
+    pub loss: Loss,
+}
+
+/// How a file ends.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum End {
+    /// With the mark of its end.
+    Marked,
+    /// Without that mark: it can be read up to the place `at`. The last `zeros` bytes are zero.
+    Cut {
+        /// Place up to which the file can be read \[bytes\].
+        at: u64,
+        /// Number of zeros at the end of the file \[bytes\].
+        zeros: u64,
+    },
+    /// At its beginning: the file has no bytes.
+    Empty,
+    /// Nowhere: all bytes are zero.
+    Zeros,
+}
+
+/// What is known of a file after all of it was read.
+#[derive(Clone, Debug)]
+pub struct Survey {
+    /// Length of the file \[bytes\].
+    pub length: u64,
+    /// Ranges of the file with intact elements, in order \[bytes\].
+    pub intact: Vec<Range<u64>>,
+    /// Damaged places, in order.
+    pub damage: Vec<Damage>,
+    /// How the file ends.
+    pub end: End,
+    /// Whether a part of the file has no checksum.
+    pub unchecked: bool,
+    /// Whether messages outside chunks are left out, because a checksum over all of them is wrong.
+    pub skips_loose: bool,
+    /// Places of the intact attachments, from opcode to checksum \[bytes\].
+    pub attachments: Vec<Range<u64>>,
+    /// Time of the last intact message \[ns\].
+    pub last: Option<u64>,
+    /// Intact metadata, each name and content once.
+    pub metadata: Vec<(String, Map)>,
+    /// Channels by their id.
+    pub channels: BTreeMap<u16, Channel>,
+    /// Schemas by their id.
+    pub schemas: BTreeMap<u16, Schema>,
+    /// Profile in the file's header.
+    pub profile: String,
+}
+
+impl Survey {
+    /// Whether the file has its end, nothing is damaged and nothing is lost.
+    pub fn is_whole(&self) -> bool {
+        self.end == End::Marked && self.damage.is_empty()
+    }
+
+    /// Whether nothing was written into the file.
+    pub fn is_nothing(&self) -> bool {
+        matches!(self.end, End::Empty | End::Zeros)
+    }
+
+    /// Returns at how many places before the place `at` of the file messages are lost.
+    pub fn losses_before(&self, at: u64) -> usize {
+        let lost = |damage: &&Damage| damage.loss == Loss::Messages && damage.range.start < at;
+        self.damage.iter().filter(lost).count()
+    }
+}

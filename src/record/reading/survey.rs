@@ -1,0 +1,368 @@
+//! Survey of a whole MCAP file: which ranges of it are intact, and what is damaged, where.
+//!
+//! A chunk is used if its checksum is right, an attachment likewise. Our metadata have digests of their own. Everything
+//! else is covered by the checksums of the data section and of the summary. Where the chain of elements breaks, the
+//! next intact element is searched for, so a hole costs what it covers.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io;
+use std::ops::Range;
+
+use super::chunk::{self, Chunk, MAX_CHUNK};
+use super::damage::{Damage, End, Loss, Survey};
+use super::element::{self, HEAD, MAGIC, Map, op};
+use super::source::Source;
+
+/// Largest number of damaged places that are named; what is behind the last one is not read.
+const MAX_DAMAGE: usize = 1000;
+/// Most bytes of schemas, channels and metadata that are kept of a file.
+const MAX_KEPT: usize = 1 << 24;
+/// Largest number of bytes at which an attachment's content may begin.
+pub const ATTACHMENT_HEAD: u64 = 1 << 14;
+/// How many times its own length of a file may be read in the search for intact elements.
+const SEARCHES: u64 = 8;
+
+/// Reads all of a file. Returns `None` if it is no MCAP file: it has neither the beginning of one nor anything intact.
+pub fn survey(source: &mut Source) -> io::Result<Option<Survey>> {
+    let mut surveyor = Surveyor::new(source);
+    let known = surveyor.run()?;
+    Ok(known.then(|| surveyor.finish()))
+}
+
+/// What comes at a place of the file.
+enum Step {
+    /// An intact element, up to this place.
+    Intact(u64),
+    /// An element that is damaged, up to this place, and why.
+    Damaged(u64, String),
+    /// Something whose length is not known, and why it is no element.
+    Broken(String),
+    /// The mark of the end, up to this place, with the checksum of all before it.
+    End(u64, u32),
+}
+
+pub(super) struct Surveyor<'a> {
+    pub(super) source: &'a mut Source,
+    pub(super) out: Survey,
+    pub(super) at: u64,
+    /// Time of the last intact message \[ns\].
+    pub(super) time: Option<u64>,
+    /// Places that contradict others, which is damage only if a checksum says so.
+    pub(super) suspects: Vec<(Range<u64>, &'static str)>,
+    /// Messages of the last chunk by channel: time and place.
+    pub(super) index: Option<BTreeMap<u16, Vec<(u64, u64)>>>,
+    pub(super) used: BTreeSet<u16>,
+    /// Places of chunks by checksum, length, and times of their first and last message.
+    pub(super) chunks: BTreeMap<(u32, u64, u64, u64), Vec<Range<u64>>>,
+    /// Channels and schemas outside chunks.
+    pub(super) loose: Vec<(u8, Vec<u8>)>,
+    pub(super) has_loose_messages: bool,
+    /// Whether a chunk, an attachment or metadata has no checksum of its own.
+    pub(super) bare: bool,
+    pub(super) metadata: Vec<(Range<u64>, String, Map)>,
+    pub(super) kept: usize,
+    /// Whether the checksum of all of the file is right.
+    pub(super) proven: bool,
+    /// Number of bytes that may still be read in searches.
+    pub(super) budget: u64,
+}
+
+impl Surveyor<'_> {
+    fn new(source: &mut Source) -> Surveyor<'_> {
+        let length = source.length();
+        let out = Survey {
+            length,
+            intact: Vec::new(),
+            damage: Vec::new(),
+            end: End::Empty,
+            unchecked: false,
+            skips_loose: false,
+            attachments: Vec::new(),
+            last: None,
+            metadata: Vec::new(),
+            channels: BTreeMap::new(),
+            schemas: BTreeMap::new(),
+            profile: String::new(),
+        };
+        Surveyor {
+            source,
+            out,
+            at: 0,
+            time: None,
+            suspects: Vec::new(),
+            index: None,
+            used: BTreeSet::new(),
+            chunks: BTreeMap::new(),
+            loose: Vec::new(),
+            has_loose_messages: false,
+            bare: false,
+            metadata: Vec::new(),
+            kept: 0,
+            proven: false,
+            budget: length.saturating_mul(SEARCHES) + MAX_CHUNK,
+        }
+    }
+
+    /// Goes through the file. Returns whether it is one of MCAP.
+    fn run(&mut self) -> io::Result<bool> {
+        let length = self.out.length;
+        if length == 0 {
+            return Ok(true);
+        }
+        let magic = length >= 8 && self.source.bytes(0, 8)? == MAGIC;
+        if magic {
+            self.at = 8;
+        } else if self.zeros()? == length {
+            self.out.end = End::Zeros;
+            return Ok(true);
+        } else {
+            let begun = length < 8 && MAGIC.starts_with(&self.source.bytes(0, length)?);
+            if !self.resume("the beginning of the file is wrong")? {
+                return Ok(begun);
+            }
+        }
+        while self.at < length {
+            match self.step()? {
+                Step::Intact(to) => self.intact(to),
+                Step::Damaged(to, what) if self.is_plausible(to)? => {
+                    let attached =
+                        self.head(self.at)?.is_some_and(|(opcode, _)| matches!(opcode, op::ATTACHMENT | op::METADATA));
+                    let loss = if attached { Loss::Other } else { Loss::Messages };
+                    self.damaged(self.at..to, what, loss);
+                    self.at = to;
+                }
+                Step::End(to, crc) => {
+                    self.ends(to, crc)?;
+                    return Ok(true);
+                }
+                Step::Damaged(_, what) | Step::Broken(what) => {
+                    if !self.resume(&what)? {
+                        return Ok(true);
+                    }
+                }
+            }
+            if self.out.damage.len() >= MAX_DAMAGE {
+                break;
+            }
+        }
+        self.out.end = End::Cut { at: self.at, zeros: 0 };
+        Ok(true)
+    }
+
+    fn intact(&mut self, to: u64) {
+        match self.out.intact.last_mut() {
+            Some(last) if last.end == self.at => last.end = to,
+            _ => self.out.intact.push(self.at..to),
+        }
+        self.at = to;
+    }
+
+    pub(super) fn damaged(&mut self, range: Range<u64>, what: String, loss: Loss) {
+        self.index = None;
+        self.out.damage.push(Damage { range, what, times: (self.time, None), loss });
+    }
+
+    /// Goes on at the next intact element, and says that what is before it is damaged. Without one the file ends here:
+    /// returns `false`.
+    fn resume(&mut self, what: &str) -> io::Result<bool> {
+        match self.search(self.at + 1)? {
+            Some(found) => {
+                self.damaged(self.at..found, what.to_owned(), Loss::Messages);
+                self.at = found;
+                Ok(true)
+            }
+            None => {
+                self.out.end = End::Cut { at: self.at, zeros: self.zeros()? };
+                Ok(false)
+            }
+        }
+    }
+
+    /// Returns the number of zeros at the end of the file, from the present place on.
+    fn zeros(&mut self) -> io::Result<u64> {
+        let mut zeros = 0;
+        self.source.pieces(self.at, self.out.length, |piece| {
+            let trailing = piece.iter().rev().take_while(|byte| **byte == 0).count();
+            zeros = if trailing == piece.len() { zeros + trailing as u64 } else { trailing as u64 };
+        })?;
+        Ok(zeros)
+    }
+
+    /// Returns opcode and end of the element at `at`, if it is in the file.
+    pub(super) fn head(&mut self, at: u64) -> io::Result<Option<(u8, u64)>> {
+        if self.out.length.saturating_sub(at) < HEAD {
+            return Ok(None);
+        }
+        let head = self.source.bytes(at, HEAD)?;
+        let length = u64::from_le_bytes(head[1..].try_into().expect("eight bytes"));
+        let end = at.checked_add(HEAD).and_then(|from| from.checked_add(length));
+        Ok(end.filter(|end| *end <= self.out.length).map(|end| (head[0], end)))
+    }
+
+    /// Whether an element may begin at `at`, going by its opcode and its length, or the file ends there.
+    fn is_plausible(&mut self, at: u64) -> io::Result<bool> {
+        let known = |opcode: u8| matches!(opcode, op::SCHEMA..=op::MESSAGE_INDEX | op::ATTACHMENT | op::METADATA);
+        let head = self.head(at)?;
+        let fits = head.is_some_and(|(opcode, end)| known(opcode) || (opcode == op::DATA_END && end - at == HEAD + 4));
+        Ok(fits || at == self.out.length)
+    }
+
+    fn step(&mut self) -> io::Result<Step> {
+        let broken = |what: &str| Ok(Step::Broken(what.to_owned()));
+        let Some((opcode, end)) = self.head(self.at)? else { return broken("an element has no end") };
+        let (from, length) = (self.at + HEAD, end - self.at - HEAD);
+        if !matches!(opcode, op::ATTACHMENT | op::CHUNK | op::PRIVATE..) && length > MAX_CHUNK {
+            return broken("an element is too long");
+        }
+        let damaged = |what: &str| Ok(Step::Damaged(end, what.to_owned()));
+        match opcode {
+            op::CHUNK => return self.chunk(end),
+            op::ATTACHMENT => {
+                return match self.attachment(from, length)? {
+                    true => {
+                        self.out.attachments.push(self.at..end);
+                        Ok(Step::Intact(end))
+                    }
+                    false => damaged("an attached file's checksum or length is wrong"),
+                };
+            }
+            op::PRIVATE.. => return Ok(Step::Intact(end)),
+            _ => {}
+        }
+        let bytes = self.source.bytes(from, length)?;
+        let fits = match opcode {
+            op::HEADER => element::header(&bytes).map(|(profile, _)| self.out.profile = profile.to_owned()),
+            op::SCHEMA | op::CHANNEL => self.keep(bytes.len()).then(|| self.loose.push((opcode, bytes))),
+            op::MESSAGE => element::message(&bytes).map(|message| {
+                self.has_loose_messages = true;
+                self.used.insert(message.channel);
+                self.pass(message.log_time, message.log_time);
+            }),
+            op::MESSAGE_INDEX => {
+                self.check_index(&bytes, end);
+                Some(())
+            }
+            op::METADATA => element::metadata(&bytes).filter(|_| self.keep(bytes.len())).map(|(name, values)| {
+                self.metadata.push((self.at..end, name, values));
+            }),
+            op::DATA_END if length == 4 => {
+                let crc = u32::from_le_bytes(bytes[..4].try_into().expect("four bytes"));
+                return Ok(Step::End(end, crc));
+            }
+            _ => return broken("no element of MCAP begins here"),
+        };
+        match fits {
+            Some(()) => Ok(Step::Intact(end)),
+            None => damaged("an element cannot be read"),
+        }
+    }
+
+    pub(super) fn keep(&mut self, bytes: usize) -> bool {
+        self.kept += bytes;
+        self.kept <= MAX_KEPT
+    }
+
+    /// Notes that intact messages of the times from `first` to `last` \[ns\] come here.
+    fn pass(&mut self, first: u64, last: u64) {
+        let open = self.out.damage.iter_mut().rev().take_while(|damage| damage.times.1.is_none());
+        open.for_each(|damage| damage.times.1 = Some(first));
+        self.time = Some(last);
+    }
+
+    fn chunk(&mut self, end: u64) -> io::Result<Step> {
+        let (from, length) = (self.at + HEAD, end - self.at - HEAD);
+        let opened =
+            if length > MAX_CHUNK { Err(chunk::BadChunk::Long) } else { chunk::open(self.source.bytes(from, length)?) };
+        let taken = opened.and_then(|chunk| self.take(&chunk).map(|()| chunk));
+        let chunk = match taken {
+            Ok(chunk) => chunk,
+            Err(chunk::BadChunk::Head) => return Ok(Step::Broken(chunk::BadChunk::Head.to_string())),
+            Err(why) => return Ok(Step::Damaged(end, why.to_string())),
+        };
+        self.bare |= chunk.head.crc == 0 && !chunk.elements.is_empty();
+        let (first, last) = chunk.span();
+        if (chunk.head.first, chunk.head.last) != (first, last) {
+            self.suspects.push((self.at..from + chunk.head.at, "the times in a chunk's beginning are wrong"));
+        }
+        if last != 0 {
+            self.pass(first, last);
+        }
+        if chunk.head.crc != 0 {
+            let key = (chunk.head.crc, chunk.head.size, first, last);
+            self.chunks.entry(key).or_default().push(self.at..end);
+        }
+        Ok(Step::Intact(end))
+    }
+
+    /// Takes the definitions in a chunk, and where its messages are.
+    fn take(&mut self, chunk: &Chunk) -> Result<(), chunk::BadChunk> {
+        let mut index: BTreeMap<u16, Vec<(u64, u64)>> = BTreeMap::new();
+        let mut definitions = Vec::new();
+        chunk.each(|at, opcode, bytes| {
+            match opcode {
+                op::MESSAGE => {
+                    let message = element::message(bytes)?;
+                    index.entry(message.channel).or_default().push((message.log_time, at));
+                }
+                op::CHANNEL | op::SCHEMA => definitions.push((opcode, bytes.to_vec())),
+                _ => {}
+            }
+            (definitions.len() <= MAX_KEPT / 16).then_some(())
+        })?;
+        for (opcode, bytes) in definitions {
+            let kept = self.keep(bytes.len()) && self.define(opcode, &bytes);
+            kept.then_some(()).ok_or(chunk::BadChunk::Elements)?;
+        }
+        self.used.extend(index.keys());
+        index.values_mut().for_each(|all| all.sort_unstable());
+        self.index = Some(index);
+        Ok(())
+    }
+
+    /// Notes a channel or a schema, unless its id has one. Returns whether it can be read.
+    pub(super) fn define(&mut self, opcode: u8, bytes: &[u8]) -> bool {
+        if opcode == op::CHANNEL {
+            let channel = element::channel(bytes);
+            channel.map(|channel| self.out.channels.entry(channel.id).or_insert(channel)).is_some()
+        } else {
+            let schema = element::schema(bytes);
+            schema.map(|schema| self.out.schemas.entry(schema.id).or_insert(schema)).is_some()
+        }
+    }
+
+    /// Compares the index of a channel's messages with the chunk before it.
+    fn check_index(&mut self, bytes: &[u8], end: u64) {
+        let Some(index) = &mut self.index else { return };
+        let mut rest = element::Rest(bytes);
+        let listed = rest.u16().zip(rest.block().filter(|all| all.len() % 16 == 0));
+        let fits = listed.filter(|_| rest.0.is_empty()).is_some_and(|(channel, all)| {
+            let mut rest = element::Rest(all);
+            let mut listed: Vec<(u64, u64)> = std::iter::from_fn(|| Some((rest.u64()?, rest.u64()?))).collect();
+            listed.sort_unstable();
+            index.remove(&channel).unwrap_or_default() == listed
+        });
+        if !fits {
+            self.suspects.push((self.at..end, "an index of messages is wrong"));
+        }
+    }
+
+    /// Checks the attachment of `length` bytes at `from`, without keeping it.
+    fn attachment(&mut self, from: u64, length: u64) -> io::Result<bool> {
+        let head = self.source.bytes(from, length.min(ATTACHMENT_HEAD))?;
+        if element::attachment(&head, length).is_none() {
+            return Ok(false);
+        }
+        let stated = u32::from_le_bytes(self.source.bytes(from + length - 4, 4)?.try_into().expect("four bytes"));
+        if stated == 0 {
+            self.bare = true;
+            return Ok(true);
+        }
+        Ok(self.crc(from, from + length - 4)? == stated)
+    }
+
+    pub(super) fn crc(&mut self, from: u64, to: u64) -> io::Result<u32> {
+        let mut crc = crc32fast::Hasher::new();
+        self.source.pieces(from, to, |piece| crc.update(piece))?;
+        Ok(crc.finalize())
+    }
+}
