@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::config::ConfigError;
-use crate::messages::geometry::{Motion, Pose, Vec2, wrapped};
+use crate::messages::geometry::{Motion, Pose, Vec2, limit_below, toward_zero, wrapped};
 use crate::messages::local::{BodyTwist, Sample};
 use crate::messages::wire::Reading;
 use crate::time::Span;
@@ -96,8 +96,8 @@ pub struct Chassis {
     pub speed_m_s: f32,
     /// Largest yaw rate of the robot \[rad/s\]; infinite if not limited.
     pub yaw_rate_rad_s: f32,
-    /// Largest speed of a wheel along the ground \[m/s\] and distance between the two wheels \[m\]. `None` if wheel
-    /// speeds are not limited.
+    /// Largest speed of a wheel along the ground \[m/s\] and distance between the two wheels \[m\], which is not below
+    /// the decimal that was written. `None` if wheel speeds are not limited.
     pub wheels: Option<(f32, f32)>,
     /// Age of the last measured heading at which the robot has to stand still.
     pub heading_age: Span,
@@ -202,9 +202,9 @@ impl Settings {
             drive,
             point_ahead_m,
             held_rad: held.then(|| self.heading_rad.unwrap_or(0.0)),
-            speed_m_s: self.speed_m_s.unwrap_or(default.speed_m_s),
-            yaw_rate_rad_s: self.yaw_rate_rad_s.unwrap_or(default.yaw_rate_rad_s),
-            wheels,
+            speed_m_s: limit_below(self.speed_m_s.unwrap_or(default.speed_m_s)),
+            yaw_rate_rad_s: limit_below(self.yaw_rate_rad_s.unwrap_or(default.yaw_rate_rad_s)),
+            wheels: wheels.map(|(speed_m_s, track_m)| (limit_below(speed_m_s), track_m.next_up())),
             heading_age: self.heading_age_s.map_or(default.heading_age, Span::from_secs),
         })
     }
@@ -229,8 +229,9 @@ impl Chassis {
         }))
     }
 
-    /// Returns a motion reduced to the limits of the chassis. On a differential drive, forward speed and yaw rate are
-    /// reduced by the same factor, so that the robot follows the same curve.
+    /// Returns a motion reduced to the limits of the chassis, which hold for the result as it is rounded. On a
+    /// differential drive, forward speed and yaw rate are reduced by the same factor, so that the robot follows the same
+    /// curve.
     fn limit(&self, twist: BodyTwist) -> BodyTwist {
         let BodyTwist { forward, left, yaw_rate } = twist;
         match self.drive {
@@ -241,9 +242,36 @@ impl Chassis {
             }
             DriveKind::Differential => {
                 let all = self.share(forward, yaw_rate);
-                BodyTwist { forward: forward * all, left: 0.0, yaw_rate: yaw_rate * all }
+                let (mut forward, mut yaw_rate) = (forward * all, yaw_rate * all);
+                while !self.holds(forward.abs().into(), yaw_rate) {
+                    (forward, yaw_rate) = (toward_zero(forward), toward_zero(yaw_rate));
+                }
+                BodyTwist { forward, left: 0.0, yaw_rate }
             }
         }
+    }
+
+    /// Returns whether the limits of a differential drive hold exactly for a motion with the speed `forward` \[m/s\],
+    /// zero or above, and `yaw_rate` \[rad/s\]; true if one of them is not a number.
+    fn holds(&self, forward: f64, yaw_rate: f32) -> bool {
+        let yaw_rate = f64::from(yaw_rate).abs();
+        let wheel_is_faster =
+            self.wheels.is_some_and(|(most, track_m)| forward + yaw_rate * f64::from(track_m) / 2.0 > f64::from(most));
+        !(forward > f64::from(self.speed_m_s) || yaw_rate > f64::from(self.yaw_rate_rad_s) || wheel_is_faster)
+    }
+
+    /// Returns a motion of a differential drive that is within its limits but for rounding, within them: `velocity` of
+    /// its centre \[m/s\], world frame, and `yaw_rate` \[rad/s\].
+    pub fn settled(&self, velocity: Vec2, yaw_rate: f32) -> (Vec2, f32) {
+        let (mut velocity, mut yaw_rate) = (velocity, yaw_rate);
+        // What is beyond the limits by more than rounding is not for this function.
+        for _ in 0..64 {
+            if self.holds(libm::hypot(velocity.x.into(), velocity.y.into()), yaw_rate) {
+                break;
+            }
+            (velocity, yaw_rate) = (velocity.map(toward_zero), toward_zero(yaw_rate));
+        }
+        (velocity, yaw_rate)
     }
 
     /// Returns the factor, up to 1, that reduces a motion of a differential drive to its limits: `forward` is its speed
@@ -398,6 +426,36 @@ mod tests {
         assert!(refused(Settings { heading_age_s: Some(60.0), ..Settings::default() }).contains("heading_age_s"));
         let all = Settings { speed_m_s: Some(0.3), ..differential() };
         let one = Settings { speed_m_s: Some(0.2), ..Settings::default() }.or(&all).chassis().unwrap();
-        assert_eq!((one.drive, one.speed_m_s), (DriveKind::Differential, 0.2));
+        assert_eq!((one.drive, one.speed_m_s), (DriveKind::Differential, limit_below(0.2)));
+    }
+
+    #[test]
+    fn limits_hold_after_rounding_for_whoever_reads_them_as_decimals() {
+        use rand::RngExt;
+        let mut stream = crate::random::Seed::of_run(2).stream("limits");
+        for case in 0..40_000 {
+            let mut of = |least: u16, most: u16| f64::from(stream.random_range(least..=most)) / 100.0;
+            // Decimals as in a file: 0.2 m/s and the like.
+            let (speed, yaw, wheel, track) = (of(5, 100), of(50, 400), of(5, 100), of(5, 60));
+            let settings = Settings {
+                wheel_speed_m_s: Some(wheel as f32),
+                track_m: Some(track as f32),
+                speed_m_s: Some(speed as f32),
+                yaw_rate_rad_s: Some(yaw as f32),
+                ..differential()
+            };
+            let chassis = settings.chassis().unwrap();
+            let mut axis = || stream.random_range(-3.0..3.0f32);
+            let (velocity, heading) = (Vec2::new(axis(), axis()), axis());
+            let BodyTwist { forward, yaw_rate, .. } = chassis.twist(velocity, Some(heading)).unwrap();
+            let (forward, yaw_rate) = (f64::from(forward).abs(), f64::from(yaw_rate).abs());
+            let outer = forward + yaw_rate * track / 2.0;
+            assert!(forward <= speed && yaw_rate <= yaw && outer <= wheel, "case {case}: {settings:?}, {velocity}");
+            let holonomic = Settings { speed_m_s: Some(speed as f32), ..Settings::default() }.chassis().unwrap();
+            let BodyTwist { forward, left, .. } = holonomic.twist(velocity, Some(heading)).unwrap();
+            assert!(libm::hypot(forward.into(), left.into()) <= speed, "case {case}: {velocity}");
+            let limited = holonomic.limited(velocity, heading);
+            assert!(libm::hypot(limited.x.into(), limited.y.into()) <= speed, "case {case}: {velocity}");
+        }
     }
 }

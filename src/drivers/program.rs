@@ -13,6 +13,7 @@ use super::{Command, Driver, Limits, Out, Parts};
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::edge::child::Program;
+use crate::messages::geometry::{Vec2, limit_below};
 use crate::messages::ids::RobotId;
 use crate::messages::wire::{Celsius, Hardware, Health, Reason};
 use crate::time::Time;
@@ -79,7 +80,7 @@ pub fn make(settings: &Settings, robot: RobotId) -> Result<Parts, ConfigError> {
     if config.speed_m_s.is_nan() || config.speed_m_s <= 0.0 {
         return Err(ConfigError::field("speed_m_s", format!("{} is not a speed above zero", config.speed_m_s)));
     }
-    let limits = Limits { speed_m_s: config.speed_m_s };
+    let limits = Limits { speed_m_s: limit_below(config.speed_m_s) };
     Ok(Parts {
         driver: Box::new(move || Box::new(Lines { robot, limits })),
         worker: Some(Box::new(Program { command: config.command })),
@@ -93,12 +94,14 @@ impl Driver for Lines {
 
     fn drive(&mut self, now: Time, command: &Command, out: &mut Vec<Out>) {
         let Command { drive, body } = command;
+        // Within the limit of the velocity, it is beyond it by no more than the rounding of the turn.
+        let planar = body.map(|body| Vec2::new(body.forward, body.left).cap_magnitude(self.limits.speed_m_s));
         let line = Line {
             robot: self.robot.0,
             vx: drive.velocity.x,
             vy: drive.velocity.y,
-            ahead: body.map(|body| body.forward),
-            left: body.map(|body| body.left),
+            ahead: planar.map(|planar| planar.x),
+            left: planar.map(|planar| planar.y),
             yaw_rate: body.map(|body| body.yaw_rate),
             for_s: drive.until.since(now).as_secs(),
         };

@@ -7,7 +7,7 @@
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::edge::sender_clock::{Novelty, SenderClock};
-use crate::messages::geometry::Vec2;
+use crate::messages::geometry::{Vec2, limit_below};
 use crate::messages::ids::RobotId;
 use crate::messages::wire::{Hardware, Health, MAX_VALIDITY, Reason};
 use crate::time::{Span, Time};
@@ -197,8 +197,8 @@ impl Ros2 {
         let odom = settings::full_topic("odom", &config.namespace, &config.odom).unwrap_or_default();
         Ros2 {
             robot,
-            limits: Limits { speed_m_s: config.speed_m_s },
-            yaw_rate_rad_s: config.yaw_rate_rad_s,
+            limits: Limits { speed_m_s: limit_below(config.speed_m_s) },
+            yaw_rate_rad_s: limit_below(config.yaw_rate_rad_s),
             axes: config.axes,
             silence: (!config.odom.is_empty()).then(|| Span::from_secs(config.silence_s)),
             heard: None,

@@ -92,9 +92,24 @@ impl Vec2 {
     }
 
     /// Returns the vector with the same direction and a Euclidean length of at most `most`, in the unit of the vector.
+    /// The limit holds for the exact length, since what is rounded is rounded toward zero.
     pub fn cap_magnitude(self, most: f32) -> Vec2 {
+        if !self.exceeds(most) {
+            return self;
+        }
         let length = self.norm();
-        if length > most { self * (most / length) } else { self }
+        let mut capped = if length > most { self * (most / length) } else { self };
+        while capped.exceeds(most) {
+            capped = capped.map(toward_zero);
+        }
+        capped
+    }
+
+    /// Returns whether the exact length of the vector is above `most`; false if it is not a number.
+    fn exceeds(self, most: f32) -> bool {
+        let [x, y, most] = [self.x, self.y, most].map(f64::from);
+        // Products of two f32 are exact in f64. Beyond its relative error of 1e-16 nothing is lost in the sum.
+        x * x + y * y > most * most
     }
 
     /// Returns the unit vector in the direction of this vector; both components are NaN for a zero vector.
@@ -381,12 +396,62 @@ pub fn is_finite(v: Vec2) -> bool {
     v.x.is_finite() && v.y.is_finite()
 }
 
+/// Returns the next f32 toward zero; zero, infinity and NaN stay as they are.
+pub fn toward_zero(value: f32) -> f32 {
+    if !value.is_finite() || value == 0.0 {
+        value
+    } else if value > 0.0 {
+        value.next_down()
+    } else {
+        value.next_up()
+    }
+}
+
+/// Returns the largest f32 that is not above the decimal number that `limit` was written as, such as 0.7999999 for 0.8,
+/// whose nearest f32 is larger. A limit that a user writes then holds for whoever reads numbers as decimals or f64.
+pub fn limit_below(limit: f32) -> f32 {
+    let decimal = limit.to_string().parse::<f64>().unwrap_or(f64::INFINITY);
+    if f64::from(limit) > decimal { toward_zero(limit) } else { limit }
+}
+
 #[cfg(test)]
 mod tests {
     use std::f32::consts::FRAC_PI_2;
     use std::f64::consts::{PI, TAU};
 
     use super::*;
+
+    #[test]
+    fn a_capped_vector_is_never_longer_than_the_limit_and_keeps_its_direction() {
+        use rand::RngExt;
+        let mut stream = crate::random::Seed::of_run(1).stream("cap");
+        for _ in 0..100_000 {
+            let mut axis = || stream.random_range(-3.0..3.0f32);
+            let (vector, most) = (Vec2::new(axis(), axis()), axis().abs());
+            let capped = vector.cap_magnitude(most);
+            let exact = |v: Vec2| libm::hypot(f64::from(v.x), f64::from(v.y));
+            assert!(exact(capped) <= f64::from(most), "{vector} to {most}: {capped}");
+            assert!(
+                exact(capped) >= f64::from(most) * (1.0 - 1e-6) || capped == vector,
+                "{vector} to {most}: {capped}"
+            );
+            assert!((capped.x * vector.y - capped.y * vector.x).abs() < 1e-5, "{vector} to {most}: {capped}");
+        }
+        let far = Vec2::new(f32::INFINITY, 1.0).cap_magnitude(1.0);
+        assert!(far.x.is_nan() && Vec2::new(f32::NAN, 1.0).cap_magnitude(1.0).x.is_nan());
+        assert_eq!(Vec2::new(3.0, -4.0).cap_magnitude(5.0), Vec2::new(3.0, -4.0));
+        assert_eq!(Vec2::new(1e30, 1e30).cap_magnitude(f32::INFINITY), Vec2::new(1e30, 1e30));
+    }
+
+    #[test]
+    fn a_limit_is_not_above_the_decimal_that_was_written() {
+        for k in 1..2000 {
+            let decimal = f64::from(k) / 1000.0;
+            let limit = limit_below(decimal as f32);
+            assert!(f64::from(limit) <= decimal && f64::from(limit) > decimal * (1.0 - 2e-7), "{decimal}: {limit}");
+        }
+        assert_eq!([0.5, 0.25, 1.5, f32::INFINITY].map(limit_below), [0.5, 0.25, 1.5, f32::INFINITY]);
+    }
 
     #[test]
     fn a_robot_that_points_north_goes_north_by_going_ahead() {

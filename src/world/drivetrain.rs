@@ -73,7 +73,7 @@ impl Drivetrain {
 }
 
 /// Returns the vector, scaled down to the length `length` if it is longer.
-fn limit_norm(vector: Vec2, length: f32) -> Vec2 {
+pub(super) fn limit_norm(vector: Vec2, length: f32) -> Vec2 {
     let norm = vector.norm();
     if norm > length { vector * (length / norm) } else { vector }
 }

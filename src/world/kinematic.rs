@@ -104,7 +104,9 @@ pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team
 fn end_motions(team: &mut Team) {
     for (robot, wheels) in team.wheels.iter().enumerate() {
         let (before, now) = (team.before[robot], team.position[robot]);
-        let free = wheels.chassis().point_ahead_m > 0.0 && now == before + team.velocity[robot] * DT_S;
+        // That of positions is rounded by more than a limit of speed allows.
+        let limited = wheels.chassis().point_ahead_m > 0.0 || wheels.chassis().speed_m_s.is_finite();
+        let free = limited && now == before + team.velocity[robot] * DT_S;
         team.velocity[robot] = if free { wheels.velocity() } else { (now - before) / DT_S };
     }
 }

@@ -10,7 +10,7 @@ use rapier2d::prelude::{
     ColliderBuilder, IntegrationParameters, PhysicsWorld, RigidBodyBuilder, RigidBodyHandle, RigidBodyType, Vector,
 };
 
-use super::drivetrain::{Drivetrain, StepParameters};
+use super::drivetrain::{Drivetrain, StepParameters, limit_norm};
 use super::kinematic::PERIOD;
 use super::{Physics, Plant, PlantState, Wheels};
 use crate::chassis::Chassis;
@@ -23,7 +23,7 @@ use crate::time::Span;
 /// Fields of `Overrides` that a user may not set for the rigid-body plant: pairs of the field's name and the reason.
 pub const FIXED: &[(&str, &str)] = &[
     ("contacts", "in plant 'rigid' bodies always push each other, and contacts are flagged for the judge"),
-    ("wall_radius_m", "in plant 'rigid' the radius of a robot is that of its hull, 0.16 m"),
+    ("wall_radius_m", "in plant 'rigid' the radius of a robot is that of its hull (hull_m)"),
 ];
 
 /// Thickness of the rails around the ground \[m\]: more than a robot moves in any step.
@@ -184,7 +184,7 @@ impl Plant for Rigid {
                     let point = point + drivetrain.velocity_change(&self.parameters, point);
                     wheels.drive(point, PERIOD.as_secs() as f32);
                     // On a curve the centre is accelerated more than the point; tyres slide where that is too much.
-                    (wheels.velocity() - velocity).cap_magnitude(self.parameters.total_change_m_s)
+                    limit_norm(wheels.velocity() - velocity, self.parameters.total_change_m_s)
                 }
             };
             body.reset_forces(false);

@@ -99,8 +99,9 @@ impl Wheels {
         let ahead = self.chassis.ahead(self.heading);
         let d = self.chassis.point_ahead_m;
         // Forward speed and yaw rate at the end, as in `Chassis::twist`.
-        self.velocity = ahead * (point.dot(&ahead) / (d * d));
-        self.yaw_rate = (ahead.x * point.y - ahead.y * point.x) / (d * d);
+        let velocity = ahead * (point.dot(&ahead) / (d * d));
+        let yaw_rate = (ahead.x * point.y - ahead.y * point.x) / (d * d);
+        (self.velocity, self.yaw_rate) = self.chassis.settled(velocity, yaw_rate);
         point - (ahead - self.chassis.ahead(before)) / step_s
     }
 

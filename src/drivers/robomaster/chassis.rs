@@ -2,7 +2,7 @@
 
 use super::super::BodyTwist;
 use super::protocol::ChassisSpeed;
-use crate::messages::geometry::Vec2;
+use crate::messages::geometry::{Vec2, toward_zero};
 
 /// Smallest speed that the robot follows \[m/s\]. At lower commanded speeds it turns at random (RoboMaster-SDK#11).
 const LEAST_M_S: f32 = 0.1;
@@ -27,7 +27,10 @@ impl Chassis {
     /// becomes 0 or 1.5. A velocity that is not finite gives `None`.
     pub fn follow(&self, twist: &BodyTwist) -> Option<ChassisSpeed> {
         let wanted = Vec2::new(twist.forward, twist.left).cap_magnitude(self.speed_m_s);
-        let yaw = twist.yaw_rate.clamp(-self.yaw_rate_rad_s, self.yaw_rate_rad_s).to_degrees();
+        let mut yaw = twist.yaw_rate.clamp(-self.yaw_rate_rad_s, self.yaw_rate_rad_s).to_degrees();
+        if f64::from(yaw).abs().to_radians() > f64::from(self.yaw_rate_rad_s) {
+            yaw = toward_zero(yaw);
+        }
         if !(wanted.norm_squared() + yaw * yaw).is_finite() {
             return None;
         }
@@ -39,13 +42,24 @@ impl Chassis {
 
     /// Returns the nearest velocity on the grid, or one nearer to zero if that is too fast.
     fn on_grid(&self, wanted: Vec2) -> Vec2 {
-        let near = wanted.map(|speed| (speed / self.step_m_s).round() * self.step_m_s);
-        // The hundredth makes up for what rounding in f32 adds to a speed on the grid.
-        if near.norm() <= self.speed_m_s + 0.01 * self.step_m_s {
-            near
-        } else {
-            wanted.map(|speed| (speed / self.step_m_s + 0.01 * speed.signum()).trunc() * self.step_m_s)
+        let steps = |of: fn(f32) -> f32| wanted.map(|speed| of(speed / self.step_m_s));
+        // Steps are decimals such as 0.1 m/s, whose nearest f32 may be larger: a speed on the grid that is the limit is
+        // within it.
+        let most = f64::from(self.speed_m_s) / f64::from(self.step_m_s) * (1.0 + 1e-6);
+        let is_too_fast = |steps: Vec2| libm::hypot(steps.x.into(), steps.y.into()) > most;
+        let mut near = steps(f32::round);
+        if is_too_fast(near) {
+            near = steps(|steps| (steps + 1e-4 * steps.signum()).trunc());
         }
+        while is_too_fast(near) {
+            let less = |steps: f32| steps - steps.signum();
+            near = if near.x.abs() >= near.y.abs() {
+                Vec2::new(less(near.x), near.y)
+            } else {
+                Vec2::new(near.x, less(near.y))
+            };
+        }
+        near * self.step_m_s
     }
 }
 
@@ -99,7 +113,19 @@ mod tests {
             let twist =
                 BodyTwist { forward: speed * libm::cosf(angle), left: speed * libm::sinf(angle), yaw_rate: angle };
             let Some(speed) = chassis(0.1).follow(&twist) else { continue };
-            assert!(Vec2::new(speed.x, speed.y).norm() <= 0.751 && speed.z.abs() <= 114.6, "{speed:?}");
+            assert!(Vec2::new(speed.x, speed.y).norm() <= 0.75 && speed.z.abs() <= 114.592, "{speed:?}");
+        }
+        // Limits beside the grid: the nearest velocity on it is beyond them by less than a hundredth of a step.
+        for limit in [0.36, 0.3605, 0.5, 0.8, 1.0] {
+            let chassis = Chassis { speed_m_s: limit, ..chassis(0.1) };
+            for k in 0..10_000 {
+                let (angle, speed) = (k as f32 * 0.01, limit * (1.0 + k as f32 * 1e-4));
+                let (forward, left) = (speed * libm::cosf(angle), speed * libm::sinf(angle));
+                let Some(sent) = chassis.follow(&BodyTwist { forward, left, yaw_rate: 0.0 }) else { continue };
+                let tenths = [sent.x, sent.y].map(|axis| f64::from((axis * 10.0).round()));
+                let norm = libm::hypot(tenths[0], tenths[1]) / 10.0;
+                assert!(norm <= f64::from(limit) + 1e-7, "{sent:?} of {limit} m/s");
+            }
         }
         assert_eq!(follow(0.1, f32::NAN, 0.0, 0.0), None);
         assert_eq!(follow(0.1, 0.5, 0.0, f32::NAN), None);

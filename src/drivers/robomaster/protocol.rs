@@ -72,8 +72,8 @@ impl Line {
             }
             Line::HitEvents => "armor event hit on".to_owned(),
             Line::Speed(ChassisSpeed { x, y, z }) => {
-                // Adding zero makes a negative zero positive.
-                format!("chassis speed x {:.3} y {:.3} z {:.1}", x + 0.0, y + 0.0, z + 0.0)
+                let [x, y] = [*x, *y].map(|speed| shortened(speed, 1e3));
+                format!("chassis speed x {x:.3} y {y:.3} z {:.1}", shortened(*z, 1e1))
             }
             Line::Stand => "chassis wheel w1 0 w2 0 w3 0 w4 0".to_owned(),
             Line::Battery => "robot battery ?".to_owned(),
@@ -297,6 +297,14 @@ fn numbers<const N: usize>(words: &[&str], most: f64) -> Result<[f64; N], Malfor
         *number = word.parse().ok().filter(|value: &f64| value.abs() <= most).ok_or(Malformed::Number)?;
     }
     Ok(numbers)
+}
+
+/// Returns the number with the decimals of a line, toward zero, so that what is sent is within the limits. `per_unit` is
+/// 1000 for three decimals. What is within a thousandth of the last decimal is that decimal, such as the f32 of 0.7.
+fn shortened(number: f32, per_unit: f64) -> f64 {
+    let steps = f64::from(number) * per_unit;
+    // Adding zero makes a negative zero positive.
+    (steps + 1e-3 * steps.signum()).trunc() / per_unit + 0.0
 }
 
 #[cfg(test)]

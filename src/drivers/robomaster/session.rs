@@ -14,6 +14,7 @@ use super::odometry::{Odometry, is_sound};
 use super::protocol::{Answer, Line, Malformed, Push, Splitter, decode_answer, decode_hit, decode_push};
 use super::reporter::Reporter;
 use super::times::{ENTRY_PATIENCE, FIRST_PUSH, OPENING, PATIENCE, PAUSE, RETRY, SETUP_PATIENCE, SILENCE, UNANSWERED};
+use crate::messages::geometry::limit_below;
 use crate::messages::ids::RobotId;
 use crate::messages::wire::{Health, Reason};
 use crate::time::{Span, Time};
@@ -77,8 +78,8 @@ impl Session {
     /// Makes a session without a connection, which opens one at its first wake-up.
     pub fn new(robot: RobotId, config: Config) -> Session {
         let chassis = Chassis {
-            speed_m_s: config.speed_m_s(),
-            yaw_rate_rad_s: config.yaw_rate_rad_s,
+            speed_m_s: limit_below(config.speed_m_s()),
+            yaw_rate_rad_s: limit_below(config.yaw_rate_rad_s),
             step_m_s: config.speed_step_m_s,
         };
         let battery = Battery::new(config.battery_least, config.battery_period_s);
