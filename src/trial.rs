@@ -139,7 +139,7 @@ impl Trial {
         scenario: &str,
         robots: impl Into<Option<usize>>,
     ) -> Result<Trial, TrialError> {
-        let scenario = registry.scenario(scenario, &Settings { robots: robots.into(), gap_m: None })?;
+        let scenario = registry.scenario(scenario, &Settings { robots: robots.into(), ..Settings::default() })?;
         let deployment = Deployment::preset(mode, scenario.robots());
         let deployment = deployment.ok_or_else(|| TrialError::Mode { name: mode.to_owned() })?;
         let scripted = registry.policy(policy::scripted(&*scenario)).map(|entry| (entry.build)(&*scenario));
@@ -187,7 +187,7 @@ impl Trial {
     /// Makes the trial of a team file, with the policy `model`. Each host of the team makes the same trial and runs its
     /// own part of it. An error names the wrong field.
     pub fn of_host(registry: &Registry, team: &Team, model: Model) -> Result<Trial, TrialError> {
-        let scenario = registry.scenario(&team.scenario, &Settings::of(team.deployment.robots))?;
+        let scenario = registry.scenario(&team.scenario, &team.deployment.settings())?;
         let layouts = Layouts::of_scenario(&*scenario, team.seed, team.episodes);
         let trial = Trial::with_registry(registry, team.deployment.clone(), scenario, model);
         let SimulationSettings { physics, clamp, handling } = team.simulated;
@@ -236,9 +236,9 @@ impl Trial {
         self
     }
 
-    /// Sets the stops and limits of the robots' motion, adapted to lag and acceleration of the simulated robots.
+    /// Sets the stops and limits of the robots' motion, adapted to hull, lag and acceleration of the simulated robots.
     pub fn safety(mut self, safety: Safety) -> Trial {
-        self.safety = safety.simulated(&self.physics);
+        self.safety = safety.of_hull(self.scenario.arena().hull_m()).simulated(&self.physics);
         self
     }
 

@@ -44,6 +44,8 @@ class VecEnv:
             None takes the ranges of the configuration.
         filtered: Probability that the safety filter of real robots limits an episode's actions; None takes that of the
             configuration, 0 in the presets.
+        scale: Factor on the lengths of the task, 0.05 to 20; None takes the scenario's own.
+        hull_m: Radius of a robot's hull [m], 0.01 to 0.85; None takes that of the paper's robots, 0.16.
 
     Attributes:
         obs: Observations (N, R, F): pairs of floats [m], policy frame, in the order of ``observation_fields``.
@@ -118,6 +120,8 @@ class VecEnv:
         repeat: int | None = None,
         radio: str | os.PathLike[str] | None = None,
         filtered: float | None = None,
+        scale: float | None = None,
+        hull_m: float | None = None,
     ) -> None: ...
     def step(self, actions: NDArray[np.float32], messages: NDArray[np.float32] | None = None) -> None:
         """Advances every environment by ``repeat`` steps of 50 ms.

@@ -2,7 +2,7 @@
 //! with its name.
 
 use murmurate::policy::manifest::Field;
-use murmurate::scenario::{Scenario, Settings};
+use murmurate::scenario::{Scenario, ScenarioError, Settings};
 use murmurate::train::config::{Conditions, Config, Reward, Stage};
 use murmurate::train::imitation::config::Config as Imitation;
 use murmurate::train::vector::{Autoreset, Content, Options};
@@ -83,6 +83,8 @@ pub struct Arguments<'a, 'py> {
     pub repeat: Given<'a, 'py>,
     pub radio: Given<'a, 'py>,
     pub filtered: Given<'a, 'py>,
+    pub scale: Given<'a, 'py>,
+    pub hull_m: Given<'a, 'py>,
 }
 
 /// Reads a text among `names`, or the first of them if it is not given; returns its index.
@@ -111,8 +113,13 @@ impl Arguments<'_, '_> {
         let gap_m = self.gap_m.map(|gap_m| number("gap_m", gap_m, 1e-3, 1e3)).transpose()?;
         let gap_m = gap_m.or(stage.as_ref().and_then(|stage| stage.gap_m));
         let name = self.scenario.map_or(Ok("passage".to_owned()), |name| text("scenario", name))?;
-        let scenario = crate::registry().scenario(&name, &Settings { robots, gap_m });
-        let scenario = scenario.map_err(|error| wrong("scenario", error))?;
+        let scale = self.scale.map(|scale| number("scale", scale, 1e-3, 1e3)).transpose()?.or(config.scale);
+        let hull_m = self.hull_m.map(|hull_m| number("hull_m", hull_m, 1e-3, 1e3)).transpose()?.or(config.hull_m);
+        let scenario = crate::registry().scenario(&name, &Settings { robots, gap_m, scale, hull_m });
+        let scenario = scenario.map_err(|error| match error {
+            ScenarioError::Size { field, .. } => wrong(field, error),
+            _ => wrong("scenario", error),
+        })?;
         let config = match self.config {
             None if scenario.cost().is_some() => without_goals(&*scenario, config),
             _ => config,
@@ -132,6 +139,8 @@ impl Arguments<'_, '_> {
             conditions: self.conditions(config.conditions.clone(), &*scenario)?,
             scenario,
             gap_m,
+            scale,
+            hull_m,
             environments,
             threads,
             reward: config

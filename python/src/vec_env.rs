@@ -153,9 +153,11 @@ impl VecEnv {
         scenario = None, num_envs = None, *, threads = None, conditions = None, message = None, message_size = None,
         autoreset = None, seed = Some(Seed(0)), num_robots = None, gap_m = None, episode_s = None, config = None,
         stage = None, penalties = None, repeat = None, radio = None, filtered = None,
+        scale = None, hull_m = None,
     ), text_signature = "(scenario='passage', num_envs=1, *, threads=1, conditions='perfect', message=None, \
         message_size=None, autoreset='same-step', seed=0, num_robots=None, gap_m=None, episode_s=None, config=None, \
-        stage=None, penalties=None, repeat=None, radio=None, filtered=None)")]
+        stage=None, penalties=None, repeat=None, radio=None, filtered=None, \
+        scale=None, hull_m=None)")]
     #[expect(clippy::too_many_arguments, reason = "keyword arguments of Python")]
     fn new(
         py: Python<'_>,
@@ -176,6 +178,8 @@ impl VecEnv {
         repeat: Given<'_, '_>,
         radio: Given<'_, '_>,
         filtered: Given<'_, '_>,
+        scale: Given<'_, '_>,
+        hull_m: Given<'_, '_>,
     ) -> PyResult<VecEnv> {
         let arguments = Arguments {
             scenario,
@@ -194,6 +198,8 @@ impl VecEnv {
             repeat,
             radio,
             filtered,
+            scale,
+            hull_m,
         };
         let this = VecEnv::made(py, arguments.options(py, Seed::or_drawn(seed, py)?)?)?;
         with_buffers!(this, py, |environments, buffers| environments.begin(buffers));

@@ -1,10 +1,11 @@
-//! Conditions of a simulation as a TOML file: properties of the simulated robots, and delay and loss of messages
-//! between them. `study twin` writes the values that it has fitted in this form; `sim`, `study` and `train` read it.
+//! Conditions of a simulation as a TOML file: properties of the simulated robots, size of their task, and delay and loss
+//! of messages between them. `study twin` writes the values that it has fitted in this form; `sim`, `study` and `train` read it.
 
 use serde::{Deserialize, Serialize};
 
 use super::{Deployment, Impair, ImpairError};
 use crate::config::{self, ConfigError};
+use crate::scenario::Settings;
 use crate::world::Physics;
 
 /// Conditions of a simulation: plant, properties of the robots' motion, and delay and loss of messages. A field that is
@@ -24,6 +25,12 @@ pub struct Conditions {
     /// Correlation time of wheel slip \[s\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub slip_s: Option<f32>,
+    /// Radius of the robots' hull \[m\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hull_m: Option<f32>,
+    /// Factor on the lengths of the task, but for the robots.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale: Option<f32>,
     /// Delay of messages between robots \[s\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub delay_s: Option<f64>,
@@ -66,6 +73,11 @@ impl Conditions {
             slip_s: self.slip_s.unwrap_or(physics.slip_s),
             ..physics
         }
+    }
+
+    /// Returns `settings` of a scenario with the scale and hull of these conditions, where they are not set.
+    pub fn under(&self, settings: Settings) -> Settings {
+        Settings { scale: settings.scale.or(self.scale), hull_m: settings.hull_m.or(self.hull_m), ..settings }
     }
 
     /// Whether the conditions set a delay or a loss of messages.

@@ -27,6 +27,7 @@ use crate::messages::wire::{KINDS, Kind};
 use crate::net::media::emulator::Impairment;
 use crate::net::media::radio::{Radio, Topology};
 use crate::net::protocol::reliability::Reliabilities;
+use crate::scenario;
 use crate::time::Span;
 use crate::world::{self, Placement};
 
@@ -154,6 +155,15 @@ pub struct Deployment {
     /// Name of the plant (simulator) that moves the simulated robots.
     #[serde(default = "kinematic")]
     pub plant: String,
+    /// Width of the bottleneck of the team's scenario \[m\]; `None` for the scenario's default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gap_m: Option<f32>,
+    /// Factor on the lengths of the team's scenario; `None` for 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale: Option<f32>,
+    /// Radius of the hull of all robots \[m\]; `None` for that of the paper's robots, 0.16 m.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hull_m: Option<f32>,
     /// Chassis and hardware limits of all robots, unless `bodies` overrides them.
     #[serde(default, skip_serializing_if = "chassis::Settings::is_empty")]
     pub body: chassis::Settings,
@@ -305,6 +315,18 @@ impl Deployment {
             None => Ok(()),
             Some(robot) => Err(ConfigError::field(field, format!("{robot} has no {what} on any host"))),
         }
+    }
+
+    /// Returns the settings with which the scenario of this team is made: its robots, their hull, and the task's size.
+    pub fn settings(&self) -> scenario::Settings {
+        let Deployment { robots, gap_m, scale, hull_m, .. } = *self;
+        scenario::Settings { robots: Some(robots), gap_m, scale, hull_m }
+    }
+
+    /// Returns the deployment with the width of the bottleneck, scale and hull of `settings`, where they are set.
+    pub fn sized(self, settings: &scenario::Settings) -> Deployment {
+        let (gap_m, scale) = (settings.gap_m.or(self.gap_m), settings.scale.or(self.scale));
+        Deployment { gap_m, scale, hull_m: settings.hull_m.or(self.hull_m), ..self }
     }
 
     /// Returns the robots, hosts and links of the deployment into which a fault plan can inject faults.

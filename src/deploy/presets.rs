@@ -74,6 +74,9 @@ impl Deployment {
             body: Default::default(),
             bodies: Default::default(),
             plant: kinematic(),
+            gap_m: None,
+            scale: None,
+            hull_m: None,
             hosts,
             links,
         })

@@ -80,6 +80,8 @@ pub const INTERFACE: Interface = Interface {
 #[derive(Debug)]
 pub struct Orca {
     arena: Arena,
+    /// Factor on distances between robots, and from robots to walls and bottlenecks.
+    share: f32,
     obstacles: Vec<Obstacle>,
 }
 
@@ -102,7 +104,8 @@ impl Orca {
             // Counter-clockwise vertices: solid inside.
             vertices: vec![corner(min.x, min.y), corner(max.x, min.y), corner(max.x, max.y), corner(min.x, max.y)],
         };
-        let reach = arena.half_extent + Vec2::repeat(arena.robot_radius_m + WALL_MARGIN_M);
+        let share = route::share(arena);
+        let reach = arena.half_extent + Vec2::repeat(arena.robot_radius_m + share * WALL_MARGIN_M);
         // Clockwise vertices: solid outside. The world clamps robots to the ground, at times into another robot.
         // Two that overlap are stuck for ever, because no move that leaves them overlapping is made.
         let ground = Obstacle::Closed {
@@ -115,7 +118,7 @@ impl Orca {
         };
         let blocks = arena.keep_outs.iter().map(|keep_out| block(keep_out.min, keep_out.max));
         let obstacles = blocks.chain([ground]).collect();
-        Orca { arena: arena.clone(), obstacles }
+        Orca { arena: arena.clone(), share, obstacles }
     }
 
     /// Returns the robot's preferred velocity \[m/s\] along the path to its goal, without other robots and without a
@@ -163,7 +166,10 @@ impl Orca {
                 continue;
             }
             let oncoming = other.crossing.entry != mine.crossing.entry;
-            let room = if oncoming { mine.ahead_m - ONCOMING_M } else { mine.ahead_m - other.ahead_m - FOLLOWING_M };
+            let room = match oncoming {
+                true => mine.ahead_m - self.share * ONCOMING_M,
+                false => mine.ahead_m - other.ahead_m - self.share * FOLLOWING_M,
+            };
             speed = speed.min(room / APPROACH_S);
         }
         preferred.normalize() * speed.max(-0.3)
@@ -175,7 +181,8 @@ impl Orca {
         let mouth = crossing.exit;
         let along = (crossing.exit - crossing.entry).normalize();
         let same_side = |point: Vec2| route::is_free(&self.arena, point, mouth);
-        let in_the_way = |point: Vec2| (point - mouth).norm() < MOUTH_ROOM_M && same_side(point);
+        let room_m = self.share * MOUTH_ROOM_M;
+        let in_the_way = |point: Vec2| (point - mouth).norm() < room_m && same_side(point);
         if !in_the_way(own.goal) && !in_the_way(own.motion.position) {
             return None;
         }
@@ -185,7 +192,7 @@ impl Orca {
             (offset - along * offset.dot(&along).min(0.0)).try_normalize(1e-3)
         };
         let outward = away(own.goal).or_else(|| away(own.motion.position)).unwrap_or(along);
-        Some(approach(mouth + outward * (MOUTH_ROOM_M + 0.05) - own.motion.position))
+        Some(approach(mouth + outward * (room_m + 0.05 * self.share) - own.motion.position))
     }
 }
 
@@ -211,12 +218,14 @@ fn limit_to_cruising(velocity: Vec2) -> Vec2 {
 
 /// Returns the velocity \[m/s\] that ORCA assumes for `neighbour`, and the neighbour's responsibility (its share in
 /// avoiding a collision) relative to 1 for the robot itself. `own` is the robot's own preferred velocity \[m/s\].
-fn assumed_motion(own: Vec2, neighbour: &Neighbour) -> (Vec2, f32) {
+/// `share` is the factor on distances.
+fn assumed_motion(own: Vec2, neighbour: &Neighbour, share: f32) -> (Vec2, f32) {
+    let (at_goal_m, lead_m) = (share * AT_GOAL_M, share * PRIORITY_LEAD_M);
     let preferred = Vec2::new(neighbour.features[1], neighbour.features[2]);
     let (mine, theirs) = (remaining_path(own), remaining_path(preferred));
-    if mine < AT_GOAL_M && theirs > mine + PRIORITY_LEAD_M {
+    if mine < at_goal_m && theirs > mine + lead_m {
         (limit_to_cruising(preferred) * UNDERWAY_SPEED_FRACTION, UNDERWAY_SHARE)
-    } else if theirs < AT_GOAL_M && mine > theirs + PRIORITY_LEAD_M {
+    } else if theirs < at_goal_m && mine > theirs + lead_m {
         (neighbour.motion.velocity, 1.0 / UNDERWAY_SHARE)
     } else {
         (neighbour.motion.velocity, 1.0)
@@ -264,12 +273,12 @@ impl Policy for Orca {
         let agent = |position: Vec2, velocity: Vec2, radius_m: f32, share: f32| Agent {
             position: to_glam(position),
             velocity: to_glam(velocity),
-            radius: radius_m + NEIGHBOUR_MARGIN_M,
+            radius: radius_m + self.share * NEIGHBOUR_MARGIN_M,
             avoidance_responsibility: share,
         };
         let others = neighbours.iter().map(|neighbour| {
             let Motion { position, velocity } = neighbour.motion;
-            let (assumed_velocity, share) = assumed_motion(broadcast, neighbour);
+            let (assumed_velocity, share) = assumed_motion(broadcast, neighbour, self.share);
             let mut now = position + velocity * neighbour.age.as_secs() as f32;
             if now == at {
                 // For two robots at one position the library would draw from an unseeded generator.
@@ -287,7 +296,7 @@ impl Policy for Orca {
             SPEED_M_S,
             period_s,
             &AvoidanceOptions {
-                obstacle_margin: self.arena.robot_radius_m + WALL_MARGIN_M,
+                obstacle_margin: self.arena.robot_radius_m + self.share * WALL_MARGIN_M,
                 time_horizon: HORIZON_S,
                 obstacle_time_horizon: WALL_HORIZON_S,
             },
@@ -319,7 +328,7 @@ mod tests {
         let (at_goal, underway) = (Vec2::zeros(), approach(Vec2::new(2.0, 0.0)));
         let assumed = |own: &Vec2, other: Vec2| {
             let (motion, features) = (Motion::at_rest(Vec2::zeros()), [0.25, other.x, other.y]);
-            assumed_motion(*own, &Neighbour { motion, features: &features, age: Span::ZERO })
+            assumed_motion(*own, &Neighbour { motion, features: &features, age: Span::ZERO }, 1.0)
         };
         assert!(assumed(&at_goal, underway).1 < 1.0 && assumed(&at_goal, underway).0.x > 0.0);
         assert!(assumed(&underway, at_goal).1 > 1.0 && assumed(&underway, at_goal).0 == Vec2::zeros());

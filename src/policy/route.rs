@@ -26,6 +26,15 @@ const MAX_BRAKING_PERIODS: u32 = 200;
 /// Number of commands tried to each side of the current velocity, along each axis, if the wanted one is unsafe.
 const SEARCH_STEPS: i8 = 4;
 
+/// Radius of the robots for which the distances of scripted navigation were chosen \[m\]. For smaller robots they are
+/// smaller in proportion; larger ones keep farther from each other by their radius alone.
+const CHOSEN_FOR_M: f32 = 0.25;
+
+/// Returns the factor on distances of scripted navigation for the robots in `arena`, 1 for those of the paper.
+pub fn share(arena: &Arena) -> f32 {
+    (arena.robot_radius_m / CHOSEN_FOR_M).min(1.0)
+}
+
 /// Next part of a robot's planned path through an arena.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Leg {
@@ -92,7 +101,8 @@ impl Crossing {
 /// (wall) of `arena`. Other robots are not considered.
 pub fn is_free(arena: &Arena, from: Vec2, to: Vec2) -> bool {
     // A robot that is nearer to a block than the margin must still be able to leave it.
-    let margin = |block_distance: f32| (arena.robot_radius_m + MARGIN_M).min(block_distance - 1e-3);
+    let margin_m = arena.robot_radius_m + share(arena) * MARGIN_M;
+    let margin = |block_distance: f32| margin_m.min(block_distance - 1e-3);
     arena.keep_outs.iter().all(|block| !block.blocks(from, to, margin(block.distance(from).min(block.distance(to)))))
 }
 
@@ -121,7 +131,7 @@ fn is_safe(arena: &Arena, own: &Motion, command: Vec2, period_s: f32) -> bool {
     let step = ACCELERATION_M_S2 * period_s;
     let toward = |velocity: Vec2, wanted: Vec2| velocity + (wanted - velocity).map(|axis| axis.clamp(-step, step));
     let (mut at, mut velocity) = (own.position, toward(own.velocity, command));
-    let limit = arena.robot_radius_m + TOUCH_MARGIN_M;
+    let limit = arena.robot_radius_m + share(arena) * TOUCH_MARGIN_M;
     let border = distance_outside(arena, at).max(0.0);
     for _ in 0..MAX_BRAKING_PERIODS {
         at += velocity * period_s;

@@ -43,6 +43,8 @@ mod shells;
 mod signals;
 #[cfg(feature = "sim")]
 mod sim;
+#[cfg(any(feature = "sim", feature = "train"))]
+mod size;
 mod stop;
 #[cfg(feature = "study")]
 mod study;

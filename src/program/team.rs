@@ -11,7 +11,6 @@ use crate::live::links::{self, ProcessIdentity};
 use crate::messages::ids::{HostId, RobotId};
 use crate::net::protocol::key::Key;
 use crate::registry::Registry;
-use crate::scenario::Settings;
 use anyhow::Result;
 
 use crate::program::BadInput;
@@ -188,8 +187,8 @@ pub fn key_of(file: Option<&Path>) -> Result<Option<[u8; 32]>> {
 /// Loads the policy that the team file names, or otherwise the scenario's default policy, with warnings about its use
 /// by this team.
 pub fn policy(team: &Team, registry: &Registry) -> Result<policy::Loaded> {
-    let settings = Settings::of(team.deployment.robots);
-    let scenario = registry.scenario(&team.scenario, &settings).map_err(|e| BadInput(e.to_string()))?;
+    let scenario =
+        registry.scenario(&team.scenario, &team.deployment.settings()).map_err(|e| BadInput(e.to_string()))?;
     let loaded = policy::load(registry, team.policy.as_deref(), None, &*scenario)?;
     Ok(loaded.for_team(&team.deployment.team_chassis()))
 }

@@ -19,6 +19,7 @@ pub mod yielding;
 use serde::{Deserialize, Serialize};
 
 use crate::config::{self, ConfigError};
+use crate::scenario::size::HULL_M;
 use crate::world::Physics;
 
 /// Largest lag of a robot's drive in the settings \[s\].
@@ -144,6 +145,14 @@ impl Safety {
     /// Returns the settings for emulation with the safety filter: geofence, minimum distance and walls are on.
     pub const fn filter() -> Safety {
         Safety { geofence: Switch::On, distance: Switch::On, walls: Switch::On, ..Safety::emulated() }
+    }
+
+    /// Returns these settings for robots with a hull of the radius `hull_m` \[m\], in place of that of the paper's robots:
+    /// the minimum distances to walls and other robots leave as much room between hulls as before.
+    pub fn of_hull(self, hull_m: f32) -> Safety {
+        let larger_m = hull_m - HULL_M;
+        let distance_min_m = self.distance_min_m + 2.0 * larger_m;
+        Safety { distance_min_m, walls_min_m: self.walls_min_m + larger_m, ..self }
     }
 
     /// Returns these settings for robots that follow their commands with the lag `lag_s` \[s\] and accelerate by

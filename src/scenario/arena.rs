@@ -3,6 +3,9 @@
 
 use crate::messages::geometry::Vec2;
 
+/// Radius of a robot's hull, as a share of the radius that is kept free about its centre.
+const HULL_PER_ROOM: f32 = 0.64;
+
 /// Solid, axis-aligned rectangular block in an arena, such as a part of a wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KeepOut {
@@ -31,7 +34,8 @@ pub struct Arena {
     pub keep_outs: Vec<KeepOut>,
     /// Bottlenecks between the blocks, through which scripted navigation plans its paths; empty if there are none.
     pub portals: Vec<Portal>,
-    /// Radius of each robot \[m\].
+    /// Radius that is kept free about each robot's centre \[m\], as in the paper authors' published environment: more
+    /// than that of its hull (`Arena::hull_m`).
     pub robot_radius_m: f32,
 }
 
@@ -76,6 +80,12 @@ impl Arena {
         self.keep_outs.iter().map(|block| block.distance(point)).fold(f32::INFINITY, f32::min)
     }
 
+    /// Returns the radius of each robot's hull \[m\]: as the paper's robots have 0.16 m in an environment whose robots
+    /// have 0.25 m.
+    pub fn hull_m(&self) -> f32 {
+        self.robot_radius_m * HULL_PER_ROOM
+    }
+
     /// Returns a copy of the arena in which the robots' radius is larger by `ahead_m` \[m\]. It is for planning the
     /// path of a point that lies `ahead_m` ahead of a robot's centre: the robot's hull is within the larger radius
     /// about that point.
@@ -94,6 +104,12 @@ impl Arena {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_hull_of_the_published_robots_is_that_of_the_paper() {
+        let arena = Arena { half_extent: Vec2::zeros(), keep_outs: vec![], portals: vec![], robot_radius_m: 0.25 };
+        assert_eq!(arena.hull_m(), crate::scenario::size::HULL_M);
+    }
 
     #[test]
     fn a_block_intersects_the_lines_that_come_within_the_margin() {

@@ -5,7 +5,7 @@
 
 use std::fmt::Display;
 
-use super::{Entry, Scenario, Settings, Stage};
+use super::{Entry, Scenario, Settings, Stage, build_of};
 use crate::messages::geometry::{Motion, Task, Vec2, is_finite};
 use crate::messages::local::Contacts;
 use crate::time::Span;
@@ -13,10 +13,24 @@ use crate::time::Span;
 /// Team sizes with which the contract test builds a scenario, if the scenario accepts them; `None` is the scenario's
 /// default.
 const SIZES: [Option<usize>; 6] = [None, Some(2), Some(3), Some(8), Some(12), Some(20)];
+/// Scales and hulls \[m\] with which the contract test builds a scenario, if the scenario accepts them: small robots on
+/// usual ground, small ground and large ground, robots in tight places, and what fits nowhere.
+const SCALES_AND_HULLS: [(Option<f32>, Option<f32>); 9] = [
+    (None, None),
+    (None, Some(0.06)),
+    (Some(0.375), Some(0.06)),
+    (Some(0.375), Some(0.1)),
+    (Some(0.1), Some(0.02)),
+    (Some(1.7), None),
+    (Some(3.0), Some(0.5)),
+    (None, Some(0.2)),
+    (Some(0.3), Some(0.3)),
+];
 
 /// Tests the scenario of a registry entry for the properties that every scenario must have, with its default team size
-/// and with those of the sizes 2, 3, 8, 12 and 20 that it accepts.
+/// and with those of the sizes 2, 3, 8, 12 and 20 that it accepts, each at the scales and hulls that it accepts.
 ///
+/// - Size: robots have the hull that is set, and two of them collide when they touch.
 /// - Tasks: one for each robot, the same for equal seeds and others for other seeds; each episode starts where the
 ///   one before has ended; goals are inside the arena, apart from each other, and not yet reached at the start.
 ///   Without goals, these hold for the starts.
@@ -27,16 +41,24 @@ const SIZES: [Option<usize>; 6] = [None, Some(2), Some(3), Some(8), Some(12), So
 ///   velocities are finite and along the heading of the task.
 ///
 /// # Errors
-/// The scenario lacks a property: a sentence that names the first one, the scenario and the team size.
+/// The scenario lacks a property: a sentence that names the first one, the scenario, the team size, scale and hull.
 pub fn check(entry: &Entry) -> Result<(), String> {
-    let built = SIZES.map(|robots| (entry.build)(&Settings { robots, gap_m: None }));
-    if let [Err(error), ..] = &built {
+    let all = SCALES_AND_HULLS
+        .into_iter()
+        .flat_map(|(scale, hull_m)| SIZES.map(|robots| Settings { robots, gap_m: None, scale, hull_m }));
+    // A scenario of one size refuses another one.
+    let built = |settings: &Settings| build_of(std::slice::from_ref(entry), entry.name, settings);
+    if let Err(error) = built(&Settings::default()) {
         return Err(format!("{} is not built for its default team: {error}", entry.name));
     }
-    for scenario in built.into_iter().flatten() {
+    for (settings, scenario) in all.filter_map(|settings| Some((settings, built(&settings).ok()?))) {
         let scenario = &*scenario;
-        let named = |broken: String| format!("{} of {} robots: {broken}", scenario.name(), scenario.robots());
+        let size = [("scale", settings.scale), ("hull_m", settings.hull_m)]
+            .map(|(field, value)| value.map_or(String::new(), |value| format!(", {field} {value}")));
+        let named =
+            |broken: String| format!("{} of {} robots{}: {broken}", scenario.name(), scenario.robots(), size.concat());
         require(scenario.name() == entry.name, || format!("its name is not '{}'", entry.name)).map_err(named)?;
+        hulls(scenario, &settings).map_err(named)?;
         tasks(scenario).map_err(named)?;
         for task in (0..4).flat_map(|episode| scenario.tasks(5, episode)) {
             frames(scenario, &task).map_err(named)?;
@@ -56,6 +78,15 @@ pub fn check(entry: &Entry) -> Result<(), String> {
 /// Returns `Ok` if the condition `holds`, otherwise the text of `broken` as an error.
 fn require<M: Display>(holds: bool, broken: impl FnOnce() -> M) -> Result<(), String> {
     if holds { Ok(()) } else { Err(broken().to_string()) }
+}
+
+/// Checks that robots are as large as the settings say, for those who judge, guard, plan and draw.
+fn hulls(scenario: &dyn Scenario, settings: &Settings) -> Result<(), String> {
+    let Some(hull_m) = settings.hull_m else { return Ok(()) };
+    let is = |found: f32, wanted: f32| (found / wanted - 1.0).abs() < 1e-4;
+    let (separation_m, arena) = (scenario.rules().separation_m, scenario.arena());
+    require(is(separation_m, 2.0 * hull_m), || format!("robots collide at {separation_m} m"))?;
+    require(is(arena.hull_m(), hull_m), || format!("the arena is for robots with a hull of {} m", arena.hull_m()))
 }
 
 fn tasks(scenario: &dyn Scenario) -> Result<(), String> {
@@ -195,6 +226,51 @@ mod tests {
 
     fn crowd(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
         Ok(Arc::new(Crowd(swap::build(settings)?)))
+    }
+
+    /// A scenario that says nothing of sizes.
+    fn rigid(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
+        Ok(Arc::new(Crowd(swap::build(&Settings { scale: None, hull_m: None, ..*settings })?)))
+    }
+
+    /// A scenario that has the scale, and robots of one size to the judge.
+    #[derive(Debug)]
+    struct Lenient(Arc<dyn Scenario>);
+
+    impl Scenario for Lenient {
+        fn name(&self) -> &'static str {
+            "lenient"
+        }
+        fn robots(&self) -> usize {
+            self.0.robots()
+        }
+        fn arena(&self) -> &Arena {
+            self.0.arena()
+        }
+        fn tasks(&self, seed: u64, episode: u32) -> Vec<Task> {
+            self.0.tasks(seed, episode)
+        }
+        fn frame(&self, task: &Task) -> Frame {
+            self.0.frame(task)
+        }
+        fn rules(&self) -> Rules {
+            Rules { separation_m: 0.32, ..self.0.rules() }
+        }
+    }
+
+    #[test]
+    fn a_scenario_of_one_size_refuses_another_one_and_a_judge_of_other_robots_is_named() {
+        let entry = Entry { name: "crowd", about: "", build: rigid };
+        let refused = |settings| build_of(&[entry], "crowd", &settings).unwrap_err();
+        let error = refused(Settings { scale: Some(0.9), ..Settings::default() });
+        assert!(error.field() == "scale" && error.to_string().contains("one size only"), "{error}");
+        let error = refused(Settings { hull_m: Some(0.1), ..Settings::default() });
+        assert!(error.field() == "hull_m" && error.to_string().contains("one size of robots only"), "{error}");
+        assert!(build_of(&[entry], "crowd", &Settings { scale: Some(1.0), ..Settings::default() }).is_ok());
+        let lenient =
+            Entry { name: "lenient", about: "", build: |settings| Ok(Arc::new(Lenient(swap::build(settings)?))) };
+        let broken = check(&lenient).unwrap_err();
+        assert!(broken.contains("hull_m 0.06: robots collide at 0.32 m"), "{broken}");
     }
 
     #[test]

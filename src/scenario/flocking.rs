@@ -6,6 +6,8 @@
 //! After ten seconds the episode ends, and its cost is the mean of the variance of the velocities. The reference acts
 //! by acceleration; policies here command the measured velocity plus an acceleration times the period.
 //!
+//! A scale changes distances between robots, and not velocities.
+//!
 //! A robot's initial velocity is in its task: the goal is the place that it would reach in one second. No robot has to
 //! go there.
 
@@ -15,26 +17,24 @@ use std::sync::Arc;
 use rand::RngExt;
 
 use super::cost::velocity_variance;
-use super::{Arena, Cost, Frame, Rules, Scenario, ScenarioError, Settings, Stage, TeamAfterStep, TeamSizes};
+use super::{Arena, Cost, Frame, Rules, Scenario, ScenarioError, Settings, Size, Stage, TeamAfterStep, TeamSizes};
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
 use crate::random::{Seed, Stream};
 use crate::time::Span;
 
-/// Distance within which two robots are neighbours \[m\]: for the density of the team, and for its connectedness at
-/// the start.
+/// Distance within which two robots are neighbours \[m\] at scale 1: for the density of the team, and for its
+/// connectedness at the start.
 pub const RADIUS_M: f32 = 2.0;
 /// Mean number of neighbours of a robot at the start.
 const NEIGHBOURS: f64 = 6.0;
-/// Smallest distance between two robots at the start \[m\].
+/// Smallest distance between two robots at the start \[m\] at scale 1.
 const SPACING_M: f32 = 0.8;
 /// Radius of the disc of velocities \[m/s\] from which each robot's own initial velocity is drawn.
 const OWN_M_S: f32 = 0.8;
 /// Radius of the disc of velocities \[m/s\] from which the velocity is drawn that all robots have in common at the
 /// start. Together with `OWN_M_S` it is below the largest speed of the training world.
 const COMMON_M_S: f32 = 0.6;
-/// Radius of a robot \[m\], as in the scenario `passage`.
-const ROBOT_RADIUS_M: f32 = 0.25;
 /// Time in which the goal of a robot's task is reached at the robot's initial velocity \[s\].
 const AHEAD_S: f32 = 1.0;
 /// Duration of an episode.
@@ -53,24 +53,27 @@ pub struct Flocking {
     robots: usize,
     /// Radius of the disc on which the robots start \[m\].
     disc_m: f32,
+    size: Size,
     arena: Arena,
 }
 
 /// Makes the scenario `flocking` with a user's `settings`; the default team has 50 robots. An error says that the team
-/// size is not supported, or that a gap width is set, although the scenario has no walls.
+/// size, the scale or the hull is not supported, or that a gap width is set, although the scenario has no walls.
 pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let robots = ROBOTS.check("flocking", settings.robots.unwrap_or(DEFAULT_ROBOTS))?;
     if let Some(gap_m) = settings.gap_m {
         return Err(ScenarioError::Gap { scenario: "flocking", gap_m, hint: "; it has no walls" });
     }
-    let disc_m = disc(robots);
+    let size = Size::of("flocking", settings)?;
+    size.check_places(("flocking", "robots at least"), settings, SPACING_M)?;
+    let disc_m = size.length(disc(robots));
     let arena = Arena {
         half_extent: Vec2::repeat(disc_m + ROOM_M),
         keep_outs: Vec::new(),
         portals: Vec::new(),
-        robot_radius_m: ROBOT_RADIUS_M,
+        robot_radius_m: size.robot_radius_m(),
     };
-    Ok(Arc::new(Flocking { robots, disc_m, arena }))
+    Ok(Arc::new(Flocking { robots, disc_m, size, arena }))
 }
 
 /// Returns the radius of the disc \[m\] on which a robot of a team of `robots` robots has `NEIGHBOURS` neighbours on
@@ -109,13 +112,14 @@ fn in_disc(radius: f32, stream: &mut Stream) -> Vec2 {
 }
 
 impl Flocking {
-    /// Draws places that are `SPACING_M` apart \[m\]; `None` if the next robot finds none.
+    /// Draws places that are `SPACING_M` apart, at scale 1 \[m\]; `None` if the next robot finds none.
     fn places(&self, stream: &mut Stream) -> Option<Vec<Vec2>> {
         /// Number of tries for the place of one robot.
         const TRIES: u32 = 1000;
         let mut places: Vec<Vec2> = Vec::with_capacity(self.robots);
+        let spacing_m = self.size.length(SPACING_M);
         let free =
-            |places: &[Vec2], at: Vec2| places.iter().all(|other| (other - at).norm_squared() >= SPACING_M * SPACING_M);
+            |places: &[Vec2], at: Vec2| places.iter().all(|other| (other - at).norm_squared() >= spacing_m * spacing_m);
         for _ in 0..self.robots {
             let mut tries = (0..TRIES).map(|_| in_disc(self.disc_m, stream));
             places.push(tries.find(|at| free(&places, *at))?);
@@ -124,14 +128,14 @@ impl Flocking {
     }
 }
 
-/// Returns whether links between all robots within `RADIUS_M` of each other connect the team.
-fn connected(places: &[Vec2]) -> bool {
+/// Returns whether links between all robots within `radius_m` \[m\] of each other connect the team.
+fn connected(places: &[Vec2], radius_m: f32) -> bool {
     let mut reached = vec![false; places.len()];
     let mut open = vec![0];
     reached[0] = true;
     while let Some(robot) = open.pop() {
         for (other, at) in places.iter().enumerate() {
-            if !reached[other] && (at - places[robot]).norm_squared() <= RADIUS_M * RADIUS_M {
+            if !reached[other] && (at - places[robot]).norm_squared() <= radius_m * radius_m {
                 reached[other] = true;
                 open.push(other);
             }
@@ -155,8 +159,9 @@ impl Scenario for Flocking {
 
     fn tasks(&self, seed: u64, episode: u32) -> Vec<Task> {
         let mut stream = Seed::of_run(seed).stream(&format!("flocking/layout/{episode}"));
+        let radius_m = self.size.length(RADIUS_M);
         let places = loop {
-            if let Some(places) = self.places(&mut stream).filter(|places| connected(places)) {
+            if let Some(places) = self.places(&mut stream).filter(|places| connected(places, radius_m)) {
                 break places;
             }
         };
@@ -202,7 +207,7 @@ impl Scenario for Flocking {
     }
 
     fn rules(&self) -> Rules {
-        Rules { arrival_m: 0.0, separation_m: 0.32, limit: DURATION }
+        Rules { arrival_m: 0.0, separation_m: self.size.separation_m(), limit: DURATION }
     }
 }
 
@@ -222,12 +227,12 @@ mod tests {
                     .map(|one| (0..robots).filter(|&other| other != one && near(one, other)).count())
                     .sum::<usize>();
                 layouts += 1;
-                assert!(connected(&starts));
+                assert!(connected(&starts, RADIUS_M));
             }
             let mean = links as f64 / (layouts * robots) as f64;
             assert!((mean - NEIGHBOURS).abs() < 0.5, "{mean} neighbours of {robots}");
         }
-        assert!(!connected(&[Vec2::zeros(), Vec2::new(2.1, 0.0)]));
+        assert!(!connected(&[Vec2::zeros(), Vec2::new(2.1, 0.0)], RADIUS_M));
     }
 
     #[test]

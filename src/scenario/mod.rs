@@ -12,6 +12,7 @@ pub mod judge;
 pub mod layout;
 pub mod passage;
 pub mod sightings;
+pub mod size;
 pub mod swap;
 
 use std::fmt::{self, Debug};
@@ -19,6 +20,7 @@ use std::sync::Arc;
 
 pub use arena::{Arena, KeepOut, Portal};
 pub use cost::Cost;
+pub use size::Size;
 
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
@@ -258,13 +260,17 @@ impl fmt::Display for TeamSizes {
     }
 }
 
-/// A user's settings of a scenario: team size and width of the bottleneck.
-#[derive(Clone, Debug, Default, PartialEq)]
+/// A user's settings of a scenario: team size, width of the bottleneck, scale, and hull of the robots.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Settings {
     /// Number of robots in the team; `None` for the scenario's default.
     pub robots: Option<usize>,
     /// Width of the scenario's bottleneck \[m\]; `None` for the scenario's default.
     pub gap_m: Option<f32>,
+    /// Factor on the lengths of the task, but for the robots; `None` for 1.
+    pub scale: Option<f32>,
+    /// Radius of a robot's hull \[m\]; `None` for that of the paper's robots, 0.16 m.
+    pub hull_m: Option<f32>,
 }
 
 impl Settings {
@@ -331,6 +337,16 @@ pub enum ScenarioError {
         /// Supported widths, or the reason why there are none; a text that ends the error message.
         hint: &'static str,
     },
+    /// The scenario does not support the requested scale, hull or width of its bottleneck.
+    #[error("the scenario '{scenario}' {why}")]
+    Size {
+        /// Name of the scenario.
+        scenario: &'static str,
+        /// Name of the setting: `scale`, `hull_m` or `gap_m`.
+        field: &'static str,
+        /// Supported values, or the reason why there are none; a text that ends the error message.
+        why: String,
+    },
     /// The scenario refuses its settings for a reason that the other errors do not cover.
     #[error("the scenario '{scenario}': {why}")]
     Refused {
@@ -341,6 +357,18 @@ pub enum ScenarioError {
     },
 }
 
+impl ScenarioError {
+    /// Returns the name of the setting that is wrong: `scenario`, `robots`, `gap_m`, `scale` or `hull_m`.
+    pub fn field(&self) -> &'static str {
+        match self {
+            ScenarioError::Robots { .. } => "robots",
+            ScenarioError::Gap { .. } => "gap_m",
+            ScenarioError::Size { field, .. } => field,
+            ScenarioError::Unknown { .. } | ScenarioError::Refused { .. } => "scenario",
+        }
+    }
+}
+
 /// Makes the scenario of this crate that has the name `name`, with a user's `settings`. `Registry::scenario` also knows
 /// the scenarios of other crates. An error says that the name is unknown or a setting not supported.
 pub fn build(name: &str, settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
@@ -348,11 +376,29 @@ pub fn build(name: &str, settings: &Settings) -> Result<Arc<dyn Scenario>, Scena
 }
 
 /// Makes the scenario named `name` from the registry entries `all`, with a user's `settings`. An error says that the
-/// name is unknown or a setting not supported.
+/// name is unknown or a setting not supported. A scenario whose author has given it one size refuses another one.
 pub fn build_of(all: &[Entry], name: &str, settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let unknown = || ScenarioError::Unknown {
         name: name.to_owned(),
         known: all.iter().map(|entry| entry.name).collect::<Vec<_>>().join(", "),
     };
-    (all.iter().find(|entry| entry.name == name).ok_or_else(unknown)?.build)(settings)
+    let entry = all.iter().find(|entry| entry.name == name).ok_or_else(unknown)?;
+    let scenario = (entry.build)(settings)?;
+    let size = Size::of(entry.name, settings)?;
+    let one_size = |field, what: &str| {
+        let why = format!("has one {what} only: leave {field} out, or let its author read it (Settings::{field})");
+        Err(ScenarioError::Size { scenario: entry.name, field, why })
+    };
+    let arena = scenario.arena();
+    if settings.hull_m.is_some() && (arena.robot_radius_m / size.robot_radius_m() - 1.0).abs() > 1e-4 {
+        return one_size("hull_m", "size of robots");
+    }
+    // What has the same ground at another scale does not know of it.
+    let other =
+        settings.scale.filter(|scale| *scale != 1.0).map(|scale| Settings { scale: Some(0.99 * scale), ..*settings });
+    let other = other.and_then(|settings| (entry.build)(&settings).ok());
+    if other.is_some_and(|other| other.arena().half_extent == arena.half_extent) {
+        return one_size("scale", "size");
+    }
+    Ok(scenario)
 }

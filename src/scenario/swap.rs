@@ -1,27 +1,27 @@
 //! Scenario `swap`: robots exchange places on open ground with a constant area per robot.
 //!
 //! The places form a grid, about as wide as deep. In every episode each robot gets another place as its goal. There are
-//! no walls, and the policy frame is the world frame.
+//! no walls, and the policy frame is the world frame. Without a scale, the grid grows with the robots.
 
 use std::sync::Arc;
 
 use rand::RngExt;
 use rand::seq::SliceRandom;
 
-use super::{Arena, Frame, Rules, Scenario, ScenarioError, Settings, Stage, TeamSizes};
+use super::{Arena, Frame, Rules, Scenario, ScenarioError, Settings, Size, Stage, TeamSizes};
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
 use crate::random::Seed;
 use crate::time::Span;
 
-/// Side of the square of ground per robot \[m\]; five robots have about the area of the scenario `passage`. It is the
+/// Side of the square of ground per robot \[m\] at scale 1; five robots have about the area of the scenario `passage`. It is the
 /// width of a place in the grid. The depth of a place is less by up to a quarter if the last row is not full.
 const PITCH_M: f32 = 2.0;
 /// Largest random offset of a place from its grid point along each axis, as a fraction of the spacing of the grid.
-/// Neighbouring places stay 0.9 m apart.
+/// Neighbouring places stay 0.9 m apart at scale 1.
 const JITTER: f32 = 0.2;
-/// Radius of a robot \[m\], as in the scenario `passage`.
-const ROBOT_RADIUS_M: f32 = 0.25;
+/// Distance from its goal within which a robot has arrived \[m\], at scale 1.
+const ARRIVAL_M: f32 = 0.25;
 /// Average speed \[m/s\] at which a robot crosses the arena's diagonal just within the time limit, in a large arena.
 const SLOWEST_M_S: f32 = 0.2;
 /// Team sizes that the scenario supports: 2 to 2000 robots.
@@ -36,26 +36,30 @@ pub struct Swap {
     per_row: usize,
     /// Width and depth of a place \[m\].
     pitch: Vec2,
+    size: Size,
     arena: Arena,
 }
 
-/// Makes the scenario `swap` with a user's `settings`; the default team has 8 robots. An error says that the team size
-/// is not supported, or that a gap width is set, although the scenario has no walls.
+/// Makes the scenario `swap` with a user's `settings`; the default team has 8 robots. An error says that the team size,
+/// the scale or the hull is not supported, or that a gap width is set, although the scenario has no walls.
 pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let robots = ROBOTS.check("swap", settings.robots.unwrap_or(8))?;
     if let Some(gap_m) = settings.gap_m {
         return Err(ScenarioError::Gap { scenario: "swap", gap_m, hint: "; it has no walls" });
     }
+    let size = Size::of("swap", settings)?.by_hull(settings);
     let per_row = robots.isqrt() + usize::from(robots.isqrt().pow(2) < robots);
     let rows = robots.div_ceil(per_row);
-    let pitch = Vec2::new(PITCH_M, PITCH_M * robots as f32 / (per_row * rows) as f32);
+    let pitch_m = size.length(PITCH_M);
+    let pitch = Vec2::new(pitch_m, pitch_m * robots as f32 / (per_row * rows) as f32);
+    size.check_places(("swap", "places"), settings, (1.0 - 2.0 * JITTER) * pitch.y / size.scale)?;
     let arena = Arena {
         half_extent: Vec2::new(per_row as f32 * pitch.x, rows as f32 * pitch.y) / 2.0,
         keep_outs: Vec::new(),
         portals: Vec::new(),
-        robot_radius_m: ROBOT_RADIUS_M,
+        robot_radius_m: size.robot_radius_m(),
     };
-    Ok(Arc::new(Swap { robots, per_row, pitch, arena }))
+    Ok(Arc::new(Swap { robots, per_row, pitch, size, arena }))
 }
 
 impl Swap {
@@ -131,8 +135,8 @@ impl Scenario for Swap {
     fn rules(&self) -> Rules {
         let across = self.arena.half_extent.norm() * 2.0;
         Rules {
-            arrival_m: 0.25,
-            separation_m: 0.32,
+            arrival_m: self.size.length(ARRIVAL_M),
+            separation_m: self.size.separation_m(),
             limit: Span::from_secs(f64::from(across / SLOWEST_M_S)).max(Span::from_millis(25_000)),
         }
     }

@@ -27,8 +27,8 @@ use self::handling::Preset;
 use self::origin::Origin;
 use crate::config::ConfigError;
 use crate::policy::Model;
-use crate::scenario::Scenario;
 use crate::scenario::layout::Layouts;
+use crate::scenario::{Scenario, Settings};
 use crate::trial::Trial;
 
 /// Policy under test in a study: a policy with one handling (use of messages, choice of actions, limit of commands,
@@ -63,8 +63,9 @@ pub struct Study {
     pub policies: Vec<PolicyUnderTest>,
     /// Scenario of all trials.
     pub scenario: Arc<dyn Scenario>,
-    /// Width \[m\] of the scenario's bottleneck (the gap between its walls); `None` for the scenario's default.
-    pub gap_m: Option<f32>,
+    /// Settings from which the scenario was made, such as the width of its bottleneck; those that are not set are the
+    /// scenario's defaults.
+    pub settings: Settings,
     /// World and radio of all columns but `sim`, which has the conditions of training.
     pub conditions: conditions::Deployed,
     /// Starts and goals of the episodes of every trial.
@@ -103,7 +104,7 @@ pub struct Identity {
     pub version: String,
     /// Digest of the program's sources: programs with equal digests compute the same numbers.
     pub build: String,
-    /// Scenario, number of robots and width of the bottleneck (if it is not the default), as text.
+    /// Scenario, number of robots, and width of the bottleneck, scale and hull if they are set, as text.
     pub scenario: String,
     /// Number of layouts (starts and goals of an episode) and a digest of all of them, as text.
     pub layouts: String,
@@ -209,11 +210,14 @@ impl Study {
         format!("{} [{}]", self.layouts.len(), self.layouts_digest())
     }
 
-    /// Returns the scenario's name and the number of robots as text, with the width of the bottleneck if it is not the
-    /// default.
+    /// Returns the scenario's name and the number of robots as text, with the width of the bottleneck, the scale and the
+    /// hull if they are set.
     pub fn scenario_text(&self) -> String {
-        let gap = self.gap_m.map_or(String::new(), |gap_m| format!(", gap {gap_m} m"));
-        format!("{}, {} robots{gap}", self.scenario.name(), self.scenario.robots())
+        let Settings { gap_m, scale, hull_m, .. } = self.settings;
+        let gap = gap_m.map_or(String::new(), |gap_m| format!(", gap {gap_m} m"));
+        let scale = scale.map_or(String::new(), |scale| format!(", scale {scale}"));
+        let hull = hull_m.map_or(String::new(), |hull_m| format!(", hull {hull_m} m"));
+        format!("{}, {} robots{gap}{scale}{hull}", self.scenario.name(), self.scenario.robots())
     }
 
     fn layouts_digest(&self) -> String {

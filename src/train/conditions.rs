@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::config::{Conditions, Range};
 use crate::random::Stream;
+use crate::scenario::size::HULL_M;
 use crate::scenario::{Arena, Dynamics};
 use crate::world::kinematic::{MAX_ACCELERATION_M_S2, PERIOD};
 use crate::world::{Clamp, ContactRule, Physics};
@@ -128,13 +129,14 @@ impl Episode {
             && self.lag_s.is_none_or(|lag_s| within(lag_s, 10.0))
     }
 
-    /// Returns the physical parameters of the robots in this episode; `arena` gives their radius.
+    /// Returns the physical parameters of the robots in this episode; `arena` gives their radius and their hull, with
+    /// which the distance of contact grows or shrinks.
     pub fn physics(&self, arena: &Arena) -> Physics {
         match self.lag_s {
             None => Physics::published(arena),
             Some(lag_s) => Physics {
                 contacts: ContactRule::Judge,
-                wall_radius_m: self.wall_radius_m,
+                wall_radius_m: self.wall_radius_m * (arena.hull_m() / HULL_M),
                 acceleration_m_s2: match self.clamp {
                     Clamp::Training => MAX_ACCELERATION_M_S2,
                     Clamp::Deployed => f32::INFINITY,

@@ -8,6 +8,8 @@ use crate::chassis::{self, Chassis};
 use crate::config::{self, ConfigError};
 use crate::policy::Draw;
 use crate::policy::manifest::{Activation, Aggregation, Architecture, EdgeField, Field, Manifest};
+use crate::scenario::size::HULL_M;
+use crate::scenario::{Arena, Settings};
 
 /// Name and TOML text of each preset, a predefined configuration of a training.
 pub const PRESETS: &[(&str, &str)] = &[
@@ -26,6 +28,13 @@ pub struct Config {
     /// Number of robots in the team; the scenario's default if left out.
     #[serde(default)]
     pub robots: Option<usize>,
+    /// Factor on the lengths of the scenario, but for the robots; 1 if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale: Option<f32>,
+    /// Radius of the robots' hull \[m\]; that of the paper's robots, 0.16 m, if left out. Distances of contact and
+    /// nearness of this configuration are those of that hull, and grow or shrink with it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hull_m: Option<f32>,
     /// Longest duration of an episode \[s\]. An episode that reaches it is truncated: the critic estimates the value of
     /// its last state.
     pub episode_s: f32,
@@ -262,6 +271,13 @@ impl Reward {
         }
     }
 
+    /// Returns the weights with the distances at which robots pay for nearness those of robots with the hull in `arena`.
+    pub fn about(self, arena: &Arena) -> Reward {
+        let share = arena.hull_m() / HULL_M;
+        let (proximity_m, wall_proximity_m) = (share * self.proximity_m, share * self.wall_proximity_m);
+        Reward { proximity_m, wall_proximity_m, ..self }
+    }
+
     /// Returns the weights for an episode; `filtered` says whether it has the safety filter.
     pub fn in_episode(self, filtered: bool) -> Reward {
         if filtered { self.with_penalties(self.filtered) } else { self }
@@ -287,6 +303,12 @@ impl Config {
         let config: Config = config::from_table(table)?;
         config.check()?;
         Ok(config)
+    }
+
+    /// Returns the settings of the scenario for a team of `robots` robots, with a bottleneck of the width `gap_m`
+    /// \[m\]; `None` for the scenario's default.
+    pub fn settings(&self, robots: Option<usize>, gap_m: Option<f32>) -> Settings {
+        Settings { robots, gap_m, scale: self.scale, hull_m: self.hull_m }
     }
 
     /// Returns the index of the curriculum's stage at the completed fraction `progress` of the training, 0 to 1.

@@ -231,7 +231,7 @@ impl Environments {
     pub fn step(&mut self, team: usize, actions: &[Vec2], weights: &Reward, limit_m_s: f32, stream: &mut Stream) {
         let range = self.teams[team].range();
         let Episode { filtered, clamp, lockstep, .. } = self.teams[team].episode;
-        let weights = &weights.in_episode(filtered);
+        let weights = &weights.in_episode(filtered).about(self.scenario(team).arena());
         let (judged, exact) = (self.is_judged(team), lockstep || clamp == Clamp::Training);
         for (robot, action) in range.clone().zip(&actions[range.clone()]) {
             let measured = if exact { self.point(robot).velocity } else { self.estimate(team, robot).velocity };

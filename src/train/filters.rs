@@ -13,7 +13,7 @@ use crate::world::kinematic::{MAX_SPEED_M_S, PERIOD};
 pub fn filter(episode: &Episode, arena: &Arena, physics: &Physics, ahead_m: f32) -> Option<Filter> {
     episode.filtered.then(|| {
         Filter::new(Settings {
-            safety: Safety::filter().simulated(physics).about_point(ahead_m, ahead_m),
+            safety: Safety::filter().of_hull(arena.hull_m()).simulated(physics).about_point(ahead_m, ahead_m),
             half_extent: arena.half_extent.add_scalar(-ahead_m),
             walls: arena.keep_outs.as_slice().into(),
             limit_m_s: MAX_SPEED_M_S,

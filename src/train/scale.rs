@@ -12,7 +12,8 @@ impl Config {
     /// # Errors
     /// If there is no such scenario, or it does not support that number of robots.
     pub fn scaled_for(mut self, scenario: &str, registry: &Registry) -> Result<Config, ScenarioError> {
-        let build = |robots| registry.scenario(scenario, &Settings { robots, gap_m: None });
+        let settings = self.settings(None, None);
+        let build = |robots| registry.scenario(scenario, &Settings { robots, ..settings });
         let robots = build(self.robots)?.robots();
         let supported = |size: usize| build(Some(size)).is_ok();
         for stage in &mut self.curriculum {

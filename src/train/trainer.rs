@@ -17,7 +17,7 @@ use crate::policy::manifest::Training;
 use crate::policy::weights;
 use crate::random::Seed;
 use crate::registry::Registry;
-use crate::scenario::{Scenario, ScenarioError, Settings};
+use crate::scenario::{Scenario, ScenarioError};
 
 /// Factor on the learning rate after an update that stopped early.
 const RATE_DECREASE: f32 = 0.9;
@@ -175,7 +175,7 @@ impl Trainer {
     /// If the registry does not have the scenario, the scenario has no reward of its own although the configuration
     /// weights it, or a stage of the curriculum cannot be set up.
     pub fn new(plan: Plan, registry: &Registry) -> Result<Trainer, SetupError> {
-        let settings = Settings { robots: plan.config.robots, gap_m: None };
+        let settings = plan.config.settings(plan.config.robots, None);
         let scenario = registry.scenario(&plan.scenario, &settings)?;
         let weight = plan.config.reward.scenario;
         if weight > 0.0 && !has_reward(&*scenario) {
@@ -226,7 +226,7 @@ impl Trainer {
         let mut sizes = stage.groups.concat();
         sizes.sort_unstable();
         sizes.dedup();
-        let settings = |robots| Settings { robots: Some(robots), gap_m: stage.gap_m };
+        let settings = |robots| self.plan.config.settings(Some(robots), stage.gap_m);
         let build = |robots| self.registry.scenario(&self.plan.scenario, &settings(robots));
         let scenarios = sizes.into_iter().map(build).collect::<Result<Vec<_>, _>>()?;
         let rows = self.plan.config.ppo.environments;

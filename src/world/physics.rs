@@ -73,13 +73,13 @@ impl Physics {
     }
 
     /// Returns the parameters of DJI RoboMaster robots, the real robots of the paper arXiv 2111.01777, from data sheets
-    /// or assumed; the sensor is a motion capture system. The argument, an arena, is ignored: the function has the
-    /// signature of `Entry::physics`.
-    pub fn robomaster(_: &Arena) -> Physics {
+    /// or assumed; the sensor is a motion capture system. `arena` gives the robots' hull.
+    pub fn robomaster(arena: &Arena) -> Physics {
         Physics {
             contacts: ContactRule::Judge,
-            // Half the length of 0.32 m (data sheet: 320 x 240 x 270 mm); the paper's limit d_min is twice this.
-            wall_radius_m: 0.16,
+            // 0.16 m, half the length of 0.32 m (data sheet: 320 x 240 x 270 mm), unless the user says otherwise; the
+            // paper's limit d_min is twice this.
+            wall_radius_m: arena.hull_m(),
             // The acceleration that `Clamp` allows, as in any world.
             acceleration_m_s2: kinematic::MAX_ACCELERATION_M_S2,
             // Not measured: chosen afterwards, because with the published policy it comes near the makespans of the

@@ -15,6 +15,8 @@ mod refusals;
 mod robot;
 #[cfg(feature = "completions")]
 mod shells;
+#[cfg(feature = "train")]
+mod sizes;
 #[cfg(feature = "study")]
 mod study;
 #[cfg(feature = "study")]

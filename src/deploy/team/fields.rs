@@ -27,12 +27,15 @@ const SENSORS: [&str; 3] = {
 };
 
 /// Fields of the whole team, in the order in which `config show` lists them.
-const TEAM: [Field; 20] = [
+const TEAM: [Field; 23] = [
     ("team", FieldType::Whole(0, 65_535), None),
     ("key_file", FieldType::Text, None),
     ("mode", FieldType::Choice(&MODES), None),
     ("robots", FieldType::Whole(1, 65_535), None),
     ("scenario", FieldType::Text, Some("passage")),
+    ("gap_m", FieldType::Number(0.01, 100.0), None),
+    ("scale", FieldType::Number(0.01, 100.0), None),
+    ("hull_m", FieldType::Number(0.001, 10.0), None),
     ("policy", FieldType::Text, None),
     ("episodes", FieldType::Whole(1, 1_000_000), Some("16")),
     ("seed", FieldType::Whole(0, u64::MAX), Some("0")),

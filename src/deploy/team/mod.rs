@@ -32,7 +32,7 @@ use crate::net::transport::Place;
 use crate::registry::Registry;
 use crate::ros2::observe;
 use crate::safety::Safety;
-use crate::scenario::{Scenario, Settings};
+use crate::scenario::{Scenario, ScenarioError, Settings};
 use crate::time::Span;
 use crate::world::{Clamp, ContactRule, Overrides, Physics, Sensor};
 
@@ -126,7 +126,8 @@ impl TeamFile {
         layers.read_environment(variables)?;
         let inline: Inline = config::from_toml(text)?;
         inline.safety.check().map_err(|error| error.within("safety"))?;
-        let (deployment, safety) = (deployment(registry, inline.deployment, &layers)?, inline.safety);
+        let deployment = deployment(registry, inline.deployment, &layers)?;
+        let safety = about_hulls(inline.safety, &layers, &deployment)?;
         let mut fields = vec![EVERY_INTERFACE.to_owned()];
         for link in &deployment.links {
             fields.extend(layers.fields().of_link().map(|field| format!("link.{}.{field}", link.name)));
@@ -230,7 +231,7 @@ impl TeamFile {
 
     fn scenario(&self) -> Result<Arc<dyn Scenario>, ConfigError> {
         let entry = self.layers.find(&self.scopes(None), "scenario").expect("it has a default");
-        build(&self.registry, &entry, Some(self.deployment.robots))
+        build(&self.registry, &self.layers, &entry, &self.deployment.settings())
     }
 
     fn simulated(&self, scopes: &[String], scenario: &dyn Scenario) -> Result<SimulationSettings, ConfigError> {
@@ -295,6 +296,12 @@ fn deployment(registry: &Registry, inline: Option<Deployment>, layers: &Layers) 
             let why = "there is a [deployment] too, which has a plant of its own; leave one of the two out";
             return Err(ConfigError::field(place("plant", &entry.origin), why));
         }
+        for field in ["gap_m", "scale", "hull_m"] {
+            if let Some(entry) = find(field) {
+                let why = "there is a [deployment] too, which may have one of its own; write it there";
+                return Err(ConfigError::field(place(field, &entry.origin), why));
+            }
+        }
         deployment.check().map_err(|error| error.within("deployment"))?;
         let plant = registry.plant(&deployment.plant);
         plant.map_err(|error| ConfigError::field("deployment.plant", error.to_string()))?;
@@ -316,11 +323,13 @@ fn deployment(registry: &Registry, inline: Option<Deployment>, layers: &Layers) 
     let missing = || ConfigError::field("mode", format!("missing; take one of {modes}, or write a [deployment]"));
     let mode = mode.ok_or_else(missing)?;
     let scenario = find("scenario").expect("it has a default");
+    let size = |key: &str| find(key).map(|entry| number(&entry));
+    let settings = Settings { robots: None, gap_m: size("gap_m"), scale: size("scale"), hull_m: size("hull_m") };
     let robots = match &robots {
         Some(entry) => whole_u16(entry).into(),
-        None => build(registry, &scenario, None)?.robots(),
+        None => build(registry, layers, &scenario, &settings)?.robots(),
     };
-    let preset = Deployment::preset(text(&mode), robots).expect("the fields let only modes through");
+    let preset = Deployment::preset(text(&mode), robots).expect("the fields let only modes through").sized(&settings);
     let Some(entry) = plant else { return Ok(preset) };
     match registry.plant(text(&entry)) {
         Ok(plant) => Ok(Deployment { plant: plant.name.to_owned(), ..preset }),
@@ -350,11 +359,39 @@ fn check_devices(registry: &Registry, deployment: &Deployment) -> Result<(), Con
     Ok(())
 }
 
-/// Creates the scenario named in the field `entry`, for a team of `robots` robots; `None` for its default size.
-fn build(registry: &Registry, entry: &LayerValue, robots: Option<usize>) -> Result<Arc<dyn Scenario>, ConfigError> {
-    registry
-        .scenario(text(entry), &Settings { robots, gap_m: None })
-        .map_err(|error| ConfigError::field(place("scenario", &entry.origin), error.to_string()))
+/// Creates the scenario named in the field `entry` with the settings of its team. An error names the setting that is
+/// wrong, where it is written, or the scenario.
+fn build(
+    registry: &Registry,
+    layers: &Layers,
+    entry: &LayerValue,
+    settings: &Settings,
+) -> Result<Arc<dyn Scenario>, ConfigError> {
+    registry.scenario(text(entry), settings).map_err(|error| {
+        let field = match error {
+            ScenarioError::Size { field, .. } => field,
+            _ => "scenario",
+        };
+        let written = layers.find(&[String::new()], field).map(|entry| place(field, &entry.origin));
+        let inline = || format!("deployment.{field}");
+        ConfigError::field(written.unwrap_or_else(inline), error.to_string())
+    })
+}
+
+/// Returns `safety` with the least distances to robots and walls of robots with the hull of the `deployment`, unless
+/// the file has distances of its own. An error names the field.
+fn about_hulls(safety: Safety, layers: &Layers, deployment: &Deployment) -> Result<Safety, ConfigError> {
+    let Some(hull_m) = deployment.hull_m else { return Ok(safety) };
+    let of_hull = safety.of_hull(hull_m);
+    let (mut found, given) = (safety, |field: &str| layers.table(&format!("safety.{field}")).is_some());
+    if !given("distance_min_m") {
+        found.distance_min_m = of_hull.distance_min_m;
+    }
+    if !given("walls_min_m") {
+        found.walls_min_m = of_hull.walls_min_m;
+    }
+    found.check().map_err(|error| error.within("safety"))?;
+    Ok(found)
 }
 
 /// Returns the robot of a host whose Agents have exactly one robot together; `None` for any other number. `agents` has

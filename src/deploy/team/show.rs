@@ -51,6 +51,8 @@ impl TeamFile {
                 "key_file" => Some("none: frames are not authenticated".to_owned()),
                 "policy" => self.scenario().ok().map(|scenario| self.registry.default_policy(&*scenario).to_owned()),
                 "plant" => Some(self.deployment.plant.clone()),
+                "scale" => Some(self.deployment.scale.unwrap_or(1.0).to_string()),
+                "hull_m" => self.scenario().ok().map(|scenario| scenario.arena().hull_m().to_string()),
                 "lag_s" | "contacts" | "wall_radius_m" | "sensor" => self.plant_default(key),
                 "sensor_delay_s" => Some("the latency of the simulated sensor".to_owned()),
                 _ => None,

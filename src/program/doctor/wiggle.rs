@@ -10,7 +10,6 @@ use crate::graph::COMMAND_VALIDITY;
 use crate::messages::ids::RobotId;
 use crate::registry::Registry;
 use crate::safety::guard;
-use crate::scenario::Settings;
 use crate::time::Span;
 use anyhow::Result;
 
@@ -65,8 +64,8 @@ pub fn confirm(team: &Team) -> Result<bool> {
 /// Returns the configuration of the wiggle (the short drive of each robot) for the host `team.host`: its robots, their
 /// guard, and the arena, which has no walls if the robots are measured by their odometry only.
 pub fn config(team: &Team, registry: &Registry) -> Result<Config> {
-    let settings = Settings::of(team.deployment.robots);
-    let scenario = registry.scenario(&team.scenario, &settings).map_err(|e| BadInput(e.to_string()))?;
+    let scenario =
+        registry.scenario(&team.scenario, &team.deployment.settings()).map_err(|e| BadInput(e.to_string()))?;
     let host = host_of(team);
     let mut arena = scenario.arena().clone();
     if host.source.is_none() {

@@ -34,6 +34,7 @@ use crate::program::picture;
 use crate::program::picture::Pictures;
 use crate::program::progress::{progress, watched};
 use crate::program::recording::{RecordFlags, Recorded, Simulated};
+use crate::program::size::SizeFlags;
 #[cfg(feature = "watch")]
 use crate::program::watch;
 use crate::program::whole_file::WholeFile;
@@ -61,6 +62,11 @@ pub struct Args {
     /// Size of the team [default: that of the deployment file, or else the scenario's own]
     #[arg(long)]
     robots: Option<usize>,
+    /// Width of the scenario's bottleneck [m] [default: that of the deployment file, or else the scenario's own]
+    #[arg(long)]
+    gap_m: Option<f32>,
+    #[command(flatten)]
+    size: SizeFlags,
     /// Number of episodes of a trial, each with a reset before it
     #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     episodes: u32,

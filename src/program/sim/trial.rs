@@ -10,10 +10,10 @@ use crate::actors::recorder::Steps;
 use crate::deploy::conditions::Conditions;
 use crate::deploy::{Deployment, Impair};
 use crate::program::output::{read_text, talk};
-use crate::program::{BadInput, bad, conditions, deployment, policy};
+use crate::program::{BadInput, bad, conditions, deployment, policy, size};
 use crate::registry::Registry;
-use crate::scenario::Settings;
 use crate::scenario::layout::Layouts;
+use crate::scenario::{ScenarioError, Settings};
 use crate::trial::Trial;
 use crate::world::{Overrides, Placement};
 
@@ -50,14 +50,37 @@ fn network(args: &Args, mut deployment: Deployment) -> Result<Deployment> {
     deployment::with_radio(deployment, &args.radio)
 }
 
+/// Returns the settings of the scenario: those of the flags, or else of the conditions, or else of the deployment `file`.
+fn settings(args: &Args, file: Option<&Deployment>) -> Result<Settings> {
+    let file = size::of_file(file);
+    let Settings { scale, hull_m, .. } = args.size.over(given(args)?.under(Settings::default()));
+    Ok(Settings {
+        robots: args.robots.or(file.robots),
+        gap_m: args.gap_m.or(file.gap_m),
+        scale: scale.or(file.scale),
+        hull_m: hull_m.or(file.hull_m),
+    })
+}
+
+/// Returns the error that the scenario cannot be made, which names the flag or the file of the wrong setting.
+fn refused(args: &Args, file: Option<&Deployment>, error: &ScenarioError) -> BadInput {
+    let flags = args.size.over(Settings { robots: args.robots, gap_m: args.gap_m, ..Settings::default() });
+    let fitted = given(args).unwrap_or_default().under(Settings::default());
+    let path = |path: Option<&Path>| path.unwrap_or(Path::new("")).display().to_string();
+    let (named, conditions) = (path(args.deployment.as_deref()), path(args.conditions.as_deref()));
+    let files = [
+        (&*format!("the conditions file '{conditions}'"), fitted),
+        (&*format!("the deployment file '{named}'"), size::of_file(file)),
+    ];
+    size::refused(error, &flags, &files)
+}
+
 /// Returns the trial that the flags of `sim` define for `policy` (`None` for the scenario's default policy), and the
 /// policy's name in reports. All other trials of the policy are repeats of it.
 pub fn of_flags(args: &Args, policy: Option<&Path>, registry: &Registry) -> Result<(Trial, String)> {
     let file = args.deployment.as_deref().map(conditions::deployment).transpose()?;
-    let robots = args.robots.or(file.as_ref().map(|deployment| deployment.robots));
-    let scenario = registry
-        .scenario(&args.scenario, &Settings { robots, gap_m: None })
-        .map_err(|e| BadInput(format!("--robots: {e}")))?;
+    let settings = settings(args, file.as_ref())?;
+    let scenario = registry.scenario(&args.scenario, &settings).map_err(|e| refused(args, file.as_ref(), &e))?;
     let mut deployment = match file {
         Some(file) if file.robots != scenario.robots() => {
             return bad(format!("--robots: {} robots, but the deployment file has {}", scenario.robots(), file.robots));
@@ -65,6 +88,7 @@ pub fn of_flags(args: &Args, policy: Option<&Path>, registry: &Registry) -> Resu
         Some(file) => file,
         None => Deployment::preset(&args.mode, scenario.robots()).expect("the parser lets only modes through"),
     };
+    deployment = deployment.sized(&settings);
     deployment = network(args, deployment)?;
     deployment.placement = args.placement.unwrap_or(deployment.placement);
     if let Some(plant) = args.plant.clone().or(given(args)?.plant) {

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use crate::chassis::Chassis;
 use crate::registry::Registry;
 use crate::scenario::layout::Layouts;
-use crate::scenario::{Scenario, ScenarioError, Settings};
+use crate::scenario::{Scenario, Settings};
 use crate::study::columns::{self, Column};
 use crate::study::conditions::Deployed;
 use crate::study::handling::{self, Preset};
@@ -26,6 +26,7 @@ use crate::program::output::{read_text, talk};
 use crate::program::own_name;
 use crate::program::policy;
 use crate::program::recording::RecordFlags;
+use crate::program::size::{self, SizeFlags};
 
 /// Flags that the studies `modes`, `delay` and `range` have in common.
 #[derive(clap::Args)]
@@ -49,6 +50,8 @@ pub struct Shared {
     /// Width of the scenario's bottleneck [m] [default: the scenario's own]
     #[arg(long)]
     gap_m: Option<f32>,
+    #[command(flatten)]
+    size: SizeFlags,
     /// Number of episodes of a trial, each with its own layout
     #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     layouts: u32,
@@ -170,15 +173,18 @@ fn list<T: ToString>(flag: &str, values: &[T]) -> String {
 
 impl Shared {
     fn study(&self, registry: &Registry, name: &'static str, columns: Vec<Column>, own: &str) -> Result<Study> {
-        let settings = Settings { robots: self.robots, gap_m: self.gap_m };
-        let scenario = registry.scenario(&self.scenario, &settings).map_err(|error| {
-            let flag = match error {
-                ScenarioError::Robots { .. } => "--robots",
-                ScenarioError::Gap { .. } => "--gap-m",
-                ScenarioError::Unknown { .. } | ScenarioError::Refused { .. } => "--scenario",
-            };
-            BadInput(format!("{flag}: {error}"))
-        })?;
+        let mut conditions = Deployed::shared();
+        if let Some(path) = &self.conditions {
+            conditions = conditions.with(conditions::file(path)?);
+            registry.plant(&conditions.plant).map_err(|e| BadInput(format!("--conditions: {e}")))?;
+        }
+        let flags = self.size.over(Settings { robots: self.robots, gap_m: self.gap_m, ..Settings::default() });
+        let fitted = conditions.fitted.as_ref().map(|fitted| fitted.under(Settings::default())).unwrap_or_default();
+        let settings =
+            Settings { scale: flags.scale.or(fitted.scale), hull_m: flags.hull_m.or(fitted.hull_m), ..flags };
+        let scenario = registry
+            .scenario(&self.scenario, &settings)
+            .map_err(|error| size::refused(&error, &flags, &[("--conditions", fitted)]))?;
         let layouts = match &self.episodes_file {
             None => Layouts::of_scenario(&*scenario, self.run.seed, self.layouts),
             Some(path) => {
@@ -189,11 +195,6 @@ impl Shared {
                 })?
             }
         };
-        let mut conditions = Deployed::shared();
-        if let Some(path) = &self.conditions {
-            conditions = conditions.with(conditions::file(path)?);
-            registry.plant(&conditions.plant).map_err(|e| BadInput(format!("--conditions: {e}")))?;
-        }
         conditions.body = self.drive.over(&conditions.body)?;
         let chassis = conditions.body.chassis().map_err(|e| BadInput(format!("--drive: {e}")))?;
         let team = vec![chassis; scenario.robots()];
@@ -208,7 +209,7 @@ impl Shared {
             command: self.command(name, own),
             build: build(registry)?,
             scenario: Arc::clone(&scenario),
-            gap_m: self.gap_m,
+            settings,
         };
         study.check().map_err(|e| BadInput(format!("the study '{name}': {e}")))?;
         Ok(study)
@@ -267,6 +268,7 @@ impl Shared {
         add("scenario", Some(self.scenario.clone()));
         add("robots", self.robots.map(|robots| robots.to_string()));
         add("gap-m", self.gap_m.map(|gap_m| gap_m.to_string()));
+        self.size.given().for_each(|(flag, value)| add(flag, Some(value)));
         add("episodes-file", self.episodes_file.as_ref().map(|path| path.display().to_string()));
         add("conditions", self.conditions.as_ref().map(|path| path.display().to_string()));
         self.drive.given().for_each(|(flag, value)| add(flag, Some(value)));

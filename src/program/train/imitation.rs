@@ -61,7 +61,8 @@ pub fn is_meant(args: &Args, registry: &Registry) -> Result<bool> {
     if let Some(preset) = &args.preset {
         return Ok(preset == PRESET);
     }
-    let scenario = registry.scenario(&args.scenario, &Settings { robots: args.robots, gap_m: None });
+    let settings = args.size.over(Settings { robots: args.robots, ..Settings::default() });
+    let scenario = registry.scenario(&args.scenario, &settings);
     Ok(scenario.is_ok_and(|scenario| scenario.cost().is_some()))
 }
 
@@ -84,6 +85,8 @@ fn plan_of(args: &Args) -> Result<Plan> {
         }
         None => (Config { robots: args.robots, ..Config::preset() }, PRESET),
     };
+    let (scale, hull_m) = (args.size.scale.or(config.scale), args.size.hull_m.or(config.hull_m));
+    let config = Config { scale, hull_m, ..config };
     let config = plan::with_fields(config, &args.set, Config::from_table)?;
     let (scenario, preset) = (args.scenario.clone(), preset.to_owned());
     Ok(Plan { scenario, preset, config, seed: args.seed.unwrap_or(0) })
@@ -104,7 +107,8 @@ fn resume(args: &Args, folder: &Folder, registry: &Registry) -> Result<Trainer> 
         .map_err(|e| wrong(format!("{e}; leave out --resume to start a training")))?;
     let trainer = Trainer::resume(&bytes, registry).map_err(|e| wrong(unquoted(&e.to_string())))?;
     let theirs = trainer.plan();
-    let names_fields = args.config.is_some() || args.robots.is_some() || !args.set.is_empty();
+    let sized = args.size.given().next().is_some();
+    let names_fields = args.config.is_some() || args.robots.is_some() || sized || !args.set.is_empty();
     let mut ours = plan_of(args)?;
     ours.config.robots = ours.config.robots.or(theirs.config.robots);
     let differs = theirs.scenario != ours.scenario

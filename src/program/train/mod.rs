@@ -27,6 +27,7 @@ use crate::program::BadInput;
 use crate::program::Ended;
 use crate::program::drive;
 use crate::program::output::{print, talk};
+use crate::program::size::SizeFlags;
 use curve::{Curve, Row};
 use folder::Folder;
 pub use plan::with_radio;
@@ -65,6 +66,8 @@ pub struct Args {
     /// Size of the team; a preset's groups scale with it [default: the preset's, or else the scenario's own]
     #[arg(long, conflicts_with = "config")]
     robots: Option<usize>,
+    #[command(flatten)]
+    size: SizeFlags,
     /// Trains with the delay and loss of a medium instead of the configuration's: a preset (PRESETS) or a radio
     /// file, such as 'study network --fit' writes
     #[arg(long, value_name = "NAME|FILE.toml")]

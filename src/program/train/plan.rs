@@ -12,9 +12,10 @@ use crate::program::BadInput;
 use crate::program::conditions;
 use crate::program::output::{self, read_bytes, read_text};
 use crate::program::own_name;
+use crate::program::size;
 use crate::program::study;
 use crate::registry::Registry;
-use crate::scenario::Settings;
+use crate::scenario::{ScenarioError, Settings};
 use crate::study::network::conditions as of_medium;
 use crate::train::config::{self, Config};
 use crate::train::trainer::{Plan, Trainer};
@@ -50,15 +51,17 @@ fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
         }
         None => {
             let config = Config::preset(preset).expect("the parser accepts presets only");
-            let config = Config { robots: args.robots.or(config.robots), ..config };
-            (config.scaled_for(&args.scenario, registry).map_err(|e| BadInput(format!("--robots: {e}")))?, preset)
+            let config = sized(args, Config { robots: args.robots.or(config.robots), ..config })?;
+            let scaled = config.scaled_for(&args.scenario, registry);
+            (scaled.map_err(|e| refused(args, &e))?, preset)
         }
     };
+    config = sized(args, config)?;
     config = with_fields(config, &args.set, Config::from_table)?;
     config.body = args.drive.over(&config.body)?;
     if let Some(radio) = &args.radio {
-        let settings = Settings { robots: config.robots, gap_m: None };
-        let scenario = registry.scenario(&args.scenario, &settings).map_err(|e| BadInput(e.to_string()))?;
+        let settings = config.settings(config.robots, None);
+        let scenario = registry.scenario(&args.scenario, &settings).map_err(|e| refused(args, &e))?;
         with_radio("--radio", radio, scenario.robots(), &mut config.conditions)?;
     }
     if let Some(path) = &args.conditions {
@@ -70,6 +73,18 @@ fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
     }
     let (scenario, preset) = (args.scenario.clone(), preset.to_owned());
     Ok(Plan { scenario, preset, config, seed: args.seed.unwrap_or(0) })
+}
+
+/// Returns the configuration with the scale and hull of the flags, or else of the conditions file.
+fn sized(args: &Args, config: Config) -> Result<Config> {
+    let fitted = args.conditions.as_deref().map(conditions::file).transpose()?.unwrap_or_default();
+    let Settings { scale, hull_m, .. } = args.size.over(fitted.under(Settings::default()));
+    Ok(Config { scale: scale.or(config.scale), hull_m: hull_m.or(config.hull_m), ..config })
+}
+
+/// Returns the error that the scenario cannot be made, which names the flag of the wrong setting.
+fn refused(args: &Args, error: &ScenarioError) -> BadInput {
+    size::refused(error, &args.size.over(Settings::default()), &[])
 }
 
 /// Sets the delay and loss of messages in `conditions` to those of a medium, for a team of `robots` robots. `radio` is
@@ -155,6 +170,7 @@ pub fn resume(args: &Args, folder: &Folder, registry: &Registry) -> Result<Train
     let names_fields = from_files.iter().any(|file| file.is_some())
         || given.iter().any(|name| name.is_some())
         || args.robots.is_some()
+        || args.size.given().next().is_some()
         || !args.set.is_empty();
     if names_fields && theirs.config != ours.config {
         return Err(wrong("its configuration differs; see config.toml beside it".to_owned()).into());

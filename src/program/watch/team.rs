@@ -35,7 +35,6 @@ use crate::report::episode::Episode;
 use crate::runtime::clock::Clock;
 use crate::runtime::real::run_real;
 use crate::runtime::shell::Mailbox;
-use crate::scenario::Settings;
 use crate::time::{Span, Time};
 use crate::view::access::Control;
 use crate::view::command::Command;
@@ -124,8 +123,8 @@ impl Page {
     ) -> Result<Page> {
         let deployment = file.deployment();
         let some = team.for_host(file, HostId(0))?;
-        let settings = Settings::of(deployment.robots);
-        let scenario = registry.scenario(&some.scenario, &settings).map_err(|e| BadInput(e.to_string()))?;
+        let scenario =
+            registry.scenario(&some.scenario, &deployment.settings()).map_err(|e| BadInput(e.to_string()))?;
         // The machine of an operator need not have the policy file. Then the communication range is unknown.
         let policy = team::policy(&some, registry).ok();
         let routes = Routes::of(deployment);

@@ -25,6 +25,12 @@ pub struct Config {
     /// Number of robots in the team; the scenario's default if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub robots: Option<usize>,
+    /// Factor on the lengths of the scenario, but for the robots; 1 if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale: Option<f32>,
+    /// Radius of the robots' hull \[m\]; that of the paper's robots, 0.16 m, if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hull_m: Option<f32>,
     /// Name of the policy whose actions are learnt, in the registry.
     pub expert: String,
     /// Network and limits of the policy.

@@ -148,7 +148,8 @@ impl Trainer {
     /// # Errors
     /// If the scenario or the expert cannot be made, or training by imitation does not support the scenario.
     pub fn new(mut plan: Plan, registry: &Registry) -> Result<Trainer, SetupError> {
-        let settings = Settings { robots: plan.config.robots, gap_m: None };
+        let Config { robots, scale, hull_m, .. } = plan.config;
+        let settings = Settings { robots, gap_m: None, scale, hull_m };
         let scenario = registry.scenario(&plan.scenario, &settings)?;
         plan.config.robots = Some(scenario.robots());
         let unsupported = |why: &'static str| SetupError::Unsupported { scenario: plan.scenario.clone(), why };

@@ -384,10 +384,12 @@ mod tests {
     pub(super) fn options(environments: usize, threads: usize, content: Content) -> Options {
         let config = Config::preset("robust").expect("it is there");
         Options {
-            scenario: scenario::build("passage", &Settings { robots: Some(3), gap_m: None }).expect("it is there"),
+            scenario: scenario::build("passage", &Settings::of(3)).expect("it is there"),
             environments,
             threads,
             gap_m: None,
+            scale: None,
+            hull_m: None,
             repeat: 1,
             hold_s: 0.2,
             conditions: config.conditions.clone(),

@@ -42,6 +42,10 @@ pub struct Options {
     pub scenario: Arc<dyn Scenario>,
     /// Width of the bottleneck with which the scenario was made \[m\]; `None` for its own.
     pub gap_m: Option<f32>,
+    /// Scale with which the scenario was made; `None` for its own.
+    pub scale: Option<f32>,
+    /// Radius of a robot's hull with which the scenario was made \[m\]; `None` for that of the paper's robots.
+    pub hull_m: Option<f32>,
     /// Number of environments N, each with one team.
     pub environments: usize,
     /// Number of threads that step the environments; the data do not depend on it.

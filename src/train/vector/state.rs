@@ -63,6 +63,10 @@ struct StoredOptions {
     scenario: String,
     num_robots: usize,
     gap_m: Option<f32>,
+    #[serde(default)]
+    scale: Option<f32>,
+    #[serde(default)]
+    hull_m: Option<f32>,
     num_envs: usize,
     threads: usize,
     seed: u64,
@@ -85,6 +89,8 @@ impl StoredOptions {
             scenario: options.scenario.name().to_owned(),
             num_robots: options.scenario.robots(),
             gap_m: options.gap_m,
+            scale: options.scale,
+            hull_m: options.hull_m,
             num_envs: options.environments,
             threads: options.threads,
             seed: options.seed,
@@ -171,12 +177,15 @@ impl Numbers<'_> {
 /// If the bytes are no whole state of this version, or the scenario is not in the registry.
 pub fn options_of(bytes: &[u8], registry: &Registry) -> Result<Options, StateError> {
     let (stored, _) = read(bytes)?;
-    let StoredOptions { scenario, num_robots, gap_m, .. } = &stored.options;
-    let scenario = registry.scenario(scenario, &Settings { robots: Some(*num_robots), gap_m: *gap_m })?;
+    let StoredOptions { scenario, num_robots, gap_m, scale, hull_m, .. } = &stored.options;
+    let settings = Settings { robots: Some(*num_robots), gap_m: *gap_m, scale: *scale, hull_m: *hull_m };
+    let scenario = registry.scenario(scenario, &settings)?;
     let of = stored.options;
     let options = Options {
         scenario: Arc::clone(&scenario),
         gap_m: of.gap_m,
+        scale: of.scale,
+        hull_m: of.hull_m,
         environments: of.num_envs,
         threads: of.threads,
         conditions: of.conditions,

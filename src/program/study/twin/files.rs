@@ -82,6 +82,8 @@ fn conditions(fitted: &Fitted, twin: &Trial) -> Conditions {
         lag_s: Some(twin.physics.lag_s),
         slip: slips.then_some(twin.physics.slip),
         slip_s: slips.then_some(twin.physics.slip_s),
+        hull_m: twin.deployment.hull_m,
+        scale: twin.deployment.scale,
         delay_s: link.map(|link| link.delay_s),
         loss: link.map(|link| link.loss),
     }
