@@ -20,7 +20,7 @@ use crate::estimation;
 use crate::localization;
 use crate::messages::ids::RobotId;
 use crate::net::transport;
-use crate::policy;
+use crate::policy::{self, shipped};
 use crate::scenario::{self, Scenario, ScenarioError};
 use crate::world;
 
@@ -267,10 +267,10 @@ impl Registry {
         find(&self.policies, name).ok()
     }
 
-    /// Returns the name of the policy that a scenario uses if the user gives none: the shipped trained policy if it can
-    /// be made for the scenario, otherwise the scripted one.
+    /// Returns the name of the policy that a scenario uses if the user gives none: the better one of the shipped trained
+    /// policy, if there is one for the scenario, and the scripted one.
     pub fn default_policy(&self, scenario: &dyn Scenario) -> &'static str {
-        let shipped = self.policy(policy::SHIPPED).is_some_and(|entry| (entry.build)(scenario).is_ok());
+        let shipped = shipped::is_best_for(scenario.name()) && self.policy(policy::SHIPPED).is_some();
         if shipped { policy::SHIPPED } else { policy::scripted(scenario) }
     }
 

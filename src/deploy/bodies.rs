@@ -111,6 +111,7 @@ impl Host {
 mod tests {
     use super::*;
     use crate::chassis::DriveKind;
+    use crate::messages::geometry::limit_below;
 
     #[test]
     fn a_robot_that_differs_takes_the_rest_from_all_and_wrong_ones_are_refused_by_name() {
@@ -120,8 +121,9 @@ mod tests {
         deployment.bodies.insert("2".to_owned(), wheels);
         assert_eq!(deployment.check(), Ok(()));
         let [first, last] = [0, 2].map(|robot| deployment.chassis(RobotId(robot)));
-        assert_eq!((first.drive, first.speed_m_s), (DriveKind::Holonomic, 0.3));
-        assert_eq!((last.drive, last.speed_m_s), (DriveKind::Differential, 0.3));
+        let most = limit_below(0.3);
+        assert_eq!((first.drive, first.speed_m_s), (DriveKind::Holonomic, most));
+        assert_eq!((last.drive, last.speed_m_s), (DriveKind::Differential, most));
         assert_eq!(Deployment::from_toml(&deployment.to_toml()), Ok(deployment.clone()));
         deployment.body.battery_least = Some(0.2);
         assert_eq!(deployment.hardware_limits(RobotId(2)).battery_least, Some(20));

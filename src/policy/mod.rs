@@ -123,8 +123,13 @@ pub const SCRIPTED: &str = "orca";
 pub const REGISTRY: &[Entry] = &[
     Entry {
         name: SHIPPED,
-        about: "trained for the scenario, for delay, loss and lag",
+        about: "trained for the scenario, for delay, loss, lag, teams of many sizes and the safety filter",
         build: |scenario| Model::shipped(scenario.name()),
+    },
+    Entry {
+        name: "robust",
+        about: "trained for the scenario, for delay, loss and lag, in teams of up to five ('shipped' before)",
+        build: |scenario| Model::built_in("robust", scenario.name()),
     },
     Entry {
         name: "published",
@@ -133,7 +138,7 @@ pub const REGISTRY: &[Entry] = &[
     },
     Entry {
         name: "any-size",
-        about: "trained for the scenario, for teams of any size and the safety filter",
+        about: "a former name of 'shipped'",
         build: |scenario| Model::built_in("any-size", scenario.name()),
     },
     Entry { name: SCRIPTED, about: "scripted navigation by message passing", build: orca },

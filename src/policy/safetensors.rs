@@ -157,7 +157,7 @@ mod tests {
 
     #[test]
     fn a_file_that_is_read_and_written_is_unchanged() {
-        let shipped = built_in("shipped", "passage").expect("one is shipped");
+        let shipped = built_in("robust", "passage").expect("one is built in");
         assert!(write(&read(shipped).unwrap()) == shipped, "as written by the reference library");
         let published = built_in("published", "passage").expect("one is built in");
         let file = read(published).unwrap();

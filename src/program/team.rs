@@ -27,8 +27,8 @@ pub struct TeamArgs {
     #[arg(value_name = "TEAM.toml")]
     pub file: PathBuf,
     /// Sets a field of the team file, such as link.infra.interface=wlan1, or policy=NAME|FILE: a name in the registry
-    /// (shipped, published, orca or another, also of your crate) or a policy file (safetensors); may be given several
-    /// times
+    /// (shipped, robust, published, orca or another, also of your crate) or a policy file (safetensors); may be given
+    /// several times
     #[arg(long, value_name = "FIELD=VALUE")]
     pub set: Vec<String>,
     /// Network interface of every link

@@ -81,6 +81,12 @@ impl Layouts {
         Ok(Layouts { episodes: episodes? })
     }
 
+    /// Returns the number of episodes in a JSON text; `None` if there are none or it is not such a text.
+    pub fn held_in(text: &str) -> Option<u32> {
+        let file: File = serde_json::from_str(text).ok()?;
+        u32::try_from(file.episodes.len()).ok().filter(|held| *held > 0)
+    }
+
     /// Returns the layouts of the episodes from index `first` (from zero) to the last.
     pub fn since(&self, first: u32) -> Layouts {
         Layouts { episodes: self.episodes.iter().skip(first as usize).cloned().collect() }

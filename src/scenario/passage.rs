@@ -291,7 +291,7 @@ mod tests {
         assert!(last > (task.goal - task.start).norm());
         // From y > 0: to the lane, through it, and on to the goal, 5 cm a step.
         let mouth = passage.mouth_m;
-        assert_eq!((mouth, passage.lane_half_m), (0.45, 0.15));
+        assert_eq!((mouth, passage.lane_half_m), (0.15 + 0.25 + 0.05, 0.15));
         let path = [task.start, Vec2::new(0.1, mouth), Vec2::new(0.1, -mouth), task.goal];
         for leg in path.windows(2) {
             let steps = ((leg[1] - leg[0]).norm() / 0.05).ceil();

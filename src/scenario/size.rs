@@ -141,7 +141,7 @@ mod tests {
         let usual = Settings::default;
         let (field, why) = refused("swap", Settings { scale: Some(0.375), ..usual() });
         assert_eq!(field, "scale");
-        assert!(why.contains("of at most 0.107 m") && why.contains("scale of at least 0.557"), "{why}");
+        assert!(why.contains("of at most 0.127 m") && why.contains("scale of at least 0.47"), "{why}");
         let (field, why) = refused("passage", Settings { hull_m: Some(0.4), ..usual() });
         assert_eq!(field, "hull_m");
         assert!(why.contains("gap of 1 m"), "{why}");

@@ -24,7 +24,7 @@ fn changed(folder: &TempDir, name: &str, from: &str, to: &str) -> String {
 
 #[test]
 fn policy_check_says_what_a_file_is() {
-    let output = run(&["policy", "check", &path("policies/passage.safetensors")]);
+    let output = run(&["policy", "check", &path("policies/passage-any-size.safetensors")]);
     assert_eq!((output.status.code(), text(&output.stderr)), (Some(0), String::new()));
     let said = text(&output.stdout);
     for words in
@@ -52,7 +52,8 @@ fn policy_check_refuses_what_the_program_cannot_run() {
     refuses(&["policy", "check", &of("\\\"sum\\\"", "\\\"max\\\"")], &["aggregation", "sum"]);
     refuses(&["policy", "check", &of("probe.age", "probe.old")], &["probe.age", "missing"]);
     refuses(&["policy", "check", "orca"], &["orca", "code"]);
-    refuses(&["policy", "check", "shipped", "--scenario", "swap"], &["shipped", "swap"]);
+    refuses(&["policy", "check", "shipped", "--scenario", "maze"], &["shipped", "maze"]);
+    refuses(&["policy", "check", "robust", "--scenario", "swap"], &["robust", "swap"]);
     refuses(&["policy", "check", "nowhere.safetensors"], &["nowhere.safetensors"]);
     refuses(&["policy", "check", &path("Cargo.toml")], &["Cargo.toml", "safetensors"]);
 }
@@ -179,6 +180,44 @@ fn a_training_that_is_given_a_policy_in_place_of_a_checkpoint_asks_for_the_check
     let checkpoint = folder.path().join("a.pt");
     std::fs::write(&checkpoint, b"PK\x03\x04\0\0data.pkl").expect("a temporary file");
     refuses(&[&args[..], &[&*checkpoint.to_string_lossy()]].concat(), &["a.pt", "PyTorch"]);
+}
+
+#[test]
+fn the_default_policy_is_the_shipped_one_with_the_filter_where_robots_act_by_themselves() {
+    let of = |flags: &[&str]| {
+        let output = run(&[&["sim", "--episodes", "2", "--json", "--quiet"], flags].concat());
+        assert_eq!(output.status.code(), Some(0), "{flags:?}: {}", text(&output.stderr));
+        serde_json::from_slice::<serde_json::Value>(&output.stdout).expect("one JSON object")
+    };
+    let trace = |flags: &[&str]| of(flags)["trace_hash"].clone();
+    let usual = of(&["--mode", "offboard"]);
+    assert_eq!((&usual["policy"], &usual["episodes"]), (&"shipped".into(), &2.into()));
+    let written = ["--mode", "offboard", "--policy", "shipped", "--safety", "deployed", "--repeats", "1"];
+    assert_eq!(usual["trace_hash"], trace(&written));
+    assert_eq!(usual["trace_hash"], trace(&["--mode", "offboard", "--policy", "any-size"]), "a former name");
+    assert_ne!(usual["trace_hash"], trace(&["--mode", "offboard", "--policy", "robust"]));
+    assert_ne!(usual["trace_hash"], trace(&["--mode", "offboard", "--safety", "emulated"]));
+    assert_eq!(trace(&[]), trace(&["--mode", "sim", "--safety", "emulated"]), "lock step: the conditions of training");
+    let swap = ["--scenario", "swap", "--robots", "4", "--mode", "offboard"];
+    assert_eq!(of(&swap)["policy"], "orca", "which is better there in most conditions");
+    assert_eq!(of(&[&swap[..], &["--policy", "shipped"]].concat())["successes"], 2);
+}
+
+#[test]
+fn without_flags_there_are_many_layouts_once_and_a_file_has_as_many_as_it_holds() {
+    let folder = TempDir::new().expect("a temporary folder");
+    let of = |flags: &[&str]| {
+        let output = run(&[&["sim", "--scenario", "swap", "--robots", "2", "--json", "--quiet"], flags].concat());
+        assert_eq!(output.status.code(), Some(0), "{flags:?}: {}", text(&output.stderr));
+        serde_json::from_slice::<serde_json::Value>(&output.stdout).expect("one JSON object")
+    };
+    assert_eq!(of(&[])["episodes"], 200);
+    let file = folder.path().join("layouts.json");
+    let robots = "[{\"start\":[-1,0],\"goal\":[1,0]},{\"start\":[1,0],\"goal\":[-1,0]}]";
+    std::fs::write(&file, format!("{{\"episodes\":[{robots},{robots},{robots}]}}")).expect("a temporary file");
+    let file = file.to_str().expect("its path is text");
+    assert_eq!(of(&["--episodes-file", file])["episodes"], 3);
+    assert_eq!(of(&["--episodes-file", file, "--episodes", "2", "--repeats", "2"])["episodes"], 4);
 }
 
 #[test]

@@ -9,8 +9,7 @@ use tempfile::TempDir;
 
 /// Four small robots, as flags.
 const SMALL: [&str; 6] = ["--robots", "4", "--scale", "0.375", "--hull-m", "0.06"];
-const SIM: [&str; 9] =
-    ["sim", "--scenario", "swap", "--policy", "orca", "--quiet", "--json", "--episodes", "4"];
+const SIM: [&str; 9] = ["sim", "--scenario", "swap", "--policy", "orca", "--quiet", "--json", "--episodes", "4"];
 
 fn file(folder: &TempDir, name: &str, content: &str) -> String {
     let path = folder.path().join(name);
@@ -139,7 +138,8 @@ fn a_training_keeps_its_size_in_its_configuration() {
 
 #[test]
 fn a_study_of_another_size_says_so() {
-    let study = ["study", "modes", "--columns", "sim", "--policy", "orca", "--layouts", "1", "--repeats", "1", "--quiet"];
+    let study =
+        ["study", "modes", "--columns", "sim", "--policy", "orca", "--layouts", "1", "--repeats", "1", "--quiet"];
     let report = json(&[&study[..], &["--scale", "0.5", "--hull-m", "0.08", "--json"]].concat());
     assert_eq!(report["scenario"], "passage, 5 robots, scale 0.5, hull 0.08 m");
 }

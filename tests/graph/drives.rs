@@ -142,7 +142,7 @@ fn a_placed_robot_heads_for_its_goal_and_one_that_drove_there_keeps_its_heading(
 
 #[test]
 fn the_safety_filter_keeps_hulls_apart() {
-    let mut trial = trial("offboard", 9, 8).model(Model::shipped("passage").expect("it is shipped"));
+    let mut trial = trial("offboard", 9, 8).model(Model::built_in("robust", "passage").expect("it is built in"));
     // Contacts block nothing, so that the filter alone keeps the robots apart.
     (trial.physics.contacts, trial.physics.wall_radius_m) = (ContactRule::Judge, 0.16);
     trial.safety = Safety::deployed();

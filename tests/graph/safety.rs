@@ -260,7 +260,7 @@ fn a_geofence_keeps_commands_inside() {
 
 #[test]
 fn a_minimum_distance_reduces_collisions_of_a_policy_without_messages() {
-    let model = weights::read(built_in("shipped", "passage").expect("one is shipped")).expect("and it can be read");
+    let model = weights::read(built_in("robust", "passage").expect("it is built in")).expect("and it can be read");
     let model = Model::Gnn(Arc::new(Network::new(model)), Draw::Mean);
     let collisions = |distance: Switch| {
         let mut trial = Trial { model: model.clone(), ..trial("centralized", 9) }.episodes(24);

@@ -15,7 +15,7 @@ use tempfile::TempDir;
 use crate::program::{refuses, run, text};
 use crate::records;
 
-const SIM: [&str; 6] = ["sim", "--mode", "offboard", "--repeats", "2", "--json"];
+const SIM: [&str; 8] = ["sim", "--mode", "offboard", "--safety", "emulated", "--repeats", "2", "--json"];
 
 fn recorded(folder: &Path, more: &[&str]) -> String {
     let folder = folder.to_str().expect("a path is text");

@@ -4,16 +4,18 @@ mod trial;
 
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
+use crate::deploy::Stepping;
 use crate::hearing::Handling;
 use crate::policy::Draw;
 use crate::registry::Registry;
 use crate::report::comparison::Comparison;
 use crate::report::summary::{CostName, Run, Summary};
 use crate::safety::Safety;
+use crate::scenario::layout::Layouts;
 use crate::trial::{Trial, TrialReport};
 use crate::world::{Clamp, ContactRule, Placement, Sensor};
 use anyhow::{Context, Result};
@@ -28,7 +30,7 @@ use crate::program::deployment;
 use crate::program::deployment::ModeParser;
 use crate::program::drive;
 use crate::program::jobs;
-use crate::program::output::print;
+use crate::program::output::{print, read_text};
 use crate::program::paths;
 use crate::program::picture;
 use crate::program::picture::Pictures;
@@ -51,9 +53,9 @@ pub struct Args {
     /// Task of the team
     #[arg(long, default_value = "passage")]
     scenario: String,
-    /// Policy of the robots: a name in the registry (shipped, published, orca or another, also of your crate) or a
-    /// policy file (safetensors). Several policies are compared on the same episodes [default: shipped, or orca for a
-    /// scenario without a shipped policy]
+    /// Policy of the robots: a name in the registry (shipped, robust, published, orca or another, also of your crate) or
+    /// a policy file (safetensors). Several policies are compared on the same episodes [default: the better one of
+    /// shipped and orca: shipped for passage and flocking]
     #[arg(long, value_name = "NAME|FILE")]
     policy: Vec<PathBuf>,
     /// Action of a trained policy: the mean of its distribution or a sample from it [default: as its file says]
@@ -67,10 +69,14 @@ pub struct Args {
     gap_m: Option<f32>,
     #[command(flatten)]
     size: SizeFlags,
-    /// Number of episodes of a trial, each with a reset before it
-    #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
-    episodes: u32,
-    /// Number of trials: the same episodes with other random numbers [default: 12, or 1 with --watch]
+    /// Number of episodes of a trial, each with its own layout (starts and goals) and a reset before it [default: those
+    /// of --episodes-file, or else 200, or 16 with --watch, which shows them in real time]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    episodes: Option<u32>,
+    /// Number of episodes without the flag, once it is known.
+    #[arg(skip)]
+    usual_episodes: OnceLock<u32>,
+    /// Number of trials: the same layouts with other random numbers
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     repeats: Option<u32>,
     /// File with starts and goals: {"episodes": [[{"start": [x, y], "goal": [x, y]}, ...], ...]}
@@ -104,10 +110,10 @@ pub struct Args {
         value_parser = choice([("training", Clamp::Training), ("deployed", Clamp::Deployed)]))]
     clamp: Clamp,
     /// Safety functions between policy and motor commands: 'emulated' are those of the published robots; 'deployed' are
-    /// those of real hosts, with stops on late ticks and stale state, a geofence and a minimum distance
-    #[arg(long, default_value = "emulated",
-        value_parser = choice([("emulated", Safety::emulated()), ("deployed", Safety::deployed())]))]
-    safety: Safety,
+    /// those of real hosts, with stops on late ticks and stale state, a geofence and a minimum distance [default:
+    /// emulated in lock step, the conditions of training, as in mode 'sim'; else deployed]
+    #[arg(long, value_parser = choice([("emulated", Safety::emulated()), ("deployed", Safety::deployed())]))]
+    safety: Option<Safety>,
     /// Handling of a neighbour's message after the step that used it: 'as-published' drops it; 'hold' keeps it until a
     /// newer one arrives or the policy's hold time is over
     #[arg(long, default_value = "hold",
@@ -172,13 +178,40 @@ pub struct Args {
     quiet: bool,
 }
 
+/// Number of episodes without a flag: each with a layout of its own, so that they are as good as independent, and enough
+/// for an interval of two points.
+const EPISODES: u32 = 200;
+/// Number of episodes without a flag if they are shown in real time.
+#[cfg(feature = "watch")]
+const EPISODES_SHOWN: u32 = 16;
+
 impl Args {
+    fn episodes(&self) -> u32 {
+        let usual = || {
+            // A file that cannot be read is reported where its layouts are.
+            let text = self.episodes_file.as_deref().and_then(|path| read_text(path, "episodes file").ok());
+            if let Some(held) = text.as_deref().and_then(Layouts::held_in) {
+                return held;
+            }
+            #[cfg(feature = "watch")]
+            if self.page.is_on() {
+                return EPISODES_SHOWN;
+            }
+            EPISODES
+        };
+        self.episodes.unwrap_or_else(|| *self.usual_episodes.get_or_init(usual))
+    }
+
     fn repeats(&self) -> u32 {
-        #[cfg(feature = "watch")]
-        if self.page.is_on() {
-            return 1;
-        }
-        self.repeats.unwrap_or(12)
+        self.repeats.unwrap_or(1)
+    }
+
+    /// Returns the safety functions of a trial whose agents act by the rule `stepping`.
+    fn safety(&self, stepping: Stepping) -> Safety {
+        self.safety.unwrap_or(match stepping {
+            Stepping::Lockstep => Safety::emulated(),
+            Stepping::Seeded => Safety::deployed(),
+        })
     }
 }
 
@@ -200,7 +233,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         named.iter().map(|policy| trial::of_flags(args, *policy, registry)).collect::<Result<_>>()?;
     #[cfg(feature = "watch")]
     args.page.check(trials.len(), args.repeats)?;
-    let pictures = Pictures::open(&args.pictures, args.episodes)?;
+    let pictures = Pictures::open(&args.pictures, args.episodes())?;
     if trials.len() > 1 && (args.trajectories.is_some() || pictures.any() || args.record.record.is_some()) {
         return bad("--policy: trajectories, pictures and records are of one policy; name one".to_owned());
     }
@@ -208,7 +241,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let stop = Arc::new(AtomicBool::new(false));
     let signal = Arc::clone(&stop);
     ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
-    tracing::info!("{} repeats of {} episodes; Ctrl-C prints the results so far", args.repeats(), args.episodes);
+    tracing::info!("{} repeats of {} episodes; Ctrl-C prints the results so far", args.repeats(), args.episodes());
 
     let records = records(args, &trials)?;
     let mut results = Vec::new();
@@ -246,7 +279,7 @@ pub fn results_of(arguments: &[String], registry: &Registry, stop: &AtomicBool) 
     #[cfg(feature = "watch")]
     args.page.check(1, args.repeats)?;
     let (trial, policy) = trial::of_flags(&args, args.policy.first().map(|policy| &**policy), registry)?;
-    let pictures = Pictures::open(&args.pictures, args.episodes)?;
+    let pictures = Pictures::open(&args.pictures, args.episodes())?;
     let mut paths = args.trajectories.as_deref().map(WholeFile::create).transpose()?;
     let trials = [(trial, policy)];
     let records = records(&args, &trials)?;
@@ -298,7 +331,7 @@ fn run_all(
         let report = watch::trial::run(&trial, _policy, &args.page, stop, records)?;
         return records.map_or(Ok(()), Simulated::finish).map(|()| vec![report]);
     }
-    let bar = progress(u64::from(args.episodes) * u64::from(args.repeats()), args.quiet);
+    let bar = progress(u64::from(args.episodes()) * u64::from(args.repeats()), args.quiet);
     let repeats = args.repeats() as usize;
     let work = |repeat: usize| {
         let repeat = u32::try_from(repeat).expect("repeats were counted in u32");

@@ -102,13 +102,14 @@ pub fn of_flags(args: &Args, policy: Option<&Path>, registry: &Registry) -> Resu
         talk(&format!("warning: {warning}"));
     }
     let mut trial = Trial::with_registry(registry, deployment, Arc::clone(&scenario), model);
-    trial = trial.seed(args.seed).episodes(args.episodes);
+    trial = trial.seed(args.seed).episodes(args.episodes());
     trial.handling = args.handling;
     trial.estimator = *registry.estimator(&args.estimator).expect("the flag takes names of the registry alone");
-    trial = physics(args, trial)?.clamp(args.clamp).safety(args.safety);
+    let safety = args.safety(trial.deployment.stepping);
+    trial = physics(args, trial)?.clamp(args.clamp).safety(safety);
     if let Some(path) = &args.episodes_file {
         let text = read_text(path, "episodes file")?;
-        trial.layouts = Layouts::from_json(&text, &*scenario, args.episodes)
+        trial.layouts = Layouts::from_json(&text, &*scenario, args.episodes())
             .map_err(|e| BadInput(format!("the episodes file '{}': {e}", path.display())))?;
         if args.placement == Some(Placement::Drive) && !trial.layouts.chained() {
             let reason = "its episodes do not start where those before them have ended";
