@@ -230,8 +230,8 @@ impl Chassis {
     }
 
     /// Returns a motion reduced to the limits of the chassis, which hold for the result as it is rounded. On a
-    /// differential drive, forward speed and yaw rate are reduced by the same factor, so that the robot follows the same
-    /// curve.
+    /// differential drive, forward speed and yaw rate are reduced by the same factor, so that the robot follows the
+    /// same curve.
     fn limit(&self, twist: BodyTwist) -> BodyTwist {
         let BodyTwist { forward, left, yaw_rate } = twist;
         match self.drive {

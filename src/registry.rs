@@ -267,8 +267,8 @@ impl Registry {
         find(&self.policies, name).ok()
     }
 
-    /// Returns the name of the policy that a scenario uses if the user gives none: the better one of the shipped trained
-    /// policy, if there is one for the scenario, and the scripted one.
+    /// Returns the name of the policy that a scenario uses if the user gives none: the better one of the shipped
+    /// trained policy, if there is one for the scenario, and the scripted one.
     pub fn default_policy(&self, scenario: &dyn Scenario) -> &'static str {
         let shipped = shipped::is_best_for(scenario.name()) && self.policy(policy::SHIPPED).is_some();
         if shipped { policy::SHIPPED } else { policy::scripted(scenario) }

@@ -1,5 +1,6 @@
-//! Conditions of a simulation as a TOML file: properties of the simulated robots, size of their task, and delay and loss
-//! of messages between them. `study twin` writes the values that it has fitted in this form; `sim`, `study` and `train` read it.
+//! Conditions of a simulation as a TOML file: properties of the simulated robots, size of their task, and delay and
+//! loss of messages between them. `study twin` writes the values that it has fitted in this form; `sim`, `study` and
+//! `train` read it.
 
 use serde::{Deserialize, Serialize};
 

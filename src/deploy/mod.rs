@@ -8,6 +8,7 @@ pub mod conditions;
 mod judging;
 mod presets;
 mod routes;
+mod size;
 pub mod team;
 mod ticks;
 
@@ -27,7 +28,6 @@ use crate::messages::wire::{KINDS, Kind};
 use crate::net::media::emulator::Impairment;
 use crate::net::media::radio::{Radio, Topology};
 use crate::net::protocol::reliability::Reliabilities;
-use crate::scenario;
 use crate::time::Span;
 use crate::world::{self, Placement};
 
@@ -315,18 +315,6 @@ impl Deployment {
             None => Ok(()),
             Some(robot) => Err(ConfigError::field(field, format!("{robot} has no {what} on any host"))),
         }
-    }
-
-    /// Returns the settings with which the scenario of this team is made: its robots, their hull, and the task's size.
-    pub fn settings(&self) -> scenario::Settings {
-        let Deployment { robots, gap_m, scale, hull_m, .. } = *self;
-        scenario::Settings { robots: Some(robots), gap_m, scale, hull_m }
-    }
-
-    /// Returns the deployment with the width of the bottleneck, scale and hull of `settings`, where they are set.
-    pub fn sized(self, settings: &scenario::Settings) -> Deployment {
-        let (gap_m, scale) = (settings.gap_m.or(self.gap_m), settings.scale.or(self.scale));
-        Deployment { gap_m, scale, hull_m: settings.hull_m.or(self.hull_m), ..self }
     }
 
     /// Returns the robots, hosts and links of the deployment into which a fault plan can inject faults.

@@ -147,8 +147,8 @@ impl Safety {
         Safety { geofence: Switch::On, distance: Switch::On, walls: Switch::On, ..Safety::emulated() }
     }
 
-    /// Returns these settings for robots with a hull of the radius `hull_m` \[m\], in place of that of the paper's robots:
-    /// the minimum distances to walls and other robots leave as much room between hulls as before.
+    /// Returns these settings for robots with a hull of the radius `hull_m` \[m\], in place of that of the paper's
+    /// robots: the minimum distances to walls and other robots leave as much room between hulls as before.
     pub fn of_hull(self, hull_m: f32) -> Safety {
         let larger_m = hull_m - HULL_M;
         let distance_min_m = self.distance_min_m + 2.0 * larger_m;

@@ -14,8 +14,8 @@ use crate::messages::local::Contacts;
 use crate::random::Seed;
 use crate::time::Span;
 
-/// Side of the square of ground per robot \[m\] at scale 1; five robots have about the area of the scenario `passage`. It is the
-/// width of a place in the grid. The depth of a place is less by up to a quarter if the last row is not full.
+/// Side of the square of ground per robot \[m\] at scale 1; five robots have about the area of the scenario `passage`.
+/// It is the width of a place in the grid. The depth of a place is less by up to a quarter if the last row is not full.
 const PITCH_M: f32 = 2.0;
 /// Largest random offset of a place from its grid point along each axis, as a fraction of the spacing of the grid.
 /// Neighbouring places stay 0.9 m apart at scale 1.

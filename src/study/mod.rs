@@ -210,8 +210,8 @@ impl Study {
         format!("{} [{}]", self.layouts.len(), self.layouts_digest())
     }
 
-    /// Returns the scenario's name and the number of robots as text, with the width of the bottleneck, the scale and the
-    /// hull if they are set.
+    /// Returns the scenario's name and the number of robots as text, with the width of the bottleneck, the scale and
+    /// the hull if they are set.
     pub fn scenario_text(&self) -> String {
         let Settings { gap_m, scale, hull_m, .. } = self.settings;
         let gap = gap_m.map_or(String::new(), |gap_m| format!(", gap {gap_m} m"));

@@ -271,7 +271,8 @@ impl Reward {
         }
     }
 
-    /// Returns the weights with the distances at which robots pay for nearness those of robots with the hull in `arena`.
+    /// Returns the weights with the distances at which robots pay for nearness those of robots with the hull in
+    /// `arena`.
     pub fn about(self, arena: &Arena) -> Reward {
         let share = arena.hull_m() / HULL_M;
         let (proximity_m, wall_proximity_m) = (share * self.proximity_m, share * self.wall_proximity_m);

@@ -1,5 +1,5 @@
-//! Scale of a task and hull of its robots, wherever a scenario is chosen: flags, deployments, conditions, team files and
-//! trainings.
+//! Scale of a task and hull of its robots, wherever a scenario is chosen: flags, deployments, conditions, team files
+//! and trainings.
 
 use std::path::Path;
 

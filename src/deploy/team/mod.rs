@@ -2,13 +2,14 @@
 //!
 //! Pure data and checks: no file, socket or environment variable is accessed. `fields` has the permitted fields,
 //! `layers` the origins of values, `names` the check of names, `places` the host's place on each link, `show` the
-//! listing of values.
+//! listing of values, `size` the scenario with its size.
 
 mod fields;
 pub mod layers;
 mod names;
 mod places;
 mod show;
+mod size;
 
 pub use layers::{Flag, Origin};
 pub use places::OperatorAccess;
@@ -22,6 +23,7 @@ use serde::Deserialize;
 
 use self::fields::EVERY_INTERFACE;
 use self::layers::{LayerValue, Layers, place};
+use self::size::{about_hulls, build};
 use super::{Deployment, Host, Link, MODES, Routes};
 use crate::config::{self, ConfigError};
 use crate::estimation;
@@ -32,7 +34,7 @@ use crate::net::transport::Place;
 use crate::registry::Registry;
 use crate::ros2::observe;
 use crate::safety::Safety;
-use crate::scenario::{Scenario, ScenarioError, Settings};
+use crate::scenario::{Scenario, Settings};
 use crate::time::Span;
 use crate::world::{Clamp, ContactRule, Overrides, Physics, Sensor};
 
@@ -357,41 +359,6 @@ fn check_devices(registry: &Registry, deployment: &Deployment) -> Result<(), Con
         observed.map_err(|error| error.within("observe"))?;
     }
     Ok(())
-}
-
-/// Creates the scenario named in the field `entry` with the settings of its team. An error names the setting that is
-/// wrong, where it is written, or the scenario.
-fn build(
-    registry: &Registry,
-    layers: &Layers,
-    entry: &LayerValue,
-    settings: &Settings,
-) -> Result<Arc<dyn Scenario>, ConfigError> {
-    registry.scenario(text(entry), settings).map_err(|error| {
-        let field = match error {
-            ScenarioError::Size { field, .. } => field,
-            _ => "scenario",
-        };
-        let written = layers.find(&[String::new()], field).map(|entry| place(field, &entry.origin));
-        let inline = || format!("deployment.{field}");
-        ConfigError::field(written.unwrap_or_else(inline), error.to_string())
-    })
-}
-
-/// Returns `safety` with the least distances to robots and walls of robots with the hull of the `deployment`, unless
-/// the file has distances of its own. An error names the field.
-fn about_hulls(safety: Safety, layers: &Layers, deployment: &Deployment) -> Result<Safety, ConfigError> {
-    let Some(hull_m) = deployment.hull_m else { return Ok(safety) };
-    let of_hull = safety.of_hull(hull_m);
-    let (mut found, given) = (safety, |field: &str| layers.table(&format!("safety.{field}")).is_some());
-    if !given("distance_min_m") {
-        found.distance_min_m = of_hull.distance_min_m;
-    }
-    if !given("walls_min_m") {
-        found.walls_min_m = of_hull.walls_min_m;
-    }
-    found.check().map_err(|error| error.within("safety"))?;
-    Ok(found)
 }
 
 /// Returns the robot of a host whose Agents have exactly one robot together; `None` for any other number. `agents` has

@@ -299,8 +299,8 @@ fn numbers<const N: usize>(words: &[&str], most: f64) -> Result<[f64; N], Malfor
     Ok(numbers)
 }
 
-/// Returns the number with the decimals of a line, toward zero, so that what is sent is within the limits. `per_unit` is
-/// 1000 for three decimals. What is within a thousandth of the last decimal is that decimal, such as the f32 of 0.7.
+/// Returns the number with the decimals of a line, toward zero, so that what is sent is within the limits. `per_unit`
+/// is 1000 for three decimals. What is within a thousandth of the last decimal is that decimal, such as the f32 of 0.7.
 fn shortened(number: f32, per_unit: f64) -> f64 {
     let steps = f64::from(number) * per_unit;
     // Adding zero makes a negative zero positive.

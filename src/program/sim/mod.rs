@@ -53,8 +53,8 @@ pub struct Args {
     /// Task of the team
     #[arg(long, default_value = "passage")]
     scenario: String,
-    /// Policy of the robots: a name in the registry (shipped, robust, published, orca or another, also of your crate) or
-    /// a policy file (safetensors). Several policies are compared on the same episodes [default: the better one of
+    /// Policy of the robots: a name in the registry (shipped, robust, published, orca or another, also of your crate)
+    /// or a policy file (safetensors). Several policies are compared on the same episodes [default: the better one of
     /// shipped and orca: shipped for passage and flocking]
     #[arg(long, value_name = "NAME|FILE")]
     policy: Vec<PathBuf>,
@@ -178,8 +178,8 @@ pub struct Args {
     quiet: bool,
 }
 
-/// Number of episodes without a flag: each with a layout of its own, so that they are as good as independent, and enough
-/// for an interval of two points.
+/// Number of episodes without a flag: each with a layout of its own, so that they are as good as independent, and
+/// enough for an interval of two points.
 const EPISODES: u32 = 200;
 /// Number of episodes without a flag if they are shown in real time.
 #[cfg(feature = "watch")]

@@ -50,7 +50,8 @@ fn network(args: &Args, mut deployment: Deployment) -> Result<Deployment> {
     deployment::with_radio(deployment, &args.radio)
 }
 
-/// Returns the settings of the scenario: those of the flags, or else of the conditions, or else of the deployment `file`.
+/// Returns the settings of the scenario: those of the flags, or else of the conditions, or else of the deployment
+/// `file`.
 fn settings(args: &Args, file: Option<&Deployment>) -> Result<Settings> {
     let file = size::of_file(file);
     let Settings { scale, hull_m, .. } = args.size.over(given(args)?.under(Settings::default()));

@@ -31,9 +31,9 @@ use crate::program::size::{self, SizeFlags};
 /// Flags that the studies `modes`, `delay` and `range` have in common.
 #[derive(clap::Args)]
 pub struct Shared {
-    /// Policies to compare, each a name in the registry (shipped, robust, published, orca or another, also of your crate)
-    /// or a policy file (safetensors); may be given several times. 'NAME@HANDLING' gives one policy a handling of its
-    /// own [default: the better one of shipped and orca: shipped for passage and flocking]
+    /// Policies to compare, each a name in the registry (shipped, robust, published, orca or another, also of your
+    /// crate) or a policy file (safetensors); may be given several times. 'NAME@HANDLING' gives one policy a handling
+    /// of its own [default: the better one of shipped and orca: shipped for passage and flocking]
     #[arg(long = "policy", value_name = "NAME|FILE[@HANDLING]")]
     policies: Vec<String>,
     /// Handling of policies: 'default' (newest message held, mean actions) or 'as-published' (buffer cleared every
