@@ -52,7 +52,6 @@ fn policy_check_refuses_what_the_program_cannot_run() {
     refuses(&["policy", "check", &of("\\\"sum\\\"", "\\\"max\\\"")], &["aggregation", "sum"]);
     refuses(&["policy", "check", &of("probe.age", "probe.old")], &["probe.age", "missing"]);
     refuses(&["policy", "check", "orca"], &["orca", "code"]);
-    refuses(&["policy", "check", "shipped", "--scenario", "maze"], &["shipped", "maze"]);
     refuses(&["policy", "check", "robust", "--scenario", "swap"], &["robust", "swap"]);
     refuses(&["policy", "check", "nowhere.safetensors"], &["nowhere.safetensors"]);
     refuses(&["policy", "check", &path("Cargo.toml")], &["Cargo.toml", "safetensors"]);

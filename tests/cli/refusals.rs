@@ -302,7 +302,7 @@ fn flags_of_the_robots_take_effect_and_their_defaults_change_nothing() {
         ("--wall-radius-m", "0.25", "0.49"),
         ("--clamp", "training", "deployed"),
         ("--handling", "hold", "as-published"),
-        ("--safety", "emulated", "deployed"),
+        ("--safety", "deployed", "emulated"),
         ("--placement", "drive", "exact"),
         ("--speed-m-s", "10", "0.2"),
     ];
@@ -311,10 +311,11 @@ fn flags_of_the_robots_take_effect_and_their_defaults_change_nothing() {
         assert_eq!(trace(&[flag, default]), plain, "{flag} {default}");
         assert_ne!(trace(&[flag, other]), plain, "{flag} {other}");
     }
-    // Nearly as wide as the gap, so that contacts occur.
-    let wide = |contacts| trace(&["--wall-radius-m", "0.49", "--contacts", contacts]);
-    assert_eq!(wide("block"), trace(&["--wall-radius-m", "0.49"]));
-    assert_ne!(wide("block"), wide("judge"));
+    // Nearly as wide as the gap and without the filter, so that contacts occur.
+    let wide = ["--safety", "emulated", "--wall-radius-m", "0.49"];
+    let contacts = |contacts| trace(&[&wide[..], &["--contacts", contacts]].concat());
+    assert_eq!(contacts("block"), trace(&wide));
+    assert_ne!(contacts("block"), contacts("judge"));
 }
 
 #[test]
