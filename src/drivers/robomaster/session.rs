@@ -77,11 +77,8 @@ pub struct Session {
 impl Session {
     /// Makes a session without a connection, which opens one at its first wake-up.
     pub fn new(robot: RobotId, config: Config) -> Session {
-        let chassis = Chassis {
-            speed_m_s: limit_below(config.speed_m_s()),
-            yaw_rate_rad_s: limit_below(config.yaw_rate_rad_s),
-            step_m_s: config.speed_step_m_s,
-        };
+        let [speed_m_s, yaw_rate_rad_s] = [config.speed_m_s(), config.yaw_rate_rad_s].map(limit_below);
+        let chassis = Chassis { speed_m_s, yaw_rate_rad_s, step_m_s: config.speed_step_m_s };
         let battery = Battery::new(config.battery_least, config.battery_period_s);
         let motion = Motion::new(config.command_hz);
         Session {
