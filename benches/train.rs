@@ -79,6 +79,8 @@ fn vectorised(bencher: Bencher, conditions: &str) {
     let mut environments = VectorEnvironment::new(Options {
         scenario: scenario::build("passage", &Settings::default()).expect("the default passes its check"),
         gap_m: None,
+        scale: None,
+        hull_m: None,
         repeat: 1,
         hold_s: config.policy.hold_s,
         environments: ENVIRONMENTS,
