@@ -62,6 +62,8 @@ fn environments_take_less_memory_than_was_reckoned_and_not_much_less() {
             let mut options = Options {
                 scenario: scenario::build(name, &Settings::of(robots)).expect("such teams are supported"),
                 gap_m: None,
+                scale: None,
+                hull_m: None,
                 environments: 320,
                 threads: 1,
                 conditions: config.conditions.clone(),
