@@ -13,11 +13,12 @@
 
 use std::sync::Arc;
 
+use crate::chassis::Chassis;
 use crate::config::ConfigError;
 use crate::drivers;
 use crate::edge::Settings;
 use crate::estimation;
-use crate::localization;
+use crate::localization::{self, plausibility};
 use crate::messages::ids::RobotId;
 use crate::net::transport;
 use crate::policy::{self, shipped};
@@ -259,7 +260,12 @@ impl Registry {
     pub fn source(&self, settings: &Settings, robots: &[RobotId]) -> Result<localization::Parts, ConfigError> {
         let entry =
             find(&self.sources, &settings.name).map_err(|e| ConfigError::field("source.name", e.to_string()))?;
-        localization::fusion::make(settings, robots, entry.make).map_err(|error| error.within("source"))
+        let limits = |robot: &RobotId| plausibility::limits(settings, *robot, (&Chassis::default(), None)).map(drop);
+        let parts = robots
+            .iter()
+            .try_for_each(limits)
+            .and_then(|()| localization::fusion::make(&plausibility::without(settings), robots, entry.make));
+        parts.map_err(|error| error.within("source"))
     }
 
     /// Returns the policy called `name`; `None` if the registry has no policy of that name.

@@ -8,6 +8,7 @@ use crate::actor::Core;
 use crate::messages::ids::RobotId;
 use crate::messages::latch::Latch;
 use crate::messages::local::{Action, Progress};
+use crate::messages::place::Whereabouts;
 use crate::messages::round::RoundFollower;
 use crate::messages::wire::{Heartbeat, Mode, MotorCommand, Phase, Stop};
 use crate::safety::guard::{self, Decision, Granted, Guard, SafetyCounts};
@@ -30,6 +31,8 @@ pub enum In {
     Stop(Stop),
     /// Permission to move from the robot's Body on the same host; it depends on battery and temperature.
     Permit(Permit),
+    /// Whether the robot's pose is known to the host that measures it.
+    Located(Whereabouts),
     /// The Controller's host is shutting down; the Controller stops the robot for good.
     Leave,
 }
@@ -197,6 +200,12 @@ impl Core for Controller {
                     self.give_up(out);
                 }
             }
+            In::Located(whereabouts) => {
+                if self.guard.located(whereabouts) {
+                    self.next_heartbeat = now;
+                    self.give_up(out);
+                }
+            }
             In::Leave => {
                 self.leaves = true;
                 self.give_up(out);
@@ -290,6 +299,25 @@ mod tests {
         assert_eq!(commanded(&mut controller, action(0, Phase::Running, 9.0, Progress::Underway)), Some(1.5));
         assert_eq!(commanded(&mut controller, action(1, Phase::Running, 1.0, Progress::Underway)), None);
         assert_eq!(commanded(&mut controller, action(0, Phase::Resetting, 1.0, Progress::Underway)), None);
+    }
+
+    #[test]
+    fn a_robot_whose_pose_is_lost_stands_and_gives_up_its_episode_until_a_reading_arrives() {
+        let mut controller = controller();
+        commanded(&mut controller, mode(0, Phase::Running));
+        assert_eq!(commanded(&mut controller, action(0, Phase::Running, 1.0, Progress::Underway)), Some(1.0));
+        assert_eq!(commanded(&mut controller, In::Located(Whereabouts::Jumped)), Some(0.0), "at once");
+        assert_eq!(
+            (controller.own, controller.next_heartbeat),
+            (Phase::AbortRunning, Time::ZERO),
+            "and is said at once"
+        );
+        commanded(&mut controller, mode(1, Phase::Running));
+        assert_eq!(commanded(&mut controller, action(1, Phase::Running, 1.0, Progress::Underway)), Some(0.0));
+        commanded(&mut controller, mode(2, Phase::Running));
+        commanded(&mut controller, In::Fresh);
+        assert_eq!(commanded(&mut controller, action(2, Phase::Running, 1.0, Progress::Underway)), Some(1.0));
+        assert_eq!(controller.guard.counts().jump, 1);
     }
 
     #[test]

@@ -1,15 +1,19 @@
 //! Localizer: publishes readings of robots from one source, such as a tracker or a GNSS receiver. It runs on the host
 //! of the source.
+//!
+//! What a real robot cannot have driven is no measurement, whatever its source: a screen (`localization::screen`)
+//! judges each reading, and says which robots are lost.
 
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
 use crate::actor::Core;
 use crate::chassis::Chassis;
+use crate::localization::screen::Screen;
 use crate::localization::{self, Source};
 use crate::messages::ids::RobotId;
 use crate::messages::local::Sample;
-use crate::messages::wire::Reading;
+use crate::messages::wire::{Located, Place, Reading};
 use crate::time::Time;
 
 /// Input message of a Localizer, the actor that publishes the readings of one source.
@@ -21,6 +25,17 @@ pub enum In {
     Packet(Box<[u8]>),
     /// Pose and velocity from the own sensors of a robot whose Body runs on this host.
     Odometry(Reading),
+    /// Statement of an operator of where a robot is.
+    Place(Place),
+}
+
+/// Output message of a Localizer, the actor that publishes the readings of one source.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Out {
+    /// Measured pose and velocity of a robot.
+    Reading(Reading),
+    /// Robots whose poses are unknown, or an answer to an operator.
+    Located(Located),
 }
 
 /// Localizer: an actor that publishes the readings (measured poses and velocities) of one source.
@@ -32,22 +47,34 @@ pub struct Localizer {
     /// and by reason. The robot is `None` if an input says of none.
     refused: BTreeMap<(Option<RobotId>, &'static str), u64>,
     outputs: Vec<localization::Out>,
+    /// Judge of the readings of real robots; `None` for simulated ones, which a World may put anywhere.
+    screen: Option<Screen>,
 }
 
 impl Localizer {
     /// Creates a Localizer that has received no measurement yet. The `source` measures the centres of robots. Published
     /// readings are of their commanded points, computed with `chassis`: the chassis of all robots, indexed by robot id.
     pub fn new(source: Box<dyn Source>, chassis: Rc<[Chassis]>) -> Localizer {
-        Localizer { source, chassis, refused: BTreeMap::new(), outputs: Vec::new() }
+        Localizer { source, chassis, refused: BTreeMap::new(), outputs: Vec::new(), screen: None }
     }
 
-    fn forward(&mut self, out: &mut Vec<Reading>) {
+    /// Returns the Localizer with a judge of the readings of its real robots.
+    pub fn screened(mut self, screen: Screen) -> Localizer {
+        screen.introduce(&mut *self.source);
+        Localizer { screen: Some(screen), ..self }
+    }
+
+    fn forward(&mut self, now: Time, out: &mut Vec<Out>) {
         for output in self.outputs.drain(..) {
+            let output = match &mut self.screen {
+                Some(screen) => screen.judge(now, output, |robot| self.source.quality(robot)),
+                None => output,
+            };
             match output {
                 localization::Out::Reading(reading) => match (reading.robot, self.chassis.get(reading.robot.index())) {
-                    (_, None) => out.push(reading),
+                    (_, None) => out.push(Out::Reading(reading)),
                     (robot, Some(chassis)) => match chassis.point(reading) {
-                        Some(reading) => out.push(reading),
+                        Some(reading) => out.push(Out::Reading(reading)),
                         None => refuse(
                             &mut self.refused,
                             Some(robot),
@@ -57,8 +84,10 @@ impl Localizer {
                 },
                 localization::Out::Refused(why) => refuse(&mut self.refused, None, why),
                 localization::Out::RefusedOf(robot, why) => refuse(&mut self.refused, Some(robot), why),
+                localization::Out::Lost(robot, why) => refuse(&mut self.refused, Some(robot), why.reason()),
             }
         }
+        out.extend(self.screen.as_mut().and_then(|screen| screen.report(now)).map(Out::Located));
     }
 }
 
@@ -77,24 +106,34 @@ fn refuse(refused: &mut BTreeMap<(Option<RobotId>, &'static str), u64>, robot: O
 
 impl Core for Localizer {
     type In = In;
-    type Out = Reading;
+    type Out = Out;
 
-    fn handle(&mut self, now: Time, input: In, out: &mut Vec<Reading>) {
+    fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         let input = match &input {
             In::Sample(sample) => localization::In::Sample(sample),
             In::Packet(packet) => localization::In::Packet(packet),
-            In::Odometry(reading) => localization::In::Odometry(reading),
+            In::Odometry(reading) => {
+                self.screen.iter_mut().for_each(|screen| screen.odometry(now, reading));
+                localization::In::Odometry(reading)
+            }
+            In::Place(place) => {
+                let answer = self.screen.as_mut().and_then(|screen| screen.place(now, place, &mut *self.source));
+                return out.extend(answer.map(Out::Located));
+            }
         };
         self.source.take(now, input, &mut self.outputs);
-        self.forward(out);
+        self.forward(now, out);
     }
 
     fn wake_at(&self) -> Option<Time> {
-        self.source.wake_at()
+        let repeats = self.screen.as_ref().and_then(Screen::wake_at);
+        [self.source.wake_at(), repeats].into_iter().flatten().min()
     }
 
-    fn wake(&mut self, now: Time, out: &mut Vec<Reading>) {
-        self.source.wake(now, &mut self.outputs);
-        self.forward(out);
+    fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
+        if self.source.wake_at().is_some_and(|at| at <= now) {
+            self.source.wake(now, &mut self.outputs);
+        }
+        self.forward(now, out);
     }
 }

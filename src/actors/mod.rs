@@ -7,6 +7,7 @@ pub mod body;
 pub mod cache;
 pub mod controller;
 pub mod localizer;
+mod lost;
 mod neighbours;
 pub mod network;
 pub mod order;

@@ -63,6 +63,14 @@ impl Roster {
         latch::latest(latch, self.present(now).map(|beat| beat.latch))
     }
 
+    /// Returns the robots that have not reported the end of the reset of `round`.
+    pub(super) fn late(&self, now: Time, round: Round) -> Vec<RobotId> {
+        let is_late = |(_, beat): &(RobotId, Option<&Heartbeat>)| {
+            beat.is_none_or(|beat| beat.round != round || beat.phase != Phase::FinishedResetting)
+        };
+        self.all(now).filter(is_late).map(|(robot, _)| robot).collect()
+    }
+
     /// Returns why the running episode of `round` has to be aborted: each robot that is missing or gives up. Empty if
     /// it goes on.
     pub(super) fn reasons_to_abort(&self, now: Time, round: Round) -> Vec<(RobotId, AbortCause)> {
@@ -72,6 +80,17 @@ impl Roster {
             Some(_) => None,
         };
         self.all(now).filter_map(of).collect()
+    }
+}
+
+/// Logs a heartbeat whose term or latch number is too far ahead, of which there were so many `times`: the counts 1, 2,
+/// 4, 8, ...
+pub(super) fn log_beyond_reach(beat: &Heartbeat, times: u64) {
+    if times.is_power_of_two() {
+        let (robot, term, number) = (beat.robot, beat.round.term, beat.latch.number());
+        tracing::error!(
+            "{robot} sent term {term} and stop number {number}, which are out of reach: ignored ({times} times)"
+        );
     }
 }
 

@@ -7,13 +7,14 @@
 
 use std::collections::BTreeSet;
 
-use super::roster::Roster;
+use super::lost::Lost;
+use super::roster::{Roster, log_beyond_reach};
 use crate::actor::Core;
 use crate::messages::geometry::Task;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::Latch;
 use crate::messages::wire::{
-    Heartbeat, Hindrance, Leading, MAX_BLOCK, MAX_HINDRANCES, Mode, Phase, Round, Status, Stop,
+    Heartbeat, Hindrance, Leading, Located, MAX_BLOCK, MAX_HINDRANCES, Mode, Phase, Round, Status, Stop,
 };
 use crate::report::episode::{AbortCause, AbortReason};
 use crate::scenario::cost::Ending;
@@ -43,6 +44,8 @@ pub enum In {
     Stop(Stop),
     /// Status report of a host, which says whether the host shuts down or is present.
     Status(Status),
+    /// Robots whose poses are unknown, or known again, from a host that measures them.
+    Located(Located),
     /// The host of the state server is shutting down; the team is told to wait.
     Leave,
 }
@@ -89,6 +92,7 @@ pub struct StateServer {
     latch: Latch,
     /// Hosts that have announced their shutdown and have not reported their presence since.
     left: BTreeSet<HostId>,
+    lost: Lost,
     /// Whether the server's own host is shutting down.
     leaves: bool,
     /// Number of heartbeats whose term or latch number is too far ahead to be accepted.
@@ -116,6 +120,7 @@ impl StateServer {
             started_unheard: false,
             latch: Latch::default(),
             left: BTreeSet::new(),
+            lost: Lost::default(),
             leaves: false,
             beyond_reach: 0,
             round: Round::default(),
@@ -186,18 +191,6 @@ impl StateServer {
         } else {
             self.round.term = latest.term.saturating_add(1);
             self.sent_at = None;
-        }
-    }
-
-    /// Counts a heartbeat with a term or latch number too far ahead, and logs the counts 1, 2, 4, 8, ...
-    fn count_beyond_reach(&mut self, beat: &Heartbeat) {
-        self.beyond_reach += 1;
-        if self.beyond_reach.is_power_of_two() {
-            let (robot, times) = (beat.robot, self.beyond_reach);
-            let (term, number) = (beat.round.term, beat.latch.number());
-            tracing::error!(
-                "{robot} sent term {term} and stop number {number}, which are out of reach: ignored ({times} times)"
-            );
         }
     }
 
@@ -275,10 +268,7 @@ impl StateServer {
     /// Ends a reset that takes too long. Simulated robots are then placed at their next starts. A real robot may be
     /// stuck, so the team is held until a person resumes it.
     fn fail_reset(&mut self, now: Time) {
-        let is_late = |(_, beat): &(RobotId, Option<&Heartbeat>)| {
-            beat.is_none_or(|beat| beat.round != self.round || beat.phase != Phase::FinishedResetting)
-        };
-        let late: Vec<RobotId> = self.roster.all(now).filter(is_late).map(|(robot, _)| robot).collect();
+        let late = self.roster.late(now, self.round);
         let names: Vec<String> = late.iter().map(RobotId::to_string).collect();
         let (number, names) = (self.round.episode + 1, names.join(", "));
         tracing::warn!("the reset before episode {number} has failed: {names} not in place");
@@ -312,6 +302,14 @@ impl StateServer {
         }
         if !self.left.is_empty() && self.phase != Phase::NeedReset {
             return self.wait(now);
+        }
+        if self.lost.any(now) && self.phase != Phase::NeedReset {
+            // The others could drive into a robot of which nobody knows where it is.
+            return match self.phase {
+                Phase::Running => self.give_up(now, &self.lost.causes()),
+                Phase::AbortRunning => self.since = Some(now),
+                _ => self.wait(now),
+            };
         }
         let since = *self.since.get_or_insert(now);
         let lasted = now.since(since);
@@ -381,7 +379,8 @@ impl Core for StateServer {
                 let fresh = self.round.term == 0;
                 let overshoots = self.latch.is_overshot_by(beat.latch) || self.round.is_overshot_by(beat.round);
                 if overshoots && !fresh {
-                    self.count_beyond_reach(&beat);
+                    self.beyond_reach += 1;
+                    log_beyond_reach(&beat, self.beyond_reach);
                 }
                 if self.roster.take(now, beat) {
                     self.latched(latch);
@@ -389,6 +388,7 @@ impl Core for StateServer {
             }
             In::Stop(stop) => self.take_stop(now, &stop, out),
             In::Status(status) => self.take_status(&status),
+            In::Located(located) => self.lost.take(now, &located),
             In::Leave => {
                 self.leaves = true;
                 self.next = now;
@@ -418,6 +418,7 @@ impl Core for StateServer {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::messages::place::Whereabouts;
     use crate::messages::wire;
     use crate::scenario::{Settings, build};
 
@@ -725,6 +726,35 @@ mod tests {
         assert_eq!(tick(&mut server, at_ms(60_050)).1, Phase::Waiting, "until all follow");
         follow(&mut server, at_ms(60_060), Latch::default(), Phase::Waiting);
         assert_eq!(tick(&mut server, at_ms(60_100)), (round(1, 0), Phase::Resetting), "the same episode");
+    }
+
+    fn locate(server: &mut StateServer, ms: u64, whereabouts: Whereabouts) {
+        let located = Located { host: HostId(1), robots: vec![(RobotId(1), whereabouts)], answer: None };
+        server.handle(at_ms(ms), In::Located(located), &mut Vec::new());
+    }
+
+    #[test]
+    fn an_episode_is_aborted_for_a_robot_whose_pose_is_lost_and_no_reset_begins_before_it_is_known_again() {
+        let mut server = running();
+        let round = server.round;
+        locate(&mut server, 1000, Whereabouts::Adrift);
+        assert_eq!(tick(&mut server, at_ms(1000)), (round, Phase::AbortRunning));
+        for ms in (1050..30_000).step_by(50) {
+            locate(&mut server, ms, Whereabouts::Adrift);
+            beat(&mut server, at_ms(ms), round, [Phase::NeedReset; 2]);
+            assert_eq!(tick(&mut server, at_ms(ms)).1, Phase::AbortRunning, "for as long as it takes");
+        }
+        locate(&mut server, 30_000, Whereabouts::Known);
+        beat(&mut server, at_ms(30_000), round, [Phase::NeedReset; 2]);
+        let (next, phase) = tick(&mut server, at_ms(30_000));
+        assert_eq!((next.episode, phase), (round.episode + 1, Phase::Resetting));
+        locate(&mut server, 31_000, Whereabouts::Jumped);
+        assert_eq!(tick(&mut server, at_ms(31_000)), (next, Phase::Waiting), "the others stand, too");
+        for ms in [31_500, 32_050] {
+            beat(&mut server, at_ms(ms), next, [Phase::Waiting; 2]);
+            let expected = if ms == 31_500 { Phase::Waiting } else { Phase::Resetting };
+            assert_eq!(tick(&mut server, at_ms(ms)), (next, expected), "its host has said nothing more for a second");
+        }
     }
 
     #[test]

@@ -33,6 +33,8 @@ pub struct Routes {
     /// an Agent or a Body, and that of the state server.
     agent_hosts: Vec<HostId>,
     mode_hosts: Vec<HostId>,
+    /// Hosts that measure robots, sorted.
+    localizer_hosts: Vec<HostId>,
     stop_hosts: Vec<HostId>,
     publishers: Arc<Publishers>,
     /// For each kind of message: link that carries it.
@@ -122,6 +124,7 @@ impl Routes {
             mode_hosts: (0..deployment.hosts.len()).filter_map(|host| u16::try_from(host).ok()).map(HostId).collect(),
             // All hosts that move robots, and the state server's.
             stop_hosts: hosts(&hosts(&agent_host, &actuator_host), &[server_host]),
+            localizer_hosts: hosts(&localizer_host, &[]),
             publishers: Arc::new(Publishers {
                 names: deployment.hosts.iter().map(|host| host.name.clone()).collect(),
                 agents: agent_host.clone(),
@@ -147,7 +150,8 @@ impl Routes {
             Kind::MotorCommand => hosts = std::slice::from_ref(&self.actuator_host[robot.index()]),
             Kind::Heartbeat | Kind::Status => hosts = std::slice::from_ref(&self.server_host),
             Kind::Mode => hosts = &self.mode_hosts,
-            Kind::Stop | Kind::Observe => hosts = &self.stop_hosts,
+            Kind::Stop | Kind::Observe | Kind::Located => hosts = &self.stop_hosts,
+            Kind::Place => hosts = &self.localizer_hosts,
             Kind::Telemetry => hosts = &[],
             Kind::Latent => {
                 // Robots of one Agent exchange latents within its step, without messages.
@@ -204,7 +208,7 @@ impl Routes {
             Kind::Reading => Some(self.localizer_host(robot)),
             Kind::Latent | Kind::MotorCommand | Kind::Heartbeat => Some(self.agent_host(robot)),
             Kind::Mode => Some(self.server_host),
-            Kind::Stop | Kind::Status | Kind::Observe | Kind::Telemetry => None,
+            Kind::Stop | Kind::Status | Kind::Observe | Kind::Telemetry | Kind::Place | Kind::Located => None,
         }
     }
 
@@ -234,7 +238,7 @@ impl Routes {
             Kind::Reading | Kind::MotorCommand | Kind::Heartbeat | Kind::Status => {
                 RobotId::team(self.robots).flat_map(|robot| receivers(robot).hosts).copied().collect()
             }
-            Kind::Latent | Kind::Mode | Kind::Stop | Kind::Observe | Kind::Telemetry => {
+            Kind::Latent | Kind::Mode | Kind::Stop | Kind::Observe | Kind::Telemetry | Kind::Place | Kind::Located => {
                 let receives = |host: &HostId| RobotId::team(self.robots).any(|robot| receivers(robot).has(*host));
                 receivers(RobotId(0)).hosts.iter().copied().filter(receives).collect::<BTreeSet<HostId>>()
             }
@@ -251,7 +255,9 @@ impl Routes {
             let mut others = receivers.iter().filter(|&taker| taker != host);
             let audience = match (others.next(), others.next()) {
                 // Operators on any machine receive it.
-                _ if matches!(kind, Kind::Status | Kind::Telemetry) => self.links[kind as usize].map(|_| Audience::All),
+                _ if matches!(kind, Kind::Status | Kind::Telemetry | Kind::Located) => {
+                    self.links[kind as usize].map(|_| Audience::All)
+                }
                 (None, _) => None,
                 (Some(only), None) => Some(Audience::Host(only)),
                 _ => Some(Audience::All),

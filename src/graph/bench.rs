@@ -111,9 +111,13 @@ pub fn wire(
     }
     if let Some(device) = &devices.source {
         let (to, report_reading) = (Rc::clone(&bench), Rc::clone(&report));
-        start_source(clock, &bench.source, device, (deployment, estimator), move |reading| {
-            to.reading(&reading);
-            report_reading(Event::Reading(reading));
+        start_source(clock, &bench.source, device, (deployment, host, estimator, None), move |out| match out {
+            localizer::Out::Reading(reading) => {
+                to.reading(&reading);
+                report_reading(Event::Reading(reading));
+            }
+            // The log says which robot is lost, and why.
+            localizer::Out::Located(_) => {}
         });
         let (source, report) = (bench.source.clone(), Rc::clone(&report));
         let take = move |packet| source.send(localizer::In::Packet(packet));

@@ -18,10 +18,11 @@ use crate::deploy::Deployment;
 use crate::drivers::Driver;
 use crate::drivers::simulated::Simulated;
 use crate::estimation;
-use crate::localization::{self, Source};
+use crate::localization::screen::Screen;
+use crate::localization::{self, Source, plausibility};
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, RobotId};
-use crate::messages::wire::{Reading, Wire};
+use crate::messages::wire::Wire;
 use crate::net::transport;
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::{Mailbox, start};
@@ -89,9 +90,17 @@ pub(super) fn wire_sensor(clock: &Clock, plan: &Plan, graph: &Graph, robot: Robo
         Localizer::new(Box::new(localization::simulated::Simulated::new(sensor, stream)), Rc::clone(&chassis))
     };
     let mailbox = &graph.sensors[robot.index()];
-    start(clock, mailbox, info_span!("localizer", robot = robot.0), make, move |reading| {
-        network.send(network::In::Publish(Wire::Reading(reading)));
+    start(clock, mailbox, info_span!("localizer", robot = robot.0), make, move |out| {
+        network.send(network::In::Publish(published(out)));
     });
+}
+
+/// Returns the message in which an output of a Localizer is published.
+fn published(out: localizer::Out) -> Wire {
+    match out {
+        localizer::Out::Reading(reading) => Wire::Reading(reading),
+        localizer::Out::Located(located) => Wire::Located(located),
+    }
 }
 
 /// Starts the Localizer of a process, the actor that runs its source of readings of real robots, and publishes the
@@ -99,28 +108,38 @@ pub(super) fn wire_sensor(clock: &Clock, plan: &Plan, graph: &Graph, robot: Robo
 pub(super) fn wire_source(clock: &Clock, plan: &Plan, graph: &Graph, process: &Process) {
     let (Some(host), Some(device)) = (process.only, &process.devices.source) else { return };
     let network = graph.network_of(host);
-    start_source(clock, &graph.source, device, (&plan.deployment, &plan.estimator), move |reading| {
-        network.send(network::In::Publish(Wire::Reading(reading)));
+    let axis_m_s = Some(plan.run.interface().limit_m_s);
+    start_source(clock, &graph.source, device, (&plan.deployment, host, &plan.estimator, axis_m_s), move |out| {
+        network.send(network::In::Publish(published(out)));
     });
 }
 
-/// Starts the Localizer (actor) that runs the source of readings in `device`, for the team's deployment and the
-/// estimator that uses the readings on this host; `out` receives the readings.
+/// Starts the Localizer (actor) that runs the source of readings in `device` on a host, for the team's deployment and
+/// the estimator that uses the readings; `out` receives its output. `axis_m_s` is the largest speed along each axis
+/// that the policy commands \[m/s\], if it is known.
 pub(super) fn start_source(
     clock: &Clock,
     mailbox: &Mailbox<localizer::In>,
     device: &Device<dyn Source>,
-    (deployment, estimator): (&Deployment, &estimation::Entry),
-    out: impl FnMut(Reading) + 'static,
+    (deployment, host, estimator, axis_m_s): (&Deployment, HostId, &estimation::Entry, Option<f32>),
+    out: impl FnMut(localizer::Out) + 'static,
 ) {
     let (source, chassis) = (Rc::clone(&device.make), deployment.team_chassis());
+    let entry = &deployment.hosts[usize::from(host.0)];
+    let settings = entry.source.as_ref().expect("a checked host that localizes has a source");
+    let limits = |robot: &u16| {
+        let robot = RobotId(*robot);
+        let own = plausibility::limits(settings, robot, (&chassis[robot.index()], axis_m_s));
+        (robot, own.expect("a checked deployment has sound limits"))
+    };
+    let screen = Screen::new(host, entry.localizes.iter().map(limits).collect());
     let positions_suffice = (estimator.make)(&estimation::Settings::default()).finds_velocities();
     let make = move |_| {
         let mut source = source();
         if positions_suffice {
             source.positions_suffice();
         }
-        Localizer::new(source, Rc::clone(&chassis))
+        Localizer::new(source, Rc::clone(&chassis)).screened(screen.clone())
     };
     start(clock, mailbox, info_span!("localizer"), make, out);
 }

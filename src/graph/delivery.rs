@@ -8,7 +8,7 @@ use tracing::info_span;
 use super::process::{Graph, ProcessEvent};
 use crate::actors::state_server::{self, StateServer};
 use crate::actors::status::{self, Status};
-use crate::actors::{agent, body, cache, controller, network, recorder, world};
+use crate::actors::{agent, body, cache, controller, localizer, network, recorder, world};
 use crate::graph::Plan;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::phase::Phase;
@@ -47,12 +47,14 @@ impl Followers {
 }
 
 /// Returns a function that delivers each received message to the actors of a host that use it. `agents` and `bodies`
-/// are the robots whose Agents and Bodies the host runs, `simulated` those that the host's World simulates.
+/// are the robots whose Agents and Bodies the host runs, `simulated` those that the host's World simulates. `measures`
+/// says whether this process runs a source of readings of real robots.
 pub(super) fn deliveries(
     graph: &Graph,
     host: HostId,
     agents: &[RobotId],
     (bodies, simulated): (&[RobotId], &[RobotId]),
+    measures: bool,
 ) -> impl Fn(Wire) + use<> {
     let firsts: BTreeSet<RobotId> = agents.iter().map(|robot| graph.routes.agent_robots(*robot)[0]).collect();
     // One entry per agent: its robots, and their caches.
@@ -60,9 +62,10 @@ pub(super) fn deliveries(
     let caches_of = |robots: &[RobotId]| robots.iter().map(|robot| graph.caches[robot.index()].clone()).collect();
     let caches: Vec<(Vec<RobotId>, Vec<Mailbox<cache::In>>)> =
         firsts.iter().map(team_of).map(|robots| (robots.clone(), caches_of(&robots))).collect();
-    let by_robot = (graph.caches.clone(), graph.bodies.clone(), graph.server.clone());
+    let by_robot = (graph.caches.clone(), graph.bodies.clone(), graph.server.clone(), graph.controllers.clone());
     let leads = graph.routes.server_host() == host;
     let driven: BTreeSet<RobotId> = bodies.iter().copied().collect();
+    let source = measures.then(|| graph.source.clone());
     let real: BTreeSet<RobotId> = driven.iter().copied().filter(|robot| !simulated.contains(robot)).collect();
     // Robots that this host's World simulates.
     let own: BTreeSet<RobotId> = simulated.iter().copied().collect();
@@ -112,6 +115,15 @@ pub(super) fn deliveries(
         Wire::Observe(_) => {
             observed.set(true);
             team.status.send(status::In::Observe);
+        }
+        Wire::Place(m) => source.iter().for_each(|source| source.send(localizer::In::Place(m))),
+        Wire::Located(m) => {
+            for (robot, whereabouts) in m.robots.iter().filter(|(robot, _)| decided.contains(robot)) {
+                by_robot.3[robot.index()].send(controller::In::Located(*whereabouts));
+            }
+            if leads {
+                by_robot.2.send(state_server::In::Located(m));
+            }
         }
         // Telemetry is for observers, which are outside the deployment.
         Wire::Telemetry(_) => {}

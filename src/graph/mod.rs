@@ -328,7 +328,8 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
     let here = |robots: &[u16]| robots.iter().copied().map(RobotId).collect::<BTreeSet<_>>().into_iter().collect();
     let (agents, simulated): (Vec<RobotId>, Vec<RobotId>) = (here(&entry.agents.concat()), here(&entry.simulates));
     let bodies: Vec<RobotId> = here(&[&entry.simulates[..], &entry.actuates].concat());
-    let deliver = deliveries(graph, host, &agents, (&bodies, &simulated));
+    let measures = process.devices.source.is_some();
+    let deliver = deliveries(graph, host, &agents, (&bodies, &simulated), measures);
     wire_status(clock, graph, host, status::Config { host, controllers: agents, bodies });
     wire_network(clock, plan, graph, host, process, deliver);
     if !simulated.is_empty() {

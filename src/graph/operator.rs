@@ -2,7 +2,7 @@
 //! give orders (`order`) or only receive. Every operator process has an id of its own, so several can act at once.
 //! Contains no output for people.
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use super::sockets::Shared;
 use crate::actors::network::{self, Identity};
 use crate::actors::order::Order;
 use crate::messages::ids::{HostId, LinkId};
-use crate::messages::wire::{Kind, Observe, Status, Wire};
+use crate::messages::wire::{Kind, Observe, Place, Placed, Status, Wire};
 use crate::net::protocol::key::Key;
 use crate::net::protocol::reliability::Setup;
 use crate::net::protocol::router::{Audience, Publishers, Route, Router};
@@ -56,11 +56,15 @@ pub fn wire(
     let router = Router::new(robots, |kind, _| match kind {
         // A wiggle ends when another host stops the team.
         Kind::Stop => Route { local: true, leaves: stop.map(|link| (link, Audience::All)) },
-        Kind::Observe => Route { local: false, leaves: stop.map(|link| (link, Audience::All)) },
+        Kind::Observe | Kind::Place => Route { local: false, leaves: stop.map(|link| (link, Audience::All)) },
         // The live page shows latents and readings if this link carries them.
-        Kind::Heartbeat | Kind::Mode | Kind::Status | Kind::Telemetry | Kind::Latent | Kind::Reading => {
-            Route { local: true, leaves: None }
-        }
+        Kind::Heartbeat
+        | Kind::Mode
+        | Kind::Status
+        | Kind::Telemetry
+        | Kind::Located
+        | Kind::Latent
+        | Kind::Reading => Route { local: true, leaves: None },
         _ => Route::default(),
     });
     let router = router.with_publishers(publishers);
@@ -85,6 +89,32 @@ pub fn observe(clock: &Clock, network: &Mailbox<network::In>, by: HostId) {
     network.send(network::In::Publish(Wire::Observe(Observe { by })));
     let (again, network) = (clock.clone(), network.clone());
     clock.call(clock.now() + OBSERVE_PERIOD, Box::new(move || observe(&again, &network, by)));
+}
+
+/// Period at which an operator repeats where a robot stands until the robot's host has answered.
+const PLACE_PERIOD: Span = Span::from_millis(50);
+
+/// Starts an operator that says where a robot stands, and puts the answer of the robot's host into `answer`. The
+/// statement is repeated until the process ends.
+pub fn place(
+    (clock, readers): (&Clock, &mut Readers),
+    operator: Operator,
+    place: Place,
+    answer: &Rc<Cell<Option<Placed>>>,
+) {
+    let heard = Rc::clone(answer);
+    let network = wire((clock, readers), operator, move |event| {
+        let ProcessEvent::Message(Wire::Located(located)) = event else { return };
+        let own = located.answer.filter(|answer| (answer.by, answer.number) == (place.by, place.number));
+        heard.set(own.or(heard.get()));
+    });
+    repeat_place(clock, &network, place);
+}
+
+fn repeat_place(clock: &Clock, network: &Mailbox<network::In>, place: Place) {
+    network.send(network::In::Publish(Wire::Place(place)));
+    let (again, network) = (clock.clone(), network.clone());
+    clock.call(clock.now() + PLACE_PERIOD, Box::new(move || repeat_place(&again, &network, place)));
 }
 
 /// Starts an operator that carries out the order `order`, such as an emergency stop. The caller can read the progress

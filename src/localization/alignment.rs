@@ -1,7 +1,8 @@
 //! Alignment of a source's frame of reference with the team's frame: yaw and origin, from the team file.
 
 use crate::config::ConfigError;
-use crate::messages::geometry::{MAX_SIZE, rotated, wrapped};
+use crate::messages::geometry::{MAX_SIZE, Vec2, rotated, wrapped};
+use crate::messages::wire::Reading;
 
 /// Largest rotation that a setting may have \[rad\]: a full turn, with room for rounding.
 const YAW_MOST_RAD: f64 = 7.0;
@@ -24,6 +25,25 @@ impl Alignment {
         within("yaw_rad", yaw_rad, YAW_MOST_RAD, "rad")?;
         origin_m.iter().try_for_each(|&m| within("origin_m", m, f64::from(MAX_SIZE), "m"))?;
         Ok(Alignment { yaw_rad, origin_m })
+    }
+
+    /// Makes the alignment of a frame that is rotated by `yaw_rad` \[rad\] and in which the point `from` \[m\] is the
+    /// point `to` \[m\] of the team's frame. `None` if the frame's origin is out of range.
+    pub fn between(from: [f64; 2], to: [f64; 2], yaw_rad: f64) -> Option<Alignment> {
+        let (x, y) = rotated(yaw_rad, from[0], from[1]);
+        Alignment::new(wrapped(yaw_rad), [to[0] - x, to[1] - y]).ok()
+    }
+
+    /// Converts a reading to the team's frame.
+    pub fn reading(&self, measured: &Reading) -> Reading {
+        let (position, velocity) = (measured.pose.position, measured.twist.velocity);
+        let [x, y] = self.position(f64::from(position.x), f64::from(position.y));
+        let (vx, vy) = self.turned(f64::from(velocity.x), f64::from(velocity.y));
+        let mut reading = measured.clone();
+        reading.pose.position = Vec2::new(x as f32, y as f32);
+        reading.pose.heading = measured.pose.heading.map(|heading| self.heading(f64::from(heading)) as f32);
+        reading.twist.velocity = Vec2::new(vx as f32, vy as f32);
+        reading
     }
 
     /// Converts a position \[m\] to the team's frame.

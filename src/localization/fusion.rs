@@ -6,16 +6,22 @@
 //! measured (extended Kalman filter, as in Thrun et al., Probabilistic Robotics, 2005, section 3.3 and 7.4). So the
 //! drift of odometry is bounded, and headings are found from positions. A fused pose is put out at each odometry
 //! reading.
+//!
+//! Increments of the odometry that the robot cannot have driven are no motion. If it begins anew, nothing is put out
+//! until the source has agreed with the estimate for a while, or a person has said where the robot is.
 
 use std::collections::{BTreeMap, VecDeque};
 
 use serde::Deserialize;
 
-use super::{In, Out, Parts, Source};
+use super::fused_state::State;
+use super::plausibility::{Fix, Judgement, Limits, Quality, Track};
+use super::{In, Out, Parts, Source, odometry};
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::messages::geometry::{Pose, Vec2, rotated, wrapped};
 use crate::messages::ids::RobotId;
+use crate::messages::place::Whereabouts;
 use crate::messages::wire::Reading;
 use crate::time::{Span, Time};
 
@@ -31,12 +37,16 @@ const POSITION_M: (f64, f64) = (0.02, 0.001);
 /// Squared Mahalanobis distance of a measured position from the estimated one beyond which the reading is an outlier.
 /// Of a normal distribution in two dimensions, one in 270 000 is beyond it.
 const GATE: f64 = 25.0;
-/// Number of consecutive outliers (readings far from the estimate) at which they are accepted, since the robot was
-/// carried or the filter has diverged.
-const OUTLIERS: u32 = 10;
-/// Largest difference in position and in heading between two consecutive odometry readings \[m, rad\]. Beyond it, the
-/// odometry is assumed to have restarted.
-const JUMP: (f64, f64) = (1.0, 1.5);
+/// Time for which odometry has to agree with itself after a jump before it counts as restarted.
+const RESTART: Span = Span::from_millis(100);
+/// Speed \[m/s\] and yaw rate \[rad/s\] that a robot may have had beyond those that its odometry last measured, while
+/// that has restarted.
+const UNSEEN: (f64, f64) = (0.3, 0.5);
+/// Standard deviations that are assumed for a pose that a person has said \[m, rad\].
+const BY_EYE: (f64, f64) = (0.1, 0.1);
+/// Largest standard deviation of the heading with which a robot may go on after its odometry has restarted \[rad\]: 20
+/// degrees.
+const KNOWN_RAD: f64 = 0.35;
 /// Number of past poses that are stored for late readings: those of two seconds at 50 Hz.
 const KEPT: usize = 100;
 
@@ -149,11 +159,12 @@ impl Fused {
                 Out::Reading(reading) => match self.filters.get_mut(&reading.robot) {
                     Some(filter) => {
                         let refused = |why| Out::RefusedOf(reading.robot, why);
-                        out.extend(filter.correct(now, &reading).err().map(refused));
+                        let quality = self.inner.quality(reading.robot);
+                        out.extend(filter.correct(now, &reading, quality).err().map(refused));
                     }
                     None => out.push(Out::Reading(reading)),
                 },
-                refused @ (Out::Refused(_) | Out::RefusedOf(..)) => out.push(refused),
+                other @ (Out::Refused(_) | Out::RefusedOf(..) | Out::Lost(..)) => out.push(other),
             }
         }
     }
@@ -167,7 +178,8 @@ impl Source for Fused {
             let refused = |why| Out::RefusedOf(odometry.robot, why);
             match filter.advance(now, odometry) {
                 Ok(reading) => out.extend(reading.map(|one| one.unfit().map_or(Out::Reading(one), refused))),
-                Err(why) => out.push(refused(why)),
+                Err(Refusal::Input(why)) => out.push(refused(why)),
+                Err(Refusal::Restarted) => out.push(Out::Lost(odometry.robot, Whereabouts::Adrift)),
             }
             return;
         }
@@ -187,61 +199,148 @@ impl Source for Fused {
         self.inner.wake(now, &mut self.said);
         self.absorb(now, out);
     }
+
+    fn quality(&self, robot: RobotId) -> Quality {
+        // Of a fused pose the filter states how well it is known.
+        if self.filters.contains_key(&robot) { Quality::MEASURED } else { self.inner.quality(robot) }
+    }
+
+    fn limit(&mut self, robot: RobotId, limits: &Limits) {
+        self.filters.get_mut(&robot).into_iter().for_each(|filter| filter.limits = *limits);
+        self.inner.limit(robot, limits);
+    }
+
+    fn place(&mut self, now: Time, robot: RobotId, pose: &Pose) -> bool {
+        match self.filters.get_mut(&robot) {
+            Some(filter) => filter.place(now, pose),
+            None => self.inner.place(now, robot, pose),
+        }
+    }
 }
 
-/// State of the Kalman filter: estimated pose (x, y, heading) \[m, m, rad\] in the team's frame, and its covariance.
-#[derive(Clone, Copy, Debug)]
-struct State {
-    pose: [f64; 3],
-    covariance: [[f64; 3]; 3],
+/// Reason for which odometry gives no fused pose.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Refusal {
+    /// The odometry is unfit or has jumped.
+    Input(&'static str),
+    /// The odometry has begun anew, so the robot may have moved without being seen.
+    Restarted,
+}
+
+/// How a filter comes to know the robot's pose again after its odometry has restarted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Recovery {
+    /// The pose is known.
+    Over,
+    /// No reading of the source has agreed with the estimate since the restart.
+    Begun,
+    /// Readings of the source have agreed with the estimate since this time.
+    Agreed(Time),
 }
 
 /// Kalman filter that estimates the pose of one robot from its odometry and the readings of a source.
 #[derive(Debug)]
 struct Filter {
     config: Config,
-    /// Last odometry reading: its stamp \[ns\] and pose \[m, m, rad\]; `None` before the first.
-    last: Option<(u64, [f64; 3])>,
+    /// Limits of the robot's motion.
+    limits: Limits,
+    /// Odometry readings, by which those out of reach are refused.
+    track: Track,
+    /// Last accepted odometry reading: its arrival, stamp \[ns\] and pose \[m, m, rad\]; `None` before the first.
+    last: Option<(Time, u64, [f64; 3])>,
+    /// Speed and yaw rate of the last accepted odometry \[m/s, rad/s\].
+    speed: (f64, f64),
     state: Option<State>,
     /// Past estimated poses \[m, m, rad\] with their times, the newest last.
     past: VecDeque<(Time, [f64; 3])>,
     /// Time of arrival of the last reading of the source that corrected the pose.
     corrected: Time,
-    /// Number of consecutive outliers: readings of the source that are far from the estimate.
-    outliers: u32,
+    /// Readings of the source that are far from the estimate and agree with each other: arrival of the first, and the
+    /// newest; `None` if the last one was near.
+    elsewhere: Option<(Time, Fix)>,
+    recovery: Recovery,
 }
 
 impl Filter {
     fn new(config: Config) -> Filter {
-        Filter { config, last: None, state: None, past: VecDeque::new(), corrected: Time::ZERO, outliers: 0 }
+        Filter {
+            config,
+            limits: Limits::default(),
+            track: Track::default(),
+            last: None,
+            speed: (0.0, 0.0),
+            state: None,
+            past: VecDeque::new(),
+            corrected: Time::ZERO,
+            elsewhere: None,
+            recovery: Recovery::Over,
+        }
+    }
+
+    /// Takes over where a person has said that the robot stands. Without a heading the old one is kept; false if there
+    /// is none.
+    fn place(&mut self, now: Time, pose: &Pose) -> bool {
+        let heading = pose.heading.map(f64::from).or(self.state.map(|state| state.pose[2]));
+        let Some(heading) = heading else { return false };
+        let pose = [f64::from(pose.position.x), f64::from(pose.position.y), heading];
+        self.state = Some(State::at(pose, BY_EYE.0, BY_EYE.1));
+        (self.corrected, self.elsewhere, self.recovery) = (now, None, Recovery::Over);
+        self.past.clear();
+        true
+    }
+
+    /// Begins the estimate's motion anew at an odometry reading that does not continue the last one: the robot may have
+    /// moved meanwhile.
+    fn restart(&mut self, now: Time, since: Time) {
+        let unseen_s = now.since(since).as_secs().min(1.0);
+        let (way, turn) = ((self.speed.0 + UNSEEN.0) * unseen_s, (self.speed.1 + UNSEEN.1) * unseen_s);
+        self.state.iter_mut().for_each(|state| state.doubt([way, way, turn]));
+        (self.recovery, self.elsewhere) = (Recovery::Begun, None);
+        self.past.clear();
     }
 
     /// Moves the estimated pose by the motion since the last odometry reading, and returns the new estimate as a
-    /// reading. Returns `None` before the first reading of the source, if its last one is older than `alone_s`, and if
-    /// the odometry is repeated or has restarted. An error is the reason for which the odometry is refused.
-    fn advance(&mut self, now: Time, odometry: &Reading) -> Result<Option<Reading>, &'static str> {
+    /// reading. Returns `None` before the first reading of the source, if its last one is older than `alone_s`, if the
+    /// odometry is repeated, and after its restart until the pose is known again. An error is the reason for which the
+    /// odometry is refused.
+    fn advance(&mut self, now: Time, odometry: &Reading) -> Result<Option<Reading>, Refusal> {
         let Pose { position, heading: Some(heading) } = odometry.pose else {
-            return Err("odometry without a heading cannot be fused");
+            return Err(Refusal::Input("odometry without a heading cannot be fused"));
         };
         let pose = [f64::from(position.x), f64::from(position.y), f64::from(heading)];
         if !pose.iter().all(|number| number.is_finite()) {
-            return Err("odometry has a number that is not finite");
+            return Err(Refusal::Input("odometry has a number that is not finite"));
         }
-        let Some((stamp_ns, before)) = self.last.replace((odometry.stamp_ns, pose)) else { return Ok(None) };
-        if stamp_ns == odometry.stamp_ns {
+        let last = self.last;
+        if last.is_some_and(|(_, stamp_ns, _)| stamp_ns == odometry.stamp_ns) {
             return Ok(None);
         }
+        // The increments count, whatever frame they are in: a restart is over once the new poses agree.
+        let quality = Quality { reckoned: true, ..odometry::quality(&odometry.pose) };
+        match self.track.reckon(Fix::of(now, odometry, quality), &self.limits, RESTART) {
+            Judgement::Accepted => {}
+            Judgement::Refused => return Err(Refusal::Input("odometry has jumped further than its robot can drive")),
+            Judgement::Settled => {
+                self.last = Some((now, odometry.stamp_ns, pose));
+                let Some((since, ..)) = last.filter(|_| self.state.is_some()) else { return Ok(None) };
+                self.restart(now, since);
+                return Err(Refusal::Restarted);
+            }
+        }
+        self.last = Some((now, odometry.stamp_ns, pose));
+        let rate = f64::from(odometry.twist.yaw_rate.unwrap_or(0.0)).abs();
+        self.speed = (f64::from(odometry.twist.velocity.norm()), rate);
+        let Some((_, _, before)) = last else { return Ok(None) };
         let (ahead, left) = rotated(-before[2], pose[0] - before[0], pose[1] - before[1]);
         let turn = wrapped(pose[2] - before[2]);
-        let anew = odometry.stamp_ns < stamp_ns || libm::hypot(ahead, left) > JUMP.0 || turn.abs() > JUMP.1;
-        let Some(state) = self.state.as_mut().filter(|_| !anew) else { return Ok(None) };
+        let Some(state) = &mut self.state else { return Ok(None) };
         state.advance([ahead, left, turn], self.config.drift);
         let state = *state;
         self.past.push_back((now, state.pose));
         if self.past.len() > KEPT {
             self.past.pop_front();
         }
-        if now.since(self.corrected) > Span::from_secs(self.config.alone_s) {
+        if self.recovery != Recovery::Over || now.since(self.corrected) > Span::from_secs(self.config.alone_s) {
             return Ok(None);
         }
         let velocity = odometry.twist.velocity;
@@ -257,8 +356,8 @@ impl Filter {
     }
 
     /// Corrects the estimated pose by a reading of the source; the first reading sets it. An error is the reason for
-    /// which the reading is refused, such as an outlier.
-    fn correct(&mut self, now: Time, reading: &Reading) -> Result<(), &'static str> {
+    /// which the reading is refused, such as an outlier. `quality` is what may be assumed of the reading.
+    fn correct(&mut self, now: Time, reading: &Reading, quality: Quality) -> Result<(), &'static str> {
         let measured = [f64::from(reading.pose.position.x), f64::from(reading.pose.position.y)];
         let heading = reading.pose.heading.map(f64::from);
         let deviation = &reading.deviation;
@@ -270,11 +369,7 @@ impl Filter {
                 (None, Some(heading)) => (heading, BY_HAND_RAD),
                 (None, None) => return Err("the source measures no heading: say it by hand, as fuse.heading_rad"),
             };
-            let mut covariance = [[0.0; 3]; 3];
-            for (at, deviation) in [position_m, position_m, deviation].into_iter().enumerate() {
-                covariance[at][at] = deviation * deviation;
-            }
-            self.state = Some(State { pose: [measured[0], measured[1], first], covariance });
+            self.state = Some(State::at([measured[0], measured[1], first], position_m, deviation));
             self.corrected = now;
             return Ok(());
         };
@@ -285,16 +380,20 @@ impl Filter {
         let error = [measured[0] - then[0], measured[1] - then[1]];
         let variance = position_m * position_m;
         if state.distance(error, variance) > GATE {
-            self.outliers += 1;
-            if self.outliers < OUTLIERS {
+            let fix = Fix::of(now, reading, quality);
+            let known = self.elsewhere.filter(|(_, newest)| newest.agrees_with(&fix, &self.limits));
+            let since = known.map_or(now, |(since, _)| since);
+            self.elsewhere = Some((since, fix));
+            if now.since(since) < self.limits.settle || quality.reckoned {
+                let agreed = matches!(self.recovery, Recovery::Agreed(_));
+                self.recovery = if agreed { Recovery::Begun } else { self.recovery };
                 return Err("a reading is far from where odometry can have brought the robot");
             }
-            // The position is unknown, and so is whether the heading is right.
-            for (at, error) in [error[0], error[1], BY_HAND_RAD].into_iter().enumerate() {
-                state.covariance[at][at] += error * error;
-            }
+            // The robot was carried, or the filter has diverged: its heading may be wrong, too. The pose that is put
+            // out jumps, so the robot is stopped until that has settled, too.
+            state.doubt([error[0], error[1], BY_HAND_RAD]);
         }
-        self.outliers = 0;
+        self.elsewhere = None;
         let before = state.pose;
         state.correct_position(error, variance);
         if let Some(heading) = heading {
@@ -305,66 +404,14 @@ impl Filter {
             (0..3).for_each(|at| pose[at] += moved[at]);
         }
         self.corrected = now;
+        self.recovery = match self.recovery {
+            Recovery::Over => Recovery::Over,
+            Recovery::Begun => Recovery::Agreed(now),
+            Recovery::Agreed(since) if now.since(since) < self.limits.settle => Recovery::Agreed(since),
+            Recovery::Agreed(_) if state.covariance[2][2] <= KNOWN_RAD * KNOWN_RAD => Recovery::Over,
+            agreed => agreed,
+        };
         Ok(())
-    }
-}
-
-impl State {
-    /// Moves the pose by a motion in the robot's own frame (ahead, left, turn) \[m, m, rad\], and increases the
-    /// covariance by the error `drift` of the odometry.
-    fn advance(&mut self, [ahead, left, turn]: [f64; 3], drift: f64) {
-        let [x, y, heading] = self.pose;
-        // At half the turn, as on an arc.
-        let (dx, dy) = rotated(heading + turn / 2.0, ahead, left);
-        self.pose = [x + dx, y + dy, heading + turn];
-        // Jacobian of the motion: the identity, but for the position by the heading.
-        let by_heading = [-dy, dx, 0.0];
-        let p = self.covariance;
-        let mut moved = p;
-        for row in 0..3 {
-            for column in 0..3 {
-                moved[row][column] = p[row][column]
-                    + by_heading[row] * p[2][column]
-                    + p[row][2] * by_heading[column]
-                    + by_heading[row] * p[2][2] * by_heading[column];
-            }
-        }
-        // A turn of 1 rad counts as 0.2 m of a wheel's way, about half the distance between two wheels.
-        let noise = drift * drift * (libm::hypot(ahead, left) + 0.2 * turn.abs());
-        (0..3).for_each(|at| moved[at][at] += noise);
-        self.covariance = moved;
-    }
-
-    /// Returns the inverse covariance of the difference between a measured and the estimated position. `variance` is
-    /// that of the measurement \[m²\].
-    fn information(&self, variance: f64) -> [[f64; 2]; 2] {
-        let [[xx, xy, _], [_, yy, _], _] = self.covariance;
-        let (xx, yy) = (xx + variance, yy + variance);
-        let determinant = xx * yy - xy * xy;
-        [[yy / determinant, -xy / determinant], [-xy / determinant, xx / determinant]]
-    }
-
-    /// Returns the squared Mahalanobis distance of `error`, the difference \[m\] between a measured and the estimated
-    /// position. `variance` is that of the measurement \[m²\].
-    fn distance(&self, error: [f64; 2], variance: f64) -> f64 {
-        let s = self.information(variance);
-        (0..2).map(|row| (0..2).map(|column| error[row] * s[row][column] * error[column]).sum::<f64>()).sum()
-    }
-
-    fn correct_position(&mut self, error: [f64; 2], variance: f64) {
-        let (s, p) = (self.information(variance), self.covariance);
-        let gain: [[f64; 2]; 3] =
-            std::array::from_fn(|row| std::array::from_fn(|at| p[row][0] * s[0][at] + p[row][1] * s[1][at]));
-        self.pose = std::array::from_fn(|at| self.pose[at] + gain[at][0] * error[0] + gain[at][1] * error[1]);
-        let less = |row: usize, column: usize| gain[row][0] * p[0][column] + gain[row][1] * p[1][column];
-        self.covariance = std::array::from_fn(|row| std::array::from_fn(|at| p[row][at] - less(row, at)));
-    }
-
-    fn correct_heading(&mut self, error: f64, variance: f64) {
-        let p = self.covariance;
-        let gain: [f64; 3] = std::array::from_fn(|row| p[row][2] / (p[2][2] + variance));
-        self.pose = std::array::from_fn(|at| self.pose[at] + gain[at] * error);
-        self.covariance = std::array::from_fn(|row| std::array::from_fn(|at| p[row][at] - gain[row] * p[2][at]));
     }
 }
 
@@ -428,7 +475,7 @@ mod tests {
                 let mut fix = reading(ms, [then[0] + noise(), then[1] + noise()], None);
                 fix.deviation.position_m = Some(0.02);
                 // Outliers are refused.
-                let _ = filter.correct(now, &fix);
+                let _ = filter.correct(now, &fix, Quality::MEASURED);
             }
         }
         (alone, worst, worst_rad)
@@ -459,11 +506,13 @@ mod tests {
         };
         assert_eq!(advance(&mut filter, 0), None);
         assert_eq!(advance(&mut filter, 20), None, "its position is unknown");
-        filter.correct(Time::ZERO + Span::from_millis(30), &reading(30, [5.0, 5.0], None)).unwrap();
+        filter.correct(Time::ZERO + Span::from_millis(30), &reading(30, [5.0, 5.0], None), Quality::MEASURED).unwrap();
         let said = advance(&mut filter, 40).unwrap();
         assert!((said.pose.position - Vec2::new(5.02, 5.0)).norm() < 1e-5, "{said:?}");
         assert!(advance(&mut filter, 1030).is_some() && advance(&mut filter, 1040).is_none());
-        filter.correct(Time::ZERO + Span::from_millis(1050), &reading(1050, [6.02, 5.0], None)).unwrap();
+        filter
+            .correct(Time::ZERO + Span::from_millis(1050), &reading(1050, [6.02, 5.0], None), Quality::MEASURED)
+            .unwrap();
         assert!(advance(&mut filter, 1060).is_some());
     }
 
@@ -473,15 +522,70 @@ mod tests {
         let mut step = |ms: u64, x: f64| {
             let now = Time::ZERO + Span::from_millis(ms);
             filter.advance(now, &reading(ms, [0.0, 0.0], Some(0.0))).unwrap();
-            let refused = filter.correct(now, &reading(ms, [x, 0.0], None)).is_err();
+            let refused = filter.correct(now, &reading(ms, [x, 0.0], None), Quality::MEASURED).is_err();
             (refused, filter.state.map(|state| state.pose[0]))
         };
         assert_eq!(step(0, 1.0), (false, Some(1.0)));
         assert_eq!(step(100, 3.0), (true, Some(1.0)), "no robot is that fast");
         assert!(!step(200, 1.01).0);
         let refused = (3..30).filter(|at| step(100 * at, 3.0).0).count();
-        assert_eq!(refused, 9);
+        assert_eq!(refused, 10, "it has to stay there for a second");
         assert!((step(3000, 3.0).1.unwrap() - 3.0).abs() < 0.1, "it was carried");
+    }
+
+    #[test]
+    fn readings_that_flicker_are_never_believed_however_many_they_are() {
+        let mut filter = Filter::new(config());
+        for at in 0..200 {
+            let now = Time::ZERO + Span::from_millis(50 * at);
+            filter.advance(now, &reading(50 * at, [0.0, 0.0], Some(0.0))).unwrap();
+            let x = if at % 2 == 0 { 20.0 } else { 40.0 };
+            let fix = reading(50 * at, [if at == 0 { 1.0 } else { x }, 0.0], None);
+            assert_eq!(filter.correct(now, &fix, Quality::MEASURED).is_err(), at > 0, "{at}");
+        }
+        assert_eq!(filter.state.unwrap().pose[0], 1.0);
+    }
+
+    #[test]
+    fn odometry_that_begins_anew_is_no_motion_and_gives_no_pose_before_the_source_has_agreed() {
+        for reset in [0.3, 0.08, 5.0] {
+            let mut filter = Filter::new(config());
+            filter.limits.speed_m_s = 2.0;
+            let (mut restarted, mut lost, mut back) = (0, None, None);
+            for at in 0..300 {
+                let (ms, now) = (20 * at, Time::ZERO + Span::from_millis(20 * at));
+                // The robot stands at 7 m; its odometry says where it came from, then counts from zero again.
+                let wheels = if at < 100 { reset } else { 0.0 };
+                match filter.advance(now, &reading(ms, [wheels, 0.0], Some(0.0))) {
+                    Err(Refusal::Restarted) => (restarted, lost) = (restarted + 1, lost.or(Some(at))),
+                    Ok(Some(said)) => {
+                        assert!((said.pose.position.x - 7.0).abs() < 0.05, "{reset}: {said:?}");
+                        back = back.or(Some(at).filter(|_| lost.is_some()));
+                    }
+                    Ok(None) | Err(Refusal::Input(_)) => {}
+                }
+                if at % 5 == 0 {
+                    filter.correct(now, &reading(ms, [7.0, 0.0], None), Quality::MEASURED).unwrap();
+                }
+            }
+            assert_eq!((restarted, lost), (1, Some(105)), "{reset}");
+            assert!((155..=165).contains(&back.unwrap()), "{reset}: a second of the source: {back:?}");
+        }
+    }
+
+    #[test]
+    fn a_person_says_where_a_robot_with_restarted_odometry_is() {
+        let mut filter = Filter::new(Config { alone_s: 10.0, ..config() });
+        let advance = |filter: &mut Filter, at: u64, x: f64| {
+            filter.advance(Time::ZERO + Span::from_millis(20 * at), &reading(20 * at, [x, 0.0], Some(0.0)))
+        };
+        filter.correct(Time::ZERO, &reading(0, [7.0, 0.0], Some(0.0)), Quality::MEASURED).unwrap();
+        (0..10).for_each(|at| assert!(advance(&mut filter, at, 3.0).is_ok()));
+        (10..100).for_each(|at| assert!(!matches!(advance(&mut filter, at, 0.0), Ok(Some(_))), "{at}"));
+        let pose = Pose { position: Vec2::new(9.0, 1.0), heading: Some(1.5) };
+        assert!(filter.place(Time::ZERO + Span::from_millis(2000), &pose));
+        let said = advance(&mut filter, 101, 0.0).unwrap().unwrap();
+        assert!((said.pose.position - pose.position).norm() < 1e-5 && said.pose.heading == Some(1.5), "{said:?}");
     }
 
     #[test]

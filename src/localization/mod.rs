@@ -5,20 +5,26 @@
 
 mod alignment;
 pub mod check;
+mod fused_state;
 pub mod fusion;
 pub mod gpsd;
 pub mod natnet;
 pub mod odometry;
+pub mod plausibility;
 pub mod program;
 pub mod ros2;
+pub mod screen;
 pub mod simulated;
 
 use crate::config::ConfigError;
 use crate::edge::{Settings, Worker};
+use crate::messages::geometry::Pose;
 use crate::messages::ids::RobotId;
 use crate::messages::local::Sample;
+use crate::messages::place::Whereabouts;
 use crate::messages::wire::Reading;
 use crate::time::Time;
+use plausibility::{Limits, Quality};
 
 /// Input of a source of readings, which localizes robots.
 #[derive(Clone, Debug)]
@@ -40,6 +46,9 @@ pub enum Out {
     Refused(&'static str),
     /// Notice that what an input says of one robot could not be used, with the reason. What it says of others counts.
     RefusedOf(RobotId, &'static str),
+    /// Notice that the source does not know any more where a robot is, and why. Its next reading of the robot says that
+    /// it knows again.
+    Lost(RobotId, Whereabouts),
 }
 
 /// Source of readings of robots: converts packets from sensors, or true states of simulated robots, to poses and
@@ -60,6 +69,22 @@ pub trait Source {
     /// Tells the source that nothing uses its velocities and headings, because they are found from its positions: by
     /// fusion with odometry, or by an estimator. So the source may put out positions that it cannot add them to.
     fn positions_suffice(&mut self) {}
+
+    /// Returns what the plausibility check of poses may assume of the newest reading of `_robot`. The default is for
+    /// absolute poses.
+    fn quality(&self, _robot: RobotId) -> Quality {
+        Quality::MEASURED
+    }
+
+    /// Tells the source the limits of a robot's motion, once before its first input; for sources that judge poses
+    /// themselves.
+    fn limit(&mut self, _robot: RobotId, _limits: &Limits) {}
+
+    /// Takes over that `_robot` stands at `_pose` of the team's frame, as a person has said. Returns false if the
+    /// source has no state that this could change, such as one that measures absolute poses.
+    fn place(&mut self, _now: Time, _robot: RobotId, _pose: &Pose) -> bool {
+        false
+    }
 }
 
 /// Parts of a source of readings: a constructor of its logic, and the worker that does its I/O.

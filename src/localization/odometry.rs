@@ -9,12 +9,12 @@ use std::collections::BTreeMap;
 use serde::Deserialize;
 
 use super::alignment::Alignment;
+use super::plausibility::Quality;
 use super::{In, Out, Parts, Source};
 use crate::config::ConfigError;
 use crate::edge::{Port, Settings, Worker};
-use crate::messages::geometry::Vec2;
+use crate::messages::geometry::Pose;
 use crate::messages::ids::RobotId;
-use crate::messages::wire::Reading;
 use crate::time::Time;
 
 /// Description of the source `odometry` in one line, for lists of all sources.
@@ -33,16 +33,13 @@ struct Config {
     yaw_rad: f64,
 }
 
-/// Converts a reading from the frame of a robot's odometry to the team's frame.
-fn aligned(frame: &Alignment, odometry: &Reading) -> Reading {
-    let (position, velocity) = (odometry.pose.position, odometry.twist.velocity);
-    let [x, y] = frame.position(f64::from(position.x), f64::from(position.y));
-    let (vx, vy) = frame.turned(f64::from(velocity.x), f64::from(velocity.y));
-    let mut reading = odometry.clone();
-    reading.pose.position = Vec2::new(x as f32, y as f32);
-    reading.pose.heading = odometry.pose.heading.map(|heading| frame.heading(f64::from(heading)) as f32);
-    reading.twist.velocity = Vec2::new(vx as f32, vy as f32);
-    reading
+/// Distance \[m\] and angle \[rad\] from the origin of its frame within which odometry may just have begun anew.
+const ORIGIN: (f32, f32) = (0.005, 0.005);
+
+/// Returns what may be assumed of odometry that states this pose in its own frame.
+pub(super) fn quality(pose: &Pose) -> Quality {
+    let turned = pose.heading.is_some_and(|heading| heading.abs() > ORIGIN.1);
+    Quality { at_origin: pose.position.norm() <= ORIGIN.0 && !turned, ..Quality::RECKONED }
 }
 
 /// Logic of the source `odometry`: converts odometry that drivers report to readings in the team's frame.
@@ -50,6 +47,8 @@ struct Odometry {
     robots: BTreeMap<RobotId, Alignment>,
     /// Stamp of the last odometry of each robot \[ns\], by which a repeated measurement is recognised.
     stamps: BTreeMap<RobotId, u64>,
+    /// What may be assumed of the newest odometry of each robot.
+    qualities: BTreeMap<RobotId, Quality>,
 }
 
 /// Makes the source of readings that uses the robots' own odometry. The error names the wrong setting.
@@ -59,11 +58,21 @@ pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigErro
         let config: Config = settings.for_robot(*robot)?.read()?;
         team.insert(*robot, Alignment::new(config.yaw_rad, config.origin_m)?);
     }
-    let source = move || Box::new(Odometry { robots: team.clone(), stamps: BTreeMap::new() }) as Box<dyn Source>;
+    let source = move || Box::new(Odometry::new(team.clone())) as Box<dyn Source>;
     Ok(Parts { source: Box::new(source), worker: Box::new(Idle) })
 }
 
+impl Odometry {
+    fn new(robots: BTreeMap<RobotId, Alignment>) -> Odometry {
+        Odometry { robots, stamps: BTreeMap::new(), qualities: BTreeMap::new() }
+    }
+}
+
 impl Source for Odometry {
+    fn quality(&self, robot: RobotId) -> Quality {
+        self.qualities.get(&robot).copied().unwrap_or(Quality::RECKONED)
+    }
+
     fn take(&mut self, _: Time, input: In, out: &mut Vec<Out>) {
         let odometry = match input {
             In::Odometry(odometry) => odometry,
@@ -78,7 +87,8 @@ impl Source for Odometry {
         if self.stamps.insert(odometry.robot, odometry.stamp_ns) == Some(odometry.stamp_ns) {
             return;
         }
-        let reading = aligned(alignment, odometry);
+        self.qualities.insert(odometry.robot, quality(&odometry.pose));
+        let reading = alignment.reading(odometry);
         let robot = reading.robot;
         out.push(reading.unfit().map_or(Out::Reading(reading), |why| Out::RefusedOf(robot, why)));
     }
@@ -98,7 +108,8 @@ mod tests {
     use std::f32::consts::FRAC_PI_2;
 
     use super::*;
-    use crate::messages::geometry::Motion;
+    use crate::messages::geometry::{Motion, Vec2};
+    use crate::messages::wire::Reading;
 
     fn odometry(robot: u16, stamp_ns: u64, x: f32) -> Reading {
         let motion = Motion { position: Vec2::new(x, 0.0), velocity: Vec2::new(0.5, 0.0) };

@@ -7,9 +7,11 @@ use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::edge::sender_clock::{Novelty, SenderClock};
 use crate::localization::alignment::Alignment;
-use crate::localization::{In, Out, Parts, Source};
-use crate::messages::geometry::wrapped;
+use crate::localization::plausibility::{Fix, Limits, Quality};
+use crate::localization::{In, Out, Parts, Source, odometry};
+use crate::messages::geometry::{Pose, Vec2, wrapped};
 use crate::messages::ids::RobotId;
+use crate::messages::wire::Reading;
 use crate::time::Time;
 use serde::Deserialize;
 
@@ -87,9 +89,9 @@ pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigErro
     let frame = Alignment::new(config.yaw_rad, config.origin_m)?;
     let topics = plan.readers.iter().map(|reader| reader.topic.clone());
     let robots: Vec<(RobotId, String)> = robots.iter().copied().zip(topics).collect();
-    let spare = config.spare;
+    let (spare, reckons) = (config.spare, config.kind == Kind::Odometry);
     Ok(Parts {
-        source: Box::new(move || Box::new(Poses::new(frame, &robots))),
+        source: Box::new(move || Box::new(Poses { reckons, ..Poses::new(frame, &robots) })),
         worker: Box::new(Supervisor { plan, spare, program: None }),
     })
 }
@@ -131,6 +133,8 @@ struct Poses {
     frame: Alignment,
     /// Robots in the order of the plan's readers.
     tracks: Vec<Track>,
+    /// Whether the poses are dead reckoning: `nav_msgs/Odometry` is in a frame that drifts (REP-105).
+    reckons: bool,
 }
 
 /// State of the source `ros2` for one robot: stamps of its messages, its last pose, and what was wrong with its topic.
@@ -145,6 +149,11 @@ struct Track {
     /// Stamp \[ns\] and pose of the last message from which a velocity can be computed, in the world frame; `None`
     /// before the first.
     last: Option<(u64, PoseSample)>,
+    /// The last message as a pose with its arrival; `None` before the first.
+    fix: Option<Fix>,
+    limits: Limits,
+    /// What may be assumed of the newest message.
+    quality: Quality,
 }
 
 impl Poses {
@@ -157,8 +166,11 @@ impl Poses {
             problems: 0,
             problem: None,
             last: None,
+            fix: None,
+            limits: Limits::default(),
+            quality: Quality::MEASURED,
         };
-        Poses { frame, tracks: robots.iter().map(track).collect() }
+        Poses { frame, tracks: robots.iter().map(track).collect(), reckons: false }
     }
 
     /// Converts a pose from the messages' frame to the world frame.
@@ -169,15 +181,15 @@ impl Poses {
     }
 
     fn pose(&mut self, now: Time, topic: usize, pose: PoseSample, out: &mut Vec<Out>) {
-        let pose = self.aligned(pose);
+        let (pose, quality) = (self.aligned(pose), self.quality_of(&pose));
         let Some(track) = self.tracks.get_mut(topic) else {
             return out.push(Out::Refused("its robot is not of this source"));
         };
         let stamp_ns = if pose.stamp_ns == 0 { now.as_nanos() } else { pose.stamp_ns };
         // A pose that is none is no beginning of a velocity either.
-        if reading::reading(track.robot, stamp_ns, &pose, Velocity::default()).is_none() {
+        let Some(still) = reading::reading(track.robot, stamp_ns, &pose, Velocity::default()) else {
             return out.push(Out::RefusedOf(track.robot, "a pose has a number out of range"));
-        }
+        };
         let stamp_ns = match track.clock.take(now, stamp_ns) {
             Novelty::Old => return,
             Novelty::Anew(stamp_ns) => {
@@ -186,7 +198,11 @@ impl Poses {
             }
             Novelty::New(stamp_ns) => stamp_ns,
         };
-        let last = track.last;
+        track.quality = quality;
+        let fix = Fix::of(now, &Reading { stamp_ns, ..still }, quality);
+        // Between two poses that are no motion there is no velocity, either.
+        let before = track.fix.replace(fix).filter(|before| before.reaches(&fix, &track.limits));
+        let last = track.last.filter(|_| before.is_some());
         let Some(velocity) = reading::velocity(&pose).or_else(|| difference(last?, (stamp_ns, &pose))) else {
             // A pose too soon after the stored one gives no velocity: the stored one is kept for the next message.
             if last.is_none_or(|(before, _)| seconds(before, stamp_ns) >= SHORTEST_S) {
@@ -199,6 +215,15 @@ impl Poses {
             Some(reading) => Out::Reading(reading),
             None => Out::RefusedOf(track.robot, "a velocity is out of range"),
         });
+    }
+
+    /// Returns what may be assumed of a message, from its pose in its own frame.
+    fn quality_of(&self, pose: &PoseSample) -> Quality {
+        let Some(yaw) = pose.yaw.filter(|_| self.reckons) else {
+            return if self.reckons { Quality::RECKONED } else { Quality::MEASURED };
+        };
+        let position = Vec2::new(pose.x as f32, pose.y as f32);
+        odometry::quality(&Pose { position, heading: Some(yaw as f32) })
     }
 
     fn topic(&mut self, state: &TopicState) {
@@ -243,6 +268,16 @@ impl Source for Poses {
             Ok(FromNode::Beat(_)) => {}
             Err(error) => out.push(Out::Refused(error.reason())),
         }
+    }
+
+    fn quality(&self, robot: RobotId) -> Quality {
+        let own = self.tracks.iter().find(|track| track.robot == robot);
+        own.map_or(Quality::MEASURED, |track| track.quality)
+    }
+
+    fn limit(&mut self, robot: RobotId, limits: &Limits) {
+        let own = self.tracks.iter_mut().find(|track| track.robot == robot);
+        own.into_iter().for_each(|track| track.limits = *limits);
     }
 }
 
@@ -299,9 +334,9 @@ mod tests {
     fn a_heading_that_passes_pi_gives_no_turn_of_its_own() {
         let mut source = Poses::new(Alignment::default(), &of(&[0]));
         take(&mut source, 0, 0, PoseSample { yaw: Some(3.0), ..at(10, 0.0) });
-        let out = take(&mut source, 10, 0, PoseSample { yaw: Some(-3.0), ..at(20, 0.0) });
+        let out = take(&mut source, 20, 0, PoseSample { yaw: Some(-3.0), ..at(30, 0.0) });
         let rate = reading(&out).twist.yaw_rate.unwrap();
-        assert!((rate - 28.318_53).abs() < 1e-3, "{rate}");
+        assert!((rate - 14.159_265).abs() < 1e-3, "{rate}");
     }
 
     #[test]

@@ -100,7 +100,7 @@ mod tests {
     fn readings(out: Vec<Out>) -> Vec<Reading> {
         let reading = |said| match said {
             Out::Reading(reading) => reading,
-            Out::Refused(why) | Out::RefusedOf(_, why) => panic!("{why}"),
+            other => panic!("{other:?}"),
         };
         out.into_iter().map(reading).collect()
     }

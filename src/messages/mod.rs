@@ -1,8 +1,8 @@
 //! All messages of the system: plain data, encoded with serde. Messages check only that their values are in range.
 //!
 //! `wire` holds messages that may cross hosts and therefore always pass through a Network. `local` holds messages
-//! between the actors of one host. `ids`, `geometry`, `floats`, `hardware`, `latch`, `phase`, `round`, `status` and
-//! `telemetry` are their parts. `nalgebra` converts points and poses to that crate's types and back.
+//! between the actors of one host. `ids`, `geometry`, `floats`, `hardware`, `latch`, `phase`, `place`, `round`,
+//! `status` and `telemetry` are their parts. `nalgebra` converts points and poses to that crate's types and back.
 
 mod floats;
 pub mod geometry;
@@ -13,6 +13,7 @@ pub mod local;
 #[cfg(feature = "nalgebra")]
 mod nalgebra;
 pub mod phase;
+pub mod place;
 pub mod round;
 pub mod status;
 pub mod telemetry;

@@ -35,11 +35,14 @@ pub enum Trigger {
     /// The command would violate the minimum distance to a wall. The guard removes the component of the velocity
     /// toward it.
     Walls,
+    /// The robot's measured pose has jumped further than it can drive, so that nobody knows where it is. The guard
+    /// stops the robot until its pose is known again and aborts a running episode.
+    Jump,
 }
 
 impl Trigger {
     /// All triggers, in the order of their numbers.
-    pub const ALL: [Trigger; 10] = [
+    pub const ALL: [Trigger; 11] = [
         Trigger::Stop,
         Trigger::Silence,
         Trigger::Output,
@@ -50,6 +53,7 @@ impl Trigger {
         Trigger::Fence,
         Trigger::Distance,
         Trigger::Walls,
+        Trigger::Jump,
     ];
 
     /// Returns the short name of the trigger for reports and pages, such as `late ticks`.
@@ -65,6 +69,7 @@ impl Trigger {
             Trigger::Fence => "geofence",
             Trigger::Distance => "minimum distance",
             Trigger::Walls => "walls",
+            Trigger::Jump => "pose has jumped",
         }
     }
 }
@@ -90,6 +95,6 @@ mod tests {
     #[test]
     fn a_number_means_the_trigger_that_was_converted_to_it() {
         assert!(Trigger::ALL.into_iter().all(|trigger| Trigger::try_from(u8::from(trigger)) == Ok(trigger)));
-        assert!(Trigger::try_from(10).is_err());
+        assert!(Trigger::try_from(11).is_err());
     }
 }

@@ -14,6 +14,7 @@ pub use super::hardware::{Celsius, Hardware, Health, Reason};
 use super::ids::{HostId, RobotId};
 use super::latch::Latch;
 pub use super::phase::Phase;
+pub use super::place::{Located, Place, Placed, Whereabouts};
 use super::round::MAX_TERM;
 pub use super::round::Round;
 pub use super::status::{Following, Hindrance, Leading, MAX_HINDRANCES, Status};
@@ -205,6 +206,11 @@ pub enum Wire {
     Observe(Observe),
     /// Conditions of a host's robots, from the host to observers.
     Telemetry(Telemetry),
+    /// Statement of where a robot is, from an operator to the Localizer that measures the robot.
+    Place(Place),
+    /// Robots whose poses are unknown, from the Localizer that measures them to Controllers, the state server and
+    /// operators.
+    Located(Located),
 }
 
 /// Kind of a wire message. The routing table of a deployment names messages by their kind.
@@ -231,18 +237,22 @@ pub enum Kind {
     /// Condition of a host's robots for observers: a message [`Telemetry`]. It travels on the link of the emergency
     /// stop.
     Telemetry,
+    /// Statement of an operator of where a robot is: a message [`Place`]. It travels on the link of the emergency stop.
+    Place,
+    /// Robots whose poses are unknown: a message [`Located`]. It travels on the link of the emergency stop.
+    Located,
 }
 
 impl Kind {
     /// Whether messages of this kind always travel on the link that carries the emergency stop, so that a deployment
-    /// does not list them. True for `Status`, `Observe` and `Telemetry`.
+    /// does not list them. True for `Status`, `Observe`, `Telemetry`, `Place` and `Located`.
     pub fn follows_the_stop(self) -> bool {
-        matches!(self, Kind::Status | Kind::Observe | Kind::Telemetry)
+        matches!(self, Kind::Status | Kind::Observe | Kind::Telemetry | Kind::Place | Kind::Located)
     }
 }
 
 /// All kinds of wire messages, in the order of their numbers on the wire.
-pub const KINDS: [Kind; 9] = [
+pub const KINDS: [Kind; 11] = [
     Kind::Reading,
     Kind::Latent,
     Kind::MotorCommand,
@@ -252,6 +262,8 @@ pub const KINDS: [Kind; 9] = [
     Kind::Status,
     Kind::Observe,
     Kind::Telemetry,
+    Kind::Place,
+    Kind::Located,
 ];
 
 /// Reason for which a wire message is invalid and may not be sent.
@@ -294,11 +306,14 @@ impl Wire {
             Wire::Status(_) => Kind::Status,
             Wire::Observe(_) => Kind::Observe,
             Wire::Telemetry(_) => Kind::Telemetry,
+            Wire::Place(_) => Kind::Place,
+            Wire::Located(_) => Kind::Located,
         }
     }
 
-    /// Returns the robot that sends the message, is measured in it or is commanded by it. For `Mode`, `Status` and
-    /// `Telemetry` it is the first robot of the message's list; for `Stop`, `Observe` and an empty list, robot 0.
+    /// Returns the robot that sends the message, is measured in it or is commanded by it. For `Mode`, `Status`,
+    /// `Telemetry` and `Located` it is the first robot of the message's list; for `Stop`, `Observe` and an empty list,
+    /// robot 0.
     pub fn robot(&self) -> RobotId {
         match self {
             Wire::Reading(m) => m.robot,
@@ -309,6 +324,8 @@ impl Wire {
             Wire::Stop(_) | Wire::Observe(_) => RobotId(0),
             Wire::Telemetry(m) => m.robots.first().map_or(RobotId(0), |condition| condition.robot),
             Wire::Status(m) => m.robots.first().map_or(RobotId(0), |following| following.robot),
+            Wire::Place(m) => m.robot,
+            Wire::Located(m) => m.robots.first().map_or(RobotId(0), |(robot, _)| *robot),
         }
     }
 
@@ -320,6 +337,8 @@ impl Wire {
             Wire::Latent(m) => m.motion.is_sound() && all_sound(&m.features.0),
             Wire::MotorCommand(m) => is_sound(m.velocity),
             Wire::Telemetry(m) => m.robots.iter().filter_map(|robot| robot.seen).all(|seen| seen.pose.is_sound()),
+            Wire::Place(m) => m.pose.is_sound(),
+            Wire::Located(m) => m.answer.and_then(|answer| answer.measured).is_none_or(|pose| pose.is_sound()),
             Wire::Heartbeat(_) | Wire::Stop(_) | Wire::Status(_) | Wire::Observe(_) => true,
             Wire::Mode(m) => m.tasks.iter().all(|task| is_sound(task.start) && is_sound(task.goal)),
         };
@@ -341,6 +360,7 @@ impl Wire {
             Wire::Mode(m) if m.tasks.is_empty() || m.tasks.len() > MAX_BLOCK => Err(Unfit::Length),
             Wire::Mode(m) if usize::from(m.first.0) + m.tasks.len() > 1 + usize::from(u16::MAX) => Err(Unfit::Block),
             Wire::Status(m) if m.robots.len() > MAX_BLOCK => Err(Unfit::Length),
+            Wire::Located(m) if m.robots.len() > MAX_BLOCK => Err(Unfit::Length),
             Wire::Telemetry(m) if m.robots.len() > MAX_CONDITIONS => Err(Unfit::Length),
             Wire::Telemetry(m) if m.robots.iter().filter(|robot| robot.reason.is_some()).count() > 1 => {
                 Err(Unfit::Length)

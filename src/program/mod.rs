@@ -29,6 +29,7 @@ mod output;
 mod paths;
 #[cfg(feature = "sim")]
 mod picture;
+mod place;
 mod policy;
 #[cfg(feature = "sim")]
 mod progress;
@@ -138,6 +139,8 @@ enum Command {
     Watch(watch::team::Args),
     /// Lets a team go on that was stopped and re-armed: the next episode begins.
     Resume(stop::ResumeArgs),
+    /// Says where a robot stands whose pose has jumped, or whose odometry has begun anew.
+    Place(place::Args),
     /// Makes the key that a team's messages are authenticated with.
     #[command(subcommand)]
     Key(key::Args),
@@ -344,6 +347,7 @@ fn run(command: Command, registry: &Registry) -> anyhow::Result<Ended> {
         #[cfg(feature = "watch")]
         Command::Watch(args) => watch::team::run(&args, registry),
         Command::Resume(args) => stop::resume(&args, registry),
+        Command::Place(args) => place::run(&args, registry),
         Command::Key(args) => key::run(&args),
         Command::Config(args) => config::run(&args, registry),
         #[cfg(feature = "completions")]

@@ -35,6 +35,8 @@ pub enum AbortCause {
     ServerRestarted,
     /// The episode has exceeded its time limit.
     TimeLimit,
+    /// The robot's measured pose has jumped further than it can drive, so that nobody knows where it is.
+    PoseJumped,
 }
 
 /// Reason why an episode was aborted, with the robot that was the cause.
@@ -73,6 +75,7 @@ impl fmt::Display for AbortReason {
             AbortCause::Stopped => f.write_str("emergency stop")?,
             AbortCause::ServerRestarted => f.write_str("the state server was restarted")?,
             AbortCause::TimeLimit => f.write_str("out of time")?,
+            AbortCause::PoseJumped => write!(f, "the pose of {who} has jumped")?,
         }
         match self.others {
             0 => Ok(()),

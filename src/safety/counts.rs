@@ -31,6 +31,9 @@ pub struct SafetyCounts {
     pub distance: u64,
     /// Number of times that the minimum distance to walls, or the edge of the ground, began to limit commands.
     pub walls: u64,
+    /// Number of times that a robot's measured pose jumped further than it can drive, which stops the robot until its
+    /// pose is known again.
+    pub jump: u64,
 }
 
 impl SafetyCounts {
@@ -47,6 +50,7 @@ impl SafetyCounts {
             Trigger::Fence => self.fence,
             Trigger::Distance => self.distance,
             Trigger::Walls => self.walls,
+            Trigger::Jump => self.jump,
         }
     }
 
@@ -63,6 +67,7 @@ impl SafetyCounts {
             Trigger::Fence => &mut self.fence,
             Trigger::Distance => &mut self.distance,
             Trigger::Walls => &mut self.walls,
+            Trigger::Jump => &mut self.jump,
         }
     }
 
@@ -97,6 +102,7 @@ impl Sum for SafetyCounts {
             fence: sum.fence + one.fence,
             distance: sum.distance + one.distance,
             walls: sum.walls + one.walls,
+            jump: sum.jump + one.jump,
         })
     }
 }

@@ -16,6 +16,7 @@ use crate::messages::geometry::{Motion, Vec2, is_finite};
 use crate::messages::ids::RobotId;
 use crate::messages::latch::{Latch, LatchFollower};
 use crate::messages::local::Action;
+use crate::messages::place::Whereabouts;
 pub use crate::messages::trigger::Trigger;
 use crate::messages::wire::Stop;
 use crate::scenario::KeepOut;
@@ -32,9 +33,12 @@ impl Trigger {
     /// Returns the decision while this trigger acts.
     fn decision(self) -> Decision {
         match self {
-            Trigger::Stop | Trigger::Silence | Trigger::Output | Trigger::Hardware | Trigger::Outside => {
-                Decision::Abort
-            }
+            Trigger::Stop
+            | Trigger::Silence
+            | Trigger::Output
+            | Trigger::Hardware
+            | Trigger::Outside
+            | Trigger::Jump => Decision::Abort,
             Trigger::LateTick | Trigger::OwnState | Trigger::Fence | Trigger::Distance | Trigger::Walls => {
                 Decision::Stop
             }
@@ -97,6 +101,8 @@ pub struct Guard {
     invalid_output: bool,
     /// True while battery or temperature is beyond its limit.
     unfit: bool,
+    /// Whether the robot's pose is known to the host that measures it.
+    whereabouts: Whereabouts,
     filter: Filter,
     /// By neighbour, in the order of ids: time of its last update, the age of its state at that time, and its state.
     neighbours: Vec<(RobotId, Time, Span, Motion)>,
@@ -123,6 +129,7 @@ impl Guard {
             driving: None,
             invalid_output: false,
             unfit: false,
+            whereabouts: Whereabouts::Known,
             neighbours: Vec::with_capacity(MOST_NEIGHBOURS),
             acting: Vec::with_capacity(Trigger::ALL.len()),
             counts: SafetyCounts::default(),
@@ -195,15 +202,29 @@ impl Guard {
         self.set(Trigger::Hardware, self.unfit);
     }
 
+    /// Applies what the host that measures the robot says of its pose: the guard stops the robot while that is lost.
+    /// Returns true if it was known until now and the robot has to stop.
+    pub fn located(&mut self, whereabouts: Whereabouts) -> bool {
+        let before = std::mem::replace(&mut self.whereabouts, whereabouts);
+        if whereabouts.is_lost() && before != whereabouts {
+            let (reason, remedy) = (whereabouts.reason(), whereabouts.remedy());
+            tracing::error!("the robot stops: {reason}; {remedy}");
+        }
+        self.set(Trigger::Jump, whereabouts.is_lost());
+        whereabouts.is_lost() && !before.is_lost()
+    }
+
     /// Returns the approved velocity zero, which is always granted, for the Controller to stop the robot.
     pub fn stop(&mut self) -> Granted {
         self.driving = None;
         Granted(Vec2::zeros())
     }
 
-    /// Records that a new reading of the robot's own state has arrived at time `now`.
+    /// Records that a new reading of the robot's own state has arrived at time `now`. None arrives of a robot whose
+    /// pose is lost, so the pose is known again.
     pub fn own_state(&mut self, now: Time) {
         (self.own, self.now) = (Some(now), now);
+        self.located(Whereabouts::Known);
     }
 
     /// Decides at time `now` on an action of the policy, which must belong to the current phase of the episode. The
@@ -237,6 +258,7 @@ impl Guard {
             (Trigger::Silence, self.server.is_none()),
             (Trigger::Output, self.invalid_output),
             (Trigger::Hardware, self.unfit),
+            (Trigger::Jump, self.whereabouts.is_lost()),
             (Trigger::LateTick, safety.late_tick == Switch::On && late),
             (Trigger::OwnState, safety.own_state == Switch::On && old),
             (Trigger::Outside, safety.geofence == Switch::On && beyond),
@@ -343,6 +365,8 @@ fn log(trigger: Trigger, often: &str) {
         Trigger::Output => tracing::error!("the policy's output is not finite; the robot stops for the episode{often}"),
         Trigger::LateTick => tracing::warn!("a control tick is late; the robot stops until one is in time{often}"),
         Trigger::OwnState => tracing::warn!("the robot's own state is too old; it stops{often}"),
+        // Reported where it is learnt, with its reason.
+        Trigger::Jump => {}
         // The Body says which, and what to do.
         Trigger::Hardware => tracing::info!("battery or temperature is beyond its limit; the robot stops{often}"),
         Trigger::Outside => tracing::error!("the robot is far outside its ground; it stops: carry it back{often}"),

@@ -2,6 +2,7 @@
 
 use crate::messages::geometry::Vec2;
 use crate::messages::latch::Latch;
+use crate::messages::place::Whereabouts;
 use crate::messages::trigger::Trigger;
 use crate::messages::wire::Phase;
 use crate::safety::guard::SafetyCounts;
@@ -48,6 +49,8 @@ pub struct RobotView {
     pub oldest_link: Option<(Time, Span)>,
     /// Counts of its guard's actions.
     pub safety: SafetyCounts,
+    /// Whether the host that measures the robot knows its pose.
+    pub whereabouts: Whereabouts,
     /// Last action of the robot's guard, and its time if it is known.
     pub guard: Option<(Trigger, Option<Time>)>,
     /// Whether counts of the robot's guard, or a telemetry report of it, were received.
@@ -71,6 +74,17 @@ impl RobotView {
         let latents = self.latent.zip(running).map(|(last, since)| now.since(last.max(since)));
         let agent = self.agent.map(|at| now.since(at));
         latents.max(agent).or(self.heard.map(|at| now.since(at)))
+    }
+
+    /// Takes over whether the robot's pose is known. Returns what to log after the robot's name; `None` if nothing is
+    /// new.
+    pub fn locate(&mut self, whereabouts: Whereabouts) -> Option<String> {
+        let before = std::mem::replace(&mut self.whereabouts, whereabouts);
+        let said = match whereabouts.is_lost() {
+            true => format!(" stands: {}; {}", whereabouts.reason(), whereabouts.remedy()),
+            false => ": its pose is known again".to_owned(),
+        };
+        (before != whereabouts).then_some(said)
     }
 
     /// Returns the last action of the robot's guard with its age \[s\], as far as it still tells something.

@@ -13,7 +13,7 @@ use crate::messages::latch::{self, Latch};
 use crate::messages::local::Truth;
 use crate::messages::telemetry::GuardReport;
 use crate::messages::trigger::Trigger;
-use crate::messages::wire::{Mode, Phase, Wire};
+use crate::messages::wire::{Located, Mode, Phase, Wire};
 use crate::report::episode::Episode;
 use crate::report::statistics::wilson_95;
 use crate::safety::guard::SafetyCounts;
@@ -131,7 +131,8 @@ impl TeamView {
                     }
                 }
             }
-            Wire::Latent(_) | Wire::MotorCommand(_) | Wire::Stop(_) | Wire::Observe(_) => {}
+            Wire::Located(m) => self.located(now, m),
+            Wire::Latent(_) | Wire::MotorCommand(_) | Wire::Stop(_) | Wire::Observe(_) | Wire::Place(_) => {}
         }
     }
 
@@ -249,6 +250,14 @@ impl TeamView {
         (robot.acted, robot.guarded, robot.guard) = (report.acted, true, guard);
         robot.safety.late_tick = report.late_ticks.into();
         news.into_iter().for_each(|trigger| self.note_trigger(now, id, trigger));
+    }
+
+    /// Updates which robots' poses are unknown, and logs each change with its reason.
+    fn located(&mut self, now: Time, located: &Located) {
+        for &(id, whereabouts) in &located.robots {
+            let said = self.robots.get_mut(id.index()).and_then(|robot| robot.locate(whereabouts));
+            said.into_iter().for_each(|said| self.note(now, &format!("{id}{said}")));
+        }
     }
 
     /// Sets the battery charge \[%\] of a robot.

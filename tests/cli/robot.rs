@@ -7,7 +7,7 @@ use crate::program::{refuses, run, text};
 use tempfile::TempDir;
 
 /// Commands of every build.
-const ALWAYS: [&str; 7] = ["policy", "host", "doctor", "stop", "resume", "key", "config"];
+const ALWAYS: [&str; 8] = ["policy", "host", "doctor", "stop", "resume", "place", "key", "config"];
 /// Commands that depend on a feature, and whether this build has it.
 const WITH: [(&str, bool); 11] = [
     ("sim", cfg!(feature = "sim")),

@@ -42,7 +42,7 @@ fn next(gate: &mut Gate, source: &mut dyn Source) -> Reading {
         match out.pop() {
             None => {}
             Some(Out::Reading(reading)) => return reading,
-            Some(Out::Refused(why) | Out::RefusedOf(_, why)) => panic!("{why}"),
+            Some(other) => panic!("{other:?}"),
         }
     }
     panic!("no reading");

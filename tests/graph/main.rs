@@ -19,6 +19,7 @@ mod judged;
 mod natnet;
 #[cfg(feature = "rigid")]
 mod physics;
+mod poses;
 mod radio;
 mod reference;
 mod robomaster;

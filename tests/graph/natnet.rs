@@ -2,26 +2,32 @@
 //! bodies, and the worker against the fake on the loopback interface.
 
 #[path = "../peers/natnet.rs"]
-mod fake;
+pub mod fake;
 
 use std::collections::BTreeMap;
 use std::net::Ipv4Addr;
 use std::os::fd::AsFd;
+use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use fake::{Body, Scene, Setup, Tally, Version};
+use murmurate::actor::Core;
+use murmurate::actors::localizer::{self, Localizer};
 use murmurate::edge::{self, Settings};
 use murmurate::localization::natnet;
 use murmurate::localization::natnet::frame::Layout;
+use murmurate::localization::plausibility::Limits;
+use murmurate::localization::screen::Screen;
 use murmurate::localization::{In, Out, Source};
 use murmurate::messages::geometry::Vec2;
-use murmurate::messages::ids::RobotId;
+use murmurate::messages::ids::{HostId, RobotId};
+use murmurate::messages::place::Whereabouts;
 use murmurate::messages::wire::{Reading, Wire};
 use murmurate::random::{RngExt, Seed, Stream};
-use murmurate::time::Time;
+use murmurate::time::{Span, Time};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
 /// All bitstreams that are decoded. 4.2 to 4.4 are known from here alone.
@@ -59,6 +65,7 @@ fn readings(out: &[Out]) -> Vec<&Reading> {
 fn refused(out: &[Out]) -> Vec<&'static str> {
     let why = |said: &Out| match said {
         Out::Refused(why) | Out::RefusedOf(_, why) => Some(*why),
+        Out::Lost(..) => None,
         Out::Reading(_) => None,
     };
     out.iter().filter_map(why).collect()
@@ -186,6 +193,7 @@ fn fuzz(seed: u64, rounds: u64, limit: Duration) -> (u64, BTreeMap<&'static str,
         for out in take(&mut *source, &datagram) {
             let why = match out {
                 Out::Refused(why) | Out::RefusedOf(_, why) => why,
+                Out::Lost(..) => panic!("{out:?}"),
                 Out::Reading(reading) => {
                     assert_eq!(Wire::Reading(reading.clone()).check(), Ok(()), "{reading:?}");
                     "reading"
@@ -312,24 +320,40 @@ fn a_tracker_that_is_started_again_is_read_again() {
 
 #[test]
 fn exchanged_ids_are_refused_and_the_right_ones_accepted_again() {
-    let mut source = source("rate_hz = 1000.0", 2);
-    feed(&mut *source, [4, 1], (0..10).map(scene));
+    let (robots, mut out) = ([RobotId(0), RobotId(1)].map(|robot| (robot, Limits::default())), Vec::new());
+    let screen = Screen::new(HostId(0), robots.into_iter().collect());
+    let mut localizer = Localizer::new(source("rate_hz = 1000.0", 2), Rc::from([])).screened(screen);
+    let model = fake::model([4, 1], &scene(0).bodies, 3);
+    localizer.handle(Time::ZERO, localizer::In::Packet(model.into()), &mut out);
+    let mut take = |frame: i32, scene: &Scene| {
+        let now = Time::ZERO + Span::from_millis(10 * frame as u64);
+        localizer.handle(now, localizer::In::Packet(fake::frame([4, 1], scene).into()), &mut out);
+        let readings = out.iter().filter(|said| matches!(said, localizer::Out::Reading(_))).count();
+        let located = out.drain(..).filter_map(|said| match said {
+            localizer::Out::Located(located) => Some(located.robots),
+            localizer::Out::Reading(_) => None,
+        });
+        (readings, located.flatten().collect::<Vec<_>>())
+    };
+    let mut lost = Vec::new();
+    (0..10).for_each(|frame| drop(take(frame, &scene(frame))));
     let swapped = |frame| {
         let mut scene = scene(frame);
         (scene.bodies[0].id, scene.bodies[1].id) = (8, 7);
         scene
     };
     for frame in 10..500 {
-        let out = take(&mut *source, &fake::frame([4, 1], &swapped(frame)));
-        assert!(readings(&out).is_empty() && refused(&out).len() == 2, "{frame}: {out:?}");
-        assert!(refused(&out)[0].contains("exchanged"), "{out:?}");
+        let (readings, located) = take(frame, &swapped(frame));
+        assert_eq!(readings, 0, "{frame}");
+        lost.extend(located);
     }
+    assert!(lost.contains(&(RobotId(0), Whereabouts::Exchanged)), "{lost:?}");
+    assert!(lost.contains(&(RobotId(1), Whereabouts::Exchanged)), "{lost:?}");
     // Without readings the guard has stopped both robots.
     let back = |frame| Scene { number: frame, stamp_s: f64::from(frame) * 0.01, ..scene(10) };
-    for frame in 500..510 {
-        let out = take(&mut *source, &fake::frame([4, 1], &back(frame)));
-        assert!(refused(&out).is_empty() && (frame < 505 || readings(&out).len() == 2), "{frame}: {out:?}");
-    }
+    let counted: Vec<usize> = (500..700).map(|frame| take(frame, &back(frame)).0).collect();
+    assert!(counted[..100].iter().all(|readings| *readings == 0), "they have to stay there");
+    assert!(counted[110..].iter().all(|readings| *readings == 2), "{counted:?}");
 }
 
 #[test]

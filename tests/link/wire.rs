@@ -5,6 +5,7 @@ use std::sync::Arc;
 use murmurate::messages::geometry::{Deviation, Motion, Pose, Task, Twist, Vec2};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::latch::Latch;
+use murmurate::messages::place::{Located, Place, Placed, Verdict, Whereabouts};
 use murmurate::messages::trigger::Trigger;
 use murmurate::messages::wire::{
     Celsius, Condition, Features, Following, GuardReport, Health, Heartbeat, Hindrance, Latent, Leading, MAX_BLOCK,
@@ -98,7 +99,7 @@ fn message() -> impl Strategy<Value = Wire> {
     let health = (0u8..3).prop_map(|n| Health::try_from(n).expect("there are three"));
     let temperature = prop::option::of((-40.0f32..215.0).prop_map(|c| Celsius::of(c).expect("it is in range")));
     let body = prop::option::of((health, any::<u8>()));
-    let trigger = prop::option::of((0u8..10).prop_map(|n| Trigger::try_from(n).expect("there are ten")));
+    let trigger = prop::option::of((0u8..11).prop_map(|n| Trigger::try_from(n).expect("there are eleven")));
     let guard = (any::<u16>(), any::<u16>(), trigger);
     let guard = guard.prop_map(|(acted, late_ticks, last)| GuardReport { acted, late_ticks, last });
     let links = (prop::option::of(guard), prop::option::of(any::<u16>()));
@@ -113,7 +114,24 @@ fn message() -> impl Strategy<Value = Wire> {
         robots.iter_mut().take(1).for_each(|robot| robot.reason = Reason::new(&text));
         Wire::Telemetry(Telemetry { host: HostId(host), robots })
     });
-    prop_oneof![reading, latent, command, beat, mode, stop, status, observe, telemetry]
+    let numbers = (any::<u16>(), any::<u32>(), robot());
+    let place = (numbers, pose())
+        .prop_map(|((by, number, robot), pose)| Wire::Place(Place { by: HostId(by), number, robot, pose }));
+    let whereabouts =
+        (robot(), 0u8..5).prop_map(|(robot, n)| (robot, Whereabouts::try_from(n).expect("there are five")));
+    let verdict = (0u8..5).prop_map(|n| Verdict::try_from(n).expect("there are five"));
+    let answer = ((any::<u16>(), any::<u32>(), robot()), verdict, prop::option::of(pose()));
+    let answer = answer.prop_map(|((by, number, robot), verdict, measured)| Placed {
+        by: HostId(by),
+        number,
+        robot,
+        verdict,
+        measured,
+    });
+    let located = (any::<u16>(), prop::collection::vec(whereabouts, 0..=MAX_BLOCK), prop::option::of(answer));
+    let located =
+        located.prop_map(|(host, robots, answer)| Wire::Located(Located { host: HostId(host), robots, answer }));
+    prop_oneof![reading, latent, command, beat, mode, stop, status, observe, telemetry, place, located]
 }
 
 fn latent(features: Vec<f32>) -> Wire {

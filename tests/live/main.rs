@@ -14,6 +14,7 @@ mod launched;
 mod measured;
 mod namespaces;
 mod outlets;
+mod placed;
 #[path = "../program/mod.rs"]
 mod program;
 mod restarts;

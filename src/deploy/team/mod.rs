@@ -380,6 +380,8 @@ fn kebab(kind: Kind) -> String {
         Kind::Status => "status",
         Kind::Observe => "observe",
         Kind::Telemetry => "telemetry",
+        Kind::Place => "place",
+        Kind::Located => "located",
     }
     .to_owned()
 }

@@ -19,6 +19,7 @@ use std::f64::consts::FRAC_PI_2;
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::edge::sender_clock::{Novelty, SenderClock};
+use crate::localization::plausibility::Quality;
 use crate::localization::{In, Out, Parts, Source};
 use crate::messages::geometry::{Deviation, MAX_SIZE, Pose, Twist, Vec2, wrapped};
 use crate::messages::ids::RobotId;
@@ -37,6 +38,9 @@ pub const ABOUT: &str = "the robot's own satellite receiver, by gpsd";
 /// Lowest speed at which the course over ground is used as the heading \[m/s\]. At lower speeds, the noise of the
 /// course is too large.
 const LEAST_SPEED_M_S: f64 = 0.3;
+/// Standard deviations of a heading \[rad\]: of a course, of which any two are possible within six of them, and of the
+/// direction between two antennas.
+const HEADING_RAD: (f64, f64) = (0.6, 0.05);
 /// Largest time between a fix and the GST report used for it \[ns\]. Receivers send GST every second or faster.
 const STATISTICS_NS: u64 = 2_000_000_000;
 /// Largest age of an attitude that is the heading of a fix: that of three reports at 10 Hz.
@@ -85,6 +89,8 @@ struct Gpsd {
     positioned: Option<Time>,
     /// Last known height above the ellipsoid \[m\]. An error of 100 m changes a horizontal distance of 1 km by 16 mm.
     height_m: f64,
+    /// What may be assumed of the last fix that gave a reading.
+    quality: Quality,
 }
 
 impl Gpsd {
@@ -102,6 +108,7 @@ impl Gpsd {
             begun: None,
             positioned: None,
             height_m: 0.0,
+            quality: Quality::MEASURED,
         }
     }
 
@@ -154,7 +161,7 @@ impl Gpsd {
         if self.config.deviation_most_m.is_some_and(|most_m| deviation_m.is_none_or(|error_m| error_m > most_m)) {
             return Err(Malformed("the receiver's GST says more than deviation_most_m, or it sends no GST"));
         }
-        let ([x, y], height_m) = self.place(tpv)?;
+        let ([x, y], height_m) = self.place_of(tpv)?;
         // Courses are clockwise from north, angles of the team's frame counter-clockwise from its x axis.
         let turned = |clockwise_deg: f64| self.config.axes.heading(FRAC_PI_2 - clockwise_deg.to_radians());
         let course = tpv.track_deg.map(turned);
@@ -181,6 +188,7 @@ impl Gpsd {
         if kind != Kind::DeadReckoning {
             self.satellites = Some(now);
         }
+        self.quality = quality(kind, self.config.heading, measured.is_some());
         let by_places = self.places.take(stamp_ns, [x, y]);
         let reading = Reading {
             robot: self.robot,
@@ -219,7 +227,7 @@ impl Gpsd {
 
     /// Returns the place of a fix in the team's frame \[m\], and its height above the ellipsoid \[m\], which is the
     /// last known one where the report has none or an impossible one.
-    fn place(&self, tpv: &Tpv) -> Result<([f64; 2], f64), Malformed> {
+    fn place_of(&self, tpv: &Tpv) -> Result<([f64; 2], f64), Malformed> {
         let (Some(latitude_deg), Some(longitude_deg)) = (tpv.latitude_deg, tpv.longitude_deg) else {
             return Err(Malformed("a fix of gpsd has no position"));
         };
@@ -272,6 +280,20 @@ impl Gpsd {
     }
 }
 
+/// Returns what may be assumed of a position of this kind without GST. A receiver measures its velocity by the Doppler
+/// shift. Its course says little about its heading: it is noise at low speed, and the robot may drive backwards.
+fn quality(kind: Kind, heading: Heading, moves_as_measured: bool) -> Quality {
+    let position_m = match kind {
+        Kind::Satellites(Fix::RtkFixed) => 0.02,
+        Kind::Satellites(Fix::RtkFloat) => 0.3,
+        Kind::Satellites(Fix::Dgps) => 1.0,
+        _ => 3.0,
+    };
+    let heading_rad = if heading == Heading::Att { HEADING_RAD.1 } else { HEADING_RAD.0 };
+    let reckoned = kind == Kind::DeadReckoning;
+    Quality { reckoned, moves_as_measured, position_m, heading_rad, ..Quality::MEASURED }
+}
+
 impl Source for Gpsd {
     fn take(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         let In::Packet(line) = input else { return };
@@ -282,6 +304,10 @@ impl Source for Gpsd {
 
     fn positions_suffice(&mut self) {
         self.positions_suffice = true;
+    }
+
+    fn quality(&self, _: RobotId) -> Quality {
+        self.quality
     }
 }
 
@@ -312,6 +338,7 @@ mod tests {
             None => Ok(None),
             Some(Out::Reading(reading)) => Ok(Some(reading)),
             Some(Out::Refused(why) | Out::RefusedOf(_, why)) => Err(why),
+            Some(lost @ Out::Lost(..)) => panic!("{lost:?}"),
         }
     }
 
@@ -393,6 +420,7 @@ mod tests {
                 None => Ok(None),
                 Some(Out::Reading(reading)) => Ok(Some(reading)),
                 Some(Out::Refused(why) | Out::RefusedOf(_, why)) => Err(why),
+                Some(lost @ Out::Lost(..)) => panic!("{lost:?}"),
             }
         };
         lines.into_iter().enumerate().map(one).collect()
@@ -571,6 +599,7 @@ mod tests {
         let sound = |said: &Out| match said {
             Out::Reading(reading) => reading.unfit().is_none(),
             Out::Refused(_) | Out::RefusedOf(..) => true,
+            Out::Lost(..) => false,
         };
         assert!(out.iter().all(sound) && out.iter().any(|said| matches!(said, Out::Reading(_))));
     }

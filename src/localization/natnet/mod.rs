@@ -14,6 +14,7 @@ mod worker;
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::localization::alignment::Alignment;
+use crate::localization::plausibility::Limits;
 use crate::localization::{In, Out, Parts, Source};
 use crate::messages::geometry::{self, Deviation, MAX_HEADING, MAX_SIZE, Twist, Vec2};
 use crate::messages::ids::RobotId;
@@ -56,13 +57,14 @@ pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigErro
     Ok(Parts { source: Box::new(move || Box::new(NatNet::new(&config))), worker })
 }
 
-/// Robot with the name of its rigid body in the tracker, and the filter of that body's poses.
+/// Robot with the name of its rigid body in the tracker, the poses of that body, and the limits of its motion.
 struct Tracked {
     robot: RobotId,
     name: BodyName,
     /// Streaming ID of the body; `None` until model definitions contain the body's name.
     id: Option<i32>,
     body: Body,
+    limits: Limits,
 }
 
 /// Logic of the source `natnet`, without I/O: converts datagrams of the motion capture server to readings.
@@ -86,7 +88,7 @@ impl NatNet {
     fn new(config: &Config) -> NatNet {
         let tracked = |(robot, name): &(RobotId, BodyName)| {
             let id = if let BodyName::Id(id) = name { Some(*id) } else { None };
-            Tracked { robot: *robot, name: name.clone(), id, body: Body::default() }
+            Tracked { robot: *robot, name: name.clone(), id, body: Body::default(), limits: Limits::default() }
         };
         NatNet {
             robots: config.bodies.iter().map(tracked).collect(),
@@ -128,7 +130,7 @@ impl NatNet {
         if definitions == self.definitions {
             return;
         }
-        for Tracked { robot, name, id, body } in &mut self.robots {
+        for Tracked { robot, name, id, body, .. } in &mut self.robots {
             let BodyName::Name(name) = name else { continue };
             let mut ids: Vec<i32> = definitions.iter().filter(|other| other.name == *name).map(|one| one.id).collect();
             ids.dedup();
@@ -193,15 +195,14 @@ impl NatNet {
     /// velocity is known. An error is the reason for which the pose is refused.
     fn follow(&mut self, at: usize, frame: &Frame) -> Result<Option<Reading>, &'static str> {
         let (before, rest) = self.robots.split_at_mut(at);
-        let Some((Tracked { robot, id: Some(id), body, .. }, after)) = rest.split_first_mut() else { return Ok(None) };
+        let Some((tracked, after)) = rest.split_first_mut() else { return Ok(None) };
+        let Tracked { robot, id: Some(id), body, limits, .. } = tracked else { return Ok(None) };
         if before.iter().chain(&*after).any(|other| other.id == Some(*id)) {
             return Err("another robot has the same rigid body: give each its own, in `bodies` or in the tracker");
         }
         let rigid = sole(frame, *id)?;
-        let others = before.iter().chain(&*after).filter_map(|other| other.body.newest());
         let pose = self.config.frame.pose(frame.stamp_s, rigid);
-        body.take(pose, &self.config.limits, others)?;
-        Ok(body.rates(&self.config.limits).map(|rates| {
+        Ok(body.take(pose, limits, self.config.window_s).map(|rates| {
             let known = rigid.error_m > 0.0 && rigid.error_m <= MAX_SIZE;
             let error_m = known.then(|| rigid.error_m.max(LEAST_ERROR_M));
             let vector = |[x, y]: [f64; 2]| Vec2::new(x as f32, y as f32);
@@ -271,6 +272,11 @@ impl Source for NatNet {
         if let Err(Malformed(why)) = self.datagram(datagram, out) {
             out.push(Out::Refused(why));
         }
+    }
+
+    fn limit(&mut self, robot: RobotId, limits: &Limits) {
+        let own = self.robots.iter_mut().find(|tracked| tracked.robot == robot);
+        own.into_iter().for_each(|tracked| tracked.limits = *limits);
     }
 }
 

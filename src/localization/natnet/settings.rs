@@ -9,7 +9,6 @@ use crate::messages::ids::RobotId;
 use serde::Deserialize;
 
 use super::TrackerFrame;
-use super::body::Limits;
 
 /// Default multicast group of frames in Motive, the server of OptiTrack (its manual).
 const GROUP: Ipv4Addr = Ipv4Addr::new(239, 255, 42, 99);
@@ -90,10 +89,6 @@ struct Fields {
     origin_m: [f64; 2],
     /// Rigid body of each robot: its name or its streaming ID. A robot without an entry has the body `robot-N`.
     bodies: toml::Table,
-    /// Largest speed of a robot \[m/s\]. A pose that would need a higher speed is refused as a jump.
-    speed_most_m_s: f64,
-    /// Time for which a body has to stay at a new place after a jump before it is accepted there \[s\].
-    settle_s: f64,
     /// Length of the window whose mean velocity is reported \[s\]. The mean lags the true velocity by half the window.
     velocity_window_s: f64,
     /// Highest rate of readings for each robot \[Hz\].
@@ -113,9 +108,6 @@ impl Default for Fields {
             yaw_rad: 0.0,
             origin_m: [0.0; 2],
             bodies: toml::Table::new(),
-            // Twice the top speed of the policies, 0.9 m/s. A RoboMaster EP reaches 3.5 m/s.
-            speed_most_m_s: 2.0,
-            settle_s: 1.0,
             // Position noise of 0.2 mm gives a velocity noise of 6 mm/s, at a lag of 25 ms.
             velocity_window_s: 0.05,
             // Twice the rate of the policies; trackers send at 100 Hz or more.
@@ -133,10 +125,10 @@ pub struct Config {
     pub frame: TrackerFrame,
     /// Robots by ascending number, each with its rigid body.
     pub bodies: Vec<(RobotId, BodyName)>,
-    /// Limits by which the poses of a body are accepted or refused as jumps, and the window of its velocity.
-    pub limits: Limits,
-    /// Shortest mean time between two readings of a robot \[s\]; the tracker's frames in between serve only to refuse
-    /// jumps and to compute the velocity.
+    /// Length of the window over which velocities are computed \[s\].
+    pub window_s: f64,
+    /// Shortest mean time between two readings of a robot \[s\]; the tracker's frames in between serve only to
+    /// compute the velocity.
     pub period_s: f64,
 }
 
@@ -162,8 +154,6 @@ impl Config {
             return Err(ConfigError::field("interface", "it is empty; give the name of a network interface, or none"));
         }
         let within = [
-            ("speed_most_m_s", fields.speed_most_m_s, 0.05, 50.0, "m/s"),
-            ("settle_s", fields.settle_s, 0.05, 60.0, "s"),
             ("velocity_window_s", fields.velocity_window_s, 0.005, 0.5, "s"),
             ("rate_hz", fields.rate_hz, 1.0, 1000.0, "Hz"),
         ];
@@ -183,11 +173,7 @@ impl Config {
             },
             frame: TrackerFrame { up: fields.up, level: Alignment::new(fields.yaw_rad, fields.origin_m)? },
             bodies: bodies(&fields.bodies, robots)?,
-            limits: Limits {
-                speed_most_m_s: fields.speed_most_m_s,
-                settle_s: fields.settle_s,
-                window_s: fields.velocity_window_s,
-            },
+            window_s: fields.velocity_window_s,
             period_s: 1.0 / fields.rate_hz,
         })
     }
@@ -237,9 +223,9 @@ mod tests {
         let config = read("server = '10.0.0.2'").unwrap();
         let name = |text: &str| BodyName::Name(text.to_owned());
         assert_eq!(config.bodies, [(RobotId(0), name("robot-0")), (RobotId(3), name("robot-3"))]);
-        let config = read("server = '10.0.0.2'\nspeed_most_m_s = 3\nbodies = { 0 = 'jackal', 3 = 8 }").unwrap();
+        let config = read("server = '10.0.0.2'\nvelocity_window_s = 0.1\nbodies = { 0 = 'jackal', 3 = 8 }").unwrap();
         assert_eq!(config.bodies, [(RobotId(0), name("jackal")), (RobotId(3), BodyName::Id(8))]);
-        assert_eq!(config.limits.speed_most_m_s, 3.0);
+        assert_eq!(config.window_s, 0.1);
     }
 
     #[test]

@@ -206,6 +206,8 @@ pub fn encode(header: &Header, message: &Wire) -> Result<Frame, EncodeError> {
             Wire::Status(body) => rmp_serde::encode::write(bytes, body),
             Wire::Observe(body) => rmp_serde::encode::write(bytes, body),
             Wire::Telemetry(body) => rmp_serde::encode::write(bytes, body),
+            Wire::Place(body) => rmp_serde::encode::write(bytes, body),
+            Wire::Located(body) => rmp_serde::encode::write(bytes, body),
         }
         .expect("plain data is always MessagePack");
     });
@@ -278,6 +280,8 @@ pub fn message(kind: Kind, bytes: &[u8]) -> Result<Wire, DecodeError> {
         Kind::Status => Wire::Status(body(kind, bytes)?),
         Kind::Observe => Wire::Observe(body(kind, bytes)?),
         Kind::Telemetry => Wire::Telemetry(body(kind, bytes)?),
+        Kind::Place => Wire::Place(body(kind, bytes)?),
+        Kind::Located => Wire::Located(body(kind, bytes)?),
     };
     message.check().map_err(|unfit| DecodeError::Unfit(kind, unfit))?;
     Ok(message)

@@ -54,6 +54,13 @@ impl Publishers {
             }
             Wire::Status(status) => status.host == sender && self.knows(sender),
             Wire::Observe(observe) => observe.by == sender && sender.is_operator(),
+            Wire::Place(place) => place.by == sender && sender.is_operator(),
+            Wire::Located(located) => {
+                let measures = |robot: RobotId| self.localizers.get(robot.index()) == Some(&sender);
+                let mut all = located.robots.iter().map(|(robot, _)| *robot);
+                let answered = located.answer.is_none_or(|answer| measures(answer.robot));
+                located.host == sender && self.knows(sender) && answered && all.all(measures)
+            }
             Wire::Telemetry(telemetry) => {
                 telemetry.host == sender && telemetry.robots.iter().all(|told| self.may_report(sender, told))
             }
@@ -149,10 +156,10 @@ impl Router {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::messages::geometry::Vec2;
+    use crate::messages::geometry::{Pose, Vec2};
     use crate::messages::ids::LinkId;
     use crate::messages::latch::Latch;
-    use crate::messages::wire::{Heartbeat, MotorCommand, Phase, Round, Status, Stop};
+    use crate::messages::wire::{Heartbeat, Located, MotorCommand, Phase, Place, Round, Status, Stop, Whereabouts};
     use crate::time::Span;
 
     /// Robot 0 has its agent on host 0, robot 1 on host 1; the bodies and the state server are on host 2.
@@ -204,6 +211,23 @@ mod tests {
         assert!(
             publishers().name(stranger).contains("in no team file") && publishers().name(HostId(1)).contains("'b'")
         );
+    }
+
+    #[test]
+    fn operators_alone_place_robots_and_a_host_that_measures_a_robot_alone_says_where_it_is() {
+        let (robot, pose, operator) = (RobotId(1), Pose::default(), HostId::operator(5));
+        let place = |by| Wire::Place(Place { by, number: 1, robot, pose });
+        assert!(publishers().permit(operator, &place(operator)));
+        assert!(!publishers().permit(HostId(0), &place(HostId(0))), "a host of the team has not looked");
+        assert!(!publishers().permit(HostId::operator(6), &place(operator)), "in another's name");
+        let located = |host, robot| {
+            let robots = vec![(RobotId(robot), Whereabouts::Adrift)];
+            Wire::Located(Located { host, robots, answer: None })
+        };
+        assert!(publishers().permit(HostId(2), &located(HostId(2), 1)));
+        for (sender, host, robot) in [(0, 0, 1), (2, 0, 1), (2, 2, 9), (77, 77, 1)] {
+            assert!(!publishers().permit(HostId(sender), &located(HostId(host), robot)), "{sender} {host} {robot}");
+        }
     }
 
     #[test]
