@@ -86,6 +86,7 @@ struct Launched {
 impl Launched {
     fn start(file: &str) -> Launched {
         let mut command = murmurate(&["launch", file, "--watch", "--json"]);
+        command.env_remove("MURMURATE_RESTARTS");
         let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("it starts");
         let (sender, said) = channel();
         let lines = BufReader::new(child.stderr.take().expect("it is piped")).lines();

@@ -164,6 +164,8 @@ fn the_page_of_a_real_team_stops_it_and_so_does_a_page_that_joins_later() {
         |at: usize| format!("[...document.getElementById('rows').rows].map(row => row.cells[{at}].textContent)");
     browser.until(&format!("{}.every(late => /^[0-9]+$/.test(late))", cells(4)));
     browser.until(&format!("{}.every(age => /^0\\.[0-9]+ s$/.test(age))", cells(3)));
+    let legend = "document.querySelector('.legend')";
+    assert_eq!(browser.eval(&format!("{legend}.hidden")), true, "no links are drawn, and none explained");
     pictures(&mut browser, "launch-");
     pause_and_resume(&mut browser);
     let from_a_shell = stop_from_a_shell(&mut browser, team, &number);

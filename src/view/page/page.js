@@ -102,6 +102,9 @@ function setUp() {
   const names = Array.from({ length: scene.robots }, (_, robot) => new Option(`robot ${robot}`, robot));
   $("robot").replaceChildren(...names);
   $("ages").hidden = !scene.hears_links;
+  // Lines that are not drawn are not explained.
+  for (const id of ["show-links", "colour"]) $(id).closest("label").hidden = !scene.hears_links;
+  document.querySelector(".legend").hidden = !scene.hears_links;
   for (const id of ["link", "cut", "delay", "loss"]) $(id).closest(".row").hidden = scene.links.length === 0;
   $("histogram").replaceChildren(...Array.from({ length: BINS + 1 }, () => document.createElement("div")));
   const margin = scene.hull_m + 0.15, half = scene.half_extent;
