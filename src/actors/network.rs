@@ -9,12 +9,12 @@ use std::collections::BTreeMap;
 use std::net::SocketAddr;
 
 use crate::actor::Core;
-use crate::messages::ids::LinkId;
+use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Wire};
 use crate::net::protocol::codec::{self, Content, Flags, Frame, Header};
 use crate::net::protocol::key::Key;
 pub use crate::net::protocol::link::Identity;
-use crate::net::protocol::link::{DuplicateId, Guest, LinkCounts, LinkState, Refusal};
+use crate::net::protocol::link::{DuplicateId, Guest, Heard, LinkCounts, LinkState, Refusal, Standing};
 use crate::net::protocol::outgoing::Outbound;
 use crate::net::protocol::reliability::{Piggyback, Setup};
 use crate::net::protocol::router::{Audience, Router};
@@ -54,14 +54,18 @@ pub enum Out {
     Duplicate(DuplicateId),
     /// Datagram that was refused on the link without any effect but its count, for the record of the host.
     Refused(LinkId, Refusal, Frame),
-    /// Operator (host outside the deployment) from which a datagram has arrived, with its address. The transport of the
-    /// link then also sends to that address.
+    /// Address from which a datagram of an operator (host outside the deployment) has arrived, or of a host of the team
+    /// for the first time, at another address, or half a second after the last such output. The transport of the link
+    /// then sends to that address.
     Admit(LinkId, Guest),
 }
 
 /// Largest delay that a Network accepts for the timers of its links, so that several timers share one wake-up: a tenth
 /// of the period of link reports.
 const MAX_LATE: Span = Span::from_millis(25);
+/// Time after which the transport of a link is told again that a host is heard at its address. It considers a host
+/// silent after twice this time.
+const HEARD_PERIOD: Span = Span::from_millis(500);
 /// Period at which a Network sends the counts of its links to the Recorder.
 pub const COUNTS_PERIOD: Span = Span::from_millis(1000);
 
@@ -89,6 +93,7 @@ pub struct Network {
     due: Vec<Option<Time>>,
     /// For each link: whether all datagrams on it reach every host.
     shared: Vec<bool>,
+    addresses: Addresses,
     /// Header of the next datagram with a message that leaves on no link (it stays on this host). `local_counts` counts
     /// such datagrams.
     local_header: Header,
@@ -103,6 +108,35 @@ pub struct Network {
     /// Whether the counts were sent at once because the team has another key than this operator.
     key_reported: bool,
     unauthorized: UnauthorizedPublishers,
+}
+
+/// Addresses from which the hosts of a team were last accepted on links that send to single hosts, with the time at which
+/// the link's transport was told.
+#[derive(Debug, Default)]
+struct Addresses(BTreeMap<(LinkId, HostId), (SocketAddr, Time)>);
+
+impl Addresses {
+    /// Notes that a datagram of `heard` has arrived from `at`. Returns what the link's transport has to know. A new
+    /// address counts once a datagram from there proves its sender's liveness, since a recording may come from anywhere.
+    fn note(&mut self, now: Time, (link, at): (LinkId, SocketAddr), heard: Heard) -> Option<Guest> {
+        let Heard { host, standing, proves } = heard;
+        let guest = |standing| Some(Guest { host, at, standing });
+        if host.is_operator() || standing == Standing::Candidate {
+            return guest(standing);
+        }
+        let known = self.0.get_mut(&(link, host));
+        match known {
+            Some((same, told)) if *same == at => {
+                let due = now.since(*told) >= HEARD_PERIOD;
+                due.then(|| *told = now).and_then(|()| guest(Standing::Accepted))
+            }
+            _ if !proves => guest(Standing::Candidate),
+            _ => {
+                self.0.insert((link, host), (at, now));
+                guest(Standing::Accepted)
+            }
+        }
+    }
 }
 
 /// Counts of messages that hosts of the team sent without the right to publish them, by sender and kind.
@@ -152,6 +186,7 @@ impl Network {
             links,
             due,
             shared,
+            addresses: Addresses::default(),
             local_header,
             local_counts,
             stream,
@@ -214,8 +249,15 @@ impl Network {
         let Some(state) = self.links.get_mut(at).and_then(Option::as_mut) else { return };
         let admitted = state.admit(now, frame, &mut self.stream, &mut self.outgoing);
         self.due[at] = state.due();
-        if let (Some((host, standing)), Some(at), false) = (state.operator(), from, self.shared[at]) {
-            out.push(Out::Admit(link, Guest { host, at, standing }));
+        if let (Some(heard), Some(from), false) = (state.heard(), from, self.shared[at]) {
+            let guest = self.addresses.note(now, (link, from), heard);
+            // An accepted host at an address that it has not proved yet: it needs a report of this host there.
+            if heard.standing == Standing::Accepted && guest.is_some_and(|guest| guest.standing == Standing::Candidate)
+            {
+                state.invite(now, heard.host);
+                self.due[at] = state.due();
+            }
+            out.extend(guest.map(|guest| Out::Admit(link, guest)));
         }
         if let Some(cause) = state.refusal() {
             return out.push(Out::Refused(link, cause, Frame::clone(frame)));
@@ -314,7 +356,7 @@ impl Core for Network {
 mod tests {
     use super::*;
     use crate::messages::geometry::Motion;
-    use crate::messages::ids::{HostId, RobotId};
+    use crate::messages::ids::RobotId;
     use crate::messages::wire::Reading;
     use crate::net::protocol::reliability::Reliabilities;
     use crate::net::protocol::router::Route;

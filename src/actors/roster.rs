@@ -25,6 +25,12 @@ impl Roster {
         last.map(|last| *last = Some((now, beat))).is_some()
     }
 
+    /// Returns whether a robot of the team is missing: no heartbeat of it has arrived for a second.
+    pub(super) fn is_missing(&self, now: Time, robot: RobotId) -> bool {
+        let last = self.0.get(robot.index());
+        last.is_some_and(|last| last.as_ref().is_none_or(|(at, _)| now.since(*at) >= MISSING_AFTER))
+    }
+
     /// Returns the last heartbeat of each robot, in the order of their ids; `None` for a missing robot.
     fn heard(&self, now: Time) -> impl Iterator<Item = Option<&Heartbeat>> + Clone {
         self.0.iter().map(move |last| {

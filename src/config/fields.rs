@@ -87,6 +87,32 @@ pub enum FieldType {
     Choice(&'static [&'static str]),
     /// A network address: an IP address with a port above zero.
     Address,
+    /// A network address, or the name of a host with a port above zero, which is resolved while the program runs.
+    HostAddress,
+}
+
+/// Longest name of a host (RFC 1035, section 2.3.4).
+const LONGEST_NAME: usize = 253;
+
+/// Splits `text` into the name of a host and a port above zero, as in `robot-2.local:7700`. An error describes the
+/// fault.
+pub fn host_and_port(text: &str) -> Result<(&str, u16), String> {
+    let wrong = || {
+        format!(
+            "'{text}' is not an address or a name of a host with a port, such as 10.0.0.2:7700 or robot-2.local:7700"
+        )
+    };
+    let (name, port) = text.rsplit_once(':').ok_or_else(wrong)?;
+    let port = port.parse::<u16>().ok().filter(|port| *port > 0).ok_or_else(wrong)?;
+    let is_label = |label: &str| {
+        let fits = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+        (1..64).contains(&label.len()) && label.chars().all(fits) && !label.starts_with('-') && !label.ends_with('-')
+    };
+    let labels = name.strip_suffix('.').unwrap_or(name);
+    // A mistyped IP address is no name.
+    let is_number = labels.chars().all(|c| c.is_ascii_digit() || c == '.');
+    let fits = labels.len() <= LONGEST_NAME && labels.split('.').all(is_label) && !is_number;
+    if fits { Ok((name, port)) } else { Err(wrong()) }
 }
 
 impl FieldType {
@@ -122,6 +148,10 @@ impl FieldType {
                     "'{text}' is not an address with a port, such as 239.255.77.1:7700 or [ff02::4d75]:7700"
                 )),
             },
+            FieldType::HostAddress => match text.parse::<SocketAddr>() {
+                Ok(address) if address.port() > 0 => Ok(Value::Address(address)),
+                _ => host_and_port(text).map(|_| Value::Text(text.to_owned())),
+            },
         }
     }
 
@@ -146,5 +176,28 @@ impl FieldType {
             (_, DeValue::String(text)) => self.read(text),
             _ => Err(format!("a {} where {wanted} belongs", value.type_str())),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_of_a_host_is_an_ip_address_or_a_name_with_a_port() {
+        let read = |text: &str| FieldType::HostAddress.read(text);
+        assert_eq!(read("10.0.0.2:7700"), Ok(Value::Address(SocketAddr::from(([10, 0, 0, 2], 7700)))));
+        assert!(matches!(read("[fe80::1]:7700"), Ok(Value::Address(_))));
+        for name in ["robot-2:1", "robot-2.local:7700", "a.b.c.:65535", "R2_arm.lan:9", "2fast:9"] {
+            assert_eq!(read(name), Ok(Value::Text(name.to_owned())), "{name}");
+        }
+        let long = format!("{}:7700", ["a"; 130].join("."));
+        for wrong in
+            ["robot-2", "robot-2:0", "robot-2:65536", ":7700", "a..b:1", "-a:1", "a-:1", "a b:1", "10.0.0:1", &long, ""]
+        {
+            let why = read(wrong).expect_err(wrong);
+            assert!(why.contains("robot-2.local:7700"), "{why}");
+        }
+        assert_eq!(host_and_port("robot-2.local:7700"), Ok(("robot-2.local", 7700)));
     }
 }

@@ -4,7 +4,7 @@
 use std::rc::Rc;
 
 use super::inputs::Input;
-use super::sockets::{self, Take};
+use super::sockets::{self, Take, Tell};
 use crate::actors::network::{self, Identity, Network};
 use crate::messages::ids::LinkId;
 use crate::messages::wire::Wire;
@@ -108,7 +108,9 @@ impl Attachment {
             Input::Dropped(link, count) => arrived.send(network::In::Dropped(link, count)),
             Input::Refused(..) | Input::Packet(..) | Input::Ended(_) | Input::Leave | Input::Stop => {}
         });
-        sockets::wire_all((clock, readers), open, &transports, &take);
+        // An operator's log says it.
+        let tell: Tell = Rc::new(|_, _| {});
+        sockets::wire_all((clock, readers), open, &transports, (&take, &tell));
         self.start(clock, &network, transports, output);
         network
     }

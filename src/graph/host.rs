@@ -7,7 +7,7 @@ use super::bodies::wire_source;
 use super::devices::{Device, Devices};
 use super::inputs::{DeviceId, Input};
 use super::process::{Graph, Process, ProcessEvent};
-use super::sockets::{self, Take};
+use super::sockets::{self, Take, Tell};
 use crate::actors::recorder;
 use crate::graph::{Plan, wire_hosts, wire_recorder};
 use crate::messages::ids::{HostId, LinkId};
@@ -69,7 +69,9 @@ pub fn wire(
     let (inside, id) = (Rc::clone(&graph), host.id);
     let take: Take = Rc::new(move |input| inside.take(id, input));
     wire_gates((clock, readers), plan, &graph, &process, &take);
-    sockets::wire_all((clock, readers), host.transports, &graph.transports, &take);
+    let (report, id) = (Rc::clone(&process.report), host.id);
+    let tell: Tell = Rc::new(move |link, renewed| report(id, ProcessEvent::Link(link, renewed)));
+    sockets::wire_all((clock, readers), host.transports, &graph.transports, (&take, &tell));
     if process.records {
         wire_recorder(clock, plan, &graph, output);
     }

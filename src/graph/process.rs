@@ -17,10 +17,11 @@ use crate::messages::local::Truth;
 use crate::messages::wire::{Hardware, Stop, Wire};
 use crate::net::protocol::codec::Frame;
 use crate::net::protocol::key::Key;
+use crate::net::protocol::limits::LOSS_TO_REPEAT;
 use crate::net::protocol::link::{DuplicateId, LinkCounts, Refusal};
-use crate::net::protocol::reliability::Setup;
+use crate::net::protocol::reliability::{Heartbeats, Setup};
 use crate::net::protocol::sender::Peer;
-use crate::net::transport;
+use crate::net::transport::{self, Renewed};
 use crate::random::Seed;
 use crate::report::episode::AbortReason;
 use crate::runtime::clock::Clock;
@@ -89,6 +90,8 @@ pub enum ProcessEvent<'a> {
     Safety(RobotId, SafetyCounts),
     /// Condition of the hardware of a real robot, as its driver reports it.
     Hardware(RobotId, &'a Hardware),
+    /// The sockets of a link were closed or opened again, because a network interface or its address has changed.
+    Link(LinkId, &'a Renewed),
 }
 
 impl Process {

@@ -11,7 +11,7 @@ use tracing::info_span;
 use crate::actor::Core;
 use crate::graph::inputs::Input;
 use crate::messages::ids::LinkId;
-use crate::net::transport::{self, Transport};
+use crate::net::transport::{self, Renewed, Transport};
 use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
 use crate::runtime::shell::{Mailbox, start};
@@ -20,14 +20,17 @@ use crate::time::{Span, Time};
 /// Function that is called with each input from outside the actor graph, such as a received datagram ([`Input`]).
 pub type Take = Rc<dyn Fn(Input)>;
 
+/// Function that is called when the sockets of a link were closed or opened again. This is no input of the actors.
+pub type Tell = Rc<dyn Fn(LinkId, &Renewed)>;
+
 /// Starts an actor for each link that sends the datagrams in its mailbox through the link's open transports, one for
 /// each network interface. `mailboxes` are in the order of the deployment's links. Received datagrams are passed to
-/// `take`.
+/// `take`; `tell` is called when a link was closed or opened again.
 pub fn wire_all(
     (clock, readers): (&Clock, &mut Readers),
     open: Vec<(LinkId, Box<dyn Transport>)>,
     mailboxes: &[Mailbox<transport::In>],
-    take: &Take,
+    (take, tell): (&Take, &Tell),
 ) {
     let mut links: BTreeMap<LinkId, Vec<Box<dyn Transport>>> = BTreeMap::new();
     for (link, transport) in open {
@@ -38,14 +41,14 @@ pub fn wire_all(
         if transports.len() == 1
             && let Some(transport) = transports.pop()
         {
-            wire((clock, readers), (link, transport), mailbox, take);
+            wire((clock, readers), (link, transport), mailbox, (take, tell));
             continue;
         }
         let all: Vec<Mailbox<transport::In>> = (0..transports.len())
             .map(|index| Mailbox::new(format!("{} by interface {index}", mailbox.name())))
             .collect();
         for (transport, mailbox) in transports.into_iter().zip(&all) {
-            wire((clock, readers), (link, transport), mailbox, take);
+            wire((clock, readers), (link, transport), mailbox, (take, tell));
         }
         start(
             clock,
@@ -60,14 +63,15 @@ pub fn wire_all(
 }
 
 /// Starts an actor that sends the datagrams in `mailbox` through the open transport `transport` of `link`. Received
-/// datagrams are passed to `take`.
+/// datagrams are passed to `take`, and changes of the sockets to `tell`.
 fn wire(
     (clock, readers): (&Clock, &mut Readers),
     (link, transport): (LinkId, Box<dyn Transport>),
     mailbox: &Mailbox<transport::In>,
-    take: &Take,
+    (take, tell): (&Take, &Tell),
 ) {
     let (time, take, descriptor) = (clock.clone(), Rc::clone(take), transport.descriptor());
+    let changes = transport.changes();
     let span = info_span!("transport", link = link.0);
     // The transport outlives its actor, so that a crash does not lose frames in a socket.
     let transport = Rc::new(RefCell::new(transport));
@@ -83,7 +87,24 @@ fn wire(
             take(Input::Dropped(link, dropped - reported.replace(dropped)));
         }
     };
-    readers.watch_link(descriptor, move || flooded.borrow().paused_until(), ring);
+    let watched = readers.watch_link(descriptor, move || flooded.borrow().paused_until(), ring);
+    if let Some(changes) = changes {
+        let (renewed, tell, inside) = (Rc::clone(&transport), Rc::clone(tell), span.clone());
+        readers.watch(changes, move || {
+            let _inside = inside.enter();
+            let mut all = Vec::new();
+            renewed.borrow_mut().renew(&mut |one| all.push(one));
+            for one in all {
+                match &one {
+                    Renewed::Closed(why) => tracing::warn!("the link is closed until it is fit again: {why}"),
+                    Renewed::Open(at) => tracing::warn!("the link is open again: {at}"),
+                }
+                let open = matches!(one, Renewed::Open(_));
+                watched.replace(open.then(|| renewed.borrow().descriptor()));
+                tell(link, &one);
+            }
+        });
+    }
     start(clock, mailbox, span, move |_| Transmitter(Rc::clone(&transport)), |never| match never {});
 }
 
@@ -223,7 +244,7 @@ mod tests {
                         arrived.send(network::In::Frame(link, frame, from));
                     }
                 });
-                wire_all((clock, readers), sockets, &links, &take);
+                wire_all((clock, readers), sockets, &links, (&take, &(Rc::new(|_, _: &Renewed| {}) as Tell)));
                 start(clock, &network, info_span!("network"), move |_| Count(Rc::clone(&count)), |()| {});
             },
             |(), now| arrived.get() == 2 || now.as_secs() > 5.0,

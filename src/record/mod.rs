@@ -140,6 +140,7 @@ impl Event {
             | ProcessEvent::Message(_)
             | ProcessEvent::Recorded(_)
             | ProcessEvent::Aborted(..)
+            | ProcessEvent::Link(..)
             | ProcessEvent::Duplicate(_) => return None,
         })
     }

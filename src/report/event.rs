@@ -19,6 +19,15 @@ pub enum HostEvent {
         /// Name of the host in the deployment.
         host: String,
     },
+    /// The sockets of a link were closed because its network interface or its address has gone, or are open again.
+    Link {
+        /// Name of the link in the deployment.
+        link: String,
+        /// Whether the sockets are open again.
+        open: bool,
+        /// Why they were closed, or at which address and interface they are open again.
+        what: String,
+    },
     /// An episode has ended. The host that judges reports it: the one that simulates the whole team, or otherwise the
     /// host of the state server.
     Episode(Episode),
@@ -143,6 +152,7 @@ mod tests {
         };
         let all = [
             HostEvent::Ready { host: "robot-2".to_owned() },
+            HostEvent::Link { link: "infra".to_owned(), open: true, what: "10.0.0.1 on 'wlan0'".to_owned() },
             HostEvent::Episode(episode(0.25)),
             HostEvent::Episode(episode(f32::INFINITY)),
             HostEvent::Aborted { episode: 3, reason: AbortReason::of_team(AbortCause::Stopped) },

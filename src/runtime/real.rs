@@ -3,7 +3,7 @@
 //! a resolution of a millisecond. Due events come before received datagrams, so a flood of datagrams delays a control
 //! tick by at most one read. It contains no actor logic.
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::os::fd::AsFd;
 use std::rc::Rc;
 use std::time::Instant;
@@ -38,10 +38,30 @@ pub struct Readers {
     timer_at: Option<Time>,
     /// Indices of readable file descriptors whose callback has not been called yet.
     ready: Vec<usize>,
+    replaced: Replaced,
+}
+
+/// File descriptors of links to watch from the next turn on in place of those with the same index; `None` for none.
+type Replaced = Rc<RefCell<Vec<(usize, Option<Rc<dyn AsFd>>)>>>;
+
+/// Handle of a link's file descriptor in a [`Readers`], by which it is replaced.
+#[derive(Clone)]
+pub struct Watched {
+    index: usize,
+    replaced: Replaced,
+}
+
+impl Watched {
+    /// Watches `source` in place of the descriptor before, from the next turn of the event loop on; with `None` nothing
+    /// is watched.
+    pub fn replace(&self, source: Option<Rc<dyn AsFd>>) {
+        self.replaced.borrow_mut().push((self.index, source));
+    }
 }
 
 struct Reader {
-    source: Rc<dyn AsFd>,
+    /// `None` while there is nothing to watch.
+    source: Option<Rc<dyn AsFd>>,
     /// Whether the reader waits until the other end of the source is closed, instead of for input.
     end: bool,
     /// Whether the closing of the source's other end has been reported.
@@ -64,12 +84,14 @@ impl Readers {
             let event = EpollEvent::new(EpollFlags::EPOLLIN | EpollFlags::EPOLLET, TIMER);
             epoll.add(timer.as_fd(), event).expect("a timer can be watched");
         }
-        Readers { readers: Vec::new(), all, never_paused, timer, timer_at: None, ready: Vec::new() }
+        let (ready, replaced) = (Vec::new(), Replaced::default());
+        Readers { readers: Vec::new(), all, never_paused, timer, timer_at: None, ready, replaced }
     }
 
     /// Registers the file descriptor `source`: `notify` is called in each turn of the event loop in which it is
     /// readable, so again and again until all of it has been read.
     pub fn watch(&mut self, source: Rc<dyn AsFd>, notify: impl Fn() + 'static) {
+        let source = Some(source);
         self.add(Reader {
             source,
             end: false,
@@ -81,22 +103,24 @@ impl Readers {
 
     /// Registers the file descriptor `source` of a link: `notify` is called in each turn of the event loop in which it
     /// is readable. `paused_until` returns the time until which the link is paused, or `None`. While any link is
-    /// paused, no link is read.
+    /// paused, no link is read. Returns a handle by which the descriptor is replaced when the link is opened again.
     pub fn watch_link(
         &mut self,
         source: Rc<dyn AsFd>,
         paused_until: impl Fn() -> Option<Time> + 'static,
         notify: impl Fn() + 'static,
-    ) {
+    ) -> Watched {
         let (notify, paused_until) = (Box::new(notify), Some(Box::new(paused_until) as Box<dyn Fn() -> Option<Time>>));
-        self.add(Reader { source, end: false, reported: Cell::new(false), notify, paused_until });
+        let handle = Watched { index: self.readers.len(), replaced: Rc::clone(&self.replaced) };
+        self.add(Reader { source: Some(source), end: false, reported: Cell::new(false), notify, paused_until });
+        handle
     }
 
     /// Registers a descriptor that is written to, such as a pipe: `notify` is called once when its other end is closed;
     /// for a regular file, which has no other end, never.
     pub fn watch_end(&mut self, source: Rc<dyn AsFd>, notify: impl Fn() + 'static) {
         self.add(Reader {
-            source,
+            source: Some(source),
             end: true,
             reported: Cell::new(false),
             notify: Box::new(notify),
@@ -105,17 +129,45 @@ impl Readers {
     }
 
     fn add(&mut self, reader: Reader) {
+        if self.begin(self.readers.len(), &reader) {
+            self.readers.push(reader);
+        }
+    }
+
+    /// Starts to watch the descriptor of `reader`, which has this index. Returns whether it can be watched: the end of a
+    /// regular file cannot.
+    fn begin(&self, index: usize, reader: &Reader) -> bool {
+        let Some(source) = &reader.source else { return true };
         let flags = if reader.end { EpollFlags::empty() } else { EpollFlags::EPOLLIN };
-        let event = EpollEvent::new(flags, self.readers.len() as u64);
+        let event = EpollEvent::new(flags, index as u64);
         let also = reader.paused_until.is_none().then_some(&self.never_paused);
         for epoll in also.into_iter().chain([&self.all]) {
-            match epoll.add(reader.source.as_fd(), event) {
+            match epoll.add(source.as_fd(), event) {
                 Ok(()) => {}
-                Err(Errno::EPERM) if reader.end => return,
+                Err(Errno::EPERM) if reader.end => return false,
                 Err(error) => panic!("a descriptor that is open cannot be watched: {error}"),
             }
         }
-        self.readers.push(reader);
+        true
+    }
+
+    /// Ends the watch of a descriptor.
+    fn end(&self, source: &dyn AsFd) {
+        for epoll in [&self.all, &self.never_paused] {
+            // An error means that it is not watched any more, which is the aim.
+            let _ = epoll.delete(source.as_fd());
+        }
+    }
+
+    /// Replaces the descriptors of links that were opened again or closed.
+    fn replace(&mut self) {
+        let replaced = std::mem::take(&mut *self.replaced.borrow_mut());
+        for (index, source) in replaced {
+            if let Some(former) = std::mem::replace(&mut self.readers[index].source, source) {
+                self.end(&*former);
+            }
+            self.begin(index, &self.readers[index]);
+        }
     }
 
     /// Returns the latest time until which a link is paused; `None` if no link is paused at `now`.
@@ -147,15 +199,14 @@ impl Readers {
 
     /// Calls the callbacks of the file descriptors that the last sleep found readable.
     fn notify(&mut self) {
-        for reader in self.ready.drain(..).map(|index| &self.readers[index]) {
+        for reader in self.ready.iter().map(|index| &self.readers[*index]) {
             if reader.end && !reader.reported.replace(true) {
-                for epoll in [&self.all, &self.never_paused] {
-                    // An error means that it is not watched any more, which is the aim.
-                    let _ = epoll.delete(reader.source.as_fd());
-                }
+                reader.source.iter().for_each(|source| self.end(&**source));
             }
             (reader.notify)();
         }
+        self.ready.clear();
+        self.replace();
     }
 
     /// Sets the timer so that it ends the sleep at `next` at the latest. A timer that is set for an earlier time stays.
@@ -286,6 +337,35 @@ mod tests {
         };
         run_until(LONG, build, || over.get());
         assert_eq!(calls.get(), 1);
+    }
+
+    #[test]
+    fn a_link_that_was_opened_again_is_watched_in_place_of_the_one_before() {
+        let ((_, old), (mut here, new)) = (UnixStream::pair().unwrap(), UnixStream::pair().unwrap());
+        here.write_all(b"a").unwrap();
+        // The other end of the first is closed, so it stays readable until it is not watched any more.
+        let (calls, over) = (Rc::new(Cell::new(0)), Rc::new(Cell::new(false)));
+        let (seen, end, new) = (Rc::clone(&calls), Rc::clone(&over), Rc::new(new));
+        let build = move |clock: &Clock, readers: &mut Readers| {
+            let handle: Rc<RefCell<Option<Watched>>> = Rc::default();
+            let (replace, later, notify) = (Rc::clone(&handle), clock.clone(), Rc::clone(&seen));
+            let notify = move || {
+                notify.set(notify.get() + 1);
+                let handle = replace.borrow().clone().expect("it is registered");
+                if notify.get() > 1 {
+                    (&*new).read_exact(&mut [0]).expect("the second is read");
+                    let end = Rc::clone(&end);
+                    later.call(later.now() + Span::from_millis(5), Box::new(move || end.set(true)));
+                    return;
+                }
+                handle.replace(None);
+                let again = Rc::clone(&new);
+                later.call(later.now() + Span::from_millis(1), Box::new(move || handle.replace(Some(again))));
+            };
+            *handle.borrow_mut() = Some(readers.watch_link(Rc::new(old), || None, notify));
+        };
+        run_until(LONG, build, || over.get());
+        assert_eq!(calls.get(), 2);
     }
 
     #[test]

@@ -3,6 +3,7 @@
 mod abuse;
 mod fuzz_decoders;
 mod identity;
+mod moved;
 mod reliability;
 mod repairs;
 mod rig;

@@ -113,7 +113,11 @@ pub struct Rig {
     pub jitter: Span,
     /// Relay without the key, which delays datagrams of this host: all of them, or those without a report.
     pub relay: Option<(usize, bool)>,
-    flying: BTreeMap<(Time, u64), (usize, Frame)>,
+    /// Source address of each host; none without one.
+    pub addresses: Vec<Option<SocketAddr>>,
+    /// Which datagrams from the first of two hosts to the second are lost.
+    pub blocked: Option<(usize, usize, fn(&[u8]) -> bool)>,
+    flying: BTreeMap<(Time, u64), (usize, usize, Frame)>,
     /// Wake-up times of the hosts.
     wakes: BTreeSet<(Time, usize)>,
     wake_of: Vec<Option<Time>>,
@@ -148,6 +152,8 @@ impl Rig {
             delay: Span::from_nanos(300_000),
             jitter: Span::ZERO,
             relay: None,
+            addresses: vec![None; count],
+            blocked: None,
             flying: BTreeMap::new(),
             count: 0,
             stream: Seed::of_run(5).stream("pipe"),
@@ -182,12 +188,16 @@ impl Rig {
                     }
                     for to in 0..self.networks.len() {
                         let meant = audience == Audience::All || audience == Audience::Host(self.ids[to]);
-                        if to != host && meant && !self.stream.random_bool(self.loss) {
+                        let blocked = |(from, at, lost): (usize, usize, fn(&[u8]) -> bool)| {
+                            (from, at) == (host, to) && lost(&frame)
+                        };
+                        let blocked = self.blocked.is_some_and(blocked);
+                        if to != host && meant && !blocked && !self.stream.random_bool(self.loss) {
                             let jitter = match self.jitter.as_nanos() {
                                 0 => Span::ZERO,
                                 most => Span::from_nanos(self.stream.random_range(0..most)),
                             };
-                            self.flying.insert((self.now + self.delay + jitter, self.count), (to, frame.clone()));
+                            self.flying.insert((self.now + self.delay + jitter, self.count), (host, to, frame.clone()));
                             self.count += 1;
                         }
                     }
@@ -232,11 +242,11 @@ impl Rig {
             let Some(next) = next.filter(|next| *next <= end) else { break };
             self.now = self.now.max(next);
             if let Some(flight) = flight.filter(|(at, _)| *at <= next) {
-                let (to, frame) = self.flying.remove(&flight).expect("it flies");
+                let (from, to, frame) = self.flying.remove(&flight).expect("it flies");
                 if let Some(arrived) = &mut self.arrived {
                     arrived.push((self.now, to, frame.clone()));
                 }
-                self.arrive(to, &frame);
+                self.arrive_from(to, &frame, self.addresses[from]);
             } else if let Some((_, host)) = wake {
                 self.act(host, |network, now, out| network.wake(now, out));
             }

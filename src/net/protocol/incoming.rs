@@ -93,6 +93,8 @@ pub struct Incoming {
     congestion: Congestion,
     /// Detection of other processes with the id of this host.
     pub duplicate_ids: DuplicateIds,
+    /// Whether the last datagram proved its sender's liveness.
+    proved: bool,
 }
 
 impl Incoming {
@@ -102,13 +104,15 @@ impl Incoming {
         let duplicate_ids = DuplicateIds::new(local.link, local.host, local.incarnation);
         let (senders, candidates) = (Senders::new(local.first_guest), Candidates::new(local.first_guest));
         let (gaps, congestion) = (Gaps::default(), Congestion::default());
-        Incoming { local, rate, senders, candidates, gaps, schedule, congestion, duplicate_ids }
+        let proved = false;
+        Incoming { local, rate, senders, candidates, gaps, schedule, congestion, duplicate_ids, proved }
     }
 
     /// Decides whether to accept a datagram of this team whose tag was valid. `report` is the link report in the
     /// datagram, if any; a refusal is counted in `counts` by its cause.
     pub fn admit(&mut self, now: Time, header: &Header, report: Option<&Report>, counts: &mut LinkCounts) -> Verdict {
         let proof = report.and_then(|report| self.liveness_proof(now, report));
+        self.proved = proof.is_some();
         let known = match self.local.authenticated {
             true => self.check_accepted(now, header, report, proof, counts),
             false => self.check_without_key(now, header, counts),
@@ -169,6 +173,17 @@ impl Incoming {
             true => Urgency::NextDatagram,
             false => Urgency::Regular,
         })
+    }
+
+    /// Returns whether the datagram that was given to `admit` last proves its sender's liveness: it echoes a recent stamp
+    /// of this host.
+    pub fn has_proved(&self) -> bool {
+        self.proved
+    }
+
+    /// Lists the accepted incarnations of the host `host` in the next link report, even in an urgent one.
+    pub fn list_soon(&mut self, host: HostId) {
+        self.senders.iter_mut().filter(|((id, _), _)| *id == host).for_each(|(_, sender)| sender.challenged = true);
     }
 
     /// Checks on a link with a key that the sender's incarnation is accepted. Accepts it if the datagram proves its

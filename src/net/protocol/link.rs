@@ -11,7 +11,7 @@ use super::codec::{self, Content, DecodeError, EncodeError, Flags, Frame, HEADER
 pub use super::counts::{LinkCounts, Refusal};
 pub use super::duplicate_id::DuplicateId;
 use super::gaps::BACKOFF;
-use super::incoming::{Incoming, LocalEnd, Verdict};
+use super::incoming::{Incoming, LocalEnd, Urgency, Verdict};
 use super::key::Key;
 use super::outgoing::{Outbound, Outgoing, REPORT_PERIOD};
 use super::reliability::{Reports, Setup};
@@ -34,16 +34,28 @@ pub struct Identity {
     pub incarnation: u32,
 }
 
-/// Whether an operator's datagrams are accepted on a link.
+/// Whether data may be sent to the address that a host's last datagram came from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Standing {
-    /// The operator has not proved its liveness yet, and needs reports of this host to do so.
+    /// The sender has not proved its liveness yet, or not from this address, and needs reports of this host to do so.
     Candidate,
-    /// The operator has proved its liveness or the link has no key, and its last datagram was new.
+    /// The sender has proved its liveness or the link has no key, and its last datagram was new.
     Accepted,
 }
 
-/// Host whose address is not in the team file, such as an operator.
+/// Sender of the last datagram on a link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Heard {
+    /// Id of the host.
+    pub host: HostId,
+    /// Whether the host is accepted, or has to prove its liveness first.
+    pub standing: Standing,
+    /// Whether this very datagram proves the sender's liveness, so that it is no recording. Always true on a link without
+    /// a key.
+    pub proves: bool,
+}
+
+/// Host whose address is learned from its datagrams: an operator, or a host of the team that has moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Guest {
     /// Id of the host.
@@ -68,9 +80,8 @@ pub struct LinkState {
     counts: LinkCounts,
     /// Time at which the next action is due; cached, since it is read far more often than it changes.
     due: Option<Time>,
-    /// Operator that sent the last datagram; `None` if another host sent it, or if it was neither new nor of a
-    /// candidate.
-    operator: Option<(HostId, Standing)>,
+    /// Sender of the last datagram; `None` if it was neither new nor of a candidate.
+    heard: Option<Heard>,
     /// Cause for which the last datagram was refused without any effect but its count; `None` for others.
     refusal: Option<Refusal>,
     /// Limit of the acknowledgements that are sent again for copies of datagrams.
@@ -114,7 +125,7 @@ impl LinkState {
             key,
             counts: LinkCounts::default(),
             due: None,
-            operator: None,
+            heard: None,
             refusal: None,
             again: Bucket::full(Time::ZERO, &AGAIN),
         };
@@ -150,7 +161,7 @@ impl LinkState {
         stream: &mut Stream,
         out: &mut Vec<Outbound>,
     ) -> Option<(Header, &'a [u8])> {
-        (self.operator, self.refusal) = (None, None);
+        (self.heard, self.refusal) = (None, None);
         let read = self.read(now, frame, stream, out);
         match read {
             Ok(admitted) => {
@@ -204,8 +215,8 @@ impl LinkState {
         };
         if let Some(refusal) = refusal.filter(|refusal| !self.acknowledges_again(now, &header, *refusal)) {
             let waits = refusal == Refusal::Unproven && self.incoming.is_of_waiting(now, &header, report);
-            if waits && header.sender.is_operator() {
-                self.operator = Some((header.sender, Standing::Candidate));
+            if waits {
+                self.heard = Some(Heard { host: header.sender, standing: Standing::Candidate, proves: false });
             }
             return Err(refusal);
         }
@@ -224,7 +235,8 @@ impl LinkState {
             Verdict::Candidate(_) => Some(Standing::Candidate),
             Verdict::Duplicate | Verdict::Refused => None,
         };
-        self.operator = standing.filter(|_| header.sender.is_operator()).map(|standing| (header.sender, standing));
+        let proves = self.key.is_none() || self.incoming.has_proved();
+        self.heard = standing.map(|standing| Heard { host: header.sender, standing, proves });
         if matches!(verdict, Verdict::Candidate(_) | Verdict::Refused) {
             return Ok(None);
         }
@@ -302,10 +314,19 @@ impl LinkState {
         self.incoming.accept(header, kind, robot, &mut self.counts)
     }
 
-    /// Returns the operator that sent the last datagram, and whether it is accepted or has to prove its liveness first.
-    /// `None` if the datagram was of a host of the team, a duplicate, or refused for another reason.
-    pub fn operator(&self) -> Option<(HostId, Standing)> {
-        self.operator
+    /// Returns the sender of the last datagram, and whether it is accepted or has to prove its liveness first. `None` if
+    /// the datagram was a duplicate, or refused for another reason.
+    pub fn heard(&self) -> Option<Heard> {
+        self.heard
+    }
+
+    /// Sends a link report of its own soon, which lists the accepted host `host`, so that it can prove its liveness from
+    /// another address.
+    #[cold]
+    pub fn invite(&mut self, now: Time, host: HostId) {
+        self.incoming.list_soon(host);
+        self.outgoing.request_report(now, Urgency::Immediate);
+        self.plan();
     }
 
     /// Counts a datagram that could not be decoded, by the cause `error`.

@@ -11,6 +11,10 @@ pub const LOOPBACK: &str = "lo";
 /// Value for a network interface in a team file that selects the only interface that is suitable.
 pub const AUTO: &str = "auto";
 
+/// Groups that a user may take in place of one of the other family.
+const GROUP_V4: &str = "239.255.77.1:7700";
+const GROUP_V6: &str = "[ff02::4d75]:7700";
+
 /// Network interface of this machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Interface {
@@ -51,12 +55,14 @@ pub enum InterfaceError {
         known: String,
     },
     /// The configured interface has no address of the required family.
-    #[error("the network interface '{name}' has no {family} address; there are: {known}")]
+    #[error("the network interface '{name}' has no {family} address{advice}; there are: {known}")]
     Address {
         /// Configured name.
         name: String,
         /// Required family: IPv4 or IPv6.
         family: &'static str,
+        /// Advice if the interface has an address of the other family; otherwise empty.
+        advice: String,
         /// List of the existing interfaces.
         known: String,
     },
@@ -68,6 +74,25 @@ pub enum InterfaceError {
         /// List of the existing interfaces.
         known: String,
     },
+}
+
+impl InterfaceError {
+    /// Whether the cause may be over in a moment, without a person: an interface that comes up, or its address. Several
+    /// interfaces in place of one stay.
+    pub fn may_pass(&self) -> bool {
+        !matches!(self, InterfaceError::Ambiguous { found: 1.., .. })
+    }
+}
+
+impl Interface {
+    /// Returns the addresses of a family.
+    pub fn addresses(&self, v6: bool) -> Vec<IpAddr> {
+        if v6 {
+            self.v6.iter().copied().map(IpAddr::V6).collect()
+        } else {
+            self.v4.iter().copied().map(IpAddr::V4).collect()
+        }
+    }
 }
 
 /// Returns all network interfaces of this machine, sorted by name. Fails if the kernel does not list them.
@@ -109,16 +134,17 @@ fn known(all: &[Interface]) -> String {
     all.iter().map(one).collect::<Vec<_>>().join(", ")
 }
 
-/// Returns the interface called `name` among `all`, or the only suitable one if `name` is `auto`. It must be up and
-/// have an IPv6 address if `v6` is set, otherwise an IPv4 address; an error says what is missing.
-pub fn find(all: &[Interface], name: &str, v6: bool) -> Result<Interface, InterfaceError> {
-    let fits = |interface: &&Interface| {
-        let addresses = if v6 { interface.v6.len() } else { interface.v4.len() };
-        interface.up && !interface.loopback && addresses > 0
-    };
+/// Returns the interface called `name` among `all`, or the only suitable one if `name` is `auto`; of several, that with
+/// the name `used`, which is in use already. It must be up and have an IPv6 address if `v6` is set, otherwise an IPv4
+/// address; an error says what is missing.
+pub fn find(all: &[Interface], name: &str, v6: bool, used: Option<&str>) -> Result<Interface, InterfaceError> {
+    let fits = |interface: &&Interface| interface.up && !interface.loopback && !interface.addresses(v6).is_empty();
     let known = || known(all);
     if name == AUTO {
         let mut found: Vec<&Interface> = all.iter().filter(fits).collect();
+        if let Some(same) = found.iter().find(|interface| used == Some(&interface.name)) {
+            return Ok((*same).clone());
+        }
         return match (found.pop(), found.len()) {
             (Some(only), 0) => Ok(only.clone()),
             (one, others) => {
@@ -131,9 +157,14 @@ pub fn find(all: &[Interface], name: &str, v6: bool) -> Result<Interface, Interf
     if !named.up {
         return Err(InterfaceError::Down { name: name.to_owned(), known: known() });
     }
-    if (v6 && named.v6.is_empty()) || (!v6 && named.v4.is_empty()) {
-        let family = if v6 { "IPv6" } else { "IPv4" };
-        return Err(InterfaceError::Address { name: name.to_owned(), family, known: known() });
+    if named.addresses(v6).is_empty() {
+        let (family, advice) = match (v6, named.addresses(!v6).is_empty()) {
+            (true, true) => ("IPv6", String::new()),
+            (false, true) => ("IPv4", String::new()),
+            (true, false) => ("IPv6", format!(", but IPv4: an IPv4 group, such as {GROUP_V4}, would do on all hosts")),
+            (false, false) => ("IPv4", format!(", but IPv6: group = \"{GROUP_V6}\" would do on all hosts")),
+        };
+        return Err(InterfaceError::Address { name: name.to_owned(), family, advice, known: known() });
     }
     Ok(named.clone())
 }
@@ -162,15 +193,36 @@ mod tests {
             interface("eth0", false, &[one]),
             interface("bare", true, &[]),
         ];
-        assert_eq!(find(&all, "wlan0", false).unwrap().name, "wlan0");
-        assert_eq!(find(&all, AUTO, false).unwrap().name, "wlan0");
-        let said = |name: &str, v6| find(&all, name, v6).unwrap_err().to_string();
+        assert_eq!(find(&all, "wlan0", false, None).unwrap().name, "wlan0");
+        assert_eq!(find(&all, AUTO, false, None).unwrap().name, "wlan0");
+        let said = |name: &str, v6| find(&all, name, v6, None).unwrap_err().to_string();
         assert!(said("wlan7", false).contains("no network interface 'wlan7'; there are: lo (127.0.0.1), wlan0 (10.0"));
         assert!(said("eth0", false).contains("'eth0' is down"));
         assert!(said("bare", false).contains("no IPv4 address"));
         assert!(said("wlan0", true).contains("no IPv6 address"));
         assert!(said(AUTO, true).contains("finds 0 interfaces"));
         let two = [interface("a", true, &[one]), interface("b", true, &[one])];
-        assert!(find(&two, AUTO, false).unwrap_err().to_string().contains("finds 2 interfaces"));
+        let many = find(&two, AUTO, false, None).unwrap_err();
+        assert!(many.to_string().contains("finds 2 interfaces") && !many.may_pass(), "a person has to choose: {many}");
+        assert_eq!(find(&two, AUTO, false, Some("b")).unwrap().name, "b", "the one in use stays");
+    }
+
+    #[test]
+    fn what_may_be_over_in_a_moment_is_told_from_what_a_person_has_to_mend() {
+        let all = [interface("eth0", false, &[]), interface("bare", true, &[])];
+        for name in ["wlan7", "eth0", "bare", AUTO] {
+            let error = find(&all, name, false, None).unwrap_err();
+            assert!(error.may_pass(), "{error}");
+        }
+    }
+
+    #[test]
+    fn an_interface_without_an_address_of_the_family_names_the_group_of_the_other_that_would_do() {
+        let six = Interface { v6: vec!["fe80::1".parse().unwrap()], ..interface("w0", true, &[]) };
+        let four = interface("w1", true, &[Ipv4Addr::new(10, 0, 0, 1)]);
+        let all = [six, four];
+        let said = |name: &str, v6| find(&all, name, v6, None).unwrap_err().to_string();
+        assert!(said("w0", false).contains("no IPv4 address, but IPv6: group = \"[ff02::4d75]:7700\" would do"));
+        assert!(said("w1", true).contains("no IPv6 address, but IPv4: an IPv4 group, such as 239.255.77.1:7700"));
     }
 }

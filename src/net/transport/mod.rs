@@ -7,6 +7,7 @@
 mod endpoint;
 mod flood;
 pub mod interface;
+mod link_watch;
 pub mod settings;
 pub mod udp;
 pub mod zenoh;
@@ -51,6 +52,27 @@ pub trait Transport {
 
     /// Returns the counters of frames that were not sent or dropped.
     fn counts(&self) -> Counts;
+
+    /// Returns a descriptor that is readable when another thread has closed the link's sockets, opened them again or
+    /// found an address of a host; then `renew` has to be called. `None` if sockets are never opened again.
+    fn changes(&self) -> Option<Rc<dyn AsFd>> {
+        None
+    }
+
+    /// Takes over what another thread has prepared. Calls `tell` when the link was closed or is open again; `descriptor`
+    /// is another one then.
+    fn renew(&mut self, tell: &mut dyn FnMut(Renewed)) {
+        let _ = tell;
+    }
+}
+
+/// Change of an open link: its network interface or address has gone, or it is open again.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Renewed {
+    /// The sockets were closed; the text says why. They are opened again when the interface is fit.
+    Closed(String),
+    /// The sockets are open again; the text says at which address and interface.
+    Open(String),
 }
 
 /// Counters of a transport on one link of one host.

@@ -201,7 +201,8 @@ fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds
                 | ProcessEvent::Duplicate(_)
                 | ProcessEvent::Aborted(..)
                 | ProcessEvent::Safety(..)
-                | ProcessEvent::Hardware(..) => {}
+                | ProcessEvent::Hardware(..)
+                | ProcessEvent::Link(..) => {}
             });
             let echo = wire((clock, readers), echo, |_| {});
             observe(clock, &listener, observer);

@@ -8,6 +8,7 @@ use crate::graph::process::{Graph, ProcessEvent};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{Phase, Wire};
 use crate::net::protocol::link::{DuplicateId, LinkCounts};
+use crate::net::transport::Renewed;
 use crate::program::outlets::Outlets;
 use crate::program::recording::LiveRecord;
 #[cfg(feature = "watch")]
@@ -34,6 +35,8 @@ pub struct Seen {
     pub hardware: RefCell<BTreeMap<RobotId, RobotHardware>>,
     /// Outputs of the host: stdout, trajectories and service manager.
     pub outlets: Outlets,
+    /// Names of the deployment's links, by id.
+    pub links: Vec<String>,
     /// Finding that another live host has the id of this one and started earlier; `None` if there is none.
     pub duplicate: Cell<Option<DuplicateId>>,
     /// Record of the run. It is `None` if nothing is recorded, and empty until the host begins.
@@ -44,8 +47,9 @@ pub struct Seen {
 }
 
 impl Seen {
-    /// Returns the state of a host that has not begun. `outlets` are its outputs.
-    pub fn new(outlets: Outlets) -> Seen {
+    /// Returns the state of a host that has not begun. `outlets` are its outputs, and `links` the names of the
+    /// deployment's links.
+    pub fn new(outlets: Outlets, links: Vec<String>) -> Seen {
         let (report, over, messages, counts) = Default::default();
         let (safety, hardware, duplicate) = Default::default();
         Seen {
@@ -56,6 +60,7 @@ impl Seen {
             safety,
             hardware,
             outlets,
+            links,
             duplicate,
             record: OnceCell::new(),
             #[cfg(feature = "watch")]
@@ -106,6 +111,14 @@ impl Seen {
             ProcessEvent::Duplicate(duplicate) => self.duplicate.set(Some(duplicate)),
             ProcessEvent::Aborted(episode, reason) => {
                 self.outlets.print_event(&HostEvent::Aborted { episode, reason });
+            }
+            ProcessEvent::Link(link, renewed) => {
+                let (open, what) = match renewed {
+                    Renewed::Open(at) => (true, at.clone()),
+                    Renewed::Closed(why) => (false, why.clone()),
+                };
+                let link = self.links[usize::from(link.0)].clone();
+                self.outlets.print_event(&HostEvent::Link { link, open, what });
             }
         }
     }

@@ -79,6 +79,8 @@ impl Results {
                 }
                 Some(HostEvent::Aborted { episode, reason }) => self.aborted(episode, reason),
                 Some(HostEvent::Episode(episode)) => self.episode(episode),
+                // The log of the host says it.
+                Some(HostEvent::Link { .. }) => {}
                 Some(HostEvent::Counted(counted)) => self.counted[at] = counted,
                 Some(HostEvent::Finished(counted)) => {
                     self.counted[at] = counted;

@@ -1,6 +1,9 @@
 //! Checks of this machine for a link's UDP sockets: interface, packet size, address, receive buffer.
 
+use std::net::ToSocketAddrs;
+
 use super::open::OpenError;
+use super::peers::PeerAddress;
 use super::socket::{Addressing, SocketConfig};
 use super::{Filter, Udp};
 use crate::messages::ids::HostId;
@@ -17,13 +20,8 @@ pub(super) fn check(
 ) -> Vec<Finding> {
     let mut all = Vec::new();
     let mut add = |fitness, what, found: String, advice: String| all.push(Finding { fitness, what, found, advice });
-    let address = match &config.addressing {
-        Addressing::Multicast(group) => Some(*group),
-        Addressing::Unicast { listen, .. } => Some(*listen),
-        Addressing::Guest { .. } => None,
-    };
-    let v6 = address.is_some_and(|address| address.is_ipv6());
-    let found = interface::interfaces().and_then(|all| interface::find(&all, &config.interface, v6));
+    let v6 = config.addressing.is_ipv6();
+    let found = interface::interfaces().and_then(|all| interface::find(&all, &config.interface, v6, None));
     let found = match found {
         Ok(found) => found,
         Err(error) => {
@@ -48,12 +46,25 @@ pub(super) fn check(
     }
     let (what, said) = match &config.addressing {
         Addressing::Multicast(group) => ("group", format!("{group} joined")),
-        Addressing::Unicast { listen, .. } => ("address", format!("{listen} free")),
+        Addressing::Unicast { listen, .. } => ("address", format!("port {} free", listen.port())),
         Addressing::Guest { .. } => ("address", "any".to_owned()),
     };
     match Udp::open(host, config, Filter::All) {
         Ok(udp) => {
-            add(Fitness::Ok, what, said, String::new());
+            match udp.ends.as_ref().and_then(|ends| Some((ends, ends.is_elsewhere(config)?))) {
+                Some((ends, listen)) => add(
+                    Fitness::Warn,
+                    what,
+                    format!(
+                        "'{}' has {} and not {}: the host would listen there",
+                        ends.name,
+                        ends.at.ip(),
+                        listen.ip()
+                    ),
+                    format!("mend link.{link}.peers, or give names there"),
+                ),
+                None => add(Fitness::Ok, what, said, String::new()),
+            }
             // The kernel doubles the requested size for its own bookkeeping and reports the double.
             let (granted, wanted) = (udp.granted_bytes() / 2, config.receive_buffer_bytes);
             if granted >= wanted {
@@ -71,5 +82,27 @@ pub(super) fn check(
             add(Fitness::Fail, what, error.to_string(), advice.to_owned());
         }
     }
+    all.extend(names(config, link));
     all
+}
+
+/// Resolves the names of the other hosts.
+fn names(config: &SocketConfig, link: &str) -> Vec<Finding> {
+    let (Addressing::Unicast { peers, .. } | Addressing::Guest { peers }) = &config.addressing else {
+        return Vec::new();
+    };
+    let v6 = config.addressing.is_ipv6();
+    let family = if v6 { "IPv6" } else { "IPv4" };
+    let finding = |at: &PeerAddress| {
+        let PeerAddress::Named(name, port) = at else { return None };
+        let found = (name.as_str(), *port).to_socket_addrs().map(|mut all| all.find(|at| at.is_ipv6() == v6));
+        let why = match found {
+            Ok(Some(at)) => return Some(Finding::ok("name", format!("'{name}' is {}", at.ip()))),
+            Ok(None) => format!("'{name}' has no {family} address"),
+            Err(error) => format!("'{name}' has no address: {error}"),
+        };
+        let advice = format!("is that machine on? A host goes on trying; see link.{link}.peers");
+        Some(Finding { fitness: Fitness::Warn, what: "name", found: why, advice })
+    };
+    peers.values().filter_map(finding).collect()
 }

@@ -1,5 +1,6 @@
 //! Guests of a unicast link: operators, whose addresses are not in the team file. The link sends to them for a while
-//! after each of their datagrams. The link layer decides which ones are admitted.
+//! after each of their datagrams. The link layer decides which ones are admitted. Also candidates for the new address of
+//! a host of the team.
 //!
 //! A recording of an operator's datagrams can be sent from any address. So only a new datagram changes the address of
 //! an accepted operator. All others are kept in a separate table and receive only reports, which they need to prove
@@ -52,6 +53,11 @@ impl Guests {
                 self.candidates.insert((host, at), now);
             }
         }
+    }
+
+    /// Removes the address `at` of a host that has proved its liveness from the candidates.
+    pub fn forget(&mut self, host: HostId, at: SocketAddr) {
+        self.candidates.remove(&(host, at));
     }
 
     /// Removes expired candidate addresses; if there are none, the oldest address of the host with the most addresses.

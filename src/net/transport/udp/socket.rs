@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::sync::Arc;
 
+use super::peers::PeerAddress;
 use super::{Udp, fitness};
 use crate::config::ConfigError;
 use crate::config::fields::{FieldType, Value};
@@ -53,16 +54,28 @@ pub enum Addressing {
     /// Unicast to the address of each host.
     Unicast {
         /// Address at which this host receives.
-        listen: SocketAddr,
+        listen: PeerAddress,
         /// Addresses of the other hosts.
-        peers: BTreeMap<HostId, SocketAddr>,
+        peers: BTreeMap<HostId, PeerAddress>,
     },
     /// Unicast from an operator, whose address is not in the team file, to each host. It uses a port that the kernel
     /// chooses, on the interface with a route to the host; hosts answer to that port.
     Guest {
         /// Addresses of all hosts of the link.
-        peers: BTreeMap<HostId, SocketAddr>,
+        peers: BTreeMap<HostId, PeerAddress>,
     },
+}
+
+impl Addressing {
+    /// Whether the link uses IPv6: one of its addresses is of that family. Names alone mean IPv4.
+    pub(super) fn is_ipv6(&self) -> bool {
+        let is_ipv6 = |at: &PeerAddress| at.fixed().is_some_and(|at| at.is_ipv6());
+        match self {
+            Addressing::Multicast(group) => group.is_ipv6(),
+            Addressing::Unicast { listen, peers } => peers.values().chain([listen]).any(is_ipv6),
+            Addressing::Guest { peers } => peers.values().any(is_ipv6),
+        }
+    }
 }
 
 impl SocketConfig {
@@ -73,13 +86,16 @@ impl SocketConfig {
 
 impl Endpoint for SocketConfig {
     fn open(&self, host: HostId, filter: Filter) -> Result<Box<dyn Transport>, OpenError> {
-        Ok(Box::new(Udp::open(host, self, filter)?))
+        let mut udp = Udp::open(host, self, filter)?;
+        udp.keep(self, filter)?;
+        Ok(Box::new(udp))
     }
 
     fn for_guest(&self, beside: HostId) -> Arc<dyn Endpoint> {
         match &self.addressing {
             Addressing::Unicast { listen, peers } => {
-                let peers = peers.iter().map(|(host, at)| (*host, *at)).chain([(beside, *listen)]).collect();
+                let all = peers.iter().map(|(host, at)| (*host, at.clone()));
+                let peers = all.chain([(beside, listen.clone())]).collect();
                 self.with(Addressing::Guest { peers })
             }
             // A guest joins a multicast group like any host.
@@ -97,8 +113,8 @@ impl Endpoint for SocketConfig {
     fn is_local(&self) -> bool {
         match &self.addressing {
             Addressing::Multicast(_) => self.interface == LOOPBACK,
-            Addressing::Unicast { listen, peers } => peers.values().chain([listen]).all(|at| at.ip().is_loopback()),
-            Addressing::Guest { peers } => peers.values().all(|at| at.ip().is_loopback()),
+            Addressing::Unicast { listen, peers } => peers.values().chain([listen]).all(PeerAddress::is_loopback),
+            Addressing::Guest { peers } => peers.values().all(PeerAddress::is_loopback),
         }
     }
 
@@ -109,19 +125,21 @@ impl Endpoint for SocketConfig {
             }
             Addressing::Unicast { listen, .. } => Claim { field: "peers", what: listen.to_string(), on: String::new() },
             Addressing::Guest { peers } => {
-                let all: Vec<String> = peers.values().map(SocketAddr::to_string).collect();
+                let all: Vec<String> = peers.values().map(PeerAddress::to_string).collect();
                 Claim { field: "peers", what: all.join(", "), on: String::new() }
             }
         }
     }
 
     fn restricted_to(&self, hosts: &[HostId]) -> Arc<dyn Endpoint> {
-        let those = |peers: &BTreeMap<HostId, SocketAddr>| {
-            peers.iter().filter(|(host, _)| hosts.contains(host)).map(|(host, at)| (*host, *at)).collect()
+        let those = |peers: &BTreeMap<HostId, PeerAddress>| {
+            peers.iter().filter(|(host, _)| hosts.contains(host)).map(|(host, at)| (*host, at.clone())).collect()
         };
         self.with(match &self.addressing {
             Addressing::Multicast(group) => Addressing::Multicast(*group),
-            Addressing::Unicast { listen, peers } => Addressing::Unicast { listen: *listen, peers: those(peers) },
+            Addressing::Unicast { listen, peers } => {
+                Addressing::Unicast { listen: listen.clone(), peers: those(peers) }
+            }
             Addressing::Guest { peers } => Addressing::Guest { peers: those(peers) },
         })
     }

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::sync::Arc;
 
+use super::peers::PeerAddress;
 use super::socket::{Addressing, INTERFACE, RECEIVE_BUFFER, SocketConfig, bound};
 use crate::config::ConfigError;
 use crate::config::fields::FieldType;
@@ -14,19 +15,19 @@ use crate::net::transport::{Endpoint, Entry, Field, LinkSettings};
 pub const ENTRY: Entry = Entry {
     name: "unicast",
     about: "UDP to each host by itself",
-    fields: &[INTERFACE, RECEIVE_BUFFER, Field { by_host: true, ..Field::new("peers", FieldType::Address) }],
+    fields: &[INTERFACE, RECEIVE_BUFFER, Field { by_host: true, ..Field::new("peers", FieldType::HostAddress) }],
     read,
 };
 
 fn read(settings: &LinkSettings) -> Result<Arc<dyn Endpoint>, ConfigError> {
     let (interface, receive_buffer_bytes) = bound(settings)?;
-    let mut peers: BTreeMap<HostId, SocketAddr> = BTreeMap::new();
+    let mut peers: BTreeMap<HostId, PeerAddress> = BTreeMap::new();
     for (id, name) in (0..).map(HostId).zip(&settings.hosts) {
         let field = format!("peers.{name}");
         let advice = || format!("; say where host '{name}' listens, with its port");
-        let listens = settings.need(&field, advice)?.address();
-        if listens.ip().is_multicast() || listens.ip().is_unspecified() {
-            return Err(settings.wrong(&field, format!("{} is no address of one host", listens.ip())));
+        let listens = PeerAddress::of(settings.need(&field, advice)?);
+        if let Some(at) = listens.fixed().filter(|at| at.ip().is_multicast() || at.ip().is_unspecified()) {
+            return Err(settings.wrong(&field, format!("{} is no address of one host", at.ip())));
         }
         if let Some((HostId(other_host), _)) = peers.iter().find(|(_, peer)| **peer == listens) {
             let other_host = settings.hosts[usize::from(*other_host)];
@@ -36,10 +37,10 @@ fn read(settings: &LinkSettings) -> Result<Arc<dyn Endpoint>, ConfigError> {
         peers.insert(id, listens);
     }
     let listen = peers.remove(&settings.host).expect("every host has its address");
-    if let Some(other) = peers.values().find(|other| other.is_ipv4() != listen.is_ipv4()) {
-        return Err(
-            settings.wrong("peers", format!("{listen} and {other} are of two families; take one, IPv4 or IPv6"))
-        );
+    let fixed: Vec<SocketAddr> = peers.values().chain([&listen]).filter_map(PeerAddress::fixed).collect();
+    if let Some(other) = fixed.iter().find(|other| other.is_ipv4() != fixed[0].is_ipv4()) {
+        let why = format!("{} and {other} are of two families; take one, IPv4 or IPv6", fixed[0]);
+        return Err(settings.wrong("peers", why));
     }
     Ok(Arc::new(SocketConfig { addressing: Addressing::Unicast { listen, peers }, interface, receive_buffer_bytes }))
 }
@@ -54,5 +55,7 @@ pub fn endpoint(
     receive_buffer_bytes: usize,
 ) -> Arc<dyn Endpoint> {
     let interface = interface.to_owned();
-    Arc::new(SocketConfig { addressing: Addressing::Unicast { listen, peers }, interface, receive_buffer_bytes })
+    let peers = peers.into_iter().map(|(host, at)| (host, PeerAddress::At(at))).collect();
+    let addressing = Addressing::Unicast { listen: PeerAddress::At(listen), peers };
+    Arc::new(SocketConfig { addressing, interface, receive_buffer_bytes })
 }

@@ -5,18 +5,20 @@ use std::net::SocketAddr;
 use std::os::fd::AsFd;
 use std::rc::Rc;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::thread;
 use std::time::Duration;
 
-use super::session::{Role, Shared, TO_ALL, Worker, awaits, configuration, reach, role};
-use super::{SessionConfig, Streams};
+use nix::sys::eventfd::{EfdFlags, EventFd};
+
+use super::session::{News, Role, Shared, TO_ALL, Worker, awaits, configuration, endpoints, reach, role};
+use super::{SessionConfig, Streams, route};
 use crate::edge::{self, Gate};
 use crate::messages::ids::HostId;
 use crate::net::protocol::router::Audience;
 use crate::net::transport::flood::{Flood, REST};
-use crate::net::transport::{Counts, Finding, Fitness, In, OpenError, Transmit, Transport};
+use crate::net::transport::{Counts, Finding, Fitness, In, OpenError, Renewed, Transmit, Transport};
 use crate::time::Time;
 
 /// Longest wait for a session when a link is opened. Without a router, the host starts all the same.
@@ -34,8 +36,26 @@ pub(super) fn open(config: &SessionConfig, host: HostId) -> Result<Box<dyn Trans
     let waits = awaits(&zenoh);
     let worker = Worker { config: config.clone(), zenoh, host, shared: Arc::clone(&shared) };
     let ((opened_tx, opened), (ended_tx, ended)) = (sync_channel(1), sync_channel::<()>(1));
+    let flags = EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC;
+    let bell = EventFd::from_flags(flags).map_err(|error| OpenError::NotNow(error.to_string()))?;
+    let (bell, (queue, news)) = (Arc::new(bell), sync_channel(8));
+    let tell = News { queue, bell: Arc::clone(&bell) };
+    let closed = Arc::new(AtomicBool::new(false));
+    route::watch(endpoints(&worker.zenoh), Arc::clone(&shared.remake), Arc::clone(&closed))
+        .map_err(|error| OpenError::NotNow(error.to_string()))?;
+    let link = Link {
+        gate: Some(gate),
+        shared,
+        ended,
+        news,
+        bell,
+        closed,
+        looked: Time::ZERO,
+        flood: Flood::default(),
+        unsent: 0,
+    };
     let run = move || {
-        worker.run(port, &opened_tx);
+        worker.run(port, &opened_tx, &tell);
         drop(ended_tx);
     };
     let named = thread::Builder::new().name("zenoh".to_owned()).spawn(run);
@@ -46,7 +66,7 @@ pub(super) fn open(config: &SessionConfig, host: HostId) -> Result<Box<dyn Trans
         Ok(Err(why)) if waits => return Err(OpenError::NotNow(format!("Zenoh: {why}"))),
         _ => tracing::warn!("no Zenoh router answers at {} yet; going on without", config.connect.join(", ")),
     }
-    Ok(Box::new(Link { gate: Some(gate), shared, ended, looked: Time::ZERO, flood: Flood::default(), unsent: 0 }))
+    Ok(Box::new(link))
 }
 
 /// Checks whether a session gets through from this machine; `link` is the name of the link, for advice.
@@ -96,6 +116,11 @@ struct Link {
     shared: Arc<Shared>,
     /// Disconnected once the session's thread has ended.
     ended: Receiver<()>,
+    /// Changes of the session, and what is readable when there are some.
+    news: Receiver<Renewed>,
+    bell: Arc<EventFd>,
+    /// Ends the thread that watches this machine's addresses.
+    closed: Arc<AtomicBool>,
     /// Time of the last read.
     looked: Time,
     flood: Flood,
@@ -112,6 +137,7 @@ impl Link {
 impl Drop for Link {
     fn drop(&mut self) {
         self.gate = None;
+        self.closed.store(true, Ordering::Relaxed);
         // The last frames may say that this host leaves.
         if self.shared.open.load(Ordering::Acquire)
             && let Err(RecvTimeoutError::Timeout) = self.ended.recv_timeout(CLOSING)
@@ -156,5 +182,14 @@ impl Transport for Link {
     fn counts(&self) -> Counts {
         let (full, dropped) = self.gate().dropped();
         Counts { unsent: self.unsent + full + self.shared.refused.load(Ordering::Relaxed), dropped }
+    }
+
+    fn changes(&self) -> Option<Rc<dyn AsFd>> {
+        Some(Rc::new(Arc::clone(&self.bell)))
+    }
+
+    fn renew(&mut self, tell: &mut dyn FnMut(Renewed)) {
+        let _ = self.bell.read();
+        self.news.try_iter().for_each(tell);
     }
 }

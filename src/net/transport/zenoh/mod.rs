@@ -9,6 +9,8 @@
 #[cfg(feature = "zenoh")]
 mod link;
 #[cfg(feature = "zenoh")]
+mod route;
+#[cfg(feature = "zenoh")]
 mod session;
 
 use std::path::PathBuf;

@@ -11,11 +11,14 @@ use ::zenoh::pubsub::Subscriber;
 use ::zenoh::qos::{CongestionControl, Priority, Reliability};
 use ::zenoh::sample::Locality;
 use ::zenoh::{Config, Session, Wait};
+use nix::sys::eventfd::EventFd;
 
+use super::route::Endpoints;
 use super::{SessionConfig, check_endpoint};
 use crate::edge::{PacketSender, Port};
 use crate::messages::ids::HostId;
 use crate::net::protocol::codec::MAX_FRAME_BYTES;
+use crate::net::transport::Renewed;
 
 /// Receiver number, in front of a packet from the control thread, that stands for all hosts. No host has it.
 pub(super) const TO_ALL: u16 = u16::MAX;
@@ -48,6 +51,17 @@ pub(super) struct Shared {
     pub open: AtomicBool,
     /// Number of frames that the session has refused.
     pub refused: AtomicU64,
+    /// Whether the session has to be made again, because this machine's address or interface has changed.
+    pub remake: Arc<AtomicBool>,
+}
+
+/// End of a session.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum End {
+    /// The control thread has closed the channel.
+    Closed,
+    /// The session is to be made again.
+    Remade,
 }
 
 /// Returns the configuration of the Zenoh library for a session. An error says what is wrong with it, or with its file.
@@ -147,6 +161,31 @@ pub(super) fn reach(config: &Config) -> Result<(usize, usize), String> {
     Ok(reached)
 }
 
+/// Sender of changes of a session to the control thread.
+pub(super) struct News {
+    /// Changes that the control thread has not taken yet.
+    pub queue: SyncSender<Renewed>,
+    /// Wakes the control thread.
+    pub bell: Arc<EventFd>,
+}
+
+impl News {
+    /// Tells the control thread of a change; one that does not fit is left out.
+    fn tell(&self, change: Renewed) {
+        let _ = self.queue.try_send(change);
+        let _ = self.bell.write(1);
+    }
+}
+
+/// Returns the endpoints of a session from its configuration.
+pub(super) fn endpoints(config: &Config) -> Endpoints {
+    let all = |key: &str| {
+        let value = serde_json::from_str(&config.get_json(key).unwrap_or_default()).unwrap_or(serde_json::Value::Null);
+        texts(&value).into_iter().map(str::to_owned).collect()
+    };
+    Endpoints { connect: all("connect/endpoints"), listen: all("listen/endpoints") }
+}
+
 /// Session of one host on one link, on its own thread.
 pub(super) struct Worker {
     /// Configuration of the session.
@@ -203,28 +242,58 @@ impl Subscription {
 }
 
 impl Worker {
-    /// Runs the session until the control thread closes `port`. The first attempt's result goes to `opened`.
-    pub fn run(self, mut port: Port, opened: &SyncSender<Result<(), String>>) {
+    /// Runs the session until the control thread closes `port`, and makes it again when the machine's address has
+    /// changed. The first attempt's result goes to `opened`, and each later change of the session to `news`.
+    pub fn run(self, mut port: Port, opened: &SyncSender<Result<(), String>>, news: &News) {
         let sender = port.sender();
-        let Some(session) = self.open(&sender, opened) else { return };
-        let keys = [self.config.key_of_all(), self.config.key_of(self.host.0)];
-        let mut subscriptions = keys.map(|key| Subscription::new(&key));
-        self.refresh(&mut subscriptions, &session, &sender);
-        self.shared.open.store(true, Ordering::Release);
-        let _ = opened.try_send(Ok(()));
+        while let Some(session) = self.open(&sender, opened) {
+            let keys = [self.config.key_of_all(), self.config.key_of(self.host.0)];
+            let mut subscriptions = keys.map(|key| Subscription::new(&key));
+            self.refresh(&mut subscriptions, &session, &sender);
+            self.shared.open.store(true, Ordering::Release);
+            if opened.try_send(Ok(())).is_err() {
+                news.tell(Renewed::Open(format!("the Zenoh session of '{}'", self.config.key)));
+            }
+            let end = self.publish_all(&session, &mut subscriptions, &mut port);
+            if end == End::Closed {
+                // Flushes what was published last, and tells the router.
+                let _ = session.close().wait();
+                return;
+            }
+            self.shared.open.store(false, Ordering::Release);
+            news.tell(Renewed::Closed("this machine's address or interface has changed".to_owned()));
+            // A session that listens occupies its port. The end of any other may wait for a router that is not reached
+            // any more, so nobody waits for it.
+            if awaits(&self.zenoh) {
+                drop(subscriptions);
+                let _ = session.close().wait();
+            } else {
+                std::thread::spawn(move || {
+                    drop(subscriptions);
+                    let _ = session.close().wait();
+                });
+            }
+        }
+    }
+
+    /// Publishes the frames of the control thread until it closes the channel, or until the session has to be made again.
+    fn publish_all(&self, session: &Session, subscriptions: &mut [Subscription], port: &mut Port) -> End {
+        let sender = port.sender();
         let mut refreshed = Instant::now();
         while let Some(packet) = port.wait() {
+            if self.shared.remake.swap(false, Ordering::Relaxed) {
+                return End::Remade;
+            }
             let to = u16::from_le_bytes([packet[0], packet[1]]);
-            self.note(self.publish(&session, to, &packet[2..]));
+            self.note(self.publish(session, to, &packet[2..]));
             // Every host sends link reports several times a second, so this is done as often as needed.
             let period = if subscriptions.iter().any(|one| one.ever_heard) { REFRESH } else { FIRST_REFRESH };
             if refreshed.elapsed() >= period {
                 refreshed = Instant::now();
-                self.refresh(&mut subscriptions, &session, &sender);
+                self.refresh(subscriptions, session, &sender);
             }
         }
-        // Flushes what was published last, and tells the router.
-        let _ = session.close().wait();
+        End::Closed
     }
 
     fn refresh(&self, subscriptions: &mut [Subscription], session: &Session, sender: &PacketSender) {

@@ -1,0 +1,74 @@
+//! Hosts of a team that have moved to another address on a link that sends to single hosts.
+
+use std::net::SocketAddr;
+
+use crate::rig::{Rig, config, is_data, key, latent};
+use murmurate::messages::ids::HostId;
+use murmurate::net::protocol::link::{Guest, Standing};
+use murmurate::net::protocol::reliability::{Reliabilities, Setup};
+
+fn at(last: u8) -> SocketAddr {
+    SocketAddr::from(([10, 0, 0, last], 7700))
+}
+
+/// Two hosts on a unicast link with a key, which know each other.
+fn pair() -> Rig {
+    let setup = || Setup::unicast(Reliabilities::new());
+    let mut rig = Rig::new((0..2).map(|host| config(host, 2, 1, Some(key()), setup())));
+    rig.addresses = vec![Some(at(1)), Some(at(2))];
+    talk(&mut rig, 2000);
+    rig
+}
+
+/// Both hosts send data twenty times a second for this long.
+fn talk(rig: &mut Rig, ms: u64) {
+    for step in 0..ms / 50 {
+        for host in 0..2 {
+            rig.publish(host, latent(host as u16, step as u32));
+        }
+        rig.run_ms(50);
+    }
+}
+
+/// Returns how host 1 was told that host 0 is at this address.
+fn told(rig: &Rig, at: SocketAddr) -> Vec<Standing> {
+    rig.admitted[1].iter().filter(|guest| guest.at == at).map(|guest| guest.standing).collect()
+}
+
+#[test]
+fn the_transport_is_told_twice_a_second_where_a_host_is_and_not_with_each_datagram() {
+    let mut rig = pair();
+    rig.admitted[1].clear();
+    talk(&mut rig, 5000);
+    let expected = Guest { host: HostId(0), at: at(1), standing: Standing::Accepted };
+    assert!(rig.admitted[1].iter().all(|guest| *guest == expected));
+    assert!((8..=11).contains(&rig.admitted[1].len()), "{} times in 5 s", rig.admitted[1].len());
+}
+
+#[test]
+fn a_host_that_has_moved_is_sent_data_once_it_proves_its_liveness_from_there() {
+    let mut rig = pair();
+    // It is without an address for so long that it has no fresh stamp of the other, which sends to its former address.
+    rig.blocked = Some((1, 0, |_| true));
+    rig.run_ms(3000);
+    rig.addresses[0] = Some(at(9));
+    // Of what goes to the new address, only reports may.
+    rig.blocked = Some((1, 0, is_data));
+    talk(&mut rig, 1000);
+    let told = told(&rig, at(9));
+    assert_eq!(told.first(), Some(&Standing::Candidate), "{told:?}");
+    assert!(told.contains(&Standing::Accepted), "within a second: {told:?}");
+}
+
+#[test]
+fn a_recording_from_another_address_redirects_nothing() {
+    let mut rig = pair();
+    rig.blocked = Some((0, 1, |_| true));
+    rig.publish(0, latent(0, 1000));
+    let held = rig.last_data(0);
+    rig.blocked = None;
+    rig.arrive_from(1, &held, Some(at(66)));
+    talk(&mut rig, 3000);
+    assert!(told(&rig, at(66)).iter().all(|standing| *standing == Standing::Candidate), "{:?}", told(&rig, at(66)));
+    assert!(told(&rig, at(1)).contains(&Standing::Accepted));
+}
