@@ -93,12 +93,19 @@ pub fn filter(team: &Team) -> Filter {
 }
 
 /// Opens all network links in which this host takes part according to the team file. `me` is the id of this host. An
-/// error names the link.
-pub fn open(team: &Team, me: HostId) -> Result<Vec<Open>, LinkError> {
+/// error names the link. Calls `wait` with an error that may be over in a moment: it may wait, and returns whether to try
+/// again.
+pub fn open(team: &Team, me: HostId, wait: &mut dyn FnMut(&LinkError) -> bool) -> Result<Vec<Open>, LinkError> {
     let mut open = Vec::new();
     for (at, (link, place)) in team.deployment.links.iter().zip(&team.links).enumerate() {
         let Some(place) = place else { continue };
-        let transport = place.endpoint.open(me, filter(team)).map_err(|error| failed(&link.name, error))?;
+        let transport = loop {
+            match place.endpoint.open(me, filter(team)).map_err(|error| failed(&link.name, error)) {
+                Ok(transport) => break transport,
+                Err(error @ LinkError::NotNow(_)) if wait(&error) => {}
+                Err(error) => return Err(error),
+            }
+        };
         tracing::info!(link = link.name, "open");
         open.push((LinkId(u16::try_from(at).expect("links are counted in u16")), transport));
     }

@@ -73,8 +73,20 @@ impl LiveHost {
     /// and sources are looked up in `registry` by name. `key` authenticates the team's datagrams; `None` only if no
     /// link leaves this machine.
     pub fn open(team: &Team, trial: &Trial, key: Option<Key>, registry: &Registry) -> Result<LiveHost, OpenError> {
+        LiveHost::open_when_fit(team, trial, key, registry, &mut |_| false)
+    }
+
+    /// Opens the host as `open` does, and calls `wait` whenever a link cannot be opened yet, such as one without an
+    /// interface: it may wait a moment, and returns whether to try again.
+    pub fn open_when_fit(
+        team: &Team,
+        trial: &Trial,
+        key: Option<Key>,
+        registry: &Registry,
+        wait: &mut dyn FnMut(&LinkError) -> bool,
+    ) -> Result<LiveHost, OpenError> {
         let links = links::setups(&team.deployment, team.links.iter().map(Option::as_ref));
-        let transports = links::open(team, team.host)?;
+        let transports = links::open(team, team.host, wait)?;
         let ProcessIdentity { incarnation, seed: secret, bytes: seed, .. } = ProcessIdentity::draw()?;
         let entry = &team.deployment.hosts[usize::from(team.host.0)];
         let (devices, workers) = devices::open(entry, team.deployment.robots, registry)?;

@@ -3,10 +3,12 @@
 
 use std::cell::RefCell;
 use std::rc::Rc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use crate::actors::order::{Order, OrderKind, PERIOD, Unconfirmed};
-use crate::graph::operator;
+use crate::deploy::team::TeamFile;
+use crate::graph::operator::{self, Operator};
+use crate::live::links::LinkError;
 use crate::messages::ids::RobotId;
 use crate::messages::wire::Hindrance;
 use crate::registry::Registry;
@@ -14,7 +16,7 @@ use crate::runtime::real::run_real;
 use crate::time::{Span, Time};
 use anyhow::{Result, anyhow};
 
-use crate::program::output::print;
+use crate::program::output::{print, talk};
 use crate::program::own_name;
 use crate::program::team;
 use crate::program::{Ended, bad};
@@ -26,6 +28,9 @@ const AT_LEAST: Span = Span::from_millis(500);
 const WAIT_S: f64 = 3.0;
 /// Longest wait that a user may ask for \[s\].
 const LONGEST_WAIT_S: f64 = 60.0;
+
+/// Time between two attempts to join the team.
+const RETRY: Duration = Duration::from_millis(100);
 
 /// Flags of `murmurate stop`.
 #[derive(clap::Args)]
@@ -103,7 +108,7 @@ struct Asked<'a> {
 impl Asked<'_> {
     fn run(&self, registry: &Registry) -> Result<Ended> {
         let file = self.team.read(registry)?;
-        let operator = self.team.operator(&file)?;
+        let operator = self.operator(&file)?;
         let robots = operator.robots;
         let order = Rc::new(RefCell::new(Order::new(operator.me.host, self.kind, robots)));
         run_real(
@@ -122,6 +127,27 @@ impl Asked<'_> {
         );
         let order = order.borrow();
         self.tell(&order, robots)
+    }
+
+    /// Joins the team as an operator. While no network interface is fit, it tries again for as long as the user would
+    /// wait for an answer, and says so once.
+    fn operator(&self, file: &TeamFile) -> Result<Operator> {
+        let begun = Instant::now();
+        let mut said = false;
+        loop {
+            match self.team.operator(file) {
+                Err(error)
+                    if matches!(error.downcast_ref(), Some(LinkError::NotNow(_)))
+                        && begun.elapsed().as_secs_f64() < self.wait.as_secs() =>
+                {
+                    if !std::mem::replace(&mut said, true) {
+                        talk(&format!("nothing is sent yet, trying for {} s: {error}", self.wait.as_secs()));
+                    }
+                    std::thread::park_timeout(RETRY);
+                }
+                opened => return opened,
+            }
+        }
     }
 
     /// Prints how many robots have confirmed the order. Fails with the reason if not all have.

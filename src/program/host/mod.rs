@@ -1,5 +1,6 @@
 //! The command `murmurate host`: runs one host of a team in real time on its sockets. This runs on robots.
 
+mod patience;
 mod seen;
 
 use std::cell::Cell;
@@ -10,6 +11,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
+use self::patience::Patience;
 use self::seen::Seen;
 use crate::actors::recorder::Steps;
 use crate::deploy::team::{Team, TeamFile};
@@ -132,15 +134,22 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         trial.steps = Steps::Reported;
         sees_whole_team(&team)?;
     }
-    let seen = Rc::new(Seen::new(Outlets::open(args.json, args.trajectories.as_deref())?));
+    let links = team.deployment.links.iter().map(|link| link.name.clone()).collect();
+    let seen = Rc::new(Seen::new(Outlets::open(args.json, args.trajectories.as_deref())?, links));
     let outlets = &seen.outlets;
     let keyed = key.is_some();
-    let live = LiveHost::open(&team, &trial, key, registry)?;
+    let (signal, wake_reader) = signals::listen()?;
+    let mut patience = Patience::new((&signal, &wake_reader), outlets, (args.json, args.launched));
+    let live = match LiveHost::open_when_fit(&team, &trial, key, registry, &mut |error| patience.wait(error)) {
+        // Asked to end while it waited.
+        Err(_) if signal.load(Ordering::Relaxed) != 0 => return ended(&signal),
+        opened => opened?,
+    };
+    patience.end();
     let files = [Some(args.team.file.clone()), team.policy.clone()].into_iter().flatten().collect();
     seen.record.set(LiveRecord::of_host(&args.record, (&team, &live), (began, keyed), (files, &digest))?).ok();
     #[cfg(feature = "watch")]
     seen.metrics.set(args.metrics.open(&team)?).ok();
-    let (signal, wake_reader) = signals::listen()?;
     tracing::info!(host = name, robots = team.deployment.robots, policy = policy.name, digest, "starts");
     let abandoned = Rc::new(Cell::new(false));
     let mut watch =
@@ -180,8 +189,12 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     }
     outlets.close()?;
     written?;
-    let by_user = signal.load(Ordering::Relaxed) == SIGINT as usize;
-    Ok(if interrupted && by_user { Ended::Interrupted } else { Ended::Done })
+    if interrupted { ended(&signal) } else { Ok(Ended::Done) }
+}
+
+/// Returns the end of a host that was asked to end by the signal of this number, if any: SIGTERM asks for a regular one.
+fn ended(signal: &AtomicUsize) -> Result<Ended> {
+    Ok(if signal.load(Ordering::Relaxed) == SIGINT as usize { Ended::Interrupted } else { Ended::Done })
 }
 
 /// Number of the signal that ended the host, and the flag that requests to keep the last seconds of its record.
