@@ -62,7 +62,7 @@ pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigErro
         let why = "gpsd tells where its own robot is; give each robot's host one robot in `localizes`";
         return Err(ConfigError::field("name", why));
     };
-    let worker = Box::new(worker::Subscriber { address: config.address, robot });
+    let worker = Box::new(worker::Subscriber { address: config.address.clone(), robot });
     Ok(Parts { source: Box::new(move || Box::new(Gpsd::new(robot, &config))), worker })
 }
 

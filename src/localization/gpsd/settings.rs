@@ -1,8 +1,7 @@
 //! Settings of the source `gpsd` in a team file.
 
-use std::net::SocketAddr;
-
 use crate::config::ConfigError;
+use crate::config::fields::FieldType;
 use crate::edge::Settings;
 use crate::localization::alignment::Alignment;
 use crate::time::Span;
@@ -30,8 +29,8 @@ pub enum Heading {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 struct Fields {
-    /// Address and TCP port of gpsd.
-    address: SocketAddr,
+    /// Address, or name of a host, and TCP port of gpsd.
+    address: String,
     /// Path of the receiver's device at gpsd; if left out, reports of all its devices are used.
     device: Option<String>,
     /// Latitude of the team's origin on WGS 84 \[deg\].
@@ -56,7 +55,7 @@ struct Fields {
 impl Default for Fields {
     fn default() -> Fields {
         Fields {
-            address: SocketAddr::from(([127, 0, 0, 1], PORT)),
+            address: format!("127.0.0.1:{PORT}"),
             device: None,
             origin_latitude_deg: None,
             origin_longitude_deg: None,
@@ -75,8 +74,8 @@ impl Default for Fields {
 /// Checked settings of the source `gpsd`, which localizes a robot by its own satellite receiver.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// Address and TCP port of gpsd, the daemon that reads the receiver.
-    pub address: SocketAddr,
+    /// Address and TCP port of gpsd, the daemon that reads the receiver; or name of its host, with the port.
+    pub address: String,
     /// Path of the receiver's device at gpsd; `None` for all its devices.
     pub device: Option<String>,
     /// Local frame with axes east, north and up at the team's origin.
@@ -120,8 +119,8 @@ impl Config {
                 return Err(ConfigError::field(name, format!("it is out of range; give {least} to {most} {unit}")));
             }
         }
-        if fields.address.port() == 0 {
-            return Err(ConfigError::field("address", format!("its port is 0; gpsd listens on {PORT}")));
+        if let Err(why) = FieldType::HostAddress.read(&fields.address) {
+            return Err(ConfigError::field("address", format!("{why}; gpsd listens on port {PORT}")));
         }
         Ok(Config {
             address: fields.address,
@@ -151,13 +150,16 @@ mod tests {
     fn a_wrong_field_is_named() {
         let origin = "origin_latitude_deg = 52\norigin_longitude_deg = 0.1";
         let config = read(origin).unwrap();
-        assert_eq!((config.address.to_string().as_str(), config.fix_least), ("127.0.0.1:2947", Fix::RtkFixed));
+        assert_eq!((config.address.as_str(), config.fix_least), ("127.0.0.1:2947", Fix::RtkFixed));
+        let named = read(&format!("{origin}\naddress = 'robot-2.local:2947'")).unwrap();
+        assert_eq!(named.address, "robot-2.local:2947");
         for (text, part) in [
             ("origin_latitude_deg = 52.0", "origin_longitude_deg: it is missing"),
             ("origin_longitude_deg = 0.1", "origin_latitude_deg: it is missing"),
             ("origin_latitude_deg = 90.5\norigin_longitude_deg = 0.1", "origin_latitude_deg: it is out of range"),
             (&format!("{origin}\nfix_least = 'rtk'"), "gpsd.fix_least: "),
-            (&format!("{origin}\naddress = 'robot'"), "gpsd.address: "),
+            (&format!("{origin}\naddress = 'robot'"), "address: "),
+            (&format!("{origin}\naddress = 2947"), "gpsd.address: "),
             (&format!("{origin}\naddress = '10.0.0.1:0'"), "address: "),
             (&format!("{origin}\nyaw_rad = nan"), "yaw_rad: "),
             (&format!("{origin}\ndeviation_most_m = 0"), "deviation_most_m: "),

@@ -1,7 +1,7 @@
 //! Worker of the source `gpsd`: a TCP client that subscribes to reports and passes the lines on unchanged.
 
 use std::io::{self, Read, Write};
-use std::net::{SocketAddr, TcpStream};
+use std::net::{SocketAddr, TcpStream, ToSocketAddrs};
 use std::thread;
 use std::time::Duration;
 
@@ -19,6 +19,9 @@ const CONNECT: Duration = Duration::from_millis(500);
 /// Number of waits without a byte after which the connection counts as lost: 5 s in total. Receivers report each second
 /// or faster.
 const SILENT: u32 = 50;
+/// Number of waits without a byte after which the name of gpsd's host is resolved again: 1 s in total. Another address
+/// ends the connection.
+const UNSURE: u32 = 10;
 /// Pause after the first failed connection to gpsd, and longest pause, as numbers of waits of 0.1 s. The pause doubles
 /// after each further failure.
 const PAUSES: [u32; 2] = [2, 32];
@@ -26,8 +29,8 @@ const PAUSES: [u32; 2] = [2, 32];
 /// Worker (I/O thread) of the source `gpsd`: a TCP client that receives the reports of gpsd and connects again after
 /// errors.
 pub struct Subscriber {
-    /// Address and TCP port of gpsd.
-    pub address: SocketAddr,
+    /// Address and TCP port of gpsd, or name of its host with the port. A name is resolved for each connection.
+    pub address: String,
     /// Robot that the receiver is on, for log messages.
     pub robot: RobotId,
 }
@@ -57,7 +60,14 @@ impl Worker for Subscriber {
 
 impl Subscriber {
     fn subscribe(&self) -> io::Result<TcpStream> {
-        let mut stream = TcpStream::connect_timeout(&self.address, CONNECT)?;
+        let mut connected = Err(io::Error::other("its name has no address"));
+        for at in resolve(&self.address)? {
+            connected = TcpStream::connect_timeout(&at, CONNECT);
+            if connected.is_ok() {
+                break;
+            }
+        }
+        let mut stream = connected?;
         stream.set_read_timeout(Some(WAIT))?;
         stream.set_write_timeout(Some(WAIT))?;
         stream.write_all(WATCH)?;
@@ -67,7 +77,21 @@ impl Subscriber {
     /// Passes lines from gpsd to the source until the host ends. An error is the reason for which the connection ended.
     fn follow(&self, mut stream: TcpStream, lines: &mut Lines, sender: &PacketSender) -> io::Result<()> {
         let (mut buffer, mut silent) = ([0; 4096], 0);
+        let at = stream.peer_addr()?;
+        let mut asked: Option<thread::JoinHandle<io::Result<Vec<SocketAddr>>>> = None;
         while !sender.is_closed() {
+            // A resolver may take seconds, in which readings may come again, so it has a thread of its own.
+            if silent == UNSURE && asked.is_none() {
+                let address = self.address.clone();
+                asked = Some(thread::spawn(move || resolve(&address)));
+            }
+            if let Some(answer) = asked.take_if(|asked| asked.is_finished())
+                && let Ok(Ok(now)) = answer.join()
+                && !now.contains(&at)
+                && silent >= UNSURE
+            {
+                return Err(io::Error::other(format!("it is silent at {at}, and its name has another address now")));
+            }
             match stream.read(&mut buffer) {
                 Ok(0) => return Err(io::Error::other("it has closed the connection")),
                 Ok(length) => {
@@ -86,6 +110,11 @@ impl Subscriber {
         }
         Ok(())
     }
+}
+
+/// Returns the addresses of gpsd: an IP address as it is, or all of a name.
+fn resolve(address: &str) -> io::Result<Vec<SocketAddr>> {
+    address.to_socket_addrs().map(Iterator::collect)
 }
 
 /// Splitter of a byte stream into lines.
