@@ -5,6 +5,7 @@ pub mod bench;
 mod bodies;
 mod delivery;
 pub mod devices;
+mod emulated;
 pub mod host;
 mod injection;
 pub mod inputs;
@@ -25,22 +26,17 @@ use crate::actors::network;
 use crate::actors::recorder::{self, Recorder};
 use crate::actors::status;
 use crate::chassis::Chassis;
-use crate::deploy::{Deployment, Host, Stepping};
+use crate::deploy::{Deployment, Stepping};
 use crate::estimation;
 use crate::faults::FaultPlan;
 use crate::graph::attachment::Attachment;
 use crate::graph::delivery::{deliveries, wire_server, wire_status};
+use crate::graph::emulated::wire_links;
 use crate::graph::process::{Graph, Process, ProcessEvent, Report};
 use crate::hearing::CommRange;
 use crate::hearing::Handling;
-use crate::messages::ids::{HostId, LinkId, RobotId};
-use crate::messages::wire::{Kind, Stop, Wire};
-use crate::net::media::emulator::LinkEmulator;
-use crate::net::media::ether::{self, Ether};
-use crate::net::media::radio_link::RadioLink;
-use crate::net::media::reach::Reach;
-use crate::net::protocol::codec::Frame;
-use crate::net::transport::Arrive;
+use crate::messages::ids::{HostId, RobotId};
+use crate::messages::wire::{Stop, Wire};
 use crate::policy::Model;
 use crate::random::Seed;
 use crate::runtime::clock::Clock;
@@ -116,11 +112,16 @@ impl Plan {
 /// `report` is called with each event of the process, such as a message, and `output` with the results of episodes and
 /// steps.
 pub fn wire(clock: &Clock, plan: Plan, report: Report, output: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
+    wire_all(clock, plan, Process::all_hosts(report), output)
+}
+
+/// Starts all hosts of a plan in one process, as `process` says. With setups of links in it, the protocol on the emulated
+/// links is that of real ones.
+fn wire_all(clock: &Clock, plan: Plan, process: Process, output: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
     let plan = &Rc::new(plan);
-    let process = Process::all_hosts(report);
     let graph = Rc::new(Graph::new(plan, &process));
     wire_hosts(clock, plan, &graph, &process);
-    wire_links(clock, plan, &graph);
+    wire_links(clock, plan, &graph, process.links.is_some());
     wire_recorder(clock, plan, &graph, output);
     injection::schedule(clock, plan, &graph);
     if let Some(until) = plan.until {
@@ -383,36 +384,4 @@ fn wire_network(
         attachment::Out::Sent(link, frame) => report(host, ProcessEvent::Sent(link, &frame)),
         attachment::Out::Duplicate(duplicate) => report(host, ProcessEvent::Duplicate(duplicate)),
     });
-}
-
-fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
-    let first_robot = |host: &Host| host.agents.concat().into_iter().min();
-    let robots_of: Rc<[Option<u16>]> = plan.deployment.hosts.iter().map(first_robot).collect();
-    for (index, link) in plan.deployment.links.iter().enumerate() {
-        let id = LinkId(u16::try_from(index).expect("links are counted in u16"));
-        let routes = graph.routes.clone();
-        let (impairment, faults) = (link.impairment(), plan.faults.of_link(&link.name));
-        let (seed, name) = (plan.seed, link.name.clone());
-        let (radio, range_m, robots_of) = (link.radio.clone(), link.range_m, Rc::clone(&robots_of));
-        let make = move |incarnation| {
-            let stream = seed.stream(&format!("link/{name}/{incarnation}"));
-            let emulator = LinkEmulator::new(impairment.clone(), faults.clone(), stream);
-            let air = || seed.child(&format!("link/{name}/radio/{incarnation}"));
-            let radio_link = radio.clone().map(|radio| RadioLink::new(radio, &robots_of, &air()));
-            let reach = range_m.map(|range_m| Reach::new(range_m, &robots_of));
-            Ether::new(emulator, radio_link, reach, |kind| routes.listeners(kind))
-        };
-        let (networks, record, report) = (graph.networks.clone(), graph.record(), Rc::clone(&graph.report));
-        let observed = plan.steps.kept() && link.carries.contains(&Kind::Latent);
-        start(clock, &graph.transports[index], info_span!("ether", link = link.name), make, move |out| match out {
-            ether::Out::Arrive(Arrive { to, from, frame }) => {
-                if observed {
-                    record(recorder::In::Arrived(to, Frame::clone(&frame)));
-                }
-                report(to, ProcessEvent::Arrived(id, &frame));
-                networks[usize::from(to.0)].send(network::In::Frame(id, frame, from));
-            }
-            ether::Out::Counts(counts) => record(recorder::In::Radio(id, counts)),
-        });
-    }
 }

@@ -11,7 +11,7 @@ use super::codec::{MAX_PLAIN_BYTES, add};
 use super::counts::LinkCounts;
 use super::incoming::{Incoming, Urgency};
 use super::key::Key;
-use super::reliability::{Piggyback, Reliability, Reports, Setup};
+use super::reliability::{Heartbeats, Piggyback, Reliability, Reports, Setup};
 use super::report::{DatagramId, write_held, write_ids};
 use super::report_schedule::Occasion;
 use super::retransmit::{Retransmitter, Untagged};
@@ -70,7 +70,7 @@ impl Outgoing {
     pub fn new(me: Header, link: LinkId, key: Option<Key>, setup: Setup, first_report: Span) -> Outgoing {
         let report_due = (setup.reports == Reports::On).then_some(Time::ZERO + first_report);
         let numbered = key.is_some() && setup.is_addressed();
-        let soft = Soft::new(setup.repeats_heartbeats);
+        let soft = Soft::default();
         Outgoing {
             me,
             link,
@@ -128,11 +128,24 @@ impl Outgoing {
         self.count(audience);
         if soft {
             counts.soft += 1;
+            self.soft.forget(stream);
+            if self.is_sent_twice(now, audience, incoming) {
+                self.soft.repeat(now, stream, (audience, &frame));
+            }
         } else {
             counts.sent += 1;
             self.data_sent.insert(audience, now);
         }
         Ok(frame)
+    }
+
+    /// Whether a heartbeat that leaves at `now` is to be retransmitted.
+    fn is_sent_twice(&self, now: Time, audience: Audience, incoming: &Incoming) -> bool {
+        match self.setup.heartbeats {
+            Heartbeats::Once => false,
+            Heartbeats::TwiceWhileLossy => incoming.repeats(now, audience) > 0,
+            Heartbeats::Twice => true,
+        }
     }
 
     fn header(&self, audience: Audience, flags: u8) -> Header {
@@ -179,7 +192,8 @@ impl Outgoing {
     ) -> Frame {
         let all = audience == Audience::All;
         let acks = self.setup.piggyback == Piggyback::Any && !self.acks.is_empty();
-        if self.soft.is_empty() && !(all && self.may_piggyback_report(now)) && !acks && held.is_empty() {
+        let soft = self.soft.has_for(now, audience);
+        if !soft && !(all && self.may_piggyback_report(now)) && !acks && held.is_empty() {
             return frame;
         }
         let mut bytes = frame.to_vec();
@@ -193,7 +207,9 @@ impl Outgoing {
     /// Appends all pending blocks that have the same receivers and fit into the datagram.
     fn piggyback(&mut self, now: Time, audience: Audience, bytes: &mut Vec<u8>, incoming: &mut Incoming) {
         let any = self.setup.piggyback == Piggyback::Any;
-        self.soft.add_to(now, audience, bytes);
+        // The loss that others report is only looked at where it matters: that takes a look at all of them.
+        let twice = self.soft.has_heartbeat(audience) && self.is_sent_twice(now, audience, incoming);
+        self.soft.add_to(now, audience, bytes, twice);
         if any {
             self.acks.add_to(bytes);
         }
@@ -271,7 +287,12 @@ impl Outgoing {
     }
 
     fn send_soft(&mut self, now: Time, incoming: &mut Incoming, counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
-        while let Some((audience, frame)) = self.soft.next(now) {
+        while let Some((first, audience, frame)) = self.soft.next(now) {
+            if let Some(stream) = first.filter(|(kind, _)| *kind == Kind::Heartbeat)
+                && self.is_sent_twice(now, audience, incoming)
+            {
+                self.soft.repeat(now, stream, (audience, &frame));
+            }
             let mut bytes = codec::start(&self.header(audience, 0));
             bytes.extend_from_slice(&frame[HEADER_BYTES..]);
             self.piggyback(now, audience, &mut bytes, incoming);

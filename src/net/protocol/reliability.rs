@@ -60,6 +60,17 @@ pub enum Reports {
     On,
 }
 
+/// When each heartbeat is sent twice, the second time 40 to 100 ms after the first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Heartbeats {
+    /// Never.
+    Once,
+    /// While a receiver reports a loss of 3 % or more (`LOSS_TO_REPEAT`) and the link is not congested.
+    TwiceWhileLossy,
+    /// Always.
+    Twice,
+}
+
 /// Age of a host's last link report from which on the next report may be appended to a datagram that is sent anyway
 /// (piggybacking). It holds for all hosts but operators, which use zero.
 pub const REPORT_PIGGYBACK_AGE: Span = Span::from_millis(150);
@@ -72,9 +83,9 @@ pub struct Setup {
     pub reliability: Reliabilities,
     /// To which datagrams soft state (repeated messages such as heartbeats) may be appended.
     pub piggyback: Piggyback,
-    /// Whether each heartbeat is sent twice. A robot of which none arrives for a second counts as missing, and the
-    /// episode is aborted.
-    pub repeats_heartbeats: bool,
+    /// When each heartbeat is sent twice. A robot of which none arrives for a second counts as missing, and the episode is
+    /// aborted.
+    pub heartbeats: Heartbeats,
     /// Whether hosts send link reports.
     pub reports: Reports,
     /// Age of this host's last link report from which on the next one may be appended to a datagram that is sent anyway
@@ -101,7 +112,7 @@ impl Setup {
         Setup {
             reliability,
             piggyback: Piggyback::Never,
-            repeats_heartbeats: false,
+            heartbeats: Heartbeats::Once,
             reports,
             report_piggyback_age: REPORT_PIGGYBACK_AGE,
             rate: None,
@@ -110,12 +121,11 @@ impl Setup {
     }
 
     /// Returns the setup of a link on which every datagram reaches every host, such as UDP multicast: with link
-    /// reports, the rate limit `RATE`, and soft state in any datagram.
+    /// reports, the rate limit `RATE`, soft state in any datagram, and heartbeats twice while datagrams are lost.
     pub fn multicast(reliability: Reliabilities) -> Setup {
         let (piggyback, reports, report_piggyback_age) = (Piggyback::Any, Reports::On, REPORT_PIGGYBACK_AGE);
-        let repeats_heartbeats = false;
-        let rate = Some(RATE);
-        Setup { reliability, piggyback, repeats_heartbeats, reports, report_piggyback_age, rate, hosts: None }
+        let (heartbeats, rate) = (Heartbeats::TwiceWhileLossy, Some(RATE));
+        Setup { reliability, piggyback, heartbeats, reports, report_piggyback_age, rate, hosts: None }
     }
 
     /// Returns the setup of a link on which a datagram reaches only the host to which it is addressed: with link
@@ -127,7 +137,7 @@ impl Setup {
     /// Returns the setup of a link with a relay that passes datagrams on, each to one host or to all. One that is lost
     /// before the relay is lost for all hosts at once, so each heartbeat is sent twice.
     pub fn relayed(reliability: Reliabilities) -> Setup {
-        Setup { repeats_heartbeats: true, ..Setup::unicast(reliability) }
+        Setup { heartbeats: Heartbeats::Twice, ..Setup::unicast(reliability) }
     }
 
     /// Returns whether the link can send a datagram to one host alone; on other links every datagram goes to all hosts.

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use super::codec::{Frame, HEADER_BYTES, MAX_PLAIN_BYTES};
 use super::retransmit::StreamId;
 use super::router::Audience;
+use crate::messages::ids::RobotId;
 use crate::messages::wire::Kind;
 use crate::time::{Span, Time};
 
@@ -15,11 +16,9 @@ pub const PIGGYBACK_WAIT: Span = Span::from_millis(100);
 /// Smallest interval between datagrams that contain only soft state; half of it if they contain an instruction of the
 /// state server.
 pub const SOFT_PERIOD: Span = Span::from_millis(200);
-/// Delay of the retransmission of a heartbeat, on a link with [`Setup::repeats_heartbeats`]: half of the period of
-/// heartbeats.
-///
-/// [`Setup::repeats_heartbeats`]: super::reliability::Setup::repeats_heartbeats
-const REPEAT_AFTER: Span = Span::from_millis(100);
+/// Time after a heartbeat from which on its retransmission is appended to a datagram with data, and after which it leaves
+/// in a datagram of its own: a fifth and half of the period of heartbeats.
+const REPEAT_AFTER: [Span; 2] = [Span::from_millis(40), Span::from_millis(100)];
 
 /// Soft state of a host that waits on one link.
 #[derive(Clone, Debug, Default)]
@@ -35,35 +34,37 @@ pub struct Soft {
     repeats: Repeats,
 }
 
-/// Heartbeats to be retransmitted; none on a link without [`Setup::repeats_heartbeats`].
-///
-/// [`Setup::repeats_heartbeats`]: super::reliability::Setup::repeats_heartbeats
+/// Heartbeats to be retransmitted.
 #[derive(Clone, Debug, Default)]
 struct Repeats {
-    wanted: bool,
-    /// For each stream the time at which the retransmission is due, its receivers and its encoding.
+    /// For each stream the time at which its heartbeat was sent, its receivers and its encoding.
     waiting: BTreeMap<StreamId, (Time, Audience, Frame)>,
 }
 
 impl Repeats {
     /// Notes that a message has left.
     fn note(&mut self, now: Time, stream: StreamId, audience: Audience, frame: &Frame) {
-        if self.wanted && stream.0 == Kind::Heartbeat {
-            self.waiting.insert(stream, (now + REPEAT_AFTER, audience, frame.clone()));
+        if stream.0 == Kind::Heartbeat {
+            self.waiting.insert(stream, (now, audience, frame.clone()));
         }
     }
 
     fn due(&self) -> Option<Time> {
-        self.waiting.values().map(|(due, ..)| *due).min()
+        self.waiting.values().map(|(sent, ..)| *sent + REPEAT_AFTER[1]).min()
     }
 
-    /// Appends what is due at `now`, has the receivers `audience` and fits to a datagram.
+    fn has_for(&self, now: Time, audience: Audience) -> bool {
+        self.waiting.values().any(|(sent, to, _)| *to == audience && now.since(*sent) >= REPEAT_AFTER[0])
+    }
+
+    /// Appends what may leave at `now`, has the receivers `audience` and fits to a datagram.
     fn add_to(&mut self, now: Time, audience: Audience, bytes: &mut Vec<u8>) {
-        self.waiting.retain(|_, (due, to, frame)| *due > now || *to != audience || !append(frame, bytes));
+        let waits = |sent: Time| now.since(sent) < REPEAT_AFTER[0];
+        self.waiting.retain(|_, (sent, to, frame)| waits(*sent) || *to != audience || !append(frame, bytes));
     }
 
     fn next(&mut self, now: Time) -> Option<(Audience, Frame)> {
-        let stream = *self.waiting.iter().find(|(_, (due, ..))| *due <= now)?.0;
+        let stream = *self.waiting.iter().find(|(_, (sent, ..))| *sent + REPEAT_AFTER[1] <= now)?.0;
         self.waiting.remove(&stream).map(|(_, audience, frame)| (audience, frame))
     }
 }
@@ -79,15 +80,26 @@ fn append(frame: &Frame, bytes: &mut Vec<u8>) -> bool {
 }
 
 impl Soft {
-    /// Returns the state before any message. `repeats_heartbeats` says whether each heartbeat is sent twice.
-    pub fn new(repeats_heartbeats: bool) -> Soft {
-        Soft { repeats: Repeats { wanted: repeats_heartbeats, ..Repeats::default() }, ..Soft::default() }
+    /// Forgets the retransmission of a heartbeat, since its stream has a newer message.
+    pub fn forget(&mut self, stream: StreamId) {
+        self.repeats.waiting.remove(&stream);
+    }
+
+    /// Notes that a message has left, of which a heartbeat is to be retransmitted.
+    pub fn repeat(&mut self, now: Time, stream: StreamId, (audience, frame): (Audience, &Frame)) {
+        self.repeats.note(now, stream, audience, frame);
+    }
+
+    /// Whether a heartbeat to the receivers `audience` waits to be sent for the first time.
+    pub fn has_heartbeat(&self, audience: Audience) -> bool {
+        let mut all = self.pending.range((Kind::Heartbeat, RobotId(0))..=(Kind::Heartbeat, RobotId(u16::MAX)));
+        all.any(|(_, (to, _))| *to == audience)
     }
 
     /// Takes a message in place of the last one of its stream. `data_sent` is the time at which data was last sent to
     /// the same receivers.
     pub fn put(&mut self, now: Time, stream: StreamId, to: (Audience, Frame), data_sent: Option<Time>) {
-        self.repeats.waiting.remove(&stream);
+        self.forget(stream);
         self.pending.insert(stream, to);
         let modes = self.pending.keys().any(|(kind, _)| *kind == Kind::Mode);
         let period = if modes { Span::from_nanos(SOFT_PERIOD.as_nanos() / 2) } else { SOFT_PERIOD };
@@ -98,9 +110,9 @@ impl Soft {
         self.since = self.since.or(Some(now));
     }
 
-    /// Whether no message waits for a datagram to which it can be appended.
-    pub fn is_empty(&self) -> bool {
-        self.pending.is_empty()
+    /// Whether a message waits that can be appended to a datagram to `audience` that leaves at `now`.
+    pub fn has_for(&self, now: Time, audience: Audience) -> bool {
+        self.pending.values().any(|(to, _)| *to == audience) || self.repeats.has_for(now, audience)
     }
 
     /// Returns the time at which a datagram without data is due; `None` if nothing waits.
@@ -108,13 +120,14 @@ impl Soft {
         self.due.into_iter().chain(self.repeats.due()).min()
     }
 
-    /// Appends what has the receivers `audience` and fits to the datagram `bytes`, which leaves at `now`.
-    pub fn add_to(&mut self, now: Time, audience: Audience, bytes: &mut Vec<u8>) {
+    /// Appends what has the receivers `audience` and fits to the datagram `bytes`, which leaves at `now`. `twice` says
+    /// whether heartbeats in it are to be retransmitted.
+    pub fn add_to(&mut self, now: Time, audience: Audience, bytes: &mut Vec<u8>, twice: bool) {
         let Soft { pending, repeats, .. } = self;
         repeats.add_to(now, audience, bytes);
         pending.retain(|stream, (to, frame)| {
             let leaves = *to == audience && append(frame, bytes);
-            if leaves {
+            if leaves && twice {
                 repeats.note(now, *stream, audience, frame);
             }
             !leaves
@@ -122,16 +135,16 @@ impl Soft {
         self.settle();
     }
 
-    /// Takes out a message that is due at `now`, for a datagram without data; `None` if none is.
-    pub fn next(&mut self, now: Time) -> Option<(Audience, Frame)> {
+    /// Takes out a message that is due at `now`, for a datagram without data; `None` if none is. Its stream is returned
+    /// with one that leaves for the first time.
+    pub fn next(&mut self, now: Time) -> Option<(Option<StreamId>, Audience, Frame)> {
         if self.due.is_none_or(|due| due > now) {
-            return self.repeats.next(now);
+            return self.repeats.next(now).map(|(audience, frame)| (None, audience, frame));
         }
         let (stream, (audience, frame)) = self.pending.pop_first()?;
         self.sent = self.since.or(Some(now));
-        self.repeats.note(now, stream, audience, &frame);
         self.settle();
-        Some((audience, frame))
+        Some((Some(stream), audience, frame))
     }
 
     fn settle(&mut self) {

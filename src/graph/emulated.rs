@@ -1,0 +1,134 @@
+//! Emulated links of a run in one process: an actor for each, which carries datagrams between the Networks of its hosts.
+
+use std::rc::Rc;
+
+use tracing::info_span;
+
+use crate::actors::network;
+use crate::actors::recorder;
+use crate::deploy::Host;
+use crate::graph::Plan;
+use crate::graph::process::{Graph, ProcessEvent};
+use crate::messages::ids::{HostId, LinkId};
+use crate::messages::wire::Kind;
+use crate::net::media::emulator::LinkEmulator;
+use crate::net::media::ether::{self, Ether};
+use crate::net::media::radio_link::RadioLink;
+use crate::net::media::reach::Reach;
+use crate::net::protocol::codec::Frame;
+use crate::net::transport::Arrive;
+use crate::runtime::clock::Clock;
+use crate::runtime::shell::start;
+
+/// Starts the emulated links. On one with `shared`, datagrams to all reach every host, whatever they contain, as on real
+/// links.
+pub(super) fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph, shared: bool) {
+    let everyone: Vec<HostId> = (0..).map(HostId).take(plan.deployment.hosts.len()).collect();
+    let first_robot = |host: &Host| host.agents.concat().into_iter().min();
+    let robots_of: Rc<[Option<u16>]> = plan.deployment.hosts.iter().map(first_robot).collect();
+    for (index, link) in plan.deployment.links.iter().enumerate() {
+        let id = LinkId(u16::try_from(index).expect("links are counted in u16"));
+        let routes = graph.routes.clone();
+        let (impairment, faults) = (link.impairment(), plan.faults.of_link(&link.name));
+        let (seed, name) = (plan.seed, link.name.clone());
+        let (radio, range_m, robots_of) = (link.radio.clone(), link.range_m, Rc::clone(&robots_of));
+        let everyone = shared.then(|| everyone.clone());
+        let make = move |incarnation| {
+            let stream = seed.stream(&format!("link/{name}/{incarnation}"));
+            let emulator = LinkEmulator::new(impairment.clone(), faults.clone(), stream);
+            let air = || seed.child(&format!("link/{name}/radio/{incarnation}"));
+            let radio_link = radio.clone().map(|radio| RadioLink::new(radio, &robots_of, &air()));
+            let reach = range_m.map(|range_m| Reach::new(range_m, &robots_of));
+            let listens = |kind| everyone.clone().unwrap_or_else(|| routes.listeners(kind));
+            Ether::new(emulator, radio_link, reach, listens)
+        };
+        let (networks, record, report) = (graph.networks.clone(), graph.record(), Rc::clone(&graph.report));
+        let observed = plan.steps.kept() && link.carries.contains(&Kind::Latent);
+        start(clock, &graph.transports[index], info_span!("ether", link = link.name), make, move |out| match out {
+            ether::Out::Arrive(Arrive { to, from, frame }) => {
+                if observed {
+                    record(recorder::In::Arrived(to, Frame::clone(&frame)));
+                }
+                report(to, ProcessEvent::Arrived(id, &frame));
+                networks[usize::from(to.0)].send(network::In::Frame(id, frame, from));
+            }
+            ether::Out::Counts(counts) => record(recorder::In::Radio(id, counts)),
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    //! Whole episodes under virtual time with the protocol of real links, of which each datagram is lost with a probability of
+    //! 20 %: how many are aborted because five heartbeats in a row are lost.
+
+    use std::cell::RefCell;
+
+    use super::*;
+    use crate::graph::process::Process;
+    use crate::graph::wire_all;
+    use crate::messages::wire::KINDS;
+    use crate::net::protocol::key::Key;
+    use crate::net::protocol::reliability::{Heartbeats, Reliabilities, Setup};
+    use crate::report::episode::Episode;
+    use crate::report::trial::TrialReport;
+    use crate::runtime::drive::run_virtual;
+    use crate::scenario::judge::Verdict;
+    use crate::time::{Span, Time};
+    use crate::trial::Trial;
+
+    /// Probability that a receiver loses a datagram.
+    const LOSS: f64 = 0.2;
+    /// Longest simulated time of an episode with its reset \[s\].
+    const LONGEST_S: f64 = 60.0;
+
+    /// Returns how many episodes of five robots on their own hosts are run: `MURMURATE_LOSSY_EPISODES`, or few.
+    fn wanted() -> u32 {
+        std::env::var("MURMURATE_LOSSY_EPISODES").map_or(12, |count| count.parse().expect("it is a number of episodes"))
+    }
+
+    /// Runs episodes in which all hosts are on one link with this setup, and all datagrams on it may be lost.
+    fn episodes(setup: &Setup, seed: u64) -> Vec<Episode> {
+        let count = wanted();
+        let trial = Trial::preset("onboard-infra", "passage").expect("they are there").seed(seed).episodes(count);
+        let mut plan = trial.plan();
+        for link in &mut plan.deployment.links {
+            (link.loss, link.impairs) = (LOSS, KINDS.to_vec());
+        }
+        let links = plan.deployment.links.iter().map(|_| Some(setup.clone())).collect();
+        let process =
+            Process { key: Some(Key::new([7; 32])), links: Some(links), ..Process::all_hosts(Rc::new(|_, _| {})) };
+        let report = Rc::new(RefCell::new(TrialReport::default()));
+        let (noted, ended) = (Rc::clone(&report), Rc::clone(&report));
+        let limit = Time::ZERO + Span::from_secs(LONGEST_S) * u64::from(count);
+        run_virtual(
+            |clock| wire_all(clock, plan, process, move |out| noted.borrow_mut().note(out)),
+            |_, now| ended.borrow().finished || now >= limit,
+        );
+        let episodes = report.borrow().episodes.clone();
+        assert_eq!(episodes.len(), count as usize, "all have a result in time");
+        episodes
+    }
+
+    fn aborted(setup: &Setup) -> usize {
+        let episodes = episodes(setup, 0);
+        episodes.iter().filter(|episode| episode.verdict == Verdict::Aborted).count()
+    }
+
+    #[test]
+    fn at_20_percent_loss_no_more_than_one_of_500_episodes_is_aborted_on_multicast_or_unicast() {
+        println!("| link | heartbeats | aborted of {} episodes |", wanted());
+        for (name, setup) in
+            [("multicast", Setup::multicast(Reliabilities::new())), ("unicast", Setup::unicast(Reliabilities::new()))]
+        {
+            let twice = aborted(&setup);
+            println!("| {name} | twice while lossy | {twice} |");
+            if wanted() >= 100 {
+                let once = aborted(&Setup { heartbeats: Heartbeats::Once, ..setup });
+                println!("| {name} | once | {once} |");
+                assert!(once > 2 * twice, "that is what it is for");
+            }
+            assert!(twice <= wanted().div_ceil(500) as usize, "{name}: {twice} of {} were aborted", wanted());
+        }
+    }
+}
