@@ -110,14 +110,14 @@ pub struct Network {
     unauthorized: UnauthorizedPublishers,
 }
 
-/// Addresses from which the hosts of a team were last accepted on links that send to single hosts, with the time at which
-/// the link's transport was told.
+/// Addresses from which the hosts of a team were last accepted on links that send to single hosts, with the time at
+/// which the link's transport was told.
 #[derive(Debug, Default)]
 struct Addresses(BTreeMap<(LinkId, HostId), (SocketAddr, Time)>);
 
 impl Addresses {
     /// Notes that a datagram of `heard` has arrived from `at`. Returns what the link's transport has to know. A new
-    /// address counts once a datagram from there proves its sender's liveness, since a recording may come from anywhere.
+    /// address counts once a datagram from there proves its sender's liveness: a recording may come from anywhere.
     fn note(&mut self, now: Time, (link, at): (LinkId, SocketAddr), heard: Heard) -> Option<Guest> {
         let Heard { host, standing, proves } = heard;
         let guest = |standing| Some(Guest { host, at, standing });

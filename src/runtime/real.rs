@@ -134,8 +134,8 @@ impl Readers {
         }
     }
 
-    /// Starts to watch the descriptor of `reader`, which has this index. Returns whether it can be watched: the end of a
-    /// regular file cannot.
+    /// Starts to watch the descriptor of `reader`, which has this index. Returns whether it can be watched: the end of
+    /// a regular file cannot.
     fn begin(&self, index: usize, reader: &Reader) -> bool {
         let Some(source) = &reader.source else { return true };
         let flags = if reader.end { EpollFlags::empty() } else { EpollFlags::EPOLLIN };

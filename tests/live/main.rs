@@ -4,6 +4,7 @@
 //! [`alone`]; the others run [`beside`] one another, each with ports, groups and namespaces of its own.
 #![cfg(target_os = "linux")]
 
+mod addresses;
 mod crew;
 mod flooded;
 mod junk;

@@ -1,7 +1,7 @@
 //! Network interfaces of this machine, and the choice of one for a link. Reads only from the kernel.
 
 use std::collections::BTreeMap;
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, SocketAddrV6};
 
 use nix::ifaddrs::getifaddrs;
 use nix::net::if_::{InterfaceFlags, if_nametoindex};
@@ -167,6 +167,16 @@ pub fn find(all: &[Interface], name: &str, v6: bool, used: Option<&str>) -> Resu
         return Err(InterfaceError::Address { name: name.to_owned(), family, advice, known: known() });
     }
     Ok(named.clone())
+}
+
+/// Returns an address with the interface of this number as its scope if it is an IPv6 address of the link.
+pub fn within(at: SocketAddr, index: u32) -> SocketAddr {
+    match at {
+        SocketAddr::V6(v6) if v6.ip().is_multicast() || v6.ip().is_unicast_link_local() => {
+            SocketAddrV6::new(*v6.ip(), v6.port(), 0, index).into()
+        }
+        other => other,
+    }
 }
 
 #[cfg(test)]

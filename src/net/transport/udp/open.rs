@@ -1,7 +1,7 @@
 //! Opens UDP sockets for links: bound, restricted to an interface, joined to a group. Only makes system calls.
 
 use std::io;
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, SocketAddrV6, UdpSocket};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 
 use socket2::{Domain, InterfaceIndexOrAddress, Protocol, Socket, Type};
 
@@ -9,7 +9,7 @@ use super::filter;
 use super::socket::{Addressing, SocketConfig};
 use crate::net::transport;
 use crate::net::transport::Filter;
-use crate::net::transport::interface::{self, Interface, InterfaceError};
+use crate::net::transport::interface::{self, Interface, InterfaceError, within};
 
 /// Reason why a UDP socket cannot be opened.
 #[derive(Debug, thiserror::Error)]
@@ -169,16 +169,6 @@ pub(super) fn open_guest(config: &SocketConfig, filter: Filter) -> Result<Socket
 /// Returns an address with the interface as its scope if it is one of the link, which the kernel requires.
 fn scoped(at: SocketAddr, interface: &Interface) -> SocketAddr {
     within(at, interface.index)
-}
-
-/// Returns an address with the interface of this number as its scope if it is an IPv6 address of the link.
-pub(super) fn within(at: SocketAddr, index: u32) -> SocketAddr {
-    match at {
-        SocketAddr::V6(v6) if v6.ip().is_multicast() || v6.ip().is_unicast_link_local() => {
-            SocketAddrV6::new(*v6.ip(), v6.port(), 0, index).into()
-        }
-        other => other,
-    }
 }
 
 fn socket(of: SocketAddr) -> io::Result<Socket> {

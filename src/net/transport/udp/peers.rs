@@ -13,10 +13,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::guests::Guests;
-use super::open::within;
 use crate::config::fields::{Value, host_and_port};
 use crate::messages::ids::HostId;
 use crate::net::protocol::link::{Guest, Standing};
+use crate::net::transport::interface::within;
 use crate::time::{Span, Time};
 
 /// Time without an accepted datagram after which a host is sent to at its configured address, too, and its name is

@@ -59,3 +59,42 @@ pub fn endpoint(
     let addressing = Addressing::Unicast { listen: PeerAddress::At(listen), peers };
     Arc::new(SocketConfig { addressing, interface, receive_buffer_bytes })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::fields::Value;
+    use crate::net::transport::settings::FieldValue;
+
+    /// Reads the endpoint of the first of these hosts, which are at these addresses or names.
+    fn endpoint_at(peers: &[(&'static str, &str)]) -> Result<Arc<dyn Endpoint>, String> {
+        let said = |value| FieldValue { value, place: String::new() };
+        let peer = |(name, at): &(&str, &str)| {
+            (format!("peers.{name}"), said(FieldType::HostAddress.read(at).expect("it is an address or a name")))
+        };
+        let mut values: BTreeMap<String, FieldValue> = peers.iter().map(peer).collect();
+        values.insert("interface".to_owned(), said(Value::Text("lo".to_owned())));
+        values.insert("receive_buffer_bytes".to_owned(), said(Value::Whole(1 << 16)));
+        let hosts = peers.iter().map(|(name, _)| *name).collect();
+        let settings = LinkSettings { link: "air", team: None, host: HostId(0), hosts, values };
+        read(&settings).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn hosts_may_be_given_by_names_which_may_lead_off_this_machine() {
+        let named = endpoint_at(&[("a", "robot-0.local:7700"), ("b", "10.0.0.2:7700")]).unwrap();
+        assert_eq!((named.claim().what, named.is_local()), ("robot-0.local:7700".to_owned(), false));
+        assert!(endpoint_at(&[("a", "127.0.0.1:7700"), ("b", "localhost:7701")]).unwrap().is_local());
+        let guest = named.for_guest(HostId(0));
+        assert_eq!(guest.claim().what, "robot-0.local:7700, 10.0.0.2:7700");
+    }
+
+    #[test]
+    fn two_hosts_at_one_place_or_of_two_families_are_refused() {
+        let error = |peers: &[(&'static str, &str)]| endpoint_at(peers).expect_err("it is refused");
+        assert!(error(&[("a", "10.0.0.1:7"), ("b", "10.0.0.1:7")]).contains("where host 'a' listens"));
+        assert!(error(&[("a", "robot.local:7"), ("b", "robot.local:7")]).contains("where host 'a' listens"));
+        assert!(error(&[("a", "10.0.0.1:7"), ("c", "robot:7"), ("b", "[fe80::1]:7")]).contains("two families"));
+        assert!(error(&[("a", "10.0.0.1:7"), ("b", "239.0.0.1:7")]).contains("no address of one host"));
+    }
+}
