@@ -1,4 +1,5 @@
-//! Emulated links of a run in one process: an actor for each, which carries datagrams between the Networks of its hosts.
+//! Emulated links of a run in one process: an actor for each, which carries datagrams between the Networks of its
+//! hosts.
 
 use std::rc::Rc;
 
@@ -20,8 +21,8 @@ use crate::net::transport::Arrive;
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::start;
 
-/// Starts the emulated links. On one with `shared`, datagrams to all reach every host, whatever they contain, as on real
-/// links.
+/// Starts the emulated links. On one with `shared`, datagrams to all reach every host, whatever they contain, as on
+/// real links.
 pub(super) fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph, shared: bool) {
     let everyone: Vec<HostId> = (0..).map(HostId).take(plan.deployment.hosts.len()).collect();
     let first_robot = |host: &Host| host.agents.concat().into_iter().min();
@@ -59,8 +60,8 @@ pub(super) fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph, shared: bool
 
 #[cfg(test)]
 mod tests {
-    //! Whole episodes under virtual time with the protocol of real links, of which each datagram is lost with a probability of
-    //! 20 %: how many are aborted because five heartbeats in a row are lost.
+    //! Whole episodes under virtual time with the protocol of real links, of which each datagram is lost with a
+    //! probability of 20 %: how many are aborted because five heartbeats in a row are lost.
 
     use std::cell::RefCell;
 

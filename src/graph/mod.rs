@@ -115,8 +115,8 @@ pub fn wire(clock: &Clock, plan: Plan, report: Report, output: impl FnMut(record
     wire_all(clock, plan, Process::all_hosts(report), output)
 }
 
-/// Starts all hosts of a plan in one process, as `process` says. With setups of links in it, the protocol on the emulated
-/// links is that of real ones.
+/// Starts all hosts of a plan in one process, as `process` says. With setups of links in it, the protocol on the
+/// emulated links is that of real ones.
 fn wire_all(clock: &Clock, plan: Plan, process: Process, output: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
     let plan = &Rc::new(plan);
     let graph = Rc::new(Graph::new(plan, &process));

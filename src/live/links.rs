@@ -93,8 +93,8 @@ pub fn filter(team: &Team) -> Filter {
 }
 
 /// Opens all network links in which this host takes part according to the team file. `me` is the id of this host. An
-/// error names the link. Calls `wait` with an error that may be over in a moment: it may wait, and returns whether to try
-/// again.
+/// error names the link. Calls `wait` with an error that may be over in a moment: it may wait, and returns whether to
+/// try again.
 pub fn open(team: &Team, me: HostId, wait: &mut dyn FnMut(&LinkError) -> bool) -> Result<Vec<Open>, LinkError> {
     let mut open = Vec::new();
     for (at, (link, place)) in team.deployment.links.iter().zip(&team.links).enumerate() {

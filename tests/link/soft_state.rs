@@ -165,8 +165,8 @@ fn instructions_to_all_do_not_wait_for_data_to_one_host() {
     assert!(arrived(Kind::Mode) >= 99, "{} of 100 instructions have arrived in time", arrived(Kind::Mode));
 }
 
-/// Returns how many of 300 heartbeats arrive when this share of all datagrams is lost, on a link with the setup `setup`,
-/// and how many datagrams of their sender left. It sends data as well, this often [Hz].
+/// Returns how many of 300 heartbeats arrive when this share of all datagrams is lost, on a link with the setup
+/// `setup`, and how many datagrams of their sender left. It sends data as well, this often [Hz].
 fn beats_heard(setup: &Setup, loss: f64, data_hz: u64) -> (usize, usize) {
     let router = |host: u16| {
         Router::new(2, move |kind, _| match kind {

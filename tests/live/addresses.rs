@@ -1,5 +1,5 @@
-//! Hosts whose network interface or address comes late, changes, or goes and comes: the cases of `tests/cases/robots` that need
-//! nothing but root and `ip`, which skip with a notice where they cannot run.
+//! Hosts whose network interface or address comes late, changes, or goes and comes: the cases of `tests/cases/robots`
+//! that need nothing but root and `ip`, which skip with a notice where they cannot run.
 
 use std::path::Path;
 use std::process::{Command, Stdio};

@@ -175,8 +175,8 @@ impl Incoming {
         })
     }
 
-    /// Returns whether the datagram that was given to `admit` last proves its sender's liveness: it echoes a recent stamp
-    /// of this host.
+    /// Returns whether the datagram that was given to `admit` last proves its sender's liveness: it echoes a recent
+    /// stamp of this host.
     pub fn has_proved(&self) -> bool {
         self.proved
     }

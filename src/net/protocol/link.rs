@@ -50,8 +50,8 @@ pub struct Heard {
     pub host: HostId,
     /// Whether the host is accepted, or has to prove its liveness first.
     pub standing: Standing,
-    /// Whether this very datagram proves the sender's liveness, so that it is no recording. Always true on a link without
-    /// a key.
+    /// Whether this very datagram proves the sender's liveness, so that it is no recording. Always true on a link
+    /// without a key.
     pub proves: bool,
 }
 
@@ -314,14 +314,14 @@ impl LinkState {
         self.incoming.accept(header, kind, robot, &mut self.counts)
     }
 
-    /// Returns the sender of the last datagram, and whether it is accepted or has to prove its liveness first. `None` if
-    /// the datagram was a duplicate, or refused for another reason.
+    /// Returns the sender of the last datagram, and whether it is accepted or has to prove its liveness first. `None`
+    /// if the datagram was a duplicate, or refused for another reason.
     pub fn heard(&self) -> Option<Heard> {
         self.heard
     }
 
-    /// Sends a link report of its own soon, which lists the accepted host `host`, so that it can prove its liveness from
-    /// another address.
+    /// Sends a link report of its own soon, which lists the accepted host `host`, so that it can prove its liveness
+    /// from another address.
     #[cold]
     pub fn invite(&mut self, now: Time, host: HostId) {
         self.incoming.list_soon(host);

@@ -83,8 +83,8 @@ pub struct Setup {
     pub reliability: Reliabilities,
     /// To which datagrams soft state (repeated messages such as heartbeats) may be appended.
     pub piggyback: Piggyback,
-    /// When each heartbeat is sent twice. A robot of which none arrives for a second counts as missing, and the episode is
-    /// aborted.
+    /// When each heartbeat is sent twice. A robot of which none arrives for a second counts as missing, and the episode
+    /// is aborted.
     pub heartbeats: Heartbeats,
     /// Whether hosts send link reports.
     pub reports: Reports,

@@ -16,8 +16,8 @@ pub const PIGGYBACK_WAIT: Span = Span::from_millis(100);
 /// Smallest interval between datagrams that contain only soft state; half of it if they contain an instruction of the
 /// state server.
 pub const SOFT_PERIOD: Span = Span::from_millis(200);
-/// Time after a heartbeat from which on its retransmission is appended to a datagram with data, and after which it leaves
-/// in a datagram of its own: a fifth and half of the period of heartbeats.
+/// Time after a heartbeat from which on its retransmission is appended to a datagram with data, and after which it
+/// leaves in a datagram of its own: a fifth and half of the period of heartbeats.
 const REPEAT_AFTER: [Span; 2] = [Span::from_millis(40), Span::from_millis(100)];
 
 /// Soft state of a host that waits on one link.

@@ -1,5 +1,5 @@
-//! Notices of the kernel that network interfaces or their addresses have changed (rtnetlink(7)), for a thread that opens
-//! sockets again. Reads only from the kernel; control threads do not use it.
+//! Notices of the kernel that network interfaces or their addresses have changed (rtnetlink(7)), for a thread that
+//! opens sockets again. Reads only from the kernel; control threads do not use it.
 
 use std::os::fd::{AsFd, AsRawFd, OwnedFd};
 use std::thread;

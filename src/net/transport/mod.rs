@@ -59,8 +59,8 @@ pub trait Transport {
         None
     }
 
-    /// Takes over what another thread has prepared. Calls `tell` when the link was closed or is open again; `descriptor`
-    /// is another one then.
+    /// Takes over what another thread has prepared. Calls `tell` when the link was closed or is open again;
+    /// `descriptor` is another one then.
     fn renew(&mut self, tell: &mut dyn FnMut(Renewed)) {
         let _ = tell;
     }

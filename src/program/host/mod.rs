@@ -192,7 +192,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     if interrupted { ended(&signal) } else { Ok(Ended::Done) }
 }
 
-/// Returns the end of a host that was asked to end by the signal of this number, if any: SIGTERM asks for a regular one.
+/// Returns the end of a host that was asked to end by the signal of this number, if any: SIGTERM asks for a regular
+/// one.
 fn ended(signal: &AtomicUsize) -> Result<Ended> {
     Ok(if signal.load(Ordering::Relaxed) == SIGINT as usize { Ended::Interrupted } else { Ended::Done })
 }

@@ -47,8 +47,8 @@ impl<'a> Patience<'a> {
         Patience { signal, wake, outlets, supervised, begun: Instant::now(), longest, why: None }
     }
 
-    /// Waits a moment because a link cannot be opened, which `error` explains. Returns whether to try again: not after a
-    /// signal, after the limit, or when the supervisor has gone.
+    /// Waits a moment because a link cannot be opened, which `error` explains. Returns whether to try again: not after
+    /// a signal, after the limit, or when the supervisor has gone.
     pub fn wait(&mut self, error: &LinkError) -> bool {
         let why = error.to_string();
         if self.why.is_none() {

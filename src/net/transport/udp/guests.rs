@@ -1,6 +1,6 @@
 //! Guests of a unicast link: operators, whose addresses are not in the team file. The link sends to them for a while
-//! after each of their datagrams. The link layer decides which ones are admitted. Also candidates for the new address of
-//! a host of the team.
+//! after each of their datagrams. The link layer decides which ones are admitted. Also candidates for the new address
+//! of a host of the team.
 //!
 //! A recording of an operator's datagrams can be sent from any address. So only a new datagram changes the address of
 //! an accepted operator. All others are kept in a separate table and receive only reports, which they need to prove

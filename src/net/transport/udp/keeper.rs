@@ -1,6 +1,6 @@
 //! Threads that keep a link usable: one opens its sockets again when their network interface or address has changed,
-//! and one for each name of a host resolves it while the host is silent. They open and resolve, which may take long, and
-//! leave the results to the control thread, which never waits for them.
+//! and one for each name of a host resolves it while the host is silent. They open and resolve, which may take long,
+//! and leave the results to the control thread, which never waits for them.
 
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::sync::Arc;
@@ -186,7 +186,7 @@ pub(super) fn warn_elsewhere(config: &SocketConfig, ends: &Ends) {
     if let Some(listen) = ends.is_elsewhere(config) {
         let Ends { name, at, .. } = ends;
         tracing::warn!(
-            "this host is not at {listen}, as the team file has it: '{name}' has {}. It listens at {at}, and the others \
+            "this host is not at {listen}, as the file has it: '{name}' has {}. It listens at {at}, and the others \
              learn that from its datagrams; mend the file, or give it a name",
             at.ip()
         );

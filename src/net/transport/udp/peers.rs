@@ -1,5 +1,5 @@
-//! Addresses of the hosts of a unicast link: those of the team file, those of its names, and those from which hosts have
-//! been heard since.
+//! Addresses of the hosts of a unicast link: those of the team file, those of its names, and those from which hosts
+//! have been heard since.
 //!
 //! A host may get another address while it runs. The others send to the address from which its last authenticated
 //! datagrams came. A recording can be sent from any address, so only a datagram that proves the sender's liveness
@@ -96,8 +96,8 @@ struct Peer {
 }
 
 impl Peer {
-    /// Returns where datagrams go at `now`: to where the host was heard, and if that is long ago also to where it should
-    /// be.
+    /// Returns where datagrams go at `now`: to where the host was heard, and if that is long ago also to where it
+    /// should be.
     fn addresses(&self, now: Time) -> impl Iterator<Item = SocketAddr> + use<> {
         let heard = self.heard.filter(|(_, at)| now.since(*at) < SILENT);
         let silent = heard.is_none();

@@ -276,7 +276,8 @@ impl Worker {
         }
     }
 
-    /// Publishes the frames of the control thread until it closes the channel, or until the session has to be made again.
+    /// Publishes the frames of the control thread until it closes the channel, or until the session has to be made
+    /// again.
     fn publish_all(&self, session: &Session, subscriptions: &mut [Subscription], port: &mut Port) -> End {
         let sender = port.sender();
         let mut refreshed = Instant::now();
