@@ -21,12 +21,15 @@ impl Roster {
 
     /// Takes a heartbeat that arrived at time `now`. Returns whether it is of a robot of the team.
     pub(super) fn take(&mut self, now: Time, beat: Heartbeat) -> bool {
+        if self.is_missing(now, beat.robot) {
+            tracing::info!("heartbeats of {} arrive", beat.robot);
+        }
         let last = self.0.get_mut(beat.robot.index());
         last.map(|last| *last = Some((now, beat))).is_some()
     }
 
     /// Returns whether a robot of the team is missing: no heartbeat of it has arrived for a second.
-    pub(super) fn is_missing(&self, now: Time, robot: RobotId) -> bool {
+    fn is_missing(&self, now: Time, robot: RobotId) -> bool {
         let last = self.0.get(robot.index());
         last.is_some_and(|last| last.as_ref().is_none_or(|(at, _)| now.since(*at) >= MISSING_AFTER))
     }

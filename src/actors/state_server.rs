@@ -382,10 +382,6 @@ impl Core for StateServer {
                     self.beyond_reach += 1;
                     log_beyond_reach(&beat, self.beyond_reach);
                 }
-                let robot = beat.robot;
-                if self.roster.is_missing(now, robot) {
-                    tracing::info!("heartbeats of {robot} arrive");
-                }
                 if self.roster.take(now, beat) {
                     self.latched(latch);
                 }

@@ -103,7 +103,7 @@ class Host:
     """A host's process, whose log lines and events go to `heard` with their times."""
 
     def __init__(self, program, machine, name, folder):
-        environment = dict(os.environ, MURMURATE_LOG="warn,murmurate::actors::state_server=info")
+        environment = dict(os.environ, MURMURATE_LOG="warn,murmurate::actors::roster=info")
         command = [*space(machine), program, "host", "team.toml", "--host", name, "--json"]
         self.child = subprocess.Popen(
             command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
