@@ -413,7 +413,8 @@ mod tests {
         version[0] += 1;
         let cut: Frame = sound[..sound.len() - 1].into();
         for refused in [sound, other_team, own, elsewhere, version.into(), cut] {
-            assert!(handle(&mut here, In::Frame(LINK, refused, None)).is_empty());
+            let out = handle(&mut here, In::Frame(LINK, refused, None));
+            assert!(out.iter().all(|told| matches!(told, Out::Refused(..))), "{out:?}");
         }
         let mut out = Vec::new();
         here.wake(Time::ZERO, &mut out);
