@@ -1,7 +1,8 @@
 """Teams as environments of Gymnasium (``pip install gymnasium``), for trainings with one flat policy a team.
 
-Observations and actions of a team's robots are joined; the reward is the mean of theirs. ``gymnasium.make`` finds
-``murmurate/Passage-v0``, ``murmurate/Swap-v0`` and ``murmurate/Flocking-v0`` without an import, ``gymnasium.make_vec`` too.
+Observations and actions of a team's robots are joined; the reward is the mean of theirs. Once this module is imported,
+``gymnasium.make`` and ``gymnasium.make_vec`` know ``murmurate/Passage-v0``, ``murmurate/Swap-v0`` and
+``murmurate/Flocking-v0``; ``gymnasium.make("murmurate.gymnasium:murmurate/Passage-v0")`` imports it.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 from ._faces import NO_MESSAGES, Begun, action_of, refuse
 from ._module import VecEnv
-from ._register import register
 
 #: Treatment of an ended episode, as Gymnasium names it.
 MODES = {
@@ -24,6 +24,10 @@ MODES = {
     "next-step": AutoresetMode.NEXT_STEP,
     "disabled": AutoresetMode.DISABLED,
 }
+
+
+#: Names of single environments by scenario.
+NAMES = {"passage": "murmurate/Passage-v0", "swap": "murmurate/Swap-v0", "flocking": "murmurate/Flocking-v0"}
 
 
 def _spaces(core: VecEnv, first: tuple[int, ...] = ()) -> tuple[spaces.Box, spaces.Box]:
@@ -180,4 +184,11 @@ class TeamEnv(gymnasium.Env):
         return self.core.render() if self.render_mode else None
 
 
-register()
+for _scenario, _name in NAMES.items():
+    if _name not in gymnasium.registry:
+        gymnasium.register(
+            _name,
+            entry_point="murmurate.gymnasium:TeamEnv",
+            vector_entry_point="murmurate.gymnasium:TeamVectorEnv",
+            kwargs={"scenario": _scenario},
+        )

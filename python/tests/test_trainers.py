@@ -17,7 +17,7 @@ def test_ppo_of_stable_baselines3_learns_on_teams_that_supersuit_copies(tmp_path
             first = env.reset()
             assert first.shape == (10, 6) and not np.array_equal(first[:5], first[5:]), "two teams, with layouts of their own"
             if num_cpus == 0:
-                model = sb3.PPO("MlpPolicy", env, n_steps=32, batch_size=80, n_epochs=2, seed=0, device="cpu")
+                model = sb3.PPO("MlpPolicy", env, n_steps=32, batch_size=80, n_epochs=2, device="cpu")
                 before = [parameter.detach().clone() for parameter in model.policy.parameters()]
                 model.learn(640)
                 assert model.num_timesteps >= 640
@@ -31,7 +31,7 @@ def test_ppo_of_stable_baselines3_learns_on_the_single_environment():
     gymnasium = need("gymnasium")
     from stable_baselines3.common.env_checker import check_env
 
-    env = gymnasium.make("murmurate/Passage-v0", episode_s=1.0)
+    env = gymnasium.make("murmurate.gymnasium:murmurate/Passage-v0", episode_s=1.0)
     check_env(env.unwrapped)
     model = sb3.PPO("MlpPolicy", env, n_steps=40, batch_size=40, n_epochs=1, device="cpu").learn(80)
     assert model.num_timesteps == 80
