@@ -26,19 +26,38 @@ class Begun:
 
     An environment without a seed takes a new one at its first reset, so that copies which were made before differ: a tool
     copies one environment for its workers. Once it was reset, a copy continues to the bit.
+
+    Tools also try an environment before they use it: RLlib resets it with the seed 42 and makes a step, in each of its
+    runners, which would all go on with the same episodes. So an environment that has begun without a seed, and was then
+    given one, goes back to numbers of its own if the first episode with that seed is abandoned.
     """
 
     def __init__(self, core: VecEnv, seed: int | None):
         self.core, self.drawn = core, seed is None
+        #: Seed that was drawn, as long as nothing else was asked for; whether the current episode may be a trial.
+        self.own: int | None = None
+        self.tried = False
 
-    def reset(self, seed: int | None, mask: np.ndarray | None = None) -> None:
-        """Starts new episodes in all environments, or in those that the mask selects."""
-        first = self.drawn and (mask is None or bool(np.all(mask)))
-        if seed is None and first:
-            seed, mask = int.from_bytes(os.urandom(8), "little") >> 1, None
-        self.core.reset(mask, seed=seed)
+    def reset(self, seed: int | None, mask: np.ndarray | None = None, *, abandoned: bool = False) -> None:
+        """Starts new episodes in all environments, or in those that the mask selects.
+
+        ``abandoned`` says whether the episode at hand was begun, with at least a step, and is not over.
+        """
         if seed is not None:
-            self.drawn = False
+            self.core.reset(mask, seed=seed)
+            self.drawn, self.tried = False, self.own is not None
+        elif self.drawn and (mask is None or bool(np.all(mask))):
+            self._go_on_with(int.from_bytes(os.urandom(8), "little") >> 1)
+        elif self.tried and abandoned and self.own is not None:
+            self._go_on_with((self.own + 1) % 2**63)
+        else:
+            self.core.reset(mask)
+            # Whatever seed was given is now used in earnest.
+            self.own, self.tried = (None if self.tried else self.own), False
+
+    def _go_on_with(self, own: int) -> None:
+        self.core.reset(seed=own)
+        self.drawn, self.own, self.tried = False, own, False
 
 
 def action_of(argument: str, given: Any, shape: Sequence[int]) -> np.ndarray:

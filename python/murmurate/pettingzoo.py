@@ -54,7 +54,7 @@ class parallel_env(ParallelEnv):
             agent: spaces.Box(-np.inf, np.inf, self.core.obs.shape[2:], np.float32) for agent in self.possible_agents
         }
         self.action_spaces = {agent: spaces.Box(-limit, limit, (2,), np.float32) for agent in self.possible_agents}
-        self._was_reset = False
+        self._was_reset, self._steps = False, 0
 
     def observation_space(self, agent: str) -> spaces.Box:
         return self.observation_spaces[agent]
@@ -63,8 +63,8 @@ class parallel_env(ParallelEnv):
         return self.action_spaces[agent]
 
     def reset(self, seed: int | None = None, options: dict | None = None):
-        self._begun.reset(seed)
-        self._was_reset = True
+        self._begun.reset(seed, abandoned=self._steps > 0 and bool(self.agents))
+        self._was_reset, self._steps = True, 0
         self.agents = list(self.possible_agents)
         return self._by_agent(self.core.obs[0].copy()), {agent: {} for agent in self.agents}
 
@@ -82,6 +82,7 @@ class parallel_env(ParallelEnv):
             raise RuntimeError(f"step: {ended}; call reset() first")
         core, agents = self.core, self.possible_agents
         core.step(self._joined(actions))
+        self._steps += 1
         ended, over = bool(core.terminated[0]), bool(core.truncated[0])
         result = (
             self._by_agent(core.obs[0].copy()),

@@ -320,3 +320,22 @@ def test_pettingzoo_draws_the_team():
     env.reset()
     assert np.array_equal(env.render(), env.core.render()) and parallel_env("passage").render() is None
     assert isinstance(env.core, VecEnv)
+
+
+def test_a_tool_that_tries_an_environment_with_a_seed_leaves_it_its_own_numbers():
+    need("pettingzoo")
+    from murmurate.pettingzoo import parallel_env
+
+    def tried(steps, first=True):
+        env = parallel_env("passage", episode_s=0.5)
+        if first:
+            env.reset()
+        env.reset(seed=42)
+        for _ in range(steps):
+            env.step({agent: np.zeros(2, np.float32) for agent in env.possible_agents})
+        return np.stack(list(env.reset()[0].values()))
+
+    assert not np.array_equal(tried(1), tried(1)), "two runners of RLlib"
+    # A seed that is used in earnest is one: with the first reset, through an episode to its end, or by set_seed of TorchRL.
+    for steps, first in ((1, False), (10, True), (0, True)):
+        assert np.array_equal(tried(steps, first), tried(steps, first)), (steps, first)
