@@ -64,14 +64,15 @@ def environment_of(like: Any) -> tuple[VecEnv, list[Any]]:
         core = vars(like).get("core") if hasattr(like, "__dict__") else None
         if isinstance(core, VecEnv):
             return core, transforms
-        if hasattr(like, "transform") and hasattr(like, "base_env"):
+        kinds = {kind.__name__ for kind in type(like).__mro__}
+        if "TransformedEnv" in kinds:
             transforms[:0] = _flat(like.transform)
             like = like.base_env
             continue
         inner = next((vars(like)[name] for name in ("env", "_env", "par_env", "venv") if name in getattr(like, "__dict__", {})), None)
         if inner is None:
             why = f"{type(given).__name__} is neither a VecEnv nor an environment that has one"
-            raise Refused("like", None, why + "; give one environment of a batch" * hasattr(like, "num_workers"))
+            raise Refused("like", None, why + "; give one environment of a batch" * ("BatchedEnvBase" in kinds))
         if type(like).__name__ not in HARMLESS:
             raise Refused("like", like, _put("it may change what the policy observes or commands"))
         like = inner

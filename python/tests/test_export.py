@@ -201,7 +201,7 @@ def test_faces_and_harmless_wrappers_are_taken_and_others_are_refused_by_name(tm
     def exported(like):
         return murmurate.export(tmp_path / "p.safetensors", encoder(), [], decoder(), like=like)
 
-    vector = lambda: TeamVectorEnv("passage", 2, autoreset="disabled")  # noqa: E731
+    vector = lambda: TeamVectorEnv("passage", 2, autoreset="next-step")  # noqa: E731
     harmless = [vector(), TeamEnv(), parallel_env(), RecordEpisodeStatistics(vector()), NormalizeReward(vector())]
     for like in [*harmless, TransformReward(TeamEnv(), float)]:
         assert exported(like).exists()
@@ -329,7 +329,7 @@ def test_other_transforms_that_change_what_a_policy_observes_or_commands_are_ref
         "DoubleToFloat": DoubleToFloat(in_keys_inv=[("agents", "action")]),
     }
     for name, transform in wrong.items():
-        env = TransformedEnv(base, transform)
+        env = TransformedEnv(actor_and_env()[0], transform)
         with pytest.raises(ValueError, match=f"^like: {name}: it changes what the policy (observes|commands); put that into"):
             murmurate.export(tmp_path / "p.safetensors", actor, like=env)
     each = ObservationNorm(loc=torch.rand(5, 6), scale=torch.ones(5, 6), in_keys=[key])
