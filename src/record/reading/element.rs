@@ -129,7 +129,7 @@ pub struct MessageView<'a> {
 /// Returns the profile and the library in a file's header.
 pub fn header(bytes: &[u8]) -> Option<(&str, &str)> {
     let mut rest = Rest(bytes);
-    Some((rest.text()?, rest.text()?))
+    Some((rest.text()?, rest.text()?)).filter(|_| rest.0.is_empty())
 }
 
 /// Decodes a schema.
@@ -158,8 +158,9 @@ pub fn message(bytes: &[u8]) -> Option<MessageView<'_>> {
 /// Returns the name and the values of metadata.
 pub fn metadata(bytes: &[u8]) -> Option<(String, Map)> {
     let mut rest = Rest(bytes);
-    let name = rest.text()?;
-    Some((name.to_owned(), rest.map()?))
+    let (name, values) = (rest.text()?, rest.map()?);
+    // A longer one would take along what follows it.
+    rest.0.is_empty().then(|| (name.to_owned(), values))
 }
 
 /// Beginning of an attachment, before its content.

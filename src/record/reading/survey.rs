@@ -238,10 +238,7 @@ impl Surveyor<'_> {
                 self.used.insert(message.channel);
                 self.pass(message.log_time, message.log_time);
             }),
-            op::MESSAGE_INDEX => {
-                self.check_index(&bytes, end);
-                Some(())
-            }
+            op::MESSAGE_INDEX => self.check_index(&bytes, end),
             op::METADATA => element::metadata(&bytes).filter(|_| self.keep(bytes.len())).map(|(name, values)| {
                 self.metadata.push((self.at..end, name, values));
             }),
@@ -330,20 +327,20 @@ impl Surveyor<'_> {
         }
     }
 
-    /// Compares the index of a channel's messages with the chunk before it.
-    fn check_index(&mut self, bytes: &[u8], end: u64) {
-        let Some(index) = &mut self.index else { return };
+    /// Compares the index of a channel's messages with the chunk before it. Returns `None` if it is no index.
+    fn check_index(&mut self, bytes: &[u8], end: u64) -> Option<()> {
         let mut rest = element::Rest(bytes);
-        let listed = rest.u16().zip(rest.block().filter(|all| all.len() % 16 == 0));
-        let fits = listed.filter(|_| rest.0.is_empty()).is_some_and(|(channel, all)| {
-            let mut rest = element::Rest(all);
-            let mut listed: Vec<(u64, u64)> = std::iter::from_fn(|| Some((rest.u64()?, rest.u64()?))).collect();
-            listed.sort_unstable();
-            index.remove(&channel).unwrap_or_default() == listed
-        });
-        if !fits {
+        let (channel, all) = (rest.u16()?, rest.block().filter(|all| all.len() % 16 == 0)?);
+        // With a longer length it would take the next chunk along.
+        rest.0.is_empty().then_some(())?;
+        let Some(index) = &mut self.index else { return Some(()) };
+        let mut rest = element::Rest(all);
+        let mut listed: Vec<(u64, u64)> = std::iter::from_fn(|| Some((rest.u64()?, rest.u64()?))).collect();
+        listed.sort_unstable();
+        if index.remove(&channel).unwrap_or_default() != listed {
             self.suspects.push((self.at..end, "an index of messages is wrong"));
         }
+        Some(())
     }
 
     /// Checks the attachment of `length` bytes at `from`, without keeping it.
