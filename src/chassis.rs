@@ -260,15 +260,16 @@ impl Chassis {
         !(forward > f64::from(self.speed_m_s) || yaw_rate > f64::from(self.yaw_rate_rad_s) || wheel_is_faster)
     }
 
-    /// Returns a motion of a differential drive that is within its limits but for rounding, within them: `velocity` of
-    /// its centre \[m/s\], world frame, and `yaw_rate` \[rad/s\].
+    /// Returns a motion of a differential drive that is within its limits but for a few millionths, within them:
+    /// `velocity` of its centre \[m/s\], world frame, and `yaw_rate` \[rad/s\].
     pub fn settled(&self, velocity: Vec2, yaw_rate: f32) -> (Vec2, f32) {
-        let (mut velocity, mut yaw_rate) = (velocity, yaw_rate);
-        // What is beyond the limits by more than rounding is not for this function.
-        for _ in 0..64 {
-            if self.holds(libm::hypot(velocity.x.into(), velocity.y.into()), yaw_rate) {
-                break;
-            }
+        let holds = |velocity: Vec2, yaw_rate| self.holds(libm::hypot(velocity.x.into(), velocity.y.into()), yaw_rate);
+        if holds(velocity, yaw_rate) {
+            return (velocity, yaw_rate);
+        }
+        let all = self.share(velocity.norm(), yaw_rate);
+        let (mut velocity, mut yaw_rate) = (velocity * all, yaw_rate * all);
+        while !holds(velocity, yaw_rate) {
             (velocity, yaw_rate) = (velocity.map(toward_zero), toward_zero(yaw_rate));
         }
         (velocity, yaw_rate)

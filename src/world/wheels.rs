@@ -229,6 +229,33 @@ mod tests {
     }
 
     #[test]
+    fn the_motion_of_a_simulated_robot_keeps_to_its_limits_as_they_are_written() {
+        use rand::RngExt;
+        let mut stream = crate::random::Seed::of_run(5).stream("wheels");
+        for robot in 0..200 {
+            let mut of = |least: u16, most: u16| f64::from(stream.random_range(least..=most)) / 100.0;
+            let (wheel, track, yaw) = (of(10, 60), of(10, 50), of(100, 400));
+            let limited = Settings {
+                wheel_speed_m_s: Some(wheel as f32),
+                track_m: Some(track as f32),
+                yaw_rate_rad_s: Some(yaw as f32),
+                ..settings()
+            };
+            let mut wheels = wheels(&limited, 0.3);
+            for _ in 0..100 {
+                let mut axis = || stream.random_range(-1.5..1.5f32);
+                wheels.drive(Vec2::new(axis(), axis()), STEP_S);
+                let (velocity, turns) = (wheels.velocity(), f64::from(wheels.yaw_rate()).abs());
+                let outer = libm::hypot(velocity.x.into(), velocity.y.into()) + turns * track / 2.0;
+                assert!(
+                    outer <= wheel && turns <= yaw,
+                    "robot {robot}: {outer} of {wheel} m/s, {turns} of {yaw} rad/s"
+                );
+            }
+        }
+    }
+
+    #[test]
     fn a_holonomic_robot_has_the_heading_that_it_holds() {
         use crate::chassis::HeadingMode;
         let held = Settings { heading: Some(HeadingMode::Hold), heading_rad: Some(1.5), ..Settings::default() };
