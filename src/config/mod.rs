@@ -6,6 +6,7 @@ pub mod fields;
 pub mod kinds;
 pub mod objects;
 pub mod regular;
+pub mod shown;
 
 use std::borrow::Cow;
 

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::file::Laboratory;
 use super::lateness::{Lateness, LatenessSummary};
 use super::medium::Medium;
+use crate::config::shown::{self, counted};
 use crate::net::media::radio::RadioCounts;
 use crate::net::media::radio::counts::StationCounts;
 use crate::time::Time;
@@ -100,9 +101,9 @@ impl fmt::Display for LabReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,
-            "lab '{}': {} stations, {:.1} s, {:.1} % of the airtime used, {:.1} % by other networks",
-            self.name,
-            self.stations.len(),
+            "lab '{}': {}, {:.1} s, {:.1} % of the airtime used, {:.1} % by other networks",
+            shown::value(&self.name),
+            counted(self.stations.len(), "station"),
             self.seconds,
             100.0 * self.radio.airtime(),
             100.0 * self.radio.foreign_ns as f64 / self.radio.channel_ns.max(1) as f64

@@ -10,6 +10,7 @@ use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::path::Path;
 use std::rc::Rc;
 
+use crate::config::shown::{Layout, printable};
 use crate::report::event::{HostEvent, Unwritten};
 use crate::report::trial::Step;
 use anyhow::{Context, Result, anyhow};
@@ -65,7 +66,7 @@ impl Outlets {
 
     /// Prints the final table of results on stdout.
     pub fn print(&self, table: &str) {
-        self.stdout.push(format!("{table}\n").into_bytes());
+        self.stdout.push(format!("{}\n", printable(table, Layout::Lines)).into_bytes());
     }
 
     /// Writes a step of the simulation to the trajectories file, if the flag `--trajectories` is given. A step that

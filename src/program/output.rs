@@ -12,6 +12,7 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
+use crate::config::shown::{Layout, printable};
 use crate::config::{is_key, redacted, regular};
 use anyhow::{Context, Result};
 use tracing_subscriber::fmt::format::Writer;
@@ -34,7 +35,7 @@ pub fn open_log_lane() -> io::Result<()> {
         std::panic::set_hook(Box::new(|panic| {
             let trace = Backtrace::capture();
             let traced = trace.status() == BacktraceStatus::Captured;
-            talk(&if traced { format!("{panic}\n{trace}") } else { panic.to_string() });
+            talk_lines(&if traced { format!("{panic}\n{trace}") } else { panic.to_string() });
         }));
     }
     Ok(())
@@ -56,9 +57,15 @@ pub fn flush_log() {
     }
 }
 
-/// Prints a message on stderr as one line. A team key in it is replaced.
+/// Prints a message on stderr as one line. A team key in it is replaced, and control characters are escaped: parts of the
+/// message may come from outside.
 pub fn talk(text: &str) {
-    say(redacted(text).into_owned() + "\n");
+    say(printable(&redacted(text), Layout::Line).into_owned() + "\n");
+}
+
+/// Prints text of several lines on stderr, in which only the line ends are this program's own. Otherwise like [`talk`].
+pub fn talk_lines(text: &str) {
+    say(printable(&redacted(text), Layout::Lines).into_owned() + "\n");
 }
 
 fn say(lines: String) {
@@ -97,12 +104,13 @@ impl FormatTime for Stamp {
     }
 }
 
-/// Writer that prints log lines on stderr, one per write. A team key in a line is replaced.
+/// Writer that prints log lines on stderr, one per write. A team key in a line is replaced, and control characters are
+/// escaped, but for the logger's own colours.
 pub struct LogLines;
 
 impl Write for LogLines {
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
-        say(redacted(&String::from_utf8_lossy(line)).into_owned());
+        say(log_line(&String::from_utf8_lossy(line)));
         Ok(line.len())
     }
 
@@ -111,15 +119,32 @@ impl Write for LogLines {
     }
 }
 
+/// Returns a line of the log as it is printed. What is logged has no escape character left: the logger escapes those, so
+/// what remains are its colours. Other control characters, such as line ends within the line, are escaped here.
+fn log_line(line: &str) -> String {
+    let redacted = redacted(line);
+    let mut parts = redacted.strip_suffix('\n').unwrap_or(&redacted).split('\x1b');
+    let mut shown = printable(parts.next().unwrap_or_default(), Layout::Line).into_owned();
+    for part in parts {
+        let sequence = part.strip_prefix('[').and_then(|rest| rest.split_once('m'));
+        let is_colour = sequence.is_some_and(|(codes, _)| codes.chars().all(|c| c.is_ascii_digit() || c == ';'));
+        shown += if is_colour { "\x1b" } else { "\\u001b" };
+        shown += &printable(part, Layout::Line);
+    }
+    shown + "\n"
+}
+
 /// Returns true if text on stderr may have colours: stderr is a terminal, and the environment variable `NO_COLOR` is
 /// not set (<https://no-color.org>).
 pub fn colour() -> bool {
     io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
 
-/// Prints a text and a line end on stdout. A pipe that its reader closed is no error.
+/// Prints a text and a line end on stdout. Control characters are escaped, but for tabs and line ends: parts of the text
+/// may come from outside, and their own line ends are escaped where they are put into it (`config::shown`). A pipe that
+/// its reader closed is no error.
 pub fn print(text: &str) -> Result<()> {
-    match writeln!(io::stdout(), "{text}") {
+    match writeln!(io::stdout(), "{}", printable(text, Layout::Lines)) {
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
         written => written.context("cannot write to stdout"),
     }
@@ -205,11 +230,23 @@ pub fn read_bytes(path: &Path, what: &str) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-#[cfg(all(test, feature = "sim"))]
+#[cfg(test)]
 mod tests {
     use super::*;
-    use crate::time::Time;
 
+    #[test]
+    fn a_log_line_keeps_the_logger_s_colours_and_nothing_else_that_a_terminal_obeys() {
+        let plain = " WARN driver 2: \"moved\"\n";
+        assert_eq!(log_line(plain), plain);
+        let coloured = "\x1b[33m WARN\x1b[0m \x1b[1;2mdriver\x1b[0m moved\n";
+        assert_eq!(log_line(coloured), coloured);
+        assert_eq!(
+            log_line("a\nERROR forged\r\x1b[2J\x1b]0;title\x07\u{202e}\n"),
+            "a\\nERROR forged\\r\\u001b[2J\\u001b]0;title\\u0007\\u202e\n"
+        );
+    }
+
+    #[cfg(feature = "sim")]
     #[test]
     fn lines_of_a_replay_have_the_time_of_the_record_and_not_that_of_today() {
         let stamp = || {
@@ -217,7 +254,7 @@ mod tests {
             Stamp.format_time(&mut Writer::new(&mut text)).unwrap();
             text
         };
-        stamp_as_recorded(Some(Time::from_nanos(1_500_000_000)));
+        stamp_as_recorded(Some(crate::time::Time::from_nanos(1_500_000_000)));
         assert_eq!(stamp(), "of the record, at 1.500 s:");
         stamp_as_recorded(None);
         assert!(stamp().starts_with("20") && stamp().contains('T'), "{}", stamp());

@@ -6,6 +6,7 @@ use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use crate::actors::order::{Order, OrderKind, PERIOD, Unconfirmed};
+use crate::config::shown::{self, counted};
 use crate::deploy::team::TeamFile;
 use crate::graph::operator::{self, Operator};
 use crate::live::links::LinkError;
@@ -169,9 +170,10 @@ impl Asked<'_> {
                 OrderKind::Resume => "may move",
             };
             let took = took_s.map_or_else(String::new, |s| format!(", confirmed after {s:.3} s"));
-            print(&format!("{} of {robots} robots {what}{took}", robots - unconfirmed.len()))?;
+            let robots_all = counted(robots, "robot");
+            print(&format!("{} of {robots_all} {what}{took}", robots - unconfirmed.len()))?;
             if self.kind == OrderKind::Rearm && took_s.is_some() && state == "held" {
-                let file = self.team.path().display();
+                let file = shown::value(self.team.path().display());
                 print(&format!("the team is held: '{} resume {file}' starts the next episode", own_name()))?;
             }
         }

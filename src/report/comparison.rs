@@ -8,6 +8,7 @@ use serde::Serialize;
 use super::outcomes::CostOutcomes;
 use super::summary::Summary;
 use super::trial::TrialReport;
+use crate::config::shown;
 use crate::scenario::judge::Verdict;
 
 /// Results of several policies on the same episodes with the same seeds.
@@ -47,7 +48,7 @@ impl Comparison {
         let width = self.policies.iter().map(|summary| summary.policy.len()).max().unwrap_or(0).max("policy".len());
         write!(f, "{:<width$}  {:>8}  {:>16}  {:>9}  failures", "policy", "cost", "95 %", "completed")?;
         for summary in &self.policies {
-            let (policy, outcomes) = (&summary.policy, &summary.outcomes);
+            let (policy, outcomes) = (shown::value(&summary.policy), &summary.outcomes);
             let Some(CostOutcomes { completed, cost_mean, cost_ci95: [low, high], .. }) = &outcomes.cost else {
                 write!(f, "\n{policy:<width$}  {:>8}  {:>16}  {:>9}  {}", "-", "-", 0, outcomes.failures())?;
                 continue;
@@ -74,7 +75,7 @@ impl fmt::Display for Comparison {
         for (summary, alone) in self.policies.iter().zip(&self.alone_successful) {
             let outcomes = &summary.outcomes;
             let makespan = outcomes.makespan_median_s.map_or("-".to_owned(), |median| format!("{median:.2} s"));
-            let (policy, success) = (&summary.policy, format!("{:.1} %", 100.0 * outcomes.success_rate));
+            let (policy, success) = (shown::value(&summary.policy), format!("{:.1} %", 100.0 * outcomes.success_rate));
             let failures = outcomes.failures();
             write!(f, "\n{policy:<width$}  {success:>8}  {makespan:>10}  {alone:>9}  {failures}")?;
         }

@@ -10,6 +10,7 @@ use super::event::Unwritten;
 use super::hardware::RobotHardware;
 use super::outcomes::{CostOutcomes, Outcomes};
 use super::trial::TrialReport;
+use crate::config::shown::{self, counted};
 use crate::net::media::radio::RadioCounts;
 use crate::net::protocol::link::LinkCounts;
 use crate::registry::Registry;
@@ -239,7 +240,7 @@ impl Summary {
         writeln!(f, "  cost         {cost_mean:>8.4}   mean {name} [{unit}] (95 %: {low:.4} to {high:.4})")?;
         writeln!(f, "  {:<12} {cost_median:>8.4}   median", "")?;
         let episodes = self.outcomes.episodes;
-        writeln!(f, "  completed    {completed:>8}   of {episodes} episodes, without a failure")?;
+        writeln!(f, "  completed    {completed:>8}   of {}, without a failure", counted(episodes, "episode"))?;
         writeln!(f, "  failures     {:>8}   {}", episodes - completed, self.outcomes.failures())
     }
 
@@ -310,8 +311,12 @@ impl fmt::Display for Summary {
         let Outcomes { episodes, successes, success_ci95: [low, high], .. } = self.outcomes;
         writeln!(
             f,
-            "{} robots, scenario {}, mode {}, policy {}, seed {}",
-            self.robots, self.scenario, self.mode, self.policy, self.seed
+            "{}, scenario {}, mode {}, policy {}, seed {}",
+            counted(self.robots, "robot"),
+            shown::value(&self.scenario),
+            shown::value(&self.mode),
+            shown::value(&self.policy),
+            self.seed
         )?;
         if self.interrupted {
             writeln!(f, "  interrupted: what follows counts the episodes until then")?;
@@ -355,8 +360,8 @@ impl fmt::Display for Summary {
         self.write_undelivered(f)?;
         let Unwritten { log_lines, events, steps, record_events } = self.unwritten;
         if self.unwritten.total() > 0 {
-            let what = format!("{log_lines} log lines, {events} events, {steps} steps of trajectories");
-            let what = format!("{what}, {record_events} events of records");
+            let lines = [(log_lines, "log line"), (events, "event"), (steps, "step")].map(|(n, noun)| counted(n, noun));
+            let what = format!("{} of trajectories, {} of records", lines.join(", "), counted(record_events, "event"));
             writeln!(f, "  unwritten    {:>8}   {what}", self.unwritten.total())?;
         }
         if self.counts == Counts::Host {

@@ -8,6 +8,7 @@ use serde::Deserialize;
 
 use super::Scenario;
 use crate::config;
+use crate::config::shown::counted;
 use crate::messages::geometry::{Task, Vec2, is_finite};
 
 /// Largest distance \[m\] between a robot's start in an episode and its goal in the previous episode at which both
@@ -27,7 +28,7 @@ pub enum LayoutError {
     #[error("{0}")]
     Syntax(String),
     /// The file holds fewer episodes than are requested.
-    #[error("it holds {held} episodes; {wanted} are wanted (use --episodes {held} or fewer)")]
+    #[error("it holds {}; {wanted} are wanted (use --episodes {held} or fewer)", counted(held, "episode"))]
     TooFew {
         /// Number of episodes in the file.
         held: usize,

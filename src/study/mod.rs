@@ -26,6 +26,7 @@ use self::columns::Column;
 use self::handling::Preset;
 use self::origin::Origin;
 use crate::config::ConfigError;
+use crate::config::shown::counted;
 use crate::policy::Model;
 use crate::scenario::layout::Layouts;
 use crate::scenario::{Scenario, Settings};
@@ -217,7 +218,7 @@ impl Study {
         let gap = gap_m.map_or(String::new(), |gap_m| format!(", gap {gap_m} m"));
         let scale = scale.map_or(String::new(), |scale| format!(", scale {scale}"));
         let hull = hull_m.map_or(String::new(), |hull_m| format!(", hull {hull_m} m"));
-        format!("{}, {} robots{gap}{scale}{hull}", self.scenario.name(), self.scenario.robots())
+        format!("{}, {}{gap}{scale}{hull}", self.scenario.name(), counted(self.scenario.robots(), "robot"))
     }
 
     fn layouts_digest(&self) -> String {

@@ -2,6 +2,7 @@
 //! that have the same problem. `--json` lists each check.
 
 use super::{Check, Status, Subject};
+use crate::config::shown::{self, counted};
 
 /// Line of the table that `doctor` prints: one check, or several with the same result that differ in their host, their
 /// link or the property that was checked.
@@ -77,7 +78,7 @@ impl<'a> Line<'a> {
         };
         let found = self.found.map_or(String::new(), |found| format!(": {found}"));
         let advice = if self.advice.is_empty() { String::new() } else { format!(" \u{2014} {}", self.advice) };
-        format!("{status} {host}{links}{noun}{}{found}{advice}", self.items.join(", "))
+        shown::value(format!("{status} {host}{links}{noun}{}{found}{advice}", self.items.join(", ")))
     }
 }
 
@@ -111,11 +112,10 @@ pub fn verdict(lines: &[Line], hosts: &[&str]) -> String {
         [host] => format!("host '{host}'"),
         hosts => format!("all {} hosts of the team", hosts.len()),
     };
-    let plural = |count: usize, what: &str| format!("{count} {what}{}", if count == 1 { "" } else { "s" });
     match (failed, warned) {
         (0, 0) => format!("fit: this machine can be {role}"),
-        (0, _) => format!("fit: this machine can be {role}; {} above", plural(warned, "warning")),
-        _ => format!("not fit to be {role}: {} failed, {}", plural(failed, "check"), plural(warned, "warning")),
+        (0, _) => format!("fit: this machine can be {role}; {} above", counted(warned, "warning")),
+        _ => format!("not fit to be {role}: {} failed, {}", counted(failed, "check"), counted(warned, "warning")),
     }
 }
 

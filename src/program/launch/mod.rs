@@ -14,6 +14,7 @@ use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use crate::config::shown::counted;
 use crate::deploy::team::{Team, TeamFile};
 use crate::registry::Registry;
 use crate::report::summary::{CostName, Counts, Run, Summary};
@@ -136,7 +137,10 @@ fn run_team(args: &Args, team: &team::TeamArgs, place: &Place, registry: &Regist
         Outcome::Failed(why) => Err(anyhow!(why)),
         Outcome::Done | Outcome::Incomplete(_) if !finished => {
             let (got, all) = (results.episodes.len(), first.episodes);
-            Err(anyhow!("every process has ended, but {got} of {all} episodes have a result; see their logs"))
+            Err(anyhow!(
+                "every process has ended, with a result of {got} of {}; see their logs",
+                counted(all, "episode")
+            ))
         }
         Outcome::Incomplete(why) => Err(anyhow!("every episode has a result, but {why}")),
         _ => Ok(if interrupted { Ended::Interrupted } else { Ended::Done }),

@@ -5,10 +5,11 @@ use std::path::Path;
 use anyhow::Result;
 
 use super::{Args, Place, run_team};
+use crate::config::shown::counted;
 use crate::deploy::LinkMedium;
 use crate::lab::file::{CABLE, Laboratory};
 use crate::program::lab::{self, Running};
-use crate::program::output::talk;
+use crate::program::output::talk_lines;
 use crate::program::{BadInput, Ended};
 use crate::registry::Registry;
 
@@ -20,13 +21,16 @@ pub fn run(args: &Args, file: &Path, registry: &Registry) -> Result<Ended> {
     let read = team.read(registry)?;
     let (hosts, deployment) = (read.hosts().count(), read.deployment());
     if hosts > usize::from(laboratory.stations) {
-        let why = format!("the team has {hosts} hosts, and the lab {} stations", laboratory.stations);
+        let why =
+            format!("the team has {}, and the lab {}", counted(hosts, "host"), counted(laboratory.stations, "station"));
         return Err(BadInput(why).into());
     }
     if page(args) && hosts == usize::from(laboratory.stations) {
         let (file, more) = (file.display(), hosts + 1);
-        let why =
-            format!("--watch needs a station of its own beside the {hosts} hosts: set 'stations = {more}' in '{file}'");
+        let why = format!(
+            "--watch needs a station of its own beside the {}: set 'stations = {more}' in '{file}'",
+            counted(hosts, "host")
+        );
         return Err(BadInput(why).into());
     }
     for link in &deployment.links {
@@ -52,7 +56,7 @@ pub fn run(args: &Args, file: &Path, registry: &Registry) -> Result<Ended> {
     let ended = run_team(args, &team, &place, registry);
     let report = running.end()?;
     if !args.quiet || report.lateness.late > 0 {
-        talk(&report.to_string());
+        talk_lines(&report.to_string());
     }
     ended
 }

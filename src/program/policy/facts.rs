@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use crate::config::shown;
 use crate::policy::Draw;
 use crate::policy::manifest::{Field, Training};
 use crate::policy::probe::Difference;
@@ -46,8 +47,8 @@ impl ProbeFacts {
 /// Returns a table as text, under a heading that says that this program can run the file `file`. `rows` has the name
 /// and value of each row.
 pub fn lines(file: &str, rows: &[(&str, String)]) -> String {
-    let rows: Vec<String> = rows.iter().map(|(name, value)| format!("  {name:<14} {value}")).collect();
-    format!("{file}: this program can run it\n{}", rows.join("\n"))
+    let rows: Vec<String> = rows.iter().map(|(name, value)| format!("  {name:<14} {}", shown::value(value))).collect();
+    format!("{}: this program can run it\n{}", shown::value(file), rows.join("\n"))
 }
 
 /// Returns the names as a list separated by commas, or `none`.
@@ -79,8 +80,8 @@ pub fn drawn(draw: Draw) -> &'static str {
 pub fn probe<M>(facts: &Facts<M>) -> String {
     facts.probe.as_ref().map_or("none in the file".to_owned(), |probe| {
         format!(
-            "{} robots: latents within {:.1e}, outputs within {:.1e} (accepted: {:.0e})",
-            probe.robots,
+            "{}: latents within {:.1e}, outputs within {:.1e} (accepted: {:.0e})",
+            shown::counted(probe.robots, "robot"),
             probe.latent_difference,
             probe.output_difference,
             Probe::TOLERANCE
@@ -91,6 +92,12 @@ pub fn probe<M>(facts: &Facts<M>) -> String {
 /// Describes as text the training that made a policy file: program, preset, seed and number of decisions.
 pub fn made(training: Option<&Training>) -> String {
     training.map_or("not stated".to_owned(), |made| {
-        format!("{}, preset {}, seed {}, {} decisions", made.program, made.preset, made.seed, made.decisions)
+        format!(
+            "{}, preset {}, seed {}, {}",
+            made.program,
+            made.preset,
+            made.seed,
+            shown::counted(made.decisions, "decision")
+        )
     })
 }

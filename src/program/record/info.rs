@@ -8,6 +8,7 @@ use anyhow::{Context, Result};
 use serde::Serialize;
 use serde_json::Value;
 
+use crate::config::shown;
 use crate::program::output::print;
 use crate::program::record::chosen::first_files;
 use crate::program::{BadInput, Ended};
@@ -131,36 +132,37 @@ impl fmt::Display for Table {
             if index > 0 {
                 writeln!(f, "\n")?;
             }
-            writeln!(f, "{}", info.record.display())?;
+            writeln!(f, "{}", shown::value(info.record.display()))?;
             if info.of.is_empty() {
-                write!(f, "  {}", info.state)?;
+                write!(f, "  {}", shown::value(&info.state))?;
                 continue;
             }
-            writeln!(f, "  of        {}", info.of)?;
+            writeln!(f, "  of        {}", shown::value(&info.of))?;
             if !info.version.is_empty() {
-                writeln!(f, "  made by   version {}, build {}: {}", info.version, info.build, info.command)?;
+                let made = format!("version {}, build {}: {}", info.version, info.build, info.command);
+                writeln!(f, "  made by   {}", shown::value(made))?;
             }
-            writeln!(f, "  holds     {:.2} s, {} bytes, {}", info.duration_s, info.bytes, info.state)?;
+            writeln!(f, "  holds     {:.2} s, {} bytes, {}", info.duration_s, info.bytes, shown::value(&info.state))?;
             for damage in &info.damaged {
-                writeln!(f, "  damaged   {damage}")?;
+                writeln!(f, "  damaged   {}", shown::value(damage))?;
             }
             if info.dropped > 0 {
-                writeln!(f, "  lacks     {} events, which were dropped", info.dropped)?;
+                writeln!(f, "  lacks     {}, dropped when it was written", shown::counted(info.dropped, "event"))?;
             }
             if !info.attached.is_empty() {
-                writeln!(f, "  files     {}", info.attached.join(", "))?;
+                writeln!(f, "  files     {}", shown::value(info.attached.join(", ")))?;
             }
             if !info.verdicts.is_empty() {
                 let verdicts: Vec<String> =
                     info.verdicts.iter().map(|(verdict, count)| format!("{count} {verdict}")).collect();
-                writeln!(f, "  episodes  {}", verdicts.join(", "))?;
+                writeln!(f, "  episodes  {}", shown::value(verdicts.join(", ")))?;
             }
             write!(f, "  topics    ")?;
             for (index, (topic, count)) in info.topics.iter().enumerate() {
                 if index > 0 {
                     write!(f, "\n            ")?;
                 }
-                write!(f, "{count:>8}  {topic}")?;
+                write!(f, "{count:>8}  {}", shown::value(topic))?;
             }
         }
         Ok(())

@@ -9,6 +9,7 @@ use anyhow::{Context, Result};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{WriteOptions, Writer};
 
+use crate::config::shown;
 use crate::program::output::{print, talk};
 use crate::program::record::chosen::{self, Chosen, tell};
 use crate::program::temporary::Temporary;
@@ -44,13 +45,18 @@ pub fn run(args: &Args) -> Result<Ended> {
     fresh.replace(&args.output).with_context(no_room)?;
     for part in &parts {
         let (ahead, uncertainty) = (part.clock.ahead_ns(i64::MAX / 2), part.clock.uncertainty_ns().unwrap_or(0));
-        print(&format!("{}: {:+.3} ms, within {:.3} ms", part.host, ahead as f64 / 1e6, uncertainty as f64 / 1e6))?;
+        print(&format!(
+            "{}: {:+.3} ms, within {:.3} ms",
+            shown::value(&part.host),
+            ahead as f64 / 1e6,
+            uncertainty as f64 / 1e6
+        ))?;
     }
     let beyond = alignment.beyond_ns as f64 / 1e6;
     print(&format!(
-        "{} datagrams matched; none arrives before its sending beyond these bounds, which contain {beyond:.3} ms for \
+        "{} matched; none arrives before its sending beyond these bounds, which contain {beyond:.3} ms for \
          the lengths of turns",
-        alignment.matched
+        shown::counted(alignment.matched, "datagram")
     ))?;
     Ok(if whole && !left_out { Ended::Done } else { Ended::Unfit })
 }

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 
+use crate::config::shown;
 use crate::program::output::{print, talk};
 use crate::program::record::chosen::files;
 use crate::program::temporary::Temporary;
@@ -68,6 +69,7 @@ fn mend(path: &Path) -> Result<bool> {
     std::fs::hard_link(path, &kept).with_context(|| format!("cannot keep '{}' as it was", path.display()))?;
     fresh.replace(path).with_context(no_room)?;
     health.faults.iter().for_each(|fault| talk(&format!("'{}': not in it: {fault}", path.display())));
-    print(&format!("{}: {messages} messages; as it was: {}", path.display(), kept.display()))?;
+    let (shown_path, kept) = (shown::value(path.display()), shown::value(kept.display()));
+    print(&format!("{shown_path}: {}; as it was: {kept}", shown::counted(messages, "message")))?;
     Ok(health.faults.is_empty())
 }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 
+use crate::config::shown;
 use crate::net::protocol::key::Key;
 use crate::program::output::{print, talk};
 use crate::program::record::chosen::{self, Chosen, tell};
@@ -86,6 +87,7 @@ fn one((path, identity): (&Path, &Identity), key: &Key, output: &Path, as_it_is:
     copy(&mut Reader::open(path)?, &found.accepted, BufWriter::new(fresh.seekable()))?;
     fresh.sync().and_then(|()| fresh.replace(output)).with_context(no_room)?;
     let (valid, refused) = (found.accepted.len(), found.refused);
-    print(&format!("{}: {valid} datagrams had a valid tag, {refused} had not", output.display()))?;
+    let (output, valid) = (shown::value(output.display()), shown::counted(valid, "datagram"));
+    print(&format!("{output}: {valid} had a valid tag, {refused} had not"))?;
     Ok(whole)
 }

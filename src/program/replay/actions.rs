@@ -9,6 +9,7 @@ use anyhow::{Context, Result};
 
 use super::Args;
 use super::of_host::{Prepared, published};
+use crate::config::shown;
 use crate::program::output::print;
 use crate::program::whole_file::WholeFile;
 use crate::record::actions::{Commands, RobotDifference, StepDifference};
@@ -50,20 +51,21 @@ pub fn show(args: &Args, prepared: Prepared) -> Result<()> {
 }
 
 fn table(host: &str, policy: &str, robots: &[RobotDifference]) -> String {
-    let mut text = format!("host {host}, policy {policy} on the recorded inputs");
+    let mut text = format!("host {}, policy {} on the recorded inputs", shown::value(host), shown::value(policy));
     if robots.is_empty() {
         text.push_str("\n  this host has published no motor commands");
     }
     for robot in robots {
         let first = robot.first_s.map_or("none differs".to_owned(), |at_s| format!("the first differs at {at_s:.3} s"));
         let RobotDifference { robot, steps, mean_m_s, most_m_s, unpaired, .. } = robot;
+        let steps = shown::counted(steps, "step");
         let _ = write!(
             text,
-            "\n  robot {robot:<3} {steps} steps: {first}; difference {mean_m_s:.3} m/s in the mean, {most_m_s:.3} at \
+            "\n  robot {robot:<3} {steps}: {first}; difference {mean_m_s:.3} m/s in the mean, {most_m_s:.3} at \
              the most"
         );
         if *unpaired > 0 {
-            let _ = write!(text, "; {unpaired} steps of only one of both");
+            let _ = write!(text, "; {} of only one of both", shown::counted(unpaired, "step"));
         }
     }
     text

@@ -17,6 +17,7 @@ use std::rc::Rc;
 use anyhow::{Context, Result};
 use serde::Serialize;
 
+use crate::config::shown::{self, counted};
 use crate::graph::process::ProcessEvent;
 use crate::messages::ids::HostId;
 use crate::program::output::{self, Confined, print, talk};
@@ -352,10 +353,12 @@ impl fmt::Display for Table {
                 writeln!(f)?;
             }
             let Line { of, messages, cut, gap_s, damaged_s, damaged, difference, .. } = line;
-            write!(f, "{of:width$}  ")?;
+            write!(f, "{:width$}  ", shown::value(of))?;
             match difference {
-                None => write!(f, "equal, {messages} messages")?,
-                Some(difference) => write!(f, "DIFFERS after {messages} equal messages\n{difference}")?,
+                None => write!(f, "equal, {}", counted(messages, "message"))?,
+                Some(difference) => {
+                    write!(f, "DIFFERS after {}\n{difference}", counted(messages, "equal message"))?;
+                }
             }
             if let Some(damaged_s) = damaged_s {
                 write!(f, ", up to {damaged_s:.3} s, where the file is damaged")?;

@@ -9,6 +9,7 @@ use anyhow::{Context, Result};
 
 use super::sights::{self, Keys, Shown};
 use super::{Args, Files, rerun_observed};
+use crate::config::shown::counted;
 use crate::graph::process::ProcessEvent;
 use crate::messages::wire::Wire;
 use crate::net::protocol::key::Key;
@@ -77,7 +78,7 @@ fn read(args: &Args, registry: &Registry) -> Result<Shown> {
     let mut keys = Keys { of_team, ..Keys::default() };
     if paths.len() > 1 {
         let records = chosen::records(named)?.records;
-        talk(&format!("reads the records of {} hosts as one", records.len()));
+        talk(&format!("reads the records of {} as one", counted(records.len(), "host")));
         for (path, _) in &records {
             note_shared(&mut keys, &reader::open(path)?);
         }

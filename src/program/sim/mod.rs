@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
+use crate::config::shown::counted;
 use crate::deploy::Stepping;
 use crate::hearing::Handling;
 use crate::policy::Draw;
@@ -241,7 +242,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let stop = Arc::new(AtomicBool::new(false));
     let signal = Arc::clone(&stop);
     ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
-    tracing::info!("{} repeats of {} episodes; Ctrl-C prints the results so far", args.repeats(), args.episodes());
+    let (repeats, episodes) = (counted(args.repeats(), "repeat"), counted(args.episodes(), "episode"));
+    tracing::info!("{repeats} of {episodes}; Ctrl-C prints the results so far");
 
     let records = records(args, &trials)?;
     let mut results = Vec::new();

@@ -14,6 +14,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
+use crate::config::shown::counted;
 use crate::record::identity::StudyJob;
 use crate::registry::Registry;
 use crate::study::record::Record;
@@ -101,7 +102,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     print(&if shared.run.json {
         serde_json::to_string(&report).context("a report is JSON")?
     } else {
-        format!("{}\n\n{done} of {all} trials; {wall_s:.1} s", table::text(&study, &results))
+        format!("{}\n\n{done} of {}; {wall_s:.1} s", table::text(&study, &results), counted(all, "trial"))
     })?;
     shared.run.print_location(folder.as_ref(), "trials", done, all);
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
@@ -137,11 +138,11 @@ fn part_is_done(
         let next = match (interrupted, left) {
             (true, _) => "interrupted; the same command goes on from there".to_owned(),
             (false, 0) => "all trials are there: the same command without --shard writes the report".to_owned(),
-            (false, left) => format!("{left} trials of other shards are missing here"),
+            (false, left) => format!("missing here: {} of other shards", counted(left, "trial")),
         };
         talk(&format!(
-            "shard {shard}: {done} of {} trials are kept in '{}'; {next}",
-            mine.len(),
+            "shard {shard}: {done} of {} kept in '{}'; {next}",
+            counted(mine.len(), "trial"),
             folder.path().display()
         ));
     }
@@ -185,7 +186,8 @@ fn run_all(
     let recording = Simulated::open(&shared.record, shared.files(), names)?;
     let bar = progress(u64::from(study.layouts.len()) * left.len() as u64, quiet);
     if there > 0 && !quiet {
-        talk(&format!("{there} of {} trials are finished already", all.len()));
+        let are = if all.len() == 1 { "is" } else { "are" };
+        talk(&format!("{there} of {} {are} finished already", counted(all.len(), "trial")));
     }
     let work = |at: usize| -> Result<Option<Record>> {
         let job = all[at];

@@ -6,6 +6,7 @@ use super::case::Sweep;
 use super::growth::Growth;
 use super::outcome::Row;
 use super::scale;
+use crate::config::shown::counted;
 
 /// Quantity that a table of a network study shows: its name, and the function that returns its value in a row.
 type Shown = (&'static str, fn(&Row) -> Option<f64>);
@@ -68,8 +69,12 @@ fn aligned(heads: &[String], lines: &[Vec<String>]) -> String {
 /// teams.
 pub fn text(sweep: &Sweep, rows: &[Row], grown: &[Growth]) -> String {
     let mut text = format!(
-        "study network: {} stations, messages of {} bytes, {} s a case, RTPS history {}, seed {}\n",
-        sweep.stations, sweep.bytes, sweep.seconds, sweep.history, sweep.seed
+        "study network: {}, messages of {}, {} s a case, RTPS history {}, seed {}\n",
+        counted(sweep.stations, "station"),
+        counted(sweep.bytes, "byte"),
+        sweep.seconds,
+        sweep.history,
+        sweep.seed
     );
     for shown in &SHOWN[..2] {
         let lines = lines(sweep, rows, *shown);

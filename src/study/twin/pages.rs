@@ -3,6 +3,7 @@
 use super::comparison::Row;
 use super::observed::Run;
 use super::predict::Predicted;
+use crate::config::shown::counted;
 use crate::report::figures::{self, Figure, FigureError, Heard, Makespans};
 use crate::report::listening::Listening;
 use crate::report::page::{self, Part};
@@ -91,9 +92,9 @@ pub fn page(words: &Words, rows: &[Row], figures: &[Figure]) -> String {
         )
     } else {
         format!(
-            "The model was fitted to the first {fitted} episodes. It was then run {} times with the layouts of the \
+            "The model was fitted to the first {fitted} episodes. It was then run {} with the layouts of the \
          other {predicted}, and its results stand beside what was measured in those. {verdict}",
-            words.repeats
+            counted(words.repeats, "time")
         )
     };
     let mut parts = vec![

@@ -12,6 +12,7 @@ use anyhow::{Context, Result};
 use serde::Serialize;
 
 use super::run::{CommandLine, Run};
+use crate::config::shown::counted;
 use crate::program::output::{print, talk};
 use crate::program::progress::{progress, watched};
 use crate::program::{BadInput, Ended, bad, jobs, own_name};
@@ -70,8 +71,9 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let count = run.episodes.len();
     if count < LEAST {
         return bad(format!(
-            "the records have {count} episodes with a result, from the first on; a twin needs at least {LEAST}: half \
-             to fit and half to compare"
+            "the records have {} with a result, from the first on; a twin needs at least {LEAST}: half to fit and half \
+             to compare",
+            counted(count, "episode")
         ));
     }
     let first = count / 2;
@@ -102,15 +104,17 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         notes: &notes,
     };
     let title = format!(
-        "Twin of a run: {} robots, scenario {}, mode {}, policy {policy}",
-        report.robots, report.scenario, trial.deployment.mode
+        "Twin of a run: {}, scenario {}, mode {}, policy {policy}",
+        counted(report.robots, "robot"),
+        report.scenario,
+        trial.deployment.mode
     );
     let predicting = match repeats {
         0 => "compared with the other".to_owned(),
-        repeats => format!("the other {} predicted in {repeats} repeats", count - first),
+        repeats => format!("the other {} predicted in {}", count - first, counted(repeats, "repeat")),
     };
     let replaced = if args.given.is_empty() { String::new() } else { format!("; given: {}", args.given.join(", ")) };
-    let head = format!("{title}\nfitted to {first} episodes; {predicting}{replaced}");
+    let head = format!("{title}\nfitted to {}; {predicting}{replaced}", counted(first, "episode"));
     let text = format!("{head}\n\n{}\n", comparison::text(&rows))
         + &notes.iter().map(|note| format!("\nnote: {note}")).collect::<String>();
     if let Some(folder) = &folder {

@@ -13,6 +13,7 @@ use nix::poll::{PollFd, PollFlags, poll};
 
 use super::connection::{Connection, Side};
 use super::{GREETING, Request, Response};
+use crate::config::shown::counted;
 use crate::program::output::talk;
 use crate::program::own_name;
 
@@ -105,7 +106,8 @@ fn progress(here: &BTreeMap<usize, Connection>, hosts: &[String]) -> String {
     let missing = hosts.iter().enumerate().filter(|(at, _)| !here.contains_key(at)).map(|(_, host)| host.as_str());
     let missing: Vec<&str> = missing.collect();
     let missing = if missing.is_empty() { String::new() } else { format!("; missing: {}", missing.join(", ")) };
-    format!("{} of {} hosts are connected{missing}", here.len(), hosts.len())
+    let are = if hosts.len() == 1 { "is" } else { "are" };
+    format!("{} of {} {are} connected{missing}", here.len(), counted(hosts.len(), "host"))
 }
 
 #[cfg(test)]
