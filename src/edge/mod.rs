@@ -41,6 +41,11 @@ pub trait Worker: Send {
     /// which a driver must stop its robot.
     fn run(self: Box<Self>, port: Port);
 
+    /// Returns the program that the worker runs, with its arguments; `None` if it runs none.
+    fn runs(&self) -> Option<Vec<String>> {
+        None
+    }
+
     /// Returns the description of a resource that only one robot and one process of the machine may use, such as a
     /// robot's network address; `None` if the worker needs no such resource.
     fn claim(&self) -> Option<String> {

@@ -106,6 +106,26 @@ pub fn closed(host: &Host, registry: &Registry) -> Result<Devices, DeviceError> 
     make(host, registry, |_, _, _| Ok(None))
 }
 
+/// A program that a host runs, for a driver or a source.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RunBy {
+    /// Name of the driver or the source that runs it, such as `driver 2`.
+    pub device: String,
+    /// The program file, followed by its arguments.
+    pub command: Vec<String>,
+}
+
+/// Returns the programs that the drivers and the source of one host of a checked deployment run. Nothing is started. An
+/// error names the wrong setting.
+pub fn programs(host: &Host, registry: &Registry) -> Result<Vec<RunBy>, DeviceError> {
+    let mut programs = Vec::new();
+    make(host, registry, |worker, _, device| {
+        programs.extend(worker.runs().map(|command| RunBy { device, command }));
+        Ok(None)
+    })?;
+    Ok(programs)
+}
+
 /// Creates the drivers and the source of one host of a checked deployment, and starts their workers (I/O threads).
 /// `robots` is the number of robots of the team. An error names the wrong setting, or says that a worker cannot be
 /// started.

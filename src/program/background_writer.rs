@@ -3,10 +3,10 @@
 //! and counted.
 
 use std::collections::VecDeque;
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::{self, ErrorKind, Write};
 use std::os::fd::AsFd;
-use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::thread;
@@ -14,6 +14,9 @@ use std::time::Duration;
 
 use nix::libc::{ENXIO, O_NONBLOCK};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+
+use crate::program::destination::{Destination, folder};
+use crate::program::temporary::Temporary;
 
 /// Capacity of the queue \[bytes\]: twenty seconds of the trajectories of five robots (12 kB/s), or more than a
 /// thousand log lines. A worn SD card stalls for a second or two.
@@ -37,16 +40,21 @@ impl Target {
         open.as_fd().try_clone_to_owned().map(|fd| Target::Open(File::from(fd)))
     }
 
-    /// Makes a destination from a path: creates or truncates a file, or opens an existing pipe or device. Does not wait
-    /// for a pipe's reader.
+    /// Makes a destination from a path: an empty file, which replaces an existing one, or an existing pipe or device.
+    /// Does not wait for a pipe's reader. Links are followed as [`Destination::of`] says.
     pub fn create(path: &Path) -> io::Result<Target> {
-        let is_pipe = path.metadata().is_ok_and(|about| about.file_type().is_fifo());
-        if !is_pipe {
-            return File::create(path).map(Target::Open);
-        }
-        match OpenOptions::new().write(true).custom_flags(O_NONBLOCK).open(path) {
-            Ok(probe) => Ok(Target::Pipe(path.to_owned(), Some(probe))),
-            Err(error) if error.raw_os_error() == Some(ENXIO) => Ok(Target::Pipe(path.to_owned(), None)),
+        let path = match Destination::of(path).map_err(io::Error::other)? {
+            Destination::File(path) => {
+                return Temporary::new_in(folder(&path), 0o666)?.named(&path).map(Target::Open);
+            }
+            Destination::Stream(path) if !Destination::is_pipe(&path) => {
+                return Destination::open_stream(&path, 0).map(Target::Open);
+            }
+            Destination::Stream(path) => path,
+        };
+        match Destination::open_stream(&path, O_NONBLOCK) {
+            Ok(probe) => Ok(Target::Pipe(path, Some(probe))),
+            Err(error) if error.raw_os_error() == Some(ENXIO) => Ok(Target::Pipe(path, None)),
             Err(error) => Err(error),
         }
     }
@@ -63,7 +71,7 @@ impl Target {
     fn open(self) -> io::Result<File> {
         match self {
             Target::Open(file) => Ok(file),
-            Target::Pipe(path, _probe) => OpenOptions::new().write(true).open(path),
+            Target::Pipe(path, _probe) => Destination::open_stream(&path, 0),
         }
     }
 }

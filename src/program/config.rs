@@ -2,7 +2,10 @@
 
 use std::collections::BTreeSet;
 
+use crate::config::shown::{self, counted};
+use crate::deploy::Host;
 use crate::deploy::team::Origin;
+use crate::graph::devices::{self, RunBy};
 use crate::messages::ids::HostId;
 use crate::registry::Registry;
 use anyhow::{Context, Result};
@@ -71,10 +74,40 @@ fn check(args: &Check, registry: &Registry) -> Result<Ended> {
     }
     let deployment = file.deployment();
     let keys = if seen.is_empty() { "no key".to_owned() } else { format!("key {}", Vec::from_iter(seen).join(", ")) };
+    let named: Vec<&Host> = hosts.iter().map(|host| &deployment.hosts[usize::from(host.0)]).collect();
     let (links, hosts) = (deployment.links.len(), hosts.len());
-    let path = args.team.path().display();
-    print(&format!("{path}: valid: mode {}, {hosts} hosts, {links} links, {keys}", deployment.mode))?;
+    let mode = shown::value(&deployment.mode);
+    let path = shown::value(args.team.path().display());
+    print(&format!("{path}: valid: mode {mode}, {}, {}, {keys}", counted(hosts, "host"), counted(links, "link")))?;
+    programs(&named, registry)?.into_iter().try_for_each(|line| print(&line))?;
     Ok(Ended::Done)
+}
+
+/// Returns the lines that say which programs the hosts run: whoever may write a team file decides on them. None if they
+/// run none.
+fn programs(hosts: &[&Host], registry: &Registry) -> Result<Vec<String>> {
+    let mut lines = Vec::new();
+    for host in hosts {
+        for RunBy { device, command } in devices::programs(host, registry)? {
+            let command: Vec<String> = command.iter().map(|word| quoted(word)).collect();
+            let host = shown::value(&host.name);
+            lines.push(format!("  {host}: {device}: {}", shown::value(command.join(" "))));
+        }
+    }
+    if !lines.is_empty() {
+        lines.insert(0, "it runs these programs, with the rights of whoever starts a host:".to_owned());
+    }
+    Ok(lines)
+}
+
+/// Returns a word of a command as a shell would take it.
+fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./:=,+@%".contains(c);
+    if !word.is_empty() && word.chars().all(plain) {
+        word.to_owned()
+    } else {
+        format!("'{}'", word.replace('\'', "'\\''"))
+    }
 }
 
 fn show(args: &Show, registry: &Registry) -> Result<Ended> {
@@ -100,7 +133,10 @@ fn show(args: &Show, registry: &Registry) -> Result<Ended> {
     let (keys, values) = (width(|shown| shown.key.len()), width(|shown| shown.value.len()));
     let lines: Vec<String> = all
         .iter()
-        .map(|shown| format!("{:keys$}  {:values$}  {}", shown.key, shown.value, origin(&shown.origin)))
+        .map(|shown| {
+            let (key, value) = (shown::value(&shown.key), shown::value(&shown.value));
+            format!("{key:keys$}  {value:values$}  {}", shown::value(origin(&shown.origin)))
+        })
         .collect();
     print(&lines.join("\n"))?;
     Ok(Ended::Done)

@@ -12,6 +12,7 @@ use clap::Subcommand;
 use hmac_sha256::Hash;
 use nix::unistd::geteuid;
 
+use crate::config::shown;
 use crate::program::BadInput;
 use crate::program::Ended;
 use crate::program::output;
@@ -42,7 +43,7 @@ pub struct New {
 /// Runs `key new`: creates a key file. Fails if the file exists and `--force` is missing, or if it cannot be written.
 pub fn run(args: &Args) -> Result<Ended> {
     let Args::New(New { out, force }) = args;
-    let shown = out.display();
+    let shown = shown::value(out.display());
     let refuse = |why: String| BadInput(format!("cannot write the key file '{shown}': {why}"));
     let there = || refuse("it exists already; --force replaces it, and every robot then needs the new one".into());
     if !force && out.symlink_metadata().is_ok() {
@@ -106,7 +107,22 @@ pub fn read(path: &Path) -> Result<[u8; BYTES]> {
     let key = parse(digits.trim_ascii()).ok_or_else(|| {
         refuse(format!("does not hold {} hexadecimal digits ({BYTES} bytes): copy the team's key again", 2 * BYTES))
     })?;
+    if is_guessable(&key) {
+        return Err(refuse(
+            "holds a key that anybody can guess, such as zeros or a repeated pattern: make one with 'key new', and copy \
+             it to every host"
+                .to_owned(),
+        ));
+    }
     Ok(key)
+}
+
+/// Whether a key was typed and not drawn: its bytes repeat within eight, as zeros do, or count up or down. A key of `key
+/// new` is so with a probability below 2^-180.
+fn is_guessable(key: &[u8; BYTES]) -> bool {
+    let repeats = (1..=8).any(|period| key.iter().zip(&key[period..]).all(|(one, other)| one == other));
+    let step = key[1].wrapping_sub(key[0]);
+    repeats || key.windows(2).all(|pair| pair[1].wrapping_sub(pair[0]) == step)
 }
 
 /// Whether a process of the user id `user` may use a key file that the user id `owner` owns: only if the owner is that
@@ -144,5 +160,22 @@ mod tests {
         assert!(may_own(1000, 1000) && may_own(0, 1000) && may_own(0, 0));
         assert!(!may_own(1000, 0), "an ordinary user could replace root's key");
         assert!(!may_own(1001, 1000));
+    }
+
+    #[test]
+    fn keys_that_were_typed_are_guessable_and_those_that_were_drawn_are_not() {
+        let pattern = |of: &dyn Fn(usize) -> u8| std::array::from_fn::<u8, BYTES, _>(of);
+        for typed in [
+            pattern(&|_| 0),
+            pattern(&|_| 0x5a),
+            pattern(&|at| [0xde, 0xad, 0xbe, 0xef][at % 4]),
+            pattern(&|at| [0x01, 0x23, 0x45, 0x67, 0x89, 0xab, 0xcd, 0xef][at % 8]),
+            pattern(&|at| at as u8),
+            pattern(&|at| 255 - at as u8),
+        ] {
+            assert!(is_guessable(&typed), "{typed:02x?}");
+        }
+        assert!(!is_guessable(&pattern(&|at| (at * at) as u8)));
+        assert!((0..1000u32).all(|at| !is_guessable(&Hash::hash(&at.to_le_bytes()))));
     }
 }

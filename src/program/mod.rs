@@ -12,9 +12,11 @@ mod conditions;
 mod config;
 #[cfg(feature = "sim")]
 mod deployment;
+mod destination;
 mod doctor;
 #[cfg(any(feature = "sim", feature = "train"))]
 mod drive;
+mod features;
 mod host;
 #[cfg(feature = "sim")]
 mod jobs;
@@ -386,9 +388,13 @@ fn refuse(error: &clap::Error) -> ExitCode {
         let _ = error.print();
         return ExitCode::SUCCESS;
     }
+    if let Some(why) = features::missing(error) {
+        output::talk(&why);
+        return ExitCode::from(2);
+    }
     let text = error.render().to_string();
     if error.kind() == clap::error::ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
-        output::talk(text.trim_end());
+        output::talk_lines(text.trim_end());
         return ExitCode::from(2);
     }
     let said: Vec<&str> = text

@@ -7,6 +7,8 @@ use clap::Command;
 use clap_complete::Shell;
 use clap_mangen::Man;
 
+use crate::config::shown::counted;
+use crate::program::destination::check_folder;
 use crate::program::output::{print, talk};
 use crate::program::whole_file::WholeFile;
 use crate::program::{BadInput, Ended, command};
@@ -49,9 +51,10 @@ pub fn manual(args: &Manual, registry: &Registry) -> Result<Ended> {
         return Ok(Ended::Done);
     };
     let why = |e| BadInput(format!("--out: '{}': cannot make this folder: {e}", folder.display()));
-    std::fs::create_dir_all(folder).map_err(why)?;
+    check_folder(folder).map_err(why)?;
+    std::fs::create_dir_all(folder).map_err(|e| why(e.to_string()))?;
     let pages = write(&command, folder)?;
-    talk(&format!("{pages} pages in '{}'", folder.display()));
+    talk(&format!("{} in '{}'", counted(pages, "page"), folder.display()));
     Ok(Ended::Done)
 }
 

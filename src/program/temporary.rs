@@ -57,6 +57,14 @@ impl Temporary {
         Ok(())
     }
 
+    /// Renames the temporary file to `path` in the same folder, replacing an existing file, and returns it open, for
+    /// output that is to be seen while it is written.
+    pub fn named(self, path: &Path) -> io::Result<File> {
+        let open = self.file.try_clone()?;
+        self.replace(path)?;
+        Ok(open)
+    }
+
     /// Gives the temporary file the name `path` in the same folder. Fails with `AlreadyExists` if there is such a file.
     pub fn add(self, path: &Path) -> io::Result<()> {
         // Unlike a rename, a hard link fails if the name exists.

@@ -1,12 +1,13 @@
 //! Writes files that appear under their name only once they are complete.
 
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 
 use crate::program::BadInput;
+use crate::program::destination::{Destination, folder};
 use crate::program::temporary::Temporary;
 
 /// File that is being written, and replaces an existing file atomically once it is complete. A pipe or a device is
@@ -14,7 +15,7 @@ use crate::program::temporary::Temporary;
 pub enum WholeFile {
     /// Temporary file in the same folder, which gets the final name once it is complete.
     Beside {
-        /// Final path of the file, with symbolic links resolved.
+        /// Final path of the file, after the links that may be followed.
         path: PathBuf,
         /// Temporary file with the content so far.
         file: Temporary,
@@ -28,19 +29,14 @@ impl WholeFile {
     /// not changed yet.
     pub fn create(path: &Path) -> Result<WholeFile> {
         let refuse = |why: String| BadInput(format!("cannot write '{}': {why}", path.display()));
-        let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
-        if path.is_dir() {
-            return Err(refuse("it is a folder; name a file in it".to_owned()).into());
-        }
-        if path.exists() && !path.is_file() {
-            let file = OpenOptions::new().write(true).open(&path).map_err(|e| refuse(e.to_string()))?;
-            return Ok(WholeFile::Straight(file));
-        }
-        let folder = match path.parent() {
-            Some(parent) if !parent.as_os_str().is_empty() => parent,
-            _ => Path::new("."),
+        let path = match Destination::of(path).map_err(refuse)? {
+            Destination::File(path) => path,
+            Destination::Stream(path) => {
+                let file = Destination::open_stream(&path, 0).map_err(|e| refuse(e.to_string()))?;
+                return Ok(WholeFile::Straight(file));
+            }
         };
-        let file = Temporary::new_in(folder, 0o666)
+        let file = Temporary::new_in(folder(&path), 0o666)
             .map_err(|e| refuse(format!("{e}; choose a folder that can be written")))?;
         Ok(WholeFile::Beside { path, file })
     }

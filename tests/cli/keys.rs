@@ -130,3 +130,26 @@ fn a_key_inside_a_file_is_not_quoted() {
         hides(&mut murmurate(&["sim", "--policy", &policy.to_string_lossy()]));
     }
 }
+
+#[test]
+fn a_key_that_anybody_can_guess_is_refused_by_name() {
+    let place = Place(TempDir::new().expect("a temporary folder"));
+    let team = place.file(
+        "team.toml",
+        "team = 1\nmode = \"offboard\"\nkey_file = \"team.key\"\n\
+         [link.loopback]\ninterface = \"lo\"\n[link.infra]\ninterface = \"lo\"\n",
+    );
+    for digits in
+        ["00".repeat(32), "5a".repeat(32), "FF".repeat(32), "0123456789abcdef".repeat(4), "deadbeef".repeat(8)]
+    {
+        let key = place.file("team.key", &format!("{digits}\n"));
+        std::fs::set_permissions(&key, std::os::unix::fs::PermissionsExt::from_mode(0o600)).expect("it is mine");
+        for command in [&["config", "check", &team][..], &["stop", &team], &["host", &team, "--robot", "0"]] {
+            let said = murmurate(command).output().expect("it starts");
+            let (code, said) = (said.status.code(), text(&said.stderr));
+            assert_eq!(code, Some(2), "{command:?}: {said}");
+            assert!(said.contains("team.key") && said.contains("guess") && said.contains("key new"), "{said}");
+            assert!(!said.contains(&digits[..8]), "{said}");
+        }
+    }
+}

@@ -4,6 +4,8 @@ mod devices;
 #[cfg(feature = "train")]
 mod keys;
 #[cfg(feature = "train")]
+mod outside;
+#[cfg(feature = "train")]
 mod pages;
 #[cfg(feature = "sim")]
 mod pictures;

@@ -38,11 +38,25 @@ fn a_program_has_the_commands_of_its_features_and_no_others() {
     found.sort_unstable();
     wanted.sort_unstable();
     assert_eq!(found, wanted);
+}
+
+#[test]
+fn a_command_or_a_flag_of_a_missing_feature_says_which_one_the_program_needs() {
     for (name, there) in WITH {
         if !there {
-            refuses(&[name], &[name]);
+            refuses(&[name, "--help"], &[&format!("'{name}'"), "without the feature '", "cargo build", "--features "]);
         }
     }
+    if !cfg!(feature = "lab") {
+        refuses(&["lab", "up", "lab.toml"], &["the feature 'lab'", "--features lab"]);
+    }
+    if !cfg!(feature = "record") {
+        refuses(&["host", "team.toml", "--record", "out"], &["'--record'", "the feature 'record'"]);
+    }
+    if !cfg!(feature = "watch") {
+        refuses(&["host", "team.toml", "--metrics", "127.0.0.1:1"], &["'--metrics'", "the feature 'watch'"]);
+    }
+    refuses(&["labs", "up"], &["labs"]);
 }
 
 #[test]

@@ -15,6 +15,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 
+use crate::program::destination::check_folder;
 use crate::program::output::read_bytes;
 use crate::program::{BadInput, bad};
 use crate::record::file::Attached;
@@ -112,7 +113,8 @@ fn arguments() -> Vec<String> {
 /// Creates the folder for records, if it does not exist. An error names the flag `--record`.
 fn make(folder: &Path) -> Result<()> {
     let refuse = |error| BadInput(format!("--record: cannot make the folder '{}': {error}", folder.display()));
-    std::fs::create_dir_all(folder).map_err(refuse)?;
+    check_folder(folder).map_err(refuse)?;
+    std::fs::create_dir_all(folder).map_err(|error| refuse(error.to_string()))?;
     Ok(())
 }
 

@@ -9,6 +9,7 @@ use anyhow::{Context, Result};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
+use crate::program::destination::check_folder;
 use crate::program::temporary::Temporary;
 use crate::program::whole_file::WholeFile;
 use crate::program::{BadInput, output};
@@ -30,6 +31,7 @@ impl Folder {
         difference: impl Fn(&I) -> Option<String>,
     ) -> Result<Folder> {
         let refuse = |why: String| BadInput(format!("--out: '{}': {why}; choose another folder", path.display()));
+        check_folder(path).map_err(refuse)?;
         // Processes may open one folder at a time, so that other files count only if they were there before the
         // identity was looked for, and nothing else is made before the identity is in its place.
         let holds_others = path.join(pieces).exists() || path.join("report.html").exists();

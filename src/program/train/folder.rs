@@ -8,6 +8,7 @@ use crate::train::trainer::Trainer;
 use anyhow::{Context, Result};
 
 use super::curve::Curve;
+use crate::program::destination::check_folder;
 use crate::program::temporary::Temporary;
 use crate::program::whole_file::WholeFile;
 use crate::program::{BadInput, output};
@@ -24,6 +25,7 @@ impl Folder {
     /// training and `resume` is false.
     pub fn open(path: &Path, resume: bool) -> Result<Folder> {
         let refuse = |why: String| BadInput(format!("--out: '{}': {why}", path.display()));
+        check_folder(path).map_err(refuse)?;
         std::fs::create_dir_all(path).map_err(|e| refuse(format!("cannot make this folder: {e}")))?;
         let folder = Folder { path: path.to_owned(), saved: None };
         if !resume && folder.checkpoint().exists() {
