@@ -5,6 +5,7 @@ use super::conditions::Deployed;
 use super::handling::PRESETS;
 use super::results::{Cell, Results};
 use super::{Study, published, table};
+use crate::config::shown::counted;
 use crate::report::figures::{
     self, Figure, FigureError, Group, Heard, Line, Makespans, Panel, Point, Positions, Share,
 };
@@ -92,10 +93,11 @@ fn by_column<'a>(study: &Study, results: &'a Results) -> Vec<Vec<Option<&'a Cell
 
 fn modes(study: &Study, results: &Results) -> Result<String, FigureError> {
     let share = |cell: &Cell| Share { rate: cell.row.outcomes.success_rate, ci95: cell.row.outcomes.success_ci95 };
+    let compared = study.policies.iter().any(|tested| published::ran(study, tested));
     let groups = by_column(study, results).into_iter().zip(&study.columns).map(|(cells, column)| Group {
         name: column.name.clone(),
         shares: cells.into_iter().map(|cell| cell.map(share)).collect(),
-        paper: published::of(&column.name).success,
+        paper: published::of(&column.name).success.filter(|_| compared),
     });
     figures::success("Success by mode", &names(study), &groups.collect::<Vec<_>>())
 }
@@ -230,10 +232,10 @@ fn delays(number: usize, name: &str, cells: &[&Cell]) -> Result<Figure, FigureEr
 /// Returns the report page of a study as HTML, with its figures and tables.
 pub fn page(study: &Study, results: &Results, figures: &[Figure]) -> String {
     let mut parts = vec![Part::Text(format!(
-        "{}; {} layouts, each repeated {} times; seed {}.",
+        "{}; {}, each run {}; seed {}.",
         study.scenario_text(),
-        study.layouts.len(),
-        study.repeats,
+        counted(study.layouts.len(), "layout"),
+        counted(study.repeats, "time"),
         study.seed
     ))];
     for (at, tested) in study.policies.iter().enumerate() {
@@ -241,7 +243,7 @@ pub fn page(study: &Study, results: &Results, figures: &[Figure]) -> String {
         parts.push(Part::Heading(format!("Policy {}, handling {}", tested.policy, tested.handling.name)));
         parts.push(Part::Table(heads, rows));
         let drop = Results::largest_drop_points(&results.of_policy(study, at));
-        if let (Some(drop), "modes", None) = (drop, study.name, study.scenario.cost()) {
+        if let (Some(drop), true) = (drop, published::ran(study, tested)) {
             let most = published::LARGEST_DROP_POINTS;
             let text = format!("Success falls by up to {drop:.1} points against sim; in the paper by up to {most}.");
             parts.push(Part::Text(text));
@@ -251,7 +253,8 @@ pub fn page(study: &Study, results: &Results, figures: &[Figure]) -> String {
                  episodes without a collision that lasted their time. 'within 50 ms': messages between robots that \
                  arrived within 50 ms, of all expected deliveries.";
     let successes = "Success with its 95 % Wilson interval; median makespan of the successes with its quartiles; \
-                     'paper': Table I of Blumenkamp et al., ICRA 2022, on real robots. Failures by what came first: \
+                     'paper', where there is such a column: Table I of Blumenkamp et al., ICRA 2022, on real robots, \
+                     which ran the task passage with five robots and the policy 'published' or its like. Failures by what came first: \
                      robot collisions (nearer to each other than the rules allow), wall collisions, timeouts, aborted \
                      and unseen episodes. 'within 50 ms': messages between robots that arrived within 50 ms, of all \
                      expected deliveries.";

@@ -5,6 +5,20 @@
 //! repeated 12 times; `sim` is the published environment. The layouts of a study are the paper's only if they are read
 //! from its published episodes.
 
+use super::{PolicyUnderTest, Study};
+use crate::chassis::Settings;
+use crate::policy::manifest::Manifest;
+use crate::policy::{Model, shipped};
+
+/// Name of the study that repeats the paper's Table I.
+const STUDY: &str = "modes";
+/// Task and team of the paper: passage, five robots, and the width of the gap \[m\].
+const SCENARIO: &str = "passage";
+const ROBOTS: usize = 5;
+const GAP_M: f32 = 1.0;
+/// Name of the built-in policy that was trained for the paper's conditions.
+const POLICY: &str = "published";
+
 /// Published results of one column of the paper's Table I.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Published {
@@ -33,6 +47,17 @@ pub const TABLE_I: [Published; 7] = [
 
 /// Largest drop of the success rate from simulation to real robots, from the paper's text \[percentage points\].
 pub const LARGEST_DROP_POINTS: f64 = 36.4;
+
+/// Whether the paper ran what a study has: its task with five robots, its gap and its drive, and one of its policies in
+/// the study `modes`. Its policies are the one that its authors published, whose file has no manifest, and the built-in
+/// one that was trained here for the conditions of the paper. Beside anything else its figures would compare nothing.
+pub fn ran(study: &Study, tested: &PolicyUnderTest) -> bool {
+    let authors = matches!(&tested.model, Model::Gnn(network, _) if *network.manifest() == Manifest::published());
+    let ours = shipped::built_in(POLICY, SCENARIO).map(|bytes| blake3::hash(bytes).to_hex()[..16].to_owned());
+    let setup = study.name == STUDY && study.scenario.name() == SCENARIO && study.scenario.robots() == ROBOTS;
+    let world = study.gap_m.is_none_or(|gap_m| gap_m == GAP_M) && study.conditions.body == Settings::default();
+    setup && world && (authors || ours.is_some_and(|digest| digest == tested.digest))
+}
 
 /// Returns the paper's results of the column with this name; results without values if the column is not in Table I.
 pub fn of(column: &str) -> Published {

@@ -22,9 +22,10 @@ pub struct Row {
     /// Success, makespan and failures over all episodes.
     #[serde(flatten)]
     pub outcomes: Outcomes,
-    /// Success rate in the paper's Table I, 0 to 1; null for a column that is not in it.
+    /// Success rate in the paper's Table I, 0 to 1; null for a column that is not in it,
+    /// and beside what the paper did not run: another task, team, gap, drive or policy.
     pub paper_success_rate: Option<f64>,
-    /// Median makespan in the paper's Table I \[s\]; null for a column that is not in it.
+    /// Median makespan in the paper's Table I \[s\]; null as above.
     pub paper_makespan_median_s: Option<f64>,
     /// Fixed delay of messages between robots \[ms\]; null if the column uses the radio.
     pub delay_ms: Option<f64>,
@@ -113,15 +114,15 @@ impl Cell {
             traces.merge(&record.traces);
         }
         let (column, tested) = (&study.columns[column], &study.policies[policy]);
-        let paper = published::of(&column.name);
+        let paper = published::ran(study, tested).then(|| published::of(&column.name));
         let within = |ms| listening.delay.share_within(Span::from_millis(ms));
         let row = Row {
             name: column.name.clone(),
             policy: tested.policy.clone(),
             handling: tested.handling.name.to_owned(),
             outcomes: Outcomes::of(&episodes),
-            paper_success_rate: paper.success,
-            paper_makespan_median_s: paper.makespan_s,
+            paper_success_rate: paper.and_then(|paper| paper.success),
+            paper_makespan_median_s: paper.and_then(|paper| paper.makespan_s),
             delay_ms: column.impairment().map(|(delay_s, _)| 1000.0 * delay_s),
             loss: column.impairment().map(|(_, loss)| loss),
             range_m: match column.range {

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 
 use super::results::{Results, Row};
 use super::{Study, published};
+use crate::config::shown::{self, counted};
 
 /// Heads of the columns of a study's results table.
 const HEADS: [&str; 9] =
@@ -51,13 +52,13 @@ const PAPER: [usize; 2] = [3, 6];
 const WORDS: [&str; 2] = ["column", "failures"];
 
 /// Returns column heads and rows of the results table of the study's policy with the index `policy`. It has the paper's
-/// results beside them only in the study `modes`.
+/// results beside them only for what the paper ran.
 pub fn of_policy(study: &Study, results: &Results, policy: usize) -> (Vec<&'static str>, Vec<Vec<String>>) {
     if study.scenario.cost().is_some() {
         let rows = results.of_policy(study, policy).into_iter().map(|cell| cost_cells(&cell.row).to_vec());
         return (COST_HEADS.to_vec(), rows.collect());
     }
-    let compared = study.name == "modes";
+    let compared = published::ran(study, &study.policies[policy]);
     let shown = |at: &usize| compared || !PAPER.contains(at);
     let heads = (0..HEADS.len()).filter(shown).map(|at| HEADS[at]).collect();
     let row = |row: &Row| {
@@ -70,16 +71,16 @@ pub fn of_policy(study: &Study, results: &Results, policy: usize) -> (Vec<&'stat
 /// Formats the results tables of all policies of a study for the terminal.
 pub fn text(study: &Study, results: &Results) -> String {
     let mut text = format!(
-        "study {}: {}, {} layouts x {} repeats, seed {}\n",
+        "study {}: {}, {} x {}, seed {}\n",
         study.name,
         study.scenario_text(),
-        study.layouts.len(),
-        study.repeats,
+        counted(study.layouts.len(), "layout"),
+        counted(study.repeats, "repeat"),
         study.seed
     );
     for (at, tested) in study.policies.iter().enumerate() {
         let (heads, rows) = of_policy(study, results, at);
-        let _ = writeln!(text, "\npolicy {}, handling {}", tested.policy, tested.handling.name);
+        let _ = writeln!(text, "\npolicy {}, handling {}", shown::value(&tested.policy), tested.handling.name);
         let heads: Vec<String> = heads.into_iter().map(str::to_owned).collect();
         let widths: Vec<usize> = (0..heads.len())
             .map(|column| [&heads].into_iter().chain(&rows).map(|row| row[column].chars().count()).max().unwrap_or(0))
@@ -97,7 +98,7 @@ pub fn text(study: &Study, results: &Results) -> String {
         if study.scenario.cost().is_some() {
             continue;
         }
-        if let (Some(drop), "modes") = (Results::largest_drop_points(&cells), study.name) {
+        if let (Some(drop), true) = (Results::largest_drop_points(&cells), published::ran(study, tested)) {
             let most = published::LARGEST_DROP_POINTS;
             let _ =
                 writeln!(text, "  success falls by up to {drop:.1} points against sim; in the paper by up to {most}");

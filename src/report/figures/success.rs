@@ -33,7 +33,8 @@ const FOOT: u32 = 72;
 /// Draws the success rate of each policy with its interval, one row per column. `entrants` are the names of the
 /// policies. Returns the SVG.
 pub fn success(title: &str, entrants: &[String], groups: &[Group]) -> Result<String, FigureError> {
-    let legend = 32 * (entrants.len() as u32 + 1);
+    let compared = groups.iter().any(|group| group.paper.is_some());
+    let legend = 32 * (entrants.len() as u32 + u32::from(compared));
     let count = groups.len() as f64;
     let least = groups.iter().flat_map(|group| &group.shares).flatten().map(|share| share.ci95[0]);
     let least = least.chain(groups.iter().filter_map(|group| group.paper)).fold(0.9, f64::min);
@@ -45,10 +46,12 @@ pub fn success(title: &str, entrants: &[String], groups: &[Group]) -> Result<Str
             mark(area, (260, y), at, colour(at))?;
             area.draw(&Text::new(name.clone(), (280, y), style(TEXT - 1, BLACK, HPos::Left, VPos::Center)))?;
         }
-        let y = (HEAD + legend - 20) as i32;
-        cross(area, (260, y))?;
-        let label = "the paper's robots (Table I)";
-        area.draw(&Text::new(label, (280, y), style(TEXT - 1, BLACK, HPos::Left, VPos::Center)))?;
+        if compared {
+            let y = (HEAD + legend - 20) as i32;
+            cross(area, (260, y))?;
+            let label = "the paper's robots (Table I)";
+            area.draw(&Text::new(label, (280, y), style(TEXT - 1, BLACK, HPos::Left, VPos::Center)))?;
+        }
         let mut chart = ChartBuilder::on(area)
             .margin_top(HEAD + legend)
             .margin_left(240)
