@@ -8,9 +8,11 @@ use anyhow::{Context, Result};
 use plotters::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::budget::{Budget, Clock, Timed};
 use super::curve::{SIZE, chart, smooth};
 use super::folder::Folder;
-use super::{Args, Budget, SAVE_EVERY, bar, finish, plan, resumes};
+use super::{Args, SAVE_EVERY, bar, finish, plan, resumes};
+use crate::config::shown::counted;
 use crate::config::{regular, unquoted};
 use crate::program::output::{self, print, read_text, talk};
 use crate::program::{BadInput, Ended, bad};
@@ -21,6 +23,8 @@ use crate::train::imitation::trainer::{Metrics, Plan, Score, Trainer};
 
 /// Number of layouts of the evaluation at the end.
 const EPISODES: u32 = 64;
+/// Share of these layouts, one in so many, by which a training of minutes finds out how long that evaluation takes.
+const EVALUATION_PART: u32 = 8;
 
 /// Row of the learning curve: metrics of one iteration.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -131,7 +135,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         print(format!("{head} Use: murmurate train {name} --config FILE.toml\n{text}").trim_end())?;
         return Ok(Ended::Done);
     }
-    let budget = Budget::of(args)?;
+    let (budget, began) = (Budget::of(args)?, Instant::now());
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let threads = args.threads.map_or(cores, usize::from);
     let out = args.out.as_deref().expect("the parser requires it unless the configuration is printed");
@@ -153,17 +157,24 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let signal = Arc::clone(&stop);
     ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
     tracing::info!("training by imitation; Ctrl-C saves everything");
-    let (began, spent_s) = (Instant::now(), rows.last().map_or(0.0, |row: &Row| row.elapsed_s));
+    let spent_s = rows.last().map_or(0.0, |row: &Row| row.elapsed_s);
     let elapsed_s = || spent_s + began.elapsed().as_secs_f64();
+    let mut clock = Clock::new(budget);
+    if clock.counts_minutes() {
+        // The only evaluation comes at the end: a part of one says how long that will take.
+        let part = Instant::now();
+        trainer.evaluate(EPISODES / EVALUATION_PART, threads);
+        clock.took(Timed::Evaluation, f64::from(EVALUATION_PART) * part.elapsed().as_secs_f64());
+    }
     let bar = bar(args.quiet);
     let (mut saved, mut interrupted) = (Instant::now(), false);
     loop {
-        let progress = budget.progress(elapsed_s(), trainer.decisions());
+        let progress = clock.progress(elapsed_s(), trainer.decisions());
         interrupted |= stop.load(Ordering::Relaxed);
         if progress >= 1.0 || interrupted {
             break;
         }
-        let metrics = match trainer.iterate(progress, threads) {
+        let metrics = match clock.time(Timed::Iteration, || trainer.iterate(progress, threads)) {
             Ok(metrics) => metrics,
             Err(diverged) => {
                 bar.abandon();
@@ -177,7 +188,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         bar.set_message(summary.clone());
         if saved.elapsed() >= SAVE_EVERY {
             saved = Instant::now();
-            save(&mut folder, &trainer, &rows)?;
+            clock.time(Timed::Save, || save(&mut folder, &trainer, &rows))?;
             if bar.is_hidden() && !args.quiet {
                 talk(&format!("{:3.0} %  {summary}", 100.0 * progress));
             }
@@ -257,7 +268,8 @@ fn report<'a>(
 
 fn table(report: &Report) -> String {
     let Report { decisions, wall_s, preset, scenario, seed, unit, .. } = report;
-    let mut lines = vec![format!("{decisions} decisions in {wall_s:.0} s; {preset} for '{scenario}', seed {seed}")];
+    let mut lines =
+        vec![format!("{} in {wall_s:.0} s; {preset} for '{scenario}', seed {seed}", counted(decisions, "decision"))];
     for score in report.evaluation.iter().flatten() {
         let (conditions, collided) = (score.conditions, 100.0 * score.collided);
         lines.push(format!(

@@ -1,6 +1,7 @@
 //! The command `murmurate train`: flags, time, progress bar and files of a training. The training itself is in
 //! `crate::train`; `imitation` is the command for scenarios without goals.
 
+mod budget;
 mod curve;
 mod folder;
 mod imitation;
@@ -11,6 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use crate::config::shown::counted;
 use crate::registry::Registry;
 use crate::train::config::PRESETS;
 use crate::train::evaluate::{Scores, quick_evaluation};
@@ -23,11 +25,11 @@ use clap::builder::PossibleValuesParser;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
-use crate::program::BadInput;
 use crate::program::Ended;
 use crate::program::drive;
 use crate::program::output::{print, talk};
 use crate::program::size::SizeFlags;
+use budget::{Budget, Clock, Timed};
 use curve::{Curve, Row};
 use folder::Folder;
 pub use plan::with_radio;
@@ -78,7 +80,8 @@ pub struct Args {
     conditions: Option<PathBuf>,
     #[command(flatten)]
     drive: drive::DriveFlags,
-    /// Duration of the training [min]; schedules follow the clock, so two such runs differ slightly
+    /// Duration of the command [min], with all evaluations and files, but at least one iteration and one evaluation;
+    /// schedules follow the clock, so two such runs differ slightly
     #[arg(long)]
     minutes: Option<f64>,
     /// Number of decisions to train on, one per environment and step of the policy; the same number and seed give the
@@ -121,34 +124,6 @@ enum Resume {
     IfThere,
 }
 
-/// Length of a training: minutes of real time, or number of decisions.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Budget {
-    Minutes(f64),
-    Decisions(u64),
-}
-
-impl Budget {
-    /// Returns the used share of the budget, after a duration `elapsed_s` \[s\] and `trained` decisions; 1 or more at
-    /// the end.
-    fn progress(self, elapsed_s: f64, trained: u64) -> f64 {
-        match self {
-            Budget::Minutes(minutes) => elapsed_s / (60.0 * minutes),
-            Budget::Decisions(decisions) => trained as f64 / decisions as f64,
-        }
-    }
-
-    fn of(args: &Args) -> Result<Budget> {
-        match (args.minutes, args.steps) {
-            (Some(minutes), _) if (1e-3..=1e6).contains(&minutes) => Ok(Budget::Minutes(minutes)),
-            (Some(minutes), _) => Err(BadInput(format!("--minutes: {minutes} is not 0.001 to 1000000")).into()),
-            (_, Some(0)) => Err(BadInput("--steps: 0 is not above 0".to_owned()).into()),
-            (_, Some(decisions)) => Ok(Budget::Decisions(decisions)),
-            _ => Err(BadInput("the length of the training is missing; give --minutes or --steps".to_owned()).into()),
-        }
-    }
-}
-
 /// Result of a training, as it is printed.
 #[derive(Serialize)]
 struct Report<'a> {
@@ -174,7 +149,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         print(plan::config_text(args, registry)?.trim_end())?;
         return Ok(Ended::Done);
     }
-    let budget = Budget::of(args)?;
+    let (budget, began) = (Budget::of(args)?, Instant::now());
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let threads = args.threads.map_or(cores, usize::from);
     let out = args.out.as_deref().expect("the parser requires it unless the configuration is printed");
@@ -188,13 +163,14 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         let name = &trainer.plan().scenario;
         talk(&format!("note: the reward of scenario '{name}' itself has weight 0 (reward.scenario) and is not used"));
     }
-    let (began, spent_s) = (Instant::now(), curve.elapsed_s());
+    let spent_s = curve.elapsed_s();
     let elapsed_s = || spent_s + began.elapsed().as_secs_f64();
+    let mut clock = Clock::new(budget);
     let bar = bar(args.quiet);
     let mut saved = Instant::now();
     let mut interrupted = false;
     loop {
-        let progress = budget.progress(elapsed_s(), trainer.decisions());
+        let progress = clock.progress(elapsed_s(), trainer.decisions());
         if progress >= 1.0 {
             break;
         }
@@ -202,7 +178,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         if interrupted {
             break;
         }
-        let metrics = match trainer.iterate(progress, threads) {
+        let metrics = match clock.time(Timed::Iteration, || trainer.iterate(progress, threads)) {
             Ok(metrics) => metrics,
             Err(diverged) => {
                 bar.abandon();
@@ -210,14 +186,14 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
             }
         };
         let due = (progress / EVALUATE_EVERY) as u64 > (curve.evaluated_at() / EVALUATE_EVERY) as u64;
-        let scores = due.then(|| quick_evaluation(&trainer, EPISODES, threads));
+        let scores = due.then(|| clock.time(Timed::Evaluation, || quick_evaluation(&trainer, EPISODES, threads)));
         curve.push(Row::new(elapsed_s(), progress, &metrics, scores.as_ref()));
         let summary = curve.summary(trainer.decisions());
         bar.set_position((progress * 1000.0) as u64);
         bar.set_message(summary.clone());
         if saved.elapsed() >= SAVE_EVERY {
             saved = Instant::now();
-            folder.save(&trainer, &curve)?;
+            clock.time(Timed::Save, || folder.save(&trainer, &curve))?;
             if bar.is_hidden() && !args.quiet {
                 talk(&format!("{:3.0} %  {summary}", 100.0 * progress));
             }
@@ -318,8 +294,12 @@ fn bar(quiet: bool) -> ProgressBar {
 
 fn table(report: &Report) -> String {
     let mut lines = vec![format!(
-        "{} decisions in {:.0} s; {} for '{}', seed {}",
-        report.decisions, report.wall_s, report.preset, report.scenario, report.seed
+        "{} in {:.0} s; {} for '{}', seed {}",
+        counted(report.decisions, "decision"),
+        report.wall_s,
+        report.preset,
+        report.scenario,
+        report.seed
     )];
     for score in report.evaluation.iter().flat_map(|scores| &scores.0) {
         let makespan = score.makespan_s.map_or("-".to_owned(), |makespan| format!("{makespan:.2} s"));
