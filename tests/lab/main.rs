@@ -149,6 +149,14 @@ fn stations_ping_each_other_over_the_channel_and_all_is_gone_afterwards() {
     assert!(status.stations[2].radio.received >= 21, "{status:?}");
     assert_eq!(status.stations.iter().map(|station| station.unwritten).sum::<u64>(), 0);
     assert!(status.radio.airtime_ns > 0 && status.lateness.deliveries >= 22, "{status:?}");
+    let other = format!("not-{}", file.name);
+    for command in ["down", "status"] {
+        refuses(
+            &["lab", command, "--name", &other],
+            &[&format!("no lab '{other}' is up"), &format!("'{}'", file.name)],
+        );
+    }
+    assert_eq!(file.status().stations.len(), 3, "the lab stays");
     file.on(&["lab", "down"], &[]).expect("it ends");
     assert!(!file.left());
     let bytes = std::fs::read(&capture).unwrap();

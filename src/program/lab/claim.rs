@@ -31,6 +31,18 @@ pub fn path(name: &str, kind: &str) -> PathBuf {
     PathBuf::from(format!("{FOLDER}/lab-{name}.{kind}"))
 }
 
+/// Returns the names under which laboratories run or have left something behind, in alphabetical order.
+pub fn names() -> Vec<String> {
+    let entries = fs::read_dir(FOLDER).into_iter().flatten().flatten();
+    let name = |entry: fs::DirEntry| {
+        let file = entry.file_name().into_string().ok()?;
+        file.strip_prefix("lab-")?.strip_suffix(".lock").map(str::to_owned)
+    };
+    let mut names: Vec<String> = entries.filter_map(name).collect();
+    names.sort();
+    names
+}
+
 /// Namespaces and interfaces that a laboratory has made, or is about to make.
 #[derive(Serialize, Deserialize)]
 struct Made {

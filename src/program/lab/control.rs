@@ -13,6 +13,7 @@ use nix::unistd::Pid;
 
 use super::claim::{Claim, path};
 use super::needs;
+use crate::config::shown::counted;
 use crate::lab::report::LabReport;
 use crate::program::output::talk;
 use crate::program::{BadInput, Ended};
@@ -24,12 +25,25 @@ const END: Duration = Duration::from_secs(10);
 
 /// Returns the counters of a running laboratory.
 pub fn report(name: &str) -> Result<LabReport> {
-    let down = || BadInput(format!("no lab '{name}' is up; start it with 'murmurate lab up FILE'"));
+    let down = || match &running()[..] {
+        [] => BadInput(format!("no lab '{name}' is up; start it with 'murmurate lab up FILE'")),
+        others => BadInput(format!(
+            "no lab '{name}' is up; start it with 'murmurate lab up FILE', or name one that is up: {}",
+            others.join(", ")
+        )),
+    };
     let mut stream = UnixStream::connect(path(name, "sock")).map_err(|_| down())?;
     stream.set_read_timeout(Some(ANSWER)).context("cannot set a time limit")?;
     let mut text = String::new();
     stream.read_to_string(&mut text).with_context(|| format!("the lab '{name}' does not answer"))?;
     serde_json::from_str(&text).with_context(|| format!("the lab '{name}' is of another version of this program"))
+}
+
+/// Returns the names of the laboratories that run on this machine, in quotes.
+fn running() -> Vec<String> {
+    let mut names = super::claim::names();
+    names.retain(|name| UnixStream::connect(path(name, "sock")).is_ok());
+    names.iter().map(|name| format!("'{name}'")).collect()
 }
 
 /// Waits until `source` is readable, at most `ms` \[ms\]. Returns whether it is.
@@ -68,9 +82,15 @@ pub fn down(name: &str) -> Result<Ended> {
     };
     let left = claim.left();
     drop(claim);
+    let others = running();
+    if left == 0 && !others.is_empty() {
+        let why =
+            format!("no lab '{name}' is up: nothing was removed; with --name remove one of {}", others.join(", "));
+        return Err(BadInput(why).into());
+    }
     talk(&match left {
         0 => format!("no lab '{name}' is up"),
-        _ => format!("{left} stations that a lab '{name}' had left behind are removed"),
+        _ => format!("removed: {} that a lab '{name}' had left behind", counted(left, "station")),
     });
     Ok(Ended::Done)
 }
