@@ -37,6 +37,11 @@ bench:
 full-abuse:
     MURMURATE_JUNK=full cargo test --release --test live flooded:: -- --nocapture
 
+# Hostile files and datagrams: 20 000 mutations of each kind, then every reader under fuzzing guided by coverage (40 minutes)
+full-hostile:
+    MURMURATE_MUTATIONS=20000 cargo test --release --test hostile -- --nocapture
+    FUZZ_FEATURES=train fuzz/run 1200
+
 # The package as a registry would have it: built, and tested from its own tarball (20 minutes)
 full-package:
     CARGO_TARGET_DIR={{justfile_directory()}}/target cargo package --locked

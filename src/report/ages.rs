@@ -46,6 +46,11 @@ impl Ages {
         self.counts.iter_mut().zip(other.counts).for_each(|(mine, theirs)| *mine += theirs);
     }
 
+    /// Returns the largest count of all bins.
+    pub fn most(&self) -> u64 {
+        self.counts.into_iter().max().unwrap_or(0)
+    }
+
     /// Returns the number of ages counted.
     pub fn total(&self) -> u64 {
         self.counts.iter().sum()

@@ -92,6 +92,11 @@ impl Grid {
         self.counts.iter_mut().zip(&other.counts).for_each(|(mine, theirs)| *mine += theirs);
     }
 
+    /// Returns the largest count of all bins.
+    pub fn most(&self) -> u64 {
+        self.counts.iter().copied().max().unwrap_or(0)
+    }
+
     /// Returns the number of all counted pairs.
     pub fn total(&self) -> u64 {
         self.counts.iter().sum()

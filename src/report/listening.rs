@@ -36,6 +36,12 @@ impl Listening {
         self.age.merge(&other.age);
     }
 
+    /// Returns the largest of all its counts.
+    pub fn most(&self) -> u64 {
+        let Listening { due, arrived, delay, steps, heard, age } = self;
+        [*due, *arrived, *steps, *heard, delay.most(), age.most()].into_iter().max().unwrap_or(0)
+    }
+
     /// Returns the share of messages that arrived, 0 to 1; `None` if no message had to cross a link.
     pub fn delivered(&self) -> Option<f64> {
         (self.due > 0).then(|| self.arrived as f64 / self.due as f64)

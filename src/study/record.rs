@@ -19,6 +19,14 @@ const MOST_BINS: usize = 80;
 /// Largest distance between robots in the histogram \[m\]; larger ones count as this one.
 const FAR_M: f32 = 2.0;
 
+/// Longest makespan and reset of an episode \[s\]: far beyond every time limit.
+const LONGEST_S: f64 = 1e5;
+/// Largest cost of an episode, in the unit of the scenario's cost.
+const MOST_COST: f64 = 1e9;
+/// Largest count of a histogram's bin: that of a million steps of ten thousand robots. Sums over all bins and records stay
+/// below the largest integer.
+const MOST_COUNT: u64 = 10_000_000_000;
+
 /// Record of one trial of a study: results of its episodes and histograms of its steps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -103,11 +111,28 @@ impl Record {
         }
     }
 
-    /// Returns whether this is the complete record of the trial `job` of the study.
+    /// Returns whether the numbers of the record can be those of a trial: a file may be damaged, and sums over records
+    /// must not overflow.
+    fn is_possible(&self) -> bool {
+        let seconds = |value: f64| (0.0..=LONGEST_S).contains(&value);
+        let episode = |(at, episode): (usize, &Episode)| {
+            let Episode { makespan_s, reset_s, min_separation_m, cost, .. } = *episode;
+            (episode.repeat, episode.episode as usize) == (self.repeat, at)
+                && makespan_s.is_none_or(seconds)
+                && seconds(reset_s)
+                && min_separation_m >= 0.0
+                && cost.is_none_or(|cost| cost.abs() <= MOST_COST)
+        };
+        let counts = [self.listening.most(), self.traces.position.most(), self.traces.separation.most()];
+        self.episodes.iter().enumerate().all(episode) && counts.into_iter().all(|count| count <= MOST_COUNT)
+    }
+
+    /// Returns whether this is the complete record of the trial `job` of the study, with numbers that a trial can have.
     pub fn belongs_to(&self, study: &Study, job: Job) -> bool {
         let tested = &study.policies[job.policy];
         let traces = Traces::new(study.scenario.arena());
-        self.origin == study.origin(job)
+        self.is_possible()
+            && self.origin == study.origin(job)
             && self.column == study.columns[job.column].name
             && self.policy == tested.policy
             && self.handling == tested.handling.name

@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::adam::Adam;
-use super::network::Shape;
+use super::network::{Network, Shape};
+use super::rollout::CHUNK;
 use super::snapshot::Snapshot;
 use super::trainer::{Plan, SetupError, Trainer};
 use super::update::Learner;
@@ -87,8 +88,21 @@ impl Trainer {
             let what = "the set of the processor's vector instructions";
             return Err(SetupError::Other { what, theirs: state.vector, ours });
         }
-        let mut trainer = Trainer::new(state.plan, registry)?;
         let broken = |part: &str| SetupError::Format(format!("its {part} do not match its configuration"));
+        // Before anything is made of the configuration, which could ask for any amount of memory.
+        let (config, team) = (&state.plan.config, state.plan.config.robots);
+        let weights = [(config.actor(), &state.actor), (config.critic(), &state.critic)];
+        if weights.into_iter().any(|(shape, (parameters, _))| Network::new(shape).parameters() != parameters.len()) {
+            return Err(broken("weights"));
+        }
+        let robots: usize = state.chunks.iter().map(Snapshot::robots).sum();
+        let teams = config.ppo.environments;
+        if state.chunks.len() != teams.div_ceil(CHUNK)
+            || team.is_some_and(|team| team.checked_mul(teams) != Some(robots))
+        {
+            return Err(broken("environments"));
+        }
+        let mut trainer = Trainer::new(state.plan, registry)?;
         if state.stage >= trainer.plan.config.curriculum.len() {
             return Err(broken("stages"));
         }

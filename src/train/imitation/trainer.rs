@@ -353,11 +353,13 @@ impl Trainer {
             return Err(SetupError::Format(format!("its format is {}; this program reads {FORMAT}", state.format)));
         }
         state.plan.config.check().map_err(|error| SetupError::Format(error.to_string()))?;
-        let mut trainer = Trainer::new(state.plan, registry)?;
-        let length = trainer.parameters.len();
+        // Before anything is made of the configuration, which could ask for any amount of memory.
+        let network = Network::new(&state.plan.config.manifest(&state.plan.scenario));
+        let length = network.map_err(|why| SetupError::Format(why.to_string()))?.parameters();
         if state.parameters.len() != length || !state.adam.fits(length) {
             return Err(SetupError::Format("its weights do not match its configuration".to_owned()));
         }
+        let mut trainer = Trainer::new(state.plan, registry)?;
         (trainer.parameters, trainer.adam) = (state.parameters, state.adam);
         (trainer.iteration, trainer.decisions) = (state.iteration, state.decisions);
         Ok(trainer)
