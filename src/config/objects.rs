@@ -11,6 +11,8 @@ use super::redacted;
 const SHOWN_VALUE: usize = 60;
 /// Number of characters that an error shows of a text that is not JSON, before and after the fault.
 const SHOWN_AROUND: usize = 20;
+/// Shortest run of hexadecimal digits that may be a part of a key.
+const KEY_PART: usize = 12;
 /// A text that no field has among its permitted words.
 const NO_WORD: &str = "?";
 
@@ -47,7 +49,13 @@ fn not_json(text: &str, error: &serde_json::Error) -> String {
     let at = (0..=at).rev().find(|at| text.is_char_boundary(*at)).unwrap_or(0);
     let near: String = text[..at].chars().rev().take(SHOWN_AROUND).collect::<Vec<_>>().into_iter().rev().collect();
     let near = near + &text[at..].chars().take(SHOWN_AROUND).collect::<String>();
-    let near = redacted(near.trim()).into_owned();
+    let near = near.trim();
+    // A part of a key is shorter than what is recognised as one.
+    let is_secret = near.split(|c: char| !c.is_ascii_hexdigit()).any(|run| run.len() >= KEY_PART);
+    if is_secret {
+        return format!("it is not JSON: {why}");
+    }
+    let near = near.to_owned();
     let hint = ["NaN", "Infinity"].into_iter().find(|word| near.contains(word));
     let hint = hint.map_or(String::new(), |_| "; JSON has no NaN and no infinity".to_owned());
     format!("it is not JSON: {why} near {}{hint}", Value::String(near))
@@ -155,7 +163,7 @@ fn plain(expected: &str) -> String {
         "a map" => "an object",
         "a boolean" => "true or false",
         _ if expected.starts_with("struct ") => "an object",
-        _ => return expected.replace("array of length", "list of"),
+        _ => return expected.replace("an array of length", "a list of"),
     };
     known.to_owned()
 }

@@ -7,7 +7,6 @@
 //! The program gets a process group of its own, which is killed when the program has ended or must end, so that what it
 //! has forked does not drive on. A second process, a shell, kills the group if this process is killed and so cannot.
 
-use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Stdio};
@@ -17,7 +16,7 @@ use std::time::Duration;
 
 use nix::sys::signal::{Signal, kill, killpg};
 use nix::sys::wait::{Id, WaitPidFlag, WaitStatus, waitid};
-use nix::unistd::{Pid, getsid};
+use nix::unistd::{Pid, getpgid, getsid};
 
 use super::{Packet, PacketSender, Port, Worker};
 use crate::config::shown;
@@ -36,6 +35,11 @@ const MARK: &str = "MURMURATE_STARTED_BY";
 /// its robot for half a second, as ever; a shell whose `sleep` knows no fractions gives it a second.
 const GUARD: &str = "read -r _; sleep 0.5 || sleep 1; kill -KILL -- \"-$1\"";
 
+/// What a shell runs to print the numbers and names of all processes with a variable in their environment. Those of other
+/// users cannot be read.
+const SEARCH: &str = "for file in $(grep -lsaF \"$1\" /proc/[0-9]*/environ); do pid=${file#/proc/}; \
+                      pid=${pid%/environ}; read -r name <\"/proc/$pid/comm\" && echo \"$pid $name\"; done";
+
 /// Number of programs that this process has started.
 static STARTED: AtomicU32 = AtomicU32::new(0);
 
@@ -50,7 +54,7 @@ pub struct Program {
 impl Worker for Program {
     fn run(self: Box<Self>, mut port: Port) {
         let Some((program, arguments)) = self.command.split_first() else { return };
-        let mark = format!("{}.{}", std::process::id(), STARTED.fetch_add(1, Ordering::Relaxed));
+        let mark = format!("{}.{}.", std::process::id(), STARTED.fetch_add(1, Ordering::Relaxed));
         let mut command = Command::new(program);
         command.args(arguments).env(MARK, &mark).process_group(0);
         let mut child = match command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn() {
@@ -158,26 +162,21 @@ fn end(child: &mut Child, program: &str) {
 /// Kills processes of the program that have left its group, and returns the numbers and names of those with a session of
 /// their own, such as a daemon: they may be meant to stay.
 fn escaped(mark: &str, group: Pid) -> Vec<String> {
-    let mut escaped = Vec::new();
-    let wanted = format!("{MARK}={mark}");
+    let mut shell = Command::new("/bin/sh");
+    let found = shell.args(["-c", SEARCH, "search", &format!("{MARK}={mark}")]).stdin(Stdio::null()).output();
+    let found = found.map(|output| String::from_utf8_lossy(&output.stdout).into_owned()).unwrap_or_default();
     let session = getsid(None).ok();
-    for process in fs::read_dir("/proc").into_iter().flatten().flatten() {
-        let Some(pid) = process.file_name().to_str().and_then(|name| name.parse().ok()).map(Pid::from_raw) else {
-            continue;
-        };
-        // Processes of others cannot be read, and one that ends has no environment.
-        let environment = fs::read(process.path().join("environ")).unwrap_or_default();
-        if !environment.split(|byte| *byte == 0).any(|variable| variable == wanted.as_bytes()) {
-            continue;
-        }
+    let mut escaped = Vec::new();
+    for line in found.lines() {
+        let Some((number, name)) = line.split_once(' ') else { continue };
+        let Ok(pid) = number.parse().map(Pid::from_raw) else { continue };
         let theirs = getsid(Some(pid)).ok();
-        if theirs.is_none() || nix::unistd::getpgid(Some(pid)) == Ok(group) {
+        if theirs.is_none() || getpgid(Some(pid)) == Ok(group) {
             // It has just ended, or was killed with the group and is about to end.
         } else if theirs == session {
             let _ = kill(pid, Signal::SIGKILL);
         } else {
-            let name = fs::read_to_string(process.path().join("comm")).unwrap_or_default();
-            escaped.push(format!("{pid} ({})", name.trim_end()));
+            escaped.push(format!("{pid} ({})", shown::value(name)));
         }
     }
     escaped
@@ -197,6 +196,7 @@ fn finish(readers: [JoinHandle<()>; 2]) {
 mod tests {
     use super::*;
     use crate::edge::channel;
+    use std::fs;
 
     /// Waits until the file has as many lines, and returns them as numbers of processes.
     fn pids(file: &std::path::Path, count: usize) -> Vec<Pid> {
@@ -239,7 +239,7 @@ mod tests {
     fn what_has_a_session_of_its_own_is_named_and_what_has_only_another_group_is_ended() {
         let folder = tempfile::TempDir::new().unwrap();
         let file = folder.path().join("pids");
-        let mark = format!("{}.test", std::process::id());
+        let mark = format!("{}.test.", std::process::id());
         let other = "python3 -c 'import os, time; os.setpgid(0, 0); print(os.getpid(), flush=True); time.sleep(600)'";
         let script =
             format!("setsid sh -c 'echo $$ >> {0}; exec tail -f /dev/null' & {other} >> {0} & wait", file.display());

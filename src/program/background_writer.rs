@@ -44,7 +44,8 @@ impl Target {
     /// Does not wait for a pipe's reader. Links are followed as [`Destination::of`] says.
     pub fn create(path: &Path) -> io::Result<Target> {
         let path = match Destination::of(path).map_err(io::Error::other)? {
-            Destination::File(path) => {
+            Destination::File(path, note) => {
+                note.iter().for_each(|note| tracing::warn!("{note}"));
                 return Temporary::new_in(folder(&path), 0o666)?.named(&path).map(Target::Open);
             }
             Destination::Stream(path) if !Destination::is_pipe(&path) => {

@@ -7,8 +7,6 @@ use std::path::{Path, PathBuf};
 
 use nix::unistd::geteuid;
 
-use crate::program::output::talk;
-
 /// Largest number of links that are followed one after the other, as in Linux.
 const MOST_LINKS: usize = 40;
 /// Permissions of a folder by which its group or all others can write in it.
@@ -16,28 +14,29 @@ const WRITABLE_BY_OTHERS: u32 = 0o022;
 
 /// Where an output goes: a file that is written beside its place and renamed, or something that is open already.
 pub enum Destination {
-    /// A file, which may not be there yet. What is at this path is replaced and not followed.
-    File(PathBuf),
+    /// A file, which may not be there yet. What is at this path is replaced and not followed. The text is a note for the
+    /// user if that is a link.
+    File(PathBuf, Option<String>),
     /// An existing pipe, device or open file descriptor, such as `/dev/stdout`, that is written to directly.
     Stream(PathBuf),
 }
 
 impl Destination {
     /// Returns where output to `path` goes. Links are followed while this user or root has made them, in folders in
-    /// which nobody else can write. Any other link is replaced by the file, which is said on stderr.
+    /// which nobody else can write. Any other link is replaced by the file.
     ///
     /// # Errors
     /// If the path is a folder, or another user's pipe or device in a folder that others can write. The text says so.
     pub fn of(path: &Path) -> Result<Destination, String> {
         let mut place = path.to_owned();
         for _ in 0..MOST_LINKS {
-            let Ok(about) = place.symlink_metadata() else { return Ok(Destination::File(place)) };
+            let Ok(about) = place.symlink_metadata() else { return Ok(Destination::File(place, None)) };
             let kind = about.file_type();
             if kind.is_dir() {
                 return Err("it is a folder; name a file in it".to_owned());
             }
             if kind.is_file() {
-                return Ok(Destination::File(place));
+                return Ok(Destination::File(place, None));
             }
             let planted = is_shared(folder(&place)) || !is_ours(about.uid());
             if !kind.is_symlink() {
@@ -47,12 +46,12 @@ impl Destination {
                 };
             }
             if planted {
-                talk(&format!(
-                    "note: '{}' was a link in a folder that others can write: it is replaced by a file, and what it \
-                     led to is not changed",
+                let note = format!(
+                    "'{}' was a link in a folder that others can write: it is replaced by a file, and what it led to is \
+                     not changed",
                     place.display()
-                ));
-                return Ok(Destination::File(place));
+                );
+                return Ok(Destination::File(place, Some(note)));
             }
             let target = fs::read_link(&place).map_err(|error| error.to_string())?;
             let next = folder(&place).join(target);
@@ -120,7 +119,7 @@ mod tests {
         fs::write(&target, "kept").unwrap();
         symlink("target", &link).unwrap();
         let leads_to = || match Destination::of(&link).unwrap() {
-            Destination::File(path) => path,
+            Destination::File(path, _) => path,
             Destination::Stream(path) => panic!("{} is a file", path.display()),
         };
         assert_eq!(leads_to(), target, "the folder is mine alone");

@@ -8,6 +8,7 @@ use anyhow::{Context, Result};
 
 use crate::program::BadInput;
 use crate::program::destination::{Destination, folder};
+use crate::program::output::talk;
 use crate::program::temporary::Temporary;
 
 /// File that is being written, and replaces an existing file atomically once it is complete. A pipe or a device is
@@ -30,7 +31,10 @@ impl WholeFile {
     pub fn create(path: &Path) -> Result<WholeFile> {
         let refuse = |why: String| BadInput(format!("cannot write '{}': {why}", path.display()));
         let path = match Destination::of(path).map_err(refuse)? {
-            Destination::File(path) => path,
+            Destination::File(path, note) => {
+                note.iter().for_each(|note| talk(&format!("note: {note}")));
+                path
+            }
             Destination::Stream(path) => {
                 let file = Destination::open_stream(&path, 0).map_err(|e| refuse(e.to_string()))?;
                 return Ok(WholeFile::Straight(file));

@@ -95,7 +95,7 @@ impl Trainer {
         if weights.into_iter().any(|(shape, (parameters, _))| Network::new(shape).parameters() != parameters.len()) {
             return Err(broken("weights"));
         }
-        let robots: usize = state.chunks.iter().map(Snapshot::robots).sum();
+        let robots: usize = state.chunks.iter().map(|chunk| chunk.position.len()).sum();
         let teams = config.ppo.environments;
         if state.chunks.len() != teams.div_ceil(CHUNK)
             || team.is_some_and(|team| team.checked_mul(teams) != Some(robots))

@@ -15,7 +15,7 @@ const LATEST: u32 = 1 << 30;
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Snapshot {
     teams: Vec<Team>,
-    position: Vec<[f32; 2]>,
+    pub(super) position: Vec<[f32; 2]>,
     velocity: Vec<[f32; 2]>,
     stage: Vec<u8>,
     arrived: Vec<bool>,

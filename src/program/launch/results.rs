@@ -6,6 +6,7 @@ use std::time::Instant;
 #[cfg(feature = "watch")]
 use super::outcome::Outcome;
 use super::supervisor::{Output, Response};
+use crate::config::shown::counted;
 use crate::program::output::{colour, log_lines_dropped, talk};
 #[cfg(feature = "watch")]
 use crate::program::watch::team::News;
@@ -122,7 +123,9 @@ impl Results {
         }
         if self.ready.insert(at) && self.ready.len() == self.names.len() {
             self.began = Instant::now();
-            self.info(&format!("{} processes run; Ctrl-C stops them and prints the results so far", self.ready.len()));
+            let (run, processes) =
+                (if self.ready.len() == 1 { "runs" } else { "run" }, counted(self.ready.len(), "process"));
+            self.info(&format!("{processes} {run}; Ctrl-C stops them and prints the results so far"));
         }
     }
 

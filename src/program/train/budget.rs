@@ -75,7 +75,12 @@ impl Clock {
     pub fn progress(&mut self, elapsed_s: f64, trained: u64) -> f64 {
         let now = match self.budget {
             Budget::Minutes(minutes) => {
-                let for_training_s = 60.0 * minutes - self.longest_s.iter().sum::<f64>();
+                let [iteration_s, evaluation_s, save_s] = self.longest_s;
+                // Files may be saved after the iteration and at the end; an evaluation after the last iteration is that of
+                // the end.
+                let after_s = iteration_s + evaluation_s + 2.0 * save_s;
+                // The first iteration is made, however short the time is.
+                let for_training_s = 60.0 * minutes - if iteration_s > 0.0 { after_s } else { 0.0 };
                 if elapsed_s >= for_training_s { 1.0 } else { elapsed_s / for_training_s }
             }
             Budget::Decisions(decisions) => trained as f64 / decisions as f64,
@@ -94,19 +99,22 @@ impl Clock {
 mod tests {
     use super::*;
 
-    /// Runs a training whose iterations, evaluations (after every twentieth of it, and at the end) and saves take these
-    /// times; returns when it ends, and how many iterations it had.
+    /// Runs a training whose iterations, evaluations (after every twentieth of it, and at the end unless the last iteration
+    /// was evaluated) and saves take these times; returns when it ends, and how many iterations it had.
     fn ends_at(minutes: f64, [iteration_s, evaluation_s, save_s]: [f64; 3]) -> (f64, u32) {
         let (mut clock, mut now_s, mut iterations, mut evaluated) = (Clock::new(Budget::Minutes(minutes)), 0.0, 0, 0);
+        clock.took(Timed::Evaluation, evaluation_s);
+        let mut is_evaluated = false;
         loop {
             let progress = clock.progress(now_s, 0);
             if progress >= 1.0 {
                 break;
             }
             iterations += 1;
+            is_evaluated = (20.0 * progress) as u32 > evaluated;
             for (what, took_s, due) in [
                 (Timed::Iteration, iteration_s, true),
-                (Timed::Evaluation, evaluation_s, (20.0 * progress) as u32 > evaluated),
+                (Timed::Evaluation, evaluation_s, is_evaluated),
                 (Timed::Save, save_s, iterations % 10 == 1),
             ] {
                 if due {
@@ -116,7 +124,7 @@ mod tests {
             }
             evaluated = (20.0 * progress) as u32;
         }
-        (now_s + evaluation_s + save_s, iterations)
+        (now_s + if is_evaluated { 0.0 } else { evaluation_s } + save_s, iterations)
     }
 
     #[test]
@@ -127,7 +135,10 @@ mod tests {
             let (end_s, iterations) = ends_at(minutes, times);
             assert!(end_s <= 60.0 * minutes, "{minutes} min, {times:?}: {end_s} s");
             let unused_s = 60.0 * minutes - end_s;
-            assert!(unused_s <= 2.0 * times[0] + times[1] + times[2], "{minutes} min, {times:?}: {unused_s} s unused");
+            assert!(
+                unused_s <= 2.0 * times[0] + times[1] + 3.0 * times[2],
+                "{minutes} min, {times:?}: {unused_s} s unused"
+            );
             assert!(iterations > 5, "{iterations}");
         }
     }

@@ -40,6 +40,8 @@ const SAVE_EVERY: Duration = Duration::from_secs(30);
 const EVALUATE_EVERY: f64 = 0.05;
 /// Number of layouts of a quick evaluation.
 const EPISODES: u32 = 128;
+/// Share of these layouts, one in so many, by which a training of minutes finds out how long an evaluation takes.
+const EVALUATION_PART: u32 = 16;
 /// Name of the preset of the training's configuration that is used without `--preset` and `--config`.
 const PRESET: &str = "robust";
 
@@ -166,6 +168,13 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let spent_s = curve.elapsed_s();
     let elapsed_s = || spent_s + began.elapsed().as_secs_f64();
     let mut clock = Clock::new(budget);
+    if clock.counts_minutes() {
+        // A part of an evaluation says how long a whole one takes: a short training may have only the one at its end.
+        let part = Instant::now();
+        quick_evaluation(&trainer, EPISODES / EVALUATION_PART, threads);
+        clock.took(Timed::Evaluation, f64::from(EVALUATION_PART) * part.elapsed().as_secs_f64());
+    }
+    let mut last = None;
     let bar = bar(args.quiet);
     let mut saved = Instant::now();
     let mut interrupted = false;
@@ -188,6 +197,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         let due = (progress / EVALUATE_EVERY) as u64 > (curve.evaluated_at() / EVALUATE_EVERY) as u64;
         let scores = due.then(|| clock.time(Timed::Evaluation, || quick_evaluation(&trainer, EPISODES, threads)));
         curve.push(Row::new(elapsed_s(), progress, &metrics, scores.as_ref()));
+        last = scores;
         let summary = curve.summary(trainer.decisions());
         bar.set_position((progress * 1000.0) as u64);
         bar.set_message(summary.clone());
@@ -199,7 +209,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
             }
         }
     }
-    let scores = (!interrupted).then(|| quick_evaluation(&trainer, EPISODES, threads));
+    // The last iteration may have been evaluated already.
+    let scores = (!interrupted).then(|| last.unwrap_or_else(|| quick_evaluation(&trainer, EPISODES, threads)));
     scores.iter().for_each(|scores| curve.set_last_scores(scores));
     folder.save(&trainer, &curve)?;
     bar.finish_and_clear();
