@@ -1,8 +1,8 @@
 //! Worker that runs a user's program: the program reads packets from stdin and writes packets to stdout, one packet a
 //! line.
 //!
-//! So a driver or a source of readings can be written in any language. Lines that the program writes to its stderr go to
-//! that of this process, with control characters escaped.
+//! So a driver or a source of readings can be written in any language. Lines that the program writes to its stderr go
+//! to that of this process, with control characters escaped.
 //!
 //! The program gets a process group of its own, which is killed when the program has ended or must end, so that what it
 //! has forked does not drive on. A second process, a shell, kills the group if this process is killed and so cannot.
@@ -31,12 +31,12 @@ const END_MS: u64 = 500;
 const LAST_LINES_MS: u64 = 100;
 /// Variable of the program's environment by which what it has started is found.
 const MARK: &str = "MURMURATE_STARTED_BY";
-/// What the shell runs that outlives this process: the end of its stdin is this process's end. The program may then stop
-/// its robot for half a second, as ever; a shell whose `sleep` knows no fractions gives it a second.
+/// What the shell runs that outlives this process: the end of its stdin is this process's end. The program may then
+/// stop its robot for half a second, as ever; a shell whose `sleep` knows no fractions gives it a second.
 const GUARD: &str = "read -r _; sleep 0.5 || sleep 1; kill -KILL -- \"-$1\"";
 
-/// What a shell runs to print the numbers and names of all processes with a variable in their environment. Those of other
-/// users cannot be read.
+/// What a shell runs to print the numbers and names of all processes with a variable in their environment. Those of
+/// other users cannot be read.
 const SEARCH: &str = "for file in $(grep -lsaF \"$1\" /proc/[0-9]*/environ); do pid=${file#/proc/}; \
                       pid=${pid%/environ}; read -r name <\"/proc/$pid/comm\" && echo \"$pid $name\"; done";
 
@@ -159,8 +159,8 @@ fn end(child: &mut Child, program: &str) {
     let _ = child.wait();
 }
 
-/// Kills processes of the program that have left its group, and returns the numbers and names of those with a session of
-/// their own, such as a daemon: they may be meant to stay.
+/// Kills processes of the program that have left its group, and returns the numbers and names of those with a session
+/// of their own, such as a daemon: they may be meant to stay.
 fn escaped(mark: &str, group: Pid) -> Vec<String> {
     let mut shell = Command::new("/bin/sh");
     let found = shell.args(["-c", SEARCH, "search", &format!("{MARK}={mark}")]).stdin(Stdio::null()).output();

@@ -14,8 +14,8 @@ const WRITABLE_BY_OTHERS: u32 = 0o022;
 
 /// Where an output goes: a file that is written beside its place and renamed, or something that is open already.
 pub enum Destination {
-    /// A file, which may not be there yet. What is at this path is replaced and not followed. The text is a note for the
-    /// user if that is a link.
+    /// A file, which may not be there yet. What is at this path is replaced and not followed. The text is a note for
+    /// the user if that is a link.
     File(PathBuf, Option<String>),
     /// An existing pipe, device or open file descriptor, such as `/dev/stdout`, that is written to directly.
     Stream(PathBuf),
@@ -47,8 +47,8 @@ impl Destination {
             }
             if planted {
                 let note = format!(
-                    "'{}' was a link in a folder that others can write: it is replaced by a file, and what it led to is \
-                     not changed",
+                    "'{}' was a link in a folder that others can write: it is replaced by a file, and what it led to \
+                     is not changed",
                     place.display()
                 );
                 return Ok(Destination::File(place, Some(note)));

@@ -109,16 +109,16 @@ pub fn read(path: &Path) -> Result<[u8; BYTES]> {
     })?;
     if is_guessable(&key) {
         return Err(refuse(
-            "holds a key that anybody can guess, such as zeros or a repeated pattern: make one with 'key new', and copy \
-             it to every host"
+            "holds a key that anybody can guess, such as zeros or a repeated pattern: make one with 'key new', and \
+             copy it to every host"
                 .to_owned(),
         ));
     }
     Ok(key)
 }
 
-/// Whether a key was typed and not drawn: its bytes repeat within eight, as zeros do, or count up or down. A key of `key
-/// new` is so with a probability below 2^-180.
+/// Whether a key was typed and not drawn: its bytes repeat within eight, as zeros do, or count up or down. A key of
+/// `key new` is so with a probability below 2^-180.
 fn is_guessable(key: &[u8; BYTES]) -> bool {
     let repeats = (1..=8).any(|period| key.iter().zip(&key[period..]).all(|(one, other)| one == other));
     let step = key[1].wrapping_sub(key[0]);

@@ -57,8 +57,8 @@ pub fn flush_log() {
     }
 }
 
-/// Prints a message on stderr as one line. A team key in it is replaced, and control characters are escaped: parts of the
-/// message may come from outside.
+/// Prints a message on stderr as one line. A team key in it is replaced, and control characters are escaped: parts of
+/// the message may come from outside.
 pub fn talk(text: &str) {
     say(printable(&redacted(text), Layout::Line).into_owned() + "\n");
 }
@@ -119,8 +119,8 @@ impl Write for LogLines {
     }
 }
 
-/// Returns a line of the log as it is printed. What is logged has no escape character left: the logger escapes those, so
-/// what remains are its colours. Other control characters, such as line ends within the line, are escaped here.
+/// Returns a line of the log as it is printed. What is logged has no escape character left: the logger escapes those,
+/// so what remains are its colours. Other control characters, such as line ends within the line, are escaped here.
 fn log_line(line: &str) -> String {
     let redacted = redacted(line);
     let mut parts = redacted.strip_suffix('\n').unwrap_or(&redacted).split('\x1b');
@@ -140,9 +140,9 @@ pub fn colour() -> bool {
     io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
 
-/// Prints a text and a line end on stdout. Control characters are escaped, but for tabs and line ends: parts of the text
-/// may come from outside, and their own line ends are escaped where they are put into it (`config::shown`). A pipe that
-/// its reader closed is no error.
+/// Prints a text and a line end on stdout. Control characters are escaped, but for tabs and line ends: parts of the
+/// text may come from outside, and their own line ends are escaped where they are put into it (`config::shown`). A pipe
+/// that its reader closed is no error.
 pub fn print(text: &str) -> Result<()> {
     match writeln!(io::stdout(), "{}", printable(text, Layout::Lines)) {
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),

@@ -254,10 +254,10 @@ pub fn page(study: &Study, results: &Results, figures: &[Figure]) -> String {
                  arrived within 50 ms, of all expected deliveries.";
     let successes = "Success with its 95 % Wilson interval; median makespan of the successes with its quartiles; \
                      'paper', where there is such a column: Table I of Blumenkamp et al., ICRA 2022, on real robots, \
-                     which ran the task passage with five robots and the policy 'published' or its like. Failures by what came first: \
-                     robot collisions (nearer to each other than the rules allow), wall collisions, timeouts, aborted \
-                     and unseen episodes. 'within 50 ms': messages between robots that arrived within 50 ms, of all \
-                     expected deliveries.";
+                     which ran the task passage with five robots and the policy 'published' or its like. Failures by \
+                     what came first: robot collisions (nearer to each other than the rules allow), wall collisions, \
+                     timeouts, aborted and unseen episodes. 'within 50 ms': messages between robots that arrived \
+                     within 50 ms, of all expected deliveries.";
     let legend = if study.scenario.cost().is_some() { costs } else { successes };
     parts.push(Part::Text(legend.to_owned()));
     parts.push(Part::Heading("Figures".to_owned()));

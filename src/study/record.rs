@@ -23,8 +23,8 @@ const FAR_M: f32 = 2.0;
 const LONGEST_S: f64 = 1e5;
 /// Largest cost of an episode, in the unit of the scenario's cost.
 const MOST_COST: f64 = 1e9;
-/// Largest count of a histogram's bin: that of a million steps of ten thousand robots. Sums over all bins and records stay
-/// below the largest integer.
+/// Largest count of a histogram's bin: that of a million steps of ten thousand robots. Sums over all bins and records
+/// stay below the largest integer.
 const MOST_COUNT: u64 = 10_000_000_000;
 
 /// Record of one trial of a study: results of its episodes and histograms of its steps.

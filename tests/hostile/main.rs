@@ -1,8 +1,8 @@
 //! Files and datagrams of an attacker: mutations of sound ones, which every reader has to accept or refuse without a
 //! panic, without 256 MB and within five seconds.
 //!
-//! `MURMURATE_MUTATIONS=20000 cargo test --release --test hostile` is the whole of it (`just full-hostile`); without the
-//! variable it is a few hundred of each kind. An input that a reader does not survive is kept, and named.
+//! `MURMURATE_MUTATIONS=20000 cargo test --release --test hostile` is the whole of it (`just full-hostile`); without
+//! the variable it is a few hundred of each kind. An input that a reader does not survive is kept, and named.
 
 #[path = "../peers/natnet.rs"]
 mod fake;
@@ -275,7 +275,7 @@ fn datagrams_of_a_tracker() {
 fn lines_of_a_receiver() {
     let line = |second: u32| {
         format!(
-            "{{\"class\":\"TPV\",\"mode\":3,\"status\":3,\"time\":\"2026-11-22T12:00:{second:02}.000Z\",\"lat\":52.2053,\
+            "{{\"class\":\"TPV\",\"mode\":3,\"status\":3,\"time\":\"2026-11-22T12:00:{second:02}.000Z\",\"lat\":52.2,\
              \"lon\":0.1218,\"altHAE\":58.0,\"track\":90.0,\"speed\":0.5,\"epx\":0.4}}\r\n{{\"class\":\"GST\",\"time\":\
              \"2026-11-22T12:00:{second:02}.000Z\",\"lat\":0.02,\"lon\":0.02}}\r\n"
         )
@@ -286,6 +286,7 @@ fn lines_of_a_receiver() {
 
 #[test]
 fn lines_of_a_user_s_program() {
-    let line = "{\"robot\": 0, \"x\": 0.5, \"y\": -1.0, \"vx\": 0.0, \"vy\": 0.1, \"heading\": 0.25, \"stamp_s\": 1.5, \"position_m\": 0.01}\n";
+    let line = "{\"robot\": 0, \"x\": 0.5, \"y\": -1.0, \"vx\": 0.0, \"vy\": 0.1, \"heading\": 0.25, \
+                \"stamp_s\": 1.5, \"position_m\": 0.01}\n";
     survives("lines", &[format!("{line}{}", line.replace("1.5", "1.52")).into_bytes()], readers::lines);
 }

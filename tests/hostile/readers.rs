@@ -1,5 +1,5 @@
-//! The readers of what comes from outside, each with a use of what it has read. A reader returns whether it has accepted
-//! the bytes. Mutations (`main.rs`) and coverage-guided fuzzing (`fuzz/`) share them.
+//! The readers of what comes from outside, each with a use of what it has read. A reader returns whether it has
+//! accepted the bytes. Mutations (`main.rs`) and coverage-guided fuzzing (`fuzz/`) share them.
 #![allow(dead_code)] // Each fuzz target uses one.
 
 use std::path::Path;
@@ -234,8 +234,8 @@ mod learning {
         static STUDY: Study = study();
     }
 
-    /// The journal of a study: the record of a finished trial, or the identity of the study. A record that belongs to the
-    /// study goes into its table, its figures and its page.
+    /// The journal of a study: the record of a finished trial, or the identity of the study. A record that belongs to
+    /// the study goes into its table, its figures and its page.
     pub fn journal(bytes: &[u8]) -> bool {
         STUDY.with(|study| {
             if let Ok(identity) = serde_json::from_slice::<Identity>(bytes) {

@@ -76,8 +76,8 @@ impl Clock {
         let now = match self.budget {
             Budget::Minutes(minutes) => {
                 let [iteration_s, evaluation_s, save_s] = self.longest_s;
-                // Files may be saved after the iteration and at the end; an evaluation after the last iteration is that of
-                // the end.
+                // Files may be saved after the iteration and at the end; an evaluation after the last iteration is that
+                // of the end.
                 let after_s = iteration_s + evaluation_s + 2.0 * save_s;
                 // The first iteration is made, however short the time is.
                 let for_training_s = 60.0 * minutes - if iteration_s > 0.0 { after_s } else { 0.0 };
@@ -99,8 +99,8 @@ impl Clock {
 mod tests {
     use super::*;
 
-    /// Runs a training whose iterations, evaluations (after every twentieth of it, and at the end unless the last iteration
-    /// was evaluated) and saves take these times; returns when it ends, and how many iterations it had.
+    /// Runs a training whose iterations, evaluations (after every twentieth of it, and at the end unless the last
+    /// iteration was evaluated) and saves take these times; returns when it ends, and how many iterations it had.
     fn ends_at(minutes: f64, [iteration_s, evaluation_s, save_s]: [f64; 3]) -> (f64, u32) {
         let (mut clock, mut now_s, mut iterations, mut evaluated) = (Clock::new(Budget::Minutes(minutes)), 0.0, 0, 0);
         clock.took(Timed::Evaluation, evaluation_s);
