@@ -9,6 +9,7 @@ use super::{PolicyUnderTest, Study};
 use crate::chassis::Settings;
 use crate::policy::manifest::Manifest;
 use crate::policy::{Model, shipped};
+use crate::scenario;
 
 /// Name of the study that repeats the paper's Table I.
 const STUDY: &str = "modes";
@@ -55,7 +56,9 @@ pub fn ran(study: &Study, tested: &PolicyUnderTest) -> bool {
     let authors = matches!(&tested.model, Model::Gnn(network, _) if *network.manifest() == Manifest::published());
     let ours = shipped::built_in(POLICY, SCENARIO).map(|bytes| blake3::hash(bytes).to_hex()[..16].to_owned());
     let setup = study.name == STUDY && study.scenario.name() == SCENARIO && study.scenario.robots() == ROBOTS;
-    let world = study.gap_m.is_none_or(|gap_m| gap_m == GAP_M) && study.conditions.body == Settings::default();
+    let scenario::Settings { gap_m, scale, hull_m, .. } = study.settings;
+    let sizes = gap_m.is_none_or(|gap_m| gap_m == GAP_M) && scale.is_none_or(|scale| scale == 1.0) && hull_m.is_none();
+    let world = sizes && study.conditions.body == Settings::default();
     setup && world && (authors || ours.is_some_and(|digest| digest == tested.digest))
 }
 

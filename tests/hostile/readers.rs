@@ -63,7 +63,7 @@ pub fn team(bytes: &[u8]) -> bool {
 pub fn deployment(bytes: &[u8]) -> bool {
     let Some(Ok(deployment)) = text(bytes).map(Deployment::from_toml) else { return false };
     let _ = deployment.clone().impaired(Some(0.1), Some(0.5), Impair::All);
-    let settings = Settings { robots: Some(deployment.robots), gap_m: None };
+    let settings = Settings::of(deployment.robots);
     let Ok(passage) = scenario::build("passage", &settings) else { return false };
     let model = Model::shipped("passage").expect("it is shipped");
     Trial::new(deployment, passage, model).check().is_ok()
@@ -226,7 +226,7 @@ mod learning {
             command: "none".to_owned(),
             build: "none".to_owned(),
             scenario: passage,
-            gap_m: None,
+            settings: Settings::default(),
         }
     }
 
