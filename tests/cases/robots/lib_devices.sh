@@ -27,7 +27,7 @@ robots = 2
 placement = "drive"
 stepping = "seeded"
 [safety]
-own_state_s = 0.3
+own_state_s = 1.0
 [[deployment.host]]
 name = "pc"
 agents = [[0], [1]]
@@ -51,7 +51,7 @@ robots = 2
 interface = "lo"
 group = "239.255.92.8:$(($1 + 1))"
 [safety]
-own_state_s = 0.5
+own_state_s = 1.0
 [deployment]
 mode = "gps"
 robots = 2
@@ -138,7 +138,7 @@ episodes = 1
 [link.air]
 interface = "lo"
 [safety]
-own_state_s = 0.5
+own_state_s = 1.0
 [deployment]
 mode = "ros"
 robots = 2
