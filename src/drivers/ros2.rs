@@ -507,11 +507,11 @@ mod tests {
     #[test]
     fn odometry_that_cannot_be_used_is_named_and_is_no_fault_of_the_network() {
         let reason = |bench: &mut Bench| {
-            let all = bench.out.drain(..).filter_map(|out| match out {
+            let mut all = bench.out.drain(..).filter_map(|out| match out {
                 Out::Condition(Hardware { health, reason, .. }) => Some((health, reason?.text().to_owned())),
                 _ => None,
             });
-            all.last()
+            all.next_back()
         };
         let mut bench = Bench::new("");
         let zero = |ms: u64| {
