@@ -105,7 +105,7 @@ fn source(to: SocketAddr) -> Option<IpAddr> {
 }
 
 fn addresses(all: &[Interface]) -> impl Iterator<Item = (&Interface, IpAddr)> {
-    all.iter().flat_map(|one| [false, true].into_iter().flat_map(|v6| one.addresses(v6)).map(move |at| (one, at)))
+    all.iter().flat_map(|one| [false, true].into_iter().flat_map(move |v6| one.addresses(v6)).map(move |at| (one, at)))
 }
 
 /// Returns the place with this address of this machine.

@@ -315,6 +315,8 @@ impl Worker {
     fn open(&self, sender: &PacketSender, opened: &SyncSender<Result<(), String>>) -> Option<Session> {
         let mut failed: u32 = 0;
         while !sender.is_closed() {
+            // What changed before this attempt is known to it.
+            self.shared.remake.store(false, Ordering::Relaxed);
             let error = match ::zenoh::open(self.zenoh.clone()).wait() {
                 Ok(session) => return Some(session),
                 Err(error) => reason(&error),
