@@ -149,14 +149,14 @@ name = "robot-0"
 agents = [[0]]
 actuates = [0]
 localizes = [0]
-driver = { name = "ros2", namespace = "/r0", interface = "lo", speed_m_s = 0.3 }
+driver = { name = "ros2", namespace = "/r0", interface = "lo", speed_m_s = 0.3, silence_s = 2.0 }
 source = { name = "odometry" }
 [[deployment.host]]
 name = "robot-1"
 agents = [[1]]
 actuates = [1]
 localizes = [1]
-driver = { name = "ros2", namespace = "/r1", interface = "lo", speed_m_s = 0.3 }
+driver = { name = "ros2", namespace = "/r1", interface = "lo", speed_m_s = 0.3, silence_s = 2.0 }
 source = { name = "ros2", topic = "/r0/pose", interface = "lo" }
 [[deployment.host]]
 name = "pc"
