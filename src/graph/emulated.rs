@@ -117,6 +117,7 @@ mod tests {
     }
 
     #[test]
+    #[expect(clippy::print_stdout, reason = "with --nocapture its figures are what a recipe is run for")]
     fn at_20_percent_loss_no_more_than_one_of_500_episodes_is_aborted_on_multicast_or_unicast() {
         println!("| link | heartbeats | aborted of {} episodes |", wanted());
         for (name, setup) in

@@ -51,7 +51,7 @@ impl Args {
         if !(x.abs() <= f64::from(MAX_SIZE) && y.abs() <= f64::from(MAX_SIZE)) {
             return bad(format!("--at: {x} {y} is not within 100 km of the origin"));
         }
-        if !(self.heading.abs() <= TURN_RAD) {
+        if !(-TURN_RAD..=TURN_RAD).contains(&self.heading) {
             return bad(format!("--heading: {} is no angle in radians, -{TURN_RAD} to {TURN_RAD}", self.heading));
         }
         let heading = (wrapped(self.heading) as f32).clamp(-MAX_HEADING, MAX_HEADING);

@@ -1,5 +1,6 @@
 //! Handling of Ctrl-C and SIGTERM for commands that drive robots and have to stop them first.
 
+use std::io::Read;
 use std::os::unix::net::UnixStream;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -7,6 +8,8 @@ use std::sync::atomic::{AtomicBool, AtomicUsize};
 
 use anyhow::{Context, Result};
 use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1};
+
+use crate::runtime::real::Readers;
 
 /// Starts listening for the signal USR1, by which a user requests to keep the last seconds of a record. Returns a flag
 /// that the signal sets.
@@ -28,4 +31,12 @@ pub fn listen() -> Result<(Arc<AtomicUsize>, Rc<UnixStream>)> {
             .context("cannot listen for signals")?;
     }
     Ok((signal, Rc::new(reader)))
+}
+
+/// Makes the event loop of `readers` turn when a signal arrives, by the socket of [`listen`].
+pub fn watch(readers: &mut Readers, wake: Rc<UnixStream>) {
+    let source = Rc::clone(&wake);
+    readers.watch(wake, move || {
+        let _ = (&*source).read(&mut [0; 16]);
+    });
 }

@@ -192,7 +192,7 @@ impl Reader {
             return self.attachment(range).map(|attachment| Some(Item::Attachment(attachment)));
         }
         loop {
-            if let Some(message) = self.from_chunk() {
+            if let Some(message) = self.next_of_chunk() {
                 return Ok(Some(Item::Message(message)));
             }
             let Some(part) = self.parts.front_mut() else { return Ok(None) };
@@ -234,7 +234,7 @@ impl Reader {
         }
     }
 
-    fn from_chunk(&mut self) -> Option<Message> {
+    fn next_of_chunk(&mut self) -> Option<Message> {
         while let Some((chunk, at)) = &mut self.chunk {
             let mut rest = Rest(&chunk.elements[*at..]);
             let Some((opcode, bytes)) = rest.element() else {

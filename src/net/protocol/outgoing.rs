@@ -193,7 +193,8 @@ impl Outgoing {
         let all = audience == Audience::All;
         let acks = self.setup.piggyback == Piggyback::Any && !self.acks.is_empty();
         let soft = self.soft.has_for(now, audience);
-        if !soft && !(all && self.may_piggyback_report(now)) && !acks && held.is_empty() {
+        let report = all && self.may_piggyback_report(now);
+        if !(soft || report || acks) && held.is_empty() {
             return frame;
         }
         let mut bytes = frame.to_vec();

@@ -4,7 +4,6 @@ mod patience;
 mod seen;
 
 use std::cell::Cell;
-use std::io::Read;
 use std::path::PathBuf;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -162,10 +161,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         |readers, now| {
             seen.end_turn(now, None);
             outlets.notify(&NotifyState::Ready);
-            let source = Rc::clone(&wake_reader);
-            readers.watch(wake_reader, move || {
-                let _ = (&*source).read(&mut [0; 16]);
-            });
+            signals::watch(readers, wake_reader);
             if args.json {
                 // If the process that reads this host's events has died, no one supervises the robot, so it must stop.
                 let gone = Rc::clone(&abandoned);

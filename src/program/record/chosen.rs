@@ -52,12 +52,15 @@ pub fn first_files(named: &[PathBuf]) -> Result<Vec<PathBuf>> {
     Ok(all)
 }
 
+/// One copy of a record: its path, what it is of, and what it lacks (whether it is damaged, fewer bytes first).
+type Copied = (PathBuf, Identity, (bool, u64));
+
 /// Returns the records among the `named` files and folders. Files that are no records, such as an empty one, are named
 /// on stderr and left out. Of several copies of a record the one that lacks least is taken. Fails if no record is left.
 pub fn records(named: &[PathBuf]) -> Result<Chosen> {
     let paths = first_files(named)?;
     let only = paths.len() == 1;
-    let mut copies: BTreeMap<String, Vec<(PathBuf, Identity, (bool, u64))>> = BTreeMap::new();
+    let mut copies: BTreeMap<String, Vec<Copied>> = BTreeMap::new();
     let (mut order, mut left_out) = (Vec::new(), false);
     for path in paths {
         match reader::messages(&path) {

@@ -221,7 +221,7 @@ impl To {
                 if all.is_empty() {
                     return Err(io::Error::new(io::ErrorKind::AddrNotAvailable, "the host has no address"));
                 }
-                all.into_iter().fold(Ok(()), |sent, at| sent.and(socket.send_to(frame, at).map(drop)))
+                all.into_iter().try_for_each(|at| socket.send_to(frame, at).map(drop))
             }
             (To::Peers(peers), Audience::All) => {
                 // Sending continues after an unreachable peer.
