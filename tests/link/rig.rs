@@ -80,6 +80,9 @@ pub fn heartbeat(robot: u16, episode: u32) -> Wire {
     Wire::Heartbeat(Heartbeat { robot: RobotId(robot), round, phase: Phase::Running, latch: Latch::default() })
 }
 
+/// Two hosts, and which datagrams from the first to the second are lost.
+pub type Blocked = (usize, usize, fn(&[u8]) -> bool);
+
 /// Datagram that was sent.
 #[derive(Clone)]
 pub struct Flight {
@@ -116,7 +119,7 @@ pub struct Rig {
     /// Source address of each host; none without one.
     pub addresses: Vec<Option<SocketAddr>>,
     /// Which datagrams from the first of two hosts to the second are lost.
-    pub blocked: Option<(usize, usize, fn(&[u8]) -> bool)>,
+    pub blocked: Option<Blocked>,
     flying: BTreeMap<(Time, u64), (usize, usize, Frame)>,
     /// Wake-up times of the hosts.
     wakes: BTreeSet<(Time, usize)>,
@@ -188,9 +191,7 @@ impl Rig {
                     }
                     for to in 0..self.networks.len() {
                         let meant = audience == Audience::All || audience == Audience::Host(self.ids[to]);
-                        let blocked = |(from, at, lost): (usize, usize, fn(&[u8]) -> bool)| {
-                            (from, at) == (host, to) && lost(&frame)
-                        };
+                        let blocked = |(from, at, lost): Blocked| (from, at) == (host, to) && lost(&frame);
                         let blocked = self.blocked.is_some_and(blocked);
                         if to != host && meant && !blocked && !self.stream.random_bool(self.loss) {
                             let jitter = match self.jitter.as_nanos() {

@@ -53,6 +53,28 @@ fn robot() -> impl Strategy<Value = RobotId> {
     any::<u16>().prop_map(RobotId)
 }
 
+/// Returns placements of robots, and reports of whether the poses of robots are known.
+fn placements() -> (impl Strategy<Value = Wire>, impl Strategy<Value = Wire>) {
+    let numbers = (any::<u16>(), any::<u32>(), robot());
+    let place = (numbers, pose())
+        .prop_map(|((by, number, robot), pose)| Wire::Place(Place { by: HostId(by), number, robot, pose }));
+    let whereabouts =
+        (robot(), 0u8..5).prop_map(|(robot, n)| (robot, Whereabouts::try_from(n).expect("there are five")));
+    let verdict = (0u8..5).prop_map(|n| Verdict::try_from(n).expect("there are five"));
+    let answer = ((any::<u16>(), any::<u32>(), robot()), verdict, prop::option::of(pose()));
+    let answer = answer.prop_map(|((by, number, robot), verdict, measured)| Placed {
+        by: HostId(by),
+        number,
+        robot,
+        verdict,
+        measured,
+    });
+    let located = (any::<u16>(), prop::collection::vec(whereabouts, 0..=MAX_BLOCK), prop::option::of(answer));
+    let located =
+        located.prop_map(|(host, robots, answer)| Wire::Located(Located { host: HostId(host), robots, answer }));
+    (place, located)
+}
+
 fn message() -> impl Strategy<Value = Wire> {
     let deviation = [0; 4].map(|_| prop::option::of(0f32..1e5));
     let deviation = deviation.prop_map(|[position_m, heading_rad, velocity_m_s, yaw_rate_rad_s]| Deviation {
@@ -114,23 +136,7 @@ fn message() -> impl Strategy<Value = Wire> {
         robots.iter_mut().take(1).for_each(|robot| robot.reason = Reason::new(&text));
         Wire::Telemetry(Telemetry { host: HostId(host), robots })
     });
-    let numbers = (any::<u16>(), any::<u32>(), robot());
-    let place = (numbers, pose())
-        .prop_map(|((by, number, robot), pose)| Wire::Place(Place { by: HostId(by), number, robot, pose }));
-    let whereabouts =
-        (robot(), 0u8..5).prop_map(|(robot, n)| (robot, Whereabouts::try_from(n).expect("there are five")));
-    let verdict = (0u8..5).prop_map(|n| Verdict::try_from(n).expect("there are five"));
-    let answer = ((any::<u16>(), any::<u32>(), robot()), verdict, prop::option::of(pose()));
-    let answer = answer.prop_map(|((by, number, robot), verdict, measured)| Placed {
-        by: HostId(by),
-        number,
-        robot,
-        verdict,
-        measured,
-    });
-    let located = (any::<u16>(), prop::collection::vec(whereabouts, 0..=MAX_BLOCK), prop::option::of(answer));
-    let located =
-        located.prop_map(|(host, robots, answer)| Wire::Located(Located { host: HostId(host), robots, answer }));
+    let (place, located) = placements();
     prop_oneof![reading, latent, command, beat, mode, stop, status, observe, telemetry, place, located]
 }
 
