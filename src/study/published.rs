@@ -57,7 +57,8 @@ pub fn ran(study: &Study, tested: &PolicyUnderTest) -> bool {
     let ours = shipped::built_in(POLICY, SCENARIO).map(|bytes| blake3::hash(bytes).to_hex()[..16].to_owned());
     let setup = study.name == STUDY && study.scenario.name() == SCENARIO && study.scenario.robots() == ROBOTS;
     let scenario::Settings { gap_m, scale, hull_m, .. } = study.settings;
-    let sizes = gap_m.is_none_or(|gap_m| gap_m == GAP_M) && scale.is_none_or(|scale| scale == 1.0) && hull_m.is_none();
+    let is = |setting: Option<f32>, paper: f32| setting.is_none_or(|setting| setting.to_bits() == paper.to_bits());
+    let sizes = is(gap_m, GAP_M) && is(scale, 1.0) && hull_m.is_none();
     let world = sizes && study.conditions.body == Settings::default();
     setup && world && (authors || ours.is_some_and(|digest| digest == tested.digest))
 }

@@ -197,7 +197,7 @@ impl World {
 
     /// Drives each robot for one period where its guard lets it: its newest reading is at most 0.1 s old.
     fn drive(&mut self) {
-        self.now = self.now + PERIOD;
+        self.now += PERIOD;
         for robot in &mut self.robots {
             let stands = robot.lost.is_lost() || self.now.since(robot.fresh) > Span::from_millis(100);
             if stands || self.random.random_bool(0.02) {
@@ -315,7 +315,6 @@ impl World {
             position_m: Some(self.sigma_m),
             heading_rad: Some(self.sigma_rad),
             twist: (self.kind == Kind::RosOdometry).then_some(twist),
-            ..PoseSample::default()
         };
         let heard = FromNode::Heard(Heard { topic: at as u16, sample: Sample::Pose(sample) });
         localizer::In::Packet(packet::encode(&heard).into())

@@ -38,7 +38,7 @@ pub fn policy(bytes: &[u8]) -> bool {
     let mut features = vec![0.0; policy.interface().features];
     let heard = vec![0.5; features.len()];
     let neighbour = Neighbour { motion: observation.motion, features: &heard, age: Span::ZERO };
-    let neighbours: Vec<Neighbour> = (0..4).map(|_| neighbour.clone()).collect();
+    let neighbours: Vec<Neighbour> = vec![neighbour; 4];
     policy.encode(&observation, &mut features);
     for hop in 1..policy.hops() {
         policy.relay(hop, &observation, &mut features, &neighbours);

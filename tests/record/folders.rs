@@ -107,8 +107,11 @@ fn a_repair_of_another_program_s_file_keeps_channels_schemas_times_and_numbers()
     refuses(&["record", "repair", path.to_str().unwrap()], &["bag.mcap.cut", "is there already"]);
 }
 
+/// Channel, schema, quality, number, two times and bytes of a message.
+type Whole = (u16, String, String, u32, u64, u64, Vec<u8>);
+
 /// All messages of a file, each with its channel's schema and properties, its number and its times.
-fn everything(path: &Path) -> Vec<(u16, String, String, u32, u64, u64, Vec<u8>)> {
+fn everything(path: &Path) -> Vec<Whole> {
     let mut reader = Reader::open(path).unwrap();
     let (mut schemas, mut all) = (BTreeMap::new(), Vec::new());
     while let Some(item) = reader.next_item().unwrap() {

@@ -125,15 +125,20 @@ fn resume(args: &Args, folder: &Folder, registry: &Registry) -> Result<Trainer> 
     Ok(trainer)
 }
 
+/// Prints the configuration that the flags give, as a file to begin with.
+fn print_config(args: &Args, registry: &Registry) -> Result<Ended> {
+    let plan = begin(args, registry)?.plan().clone();
+    let text = toml::to_string(&plan.config).context("a configuration is TOML")?;
+    let name = &args.scenario;
+    let head = format!("# Training of '{name}', from preset '{PRESET}'. Fields: docs/training.md.");
+    print(format!("{head} Use: murmurate train {name} --config FILE.toml\n{text}").trim_end())?;
+    Ok(Ended::Done)
+}
+
 /// Runs `train` in a scenario without goals.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     if args.print_config {
-        let plan = begin(args, registry)?.plan().clone();
-        let text = toml::to_string(&plan.config).context("a configuration is TOML")?;
-        let name = &args.scenario;
-        let head = format!("# Training of '{name}', from preset '{PRESET}'. Fields: docs/training.md.");
-        print(format!("{head} Use: murmurate train {name} --config FILE.toml\n{text}").trim_end())?;
-        return Ok(Ended::Done);
+        return print_config(args, registry);
     }
     let (budget, began) = (Budget::of(args)?, Instant::now());
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
