@@ -131,7 +131,7 @@ fn block(out: &mut Vec<u8>, bytes: &[u8]) {
     out.extend_from_slice(bytes);
 }
 
-/// Latest time of a turn [ns]: a hundred years. Later ones are damage, and no sum of times overflows.
+/// Latest time of a turn \[ns\]: a hundred years. Later ones are damage, and no sum of times overflows.
 const LATEST: u64 = 1 << 61;
 
 /// Decodes a turn of a host's event loop; `None` if the bytes are invalid.

@@ -161,7 +161,7 @@ mod tests {
         let file = |a: String, b: String| format!("{{\"episodes\":[[{a},{b}]]}}");
         let read = |text: &str, n| Layouts::from_json(text, &*passage, n).map_err(|e| e.to_string());
         assert!(read(&file(robot(0.0, 0.0), robot(1.0, 1.0)), 1).is_ok());
-        assert!(read(&file(robot(0.0, 0.0), robot(1.0, 1.0)), 2).unwrap_err().contains("1 episodes"));
+        assert!(read(&file(robot(0.0, 0.0), robot(1.0, 1.0)), 2).unwrap_err().contains("1 episode"));
         assert!(
             read(&file(robot(0.0, 0.0), robot(0.1, 1.0)), 1)
                 .unwrap_err()

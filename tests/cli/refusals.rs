@@ -304,13 +304,16 @@ fn flags_of_the_robots_take_effect_and_their_defaults_change_nothing() {
         ("--handling", "hold", "as-published"),
         ("--safety", "deployed", "emulated"),
         ("--placement", "drive", "exact"),
-        ("--speed-m-s", "10", "0.2"),
     ];
     let plain = trace(&[]);
     for (flag, default, other) in flags {
         assert_eq!(trace(&[flag, default]), plain, "{flag} {default}");
         assert_ne!(trace(&[flag, other]), plain, "{flag} {other}");
     }
+    // With a limit of speed the reported velocities are not rounded above it, so the trace is another than without.
+    let speed = |most| trace(&["--speed-m-s", most]);
+    assert_eq!(speed("10"), speed("20"), "neither is reached");
+    assert_ne!(speed("10"), speed("0.2"));
     // Nearly as wide as the gap and without the filter, so that contacts occur.
     let wide = ["--safety", "emulated", "--wall-radius-m", "0.49"];
     let contacts = |contacts| trace(&[&wide[..], &["--contacts", contacts]].concat());

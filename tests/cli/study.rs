@@ -342,7 +342,7 @@ fn parts_of_a_study_in_one_folder_are_the_study_of_one_machine() {
     let place = Place::new();
     let (whole, parts) = (place.at("whole"), place.at("parts"));
     done(&SMALL, &["--quiet", "--out", &whole]);
-    for (shard, missing) in [("2/3", "3 trials"), ("1/3", "1 trials"), ("3/3", "without --shard")] {
+    for (shard, missing) in [("2/3", "3 trials"), ("1/3", "1 trial of"), ("3/3", "without --shard")] {
         let output = done(&SMALL, &["--json", "--out", &parts, "--shard", shard]);
         let part: Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
         assert_eq!((&part["shard"], &part["interrupted"]), (&Value::from(shard), &Value::from(false)), "{part}");
