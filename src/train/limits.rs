@@ -53,7 +53,7 @@ impl Config {
                 return wrong(at, "until", format!("{} is not above {start} and at most 1", stage.until));
             }
             start = stage.until;
-            let robots = |groups: &Vec<usize>| groups.iter().sum::<usize>();
+            let robots = |groups: &Vec<usize>| groups.iter().fold(0, |all: usize, group| all.saturating_add(*group));
             let team = stage.groups.first().map_or(0, robots);
             if team == 0 || stage.groups.iter().any(|groups| robots(groups) != team || groups.contains(&0)) {
                 return wrong(at, "groups", format!("{:?} do not all have the same total, above 0", stage.groups));

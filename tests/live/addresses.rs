@@ -11,8 +11,10 @@ use tempfile::TempDir;
 /// Runs a case, and checks that the program does what is expected there.
 fn case(name: &str) {
     let _beside = beside();
-    let may = Command::new("ip").args(["netns", "add", "murmurate-probe"]).stderr(Stdio::null()).status();
-    let _ = Command::new("ip").args(["netns", "del", "murmurate-probe"]).stderr(Stdio::null()).status();
+    // Of its own: another case may look at the same time.
+    let probe = format!("murmurate-{}", name.split('-').next().expect("a number"));
+    let may = Command::new("ip").args(["netns", "add", &probe]).stderr(Stdio::null()).status();
+    let _ = Command::new("ip").args(["netns", "del", &probe]).stderr(Stdio::null()).status();
     if !may.is_ok_and(|status| status.success()) {
         return report("skipped: network namespaces need root and the program 'ip'");
     }

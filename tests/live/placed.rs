@@ -23,15 +23,16 @@ const FAILURES: usize = 20;
 struct Spoilt {
     folder: TempDir,
     socket: UdpSocket,
+    /// Port of the robots' program.
+    port: u16,
 }
 
 impl Spoilt {
     fn new() -> Spoilt {
         let socket = UdpSocket::bind("127.0.0.1:0").expect("a socket");
-        socket.set_read_timeout(Some(Duration::from_secs(5))).expect("it can be set");
+        socket.set_read_timeout(Some(Duration::from_millis(500))).expect("it can be set");
         // The port is free again once this socket is dropped.
         let port = UdpSocket::bind("127.0.0.1:0").expect("a socket").local_addr().expect("bound").port();
-        socket.connect(("127.0.0.1", port)).expect("loopback");
         let program = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/odometer.py");
         let command = |part: &str| format!("[\"python3\", \"-SE\", \"{}\", \"{part}\", \"{port}\"]", program.display());
         let file = format!(
@@ -48,7 +49,7 @@ impl Spoilt {
             command("drive"),
             command("measure"),
         );
-        let spoilt = Spoilt { folder: TempDir::new().expect("a temporary folder"), socket };
+        let spoilt = Spoilt { folder: TempDir::new().expect("a temporary folder"), socket, port };
         write(spoilt.file(), file).expect("it can be written");
         spoilt
     }
@@ -58,13 +59,14 @@ impl Spoilt {
     }
 
     fn spoil(&self, fault: &Value) {
-        self.socket.send(fault.to_string().as_bytes()).expect("loopback");
+        // Not connected: before the robots are there, nothing is refused, and an answer is waited for.
+        self.socket.send_to(fault.to_string().as_bytes(), ("127.0.0.1", self.port)).expect("loopback");
     }
 
     /// Returns where a robot really is, and its speed.
     fn truth(&self, robot: usize) -> [f64; 4] {
         let mut answer = [0; 4096];
-        for _ in 0..20 {
+        for _ in 0..120 {
             self.spoil(&json!({ "ask": true }));
             let Ok(length) = self.socket.recv(&mut answer) else { continue };
             let told: Value = serde_json::from_slice(&answer[..length]).expect("JSON");
