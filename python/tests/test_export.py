@@ -205,12 +205,13 @@ def test_faces_and_harmless_wrappers_are_taken_and_others_are_refused_by_name(tm
     harmless = [vector(), TeamEnv(), parallel_env(), RecordEpisodeStatistics(vector()), NormalizeReward(vector())]
     for like in [*harmless, TransformReward(TeamEnv(), float)]:
         assert exported(like).exists()
-    wrong = {
-        "NormalizeObservation": NormalizeObservation(vector()),
-        "RescaleAction": RescaleAction(TeamEnv(), -1.0, 1.0),
-        "RescaleAction: it may": NormalizeReward(Rescaled(vector(), -1.0, 1.0)),
-    }
-    for name, like in wrong.items():
+    wrong = [
+        ("NormalizeObservation", NormalizeObservation(vector())),
+        ("RescaleAction", RescaleAction(TeamEnv(), -1.0, 1.0)),
+        # Below one that is harmless.
+        ("RescaleAction", NormalizeReward(Rescaled(vector(), -1.0, 1.0))),
+    ]
+    for name, like in wrong:
         with pytest.raises(ValueError, match=f"like: {name}.* it may change what the policy observes or commands; put that"):
             exported(like)
 
