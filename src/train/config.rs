@@ -384,7 +384,8 @@ fn shape(
     let (hidden, messages) = (last(encoder), last(message));
     let (message_inputs, update_inputs) = match architecture {
         Architecture::Published => (hidden, messages),
-        Architecture::Full => (2 * hidden + edge, hidden + messages),
+        // Of a configuration that is not checked yet: a width that does not fit is refused as too large.
+        Architecture::Full => (hidden.saturating_mul(2).saturating_add(edge), hidden.saturating_add(messages)),
     };
     let update = [&widths(update_inputs, update)[..], &[outputs]].concat();
     Shape { architecture, encoder: widths(inputs, encoder), message: widths(message_inputs, message), update, edge }
