@@ -60,6 +60,8 @@ struct Found {
     whole: bool,
     /// Damaged ranges, the cut among them.
     named: Vec<Range<u64>>,
+    /// Number of places at which messages are lost.
+    gaps: usize,
 }
 
 fn read(bytes: Vec<u8>) -> Option<Found> {
@@ -79,7 +81,7 @@ fn read(bytes: Vec<u8>) -> Option<Found> {
     }
     let health = reader.health();
     let named = health.faults.iter().chain(&health.cut).map(|fault| fault.from..fault.to).collect();
-    Some(Found { messages, metadata, attached, whole: health.is_whole(), named })
+    Some(Found { messages, metadata, attached, whole: health.is_whole(), named, gaps: reader.gaps() })
 }
 
 /// Elements at the top of a whole file: opcode and range.
@@ -149,7 +151,8 @@ fn check(what: &str, (bytes, original): (&[u8], &Found), (copy, range): (Vec<u8>
     let untouched =
         elements(bytes).into_iter().filter(|(_, place)| place.end <= range.start || place.start >= range.end);
     let intact: usize = untouched.filter(|(opcode, _)| *opcode == 6).map(|(_, place)| messages_in(&bytes[place])).sum();
-    assert!(found.messages.len() >= intact, "{what}: {} messages of {intact} intact ones", found.messages.len());
+    let (count, named) = (found.messages.len(), &found.named);
+    assert!(count >= intact, "{what}: {count} messages of {intact} intact ones, {named:?}");
 }
 
 /// Number of messages in a chunk without compression.
@@ -238,6 +241,46 @@ fn of_a_record_damaged_anywhere_all_that_is_intact_is_read_and_the_rest_is_named
             let mut copy = bytes.clone();
             copy[at] ^= 1 << (at % 8);
             check(&format!("{version}, a bit at {at}"), (bytes, &original), (copy, at..at + 1));
+        }
+    }
+}
+
+#[test]
+fn an_element_whose_first_byte_is_wrong_is_named_even_if_it_looks_like_one_of_another_program() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("whole.mcap");
+    in_chunks(&path);
+    let bytes = std::fs::read(&path).unwrap();
+    for (version, bytes) in [("version 1", &of_version_1(&bytes)), ("version 2", &bytes)] {
+        let original = read(bytes.clone()).expect("it is a record");
+        let all = elements(bytes);
+        let (_, mark) = all.iter().find(|(opcode, _)| *opcode == 0x0F).expect("it has the mark of its end").clone();
+        let of_data = all.into_iter().filter(|(opcode, place)| *opcode != 7 && place.start <= mark.start);
+        let chunks = of_data.clone().filter(|(opcode, _)| *opcode == 6).count();
+        // All others, and a few chunks.
+        let mut chunk = 0;
+        let chosen = of_data.filter(|(opcode, _)| {
+            chunk += usize::from(*opcode == 6);
+            *opcode != 6 || chunk % (chunks / 6) == 1
+        });
+        for (opcode, place) in chosen {
+            for bit in 0..8 {
+                let what = format!("{version}, element {opcode:#x} at {}, bit {bit}", place.start);
+                let mut copy = bytes.clone();
+                copy[place.start] ^= 1 << bit;
+                check(&what, (bytes, &original), (copy.clone(), place.start..place.start + 1));
+                if opcode != 6 || messages_in(&bytes[place.clone()]) == 0 {
+                    continue;
+                }
+                // Without the mark, and so without the checksum of the file, the chunk tells for itself.
+                let cut = [copy.clone(), copy[..mark.start].to_vec()].map(|bytes| read(bytes).expect("it is a record"));
+                for found in cut {
+                    let (from, to) = (place.start as u64, place.end as u64);
+                    let named = |range: &Range<u64>| range.start <= from && to <= range.end;
+                    assert!(found.named.iter().any(named), "{what}: {:?}", found.named);
+                    assert!(found.gaps > 0, "{what}: a replay would go on behind it");
+                }
+            }
         }
     }
 }

@@ -148,6 +148,11 @@ pub fn channel(bytes: &[u8]) -> Option<Channel> {
     Some(Channel { id, schema, topic, encoding, metadata: rest.map()? })
 }
 
+/// Whether a schema or a channel, which of them `opcode` says, can be decoded.
+pub fn is_definition(opcode: u8, bytes: &[u8]) -> bool {
+    if opcode == op::CHANNEL { channel(bytes).is_some() } else { schema(bytes).is_some() }
+}
+
 /// Decodes a message.
 pub fn message(bytes: &[u8]) -> Option<MessageView<'_>> {
     let mut rest = Rest(bytes);

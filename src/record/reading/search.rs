@@ -9,10 +9,29 @@ use super::survey::{ATTACHMENT_HEAD, Surveyor};
 impl Surveyor<'_> {
     /// Returns the place of the next intact element from `from` on, of those that can be told from other bytes.
     pub(super) fn search(&mut self, from: u64) -> io::Result<Option<u64>> {
+        self.search_before(from, self.out.length)
+    }
+
+    /// Whether an intact chunk or attached file begins in the damaged element at the present place, which says that it
+    /// ends at `to`, and goes on behind `to`. The damaged one's length is then wrong, as that of a block of a disk in
+    /// the wrong place. One that ends before `to` may be a part of it: a record may be attached to a record.
+    pub(super) fn is_crossed(&mut self, to: u64) -> io::Result<bool> {
+        let mut at = self.at + 1;
+        while let Some(found) = self.search_before(at, to)? {
+            let Some((opcode, end)) = self.head(found)? else { break };
+            if end > to && matches!(opcode, op::CHUNK | op::ATTACHMENT) {
+                return Ok(true);
+            }
+            at = if end > to { found + 1 } else { end };
+        }
+        Ok(false)
+    }
+
+    fn search_before(&mut self, from: u64, until: u64) -> io::Result<Option<u64>> {
         const STEP: u64 = 1 << 16;
         let mut begin = from;
-        while begin < self.out.length && self.budget > 0 {
-            let window = self.source.bytes(begin, STEP)?;
+        while begin < until && self.budget > 0 {
+            let window = self.source.bytes(begin, STEP.min(until - begin))?;
             for (offset, byte) in window.iter().enumerate() {
                 let at = begin + offset as u64;
                 if matches!(*byte, op::CHUNK | op::ATTACHMENT | op::METADATA | op::DATA_END) && self.is_intact(at)? {
@@ -26,7 +45,14 @@ impl Surveyor<'_> {
 
     /// Whether the bytes at `at` are an intact element, and not others that look like one.
     fn is_intact(&mut self, at: u64) -> io::Result<bool> {
-        let Some((opcode, end)) = self.head(at)? else { return Ok(false) };
+        match self.head(at)? {
+            Some((opcode, end)) => self.is_intact_as(opcode, at, end),
+            None => Ok(false),
+        }
+    }
+
+    /// Whether the bytes from `at` to `end` are an intact element of the kind `opcode`, whatever the first one says.
+    pub(super) fn is_intact_as(&mut self, opcode: u8, at: u64, end: u64) -> io::Result<bool> {
         let (from, length) = (at + HEAD, end - at - HEAD);
         let begins = self.source.bytes(from, length.min(ATTACHMENT_HEAD))?;
         let likely = match opcode {
@@ -58,10 +84,14 @@ impl Surveyor<'_> {
         })
     }
 
-    /// Whether elements follow from `at` to the end of the file, of which the last is a footer.
-    fn is_end(&mut self, mut at: u64) -> io::Result<bool> {
+    /// Whether elements of an index follow from `at` to the end of the file, of which the last is a footer.
+    pub(super) fn is_end(&mut self, mut at: u64) -> io::Result<bool> {
         let mut last = 0;
         while let Some((opcode, end)) = self.head(at)? {
+            // These come before the mark of the end alone.
+            if matches!(opcode, op::MESSAGE..=op::MESSAGE_INDEX | op::ATTACHMENT | op::METADATA | op::DATA_END) {
+                return Ok(false);
+            }
             (last, at) = (opcode, end);
             self.budget = self.budget.saturating_sub(HEAD);
             if opcode == op::FOOTER || self.budget == 0 {

@@ -26,15 +26,15 @@ const SEARCHES: u64 = 8;
 pub fn survey(source: &mut Source) -> io::Result<Option<Survey>> {
     let mut surveyor = Surveyor::new(source);
     let known = surveyor.run()?;
-    Ok(known.then(|| surveyor.finish()))
+    known.then(|| surveyor.finish()).transpose()
 }
 
 /// What comes at a place of the file.
 enum Step {
     /// An intact element, up to this place.
     Intact(u64),
-    /// An element that is damaged, up to this place, and why.
-    Damaged(u64, String),
+    /// An element that is damaged, up to this place, why, and what is lost by it.
+    Damaged(u64, String, Loss),
     /// Something whose length is not known, and why it is no element.
     Broken(String),
     /// The mark of the end, up to this place, with the checksum of all before it.
@@ -48,7 +48,10 @@ pub(super) struct Surveyor<'a> {
     /// Time of the last intact message \[ns\].
     pub(super) time: Option<u64>,
     /// Places that contradict others, which is damage only if a checksum says so.
-    pub(super) suspects: Vec<(Range<u64>, &'static str)>,
+    pub(super) suspects: Vec<Damage>,
+    /// Attached files that have no checksum and end in a zero. Where a disk has lost a file's end, and the checksum
+    /// with it, there are zeros.
+    pub(super) unproven: Vec<Range<u64>>,
     /// Messages of the last chunk by channel: time and place.
     pub(super) index: Option<BTreeMap<u16, Vec<(u64, u64)>>>,
     pub(super) used: BTreeSet<u16>,
@@ -90,6 +93,7 @@ impl Surveyor<'_> {
             at: 0,
             time: None,
             suspects: Vec::new(),
+            unproven: Vec::new(),
             index: None,
             used: BTreeSet::new(),
             chunks: BTreeMap::new(),
@@ -124,10 +128,7 @@ impl Surveyor<'_> {
         while self.at < length {
             match self.step()? {
                 Step::Intact(to) => self.intact(to),
-                Step::Damaged(to, what) if self.is_plausible(to)? => {
-                    let attached =
-                        self.head(self.at)?.is_some_and(|(opcode, _)| matches!(opcode, op::ATTACHMENT | op::METADATA));
-                    let loss = if attached { Loss::Other } else { Loss::Messages };
+                Step::Damaged(to, what, loss) if self.is_plausible(to)? && !self.is_crossed(to)? => {
                     self.damaged(self.at..to, what, loss);
                     self.at = to;
                 }
@@ -135,7 +136,7 @@ impl Surveyor<'_> {
                     self.ends(to, crc)?;
                     return Ok(true);
                 }
-                Step::Damaged(_, what) | Step::Broken(what) => {
+                Step::Damaged(_, what, _) | Step::Broken(what) => {
                     if !self.resume(&what)? {
                         return Ok(true);
                     }
@@ -160,6 +161,12 @@ impl Surveyor<'_> {
     pub(super) fn damaged(&mut self, range: Range<u64>, what: String, loss: Loss) {
         self.index = None;
         self.out.damage.push(Damage { range, what, times: (self.time, None), loss });
+    }
+
+    /// Notes that the element up to `to` is damaged if a checksum says that something is.
+    fn suspect(&mut self, to: u64, what: &str, loss: Loss) {
+        let what = what.to_owned();
+        self.suspects.push(Damage { range: self.at..to, what, times: (self.time, None), loss });
     }
 
     /// Goes on at the next intact element, and says that what is before it is damaged. Without one the file ends here:
@@ -214,7 +221,8 @@ impl Surveyor<'_> {
         if !matches!(opcode, op::ATTACHMENT | op::CHUNK | op::PRIVATE..) && length > MAX_CHUNK {
             return broken("an element is too long");
         }
-        let damaged = |what: &str| Ok(Step::Damaged(end, what.to_owned()));
+        let loss = if matches!(opcode, op::ATTACHMENT | op::METADATA) { Loss::Other } else { Loss::Messages };
+        let damaged = |what: &str| Ok(Step::Damaged(end, what.to_owned(), loss));
         match opcode {
             op::CHUNK => return self.chunk(end),
             op::ATTACHMENT => {
@@ -226,13 +234,23 @@ impl Surveyor<'_> {
                     false => damaged("an attached file's checksum or length is wrong"),
                 };
             }
-            op::PRIVATE.. => return Ok(Step::Intact(end)),
+            op::PRIVATE.. => return self.private(end),
             _ => {}
         }
         let bytes = self.source.bytes(from, length)?;
+        // Almost any bytes have the form of a message, so a chunk with a wrong first byte would pass for one.
+        let outside = matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE);
+        if outside && element::chunk(&bytes, length).is_some() && self.is_intact_as(op::CHUNK, self.at, end)? {
+            return damaged("the first byte of a chunk is wrong");
+        }
         let fits = match opcode {
             op::HEADER => element::header(&bytes).map(|(profile, _)| self.out.profile = profile.to_owned()),
-            op::SCHEMA | op::CHANNEL => self.keep(bytes.len()).then(|| self.loose.push((opcode, bytes))),
+            op::SCHEMA | op::CHANNEL => {
+                if !element::is_definition(opcode, &bytes) {
+                    self.doubt(end, &bytes, length);
+                }
+                self.keep(bytes.len()).then(|| self.loose.push((opcode, bytes)))
+            }
             op::MESSAGE => element::message(&bytes).map(|message| {
                 self.has_loose_messages = true;
                 self.used.insert(message.channel);
@@ -243,6 +261,10 @@ impl Surveyor<'_> {
                 self.metadata.push((self.at..end, name, values));
             }),
             op::DATA_END if length == 4 => {
+                // A disk that has mixed up its blocks may have put a copy of the mark into the middle.
+                if !self.is_end(end)? && self.search(end)?.is_some() {
+                    return broken("a mark of the end is where something else was");
+                }
                 let crc = u32::from_le_bytes(bytes[..4].try_into().expect("four bytes"));
                 return Ok(Step::End(end, crc));
             }
@@ -254,6 +276,39 @@ impl Surveyor<'_> {
         }
     }
 
+    /// Passes over an element that is none of MCAP's own. Other programs may write such; but a wrong first byte makes
+    /// one of any element, and what is in it would be left out without a word.
+    fn private(&mut self, end: u64) -> io::Result<Step> {
+        let (at, from, length) = (self.at, self.at + HEAD, end - self.at - HEAD);
+        // These are told for certain: by their checksums, or as the last element before the index and the footer.
+        if self.is_intact_as(op::CHUNK, at, end)? {
+            return Ok(Step::Damaged(end, "the first byte of a chunk is wrong".to_owned(), Loss::Messages));
+        }
+        if self.is_intact_as(op::ATTACHMENT, at, end)? {
+            return Ok(Step::Damaged(end, "the first byte of an attached file is wrong".to_owned(), Loss::Other));
+        }
+        if self.is_intact_as(op::DATA_END, at, end)? {
+            return Ok(Step::Broken("the first byte of the mark of the end is wrong".to_owned()));
+        }
+        let begins = self.source.bytes(from, length.min(ATTACHMENT_HEAD))?;
+        self.doubt(end, &begins, length);
+        Ok(Step::Intact(end))
+    }
+
+    /// Notes that another element may have been where one of `length` bytes is, up to `end`, that begins with the bytes
+    /// `begins`. Of metadata and a header the form alone tells, and an element of another program may have it, too.
+    fn doubt(&mut self, end: u64, begins: &[u8], length: u64) {
+        let all = Some(begins).filter(|bytes| bytes.len() as u64 == length);
+        let (what, loss) = if all.and_then(element::metadata).is_some() {
+            ("metadata may have been here", Loss::Other)
+        } else if all.and_then(element::header).is_some() {
+            ("the header of the file may have been here", Loss::Nothing)
+        } else {
+            ("an element of no known kind is where another may have been", Loss::Messages)
+        };
+        self.suspect(end, what, loss);
+    }
+
     pub(super) fn keep(&mut self, bytes: usize) -> bool {
         self.kept += bytes;
         self.kept <= MAX_KEPT
@@ -261,8 +316,10 @@ impl Surveyor<'_> {
 
     /// Notes that intact messages of the times from `first` to `last` \[ns\] come here.
     fn pass(&mut self, first: u64, last: u64) {
-        let open = self.out.damage.iter_mut().rev().take_while(|damage| damage.times.1.is_none());
-        open.for_each(|damage| damage.times.1 = Some(first));
+        for places in [&mut self.out.damage, &mut self.suspects] {
+            let open = places.iter_mut().rev().take_while(|damage| damage.times.1.is_none());
+            open.for_each(|damage| damage.times.1 = Some(first));
+        }
         self.time = Some(last);
     }
 
@@ -274,12 +331,12 @@ impl Surveyor<'_> {
         let chunk = match taken {
             Ok(chunk) => chunk,
             Err(chunk::BadChunk::Head) => return Ok(Step::Broken(chunk::BadChunk::Head.to_string())),
-            Err(why) => return Ok(Step::Damaged(end, why.to_string())),
+            Err(why) => return Ok(Step::Damaged(end, why.to_string(), Loss::Messages)),
         };
         self.bare |= chunk.head.crc == 0 && !chunk.elements.is_empty();
         let (first, last) = chunk.span();
         if (chunk.head.first, chunk.head.last) != (first, last) {
-            self.suspects.push((self.at..from + chunk.head.at, "the times in a chunk's beginning are wrong"));
+            self.suspect(from + chunk.head.at, "the times in a chunk's beginning are wrong", Loss::Nothing);
         }
         if last != 0 {
             self.pass(first, last);
@@ -338,7 +395,7 @@ impl Surveyor<'_> {
         let mut listed: Vec<(u64, u64)> = std::iter::from_fn(|| Some((rest.u64()?, rest.u64()?))).collect();
         listed.sort_unstable();
         if index.remove(&channel).unwrap_or_default() != listed {
-            self.suspects.push((self.at..end, "an index of messages is wrong"));
+            self.suspect(end, "an index of messages is wrong", Loss::Nothing);
         }
         Some(())
     }
@@ -352,6 +409,9 @@ impl Surveyor<'_> {
         let stated = u32::from_le_bytes(self.source.bytes(from + length - 4, 4)?.try_into().expect("four bytes"));
         if stated == 0 {
             self.bare = true;
+            if self.source.bytes(from + length - 5, 1)? == [0] {
+                self.unproven.push(self.at..from + length);
+            }
             return Ok(true);
         }
         Ok(self.crc(from, from + length - 4)? == stated)

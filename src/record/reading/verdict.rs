@@ -1,5 +1,6 @@
 //! Last part of a survey: what the checksums over all of a file say, and which metadata are right.
 
+use std::collections::BTreeSet;
 use std::io;
 use std::ops::Range;
 
@@ -18,12 +19,11 @@ impl Surveyor<'_> {
         self.out.end = End::Marked;
         let wrong = !self.out.damage.is_empty() || (crc != 0 && self.crc(0, mark)? != crc);
         if wrong {
-            for (range, what) in std::mem::take(&mut self.suspects) {
-                self.damaged(range, what.to_owned(), Loss::Nothing);
-            }
+            self.out.damage.append(&mut self.suspects);
+            self.leave_out_unproven();
         }
         let unexplained = wrong && self.out.damage.is_empty();
-        let trusted = self.settle_metadata(unexplained);
+        let trusted = self.settle_metadata(unexplained)?;
         if wrong && self.has_loose_messages {
             self.out.skips_loose = true;
             self.damaged(0..mark, "a checksum over all messages outside chunks is wrong".to_owned(), Loss::Messages);
@@ -85,8 +85,15 @@ impl Surveyor<'_> {
     }
 
     /// Decides which metadata are right by their digests. Those without one are right unless `unexplained`: the
-    /// checksum of the file is wrong, and nothing else is damaged. Returns whether all are right.
-    fn settle_metadata(&mut self, unexplained: bool) -> bool {
+    /// checksum of the file is wrong, and nothing else is damaged; or damage may reach into them from behind. Returns
+    /// whether no metadata are in doubt for the first reason.
+    fn settle_metadata(&mut self, unexplained: bool) -> io::Result<bool> {
+        let starts: BTreeSet<u64> = self.out.damage.iter().map(|damage| damage.range.start).collect();
+        let mut reached = Vec::new();
+        for (Range { end, .. }, ..) in &self.metadata {
+            let cut = matches!(self.out.end, End::Cut { at, .. } if at == *end && at < self.out.length);
+            reached.push((cut || starts.contains(end)) && !begins_element(&self.source.bytes(*end, 1)?));
+        }
         let all: Vec<(&str, &Map)> = self.metadata.iter().map(|(_, name, values)| (&**name, values)).collect();
         let judged = digest::judge(&all);
         for name in judged.absent {
@@ -95,8 +102,15 @@ impl Surveyor<'_> {
         }
         let unknown = judged.of.contains(&digest::Verdict::Unknown);
         self.bare |= unknown;
-        for ((range, name, values), verdict) in std::mem::take(&mut self.metadata).into_iter().zip(judged.of) {
+        let all = std::mem::take(&mut self.metadata).into_iter().zip(judged.of).zip(reached);
+        for (((range, name, values), verdict), reached) in all {
             match verdict {
+                digest::Verdict::Unknown if reached => {
+                    let what =
+                        format!("the metadata '{name}' have no digest, and damage begins in them or behind them");
+                    self.out.damage.push(Damage { range, what, times: (None, None), loss: Loss::Other });
+                    continue;
+                }
                 digest::Verdict::Unknown if unexplained => continue,
                 digest::Verdict::Right | digest::Verdict::Unknown => {}
                 digest::Verdict::Wrong { copied } => {
@@ -110,7 +124,18 @@ impl Surveyor<'_> {
                 self.out.metadata.push((name, values));
             }
         }
-        !(unknown && unexplained)
+        Ok(!(unknown && unexplained))
+    }
+
+    /// Leaves out the attached files of which only a checksum over all of the file could say that they are right.
+    fn leave_out_unproven(&mut self) {
+        let unproven = std::mem::take(&mut self.unproven);
+        let places: BTreeSet<u64> = unproven.iter().map(|range| range.start).collect();
+        self.out.attachments.retain(|known| !places.contains(&known.start));
+        for range in unproven {
+            let what = "an attached file ends in zeros and has no checksum".to_owned();
+            self.out.damage.push(Damage { range, what, times: (None, None), loss: Loss::Other });
+        }
     }
 
     /// Leaves out chunks that are in the file twice, as on a disk that has mixed up its blocks: of two that one which
@@ -138,12 +163,15 @@ impl Surveyor<'_> {
         self.out.damage.sort_by_key(|damage| damage.range.start);
     }
 
-    pub(super) fn finish(mut self) -> Survey {
+    pub(super) fn finish(mut self) -> io::Result<Survey> {
+        if self.out.end != End::Marked {
+            self.leave_out_unproven();
+        }
         if !self.proven {
             self.leave_out_strays();
         }
         if self.out.end != End::Marked {
-            self.settle_metadata(false);
+            self.settle_metadata(false)?;
             self.define_loose();
             self.out.unchecked = self.bare || self.has_loose_messages;
         }
@@ -153,6 +181,12 @@ impl Surveyor<'_> {
             let what = format!("the definitions of {} channels are lost, such as that of {first}", unknown.len());
             self.damaged(0..self.out.length, what, Loss::Messages);
         }
-        self.out
+        Ok(self.out)
     }
+}
+
+/// Whether an element of a record may begin with the bytes `bytes`. If not, damage that is noticed from here on may
+/// have begun in the element before: it has then changed the first byte behind that one.
+fn begins_element(bytes: &[u8]) -> bool {
+    matches!(bytes, [op::CHUNK | op::ATTACHMENT | op::METADATA | op::DATA_END, ..])
 }
