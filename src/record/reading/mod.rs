@@ -4,6 +4,7 @@
 //! file states, so reading is here: [`element`] decodes single elements, [`chunk`] decompresses and checks a chunk,
 //! [`source`] reads bytes at any place, and [`mod@survey`] finds the intact ranges of a whole file, [`damage`].
 
+mod checks;
 pub mod chunk;
 pub mod damage;
 pub mod element;

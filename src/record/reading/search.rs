@@ -14,12 +14,15 @@ impl Surveyor<'_> {
 
     /// Whether an intact chunk or attached file begins in the damaged element at the present place, which says that it
     /// ends at `to`, and goes on behind `to`. The damaged one's length is then wrong, as that of a block of a disk in
-    /// the wrong place. One that ends before `to` may be a part of it: a record may be attached to a record.
+    /// the wrong place. One that ends before `to` may be a part of a chunk or of an attached file, as a record that
+    /// is attached to a record; in others, such as an index, it shows that their length is wrong, too.
     pub(super) fn is_crossed(&mut self, to: u64) -> io::Result<bool> {
+        let holds =
+            self.head(self.at)?.is_some_and(|(opcode, _)| matches!(opcode, op::CHUNK | op::ATTACHMENT | op::PRIVATE..));
         let mut at = self.at + 1;
         while let Some(found) = self.search_before(at, to)? {
             let Some((opcode, end)) = self.head(found)? else { break };
-            if end > to && matches!(opcode, op::CHUNK | op::ATTACHMENT) {
+            if (end > to || !holds) && matches!(opcode, op::CHUNK | op::ATTACHMENT) {
                 return Ok(true);
             }
             at = if end > to { found + 1 } else { end };
