@@ -34,14 +34,11 @@ pub mod graph;
 pub mod hearing;
 #[cfg(feature = "lab")]
 pub mod lab;
-#[cfg(feature = "host")]
 pub mod live;
 pub mod localization;
 pub mod messages;
 pub mod net;
 pub mod policy;
-#[cfg(feature = "host")]
-pub mod program;
 pub mod random;
 #[cfg(feature = "record")]
 pub mod record;

@@ -215,7 +215,7 @@ impl Arguments<'_, '_> {
         };
         if let Some(radio) = self.radio {
             let radio = text("radio", radio)?;
-            murmurate::program::with_radio("radio", &radio, scenario.robots(), &mut conditions)
+            murmurate_cli::with_radio("radio", &radio, scenario.robots(), &mut conditions)
                 .map_err(crate::program::exception)?;
         }
         if let Some(filtered) = self.filtered {

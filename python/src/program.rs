@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use murmurate::program::{self, BadInput};
+use murmurate_cli::BadInput;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 
@@ -22,7 +22,7 @@ pub fn sim_json(py: Python<'_>, arguments: Vec<String>) -> PyResult<String> {
         let caller = std::thread::current();
         let (arguments, stop) = (&arguments, &stop);
         let work = move || {
-            let results = program::sim_results(arguments, crate::registry(), stop);
+            let results = murmurate_cli::sim_results(arguments, crate::registry(), stop);
             caller.unpark();
             results
         };
@@ -57,7 +57,7 @@ pub fn exception(error: anyhow::Error) -> PyErr {
 /// `launch` starts the processes of a team.
 #[pyfunction]
 pub fn run_program(py: Python<'_>, started_by: Vec<OsString>, arguments: Vec<OsString>) -> u8 {
-    let code = py.detach(|| program::main_within(crate::registry(), started_by, arguments));
+    let code = py.detach(|| murmurate_cli::main_within(crate::registry(), started_by, arguments));
     // An exit code shows its number only to the operating system and in its text.
     (0..=u8::MAX).find(|number| ExitCode::from(*number) == code).unwrap_or(1)
 }

@@ -1,8 +1,7 @@
-//! The program `murmurate`: the library's command line, and an allocator for it.
+//! The program `murmurate`: the command line of `crates/cli`, and an allocator for it.
 
 use std::process::ExitCode;
 
-use murmurate::program;
 use murmurate::registry::Registry;
 
 #[cfg(feature = "mimalloc")]
@@ -10,5 +9,5 @@ use murmurate::registry::Registry;
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() -> ExitCode {
-    program::main(&Registry::builtin())
+    murmurate_cli::main(&Registry::builtin())
 }

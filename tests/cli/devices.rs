@@ -41,7 +41,7 @@ struct Bench {
 impl Bench {
     fn new(real: usize, fault: &str, body: &str) -> Bench {
         let (folder, port) = (TempDir::new().expect("a temporary folder"), free_port());
-        let program = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/bench.py");
+        let program = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join("tests/peers/bench.py");
         let command = |part: &str| {
             format!("[\"python3\", \"-SE\", \"{}\", \"{part}\", \"{port}\", \"{fault}\"]", program.display())
         };
@@ -190,7 +190,7 @@ fn no_robot_moves_without_a_confirmation() {
     let file = bench.file();
     refuses(&["doctor", &file, "--wiggle", "--listen", "0.2"], &["--wiggle", "--yes"]);
     refuses(&["doctor", &file, "--wiggle", "--yes", "--listen", "0"], &["--listen 0"]);
-    let offboard = Path::new(env!("CARGO_MANIFEST_DIR")).join("teams/offboard.toml");
+    let offboard = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join("teams/offboard.toml");
     let offboard = offboard.to_string_lossy();
     refuses(&["doctor", &offboard, "--robot", "0", "--wiggle", "--yes"], &["no real robot", "needs no wiggle"]);
 }

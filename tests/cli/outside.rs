@@ -102,7 +102,7 @@ fn is_tame(of: &str, said: &str) {
 fn names_and_values_of_files_cannot_steer_a_terminal() {
     let folder = TempDir::new().expect("a temporary folder");
     let at = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
-    let source = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
+    let source = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
     // A name of a file, in errors and in tables.
     let policy = at(&format!("{EVIL}.safetensors"));
     refuses(&["sim", "--policy", &policy], &["\\u001b[2J\\nforged"]);

@@ -61,7 +61,7 @@ fn a_command_or_a_flag_of_a_missing_feature_says_which_one_the_program_needs() {
 
 #[test]
 fn every_example_is_checked_and_shown_in_every_build() {
-    let examples = read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("teams")).expect("the examples");
+    let examples = read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join("teams")).expect("the examples");
     for path in examples.map(|entry| entry.expect("an example").path()) {
         let folder = TempDir::new().expect("a temporary folder");
         let inside = |name: &str| folder.path().join(name).to_string_lossy().into_owned();

@@ -216,7 +216,7 @@ const JOURNAL: [&str; 10] =
 fn trials_of_another_seed_or_policy_are_run_again() {
     let place = Place::new();
     let policy = place.at("policy.safetensors");
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies");
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join("policies");
     let take = |name: &str| assert!(std::fs::copy(root.join(name), &policy).expect("a policy") > 0);
     let args = [&JOURNAL[..], &["--losses", "0", "--policy", &policy]].concat();
     take("passage.safetensors");

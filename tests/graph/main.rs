@@ -8,13 +8,9 @@ mod determinism;
 mod devices;
 mod drives;
 mod estimators;
-#[cfg(feature = "study")]
-mod fast_dds;
 mod faults;
 mod filter;
 mod gpsd;
-#[cfg(feature = "study")]
-mod growth;
 mod judged;
 mod natnet;
 #[cfg(feature = "rigid")]

@@ -275,7 +275,7 @@ fn every_command_of_the_page_works() {
     if !possible() || !cfg!(feature = "study") || busy || !ping {
         return report(&format!("skipped: the page's names are in use here {busy}, ping {ping}"));
     }
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let page = std::fs::read_to_string(root.join("docs/lab.md")).unwrap();
     let folder = TempDir::new().unwrap();
     for (before, block) in blocks(&page, "toml") {
@@ -324,7 +324,7 @@ fn the_page_of_a_team_in_a_lab_is_at_a_station_of_its_own() {
     let file = File::new("w", "stations = 6\npreset = \"wifi\"\ncable = \"10.78.0.0\"\n");
     let (lab, key) = (file.path("lab.toml"), file.path("team.key"));
     assert!(run(&["key", "new", "--out", &key]).status.success());
-    let team = concat!(env!("CARGO_MANIFEST_DIR"), "/teams/onboard-infra.toml");
+    let team = concat!(env!("CARGO_MANIFEST_DIR"), "/../../teams/onboard-infra.toml");
     let args = ["launch", team, "--lab", &lab, "--key-file", &key, "--watch", "--quiet"];
     refuses(&args, &["--watch", "stations = 7", "lab.toml"]);
     let text = std::fs::read_to_string(&lab).unwrap().replace("stations = 6", "stations = 7");

@@ -12,7 +12,7 @@ use murmurate::train::vector::{Autoreset, Buffers, Content, Options, VectorEnvir
 #[test]
 fn a_step_of_a_network_allocates_nothing() {
     let passage = scenario::build("passage", &Settings::default()).expect("the default is sound");
-    let hops = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/conv_three_hops.safetensors"));
+    let hops = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/conv_three_hops.safetensors"));
     let hops = Model::from_file(&hops.expect("it is part of the tests"), "passage").expect("it is sound");
     for model in [policy::untrained(1), policy::untrained_full(1), hops] {
         let mut policy = model.instance(passage.arena());

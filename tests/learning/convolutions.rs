@@ -15,7 +15,7 @@ const FILES: [&str; 8] =
     ["graph_add", "graph_mean", "graph_max", "gatv2", "gatv2_self_loops", "gine", "transformer", "three_hops"];
 
 fn read(name: &str) -> Vec<u8> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/data/conv_{name}.safetensors"));
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(format!("tests/data/conv_{name}.safetensors"));
     std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 

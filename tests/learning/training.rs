@@ -227,7 +227,7 @@ fn both(
     change: impl Fn(Trial) -> Trial,
     conditions: impl Fn(u32) -> Episode + Sync,
 ) -> [Vec<(Verdict, f64)>; 2] {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/passage.safetensors");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join("policies/passage.safetensors");
     let bytes = std::fs::read(&path).expect("the shipped policy");
     let file = weights::read(&bytes).expect("the shipped policy is sound");
     let manifest = file.manifest.clone();

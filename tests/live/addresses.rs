@@ -18,7 +18,7 @@ fn case(name: &str) {
     if !may.is_ok_and(|status| status.success()) {
         return report("skipped: network namespaces need root and the program 'ip'");
     }
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/cases/robots").join(name);
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join("tests/cases/robots").join(name);
     let work = TempDir::new().expect("a temporary folder");
     let output = Command::new("bash")
         .arg(script)

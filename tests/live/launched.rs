@@ -40,7 +40,7 @@ fn simulated(episodes: u32) -> BTreeMap<u32, (String, String)> {
 
 /// Returns the same from the log of `launch`.
 fn launched(episodes: u32) -> BTreeMap<u32, (String, String)> {
-    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/teams/offboard.toml");
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../teams/offboard.toml");
     let set = [
         format!("episodes={episodes}"),
         format!("seed={SEED}"),

@@ -33,7 +33,7 @@ impl Spoilt {
         socket.set_read_timeout(Some(Duration::from_millis(500))).expect("it can be set");
         // The port is free again once this socket is dropped.
         let port = UdpSocket::bind("127.0.0.1:0").expect("a socket").local_addr().expect("bound").port();
-        let program = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/odometer.py");
+        let program = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join("tests/peers/odometer.py");
         let command = |part: &str| format!("[\"python3\", \"-SE\", \"{}\", \"{part}\", \"{port}\"]", program.display());
         let file = format!(
             "team = 61\nscenario = \"swap\"\npolicy = \"orca\"\nepisodes = 1000\nwall_radius_m = 0.16\n\

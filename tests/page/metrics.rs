@@ -42,7 +42,7 @@ fn metrics_are_those_that_were_published_and_need_the_token_where_others_can_rea
 
 #[test]
 fn a_host_serves_its_metrics_while_it_runs() {
-    let team = concat!(env!("CARGO_MANIFEST_DIR"), "/teams/offboard.toml");
+    let team = concat!(env!("CARGO_MANIFEST_DIR"), "/../../teams/offboard.toml");
     refuses(&["host", team, "--host", "agent-0", "--metrics", "0.0.0.0:0"], &["--metrics", "token"]);
     let number = format!("team={}", 1000 + (4 * std::process::id() + 1) % 60_000);
     let flags = ["host", team, "--host", "world", "--set", &number, "--metrics", "127.0.0.1:0", "--json"];

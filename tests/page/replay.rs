@@ -80,7 +80,7 @@ fn a_record_is_shown_at_any_time_with_its_marks_and_links() {
 fn the_records_of_a_real_team_are_shown_as_one() {
     let Some(mut browser) = Browser::start() else { return };
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let team = concat!(env!("CARGO_MANIFEST_DIR"), "/teams/onboard-adhoc.toml");
+    let team = concat!(env!("CARGO_MANIFEST_DIR"), "/../../teams/onboard-adhoc.toml");
     // No other run of this test has the number.
     let number = format!("team={}", 1000 + (4 * std::process::id() + 2) % 60_000);
     recorded(&["launch", team, "--set", &number, "--set", "episodes=1"], folder.path());

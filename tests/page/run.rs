@@ -145,7 +145,7 @@ fn a_trial_that_nobody_touches_has_the_report_of_a_trial_without_a_page() {
 #[test]
 fn the_page_of_a_real_team_stops_it_and_so_does_a_page_that_joins_later() {
     let Some(mut browser) = Browser::start() else { return };
-    let team = concat!(env!("CARGO_MANIFEST_DIR"), "/teams/offboard.toml");
+    let team = concat!(env!("CARGO_MANIFEST_DIR"), "/../../teams/offboard.toml");
     // No other run of this test has the number.
     let number = format!("team={}", 1000 + 4 * std::process::id() % 60_000);
     let folder = tempfile::tempdir().expect("a temporary folder");

@@ -3,8 +3,12 @@
 
 use std::process::{Command, Output, Stdio};
 
+/// The repository's folder: paths in the arguments of tests are relative to it.
+pub const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
+
 pub fn murmurate(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_murmurate"));
+    command.current_dir(ROOT);
     command.args(args).env_remove("MURMURATE_LOG").env_remove("MURMURATE_REFERENCE").stdin(Stdio::null());
     command
 }

@@ -76,7 +76,7 @@ fn only_the_seconds_around_an_aborted_episode_are_kept() {
 #[test]
 fn a_host_keeps_its_last_seconds_when_it_is_asked_to() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let team = concat!(env!("CARGO_MANIFEST_DIR"), "/teams/offboard.toml");
+    let team = concat!(env!("CARGO_MANIFEST_DIR"), "/../../teams/offboard.toml");
     let number = format!("team={}", 1000 + (4 * std::process::id() + 1) % 60_000);
     let to = folder.path().to_str().expect("a path in UTF-8");
     let own = ["host", team, "--host", "world", "--set", &number, "--json"];
@@ -121,7 +121,7 @@ fn trials_of_a_study_are_recorded_and_run_again() {
 #[test]
 fn lines_that_a_host_has_logged_are_in_its_record_and_do_not_disturb_a_replay() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let team = concat!(env!("CARGO_MANIFEST_DIR"), "/teams/offboard.toml");
+    let team = concat!(env!("CARGO_MANIFEST_DIR"), "/../../teams/offboard.toml");
     let number = format!("team={}", 1000 + (4 * std::process::id() + 3) % 60_000);
     let to = folder.path().to_str().expect("a path in UTF-8");
     let mut command = murmurate(&["host", team, "--host", "world", "--set", &number, "--json", "--record", to]);
@@ -144,7 +144,7 @@ fn lines_that_a_host_has_logged_are_in_its_record_and_do_not_disturb_a_replay() 
 #[test]
 fn flags_of_records_are_refused_where_they_make_no_sense() {
     refuses(&["sim", "--record-last", "5"], &["--record-last", "--record DIR"]);
-    let team = concat!(env!("CARGO_MANIFEST_DIR"), "/teams/offboard.toml");
+    let team = concat!(env!("CARGO_MANIFEST_DIR"), "/../../teams/offboard.toml");
     let folder = tempfile::tempdir().expect("a temporary folder");
     let to = folder.path().to_str().expect("a path in UTF-8");
     refuses(&["sim", "--record", to, "--record-last", "0"], &["--record-last", "3600"]);

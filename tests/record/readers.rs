@@ -4,7 +4,7 @@ use std::process::Command;
 
 use tempfile::TempDir;
 
-use crate::program::{run, text};
+use crate::program::{ROOT, run, text};
 use crate::records;
 
 /// Python with these packages: the variable `RECORD_PYTHON`, or else `python3` if it has them.
@@ -27,7 +27,7 @@ fn python_reads_what_was_recorded() {
     assert!(run(&sim).status.success());
     let record = records(to.as_ref()).remove(0);
     let check = ["tests/peers/record/check.py", record.to_str().unwrap(), csv];
-    let output = Command::new(python).args(check).output().expect("it starts");
+    let output = Command::new(python).args(check).current_dir(ROOT).output().expect("it starts");
     assert!(output.status.success(), "{}{}", text(&output.stdout), text(&output.stderr));
     println!("{}", text(&output.stdout));
 }

@@ -12,7 +12,7 @@ use murmurate::record::{Event, Scope, reader};
 use murmurate::trial::{Proceed, Trial};
 use tempfile::TempDir;
 
-use crate::program::{refuses, run, text};
+use crate::program::{ROOT, refuses, run, text};
 use crate::records;
 
 const SIM: [&str; 8] = ["sim", "--mode", "offboard", "--safety", "emulated", "--repeats", "2", "--json"];
@@ -91,7 +91,7 @@ fn another_seed_or_another_delay_differs_and_the_difference_is_named() {
 fn files_of_a_run_are_in_its_record_and_a_run_without_them_is_the_same() {
     let (folder, files) = (TempDir::new().unwrap(), TempDir::new().unwrap());
     let policy = files.path().join("own.safetensors");
-    std::fs::copy("policies/passage.safetensors", &policy).expect("it is there");
+    std::fs::copy(Path::new(ROOT).join("policies/passage.safetensors"), &policy).expect("it is there");
     recorded(folder.path(), &["--policy", policy.to_str().unwrap(), "--delay-ms", "20", "--seed", "3"]);
     std::fs::remove_file(&policy).expect("it was there");
     let replayed = run(&["replay", folder.path().to_str().unwrap()]);

@@ -21,7 +21,7 @@ struct Relay {
 
 impl Relay {
     fn start(team: &Running) -> Relay {
-        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/live/stop/relay.py");
+        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/live/stop/relay.py");
         let mut command = team.lab.command("relay", "python3");
         command.args([script, "left", "right", &VERSION.to_string()]).stdin(Stdio::piped()).stdout(Stdio::piped());
         let mut child = command.spawn().expect("there is python3");

@@ -92,7 +92,7 @@ impl Case {
                 sets.extend(hosts.iter().map(peer));
             }
         }
-        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("teams/{}.toml", self.file));
+        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(format!("teams/{}.toml", self.file));
         let source = std::fs::read_to_string(source).expect("it is there");
         // Fields of single hosts name the interfaces of real machines.
         let source = source.split("\n# The PC is cabled").next().expect("there is a beginning");

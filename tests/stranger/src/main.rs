@@ -3,5 +3,5 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    murmurate::program::main(&stranger::registry())
+    murmurate_cli::main(&stranger::registry())
 }

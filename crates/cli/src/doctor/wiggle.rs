@@ -1,0 +1,169 @@
+//! `doctor --wiggle`: drives each robot of one host 10 cm and back, and reports whether it moved correctly.
+
+use std::io::{BufRead, IsTerminal};
+
+use murmurate::actors::verdict::{Axes, Verdict};
+use murmurate::actors::wiggle::{Config, Driven, SPEED_M_S};
+use murmurate::deploy::Host;
+use murmurate::deploy::team::Team;
+use murmurate::graph::COMMAND_VALIDITY;
+use murmurate::messages::ids::RobotId;
+use murmurate::registry::Registry;
+use murmurate::safety::guard;
+use murmurate::time::Span;
+use anyhow::Result;
+
+use super::{Found, Status, Subject};
+use crate::BadInput;
+use crate::output::talk;
+
+/// Period of motor commands: that of policies.
+const PERIOD: Span = Span::from_millis(50);
+
+/// Returns the deployment's entry of the host `team.host`.
+pub fn host_of(team: &Team) -> &Host {
+    &team.deployment.hosts[usize::from(team.host.0)]
+}
+
+/// Returns the only one of the hosts `teams` that drives real robots. It is an error if none or several do.
+pub fn only(teams: &[Team]) -> Result<&Team> {
+    let names: Vec<&str> = teams.iter().map(|team| host_of(team).name.as_str()).collect();
+    let real: Vec<&Team> = teams.iter().filter(|team| !host_of(team).actuates.is_empty()).collect();
+    let why = match real[..] {
+        [only] => return Ok(only),
+        [] => format!("{} drives no real robot, and a simulated one needs no wiggle", names.join(", ")),
+        _ => "several hosts drive robots; name one by --host, or --robot N".to_owned(),
+    };
+    Err(BadInput(format!("--wiggle: {why}")).into())
+}
+
+/// Checks that the flag `--yes` (`yes`) confirms the wiggle, which drives robots, or that a user can confirm it on a
+/// terminal; otherwise it is an error.
+pub fn check_confirmable(yes: bool) -> Result<()> {
+    if !yes && !std::io::stdin().is_terminal() {
+        let why = "--wiggle moves robots: confirm it by --yes, or on a terminal";
+        return Err(BadInput(why.to_owned()).into());
+    }
+    Ok(())
+}
+
+/// Asks on the terminal whether the robots of the host `team.host` may be driven 10 cm and back. Returns true if the
+/// answer is yes.
+pub fn confirm(team: &Team) -> Result<bool> {
+    let robots: Vec<String> = host_of(team).actuates.iter().map(u16::to_string).collect();
+    talk(&format!(
+        "robots {} of host '{}' will drive 10 cm and back, one after the other. Is there room? [y/N]",
+        robots.join(", "),
+        host_of(team).name
+    ));
+    let mut answer = String::new();
+    std::io::stdin().lock().read_line(&mut answer)?;
+    Ok(matches!(answer.trim(), "y" | "Y" | "yes"))
+}
+
+/// Returns the configuration of the wiggle (the short drive of each robot) for the host `team.host`: its robots, their
+/// guard, and the arena, which has no walls if the robots are measured by their odometry only.
+pub fn config(team: &Team, registry: &Registry) -> Result<Config> {
+    let scenario =
+        registry.scenario(&team.scenario, &team.deployment.settings()).map_err(|e| BadInput(e.to_string()))?;
+    let host = host_of(team);
+    let mut arena = scenario.arena().clone();
+    if host.source.is_none() {
+        // The walls are unknown in the frame of a robot's odometry.
+        arena.keep_outs.clear();
+    }
+    let guard = guard::Config {
+        safety: team.safety,
+        half_extent: arena.half_extent,
+        walls: arena.keep_outs.as_slice().into(),
+        limit_m_s: SPEED_M_S,
+        clamp: team.simulated.clamp,
+        period: PERIOD,
+    };
+    let driven = |&robot: &u16| -> Result<Driven> {
+        let (robot, driver) = (RobotId(robot), host.driver.as_ref().expect("a checked host that actuates has one"));
+        let parts = registry.driver(driver, robot).map_err(|e| BadInput(e.to_string()))?;
+        let limit_m_s = (parts.driver)().limits().speed_m_s;
+        Ok(Driven { robot, chassis: team.deployment.chassis(robot), limit_m_s })
+    };
+    let robots = host.actuates.iter().map(driven).collect::<Result<_>>()?;
+    Ok(Config { robots, guard, arena, valid_for: COMMAND_VALIDITY })
+}
+
+/// Returns the finding that the whole wiggle has failed, or was not run, for the reason `why`.
+pub fn failed(why: &str, advice: &str) -> Found {
+    (Status::Fail, Subject::General("wiggle".to_owned()), why.to_owned(), advice.to_owned())
+}
+
+/// Returns the finding about a robot that was to be driven, from the judgement `verdict` of its motion. `localizes` is
+/// true if a source measured the motion, and not the robot's odometry.
+pub fn finding(robot: RobotId, verdict: &Verdict, localizes: bool) -> Found {
+    let (status, said, advice) = words(robot, verdict);
+    let frame = if localizes || status != Status::Ok { "" } else { ", by its own odometry" };
+    (status, Subject::General(format!("{robot}, wiggle")), format!("{said}{frame}"), advice)
+}
+
+fn names(robots: &[RobotId]) -> String {
+    robots.iter().map(RobotId::to_string).collect::<Vec<_>>().join(", ")
+}
+
+fn words(robot: RobotId, verdict: &Verdict) -> (Status, String, String) {
+    let fail = |said: String, advice: &str| (Status::Fail, said, advice.to_owned());
+    match verdict {
+        Verdict::Right(distance, off) => {
+            let (cm, degrees) = (distance * 100.0, off.abs().to_degrees());
+            (Status::Ok, format!("went {cm:.1} cm, {degrees:.0} degrees off, and back"), String::new())
+        }
+        Verdict::Unseen => fail("no reading of it: it stands".to_owned(), "see its source above"),
+        Verdict::Unfit(why) => {
+            let why = why.as_deref().map_or(String::new(), |why| format!(": {why}"));
+            fail(format!("was not driven{why}"), "see its driver above")
+        }
+        Verdict::Noisy(noise) => {
+            let cm = noise * 100.0;
+            let said =
+                format!("was not driven: it seems to move by {cm:.0} cm while it stands, too much to judge 10 cm");
+            fail(said, "does it stand? else look at the tracker")
+        }
+        Verdict::NoRoom => fail(
+            "was not driven: there is no room in any direction".to_owned(),
+            "put it inside the scenario's ground, away from walls and other robots",
+        ),
+        Verdict::Still(others) if others.is_empty() => fail(
+            "was driven, and no robot moved".to_owned(),
+            "are its motors on, and is its heading measured? without one, it stands",
+        ),
+        Verdict::Still(others) => fail(
+            format!("{robot} was driven, {} moved", names(others)),
+            "are their addresses swapped, or their names in the tracker?",
+        ),
+        Verdict::Together(others) => {
+            fail(format!("{robot} was driven, and {} moved, too", names(others)), "do they listen to one address?")
+        }
+        Verdict::Astray(axes, off) => {
+            let (degrees, side) = (off.abs().to_degrees(), if *off > 0.0 { "left" } else { "right" });
+            let said = format!("went {degrees:.0} degrees to the {side} of where it should{}", mistake(*axes));
+            fail(said, "correct the axes of its driver, or of its source")
+        }
+        Verdict::Distance(distance) => {
+            let cm = distance * 100.0;
+            fail(format!("went {cm:.1} cm instead of 10 cm"), "are its speeds in m/s, and positions in m?")
+        }
+        Verdict::Held(why) => {
+            fail(format!("its guard has stopped or slowed it: {why}"), "docs/safety.md has each cause")
+        }
+    }
+}
+
+fn mistake(axes: Axes) -> &'static str {
+    match axes {
+        Axes::Right => "",
+        Axes::MirroredX => ", as with the sign of x wrong",
+        Axes::MirroredY => ", as with the sign of y wrong",
+        Axes::Reversed => ", as with both signs wrong",
+        Axes::Swapped => ", as with x and y swapped",
+        Axes::Left => ", as if turned a quarter to the left",
+        Axes::RightTurn => ", as if turned a quarter to the right",
+        Axes::SwappedReversed => ", as with x and y swapped and both signs wrong",
+    }
+}

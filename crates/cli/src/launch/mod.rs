@@ -1,0 +1,248 @@
+//! The command `murmurate launch`: runs every process of a team on this machine and prints the table of results.
+//!
+//! Each process is `host` of this program. It prints events as JSON lines on stdout (`report::event`). Its stderr is
+//! passed on with the host's name before each line.
+
+mod outcome;
+mod results;
+#[cfg(feature = "lab")]
+mod stations;
+mod supervisor;
+
+use std::ffi::OsString;
+use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use murmurate::config::shown::counted;
+use murmurate::deploy::team::{Team, TeamFile};
+use murmurate::registry::Registry;
+use murmurate::report::summary::{CostName, Counts, Run, Summary};
+use anyhow::{Context, Result, anyhow};
+
+use crate::BadInput;
+use crate::Ended;
+#[cfg(all(feature = "watch", feature = "lab"))]
+use crate::lab;
+use crate::output::print;
+#[cfg(feature = "watch")]
+use crate::output::talk;
+use crate::recording;
+use crate::team;
+use crate::this_program;
+#[cfg(feature = "watch")]
+use crate::watch::{self, team::News};
+use outcome::Outcome;
+use results::Results;
+use supervisor::{Limits, Process, Supervisor};
+
+/// Flags of `murmurate launch`.
+#[derive(clap::Args)]
+#[command(after_help = "Exit codes: 0 every episode has a result and every process has ended well; 1 a process has \
+    failed (more than 3 restarts in 60 s, or it would not end), or could not write all of its output, such as a record \
+    on a full disk; 2 a flag, the team file, the key or the policy is \
+    wrong; 130 interrupted by Ctrl-C or SIGTERM. The results until then are printed.")]
+pub struct Args {
+    #[command(flatten)]
+    team: team::TeamArgs,
+    /// Command that starts each process, with {host} for its host's name, such as 'ip netns exec lab-{host}' for
+    /// network namespaces; its words are separated by spaces
+    #[arg(long, value_name = "COMMAND")]
+    through: Option<String>,
+    /// Runs each process in a station of a laboratory: links by radio on its channel, all others on its cable
+    #[cfg(feature = "lab")]
+    #[arg(long, value_name = "FILE", conflicts_with = "through")]
+    lab: Option<std::path::PathBuf>,
+    #[command(flatten)]
+    record: recording::RecordFlags,
+    #[cfg(feature = "watch")]
+    #[command(flatten)]
+    page: watch::OptionalPage,
+    /// Prints one JSON object instead of the table
+    #[arg(long)]
+    json: bool,
+    /// Prints only errors and warnings on stderr, without the logs of the processes
+    #[arg(long)]
+    quiet: bool,
+}
+
+/// Runs `launch`: starts the team, waits for it, and prints the results.
+pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
+    #[cfg(feature = "watch")]
+    args.page.check()?;
+    #[cfg(feature = "lab")]
+    if let Some(file) = &args.lab {
+        return stations::run(args, file, registry);
+    }
+    let place = Place { before: &|host, _| through(args, host), page: None };
+    run_team(args, &args.team, &place, registry)
+}
+
+/// Where the processes of a team and the live page run on this machine.
+struct Place<'a> {
+    /// Returns the words that precede the command of a process, by the name and the number of its host.
+    before: &'a dyn Fn(&str, usize) -> Vec<String>,
+    /// Network namespace in which the page joins the team; `None` for that of this process.
+    #[cfg_attr(not(all(feature = "watch", feature = "lab")), expect(dead_code, reason = "there is no page or no lab"))]
+    page: Option<&'a str>,
+}
+
+/// Starts the team `team` at `place`, waits for it, and prints the results.
+fn run_team(args: &Args, team: &team::TeamArgs, place: &Place, registry: &Registry) -> Result<Ended> {
+    let file = team.read(registry)?;
+    let teams: Vec<Team> = file.hosts().map(|host| team.for_host(&file, host)).collect::<Result<_>>()?;
+    let policy = checked(&teams, registry)?;
+    let supervisor = Supervisor::new(processes(args, team, &file, place.before)?, Limits::default());
+    let stopper = supervisor.stopper();
+    let interrupted = Arc::new(AtomicBool::new(false));
+    let signal = Arc::clone(&interrupted);
+    ctrlc::set_handler(move || {
+        signal.store(true, Ordering::Relaxed);
+        stopper.stop();
+    })
+    .context("cannot listen for Ctrl-C")?;
+
+    let names: Vec<String> = file.deployment().hosts.iter().map(|host| host.name.clone()).collect();
+    let mut results = Results::new(&names, teams[0].episodes, args.quiet);
+    let outcome = supervise(args, (team, &file, place), registry, supervisor, &mut results)?;
+    if let Outcome::Refused(why) = outcome {
+        return Err(BadInput(why).into());
+    }
+    let first = &teams[0];
+    let began = results.began;
+    let wall_s = began.elapsed().as_secs_f64();
+    let finished = results.episodes.len() == first.episodes as usize;
+    // An interrupt counts even if all results are there, as long as processes are running.
+    let interrupted = interrupted.load(Ordering::Relaxed);
+    let run = Run {
+        mode: first.deployment.mode.clone(),
+        scenario: first.scenario.clone(),
+        policy,
+        robots: first.deployment.robots,
+        cost: CostName::named(registry, &first.scenario, first.deployment.robots),
+        judged: first.deployment.judged(),
+        seed: first.seed,
+        wall_s,
+        network: None,
+        faults: Vec::new(),
+        interrupted: !finished || interrupted,
+    };
+    let summary = Summary::of_team(run, results.report(wall_s), Counts::Team, results.unwritten());
+    print(&if args.json {
+        serde_json::to_string(&summary).context("a summary is JSON")?
+    } else {
+        summary.to_string()
+    })?;
+    match outcome {
+        Outcome::Failed(why) => Err(anyhow!(why)),
+        Outcome::Done | Outcome::Incomplete(_) if !finished => {
+            let (got, all) = (results.episodes.len(), first.episodes);
+            Err(anyhow!(
+                "every process has ended, with a result of {got} of {}; see their logs",
+                counted(all, "episode")
+            ))
+        }
+        Outcome::Incomplete(why) => Err(anyhow!("every episode has a result, but {why}")),
+        _ => Ok(if interrupted { Ended::Interrupted } else { Ended::Done }),
+    }
+}
+
+/// Returns the processes of all hosts.
+fn processes(
+    args: &Args,
+    team: &team::TeamArgs,
+    file: &TeamFile,
+    before: &dyn Fn(&str, usize) -> Vec<String>,
+) -> Result<Vec<Process>> {
+    let program = this_program()?;
+    let of = |(number, host): (usize, &murmurate::deploy::Host)| {
+        let (program, mut flags) = (program.clone(), team_arguments(team));
+        flags.extend(["--host".into(), host.name.clone().into(), "--json".into(), "--launched".into()]);
+        flags.extend(args.record.arguments());
+        let before = before(&host.name, number);
+        let command = move || {
+            let mut words = before.iter().map(OsString::from).chain(program.clone());
+            let mut command = Command::new(words.next().expect("the program is one of them"));
+            command.args(words).arg("host").args(&flags);
+            command
+        };
+        Process { name: host.name.clone(), command: Box::new(command) }
+    };
+    Ok(file.deployment().hosts.iter().enumerate().map(of).collect())
+}
+
+/// Returns the words of the flag `--through` that precede the command of a host's process, with `{host}` replaced by
+/// the host's name; empty without the flag.
+fn through(args: &Args, host: &str) -> Vec<String> {
+    args.through
+        .iter()
+        .flat_map(|command| command.split_whitespace())
+        .map(|word| word.replace("{host}", host))
+        .collect()
+}
+
+/// Runs the processes of all hosts until they end, and collects their results in `results`; serves the live page
+/// meanwhile if `--watch` is given. Returns how the run ended.
+fn supervise(
+    args: &Args,
+    (_team, _file, _place): (&team::TeamArgs, &TeamFile, &Place),
+    _registry: &Registry,
+    supervisor: Supervisor,
+    results: &mut Results,
+) -> Result<Outcome> {
+    #[cfg(feature = "watch")]
+    if args.page.watch {
+        let (sender, receiver) = std::sync::mpsc::channel();
+        results.page = Some(sender);
+        let page = watch::team::Page::open(_file, _team, &args.page.page, _registry, Some(receiver))?;
+        #[cfg(feature = "lab")]
+        let space = _place.page;
+        return Ok(std::thread::scope(|scope| {
+            scope.spawn(|| {
+                // The news of the end end the page.
+                let run = || page.run(_team, _registry, None, || false);
+                #[cfg(feature = "lab")]
+                let ended = match space {
+                    Some(space) => lab::inside(space, run),
+                    None => run(),
+                };
+                #[cfg(not(feature = "lab"))]
+                let ended = run();
+                if let Err(error) = ended {
+                    talk(&format!("warning: the page has ended: {error:#}"));
+                }
+            });
+            let outcome = supervisor.run(|at, output| results.handle(at, &output));
+            results.tell_page(News::Over(results.ending(&outcome)));
+            outcome
+        }));
+    }
+    Ok(supervisor.run(|at, output| results.handle(at, &output)))
+}
+
+/// Returns the team file and the flags `--set`, `--interface` and `--key-file` as command-line arguments for another
+/// process of this program.
+fn team_arguments(team: &team::TeamArgs) -> Vec<OsString> {
+    let mut all: Vec<OsString> = vec![team.file.clone().into()];
+    all.extend(team.set.iter().flat_map(|given| ["--set".into(), given.into()]));
+    all.extend(team.interface.iter().flat_map(|name| ["--interface".into(), name.into()]));
+    all.extend(team.key_file.iter().flat_map(|path| ["--key-file".into(), path.into()]));
+    all
+}
+
+/// Reads every host's key file and policy before any process starts, and fails if one is wrong. Returns the policies'
+/// names, separated by commas.
+fn checked(teams: &[Team], registry: &Registry) -> Result<String> {
+    let mut names: Vec<String> = Vec::new();
+    let mut seen: Vec<&Team> = Vec::new();
+    for team in teams {
+        if !seen.iter().any(|other| other.key_file == team.key_file) {
+            team::key(team)?;
+        }
+        if !seen.iter().any(|other| other.policy == team.policy) {
+            names.push(team::policy(team, registry)?.name);
+        }
+        seen.push(team);
+    }
+    Ok(names.join(", "))
+}

@@ -1,0 +1,69 @@
+//! Robots' trajectories as CSV, one line per robot and step. Used for finished trials and running teams.
+
+use std::io::Write;
+
+use murmurate::messages::geometry::Vec2;
+use murmurate::report::trial::Step;
+#[cfg(feature = "sim")]
+use murmurate::report::trial::TrialReport;
+use anyhow::{Context, Result};
+
+#[cfg(feature = "sim")]
+use crate::whole_file::WholeFile;
+
+/// Columns of a trajectories file (CSV). Positions and velocities are in the world frame.
+const COLUMNS: [&str; 11] = [
+    "repeat",
+    "episode",
+    "phase",
+    "time_s",
+    "robot",
+    "x_m",
+    "y_m",
+    "vx_m_s",
+    "vy_m_s",
+    "command_x_m_s",
+    "command_y_m_s",
+];
+
+/// Writer of robots' trajectories as CSV, with one line for each robot and step.
+pub struct Paths<W: Write>(W);
+
+impl<W: Write> Paths<W> {
+    /// Returns a writer of trajectories to `file`, and writes the header line.
+    pub fn new(mut file: W) -> Result<Paths<W>> {
+        writeln!(file, "{}", COLUMNS.join(",")).context("cannot write the trajectories")?;
+        Ok(Paths(file))
+    }
+
+    /// Writes a CSV line for each robot of a step. `repeat` is the index of the step's trial among the repeats, from 0.
+    pub fn write(&mut self, repeat: usize, step: &Step) -> Result<()> {
+        for sample in &step.samples {
+            let (p, v, c) = (sample.motion.position, sample.motion.velocity, sample.command);
+            let (phase, time, robot) = (step.phase, sample.time.as_secs(), sample.robot.0);
+            let (head, numbers) = (format_args!("{repeat},{},{phase:?},{time:.3},{robot}", step.episode), [p, v, c]);
+            write!(self.0, "{head}").context("cannot write the trajectories")?;
+            for Vec2 { x, y } in numbers {
+                write!(self.0, ",{x},{y}").context("cannot write the trajectories")?;
+            }
+            writeln!(self.0).context("cannot write the trajectories")?;
+        }
+        Ok(())
+    }
+
+    /// Passes everything written so far to the file.
+    pub fn flush(&mut self) -> Result<()> {
+        self.0.flush().context("cannot write the trajectories")
+    }
+}
+
+/// Writes the trajectories of several trials, which are repeats of each other, into one CSV file. `reports` has the
+/// report of each, in the order of the repeats.
+#[cfg(feature = "sim")]
+pub fn write_all(file: &mut WholeFile, reports: &[TrialReport]) -> Result<()> {
+    let mut paths = Paths::new(std::io::BufWriter::new(file.writer()))?;
+    for (repeat, report) in reports.iter().enumerate() {
+        report.steps.iter().try_for_each(|step| paths.write(repeat, step))?;
+    }
+    paths.flush()
+}

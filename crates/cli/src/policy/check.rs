@@ -1,0 +1,163 @@
+//! The command `murmurate policy check`: describes a policy file or a built-in policy, and checks that this program can
+//! run it.
+
+use std::borrow::Cow;
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use serde::Serialize;
+
+use super::check_hops;
+use super::facts::{Facts, ProbeFacts, drawn, lines, list, made, observation, probe as probe_row};
+use murmurate::policy::hops;
+use murmurate::policy::manifest::{Activation, Aggregation, Architecture, EdgeField, Manifest};
+use murmurate::policy::probe;
+use murmurate::policy::shipped;
+use murmurate::policy::weights;
+use crate::output::{print, read_bytes, talk};
+use crate::{BadInput, Ended};
+use murmurate::registry::Registry;
+
+/// Flags of `murmurate policy check`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// The policy file; or 'shipped' or 'published', for one that is built into the program
+    policy: PathBuf,
+    /// Scenario of a built-in policy
+    #[arg(long, default_value = "passage")]
+    scenario: String,
+    /// Prints one JSON object instead of the table
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs `policy check`: prints a description of a policy file.
+///
+/// # Errors
+/// If the file cannot be read or this program cannot run it.
+pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
+    let name = args.policy.display().to_string();
+    let refuse = |why: String| BadInput(format!("the policy file '{name}': {why}"));
+    let bytes = bytes(args, registry)?;
+    if hops::file::is_format_2(&bytes) {
+        let file = hops::file::read(&bytes).map_err(|error| refuse(error.to_string()))?;
+        let (network, difference) = hops::probe::network(file).map_err(|error| refuse(error.to_string()))?;
+        foreign(&network.manifest().scenario, registry).map_or(Ok(()), |why| Err(refuse(why)))?;
+        let facts = Facts {
+            file: name,
+            digest: network.digest(),
+            manifest: network.manifest(),
+            parameters: network.parameters(),
+            latent_bytes: 4 * network.interface().features,
+            probe: difference.map(ProbeFacts::of),
+            warnings: Vec::new(),
+        };
+        return show(args, &facts, check_hops::table);
+    }
+    let file = weights::read(&bytes).map_err(|error| refuse(error.to_string()))?;
+    let layers = file.networks.iter().flat_map(|network| network.layers());
+    let parameters = layers.map(|layer| (layer.inputs() + 1) * layer.outputs()).sum();
+    let (network, difference) = probe::network(file).map_err(|error| refuse(error.to_string()))?;
+    let manifest = network.manifest();
+    foreign(&manifest.scenario, registry).map_or(Ok(()), |why| Err(refuse(why)))?;
+    let facts = Facts {
+        file: name,
+        digest: network.digest(),
+        manifest,
+        parameters,
+        latent_bytes: 4 * network.interface().features,
+        probe: difference.map(ProbeFacts::of),
+        warnings: network.assumed().map(str::to_owned).into_iter().collect(),
+    };
+    show(args, &facts, table)
+}
+
+/// Prints the facts, as JSON or as the text that `table` makes of them.
+fn show<M: Serialize>(args: &Args, facts: &Facts<M>, table: fn(&Facts<M>) -> String) -> Result<Ended> {
+    print(&if args.json { serde_json::to_string(facts).context("facts are JSON")? } else { table(facts) })?;
+    if !args.json {
+        facts.warnings.iter().for_each(|warning| talk(&format!("warning: {warning}")));
+    }
+    Ok(Ended::Done)
+}
+
+/// Returns the reason why no command runs the policy, if the program has no scenario with the name in its file.
+fn foreign(scenario: &str, registry: &Registry) -> Option<String> {
+    let known: Vec<&str> = registry.scenarios().iter().map(|entry| entry.name).collect();
+    (!known.contains(&scenario)).then(|| {
+        format!(
+            "it is for the scenario '{scenario}', which this program does not have: it has {}; a crate of your own can \
+             add it (docs/library.md)",
+            known.join(", ")
+        )
+    })
+}
+
+/// Returns the content of the policy file that the arguments name, or of a built-in policy of the scenario.
+fn bytes(args: &Args, registry: &Registry) -> Result<Cow<'static, [u8]>> {
+    let Args { policy, scenario, .. } = args;
+    let name = match policy.to_str() {
+        Some(name) if shipped::NAMES.contains(&name) => name,
+        Some(name) if !policy.exists() && registry.policies().iter().any(|entry| entry.name == name) => {
+            return Err(BadInput(format!("the policy '{name}' is code, not a file: there is nothing to check")).into());
+        }
+        _ => return Ok(Cow::Owned(read_bytes(policy, "policy file")?)),
+    };
+    let Some(built_in) = shipped::built_in(name, scenario) else {
+        return Err(BadInput(format!("there is no {name} policy for the scenario '{scenario}'")).into());
+    };
+    Ok(Cow::Borrowed(built_in))
+}
+
+fn table(facts: &Facts<Manifest>) -> String {
+    let manifest = facts.manifest;
+    let architecture = match manifest.architecture {
+        Architecture::Published => "published layers",
+        Architecture::Full => "full, equation (1) of the paper",
+    };
+    let Activation::Relu = manifest.activation.unwrap_or(Activation::Relu);
+    let Aggregation::Sum = manifest.aggregation.unwrap_or(Aggregation::Sum);
+    let edge = manifest.edge.iter().map(|field| match field {
+        EdgeField::Age => "age of the message [s]",
+        EdgeField::RelativePosition => "the neighbour's position - the own [m]",
+    });
+    let rows = [
+        ("scenario", manifest.scenario.clone()),
+        ("architecture", format!("{architecture}; activation relu, aggregation sum")),
+        ("networks", networks(facts)),
+        ("observation", observation(&manifest.observation)),
+        ("edge", list(edge.collect())),
+        (
+            "action",
+            format!(
+                "velocity [m/s], policy frame, at most {} along each axis, {} times a second; {}",
+                manifest.limit_m_s,
+                manifest.rate_hz,
+                drawn(manifest.draw)
+            ),
+        ),
+        (
+            "messages",
+            format!(
+                "{} floats ({} bytes), used within {} m for {} s",
+                facts.latent_bytes / 4,
+                facts.latent_bytes,
+                manifest.radius_m,
+                manifest.hold_s
+            ),
+        ),
+        ("probe", probe_row(facts)),
+        ("made by", made(manifest.training.as_ref())),
+        ("digest", facts.digest.to_owned()),
+    ];
+    lines(&facts.file, &rows)
+}
+
+/// Returns a text with the layer widths of the encoder, message network and update network, and the number of
+/// parameters.
+fn networks(facts: &Facts<Manifest>) -> String {
+    let widths = |widths: &[usize]| widths.iter().map(usize::to_string).collect::<Vec<_>>().join("-");
+    let Manifest { encoder, message, update, .. } = facts.manifest;
+    let [encoder, message, update] = [encoder, message, update].map(|network| widths(network));
+    format!("encoder {encoder}, message {message}, update {update}: {} parameters", facts.parameters)
+}

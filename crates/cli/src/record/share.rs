@@ -1,0 +1,93 @@
+//! The command `murmurate record share`: copies records so that they can be replayed without the team's key.
+
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+
+use murmurate::config::shown;
+use murmurate::net::protocol::key::Key;
+use crate::output::{print, talk};
+use crate::record::chosen::{self, Chosen, tell};
+use crate::temporary::Temporary;
+use crate::{BadInput, Ended, bad, key};
+use murmurate::record::identity::Identity;
+use murmurate::record::reader::{self, Reader};
+use murmurate::record::repair;
+use murmurate::record::share::{accepted, copy};
+
+/// Flags of `murmurate record share`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Record of a host of a team with a key, or the folder of the records of its hosts
+    #[arg(value_name = "FILE|DIR")]
+    record: PathBuf,
+    /// File with the team's key
+    #[arg(long, value_name = "FILE")]
+    key_file: PathBuf,
+    /// The copy, which says which datagrams had a valid tag; for a folder, a folder of copies
+    #[arg(short, long, value_name = "FILE.mcap|DIR")]
+    output: PathBuf,
+}
+
+/// Runs `record share`: checks the authentication tags in the records of hosts with the team's key, and writes copies
+/// of the records with the lists of the datagrams that had a valid tag. Of a folder, records without a key are copied,
+/// too. Returns [`Ended::Unfit`] if a file of a folder was left out, or a record is damaged.
+pub fn run(args: &Args) -> Result<Ended> {
+    let key = Key::new(key::read(&args.key_file)?);
+    let Chosen { records, left_out } = chosen::records(std::slice::from_ref(&args.record))?;
+    let whole_folder = args.record.is_dir();
+    if whole_folder {
+        let no_folder = || format!("cannot make the folder '{}'", args.output.display());
+        std::fs::create_dir_all(&args.output).with_context(no_folder)?;
+        let same = |path: &Path| path.canonicalize().ok();
+        if same(&args.record) == same(&args.output) {
+            return bad("--output: name another folder than that of the records".to_owned());
+        }
+    }
+    let mut sound = !left_out;
+    for (path, identity) in records {
+        let name = path.file_name().unwrap_or_default();
+        let output = if whole_folder { args.output.join(name) } else { args.output.clone() };
+        match one((&path, &identity), &key, &output, whole_folder) {
+            Ok(whole) => sound &= whole,
+            Err(error) if whole_folder && error.is::<BadInput>() => {
+                talk(&format!("left out: {error}"));
+                sound = false;
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(if sound { Ended::Done } else { Ended::Unfit })
+}
+
+/// Copies one record to `output`. One that was made without a key is only copied if `as_it_is`. Returns whether the
+/// record is whole.
+fn one((path, identity): (&Path, &Identity), key: &Key, output: &Path, as_it_is: bool) -> Result<bool> {
+    let wrong = |error: reader::ReadError| BadInput(error.to_string());
+    let (_, messages) = reader::messages(path).map_err(wrong)?;
+    let whole = tell(messages.health(), identity.anchor_ns);
+    let folder = output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let no_room = || format!("cannot write '{}'", output.display());
+    let Some(host) = identity.host.as_ref().filter(|host| host.keyed) else {
+        if !as_it_is {
+            return bad(format!("'{}' is not of a team with a key: share it as it is", path.display()));
+        }
+        let mut fresh = Temporary::new_in(folder, 0o666).with_context(no_room)?;
+        repair::copy(&mut Reader::open(path)?, Vec::new(), BufWriter::new(fresh.seekable()))?;
+        fresh.sync().and_then(|()| fresh.replace(output)).with_context(no_room)?;
+        print(&format!("{}: made without a key, as it is", output.display()))?;
+        return Ok(whole);
+    };
+    let found = accepted(messages, key, host.id)?;
+    if found.accepted.is_empty() && found.refused > 0 {
+        return bad(format!("--key-file: no datagram of '{}' has a tag of this key", path.display()));
+    }
+    let mut fresh = Temporary::new_in(folder, 0o666).with_context(no_room)?;
+    copy(&mut Reader::open(path)?, &found.accepted, BufWriter::new(fresh.seekable()))?;
+    fresh.sync().and_then(|()| fresh.replace(output)).with_context(no_room)?;
+    let (valid, refused) = (found.accepted.len(), found.refused);
+    let (output, valid) = (shown::value(output.display()), shown::counted(valid, "datagram"));
+    print(&format!("{output}: {valid} had a valid tag, {refused} had not"))?;
+    Ok(whole)
+}

@@ -1,0 +1,82 @@
+//! `replay --policy`: gives the recorded inputs of a host to another policy, and compares its actions with the recorded
+//! actions.
+
+use std::cell::RefCell;
+use std::fmt::Write as _;
+use std::rc::Rc;
+
+use anyhow::{Context, Result};
+
+use super::Args;
+use super::of_host::{Prepared, published};
+use murmurate::config::shown;
+use crate::output::print;
+use crate::whole_file::WholeFile;
+use murmurate::record::actions::{Commands, RobotDifference, StepDifference};
+
+/// Runs a host again with its recorded inputs and another policy, and prints by how much the actions of each robot
+/// differ from the recorded ones. Also writes the files of the flags `--steps` and `--svg`.
+pub fn show(args: &Args, prepared: Prepared) -> Result<()> {
+    let policy = prepared.policy.clone();
+    let (identity, messages, live, turns) = prepared.into_parts();
+    let name = identity.host.map_or(String::new(), |host| host.name);
+    let recorded = Commands::read(messages, identity.anchor_ns)?;
+    let replayed = Rc::new(RefCell::new(Commands::default()));
+    let taken = Rc::clone(&replayed);
+    published(live, turns, move |now, datagram| taken.borrow_mut().take(now.as_nanos(), datagram));
+    let (steps, robots) = recorded.beside(&replayed.borrow());
+    if let Some(path) = &args.steps {
+        let mut file = WholeFile::create(path)?;
+        file.writer().write_all(csv(&steps).as_bytes()).context("cannot write the steps")?;
+        file.keep()?;
+    }
+    #[cfg(feature = "report")]
+    if let Some(path) = &args.svg {
+        let of = |robot: u16| {
+            let own = steps.iter().filter(|step| step.robot == robot);
+            (robot, own.map(|step| (step.at_s, step.size())).collect())
+        };
+        let lines: Vec<(u16, Vec<(f64, f64)>)> = robots.iter().map(|robot| of(robot.robot)).collect();
+        let title = format!("Actions of {policy} beside those of the record, {name}");
+        let mut file = WholeFile::create(path)?;
+        let svg = murmurate::report::figures::actions(&title, &lines)?;
+        file.writer().write_all(svg.as_bytes()).context("cannot write the figure")?;
+        file.keep()?;
+    }
+    if args.json {
+        let said = serde_json::json!({ "host": name, "policy": policy, "robots": robots });
+        return print(&said.to_string());
+    }
+    print(&table(&name, &policy, &robots))
+}
+
+fn table(host: &str, policy: &str, robots: &[RobotDifference]) -> String {
+    let mut text = format!("host {}, policy {} on the recorded inputs", shown::value(host), shown::value(policy));
+    if robots.is_empty() {
+        text.push_str("\n  this host has published no motor commands");
+    }
+    for robot in robots {
+        let first = robot.first_s.map_or("none differs".to_owned(), |at_s| format!("the first differs at {at_s:.3} s"));
+        let RobotDifference { robot, steps, mean_m_s, most_m_s, unpaired, .. } = robot;
+        let steps = shown::counted(steps, "step");
+        let _ = write!(
+            text,
+            "\n  robot {robot:<3} {steps}: {first}; difference {mean_m_s:.3} m/s in the mean, {most_m_s:.3} at \
+             the most"
+        );
+        if *unpaired > 0 {
+            let _ = write!(text, "; {} of only one of both", shown::counted(unpaired, "step"));
+        }
+    }
+    text
+}
+
+fn csv(steps: &[StepDifference]) -> String {
+    let mut text =
+        "time_s,robot,recorded_x_m_s,recorded_y_m_s,replayed_x_m_s,replayed_y_m_s,difference_m_s\n".to_owned();
+    for step in steps {
+        let StepDifference { at_s, robot, recorded: [a, b], replayed: [x, y] } = step;
+        let _ = writeln!(text, "{at_s},{robot},{a},{b},{x},{y},{}", step.size());
+    }
+    text
+}

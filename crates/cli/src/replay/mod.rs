@@ -1,0 +1,376 @@
+//! The command `murmurate replay`: replays records and compares them message by message.
+
+mod actions;
+pub mod of_host;
+#[cfg(feature = "watch")]
+mod page;
+#[cfg(feature = "watch")]
+mod sights;
+
+use std::cell::RefCell;
+use std::fmt;
+use std::fs::DirBuilder;
+use std::os::unix::fs::DirBuilderExt;
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+
+use anyhow::{Context, Result};
+use serde::Serialize;
+
+use murmurate::config::shown::{self, counted};
+use murmurate::graph::process::ProcessEvent;
+use murmurate::messages::ids::HostId;
+use crate::output::{self, Confined, print, talk};
+use crate::record::chosen::{self, Chosen};
+#[cfg(feature = "study")]
+use crate::study;
+use crate::{BadInput, Ended, bad, sim};
+use murmurate::record::compare::{Compared, Comparison};
+use murmurate::record::identity::BUILD;
+use murmurate::record::reader::{self, Opened};
+use murmurate::record::share::ACCEPTED;
+use murmurate::record::topics::{Stage, Topics};
+use murmurate::record::{Event, Scope};
+use murmurate::registry::Registry;
+use murmurate::time::Time;
+use murmurate::trial::Proceed;
+
+/// Flags of `murmurate replay`.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Exit codes: 0 everything is equal, to the bit; 1 there is a difference: the first is named; 2 a \
+    flag or a file is wrong, or a record is of another build or lacks its key, and nothing was compared. Of several \
+    files those that cannot be used are named and left out, and the code is 1; so it is where a file is damaged."
+)]
+pub struct Args {
+    /// Records, or folders of records (docs/record.md)
+    #[arg(required = true, value_name = "FILE|DIR")]
+    records: Vec<PathBuf>,
+    /// Takes only records of simulations: runs each again from its seed
+    #[arg(long, conflicts_with = "host")]
+    rerun: bool,
+    /// Takes only records of hosts: runs each again alone, with its recorded inputs
+    #[arg(long)]
+    host: bool,
+    /// File with the team's key, for records of a team with one; the key is in no record
+    #[arg(long, value_name = "FILE")]
+    key_file: Option<PathBuf>,
+    /// Gives the recorded inputs to another policy, and prints by how much its actions differ
+    #[arg(long, value_name = "NAME|FILE", conflicts_with = "rerun")]
+    policy: Option<PathBuf>,
+    /// CSV file for each step of both policies, with --policy
+    #[arg(long, value_name = "FILE.csv", requires = "policy")]
+    steps: Option<PathBuf>,
+    /// Figure of the differences over time, with --policy
+    #[cfg(feature = "report")]
+    #[arg(long, value_name = "FILE.svg", requires = "policy")]
+    svg: Option<PathBuf>,
+    /// Replays a record of another build of this program, too; it may differ for that alone
+    #[arg(long)]
+    force: bool,
+    /// Prints one JSON object instead of the table
+    #[arg(long)]
+    json: bool,
+    #[cfg(feature = "watch")]
+    #[command(flatten)]
+    page: crate::watch::RecordPage,
+}
+
+/// Result of the replay of one record; a line of the printed table.
+#[derive(Serialize)]
+struct Line {
+    record: PathBuf,
+    /// What the record is of: a host's name, a simulation's repeat, or the name of a study's trial.
+    of: String,
+    equal: bool,
+    messages: u64,
+    /// Whether the record was cut by a crash; it is then compared up to the cut.
+    cut: bool,
+    /// Time since the start of the run at which the record lacks events \[s\]. Nothing after it is compared. `None` if
+    /// it lacks none.
+    gap_s: Option<f64>,
+    /// Time since the start of the run behind which messages are lost, as the file is damaged \[s\]. Nothing after it
+    /// is compared. `None` if none are.
+    damaged_s: Option<f64>,
+    /// Damaged places of the file, in words.
+    damaged: Vec<String>,
+    difference: Option<String>,
+}
+
+/// Results of the replays of all records that the command names.
+#[derive(Serialize)]
+struct Table {
+    records: Vec<Line>,
+}
+
+/// Runs `replay`: replays all records and prints whether they are equal, or shows them on a page if `--watch` is given.
+/// Returns [`Ended::Unfit`] if a replay differs from its record.
+pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
+    #[cfg(feature = "watch")]
+    if args.page.is_on() {
+        return page::watch(args, registry);
+    }
+    let Chosen { records, left_out } = chosen::records(&args.records)?;
+    let (only, mut table, mut sound) = (records.len() == 1 && !left_out, Table { records: Vec::new() }, !left_out);
+    let (mut shown, mut refused) = (false, None);
+    for (path, _) in records {
+        match one(args, &path, registry) {
+            Ok(line) => {
+                shown = true;
+                table.records.extend(line);
+            }
+            Err(error) if !only && error.is::<BadInput>() => {
+                talk(&format!("left out: {error}"));
+                refused.get_or_insert(error);
+                sound = false;
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    if let Some(error) = refused.filter(|_| !shown) {
+        return Err(error);
+    }
+    if args.policy.is_some() {
+        return Ok(if sound { Ended::Done } else { Ended::Unfit });
+    }
+    print(&if args.json { serde_json::to_string(&table).context("a result is JSON")? } else { table.to_string() })?;
+    sound &= table.records.iter().all(|line| line.equal && line.damaged.is_empty());
+    Ok(if sound { Ended::Done } else { Ended::Unfit })
+}
+
+/// Replays one record. Returns its line of the table; `None` with the flag `--policy`, which prints another table.
+fn one(args: &Args, path: &Path, registry: &Registry) -> Result<Option<Line>> {
+    let opened = reader::open(path).map_err(|error| BadInput(error.to_string()))?;
+    check(args, path, &opened)?;
+    let damage = opened.messages.health().faults.iter().map(|fault| fault.since(opened.identity.anchor_ns));
+    let damaged: Vec<String> = damage.collect();
+    let of = match &opened.identity.host {
+        Some(host) => format!("host {}", host.name),
+        // A record of a study is named by its column, its policy and its repeat.
+        None if opened.identity.job.is_some() => {
+            path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned())
+        }
+        None => format!("repeat {}", opened.identity.repeat),
+    };
+    let files = Files::extract(&opened)?;
+    let compared = match &opened.identity.host {
+        Some(_) if args.policy.is_some() => {
+            damaged.iter().for_each(|damage| talk(&format!("'{}' is damaged: {damage}", path.display())));
+            actions::show(args, of_host::prepare(args, (path, opened), &files, registry)?)?;
+            return Ok(None);
+        }
+        Some(_) => of_host::compare(of_host::prepare(args, (path, opened), &files, registry)?)?,
+        None if args.policy.is_some() => {
+            return bad(format!("--policy: '{}' is the record of a simulation; use 'sim --policy'", path.display()));
+        }
+        None => rerun(opened, &files, registry)?,
+    };
+    let Compared { messages, difference, cut, gap_s, damaged_s } = compared;
+    let equal = difference.is_none();
+    let difference = difference.map(|difference| difference.to_string());
+    Ok(Some(Line { record: path.to_owned(), of, equal, messages, cut, gap_s, damaged_s, damaged, difference }))
+}
+
+/// Fails if a record cannot be replayed with these flags: if it is of an operator, of the other kind than the flags
+/// permit, not from the beginning of its run, or of another build without `--force`.
+fn check(args: &Args, path: &Path, Opened { identity, messages, .. }: &Opened) -> Result<()> {
+    let health = messages.health();
+    if health.loses_files {
+        let why = health.lines(identity.anchor_ns).join("; ");
+        return bad(format!("files that a replay of '{}' needs may be lost: {why}", path.display()));
+    }
+    let of_host = identity.host.is_some();
+    if identity.operator {
+        return bad(format!(
+            "'{}' has what an operator received, and nothing that could run again; look at it with --watch",
+            path.display()
+        ));
+    }
+    if args.rerun && of_host {
+        return bad(format!("--rerun: '{}' is the record of a host; use --host", path.display()));
+    }
+    if args.host && !of_host {
+        return bad(format!("--host: '{}' is the record of a simulation; use --rerun", path.display()));
+    }
+    if identity.excerpt {
+        return bad(format!(
+            "'{}' has only the seconds around what happened (--record-last), and a replay needs a run from its \
+             beginning; look at it with --watch",
+            path.display()
+        ));
+    }
+    if identity.part > 0 {
+        return bad(format!("'{}' goes on from another file of its record: name the first one", path.display()));
+    }
+    if identity.build != BUILD {
+        let (theirs, at) = (&identity.build, path.display());
+        if !args.force {
+            return bad(format!(
+                "'{at}' was made by another build of this program ({theirs}, version {}; this is {BUILD}): replay it \
+                 with that one, or try with --force",
+                identity.version
+            ));
+        }
+        talk(&format!("warning: '{at}' was made by another build ({theirs}; this is {BUILD}) and may differ for that"));
+    }
+    Ok(())
+}
+
+/// Files attached to a record, written into a temporary folder that is removed at the end.
+pub struct Files {
+    folder: PathBuf,
+    /// Name of each file in the record, with the path of the written file.
+    pub files: Vec<(String, PathBuf)>,
+}
+
+impl Files {
+    /// Writes the files attached to a record into a new temporary folder.
+    pub fn extract(opened: &Opened) -> Result<Files> {
+        let mut number = [0; 8];
+        getrandom::fill(&mut number).map_err(|error| anyhow::anyhow!("no random bytes: {error}"))?;
+        let folder = std::env::temp_dir().join(format!("murmurate-replay-{:016x}", u64::from_le_bytes(number)));
+        // The files may not be for everybody, and the folder stays if this program is killed.
+        DirBuilder::new()
+            .mode(0o700)
+            .create(&folder)
+            .with_context(|| format!("cannot make the folder '{}'", folder.display()))?;
+        let mut files = Files { folder, files: Vec::new() };
+        let named = opened.attached.iter().filter(|(name, _)| name != ACCEPTED);
+        for (index, (name, content)) in named.enumerate() {
+            let last = Path::new(name).file_name().map_or("file".into(), |last| last.to_string_lossy().into_owned());
+            // Somebody else may have chosen the name.
+            let last: String = last.chars().filter(|c| c.is_ascii_alphanumeric() || "-_.".contains(*c)).collect();
+            let last = &last[last.len().saturating_sub(100)..];
+            let path = files.folder.join(format!("{index}-{last}"));
+            std::fs::write(&path, content).with_context(|| format!("cannot write '{}'", path.display()))?;
+            files.files.push((name.clone(), path));
+        }
+        Ok(files)
+    }
+
+    /// Lets this thread read these files and those that the user has named, and nothing else that the record names.
+    pub fn confine(&self, named: Option<&Path>) -> Confined {
+        Confined::to([Some(&*self.folder), named].into_iter().flatten().map(Path::to_owned).collect())
+    }
+
+    /// Returns the name of the team file of a host's record, as given on the command line; `None` if no file is
+    /// attached. It is the first file that `LiveRecord` attaches.
+    fn team_file(&self) -> Option<&str> {
+        self.files.first().map(|(name, _)| &**name)
+    }
+
+    /// Returns the path of the extracted policy file of a host's record, the second file that `LiveRecord` attaches;
+    /// `None` if the policy was given as a name in the registry.
+    fn policy(&self) -> Option<&Path> {
+        self.files.get(1).map(|(_, path)| &**path)
+    }
+
+    /// Returns the recorded command-line arguments, with the names of attached files replaced by the paths of the
+    /// extracted files.
+    fn in_place(&self, arguments: &[String]) -> Vec<String> {
+        let replaced = |argument: &String| {
+            for (name, path) in &self.files {
+                if argument == name {
+                    return path.to_string_lossy().into_owned();
+                }
+                if let Some(flag) = argument.strip_suffix(name).filter(|flag| flag.ends_with('=')) {
+                    return format!("{flag}{}", path.display());
+                }
+                // A policy file of a study may have a handling of its own.
+                if let Some(handling) = argument.strip_prefix(name).filter(|rest| rest.starts_with('@')) {
+                    return format!("{}{handling}", path.display());
+                }
+            }
+            argument.clone()
+        };
+        arguments.iter().map(replaced).collect()
+    }
+}
+
+impl Drop for Files {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.folder);
+    }
+}
+
+/// Runs a recorded simulation again from its seed, and compares it with its record.
+fn rerun(opened: Opened, files: &Files, registry: &Registry) -> Result<Compared> {
+    rerun_observed(opened, files, registry, |_, _| {}, |_| {})
+}
+
+/// Runs a recorded simulation again from its seed, and compares it with its record. Calls `observe` with each event of
+/// the run, and `turned` with the time of each instant after its events.
+fn rerun_observed(
+    opened: Opened,
+    files: &Files,
+    registry: &Registry,
+    observe: impl Fn(HostId, ProcessEvent) + 'static,
+    mut turned: impl FnMut(Time),
+) -> Result<Compared> {
+    let Opened { identity, messages, .. } = opened;
+    let arguments = files.in_place(&identity.arguments);
+    let confined = files.confine(None);
+    let trial = match identity.job {
+        #[cfg(feature = "study")]
+        Some(job) => study::of_record(&arguments, (job, identity.repeat), registry)?,
+        #[cfg(not(feature = "study"))]
+        Some(_) => return bad("the record of a study needs a program with the feature 'study'".to_owned()),
+        None => sim::of_record(&arguments, identity.repeat, registry)?,
+    };
+    drop(confined);
+    let topics = Topics::new(Stage::of(&trial.plan()), Scope::Simulation, 0);
+    let comparison = Rc::new(RefCell::new(Comparison::new(messages, topics, 0)));
+    let heard = Rc::clone(&comparison);
+    trial.run_observed(
+        move |_, host, event| {
+            observe(host, event);
+            if let Some(event) = Event::of(Scope::Simulation, host, event) {
+                heard.borrow_mut().push(event);
+            }
+        },
+        |_, now, _| {
+            output::stamp_as_recorded(Some(now));
+            turned(now);
+            let mut comparison = comparison.borrow_mut();
+            comparison.push(Event::Turn(now));
+            if comparison.is_over() { Proceed::Stop } else { Proceed::Continue }
+        },
+    );
+    output::stamp_as_recorded(None);
+    finish(comparison)
+}
+
+fn finish(comparison: Rc<RefCell<Comparison>>) -> Result<Compared> {
+    let comparison = Rc::try_unwrap(comparison).ok().context("a run that has ended is still observed: a bug")?;
+    Ok(comparison.into_inner().finish()?)
+}
+
+impl fmt::Display for Table {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let width = self.records.iter().map(|line| line.of.chars().count()).max().unwrap_or(0);
+        for (index, line) in self.records.iter().enumerate() {
+            if index > 0 {
+                writeln!(f)?;
+            }
+            let Line { of, messages, cut, gap_s, damaged_s, damaged, difference, .. } = line;
+            write!(f, "{:width$}  ", shown::value(of))?;
+            match difference {
+                None => write!(f, "equal, {}", counted(messages, "message"))?,
+                Some(difference) => {
+                    write!(f, "DIFFERS after {}\n{difference}", counted(messages, "equal message"))?;
+                }
+            }
+            if let Some(damaged_s) = damaged_s {
+                write!(f, ", up to {damaged_s:.3} s, where the file is damaged")?;
+            } else if let Some(gap_s) = gap_s {
+                write!(f, ", up to {gap_s:.3} s, where the record lacks events")?;
+            } else if *cut {
+                write!(f, ", up to the end of the record, which a crash has cut")?;
+            }
+            for damage in damaged {
+                write!(f, "\n  the file is damaged: {damage}")?;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,336 @@
+//! Converts the messages of a record to the events ([`Sight`]) from which the page computes what it shows.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use anyhow::Result;
+use serde_json::Value as Json;
+
+use murmurate::graph::inputs::Input;
+use murmurate::messages::geometry::{Motion, Vec2};
+use murmurate::messages::ids::{HostId, RobotId};
+use murmurate::messages::local::{Contacts, Sample, Truth};
+use murmurate::messages::wire::{Features, Wire};
+use murmurate::net::protocol::codec;
+use murmurate::net::protocol::key::Key;
+use crate::BadInput;
+use murmurate::record::identity::{self, Identity};
+use murmurate::record::protobuf_reader::{Fields, Value};
+use murmurate::record::reader::{Item, Message, ReadError, Reader};
+use murmurate::record::stage::{self, Stage};
+use murmurate::record::tape;
+use murmurate::record::topics::RECEIVED;
+use murmurate::report::episode::Episode;
+use murmurate::safety::guard::SafetyCounts;
+use murmurate::time::Time;
+use murmurate::view::timeline::Sight;
+
+/// Content of a record that the live page can show: constant properties of the run, and events.
+pub struct Shown {
+    /// Hosts, robots, ground and walls of the run.
+    pub stage: Stage,
+    /// Events of the record that change what the page shows, each with its time since the start of the run (or since
+    /// the first message, if the record does not state the start).
+    pub sights: Vec<(Time, Sight)>,
+    /// Whether the record contains which messages arrived at which host. If it does, the page can show links between
+    /// robots.
+    pub hears_links: bool,
+    /// Whether the record contains the results of episodes.
+    pub hears_results: bool,
+    /// What is not known of the run, and why, in words; empty if all is.
+    pub note: String,
+}
+
+/// Keys by which arrivals in the records of a team with a key are checked: the team's key, and those of copies that
+/// were shared without it, each by its host's name and incarnation.
+#[derive(Default)]
+pub struct Keys {
+    /// Key that the user has given.
+    pub of_team: Option<Key>,
+    /// Keys of shared copies, which hold for one record.
+    pub of_records: BTreeMap<String, Key>,
+}
+
+/// What is said if there is no key.
+const KEYLESS: &str = "what arrived is not known: the record is of a team with a key, which is in no record; give it \
+    with --key-file";
+/// What is said if the key is another one.
+const OTHER_KEY: &str = "what arrived is not known: no datagram in the record has a tag of this key";
+
+/// Collects the events for a page while a record is read.
+struct Reading<'a> {
+    stage: Option<Stage>,
+    /// Host whose record this is; `None` for a merged record of several hosts or the record of a simulation.
+    host: Option<HostId>,
+    /// Time in the record's messages that counts as 0 for the page \[ns\]: the start of the run, or the first message;
+    /// `None` before it is known.
+    zero: Option<u64>,
+    sights: Vec<(Time, Sight)>,
+    /// Hosts whose published messages are in the record, seen so far.
+    published: BTreeSet<HostId>,
+    /// Hosts whose turns of the event loop, with the datagrams they received, are in the record.
+    taped: BTreeSet<HostId>,
+    keys: &'a Keys,
+    /// Hosts of a team with a key, each with the key by which its arrivals are checked, if there is one.
+    keyed: BTreeMap<HostId, Option<Key>>,
+    /// Numbers of datagrams of hosts with a key that had a valid tag, and that had not.
+    tags: [u64; 2],
+    /// Incarnation and sequence number of the newest datagram, by receiving host and sending host. Tells repeated
+    /// datagrams.
+    newest: BTreeMap<(HostId, HostId), (u32, u32)>,
+    results: bool,
+}
+
+/// Reads from a record the content that the live page can show. Arrivals at hosts of a team with a key are checked with
+/// `keys`; without one they are left out, as they may be of anybody. An error says why the file cannot be read.
+pub fn read(path: &Path, keys: &Keys) -> Result<Shown> {
+    let wrong = |error: ReadError| BadInput(error.to_string());
+    let mut reader = Reader::open(path).map_err(wrong)?;
+    let mut reading = Reading {
+        stage: None,
+        host: None,
+        zero: None,
+        sights: Vec::new(),
+        published: BTreeSet::new(),
+        taped: BTreeSet::new(),
+        keys,
+        keyed: BTreeMap::new(),
+        tags: [0; 2],
+        newest: BTreeMap::new(),
+        results: false,
+    };
+    while let Some(item) = reader.next_item().map_err(wrong)? {
+        match item {
+            Item::Metadata(name, metadata) if name == identity::METADATA => {
+                let identity = Identity::of_metadata(&metadata)
+                    .map_err(|error| BadInput(format!("'{}' is no record of this program: {error}", path.display())))?;
+                reading.zero = Some(identity.anchor_ns);
+                reading.host = identity.host.as_ref().map(|host| host.id);
+                reading.note_key(&identity);
+            }
+            // Of a merged record: one for each host.
+            Item::Metadata(name, metadata) if name.starts_with(identity::METADATA) => {
+                if let Ok(identity) = Identity::of_metadata(&metadata) {
+                    reading.note_key(&identity);
+                }
+            }
+            Item::Metadata(name, metadata) if name == stage::METADATA => {
+                reading.stage = Stage::of_metadata(&metadata);
+            }
+            Item::Message(message) => reading.take(&message),
+            _ => {}
+        }
+    }
+    let Some(stage) = reading.stage else {
+        let why = format!(
+            "'{}' cannot be shown: it has no metadata '{}'; records of this version have them",
+            path.display(),
+            stage::METADATA
+        );
+        return Err(BadInput(why).into());
+    };
+    let note = match (reading.keyed.values().any(Option::is_none), reading.tags) {
+        (true, _) => KEYLESS,
+        (false, [0, refused]) if refused > 0 => OTHER_KEY,
+        _ => "",
+    };
+    let hears_links = note.is_empty() && stage.homes.iter().all(|home| reading.taped.contains(home));
+    let (sights, hears_results) = (reading.sights, reading.results);
+    Ok(Shown { stage, sights, hears_links, hears_results, note: note.to_owned() })
+}
+
+/// Returns the message as it is needed for the live page: a latent without its features, and any other message
+/// unchanged.
+pub fn slim(message: Wire) -> Wire {
+    match message {
+        Wire::Latent(mut latent) => {
+            latent.features = Features(Vec::new().into());
+            Wire::Latent(latent)
+        }
+        other => other,
+    }
+}
+
+impl Reading<'_> {
+    fn take(&mut self, message: &Message) {
+        let zero = *self.zero.get_or_insert(message.at);
+        let now = Time::from_nanos(message.at.saturating_sub(zero));
+        match &*message.channel.topic {
+            "/truth" => self.sights.extend(truth(now, &message.data).map(|truth| (now, Sight::Truth(truth)))),
+            "/episode" => {
+                if let Ok(episode) = serde_json::from_slice::<Episode>(&message.data) {
+                    self.results = true;
+                    self.sights.push((now, Sight::Judged(episode)));
+                }
+            }
+            "/guard" => {
+                let robot = robot_of(&message.data);
+                let counts = serde_json::from_slice::<SafetyCounts>(&message.data).ok();
+                self.sights.extend(robot.zip(counts).map(|(robot, counts)| (now, Sight::Guard(robot, counts))));
+            }
+            "/hardware" => {
+                let said: Json = serde_json::from_slice(&message.data).unwrap_or_default();
+                let percent = said["battery"].as_u64().and_then(|percent| u8::try_from(percent).ok());
+                let robot = robot_of(&message.data);
+                self.sights.extend(robot.zip(percent).map(|(robot, percent)| (now, Sight::Battery(robot, percent))));
+            }
+            topic => {
+                if topic == RECEIVED {
+                    let decoded = codec::decode(&message.data).ok();
+                    self.sights.extend(decoded.map(|(_, message)| (now, Sight::Message(slim(message)))));
+                } else if let Some(host) = topic.strip_prefix("/wire/").and_then(|name| self.host_named(name)) {
+                    self.published.insert(host);
+                    let decoded = codec::decode(&message.data).ok();
+                    self.sights.extend(decoded.map(|(_, message)| (now, Sight::Message(slim(message)))));
+                } else if let Some(host) = topic.strip_prefix("/tape/").and_then(|name| self.taped_host(name)) {
+                    self.taped.insert(host);
+                    self.turn(now, host, &message.data);
+                }
+            }
+        }
+    }
+
+    /// Notes that the recorded host has a key, and by which key its arrivals are checked.
+    fn note_key(&mut self, identity: &Identity) {
+        if let Some(host) = identity.host.as_ref().filter(|host| host.keyed) {
+            let of_record = self.keys.of_records.get(&format!("{}-{:08x}", host.name, host.incarnation));
+            let key = self.keys.of_team.as_ref().or(of_record).cloned();
+            self.keyed.entry(host.id).or_insert(None).clone_from(&key);
+        }
+    }
+
+    fn host_named(&self, name: &str) -> Option<HostId> {
+        let at = self.stage.as_ref()?.hosts.iter().position(|host| host == name)?;
+        u16::try_from(at).ok().map(HostId)
+    }
+
+    /// Returns the host of a topic `/tape/NAME`, which has the turns of a host's event loop; `None` if it is unknown.
+    /// `name` is `turn` in the record of one host, and name and incarnation of the host in a merged record.
+    fn taped_host(&self, name: &str) -> Option<HostId> {
+        match name {
+            "turn" => self.host,
+            _ => self.host_named(name.rsplit_once('-')?.0),
+        }
+    }
+
+    /// Adds events for the datagrams that a host received in a turn of its event loop, given as the recorded bytes of
+    /// the turn; repeated datagrams are added once.
+    fn turn(&mut self, now: Time, host: HostId, data: &[u8]) {
+        for input in tape::read(data).into_iter().flat_map(|turn| turn.inputs) {
+            let Input::Frame(link, frame, _) = input else { continue };
+            let plain = match self.keyed.get(&host) {
+                None => &*frame,
+                Some(None) => continue,
+                Some(Some(key)) => {
+                    let plain = key.open(&frame, link, host);
+                    self.tags[usize::from(plain.is_none())] += 1;
+                    let Some(plain) = plain else { continue };
+                    plain
+                }
+            };
+            let Ok((header, message)) = codec::decode(plain) else { continue };
+            let number = (header.incarnation, header.sequence);
+            let newest = self.newest.insert((host, header.sender), number);
+            if newest.is_some_and(|(incarnation, sequence)| incarnation == number.0 && sequence >= number.1) {
+                self.newest.extend(newest.map(|newest| ((host, header.sender), newest)));
+                continue;
+            }
+            let latent_of = if let Wire::Latent(latent) = &message { Some(latent.robot) } else { None };
+            if !self.published.contains(&header.sender) {
+                self.sights.push((now, Sight::Message(slim(message))));
+            }
+            self.sights.extend(latent_of.map(|robot| (now, Sight::Arrived(host, robot))));
+        }
+    }
+}
+
+/// Returns the robot in the field `robot` of a JSON message; `None` if there is none.
+fn robot_of(data: &[u8]) -> Option<RobotId> {
+    let said: Json = serde_json::from_slice(data).ok()?;
+    u16::try_from(said["robot"].as_u64()?).ok().map(RobotId)
+}
+
+/// Decodes a recorded message with the true states of all simulated robots at a time; `None` if it is damaged.
+fn truth(time: Time, data: &[u8]) -> Option<Truth> {
+    let mut samples = Vec::new();
+    for (_, robot) in Fields(data).filter(|(field, _)| *field == 2) {
+        let mut fields = [0.0; 12];
+        for (field, value) in Fields(robot.bytes()?) {
+            if let (Some(place), Some(number)) = (fields.get_mut(field as usize), Value::number(value)) {
+                *place = number as f32;
+            }
+        }
+        let [_, robot, x, y, vx, vy, heading, yaw_rate, command_x, command_y, robots, walls] = fields;
+        samples.push(Sample {
+            robot: RobotId(robot as u16),
+            time,
+            motion: Motion { position: Vec2::new(x, y), velocity: Vec2::new(vx, vy) },
+            heading,
+            yaw_rate,
+            command: Vec2::new(command_x, command_y),
+            contacts: Contacts { robot: robots != 0.0, wall: walls != 0.0 },
+        });
+    }
+    Some(Truth { time, samples: samples.into() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use murmurate::messages::ids::LinkId;
+    use murmurate::messages::phase::Phase;
+    use murmurate::messages::round::Round;
+    use murmurate::messages::wire::Latent;
+    use murmurate::net::protocol::codec::{Flags, Header};
+    use murmurate::record::file::{Beginning, RecordFile};
+    use murmurate::record::identity::HostIdentity;
+    use murmurate::record::topics::Topics;
+    use murmurate::record::{Event, Scope};
+    use murmurate::trial::Trial;
+
+    /// A record of host 0 of a team with the key `key`, at which three latents of robot 1 have arrived, sent by host 1.
+    fn recorded(folder: &Path, key: &Key) -> std::path::PathBuf {
+        let trial = Trial::preset("offboard", "passage").unwrap();
+        let stage = Stage::of(&trial.plan());
+        let mut identity = Identity::here(vec!["host".to_owned()], "");
+        let name = stage.hosts[0].clone();
+        let (seed, transports) = ("00".repeat(32), vec![1; 2]);
+        let host = HostIdentity { name, id: HostId(0), incarnation: 5, seed, transports, keyed: true };
+        identity.host = Some(host);
+        let path = folder.join("host.mcap");
+        let mut file = RecordFile::create(&path, &Beginning { identity, attached: Vec::new() }, &stage).unwrap();
+        let mut topics = Topics::new(Stage::of(&trial.plan()), Scope::Host, 0);
+        for sequence in 0..3u32 {
+            let header = Header { flags: Flags::default(), team: 1, sender: HostId(1), incarnation: 9, sequence };
+            let features = Features(vec![0.5; 4].into());
+            let round = Round { term: 1, episode: 0 };
+            let latent =
+                Latent { robot: RobotId(1), round, phase: Phase::Running, motion: Motion::default(), features };
+            let mut datagram = codec::encode(&header, &Wire::Latent(latent)).unwrap().to_vec();
+            key.seal(&mut datagram, LinkId(0), None);
+            let events = [Event::Input(Input::Frame(LinkId(0), datagram.into(), None))];
+            let now = Time::from_nanos(u64::from(sequence + 1) * 50_000_000);
+            topics.instant(now, &events, &mut |topic, at, bytes| file.write(&stage, topic, at, bytes).unwrap());
+        }
+        file.finish().unwrap();
+        path
+    }
+
+    #[test]
+    fn arrivals_at_a_host_with_a_key_are_seen_with_the_key_and_otherwise_said_to_be_unknown() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let path = recorded(folder.path(), &Key::new([7; 32]));
+        let seen = |keys: &Keys| {
+            let shown = read(&path, keys).unwrap();
+            let arrived =
+                shown.sights.iter().filter(|(_, sight)| matches!(sight, Sight::Arrived(HostId(0), RobotId(1))));
+            (arrived.count(), shown.hears_links, shown.note)
+        };
+        let (arrived, _, note) = seen(&Keys { of_team: Some(Key::new([7; 32])), ..Keys::default() });
+        assert_eq!((arrived, &*note), (3, ""));
+        let (arrived, links, note) = seen(&Keys::default());
+        assert!(arrived == 0 && !links && note.contains("--key-file"), "{note}");
+        let (arrived, links, note) = seen(&Keys { of_team: Some(Key::new([8; 32])), ..Keys::default() });
+        assert!(arrived == 0 && !links && note.contains("no datagram"), "{note}");
+    }
+}

@@ -1,0 +1,156 @@
+//! The trial that the flags of `murmurate sim` define.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::Result;
+
+use super::Args;
+use murmurate::actors::recorder::Steps;
+use murmurate::deploy::conditions::Conditions;
+use murmurate::deploy::{Deployment, Impair};
+use crate::output::{read_text, talk};
+use crate::{BadInput, bad, conditions, deployment, policy, size};
+use murmurate::registry::Registry;
+use murmurate::scenario::layout::Layouts;
+use murmurate::scenario::{ScenarioError, Settings};
+use murmurate::trial::Trial;
+use murmurate::world::{Overrides, Placement};
+
+/// Returns the conditions of the file that a flag names; none without one.
+fn given(args: &Args) -> Result<Conditions> {
+    Ok(args.conditions.as_deref().map(conditions::file).transpose()?.unwrap_or_default())
+}
+
+/// Returns the deployment with the delay, loss, range and radio that the flags set for its links.
+fn network(args: &Args, mut deployment: Deployment) -> Result<Deployment> {
+    if args.impair.is_some() && args.delay_ms == 0.0 && args.loss == 0.0 {
+        return bad("--impair: there is neither delay nor loss; add --delay-ms or --loss".to_owned());
+    }
+    for (flag, value, most) in [("--delay-ms", args.delay_ms, 60_000.0), ("--loss", args.loss, 1.0)] {
+        if !(0.0..=most).contains(&value) {
+            return bad(format!("{flag}: {value} is not 0 to {most}"));
+        }
+    }
+    if args.delay_ms > 0.0 || args.loss > 0.0 {
+        let impair = if args.impair.as_deref() == Some("all") { Impair::All } else { Impair::Latent };
+        let flag = if args.delay_ms > 0.0 { "--delay-ms" } else { "--loss" };
+        let given = |value: f64| Some(value).filter(|value| *value > 0.0);
+        deployment = deployment
+            .impaired(given(args.delay_ms / 1000.0), given(args.loss), impair)
+            .map_err(|e| BadInput(format!("{flag}: {e}")))?;
+    }
+    let fitted = given(args)?;
+    if args.delay_ms == 0.0 && args.loss == 0.0 && fitted.impair() {
+        deployment = fitted.links(deployment).map_err(|e| BadInput(format!("--conditions: {e}")))?;
+    }
+    if let Some(range_m) = args.link_range_m {
+        deployment = deployment.ranged(range_m).map_err(|e| BadInput(format!("--link-range-m: {e}")))?;
+    }
+    deployment::with_radio(deployment, &args.radio)
+}
+
+/// Returns the settings of the scenario: those of the flags, or else of the conditions, or else of the deployment
+/// `file`.
+fn settings(args: &Args, file: Option<&Deployment>) -> Result<Settings> {
+    let file = size::of_file(file);
+    let Settings { scale, hull_m, .. } = args.size.over(given(args)?.under(Settings::default()));
+    Ok(Settings {
+        robots: args.robots.or(file.robots),
+        gap_m: args.gap_m.or(file.gap_m),
+        scale: scale.or(file.scale),
+        hull_m: hull_m.or(file.hull_m),
+    })
+}
+
+/// Returns the error that the scenario cannot be made, which names the flag or the file of the wrong setting.
+fn refused(args: &Args, file: Option<&Deployment>, error: &ScenarioError) -> BadInput {
+    let flags = args.size.over(Settings { robots: args.robots, gap_m: args.gap_m, ..Settings::default() });
+    let fitted = given(args).unwrap_or_default().under(Settings::default());
+    let path = |path: Option<&Path>| path.unwrap_or(Path::new("")).display().to_string();
+    let (named, conditions) = (path(args.deployment.as_deref()), path(args.conditions.as_deref()));
+    let files = [
+        (&*format!("the conditions file '{conditions}'"), fitted),
+        (&*format!("the deployment file '{named}'"), size::of_file(file)),
+    ];
+    size::refused(error, &flags, &files)
+}
+
+/// Returns the trial that the flags of `sim` define for `policy` (`None` for the scenario's default policy), and the
+/// policy's name in reports. All other trials of the policy are repeats of it.
+pub fn of_flags(args: &Args, policy: Option<&Path>, registry: &Registry) -> Result<(Trial, String)> {
+    let file = args.deployment.as_deref().map(conditions::deployment).transpose()?;
+    let settings = settings(args, file.as_ref())?;
+    let scenario = registry.scenario(&args.scenario, &settings).map_err(|e| refused(args, file.as_ref(), &e))?;
+    let mut deployment = match file {
+        Some(file) if file.robots != scenario.robots() => {
+            return bad(format!("--robots: {} robots, but the deployment file has {}", scenario.robots(), file.robots));
+        }
+        Some(file) => file,
+        None => Deployment::preset(&args.mode, scenario.robots()).expect("the parser lets only modes through"),
+    };
+    deployment = deployment.sized(&settings);
+    deployment = network(args, deployment)?;
+    deployment.placement = args.placement.unwrap_or(deployment.placement);
+    if let Some(plant) = args.plant.clone().or(given(args)?.plant) {
+        deployment.plant = plant;
+    }
+    deployment.body = args.drive.over(&deployment.body)?;
+    deployment.check().map_err(|e| BadInput(format!("--drive: {e}")))?;
+    let loaded = policy::load(registry, policy, args.action, &*scenario)?;
+    let policy::Loaded { model, name: policy, warnings } = loaded.for_team(&deployment.team_chassis());
+    for warning in warnings.iter().filter(|_| !args.quiet) {
+        talk(&format!("warning: {warning}"));
+    }
+    let mut trial = Trial::with_registry(registry, deployment, Arc::clone(&scenario), model);
+    trial = trial.seed(args.seed).episodes(args.episodes());
+    trial.handling = args.handling;
+    trial.estimator = *registry.estimator(&args.estimator).expect("the flag takes names of the registry alone");
+    let safety = args.safety(trial.deployment.stepping);
+    trial = physics(args, trial)?.clamp(args.clamp).safety(safety);
+    if let Some(path) = &args.episodes_file {
+        let text = read_text(path, "episodes file")?;
+        trial.layouts = Layouts::from_json(&text, &*scenario, args.episodes())
+            .map_err(|e| BadInput(format!("the episodes file '{}': {e}", path.display())))?;
+        if args.placement == Some(Placement::Drive) && !trial.layouts.chained() {
+            let reason = "its episodes do not start where those before them have ended";
+            return bad(format!("--placement drive: the episodes file '{}': {reason}", path.display()));
+        }
+    }
+    // Checked without and then with the faults, so that errors name the right file.
+    let place = match &args.deployment {
+        Some(path) => format!("the deployment file '{}'", path.display()),
+        None => format!("mode '{}'", args.mode),
+    };
+    trial.check().map_err(|e| BadInput(format!("{place}: {e}")))?;
+    trial.range = conditions::range(args.comm_range_m, args.comm_range_std_m, &trial)?;
+    if let Some(given) = &args.faults {
+        trial.faults = conditions::faults(given, &trial)?;
+        trial.check().map_err(|e| BadInput(format!("the fault plan '{given}': {e}")))?;
+    }
+    if args.trajectories.is_some() {
+        trial.steps = Steps::Reported;
+    }
+    Ok((trial, policy))
+}
+
+/// Returns the trial with the properties of simulated robots that the flags set.
+fn physics(args: &Args, mut trial: Trial) -> Result<Trial> {
+    if let Some(lag_s) = args.lag_s.filter(|lag_s| !(0.0..=10.0).contains(lag_s)) {
+        return bad(format!("--lag-s: {lag_s} is not 0 to 10"));
+    }
+    if let Some(radius_m) = args.wall_radius_m.filter(|radius_m| !(*radius_m > 0.0 && *radius_m <= 10.0)) {
+        return bad(format!("--wall-radius-m: {radius_m} is not above 0 and at most 10"));
+    }
+    let Args { lag_s, contacts, wall_radius_m, sensor, .. } = *args;
+    let overrides = Overrides { lag_s, contacts, wall_radius_m, sensor };
+    // An unknown plant in a file is reported later, with the file's other errors.
+    if let Ok(entry) = trial.registry.plant(&trial.deployment.plant) {
+        let flag = |field: &str| format!("--{}", field.replace('_', "-"));
+        trial.physics = overrides
+            .physics(entry, trial.scenario.arena())
+            .map_err(|error| BadInput(format!("{}: {error}", flag(error.field))))?;
+        trial.physics = given(args)?.physics(trial.physics, lag_s);
+    }
+    Ok(trial)
+}

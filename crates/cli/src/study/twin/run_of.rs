@@ -1,0 +1,149 @@
+//! Reads the records of all hosts of a run, joins them on a common clock, and builds a trial with the settings of the
+//! run.
+
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+
+use murmurate::config::regular;
+use murmurate::deploy::Routes;
+use crate::record::chosen;
+use crate::replay::{Files, of_host};
+use crate::{BadInput, bad, team};
+use murmurate::record::identity::Identity;
+use murmurate::record::merge::{Traffic, align};
+use murmurate::record::reader::{self, ReadError};
+use murmurate::registry::Registry;
+use murmurate::study::twin::observed::{Log, Run, Team};
+use murmurate::study::twin::predict;
+use murmurate::trial::Trial;
+
+/// Recorded run of a team, as read from the records of its hosts, and a trial with the same settings.
+pub struct Recorded {
+    /// Data of the run: results of episodes, motions of robots, and messages between hosts.
+    pub run: Run,
+    /// Trial with the settings of the run, under ideal conditions: the fitted model is not applied yet.
+    pub trial: Trial,
+    /// Name of the policy that the robots ran.
+    pub policy: String,
+    /// Notes for the report, such as on records that a crash has cut, and on the uncertainty of the clocks.
+    pub notes: Vec<String>,
+    /// File name and digest of each record.
+    pub digests: Vec<String>,
+}
+
+/// Reads the records of all hosts of a run; `named` has their files or folders. Fails if the record of a host is
+/// missing.
+pub fn read(named: &[PathBuf], registry: &Registry) -> Result<Recorded> {
+    let chosen = chosen::records(named)?.records;
+    let wrong = |error: ReadError| BadInput(error.to_string());
+    let (mut logs, mut identities, mut notes, mut digests) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let mut paths = Vec::new();
+    for (path, identity) in chosen {
+        let Some(host) = &identity.host else {
+            return bad(format!(
+                "'{}' is the record of a simulation, and only records of hosts have arrivals of messages: a twin is \
+                 of a run of hosts, recorded with 'launch --record DIR' or 'host --record DIR'",
+                path.display()
+            ));
+        };
+        if identity.excerpt {
+            return bad(format!(
+                "'{}' has only the seconds around what happened (--record-last): a twin is of whole episodes",
+                path.display()
+            ));
+        }
+        let log = Log::read(&path, host.id).map_err(wrong)?;
+        if log.has_gaps {
+            return bad(format!(
+                "'{}' is damaged in its middle: what is lost there would count as lost on its way ('record info' says \
+                 where)",
+                path.display()
+            ));
+        }
+        if !log.complete {
+            notes.push(format!("'{}' was cut or is damaged: what is intact counts", path.display()));
+        }
+        let name = path.file_name().map_or(String::new(), |name| name.to_string_lossy().into_owned());
+        digests.push(format!("{name} {}", digest(&path)?));
+        logs.push(log);
+        paths.push(path);
+        identities.push(identity);
+    }
+    let (trial, policy) = trial(&paths, &identities, &logs, registry)?;
+    if let Some(host) = absent(&trial, &logs) {
+        return bad(format!(
+            "there is no record of the host '{host}': a twin needs those of all hosts of the run, in one folder or \
+             named one after the other"
+        ));
+    }
+    let traffic: Vec<Traffic> = logs.iter_mut().map(|log| std::mem::take(&mut log.traffic)).collect();
+    let alignment = align(&traffic);
+    for (identity, _) in identities.iter().zip(&alignment.clocks).filter(|(_, clock)| clock.is_none()) {
+        let name = identity.host.as_ref().map_or("", |host| &host.name);
+        notes.push(format!("a record of '{name}' is left out: no datagrams join its clock with the others'"));
+    }
+    let uncertainty = alignment.clocks.iter().flatten().filter_map(|clock| clock.uncertainty_ns()).max().unwrap_or(0);
+    notes.push(format!(
+        "clocks of the hosts are known to {:.1} ms: a one-way delay may be off by as much, the mean over both \
+         directions of a link is not",
+        uncertainty as f64 / 1e6
+    ));
+    let routes = Routes::of(&trial.deployment);
+    let team = Team {
+        routes: &routes,
+        hosts: trial.deployment.hosts.len(),
+        robots: trial.deployment.robots,
+        rules: predict::rules(&trial),
+        period_ns: trial.model.interface().period.as_nanos() as i64,
+    };
+    Ok(Recorded { run: Run::of(&logs, &alignment, &team), trial, policy, notes, digests })
+}
+
+/// Returns the digest of a file, which may be longer than memory.
+fn digest(path: &Path) -> Result<String> {
+    let (mut file, mut hasher, mut piece) = (regular::open(path)?, blake3::Hasher::new(), vec![0; 1 << 16]);
+    loop {
+        match file.read(&mut piece)? {
+            0 => return Ok(hasher.finalize().to_hex().to_string()),
+            read => hasher.update(&piece[..read]),
+        };
+    }
+}
+
+/// Returns a trial with the settings that the hosts ran, from the team file in the record of the host that judged the
+/// episodes; and the policy's name.
+fn trial(paths: &[PathBuf], identities: &[Identity], logs: &[Log], registry: &Registry) -> Result<(Trial, String)> {
+    let wrong = |error: ReadError| BadInput(error.to_string());
+    let Some(judge) = logs.iter().position(Log::has_results) else {
+        return bad(
+            "no record has the result of an episode: the record of the host that judges is missing, or the run \
+                    ended before its first result"
+                .to_owned(),
+        );
+    };
+    let (path, identity) = (&paths[judge], &identities[judge]);
+    let files = Files::extract(&reader::open(path).map_err(wrong)?)?;
+    let policy = files.files.get(1).map(|(_, policy)| policy);
+    let _confined = files.confine(None);
+    let team = of_host::team_of(identity, &files, registry, |flags| {
+        flags.set.extend(policy.map(|policy| format!("policy={}", policy.display())));
+    })?;
+    let loaded = team::policy(&team, registry)?;
+    if loaded.model.digest() != identity.policy {
+        return bad(format!(
+            "'{}' is of another policy than '{}' is in this program: use the program that made the record",
+            path.display(),
+            loaded.name
+        ));
+    }
+    let trial = Trial::of_host(registry, &team, loaded.model).map_err(|error| BadInput(error.to_string()))?;
+    Ok((trial, loaded.name))
+}
+
+/// Returns the name of a host of the run of which there is no record; `None` if all have one.
+fn absent(trial: &Trial, logs: &[Log]) -> Option<String> {
+    let has = |number: usize| logs.iter().any(|log| usize::from(log.host.0) == number);
+    trial.deployment.hosts.iter().enumerate().find(|(at, _)| !has(*at)).map(|(_, host)| host.name.clone())
+}

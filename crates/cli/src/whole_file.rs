@@ -1,0 +1,66 @@
+//! Writes files that appear under their name only once they are complete.
+
+use std::fs::File;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+
+use crate::BadInput;
+use crate::destination::{Destination, folder};
+use crate::output::talk;
+use crate::temporary::Temporary;
+
+/// File that is being written, and replaces an existing file atomically once it is complete. A pipe or a device is
+/// written to directly.
+pub enum WholeFile {
+    /// Temporary file in the same folder, which gets the final name once it is complete.
+    Beside {
+        /// Final path of the file, after the links that may be followed.
+        path: PathBuf,
+        /// Temporary file with the content so far.
+        file: Temporary,
+    },
+    /// Open pipe or device.
+    Straight(File),
+}
+
+impl WholeFile {
+    /// Opens the file `path` for writing, so that a wrong path is an error before any work is done. An existing file is
+    /// not changed yet.
+    pub fn create(path: &Path) -> Result<WholeFile> {
+        let refuse = |why: String| BadInput(format!("cannot write '{}': {why}", path.display()));
+        let path = match Destination::of(path).map_err(refuse)? {
+            Destination::File(path, note) => {
+                note.iter().for_each(|note| talk(&format!("note: {note}")));
+                path
+            }
+            Destination::Stream(path) => {
+                let file = Destination::open_stream(&path, 0).map_err(|e| refuse(e.to_string()))?;
+                return Ok(WholeFile::Straight(file));
+            }
+        };
+        let file = Temporary::new_in(folder(&path), 0o666)
+            .map_err(|e| refuse(format!("{e}; choose a folder that can be written")))?;
+        Ok(WholeFile::Beside { path, file })
+    }
+
+    /// Returns the writer for the content of the file.
+    pub fn writer(&mut self) -> &mut dyn Write {
+        match self {
+            WholeFile::Beside { file, .. } => file,
+            WholeFile::Straight(file) => file,
+        }
+    }
+
+    /// Completes the file: syncs its content to the disk and gives it its final name. Without this call, an existing
+    /// file stays as it was.
+    pub fn keep(self) -> Result<()> {
+        if let WholeFile::Beside { path, file } = self {
+            file.sync()
+                .and_then(|()| file.replace(&path))
+                .with_context(|| format!("cannot write '{}'", path.display()))?;
+        }
+        Ok(())
+    }
+}
