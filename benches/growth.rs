@@ -5,12 +5,11 @@
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
-use murmurate::study::network::growth;
+use murmurate_study::network::growth;
 use murmurate::time::Span;
 use murmurate::trial::Trial;
 
 // The program's allocator.
-#[cfg(feature = "mimalloc")]
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 

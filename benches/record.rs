@@ -7,13 +7,13 @@ use std::time::{Duration, Instant};
 
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::codec::Frame;
-use murmurate::record::file::Beginning;
-use murmurate::record::identity::Identity;
-use murmurate::record::queue::WhenFull;
-use murmurate::record::series::Retention;
-use murmurate::record::topics::{Stage, Topics};
-use murmurate::record::writer::Recording;
-use murmurate::record::{Event, Scope};
+use murmurate_record::file::Beginning;
+use murmurate_record::identity::Identity;
+use murmurate_record::queue::WhenFull;
+use murmurate_record::series::Retention;
+use murmurate_record::topics::{Stage, Topics};
+use murmurate_record::writer::Recording;
+use murmurate_record::{Event, Scope};
 use murmurate::time::Time;
 use murmurate::trial::Trial;
 
@@ -24,7 +24,7 @@ fn main() {
     let count = RATE * if measured { 5 } else { 1 } / if measured { 1 } else { 10 };
     let folder = tempfile::TempDir::new().expect("a folder");
     let stage = Stage::of(&Trial::preset("offboard", "passage").expect("a preset").plan());
-    let beginning = Beginning { identity: Identity::here(Vec::new(), ""), attached: Vec::new() };
+    let beginning = Beginning { identity: Identity::here("1f", Vec::new(), ""), attached: Vec::new() };
     let topics = Topics::new(stage, Scope::Host, 0);
     let path = folder.path().join("host.mcap");
     let recording =

@@ -10,15 +10,15 @@ use murmurate::policy::manifest::Architecture;
 use murmurate::random::Seed;
 use murmurate::registry::Registry;
 use murmurate::scenario::{self, Settings};
-use murmurate::train::batch::{Batch, Graphs};
-use murmurate::train::conditions::Episode;
-use murmurate::train::config::{Conditions, Config, Reward, Stage};
-use murmurate::train::environments::Environments;
-use murmurate::train::network::{Network, Space};
-use murmurate::train::rollout::CHUNK;
-use murmurate::train::trainer::{Plan, Trainer};
-use murmurate::train::update::initial;
-use murmurate::train::vector::{Autoreset, Buffers, Content, Lengths, Options, VectorEnvironment};
+use murmurate_train::batch::{Batch, Graphs};
+use murmurate_train::conditions::Episode;
+use murmurate_train::config::{Conditions, Config, Reward, Stage};
+use murmurate_train::environments::Environments;
+use murmurate_train::network::{Network, Space};
+use murmurate_train::rollout::CHUNK;
+use murmurate_train::trainer::{Plan, Trainer};
+use murmurate_train::update::initial;
+use murmurate_train::vector::{Autoreset, Buffers, Content, Lengths, Options, VectorEnvironment};
 use rand::RngExt;
 
 fn main() {

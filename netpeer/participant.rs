@@ -388,19 +388,19 @@ fn endpoint(id: u16) -> Arc<dyn Endpoint> {
 
 /// Record of a participant, as a host makes it; none unless `NP_RECORD` names a folder.
 #[derive(Clone)]
-struct Record(Option<Rc<murmurate::record::queue::Inlet>>);
+struct Record(Option<Rc<murmurate_record::queue::Inlet>>);
 
 #[cfg(feature = "record")]
 impl Record {
     fn open(id: u16, participants: usize) -> Record {
-        use murmurate::record::Scope;
-        use murmurate::record::file::Beginning;
-        use murmurate::record::identity::Identity;
-        use murmurate::record::queue::WhenFull;
-        use murmurate::record::series::Retention;
-        use murmurate::record::stage::Stage;
-        use murmurate::record::topics::Topics;
-        use murmurate::record::writer::Recording;
+        use murmurate_record::Scope;
+        use murmurate_record::file::Beginning;
+        use murmurate_record::identity::Identity;
+        use murmurate_record::queue::WhenFull;
+        use murmurate_record::series::Retention;
+        use murmurate_record::stage::Stage;
+        use murmurate_record::topics::Topics;
+        use murmurate_record::writer::Recording;
         let Some(folder) = std::env::var_os("NP_RECORD").map(PathBuf::from) else { return Record(None) };
         let stage = Stage {
             scenario: String::new(),
@@ -413,7 +413,7 @@ impl Record {
             hull_m: 0.2,
             range_m: None,
         };
-        let beginning = Beginning { identity: Identity::here(Vec::new(), ""), attached: Vec::new() };
+        let beginning = Beginning { identity: Identity::here("1f", Vec::new(), ""), attached: Vec::new() };
         let path = folder.join(format!("peer-{id}-{:016x}.mcap", monotonic_ns()));
         let topics = Topics::new(stage, Scope::Host, 0);
         let kept = (WhenFull::Drop, Retention::default());
@@ -424,7 +424,7 @@ impl Record {
     /// Notes what the Network says, with what its host would record of it.
     fn note(&self, said: &attachment::Out) {
         use murmurate::graph::inputs::Input;
-        use murmurate::record::Event;
+        use murmurate_record::Event;
         let Some(inlet) = &self.0 else { return };
         match said {
             attachment::Out::Tap(frame) => inlet.push(Event::Published(HostId(0), frame.clone())),

@@ -32,31 +32,24 @@ pub mod estimation;
 pub mod faults;
 pub mod graph;
 pub mod hearing;
-#[cfg(feature = "lab")]
-pub mod lab;
 pub mod live;
 pub mod localization;
 pub mod messages;
 pub mod net;
 pub mod policy;
 pub mod random;
-#[cfg(feature = "record")]
-pub mod record;
 pub mod registry;
 pub mod report;
 pub mod ros2;
 pub mod runtime;
 pub mod safety;
 pub mod scenario;
-#[cfg(feature = "study")]
-pub mod study;
 pub mod time;
-#[cfg(feature = "train")]
-pub mod train;
 pub mod trial;
-#[cfg(feature = "watch")]
-pub mod view;
 pub mod world;
+
+/// Digest of this package's sources. Packages with equal digests behave equally.
+pub const DIGEST: &str = env!("SOURCE_DIGEST");
 
 #[doc = include_str!("../README.md")]
 #[cfg(doctest)]

@@ -5,11 +5,11 @@ use std::io::Cursor;
 use std::path::Path;
 
 use libfuzzer_sys::fuzz_target;
-use murmurate::record::identity::Identity;
-use murmurate::record::reader::{Item, Reader};
-use murmurate::record::repair::copy;
-use murmurate::record::stage::Stage;
-use murmurate::record::tape;
+use murmurate_record::identity::Identity;
+use murmurate_record::reader::{Item, Reader};
+use murmurate_record::repair::copy;
+use murmurate_record::stage::Stage;
+use murmurate_record::tape;
 
 fuzz_target!(|bytes: &[u8]| {
     let open = || Reader::of(Path::new("fuzzed"), Cursor::new(bytes.to_vec()));

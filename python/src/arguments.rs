@@ -3,9 +3,9 @@
 
 use murmurate::policy::manifest::Field;
 use murmurate::scenario::{Scenario, ScenarioError, Settings};
-use murmurate::train::config::{Conditions, Config, Reward, Stage};
-use murmurate::train::imitation::config::Config as Imitation;
-use murmurate::train::vector::{Autoreset, Content, Options};
+use murmurate_train::config::{Conditions, Config, Reward, Stage};
+use murmurate_train::imitation::config::Config as Imitation;
+use murmurate_train::vector::{Autoreset, Content, Options};
 use pyo3::exceptions::{PyUserWarning, PyValueError};
 use pyo3::prelude::*;
 

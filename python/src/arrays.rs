@@ -1,6 +1,6 @@
 //! Numpy arrays: those that the caller gives, and the buffers of environments, which the caller can change.
 
-use murmurate::train::vector::Options;
+use murmurate_train::vector::Options;
 use numpy::{
     Element, PyArray, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyReadwriteArrayDyn,
     PyUntypedArray, PyUntypedArrayMethods, dtype,

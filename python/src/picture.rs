@@ -1,7 +1,7 @@
 //! Picture of one team as pixels, for `render_mode="rgb_array"`.
 
 use murmurate::messages::geometry::Vec2;
-use murmurate::train::environments::Environments;
+use murmurate_train::environments::Environments;
 
 /// Pixels along the longer side of a picture, and of its margin.
 const LARGEST: f32 = 400.0;

@@ -4,7 +4,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use murmurate::policy::manifest::Field;
-use murmurate::train::vector::{Autoreset, Buffers, Content, Options, VectorEnvironment, options_of};
+use murmurate_train::vector::{Autoreset, Buffers, Content, Options, VectorEnvironment, options_of};
 use numpy::{PyArray1, PyArray3, PyArrayDyn, PyArrayMethods};
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;

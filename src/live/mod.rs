@@ -3,7 +3,6 @@
 
 pub mod links;
 mod observer;
-#[cfg(feature = "record")]
 mod replay;
 
 use std::cell::{Cell, RefCell};

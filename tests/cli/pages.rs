@@ -12,7 +12,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
-use murmurate::train::config::Config;
+use murmurate_train::config::Config;
 use tempfile::TempDir;
 
 use crate::program::{murmurate, run, text};
@@ -209,7 +209,7 @@ fn small_training() -> String {
 
 /// A training by imitation that takes little time.
 fn small_imitation() -> String {
-    let mut config = murmurate::train::imitation::config::Config::preset();
+    let mut config = murmurate_train::imitation::config::Config::preset();
     (config.robots, config.imitation.episodes) = (Some(20), 1);
     (config.policy.message, config.policy.update) = (vec![4], vec![4]);
     toml::to_string(&config).expect("a configuration is TOML")

@@ -86,7 +86,7 @@ fn every_column_of_the_table_has_its_row() {
         ["--policy", "shipped", "--policy", "orca@as-published", "--robots", "3", "--layouts", "1", "--repeats", "1"];
     let rows = columns(&[&["study", "modes"], &both[..]].concat());
     let names: Vec<&str> = rows.iter().map(|row| row["name"].as_str().expect("a name")).collect();
-    let table = murmurate::study::columns::MODES;
+    let table = murmurate_study::columns::MODES;
     let expected: Vec<&str> = table.iter().flat_map(|&name| [name, name]).collect();
     assert_eq!(names, expected);
     for row in &rows {

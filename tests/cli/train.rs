@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 
 use crate::program::{murmurate, refuses, run, text};
 use murmurate::chassis::DriveKind;
-use murmurate::train::config::Config;
+use murmurate_train::config::Config;
 use tempfile::TempDir;
 
 /// Returns a configuration that trains quickly, changed by `change`.

@@ -18,11 +18,11 @@ use murmurate::deploy::{Deployment, Impair};
 use murmurate::faults::FaultPlan;
 use murmurate::net::media::radio::{self, Radio};
 use murmurate::random::{RngExt, Seed, Stream};
-use murmurate::study::Job;
-use murmurate::study::record::Record;
+use murmurate_study::Job;
+use murmurate_study::record::Record;
 use murmurate::time::Span;
-use murmurate::train::config::{Config, PRESETS};
-use murmurate::train::trainer::{Plan, Trainer};
+use murmurate_train::config::{Config, PRESETS};
+use murmurate_train::trainer::{Plan, Trainer};
 
 /// Most memory that a reader may have at a time \[bytes\].
 const MOST_BYTES: u64 = 256_000_000;
@@ -227,8 +227,8 @@ fn checkpoints() {
 
 #[test]
 fn checkpoints_of_imitation() {
-    use murmurate::train::imitation::config::Config;
-    use murmurate::train::imitation::trainer::{Plan, Trainer};
+    use murmurate_train::imitation::config::Config;
+    use murmurate_train::imitation::trainer::{Plan, Trainer};
     let config = Config::from_toml(&String::from_utf8(file("policies/flocking.toml")).expect("text"));
     let plan = Plan {
         scenario: "flocking".to_owned(),

@@ -182,14 +182,14 @@ mod learning {
     use super::{Registry, Settings, scenario, text};
     use murmurate::policy::Model;
     use murmurate::scenario::layout::Layouts;
-    use murmurate::study::columns::Column;
-    use murmurate::study::conditions::Deployed;
-    use murmurate::study::record::Record;
-    use murmurate::study::results::Results;
-    use murmurate::study::{Identity, Job, PolicyUnderTest, Study, handling, pages, table};
-    use murmurate::train::config::Config;
-    use murmurate::train::imitation;
-    use murmurate::train::trainer::Trainer;
+    use murmurate_study::columns::Column;
+    use murmurate_study::conditions::Deployed;
+    use murmurate_study::record::Record;
+    use murmurate_study::results::Results;
+    use murmurate_study::{Identity, Job, PolicyUnderTest, Study, handling, pages, table};
+    use murmurate_train::config::Config;
+    use murmurate_train::imitation;
+    use murmurate_train::trainer::Trainer;
 
     /// A training's configuration.
     pub fn training(bytes: &[u8]) -> bool {

@@ -8,7 +8,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-use murmurate::lab::report::LabReport;
+use murmurate_lab::report::LabReport;
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use program::{murmurate, refuses, run, text};

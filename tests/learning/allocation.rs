@@ -6,8 +6,8 @@ use murmurate::policy::{self, Model, Neighbour};
 use murmurate::random::Seed;
 use murmurate::scenario::{self, Observation, Settings};
 use murmurate::time::Span;
-use murmurate::train::config::Config;
-use murmurate::train::vector::{Autoreset, Buffers, Content, Options, VectorEnvironment};
+use murmurate_train::config::Config;
+use murmurate_train::vector::{Autoreset, Buffers, Content, Options, VectorEnvironment};
 
 #[test]
 fn a_step_of_a_network_allocates_nothing() {

@@ -3,9 +3,9 @@
 
 use murmurate::policy::manifest::Architecture;
 use murmurate::random::{Seed, Stream};
-use murmurate::train::batch::{Batch, Graphs};
-use murmurate::train::loss::{self, Sample, Terms};
-use murmurate::train::network::{Network, Shape, Space};
+use murmurate_train::batch::{Batch, Graphs};
+use murmurate_train::loss::{self, Sample, Terms};
+use murmurate_train::network::{Network, Shape, Space};
 use rand::RngExt;
 
 /// Returns graphs of three robots: with late sources, with a robot 1 without neighbours, and without any edge.

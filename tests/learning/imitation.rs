@@ -10,10 +10,10 @@ use murmurate::policy::hops::perceptron::Activation;
 use murmurate::random::{Seed, Stream};
 use murmurate::registry::Registry;
 use murmurate::scenario::judge::Verdict;
-use murmurate::train::imitation::config::Config;
-use murmurate::train::imitation::graph::Graph;
-use murmurate::train::imitation::network::{Network, Space};
-use murmurate::train::imitation::trainer::{Plan, Trainer};
+use murmurate_train::imitation::config::Config;
+use murmurate_train::imitation::graph::Graph;
+use murmurate_train::imitation::network::{Network, Space};
+use murmurate_train::imitation::trainer::{Plan, Trainer};
 use murmurate::trial::Trial;
 use rand::RngExt;
 

@@ -4,9 +4,9 @@ use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
 
-use murmurate::view::access::{Access, Control, Token};
-use murmurate::view::server::{Publisher, Server};
-use murmurate::view::status::Scene;
+use murmurate_view::access::{Access, Control, Token};
+use murmurate_view::server::{Publisher, Server};
+use murmurate_view::status::Scene;
 use tungstenite::protocol::Role;
 use tungstenite::{Message, WebSocket};
 

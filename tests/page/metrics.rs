@@ -3,9 +3,9 @@
 use std::io::{BufRead, BufReader};
 use std::process::Stdio;
 
-use murmurate::view::access::{Access, Control, Token};
-use murmurate::view::server::Server;
-use murmurate::view::status::Scene;
+use murmurate_view::access::{Access, Control, Token};
+use murmurate_view::server::Server;
+use murmurate_view::status::Scene;
 
 use crate::http::{ask, server, token};
 use crate::program::{murmurate, refuses};

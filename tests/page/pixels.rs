@@ -2,9 +2,9 @@
 
 use murmurate::messages::geometry::Vec2;
 use murmurate::time::{Span, Time};
-use murmurate::view::access::Control;
-use murmurate::view::snapshot::{RobotState, Snapshot, scale_m};
-use murmurate::view::status::{Goals, Scene};
+use murmurate_view::access::Control;
+use murmurate_view::snapshot::{RobotState, Snapshot, scale_m};
+use murmurate_view::status::{Goals, Scene};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::Duration;

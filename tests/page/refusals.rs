@@ -3,11 +3,11 @@
 use std::io::Write;
 use std::time::{Duration, Instant};
 
-use murmurate::view::access::{Access, Control, Standing, Token};
-use murmurate::view::command::Command;
-use murmurate::view::request::{self, Response, Socket};
-use murmurate::view::server::MAX_CONNECTIONS;
-use murmurate::view::status::Scene;
+use murmurate_view::access::{Access, Control, Standing, Token};
+use murmurate_view::command::Command;
+use murmurate_view::request::{self, Response, Socket};
+use murmurate_view::server::MAX_CONNECTIONS;
+use murmurate_view::status::Scene;
 use tungstenite::Message;
 
 use crate::http::{ask, connect, own, read_kind, server, shown, socket, token, upgrade};

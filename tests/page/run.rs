@@ -6,7 +6,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Stdio};
 
-use murmurate::record::reader;
+use murmurate_record::reader;
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 

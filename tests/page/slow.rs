@@ -2,8 +2,8 @@
 
 use std::time::{Duration, Instant};
 
-use murmurate::view::access::Control;
-use murmurate::view::status::Scene;
+use murmurate_view::access::Control;
+use murmurate_view::status::Scene;
 use tungstenite::Message;
 
 use crate::http::{server, shown, socket, token};

@@ -3,8 +3,8 @@
 use std::io::Cursor;
 use std::path::Path;
 
-use murmurate::record::reader::Reader;
-use murmurate::record::repair::copy;
+use murmurate_record::reader::Reader;
+use murmurate_record::repair::copy;
 use tempfile::TempDir;
 
 use crate::program::{murmurate, run, text};

@@ -9,11 +9,11 @@ use std::path::{Path, PathBuf};
 
 use murmurate::policy::Model;
 use murmurate::random::Seed;
-use murmurate::record::file::{Attached, Beginning, RecordFile};
-use murmurate::record::identity::Identity;
-use murmurate::record::reader::{Item, Message, ReadError, Reader};
-use murmurate::record::topics::{Stage, Topics};
-use murmurate::record::{Event, Scope};
+use murmurate_record::file::{Attached, Beginning, RecordFile};
+use murmurate_record::identity::Identity;
+use murmurate_record::reader::{Item, Message, ReadError, Reader};
+use murmurate_record::topics::{Stage, Topics};
+use murmurate_record::{Event, Scope};
 use murmurate::trial::{Proceed, Trial};
 use rand::RngExt;
 use tempfile::TempDir;
@@ -29,7 +29,7 @@ pub fn in_chunks(path: &Path) {
         media_type: "application/toml",
         content: format!("# {name}\n").repeat(200).into_bytes(),
     });
-    let identity = Identity::here(vec!["sim".to_owned()], "");
+    let identity = Identity::here("1f", vec!["sim".to_owned()], "");
     let beginning = Beginning { identity, attached: attached.to_vec() };
     let file = RecordFile::create(path, &beginning, &stage).unwrap();
     let topics = Topics::new(Stage::of(&trial.plan()), Scope::Simulation, 0);
@@ -178,7 +178,7 @@ fn of_version_1(bytes: &[u8]) -> Vec<u8> {
                 writer.write_metadata(&mcap::records::Metadata { name, metadata }).unwrap();
             }
             Item::Attachment(attachment) => {
-                let murmurate::record::reader::Attachment { log_time, create_time, name, media_type, data } =
+                let murmurate_record::reader::Attachment { log_time, create_time, name, media_type, data } =
                     attachment;
                 let data = data.into();
                 writer.attach(&mcap::Attachment { log_time, create_time, name, media_type, data }).unwrap();

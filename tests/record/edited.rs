@@ -7,8 +7,8 @@ use std::path::Path;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, WriteOptions, Writer};
 use murmurate::graph::inputs::Input;
-use murmurate::record::reader::{Item, Message, Reader};
-use murmurate::record::tape::{self, Turn};
+use murmurate_record::reader::{Item, Message, Reader};
+use murmurate_record::tape::{self, Turn};
 
 /// Copies a record with its turns changed.
 pub fn edit(from: &Path, to: &Path, mut change: impl FnMut(&mut Turn)) {
@@ -32,7 +32,7 @@ pub fn copy(from: &Path, to: &Path, mut keep: impl FnMut(&mut Message) -> bool) 
     while let Some(item) = reader.next_item().expect("it is whole") {
         match item {
             Item::Metadata(name, metadata) => writer.write_metadata(&Metadata { name, metadata }).expect("written"),
-            Item::Attachment(murmurate::record::reader::Attachment { name, media_type, data, .. }) => {
+            Item::Attachment(murmurate_record::reader::Attachment { name, media_type, data, .. }) => {
                 let attachment = Attachment { log_time: 0, create_time: 0, name, media_type, data: data.into() };
                 writer.attach(&attachment).expect("written");
             }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use mcap::records::MessageHeader;
 use mcap::{WriteOptions, Writer};
-use murmurate::record::reader::{Item, Reader};
+use murmurate_record::reader::{Item, Reader};
 use tempfile::TempDir;
 
 use crate::program::{refuses, run, text};

@@ -8,11 +8,11 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use murmurate::random::Seed;
-use murmurate::record::identity::Identity;
-use murmurate::record::reader::{Item, Reader};
-use murmurate::record::repair::copy;
-use murmurate::record::stage::Stage;
-use murmurate::record::tape;
+use murmurate_record::identity::Identity;
+use murmurate_record::reader::{Item, Reader};
+use murmurate_record::repair::copy;
+use murmurate_record::stage::Stage;
+use murmurate_record::tape;
 use rand::{Rng, RngExt};
 use tempfile::TempDir;
 

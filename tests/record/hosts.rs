@@ -5,7 +5,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use murmurate::graph::inputs::Input;
-use murmurate::record::tape::Turn;
+use murmurate_record::tape::Turn;
 use murmurate::time::Span;
 use tempfile::TempDir;
 
@@ -168,7 +168,7 @@ fn a_merged_record_has_the_messages_of_all_hosts_in_the_order_of_one_time() {
     let merged = folder.path().join("run.mcap");
     let output = run(&["record", "merge", records_of.to_str().unwrap(), "-o", merged.to_str().unwrap()]);
     assert!(output.status.success(), "{}", text(&output.stderr));
-    let mut reader = murmurate::record::reader::Reader::open(&merged).unwrap();
+    let mut reader = murmurate_record::reader::Reader::open(&merged).unwrap();
     let (mut last, mut publishers) = (0, std::collections::BTreeSet::new());
     while let Some(message) = reader.next_message().unwrap() {
         assert!(message.at >= last, "in order");

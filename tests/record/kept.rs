@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
-use murmurate::record::reader;
+use murmurate_record::reader;
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 

@@ -6,9 +6,9 @@ use std::path::Path;
 use std::rc::Rc;
 
 use murmurate::policy::Model;
-use murmurate::record::compare::{Compared, Comparison};
-use murmurate::record::topics::{Stage, Topics};
-use murmurate::record::{Event, Scope, reader};
+use murmurate_record::compare::{Compared, Comparison};
+use murmurate_record::topics::{Stage, Topics};
+use murmurate_record::{Event, Scope, reader};
 use murmurate::trial::{Proceed, Trial};
 use tempfile::TempDir;
 

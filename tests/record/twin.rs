@@ -12,10 +12,10 @@ use murmurate::graph::inputs::Input;
 use murmurate::graph::process::ProcessEvent;
 use murmurate::messages::ids::HostId;
 use murmurate::policy::Model;
-use murmurate::record::file::{Attached, Beginning, RecordFile};
-use murmurate::record::identity::{HostIdentity, Identity};
-use murmurate::record::topics::{Stage, Topics};
-use murmurate::record::{Event, Scope};
+use murmurate_record::file::{Attached, Beginning, RecordFile};
+use murmurate_record::identity::{HostIdentity, Identity};
+use murmurate_record::topics::{Stage, Topics};
+use murmurate_record::{Event, Scope};
 use murmurate::registry::Registry;
 use murmurate::time::Time;
 use murmurate::trial::{Proceed, Trial};
@@ -59,7 +59,7 @@ impl Writer {
     fn begin(folder: &Path, trial: &Trial, number: u16, team: &Path) -> Writer {
         let name = trial.deployment.hosts[usize::from(number)].name.clone();
         let arguments = ["host", team.to_str().unwrap(), "--host", &name].map(str::to_owned).to_vec();
-        let mut identity = Identity::here(arguments, "");
+        let mut identity = Identity::here("1f", arguments, "");
         identity.anchor_ns = 1_000_000_000_000 + u64::from(number) * AHEAD_NS;
         let path = folder.join(format!("{name}-00000001.mcap"));
         let id = HostId(number);

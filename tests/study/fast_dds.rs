@@ -6,8 +6,8 @@
 
 use std::collections::BTreeMap;
 
-use murmurate::study::network::emulate::{self, Timing};
-use murmurate::study::network::{Addressing, Case, History, Medium, NetworkKind, ReliabilityMode, Row, Source, Sweep};
+use murmurate_study::network::emulate::{self, Timing};
+use murmurate_study::network::{Addressing, Case, History, Medium, NetworkKind, ReliabilityMode, Row, Source, Sweep};
 use serde::Deserialize;
 
 /// Largest difference of shares.

@@ -3,7 +3,7 @@
 use murmurate::messages::wire::{KINDS, Kind};
 use murmurate::report::cost::Cost;
 use murmurate::report::trial::TrialReport;
-use murmurate::study::network::growth;
+use murmurate_study::network::growth;
 use murmurate::time::Span;
 use murmurate::trial::Trial;
 

@@ -8,6 +8,8 @@
 #![allow(rustdoc::broken_intra_doc_links, rustdoc::invalid_html_tags)]
 
 mod background_writer;
+#[cfg(feature = "record")]
+mod build;
 #[cfg(feature = "sim")]
 mod conditions;
 mod config;
@@ -237,7 +239,7 @@ pub fn with_radio(
     argument: &str,
     radio: &str,
     robots: usize,
-    conditions: &mut murmurate::train::config::Conditions,
+    conditions: &mut murmurate_train::config::Conditions,
 ) -> anyhow::Result<()> {
     train::with_radio(argument, radio, robots, conditions)
 }

@@ -9,7 +9,7 @@ use crate::bad;
 use crate::output::talk;
 use crate::whole_file::WholeFile;
 use murmurate::report::episode::Episode;
-use murmurate::report::picture::{Scene, Stage, film, moving, still};
+use murmurate_figures::picture::{Scene, Stage, film, moving, still};
 use murmurate::time::Span;
 use murmurate::trial::{Trial, TrialReport};
 

@@ -7,8 +7,8 @@ use std::process::ExitCode;
 
 use murmurate::net::media::radio::Radio;
 use murmurate::policy::Model;
-use murmurate::study::twin::estimate::smooth_quantile_of;
-use murmurate::study::twin::predict;
+use murmurate_study::twin::estimate::smooth_quantile_of;
+use murmurate_study::twin::predict;
 use murmurate::trial::{Proceed, Trial};
 
 fn main() -> ExitCode {

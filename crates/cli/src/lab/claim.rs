@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use tappers::Tap;
 
 use super::namespace;
-use murmurate::lab::file::Laboratory;
+use murmurate_lab::file::Laboratory;
 use crate::BadInput;
 use crate::output::talk;
 use crate::temporary::Temporary;

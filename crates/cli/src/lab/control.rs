@@ -14,7 +14,7 @@ use nix::unistd::Pid;
 use super::claim::{Claim, path};
 use super::needs;
 use murmurate::config::shown::counted;
-use murmurate::lab::report::LabReport;
+use murmurate_lab::report::LabReport;
 use crate::output::talk;
 use crate::{BadInput, Ended};
 

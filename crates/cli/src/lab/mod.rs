@@ -1,7 +1,7 @@
 //! The command `murmurate lab`: stations in network namespaces, whose frames travel over the emulated radio channel in
 //! real time. Any program runs in a station.
 //!
-//! The channel is `murmurate::lab`. The files of this folder hold the clock, the TAP interfaces, the namespaces and the
+//! The channel is `murmurate_lab`. The files of this folder hold the clock, the TAP interfaces, the namespaces and the
 //! processes.
 
 mod carrier;
@@ -28,8 +28,8 @@ use std::process::Command;
 use anyhow::{Context, Result, anyhow};
 use clap::Subcommand;
 
-use murmurate::lab::file::Laboratory;
-use murmurate::lab::report::LabReport;
+use murmurate_lab::file::Laboratory;
+use murmurate_lab::report::LabReport;
 use crate::output::{print, read_text};
 use crate::{BadInput, Ended};
 

@@ -16,8 +16,8 @@ use nix::unistd::Pid;
 use tappers::{Interface, Tap};
 
 use super::needs;
-use murmurate::lab::ethernet;
-use murmurate::lab::file::{CABLE, Laboratory};
+use murmurate_lab::ethernet;
+use murmurate_lab::file::{CABLE, Laboratory};
 
 /// Longest time for the programs of a laboratory to end after they were asked to.
 const GRACE: Duration = Duration::from_secs(1);

@@ -12,8 +12,8 @@ use super::crew::{Crew, CrewEnd};
 use super::running::Running;
 use super::up::Source;
 use super::{needs, variables};
-use murmurate::lab::file::Laboratory;
-use murmurate::lab::report::LabReport;
+use murmurate_lab::file::Laboratory;
+use murmurate_lab::report::LabReport;
 use crate::output::{print, talk};
 use crate::{BadInput, Ended, signals};
 

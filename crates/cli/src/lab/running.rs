@@ -7,8 +7,8 @@ use anyhow::{Context, Result};
 
 use super::carrier::{Carrier, Outside};
 use super::claim::Claim;
-use murmurate::lab::file::Laboratory;
-use murmurate::lab::report::LabReport;
+use murmurate_lab::file::Laboratory;
+use murmurate_lab::report::LabReport;
 use crate::background_writer::BackgroundWriter;
 
 /// Running laboratory of this process. Dropping it removes everything that it made.

@@ -14,8 +14,8 @@ use nix::sys::socket::{
 
 use super::carrier::{Alarm, monotonic_ns, prioritize};
 use super::namespace;
-use murmurate::lab::file::Laboratory;
-use murmurate::lab::load::{Cast, DRAIN, Load, Offer, Outcome, Received};
+use murmurate_lab::file::Laboratory;
+use murmurate_lab::load::{Cast, DRAIN, Load, Offer, Outcome, Received};
 use murmurate::time::{Span, Time};
 
 /// Port of all stations.

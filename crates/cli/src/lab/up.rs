@@ -11,7 +11,7 @@ use anyhow::{Context, Result, anyhow};
 use super::carrier::{Carrier, Outside};
 use super::claim::{Claim, path};
 use super::{needs, read};
-use murmurate::lab::file::Laboratory;
+use murmurate_lab::file::Laboratory;
 use crate::background_writer::{BackgroundWriter, Target};
 use crate::output::{print, talk};
 use crate::{BadInput, Ended, signals, this_program};

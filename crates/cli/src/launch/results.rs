@@ -140,7 +140,7 @@ impl Results {
 
     /// Returns what the live page says of the end of the run.
     #[cfg(feature = "watch")]
-    pub fn ending(&self, outcome: &Outcome) -> murmurate::view::status::Ending {
+    pub fn ending(&self, outcome: &Outcome) -> murmurate_view::status::Ending {
         let (got, all) = (self.episodes.len(), self.wanted);
         let successes = self.episodes.values().filter(|episode| !episode.verdict.is_failure()).count();
         let results = format!("{got} of {all} episodes have a result, {successes} without a failure");
@@ -151,7 +151,7 @@ impl Results {
                 (false, format!("The run has failed: {why}; {results}."))
             }
         };
-        murmurate::view::status::Ending { regular, text }
+        murmurate_view::status::Ending { regular, text }
     }
 
     fn episode(&mut self, mut episode: Episode) {

@@ -7,7 +7,7 @@ use anyhow::Result;
 use super::{Args, Place, run_team};
 use murmurate::config::shown::counted;
 use murmurate::deploy::LinkMedium;
-use murmurate::lab::file::{CABLE, Laboratory};
+use murmurate_lab::file::{CABLE, Laboratory};
 use crate::lab::{self, Running};
 use crate::output::talk_lines;
 use crate::{BadInput, Ended};

@@ -8,9 +8,9 @@ use anyhow::Result;
 
 use crate::output::talk;
 use crate::{BadInput, bad};
-use murmurate::record::identity::Identity;
-use murmurate::record::reader::{self, ReadError, Reader};
-use murmurate::record::series;
+use murmurate_record::identity::Identity;
+use murmurate_record::reader::{self, ReadError, Reader};
+use murmurate_record::series;
 
 /// Name of the metadata that `record merge` gives to its output.
 pub const MERGED: &str = "murmurate.merge";
@@ -111,7 +111,7 @@ fn reason(path: &Path, error: ReadError) -> String {
 }
 
 /// Prints on stderr what is damaged in a record, with times since `zero` \[ns\]. Returns whether it is whole.
-pub fn tell(health: &murmurate::record::health::Health, zero: u64) -> bool {
+pub fn tell(health: &murmurate_record::health::Health, zero: u64) -> bool {
     health.lines(zero).iter().for_each(|line| talk(line));
     health.is_whole()
 }

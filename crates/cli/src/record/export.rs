@@ -12,10 +12,10 @@ use crate::output::talk;
 use crate::record::chosen::tell;
 use crate::whole_file::WholeFile;
 use crate::{BadInput, Ended, bad};
-use murmurate::record::protobuf_reader::{Fields, Value};
-use murmurate::record::reader::{self, Message};
-use murmurate::record::tape;
-use murmurate::record::topics::name_of;
+use murmurate_record::protobuf_reader::{Fields, Value};
+use murmurate_record::reader::{self, Message};
+use murmurate_record::tape;
+use murmurate_record::topics::name_of;
 
 /// Flags of `murmurate record export`.
 #[derive(clap::Args)]

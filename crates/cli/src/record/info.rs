@@ -12,8 +12,8 @@ use murmurate::config::shown;
 use crate::output::print;
 use crate::record::chosen::first_files;
 use crate::{BadInput, Ended};
-use murmurate::record::identity::Identity;
-use murmurate::record::reader::{self, ReadError};
+use murmurate_record::identity::Identity;
+use murmurate_record::reader::{self, ReadError};
 
 /// Flags of `murmurate record info`.
 #[derive(clap::Args)]

@@ -14,10 +14,10 @@ use crate::output::{print, talk};
 use crate::record::chosen::{self, Chosen, tell};
 use crate::temporary::Temporary;
 use crate::{BadInput, Ended, bad};
-use murmurate::record::identity::{Identity, METADATA};
-use murmurate::record::merge::{Alignment, Part, Traffic, align};
-use murmurate::record::reader::{self, Item, Reader};
-use murmurate::record::stage;
+use murmurate_record::identity::{Identity, METADATA};
+use murmurate_record::merge::{Alignment, Part, Traffic, align};
+use murmurate_record::reader::{self, Item, Reader};
+use murmurate_record::stage;
 
 /// Flags of `murmurate record merge`.
 #[derive(clap::Args)]
@@ -223,7 +223,7 @@ impl Source<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use murmurate::record::merge::ClockDifference;
+    use murmurate_record::merge::ClockDifference;
 
     #[test]
     fn drawings_are_of_the_record_with_true_states_even_if_they_begin_late() {

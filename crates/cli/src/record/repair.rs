@@ -11,8 +11,8 @@ use crate::output::{print, talk};
 use crate::record::chosen::files;
 use crate::temporary::Temporary;
 use crate::{BadInput, Ended, bad};
-use murmurate::record::reader::{ReadError, Reader};
-use murmurate::record::repair::copy;
+use murmurate_record::reader::{ReadError, Reader};
+use murmurate_record::repair::copy;
 
 /// Flags of `murmurate record repair`.
 #[derive(clap::Args)]

@@ -11,10 +11,10 @@ use crate::output::{print, talk};
 use crate::record::chosen::{self, Chosen, tell};
 use crate::temporary::Temporary;
 use crate::{BadInput, Ended, bad, key};
-use murmurate::record::identity::Identity;
-use murmurate::record::reader::{self, Reader};
-use murmurate::record::repair;
-use murmurate::record::share::{accepted, copy};
+use murmurate_record::identity::Identity;
+use murmurate_record::reader::{self, Reader};
+use murmurate_record::repair;
+use murmurate_record::share::{accepted, copy};
 
 /// Flags of `murmurate record share`.
 #[derive(clap::Args)]

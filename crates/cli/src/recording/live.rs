@@ -12,13 +12,13 @@ use murmurate::deploy::team::Team;
 use murmurate::graph::process::ProcessEvent;
 use murmurate::live::LiveHost;
 use murmurate::messages::ids::HostId;
-use murmurate::record::file::Beginning;
-use murmurate::record::identity::{HostIdentity, Identity};
-use murmurate::record::queue::{Inlet, WhenFull};
-use murmurate::record::series::Retention;
-use murmurate::record::topics::{Stage, Topics};
-use murmurate::record::writer::Recording;
-use murmurate::record::{Event, Scope};
+use murmurate_record::file::Beginning;
+use murmurate_record::identity::{HostIdentity, Identity};
+use murmurate_record::queue::{Inlet, WhenFull};
+use murmurate_record::series::Retention;
+use murmurate_record::topics::{Stage, Topics};
+use murmurate_record::writer::Recording;
+use murmurate_record::{Event, Scope};
 use murmurate::time::Time;
 
 /// Longest time that a process waits at its end until its record is written.
@@ -135,7 +135,7 @@ impl LiveRecord {
 /// Returns the [`Identity`] for the record of this process, whose run began at `began`. `policy` is the digest of the
 /// policy's file.
 fn here(began: Instant, policy: &str) -> Identity {
-    let mut identity = Identity::here(arguments(), policy);
+    let mut identity = Identity::here(crate::build::digest(), arguments(), policy);
     let wall = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     identity.anchor_ns = wall.saturating_sub(began.elapsed()).as_nanos() as u64;
     let variables = std::env::vars_os().map(|(name, value)| (name, value.to_string_lossy().into_owned()));

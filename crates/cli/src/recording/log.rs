@@ -11,7 +11,7 @@ use tracing_subscriber::layer::Context;
 use tracing_subscriber::registry::LookupSpan;
 
 use murmurate::config::redacted;
-use murmurate::record::{Logged, Severity};
+use murmurate_record::{Logged, Severity};
 
 /// Largest number of log lines that are collected between two turns of the event loop. Further lines are only counted,
 /// and one line gives their number.

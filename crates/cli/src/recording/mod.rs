@@ -18,8 +18,8 @@ use anyhow::Result;
 use crate::destination::check_folder;
 use crate::output::read_bytes;
 use crate::{BadInput, bad};
-use murmurate::record::file::Attached;
-use murmurate::record::series::Retention;
+use murmurate_record::file::Attached;
+use murmurate_record::series::Retention;
 use murmurate::time::Span;
 
 /// Flags for the record of a run: `--record`, `--record-last` and `--record-size`.

@@ -9,13 +9,13 @@ use super::{RecordFlags, arguments, attach, make};
 use murmurate::graph::process::{Graph, ProcessEvent};
 use murmurate::messages::ids::HostId;
 use crate::BadInput;
-use murmurate::record::file::Beginning;
-use murmurate::record::identity::{Identity, StudyJob};
-use murmurate::record::queue::WhenFull;
-use murmurate::record::series::{self, Retention};
-use murmurate::record::topics::{Stage, Topics};
-use murmurate::record::writer::Recording;
-use murmurate::record::{Event, Scope};
+use murmurate_record::file::Beginning;
+use murmurate_record::identity::{Identity, StudyJob};
+use murmurate_record::queue::WhenFull;
+use murmurate_record::series::{self, Retention};
+use murmurate_record::topics::{Stage, Topics};
+use murmurate_record::writer::Recording;
+use murmurate_record::{Event, Scope};
 use murmurate::report::episode::Episode;
 use murmurate::time::Time;
 use murmurate::trial::{Proceed, Trial, TrialReport};
@@ -65,7 +65,7 @@ impl Simulated {
             let why = format!("--record: '{}' is there already; name another folder", path.display());
             return Err(BadInput(why).into());
         }
-        let beginning = Beginning { identity: Identity::here(arguments(), ""), attached: attach(files)? };
+        let beginning = Beginning { identity: Identity::here(crate::build::digest(), arguments(), ""), attached: attach(files)? };
         Ok(Some(Simulated { folder: folder.to_owned(), beginning, retention, failure: Mutex::default() }))
     }
 

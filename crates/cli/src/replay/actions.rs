@@ -12,7 +12,7 @@ use super::of_host::{Prepared, published};
 use murmurate::config::shown;
 use crate::output::print;
 use crate::whole_file::WholeFile;
-use murmurate::record::actions::{Commands, RobotDifference, StepDifference};
+use murmurate_record::actions::{Commands, RobotDifference, StepDifference};
 
 /// Runs a host again with its recorded inputs and another policy, and prints by how much the actions of each robot
 /// differ from the recorded ones. Also writes the files of the flags `--steps` and `--svg`.
@@ -39,7 +39,7 @@ pub fn show(args: &Args, prepared: Prepared) -> Result<()> {
         let lines: Vec<(u16, Vec<(f64, f64)>)> = robots.iter().map(|robot| of(robot.robot)).collect();
         let title = format!("Actions of {policy} beside those of the record, {name}");
         let mut file = WholeFile::create(path)?;
-        let svg = murmurate::report::figures::actions(&title, &lines)?;
+        let svg = murmurate_figures::actions(&title, &lines)?;
         file.writer().write_all(svg.as_bytes()).context("cannot write the figure")?;
         file.keep()?;
     }

@@ -25,12 +25,11 @@ use crate::record::chosen::{self, Chosen};
 #[cfg(feature = "study")]
 use crate::study;
 use crate::{BadInput, Ended, bad, sim};
-use murmurate::record::compare::{Compared, Comparison};
-use murmurate::record::identity::BUILD;
-use murmurate::record::reader::{self, Opened};
-use murmurate::record::share::ACCEPTED;
-use murmurate::record::topics::{Stage, Topics};
-use murmurate::record::{Event, Scope};
+use murmurate_record::compare::{Compared, Comparison};
+use murmurate_record::reader::{self, Opened};
+use murmurate_record::share::ACCEPTED;
+use murmurate_record::topics::{Stage, Topics};
+use murmurate_record::{Event, Scope};
 use murmurate::registry::Registry;
 use murmurate::time::Time;
 use murmurate::trial::Proceed;
@@ -202,16 +201,16 @@ fn check(args: &Args, path: &Path, Opened { identity, messages, .. }: &Opened) -
     if identity.part > 0 {
         return bad(format!("'{}' goes on from another file of its record: name the first one", path.display()));
     }
-    if identity.build != BUILD {
-        let (theirs, at) = (&identity.build, path.display());
+    if identity.build != crate::build::digest() {
+        let (theirs, this, at) = (&identity.build, crate::build::digest(), path.display());
         if !args.force {
             return bad(format!(
-                "'{at}' was made by another build of this program ({theirs}, version {}; this is {BUILD}): replay it \
+                "'{at}' was made by another build of this program ({theirs}, version {}; this is {this}): replay it \
                  with that one, or try with --force",
                 identity.version
             ));
         }
-        talk(&format!("warning: '{at}' was made by another build ({theirs}; this is {BUILD}) and may differ for that"));
+        talk(&format!("warning: '{at}' was made by another build ({theirs}; this is {this}) and may differ for that"));
     }
     Ok(())
 }

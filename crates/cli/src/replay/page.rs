@@ -19,17 +19,16 @@ use crate::record::merge::merge;
 use crate::temporary::Temporary;
 use crate::watch::feed::Feed;
 use crate::{BadInput, Ended, bad, key, signals};
-use murmurate::record::identity::BUILD;
-use murmurate::record::reader::{self, Opened};
-use murmurate::record::share::trusted;
+use murmurate_record::reader::{self, Opened};
+use murmurate_record::share::trusted;
 use murmurate::registry::Registry;
 use murmurate::time::{Span, Time};
-use murmurate::view::command::Command;
-use murmurate::view::server::Publisher;
-use murmurate::view::snapshot;
-use murmurate::view::status::{Playback, Record, Scene, Status};
-use murmurate::view::team_view::TeamView;
-use murmurate::view::timeline::{Sight, Timeline};
+use murmurate_view::command::Command;
+use murmurate_view::server::Publisher;
+use murmurate_view::snapshot;
+use murmurate_view::status::{Playback, Record, Scene, Status};
+use murmurate_view::team_view::TeamView;
+use murmurate_view::timeline::{Sight, Timeline};
 
 /// Longest time that the player waits for a command of a page before it advances, and so the longest delay of updates
 /// for pages.
@@ -98,7 +97,7 @@ fn read(args: &Args, registry: &Registry) -> Result<Shown> {
     let mut shown = sights::read(&path, &keys)?;
     let Some(opened) = opened.filter(|opened| opened.identity.is_of_simulation()) else { return Ok(shown) };
     let identity = &opened.identity;
-    if identity.build != BUILD {
+    if identity.build != crate::build::digest() {
         talk("links between robots are not shown: the record was made by another build of this program");
         return Ok(shown);
     }

@@ -14,16 +14,16 @@ use murmurate::messages::wire::{Features, Wire};
 use murmurate::net::protocol::codec;
 use murmurate::net::protocol::key::Key;
 use crate::BadInput;
-use murmurate::record::identity::{self, Identity};
-use murmurate::record::protobuf_reader::{Fields, Value};
-use murmurate::record::reader::{Item, Message, ReadError, Reader};
-use murmurate::record::stage::{self, Stage};
-use murmurate::record::tape;
-use murmurate::record::topics::RECEIVED;
+use murmurate_record::identity::{self, Identity};
+use murmurate_record::protobuf_reader::{Fields, Value};
+use murmurate_record::reader::{Item, Message, ReadError, Reader};
+use murmurate_record::stage::{self, Stage};
+use murmurate_record::tape;
+use murmurate_record::topics::RECEIVED;
 use murmurate::report::episode::Episode;
 use murmurate::safety::guard::SafetyCounts;
 use murmurate::time::Time;
-use murmurate::view::timeline::Sight;
+use murmurate_view::timeline::Sight;
 
 /// Content of a record that the live page can show: constant properties of the run, and events.
 pub struct Shown {
@@ -282,17 +282,17 @@ mod tests {
     use murmurate::messages::round::Round;
     use murmurate::messages::wire::Latent;
     use murmurate::net::protocol::codec::{Flags, Header};
-    use murmurate::record::file::{Beginning, RecordFile};
-    use murmurate::record::identity::HostIdentity;
-    use murmurate::record::topics::Topics;
-    use murmurate::record::{Event, Scope};
+    use murmurate_record::file::{Beginning, RecordFile};
+    use murmurate_record::identity::HostIdentity;
+    use murmurate_record::topics::Topics;
+    use murmurate_record::{Event, Scope};
     use murmurate::trial::Trial;
 
     /// A record of host 0 of a team with the key `key`, at which three latents of robot 1 have arrived, sent by host 1.
     fn recorded(folder: &Path, key: &Key) -> std::path::PathBuf {
         let trial = Trial::preset("offboard", "passage").unwrap();
         let stage = Stage::of(&trial.plan());
-        let mut identity = Identity::here(vec!["host".to_owned()], "");
+        let mut identity = Identity::here("1f", vec!["host".to_owned()], "");
         let name = stage.hosts[0].clone();
         let (seed, transports) = ("00".repeat(32), vec![1; 2]);
         let host = HostIdentity { name, id: HostId(0), incarnation: 5, seed, transports, keyed: true };

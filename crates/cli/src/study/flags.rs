@@ -8,11 +8,10 @@ use murmurate::chassis::Chassis;
 use murmurate::registry::Registry;
 use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{Scenario, Settings};
-use murmurate::study::columns::{self, Column};
-use murmurate::study::conditions::Deployed;
-use murmurate::study::handling::{self, Preset};
-use murmurate::study::origin;
-use murmurate::study::{PolicyUnderTest, Study};
+use murmurate_study::columns::{self, Column};
+use murmurate_study::conditions::Deployed;
+use murmurate_study::handling::{self, Preset};
+use murmurate_study::{PolicyUnderTest, Study};
 use anyhow::{Context, Result};
 use clap::builder::PossibleValuesParser;
 
@@ -292,10 +291,10 @@ impl Shared {
 /// added entries to the registry, a digest of the executable is appended.
 fn build(registry: &Registry) -> Result<String> {
     if !registry.is_extended() {
-        return Ok(origin::BUILD.to_owned());
+        return Ok(crate::build::digest().to_owned());
     }
     let program = std::env::current_exe().and_then(std::fs::read).context("cannot read this program")?;
-    Ok(format!("{}+{}", origin::BUILD, &blake3::hash(&program).to_hex()[..16]))
+    Ok(format!("{}+{}", crate::build::digest(), &blake3::hash(&program).to_hex()[..16]))
 }
 
 /// Splits a value 'NAME@HANDLING' of `--policy` into the policy and its handling; `None` if it has no '@HANDLING'.

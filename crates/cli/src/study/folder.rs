@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use murmurate::config;
-use murmurate::report::figures::Figure;
+use murmurate_figures::Figure;
 use anyhow::{Context, Result};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -84,7 +84,7 @@ impl Folder {
         for figure in figures {
             self.write(&format!("figures/{}.svg", figure.name), figure.svg.as_bytes())?;
             #[cfg(feature = "png")]
-            self.write(&format!("figures/{}.png", figure.name), &murmurate::report::png::render(&figure.svg)?)?;
+            self.write(&format!("figures/{}.png", figure.name), &murmurate_figures::png::render(&figure.svg)?)?;
         }
         self.write("report.html", page.as_bytes())
     }

@@ -15,11 +15,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use murmurate::config::shown::counted;
-use murmurate::record::identity::StudyJob;
+use murmurate_record::identity::StudyJob;
 use murmurate::registry::Registry;
-use murmurate::study::record::Record;
-use murmurate::study::results::{Results, Row};
-use murmurate::study::{Job, Study, table};
+use murmurate_study::record::Record;
+use murmurate_study::results::{Results, Row};
+use murmurate_study::{Job, Study, table};
 use murmurate::trial::Trial;
 use anyhow::{Context, Result};
 use clap::{FromArgMatches, Subcommand};

@@ -2,11 +2,11 @@
 //! the report.
 
 use crate::recording::Recorded;
-use murmurate::record::identity::StudyJob;
+use murmurate_record::identity::StudyJob;
 use murmurate::scenario::judge::Verdict;
-use murmurate::study::record::Record;
-use murmurate::study::results::{Results, Row};
-use murmurate::study::{Job, Study, pages, table};
+use murmurate_study::record::Record;
+use murmurate_study::results::{Results, Row};
+use murmurate_study::{Job, Study, pages, table};
 use anyhow::Result;
 use serde::Serialize;
 

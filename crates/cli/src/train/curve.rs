@@ -1,7 +1,7 @@
 //! Learning curve of a training: one row per iteration, as CSV and as a plot.
 
-use murmurate::train::evaluate::Scores;
-use murmurate::train::trainer::Metrics;
+use murmurate_train::evaluate::Scores;
+use murmurate_train::trainer::Metrics;
 use anyhow::{Context, Result};
 use plotters::prelude::*;
 use serde::{Deserialize, Serialize};

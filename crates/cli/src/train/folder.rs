@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use murmurate::train::trainer::Trainer;
+use murmurate_train::trainer::Trainer;
 use anyhow::{Context, Result};
 
 use super::curve::Curve;

@@ -1,4 +1,4 @@
-//! The command `murmurate train` in scenarios without goals: training by imitation (`murmurate::train::imitation`).
+//! The command `murmurate train` in scenarios without goals: training by imitation (`murmurate_train::imitation`).
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -18,8 +18,8 @@ use crate::output::{self, print, read_text, talk};
 use crate::{BadInput, Ended, bad};
 use murmurate::registry::Registry;
 use murmurate::scenario::Settings;
-use murmurate::train::imitation::config::{Config, PRESET};
-use murmurate::train::imitation::trainer::{Metrics, Plan, Score, Trainer};
+use murmurate_train::imitation::config::{Config, PRESET};
+use murmurate_train::imitation::trainer::{Metrics, Plan, Score, Trainer};
 
 /// Number of layouts of the evaluation at the end.
 const EPISODES: u32 = 64;

@@ -1,5 +1,5 @@
 //! The command `murmurate train`: flags, time, progress bar and files of a training. The training itself is in
-//! `murmurate::train`; `imitation` is the command for scenarios without goals.
+//! `murmurate_train`; `imitation` is the command for scenarios without goals.
 
 mod budget;
 mod curve;
@@ -14,12 +14,12 @@ use std::time::{Duration, Instant};
 
 use murmurate::config::shown::counted;
 use murmurate::registry::Registry;
-use murmurate::train::config::PRESETS;
-use murmurate::train::evaluate::{Scores, quick_evaluation};
-use murmurate::train::expectation;
-use murmurate::train::imitation::config::PRESET as PRESET_WITHOUT_GOALS;
-use murmurate::train::reward::has_reward;
-use murmurate::train::trainer::Trainer;
+use murmurate_train::config::PRESETS;
+use murmurate_train::evaluate::{Scores, quick_evaluation};
+use murmurate_train::expectation;
+use murmurate_train::imitation::config::PRESET as PRESET_WITHOUT_GOALS;
+use murmurate_train::reward::has_reward;
+use murmurate_train::trainer::Trainer;
 use anyhow::{Context, Result};
 use clap::builder::PossibleValuesParser;
 use indicatif::{ProgressBar, ProgressStyle};

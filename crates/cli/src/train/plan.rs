@@ -16,9 +16,9 @@ use crate::size;
 use crate::study;
 use murmurate::registry::Registry;
 use murmurate::scenario::{ScenarioError, Settings};
-use murmurate::study::network::conditions as of_medium;
-use murmurate::train::config::{self, Config};
-use murmurate::train::trainer::{Plan, Trainer};
+use murmurate_study::network::conditions as of_medium;
+use murmurate_train::config::{self, Config};
+use murmurate_train::trainer::{Plan, Trainer};
 
 /// Returns the training configuration that the flags define, as TOML with a heading. An error names the flag or the
 /// file.

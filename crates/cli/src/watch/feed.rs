@@ -6,10 +6,10 @@ use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use murmurate::time::Time;
-use murmurate::view::metrics::Metrics;
-use murmurate::view::server::Publisher;
-use murmurate::view::status::Status;
-use murmurate::view::team_view::TeamView;
+use murmurate_view::metrics::Metrics;
+use murmurate_view::server::Publisher;
+use murmurate_view::status::Status;
+use murmurate_view::team_view::TeamView;
 
 /// Period at which snapshots of all robots are published to pages.
 const SNAPSHOT: Duration = Duration::from_millis(50);

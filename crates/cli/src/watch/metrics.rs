@@ -15,11 +15,11 @@ use crate::bad;
 use crate::output::talk;
 use crate::own_name;
 use murmurate::time::{Span, Time};
-use murmurate::view::access::{Access, Control};
-use murmurate::view::metrics::Metrics;
-use murmurate::view::server::{Publisher, Server};
-use murmurate::view::status::Scene;
-use murmurate::view::team_view::TeamView;
+use murmurate_view::access::{Access, Control};
+use murmurate_view::metrics::Metrics;
+use murmurate_view::server::{Publisher, Server};
+use murmurate_view::status::Scene;
+use murmurate_view::team_view::TeamView;
 
 /// Period at which the metrics sample the ages of the messages in use.
 const SAMPLE: Span = Span::from_millis(50);

@@ -16,9 +16,9 @@ use crate::bad;
 use crate::key;
 use crate::output::talk;
 use crate::own_name;
-use murmurate::view::access::{Access, Control, TOKEN_BYTES, Token};
-use murmurate::view::server::{Publisher, Server};
-use murmurate::view::status::Scene;
+use murmurate_view::access::{Access, Control, TOKEN_BYTES, Token};
+use murmurate_view::server::{Publisher, Server};
+use murmurate_view::status::Scene;
 
 /// Flags of the live page: address, permitted commands and token.
 #[derive(clap::Args)]

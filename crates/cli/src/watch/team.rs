@@ -29,20 +29,20 @@ use crate::recording::LiveRecord;
 use crate::recording::RecordFlags;
 use crate::{BadInput, Ended, signals, team};
 #[cfg(feature = "record")]
-use murmurate::record::stage::Stage;
+use murmurate_record::stage::Stage;
 use murmurate::registry::Registry;
 use murmurate::report::episode::Episode;
 use murmurate::runtime::clock::Clock;
 use murmurate::runtime::real::run_real;
 use murmurate::runtime::shell::Mailbox;
 use murmurate::time::{Span, Time};
-use murmurate::view::access::Control;
-use murmurate::view::command::Command;
-use murmurate::view::metrics::Metrics;
-use murmurate::view::orders::Orders;
-use murmurate::view::server::{Publisher, Server};
-use murmurate::view::status::{Ending, Scene};
-use murmurate::view::team_view::TeamView;
+use murmurate_view::access::Control;
+use murmurate_view::command::Command;
+use murmurate_view::metrics::Metrics;
+use murmurate_view::orders::Orders;
+use murmurate_view::server::{Publisher, Server};
+use murmurate_view::status::{Ending, Scene};
+use murmurate_view::team_view::TeamView;
 
 /// Period at which commands of the page are executed, orders to the team repeated, and the page updated.
 const BEAT: Span = Span::from_millis(10);

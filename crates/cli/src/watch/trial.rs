@@ -24,13 +24,13 @@ use crate::recording::{Recorded, Simulated};
 use murmurate::report::episode::Episode;
 use murmurate::time::{Span, Time};
 use murmurate::trial::{Proceed, Trial, TrialReport};
-use murmurate::view::access::Control;
-use murmurate::view::command::Command;
-use murmurate::view::metrics::Metrics;
-use murmurate::view::orders::Orders;
-use murmurate::view::server::Publisher;
-use murmurate::view::status::{Ending, LinkImpairment, Scene, Status};
-use murmurate::view::team_view::TeamView;
+use murmurate_view::access::Control;
+use murmurate_view::command::Command;
+use murmurate_view::metrics::Metrics;
+use murmurate_view::orders::Orders;
+use murmurate_view::server::Publisher;
+use murmurate_view::status::{Ending, LinkImpairment, Scene, Status};
+use murmurate_view::team_view::TeamView;
 
 /// Flags of `sim` for its live page: those of the page, and the speed of the simulation.
 #[derive(clap::Args)]

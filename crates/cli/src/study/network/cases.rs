@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use murmurate::study::network::pages::Findings;
-use murmurate::study::network::{Case, Outcome, Source, Sweep, table};
-use murmurate::study::origin::{self, Origin};
+use murmurate_study::network::pages::Findings;
+use murmurate_study::network::{Case, Outcome, Source, Sweep, table};
+use murmurate_study::origin::{self, Origin};
 use anyhow::Result;
 use serde::{Deserialize, Serialize};
 
@@ -53,7 +53,7 @@ impl Journal {
     /// Opens the stored results of a network study in the folder `path`, if one is given. `link` describes the link
     /// that is measured; `None` in an emulation alone. Fails if the folder belongs to another study.
     pub fn open(path: Option<&Path>, sweep: Sweep, link: Option<String>) -> Result<Journal> {
-        let (version, build) = (origin::VERSION.to_owned(), origin::BUILD.to_owned());
+        let (version, build) = (origin::VERSION.to_owned(), crate::build::digest().to_owned());
         let study = STUDY.to_owned();
         let ours = Identity { study, version, build, sweep: sweep.clone(), link: link.clone() };
         let differs =
@@ -67,7 +67,7 @@ impl Journal {
     fn origin(&self, source: Source, case: &Case) -> Origin {
         let Sweep { stations, bytes, medium, history, seconds, seed, .. } = &self.sweep;
         let link = self.link.as_ref().filter(|_| source == Source::Live);
-        Origin::here(STUDY, *seed, "", &(source, case, stations, bytes, medium, history, seconds, link))
+        Origin::here(crate::build::digest(), STUDY, *seed, "", &(source, case, stations, bytes, medium, history, seconds, link))
     }
 
     /// Returns the stored result of each case, from emulation or measurement as `source` says; `None` for a result that

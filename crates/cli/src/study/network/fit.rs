@@ -6,8 +6,8 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use murmurate::config;
-use murmurate::study::network::fit::{Observed, fit};
-use murmurate::study::network::{Case, Medium, Outcome, Sweep, emulate};
+use murmurate_study::network::fit::{Observed, fit};
+use murmurate_study::network::{Case, Medium, Outcome, Sweep, emulate};
 use anyhow::{Context, Result};
 use serde::Serialize;
 

@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use murmurate::study::network::case::{RATES, RETRIES};
-use murmurate::study::network::saturation::SIZES;
-use murmurate::study::network::{Addressing, History, Medium, NetworkKind, ReliabilityMode, Sweep};
+use murmurate_study::network::case::{RATES, RETRIES};
+use murmurate_study::network::saturation::SIZES;
+use murmurate_study::network::{Addressing, History, Medium, NetworkKind, ReliabilityMode, Sweep};
 use anyhow::Result;
 use serde::de::DeserializeOwned;
 

@@ -8,7 +8,7 @@ use murmurate::deploy::team::TeamFile;
 use murmurate::messages::ids::HostId;
 use murmurate::messages::wire::Kind;
 use murmurate::registry::Registry;
-use murmurate::study::network::{Addressing, Medium, NetworkKind, ReliabilityMode, Sweep};
+use murmurate_study::network::{Addressing, Medium, NetworkKind, ReliabilityMode, Sweep};
 use anyhow::Result;
 
 use super::Args;

@@ -14,10 +14,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use murmurate::registry::Registry;
-use murmurate::study::network::fit::Observed;
-use murmurate::study::network::growth::Growth;
-use murmurate::study::network::pages::{Findings, Found};
-use murmurate::study::network::{Row, Source, emulate, table};
+use murmurate_study::network::fit::Observed;
+use murmurate_study::network::growth::Growth;
+use murmurate_study::network::pages::{Findings, Found};
+use murmurate_study::network::{Row, Source, emulate, table};
 use anyhow::{Context, Result};
 use serde::Serialize;
 

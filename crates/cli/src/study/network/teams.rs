@@ -5,9 +5,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use murmurate::net::media::radio::Radio;
 use murmurate::report::cost::Cost;
-use murmurate::study::network::growth::{self, Growth};
-use murmurate::study::network::{Medium, Sweep};
-use murmurate::study::origin::Origin;
+use murmurate_study::network::growth::{self, Growth};
+use murmurate_study::network::{Medium, Sweep};
+use murmurate_study::origin::Origin;
 use murmurate::time::Span;
 use murmurate::trial::{Proceed, Trial};
 use anyhow::{Context, Result};
@@ -29,7 +29,7 @@ pub struct Team {
 
 impl Team {
     fn origin(&self) -> Origin {
-        Origin::here("network, growing teams", self.seed, "", &(self.mode, self.robots, growth::DURATION_S))
+        Origin::here(crate::build::digest(), "network, growing teams", self.seed, "", &(self.mode, self.robots, growth::DURATION_S))
     }
 }
 

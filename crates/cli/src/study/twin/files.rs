@@ -7,12 +7,12 @@ use serde::{Deserialize, Serialize};
 
 use super::super::folder::Folder;
 use murmurate::deploy::conditions::Conditions;
-use murmurate::study::origin;
-use murmurate::study::twin::comparison::Row;
-use murmurate::study::twin::model::Fitted;
-use murmurate::study::twin::observed::Run;
-use murmurate::study::twin::pages::{self, Words};
-use murmurate::study::twin::predict::Predicted;
+use murmurate_study::origin;
+use murmurate_study::twin::comparison::Row;
+use murmurate_study::twin::model::Fitted;
+use murmurate_study::twin::observed::Run;
+use murmurate_study::twin::pages::{self, Words};
+use murmurate_study::twin::predict::Predicted;
 use murmurate::trial::Trial;
 
 /// What identifies the twin of a folder, stored in it: a folder with another identity is refused.
@@ -32,7 +32,7 @@ pub fn open(path: &Path, digests: &[String], command: &str) -> Result<Folder> {
     let identity = Identity {
         study: "twin".to_owned(),
         version: origin::VERSION.to_owned(),
-        build: origin::BUILD.to_owned(),
+        build: crate::build::digest().to_owned(),
         command: command.to_owned(),
         records: digests.to_vec(),
     };

@@ -17,10 +17,10 @@ use crate::output::{print, talk};
 use crate::progress::{progress, watched};
 use crate::{BadInput, Ended, bad, jobs, own_name};
 use murmurate::registry::Registry;
-use murmurate::study::twin::comparison::{self, Row};
-use murmurate::study::twin::model::{self, Fitted, Given};
-use murmurate::study::twin::pages::Words;
-use murmurate::study::twin::predict::{self, Predicted};
+use murmurate_study::twin::comparison::{self, Row};
+use murmurate_study::twin::model::{self, Fitted, Given};
+use murmurate_study::twin::pages::Words;
+use murmurate_study::twin::predict::{self, Predicted};
 use murmurate::trial::Trial;
 use run_of::Recorded;
 

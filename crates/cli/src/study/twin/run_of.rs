@@ -11,12 +11,12 @@ use murmurate::deploy::Routes;
 use crate::record::chosen;
 use crate::replay::{Files, of_host};
 use crate::{BadInput, bad, team};
-use murmurate::record::identity::Identity;
-use murmurate::record::merge::{Traffic, align};
-use murmurate::record::reader::{self, ReadError};
+use murmurate_record::identity::Identity;
+use murmurate_record::merge::{Traffic, align};
+use murmurate_record::reader::{self, ReadError};
 use murmurate::registry::Registry;
-use murmurate::study::twin::observed::{Log, Run, Team};
-use murmurate::study::twin::predict;
+use murmurate_study::twin::observed::{Log, Run, Team};
+use murmurate_study::twin::predict;
 use murmurate::trial::Trial;
 
 /// Recorded run of a team, as read from the records of its hosts, and a trial with the same settings.

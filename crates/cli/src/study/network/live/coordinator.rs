@@ -5,9 +5,9 @@ use std::net::{SocketAddr, TcpListener};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use murmurate::study::network::Source;
-use murmurate::study::network::pages::Found;
-use murmurate::study::network::peer::{StationResult, Task};
+use murmurate_study::network::Source;
+use murmurate_study::network::pages::Found;
+use murmurate_study::network::peer::{StationResult, Task};
 use anyhow::{Context, Result, anyhow, bail};
 
 use super::connection::Connection;

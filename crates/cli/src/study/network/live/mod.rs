@@ -16,7 +16,7 @@ pub use participant::{Participation, participate};
 
 use std::time::Duration;
 
-use murmurate::study::network::peer::{StationResult, Task};
+use murmurate_study::network::peer::{StationResult, Task};
 use serde::{Deserialize, Serialize};
 
 /// Longest time for the arrival of each of a new connection's first two lines: the nonce and the host's name.

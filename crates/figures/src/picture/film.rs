@@ -1,0 +1,108 @@
+//! Animation of an episode as an HTML page: `player.html` with the episode's data.
+
+use serde_json::{Value, json};
+
+use super::scene::{Frame, Scene};
+use super::sheet::{LOOK, escaped, walls};
+use murmurate::messages::geometry::Vec2;
+use murmurate::time::Span;
+
+/// HTML of the page, with `{title}`, `{look}` and `{data}` to be filled in.
+const PLAYER: &str = include_str!("player.html");
+/// Number of steps of a link's age up to the window. Each is encoded as a letter.
+const LETTERS: u64 = 24;
+/// Size of the data \[bytes\] above which frames are left out.
+const ROOM: usize = 260_000;
+/// Strides of the frames that are kept, tried in turn until the data fits. The last keeps one frame per second.
+const STRIDES: [usize; 4] = [2, 4, 10, 20];
+
+/// Returns an HTML page that plays the episode, with a slider, a choice of speed and keys. The page loads no other
+/// file.
+pub fn film(scene: &Scene) -> String {
+    let mut data = json(scene, 1);
+    for stride in STRIDES {
+        if data.len() > ROOM {
+            data = json(scene, stride);
+        }
+    }
+    PLAYER.replacen("{title}", &escaped(&scene.stage.title), 1).replacen("{look}", LOOK, 1).replacen("{data}", &data, 1)
+}
+
+/// Converts metres to millimetres.
+fn mm(metres: f32) -> i64 {
+    (f64::from(metres) * 1000.0).round() as i64
+}
+
+fn point(at: Vec2) -> [i64; 2] {
+    [mm(at.x), mm(at.y)]
+}
+
+fn ms(span: Span) -> u64 {
+    (span.as_secs() * 1000.0).round() as u64
+}
+
+/// Returns the data of every `stride`th frame and of the last one, in integer millimetres and milliseconds.
+fn json(scene: &Scene, stride: usize) -> String {
+    let stage = &scene.stage;
+    let last = scene.frames.len() - 1;
+    let shown = |(at, _): &(usize, &Frame)| at.is_multiple_of(stride) || *at == last;
+    let frames: Vec<&Frame> = scene.frames.iter().enumerate().filter(shown).map(|(_, frame)| frame).collect();
+    let walls: Vec<[i64; 4]> =
+        walls(stage).iter().map(|[min, max]| [mm(min.x), mm(min.y), mm(max.x), mm(max.y)]).collect();
+    let rings: Vec<Value> = scene
+        .ending
+        .rings
+        .iter()
+        .map(|ring| json!([ms(ring.from), mm(ring.at.x), mm(ring.at.y), mm(ring.radius_m)]))
+        .collect();
+    let data = json!({
+        "title": stage.title,
+        "caption": stage.caption,
+        "half": point(stage.arena.half_extent),
+        "radius": mm(stage.radius_m),
+        "arrival": mm(stage.rules.arrival_m),
+        "walls": walls,
+        "goals": stage.tasks.iter().map(|task| point(task.goal)).collect::<Vec<_>>(),
+        "arrivals": scene.arrivals().into_iter().map(|at| at.map(ms)).collect::<Vec<_>>(),
+        "window": ms(stage.window),
+        "letters": LETTERS,
+        "times": differences(frames.iter().map(|frame| ms(frame.time) as i64)),
+        "paths": (0..scene.robots()).map(|robot| path(&frames, robot)).collect::<Vec<_>>(),
+        "links": scene.pairs().into_iter().map(|pair| link(&frames, pair, stage.window)).collect::<Vec<_>>(),
+        "success": scene.ending.success,
+        "verdict": scene.ending.text,
+        "rings": rings,
+    });
+    // A closing script tag would end the script, even within a string.
+    data.to_string().replace('<', "\\u003c")
+}
+
+/// Returns the first number and then the differences between successive numbers.
+fn differences(numbers: impl Iterator<Item = i64>) -> Vec<i64> {
+    let mut before = 0;
+    numbers.map(|number| number - std::mem::replace(&mut before, number)).collect()
+}
+
+fn path(frames: &[&Frame], robot: usize) -> [Vec<i64>; 2] {
+    [
+        differences(frames.iter().map(|frame| mm(frame.at[robot].x))),
+        differences(frames.iter().map(|frame| mm(frame.at[robot].y))),
+    ]
+}
+
+/// Returns a pair of robots, the first frame in which one uses a message of the other, and from there one letter per
+/// frame. The letter is the age step of the message; it is a capital if only one of them uses a message, and a dot if
+/// none does.
+fn link(frames: &[&Frame], (one, other): (usize, usize), window: Span) -> Value {
+    let letter = |frame: &&Frame| match frame.links.iter().find(|link| (link.one, link.other) == (one, other)) {
+        None => '.',
+        Some(link) => {
+            let step = (link.age.as_nanos() * LETTERS / window.as_nanos().max(1)).min(LETTERS);
+            let first = if link.mutual { b'a' } else { b'A' };
+            char::from(first + u8::try_from(step).expect("there are fewer letters than in the alphabet"))
+        }
+    };
+    let ages: String = frames.iter().map(letter).collect();
+    let begin = ages.find(|letter| letter != '.').unwrap_or(ages.len());
+    json!([one, other, begin, ages[begin..].trim_end_matches('.')])
+}

@@ -1,0 +1,199 @@
+//! Common parts of the still and the animated SVG picture of an episode: sheet, ground with walls and goals, legend,
+//! and projection from the world to the sheet.
+
+use std::fmt::Write as _;
+
+use super::scene::{Scene, Stage};
+use murmurate::messages::geometry::Vec2;
+
+/// CSS style sheet of the pictures of episodes: colours of light and dark schemes, of robots (Okabe and Ito, which
+/// colour-blind readers can distinguish) and of links between robots by the age of the message. The HTML page that
+/// plays an episode also uses it.
+pub const LOOK: &str = include_str!("look.css");
+/// Number of different robot colours in pictures of episodes: robot `i` has colour `i % COLOURS`. The number drawn on
+/// each robot distinguishes robots of the same colour.
+pub const COLOURS: usize = 8;
+/// SVG opacities of the lines that connect a robot with the sender of a message that it uses: one for each of five
+/// classes of the message's age, from the newest to the oldest. `LOOK` has the same opacities.
+pub const AGES: [&str; 5] = ["1", ".7", ".46", ".28", ".16"];
+
+/// Margin left and right of the drawn ground \[pixels\].
+const MARGIN: f32 = 24.0;
+/// Height of the space above the drawn ground, for the title and the verdict \[pixels\].
+const HEAD: f32 = 88.0;
+/// Height of the space below the drawn ground, for the legend and the caption \[pixels\].
+const FOOT: f32 = 88.0;
+/// Largest width and height of the drawn ground \[pixels\].
+const LARGEST: Vec2 = Vec2::new(1000.0, 640.0);
+/// Smallest width of the sheet, for its text \[pixels\].
+const NARROWEST: f32 = 860.0;
+
+/// Assumed width of a letter in the legend \[pixels\]; the true width depends on the viewer's font.
+const LETTER: f32 = 9.8;
+
+/// Replaces the characters of a text that XML reserves by their entities.
+pub fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+/// Formats a length in pixels with at most one decimal.
+pub fn px(number: f32) -> String {
+    let text = format!("{number:.1}");
+    let text = text.strip_suffix(".0").unwrap_or(&text);
+    if text == "-0" { "0".to_owned() } else { text.to_owned() }
+}
+
+/// Returns half the size of the drawn ground \[m\]. It exceeds the arena by the hull's radius, as centres stay within
+/// the arena.
+fn half(stage: &Stage) -> Vec2 {
+    stage.arena.half_extent + Vec2::repeat(stage.radius_m)
+}
+
+/// Returns the walls of the arena as lower left and upper right corners \[m\], world frame. A wall at the edge of the
+/// arena is extended to the edge of the drawn ground, as no robot can get behind it.
+pub fn walls(stage: &Stage) -> Vec<[Vec2; 2]> {
+    let (inner, outer) = (stage.arena.half_extent, half(stage));
+    let to = |at: f32, inner: f32, outer: f32| if at.abs() >= inner - 1e-3 { outer.copysign(at) } else { at };
+    let corner = |at: Vec2| Vec2::new(to(at.x, inner.x, outer.x), to(at.y, inner.y, outer.y));
+    stage.arena.keep_outs.iter().map(|block| [corner(block.min), corner(block.max)]).collect()
+}
+
+/// Projection of the world frame \[m\] onto the drawing area of an SVG picture \[pixels\].
+pub struct View {
+    /// Scale of the picture \[pixels/m\].
+    pub scale: f32,
+    /// Width and height of the drawing area \[pixels\].
+    pub size: Vec2,
+    half: Vec2,
+    turned: bool,
+    corner: Vec2,
+}
+
+impl View {
+    /// Returns the projection for the arena of `stage`. An arena that is deeper than wide is rotated clockwise by a
+    /// right angle.
+    pub fn new(stage: &Stage) -> View {
+        let half = half(stage);
+        let turned = half.y > half.x;
+        let ground = if turned { Vec2::new(half.y, half.x) } else { half } * 2.0;
+        let scale = (LARGEST.x / ground.x).min(LARGEST.y / ground.y);
+        let drawn = ground * scale;
+        let width = (drawn.x + 2.0 * MARGIN).max(NARROWEST);
+        let size = Vec2::new(width, drawn.y + HEAD + FOOT);
+        View { scale, size, half, turned, corner: Vec2::new((width - drawn.x) / 2.0, HEAD) }
+    }
+
+    /// Returns the position \[pixels\] in the picture of a point of the world frame \[m\].
+    pub fn at(&self, point: Vec2) -> Vec2 {
+        let along = if self.turned {
+            Vec2::new(self.half.y + point.y, self.half.x + point.x)
+        } else {
+            Vec2::new(self.half.x + point.x, self.half.y - point.y)
+        };
+        self.corner + along * self.scale
+    }
+
+    /// Returns an SVG rectangle between two opposite corners in the world frame \[m\], with the CSS class `class`.
+    /// `round` is the radius of its rounded corners \[pixels\].
+    fn rectangle(&self, class: &str, [one, other]: [Vec2; 2], round: f32) -> String {
+        let (a, b) = (self.at(one), self.at(other));
+        let (low, high) = (a.inf(&b), a.sup(&b));
+        let [x, y, w, h] = [low.x, low.y, high.x - low.x, high.y - low.y].map(px);
+        format!("<rect class=\"{class}\" x=\"{x}\" y=\"{y}\" width=\"{w}\" height=\"{h}\" rx=\"{round}\"/>\n")
+    }
+
+    /// Returns the SVG elements of the arena's ground and walls.
+    pub fn ground(&self, stage: &Stage) -> String {
+        let walls = walls(stage).into_iter().map(|wall| self.rectangle("wall", wall, 3.0));
+        self.rectangle("ground", [-self.half, self.half], 6.0) + &walls.collect::<String>()
+    }
+
+    /// Returns an SVG circle of the radius `radius_m` \[m\] around the point `at` \[m\] of the world frame. `class` is
+    /// its CSS class; `rest` holds further attributes of the element.
+    pub fn circle(&self, class: &str, at: Vec2, radius_m: f32, rest: &str) -> String {
+        let at = self.at(at);
+        let [x, y, r] = [at.x, at.y, radius_m * self.scale].map(px);
+        format!("<circle class=\"{class}\" cx=\"{x}\" cy=\"{y}\" r=\"{r}\"{rest}/>")
+    }
+
+    /// Returns the font size \[pixels\] in which the id `robot` is drawn on that robot; ids of two digits are smaller.
+    pub fn number(&self, stage: &Stage, robot: usize) -> f32 {
+        stage.radius_m * self.scale * if robot < 10 { 1.05 } else { 0.9 }
+    }
+}
+
+/// Returns the whole SVG file of an episode's picture: style sheet, title, caption, ground, the elements `drawn` and
+/// `legend`. `more` is CSS that is added to the style sheet.
+pub fn sheet(view: &View, scene: &Scene, more: &str, drawn: &str, legend: &str) -> String {
+    let [w, h] = [view.size.x, view.size.y].map(px);
+    let stage = &scene.stage;
+    let (title, caption, below) = (escaped(&stage.title), escaped(&stage.caption), px(view.size.y - 20.0));
+    let mut text = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"look\" viewBox=\"0 0 {w} {h}\" role=\"img\">\n\
+         <title>{title}: {}</title>\n<style>{LOOK}svg{{background:var(--paper)}}\n\
+         text{{fill:var(--ink);font-size:18px}}\n\
+         .soft{{fill:var(--soft)}}.number{{fill:var(--on)}}.whose{{fill:var(--soft)}}{more}</style>\n\
+         <rect width=\"{w}\" height=\"{h}\" fill=\"var(--paper)\"/>\n\
+         <text x=\"{MARGIN}\" y=\"38\" style=\"font-size:26px;font-weight:650\">{title}</text>\n\
+         <text class=\"soft\" x=\"{MARGIN}\" y=\"{below}\">{caption}</text>\n",
+        escaped(&scene.ending.text)
+    );
+    let _ = writeln!(text, "{}{drawn}{legend}</svg>", view.ground(stage));
+    text
+}
+
+/// Returns the SVG text of the verdict on the episode, which is placed above the ground. `rest` is SVG that is added
+/// inside the text element.
+pub fn verdict(scene: &Scene, rest: &str) -> String {
+    let colour = if scene.ending.success { "good" } else { "bad" };
+    let (y, text) = (px(HEAD - 24.0), escaped(&scene.ending.text));
+    let style = format!("style=\"fill:var(--{colour});font-weight:650\"");
+    format!("<text x=\"{MARGIN}\" y=\"{y}\" {style}>{text}{rest}</text>\n")
+}
+
+/// Returns the SVG elements of the legend under the ground. Each entry is a mark (SVG, drawn to the right of the point
+/// (0, 0)), the width of the mark \[pixels\] and its meaning.
+pub fn legend(view: &View, marks: &[(String, f32, String)]) -> String {
+    let (mut x, y) = (MARGIN, px(view.size.y - FOOT + 27.0));
+    let mut text = String::new();
+    for (mark, width, means) in marks {
+        let (at, right, means) = (px(x), px(width + 8.0), escaped(means));
+        let _ = writeln!(
+            text,
+            "<g transform=\"translate({at},{y})\">{mark}<text class=\"soft\" x=\"{right}\" y=\"6\">{means}</text></g>"
+        );
+        x += width + 8.0 + LETTER * means.chars().count() as f32 + 26.0;
+    }
+    text
+}
+
+/// Returns the SVG elements of the goals: each a circle with its robot's id. If `stay` is true, the id is left out
+/// where the robot covers its goal at the end of the episode. `more` returns, for a robot, SVG to add inside its goal's
+/// circle.
+pub fn goals(view: &View, scene: &Scene, stay: bool, more: impl Fn(usize) -> String) -> String {
+    let (mut text, stage) = (String::new(), &scene.stage);
+    if stage.cost.is_some() {
+        return text;
+    }
+    for (robot, task) in stage.tasks.iter().enumerate() {
+        let ring =
+            view.circle("goal", task.goal, stage.rules.arrival_m, " stroke-width=\"2\" stroke-dasharray=\"5 4\"");
+        let ring = ring.replace("/>", &format!(">{}</circle>", more(robot)));
+        let (at, size) = (view.at(task.goal), px(stage.rules.arrival_m * view.scale * 0.62));
+        let (x, y) = (px(at.x), px(at.y));
+        let whose = format!("<text class=\"whose\" x=\"{x}\" y=\"{y}\" style=\"font-size:{size}px\">{robot}</text>");
+        let covered = (task.goal - scene.frames[scene.frames.len() - 1].at[robot]).norm() < 2.0 * stage.radius_m;
+        let whose = if stay && covered { "" } else { &whose };
+        let _ = writeln!(text, "<g class=\"c{}\">{ring}{whose}</g>", robot % COLOURS);
+    }
+    text
+}
+
+/// Returns the legend's entry for goals: its mark (SVG), the width of the mark \[pixels\] and its text.
+pub fn goal_mark(scene: &Scene) -> (String, f32, String) {
+    let mark = "<circle class=\"goal c7\" cx=\"10\" r=\"9\" stroke-width=\"2\" stroke-dasharray=\"5 4\"/>".to_owned();
+    match scene.stage.cost {
+        Some(_) => (String::new(), 0.0, "no goals".to_owned()),
+        None => (mark, 20.0, format!("goal, to within {} m", scene.stage.rules.arrival_m)),
+    }
+}

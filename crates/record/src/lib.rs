@@ -1,0 +1,152 @@
+//! Records of runs as MCAP files: the events of a host or a simulation, for people and other programs, and exact enough
+//! for a replay.
+//!
+//! The thread that runs the actors puts [`Event`]s into a bounded queue ([`queue`]), and never waits for a disk. The
+//! writer thread ([`writer`]) converts the events to the messages of the record's topics ([`topics`]) and writes them
+//! to files ([`series`], [`mod@file`]). A replay makes the same messages and compares them with the file ([`compare`]).
+//! docs/record.md lists the topics.
+
+#![deny(clippy::print_stdout, clippy::print_stderr)]
+
+mod drawing;
+mod foxglove;
+mod protobuf;
+mod schemas;
+
+pub mod actions;
+pub mod compare;
+pub mod digest;
+pub mod file;
+pub mod health;
+pub mod identity;
+pub mod merge;
+pub mod protobuf_reader;
+pub mod queue;
+pub mod read_error;
+pub mod reader;
+pub mod reading;
+pub mod repair;
+pub mod series;
+pub mod share;
+pub mod stage;
+pub mod tape;
+pub mod topic;
+pub mod topics;
+pub mod writer;
+
+pub use self::foxglove::Severity;
+use murmurate::actors::recorder;
+use murmurate::graph::inputs::Input;
+use murmurate::graph::process::ProcessEvent;
+use murmurate::messages::hardware::Hardware;
+use murmurate::messages::ids::{HostId, LinkId, RobotId};
+use murmurate::messages::local::Truth;
+use murmurate::messages::wire::Wire;
+use murmurate::net::protocol::codec::Frame;
+use murmurate::net::protocol::link::{LinkCounts, Refusal};
+use murmurate::net::protocol::sender::Peer;
+use murmurate::report::episode::Episode;
+use murmurate::safety::guard::SafetyCounts;
+use murmurate::time::Time;
+
+/// Digest of this package's sources. Packages with equal digests behave equally.
+pub const DIGEST: &str = env!("SOURCE_DIGEST");
+
+/// Event of a run that is stored in its record.
+#[derive(Clone, Debug)]
+pub enum Event {
+    /// A message that an actor of this host has published, as a datagram without an authentication tag.
+    Published(HostId, Frame),
+    /// A datagram that the host has sent on this link. Only in records of hosts.
+    Sent(LinkId, Frame),
+    /// An input of a host from outside its actors: a datagram, a packet of a device's worker, or an order. Only in
+    /// records of hosts.
+    Input(Input),
+    /// A datagram among the inputs that was refused for this cause, without any effect but its count. Only in records
+    /// of hosts, which keep the number of these and not their bytes.
+    Refused(LinkId, Refusal, Frame),
+    /// A message that was delivered to actors of the host. Only in records of hosts and operators.
+    Delivered(Wire),
+    /// True states of the simulated robots at one instant.
+    Truth(Truth),
+    /// Result of an episode, such as success or collision.
+    Episode(Episode),
+    /// Numbers of stops and reduced velocities of this robot by its guard, by cause.
+    Guard(RobotId, SafetyCounts),
+    /// Condition of this real robot's hardware: health, battery, temperature.
+    Hardware(RobotId, Box<Hardware>),
+    /// Numbers of datagrams that this host has sent, accepted and refused on its links, since its Network was started.
+    Counts(HostId, Box<LinkCounts>),
+    /// State of the links between this host and the other hosts, as its link layer measures it: age, delay, loss.
+    Peers(HostId, Vec<Peer>),
+    /// A line that the program has logged. Only in records of runs in real time.
+    Logged(Logged),
+    /// Request to keep the events of the last seconds, in a record that keeps events only around such requests.
+    Keep,
+    /// Number of events before this one that were dropped because the record's queue was full.
+    Dropped(u64),
+    /// End of a turn of the event loop (one pass over all pending inputs), at this time since the start of the run.
+    Turn(Time),
+}
+
+/// Line that the program has logged.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Logged {
+    /// Severity of the line.
+    pub severity: Severity,
+    /// Name of the actor or thread that has logged the line.
+    pub from: String,
+    /// Text of the line.
+    pub text: String,
+}
+
+/// Kind of run that is recorded. It determines which events are stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scope {
+    /// One host in real time: all its inputs, so that a replay can run this host again alone.
+    Host,
+    /// A simulation of the whole team. Inputs are not stored, because a replay repeats it from its seed.
+    Simulation,
+    /// An operator, which has no robots: the messages that it receives.
+    Operator,
+}
+
+impl Event {
+    /// Converts an event that the process of `host` has reported to an event of a record; `None` if records of the kind
+    /// `scope` do not store it.
+    pub fn of(scope: Scope, host: HostId, event: ProcessEvent) -> Option<Event> {
+        let of_host = scope == Scope::Host;
+        if scope == Scope::Operator {
+            return match event {
+                ProcessEvent::Message(message) => Some(Event::Delivered(message.clone())),
+                ProcessEvent::Peers(peers) => Some(Event::Peers(host, peers.to_vec())),
+                ProcessEvent::Counts(counts) => Some(Event::Counts(host, Box::new(*counts))),
+                _ => None,
+            };
+        }
+        Some(match event {
+            ProcessEvent::Published(frame) => Event::Published(host, Frame::clone(frame)),
+            ProcessEvent::Sent(link, frame) if of_host => Event::Sent(link, Frame::clone(frame)),
+            ProcessEvent::Input(input) if of_host => Event::Input(input.clone()),
+            ProcessEvent::Refused(link, cause, frame) if of_host => Event::Refused(link, cause, Frame::clone(frame)),
+            ProcessEvent::Message(message @ (Wire::Reading(_) | Wire::Latent(_) | Wire::Mode(_))) if of_host => {
+                Event::Delivered(message.clone())
+            }
+            ProcessEvent::Truth(truth) => Event::Truth(truth.clone()),
+            ProcessEvent::Recorded(recorder::Out::Episode(episode, _)) => Event::Episode(*episode),
+            ProcessEvent::Safety(robot, counts) => Event::Guard(robot, counts),
+            ProcessEvent::Hardware(robot, hardware) => Event::Hardware(robot, Box::new(hardware.clone())),
+            ProcessEvent::Counts(counts) => Event::Counts(host, Box::new(*counts)),
+            ProcessEvent::Peers(peers) => Event::Peers(host, peers.to_vec()),
+            ProcessEvent::Sent(..)
+            | ProcessEvent::Arrived(..)
+            | ProcessEvent::Input(_)
+            | ProcessEvent::Refused(..)
+            | ProcessEvent::Message(_)
+            | ProcessEvent::Recorded(_)
+            | ProcessEvent::Aborted(..)
+            | ProcessEvent::Link(..)
+            | ProcessEvent::Duplicate(_) => return None,
+        })
+    }
+}

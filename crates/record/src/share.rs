@@ -1,0 +1,63 @@
+//! Copies records so that they can be shared without the team's key: an attached list states which datagrams had a
+//! valid tag, and a replay uses it instead of the key.
+
+use std::collections::BTreeSet;
+use std::io::{Seek, Write};
+
+use super::reader::{Attachment, Messages, ReadError, Reader};
+use super::repair::{self, RepairError};
+use super::tape;
+use murmurate::graph::inputs::Input;
+use murmurate::messages::ids::HostId;
+use murmurate::net::protocol::key::{Key, digest};
+
+/// Name of the attachment that a record without the team's key has: the list of the 16-byte digests of the datagrams
+/// that had a valid authentication tag.
+pub const ACCEPTED: &str = "murmurate.accepted";
+
+/// Result of checking the authentication tags of a record's datagrams.
+#[derive(Clone, Debug, Default)]
+pub struct Found {
+    /// Digests of the datagrams with a valid authentication tag.
+    pub accepted: BTreeSet<[u8; 16]>,
+    /// Number of datagrams without a valid authentication tag.
+    pub refused: u64,
+}
+
+/// Checks the authentication tags of all datagrams that the host `host` has received, with the team's key. `messages`
+/// are those of the host's record.
+pub fn accepted(mut messages: Messages, key: &Key, host: HostId) -> Result<Found, ReadError> {
+    let mut found = Found::default();
+    while let Some(message) = messages.next_message()? {
+        if message.channel.topic != "/tape/turn" {
+            continue;
+        }
+        for input in tape::read(&message.data).into_iter().flat_map(|turn| turn.inputs) {
+            if let Input::Frame(link, frame, _) = input {
+                match key.open(&frame, link, host) {
+                    Some(_) => drop(found.accepted.insert(digest(&frame, link))),
+                    None => found.refused += 1,
+                }
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// Copies a record to `to`, with `accepted`, the digests of the datagrams that had a valid authentication tag, as an
+/// attachment.
+pub fn copy(from: &mut Reader, accepted: &BTreeSet<[u8; 16]>, to: impl Write + Seek) -> Result<(), RepairError> {
+    let data = accepted.iter().flatten().copied().collect();
+    let (name, media_type) = (ACCEPTED.to_owned(), "application/octet-stream".to_owned());
+    let list = Attachment { log_time: 0, create_time: 0, name, media_type, data };
+    repair::copy(from, vec![list], to)?;
+    Ok(())
+}
+
+/// Returns a key with which a replay accepts exactly the datagrams that had a valid authentication tag in the recorded
+/// run. Their list is one of the files attached to the record; `None` if there is no list.
+pub fn trusted(attached: &[(String, Vec<u8>)]) -> Option<Key> {
+    let (_, list) = attached.iter().find(|(name, _)| name == ACCEPTED)?;
+    let (digests, _) = list.as_chunks::<16>();
+    Some(Key::trusting(digests.iter().copied().collect()))
+}

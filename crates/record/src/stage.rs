@@ -1,0 +1,83 @@
+//! Stage of a record: hosts, ground and walls, which a picture needs in addition to the robots' states. It is the
+//! metadata `murmurate.stage` of the record's file, so a record can be shown without the program and the files that
+//! made it.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use murmurate::deploy::{Deployment, Routes};
+use murmurate::graph::Plan;
+use murmurate::messages::ids::{HostId, RobotId};
+use murmurate::scenario::Scenario;
+use murmurate::scenario::arena::KeepOut;
+
+/// Name of the MCAP metadata of a record that contains the [`Stage`].
+pub const METADATA: &str = "murmurate.stage";
+/// Name of the only entry of the metadata; its value is the stage as JSON.
+const ENTRY: &str = "stage";
+
+/// Constant properties of a run that a picture of it needs, besides the robots' states: ground, walls, hosts and
+/// robots.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Stage {
+    /// Name of the scenario.
+    pub scenario: String,
+    /// Name of the deployment's mode.
+    pub mode: String,
+    /// Names of the hosts, in the order of host ids.
+    pub hosts: Vec<String>,
+    /// Host that runs each robot's agent, in the order of robot ids.
+    pub homes: Vec<HostId>,
+    /// Number of robots.
+    pub robots: usize,
+    /// Half the size of the ground along x and y \[m\]; its middle is the origin.
+    pub half_extent: [f32; 2],
+    /// Walls and other solid blocks: smallest x and y, then largest x and y \[m\], world frame.
+    pub walls: Vec<[f32; 4]>,
+    /// Radius of a robot's hull \[m\].
+    pub hull_m: f32,
+    /// Range within which robots use each other's messages \[m\]; `None` if it is unlimited.
+    pub range_m: Option<f32>,
+}
+
+impl Stage {
+    /// Returns the stage of a run from its plan, which has deployment, scenario and physics.
+    pub fn of(plan: &Plan) -> Stage {
+        Stage::of_team((&plan.deployment, &*plan.scenario), plan.physics.wall_radius_m, plan.range.mean_m)
+    }
+
+    /// Returns the stage of a team with this deployment and scenario. `hull_m` is the radius of a robot's hull \[m\],
+    /// and `range_m` the range within which robots use each other's messages \[m\], infinite if it is unlimited or
+    /// unknown.
+    pub fn of_team((deployment, scenario): (&Deployment, &dyn Scenario), hull_m: f32, range_m: f32) -> Stage {
+        let arena = scenario.arena();
+        let routes = Routes::of(deployment);
+        let wall = |block: &KeepOut| {
+            let ([x, y], [far_x, far_y]) = (block.min.to_array(), block.max.to_array());
+            [x, y, far_x, far_y]
+        };
+        Stage {
+            scenario: scenario.name().to_owned(),
+            mode: deployment.mode.clone(),
+            hosts: deployment.hosts.iter().map(|host| host.name.clone()).collect(),
+            homes: RobotId::team(deployment.robots).map(|robot| routes.agent_host(robot)).collect(),
+            robots: deployment.robots,
+            half_extent: arena.half_extent.to_array(),
+            walls: arena.keep_outs.iter().map(wall).collect(),
+            hull_m,
+            range_m: Some(range_m).filter(|range_m| range_m.is_finite()),
+        }
+    }
+
+    /// Returns the stage as MCAP metadata of a record.
+    pub fn to_metadata(&self) -> BTreeMap<String, String> {
+        let text = serde_json::to_string(self).expect("a stage is JSON");
+        BTreeMap::from([(ENTRY.to_owned(), text)])
+    }
+
+    /// Reads the stage from the MCAP metadata of a record; `None` if it is something else.
+    pub fn of_metadata(metadata: &BTreeMap<String, String>) -> Option<Stage> {
+        serde_json::from_str(metadata.get(ENTRY)?).ok()
+    }
+}

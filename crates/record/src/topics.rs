@@ -1,0 +1,357 @@
+//! Conversion of events to the messages of a record's topics. Equal events give equal messages, so a replay can be
+//! compared with its record message by message.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+use serde_json::json;
+
+pub use super::drawing::Body;
+use super::foxglove::{self, Severity};
+use super::protobuf::Message;
+pub use super::stage::Stage;
+use super::tape::{self, SentDigest};
+pub use super::topic::{PROGRAM, RECEIVED, Topic};
+use super::{Event, Logged, Scope, drawing};
+use murmurate::messages::geometry::Vec2;
+use murmurate::messages::hardware::{Celsius, Hardware, Health, Reason};
+use murmurate::messages::ids::{HostId, RobotId};
+use murmurate::messages::local::Truth;
+use murmurate::messages::phase::Phase;
+use murmurate::messages::round::Round;
+use murmurate::messages::wire::{Kind, Mode, Wire};
+use murmurate::net::protocol::codec::{self, Content, Flags, Header};
+use murmurate::report::episode::Episode;
+use murmurate::safety::guard::SafetyCounts;
+use murmurate::time::{Span, Time};
+
+/// Shortest time between two drawings of the team.
+const DRAWING_PERIOD: Span = Span::from_millis(50);
+/// Shortest time between two poses of a robot.
+const POSE_PERIOD: Span = Span::from_millis(20);
+/// Period with which walls and goals are drawn again, for viewers that start in the middle of a record.
+const STANDING_PERIOD: Span = Span::from_millis(5000);
+
+/// Function that takes a message of a record: its topic, its time \[ns\], and its bytes.
+pub type Take<'a> = &'a mut dyn FnMut(Topic, u64, &[u8]);
+
+/// Converter of a run's events to the messages of its record.
+pub struct Topics {
+    stage: Stage,
+    scope: Scope,
+    /// Wall clock at the run's time zero \[ns\] since 1970; 0 in a simulation.
+    anchor_ns: u64,
+    sent: SentDigest,
+    turn: Vec<u8>,
+    /// Number of messages that an operator has received.
+    received: u32,
+    team: Vec<Option<Body>>,
+    /// Whether `team` holds true states and not reported ones.
+    true_states: bool,
+    /// Whether a robot's pose has changed since the last drawing.
+    moved: bool,
+    drawn: Option<Time>,
+    /// Time at which walls and goals are drawn next.
+    standing_due: Time,
+    goals: BTreeMap<RobotId, Vec2>,
+    followed: Option<(Round, Phase)>,
+    guards: BTreeMap<RobotId, SafetyCounts>,
+    /// Time of the last pose message of each robot.
+    posed: BTreeMap<RobotId, Time>,
+}
+
+impl Topics {
+    /// Returns the converter for a new record. `stage` has the constant properties of the run, `scope` its kind.
+    /// `anchor_ns` is the wall clock at the start of the run \[ns\] since 1970; 0 in a simulation.
+    pub fn new(stage: Stage, scope: Scope, anchor_ns: u64) -> Topics {
+        Topics {
+            team: vec![None; stage.robots],
+            stage,
+            scope,
+            anchor_ns,
+            sent: SentDigest::default(),
+            turn: Vec::new(),
+            received: 0,
+            true_states: false,
+            moved: false,
+            drawn: None,
+            standing_due: Time::ZERO,
+            goals: BTreeMap::new(),
+            followed: None,
+            guards: BTreeMap::new(),
+            posed: BTreeMap::new(),
+        }
+    }
+
+    /// Returns the constant properties of the recorded run: ground, walls, hosts and robots.
+    pub fn stage(&self) -> &Stage {
+        &self.stage
+    }
+
+    /// Converts a time of the run to the time \[ns\] that messages have: since 1970, or since the start of a
+    /// simulation.
+    pub fn time_of(&self, now: Time) -> u64 {
+        self.anchor_ns + now.as_nanos()
+    }
+
+    /// Converts the events of one turn of the event loop, at the time `now`, to messages and passes these to `take`.
+    /// `events` has all events of the turn, without the final `Event::Turn`.
+    pub fn instant(&mut self, now: Time, events: &[Event], take: Take) {
+        let at = self.time_of(now);
+        // Written before the turn, whose inputs may be incomplete: a replay ends here.
+        for event in events.iter().filter(|event| matches!(event, Event::Dropped(_))) {
+            self.event(now, at, event, take);
+        }
+        if self.scope == Scope::Host {
+            self.write_turn(now, at, events, take);
+        }
+        for event in events.iter().filter(|event| !matches!(event, Event::Dropped(_))) {
+            self.event(now, at, event, take);
+        }
+        if self.moved && self.drawn.is_none_or(|drawn| now.since(drawn) >= DRAWING_PERIOD) {
+            (self.moved, self.drawn) = (false, Some(now));
+            self.draw(now, at, take);
+        }
+    }
+
+    fn write_turn(&mut self, now: Time, at: u64, events: &[Event], take: Take) {
+        self.turn.clear();
+        for event in events {
+            if let Event::Sent(link, frame) = event {
+                self.sent.add(*link, frame);
+            }
+        }
+        tape::begin(&mut self.turn, now, self.sent.take());
+        for event in events {
+            if let Event::Input(input) = event {
+                tape::add(&mut self.turn, input);
+            }
+        }
+        take(Topic::Turn, at, &self.turn);
+    }
+
+    fn event(&mut self, now: Time, at: u64, event: &Event, take: Take) {
+        match event {
+            Event::Published(host, frame) => {
+                take(Topic::Wire(*host), at, frame);
+                if self.scope == Scope::Simulation
+                    && matches!(codec::first(frame), Ok(Content::Message(Kind::Mode | Kind::Latent)))
+                    && let Ok((_, message)) = codec::decode(frame)
+                {
+                    self.hear(now, at, &message, take);
+                }
+            }
+            Event::Delivered(message) => {
+                if self.scope == Scope::Operator {
+                    self.received(at, message, take);
+                }
+                self.hear(now, at, message, take);
+            }
+            Event::Logged(Logged { severity, from, text }) => {
+                let mut out = Message::default();
+                foxglove::log(&mut out, at, *severity, from, text);
+                take(Topic::Program, at, &out.0);
+            }
+            Event::Truth(truth) => self.truth(at, truth, take),
+            Event::Episode(episode) => self.episode(at, episode, take),
+            Event::Guard(robot, counts) => self.guard(at, *robot, *counts, take),
+            Event::Hardware(robot, hardware) => {
+                json_to(Topic::Hardware, at, &condition(*robot, hardware), take);
+            }
+            Event::Counts(host, counts) => {
+                json_to(Topic::Counts, at, &json!({ "host": self.host(*host), "links": counts }), take);
+            }
+            Event::Peers(host, peers) => {
+                json_to(Topic::Links, at, &json!({ "host": self.host(*host), "peers": peers }), take);
+            }
+            Event::Dropped(count) => {
+                json_to(Topic::Counts, at, &json!({ "host": "", "recording_dropped": count }), take);
+                self.say(
+                    at,
+                    Severity::Warning,
+                    "record",
+                    &format!("{count} events were dropped before this one"),
+                    take,
+                );
+            }
+            Event::Sent(..) | Event::Input(_) | Event::Refused(..) | Event::Keep | Event::Turn(_) => {}
+        }
+    }
+
+    /// Returns the name of a host; that of an operator, which is outside the deployment, is `operator`.
+    fn host(&self, host: HostId) -> &str {
+        self.stage.hosts.get(usize::from(host.0)).map_or("operator", |name| name)
+    }
+
+    /// Records a message that an operator has received.
+    fn received(&mut self, at: u64, message: &Wire, take: Take) {
+        let sequence = self.received;
+        self.received = sequence.wrapping_add(1);
+        let header = Header { flags: Flags(0), team: 0, sender: HostId::operator(0), incarnation: 0, sequence };
+        // Every message that was received fits into a datagram.
+        if let Ok(frame) = codec::encode(&header, message) {
+            take(Topic::Received, at, &frame);
+        }
+    }
+
+    fn hear(&mut self, now: Time, at: u64, message: &Wire, take: Take) {
+        match message {
+            Wire::Mode(mode) => self.follow(now, at, mode, take),
+            Wire::Reading(reading) => {
+                let body = Body { position: reading.pose.position, heading: reading.pose.heading };
+                self.place(reading.robot, body);
+            }
+            Wire::Latent(latent) => {
+                let before = self.team.get(latent.robot.index()).copied().flatten();
+                let body = Body { position: latent.motion.position, heading: before.and_then(|body| body.heading) };
+                if before.is_none() {
+                    self.place(latent.robot, body);
+                }
+                let last = self.posed.get(&latent.robot);
+                if last.is_none_or(|last| now.since(*last) >= POSE_PERIOD) {
+                    self.posed.insert(latent.robot, now);
+                    let mut out = Message::default();
+                    drawing::pose(&mut out, at, body);
+                    take(Topic::Pose(latent.robot), at, &out.0);
+                }
+            }
+            Wire::Telemetry(telemetry) => {
+                for condition in &telemetry.robots {
+                    if let Some(seen) = condition.seen {
+                        let body = Body { position: seen.pose.position, heading: seen.pose.heading };
+                        self.place(condition.robot, body);
+                    }
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Sets the pose of a robot from a report, unless true states are known.
+    fn place(&mut self, robot: RobotId, body: Body) {
+        if let Some(place) = self.team.get_mut(robot.index()).filter(|_| !self.true_states) {
+            self.moved |= *place != Some(body);
+            *place = Some(body);
+        }
+    }
+
+    fn truth(&mut self, at: u64, truth: &Truth, take: Take) {
+        self.true_states = true;
+        let mut out = Message::default();
+        foxglove::time(&mut out, 1, at);
+        for sample in truth.samples.iter() {
+            self.team[sample.robot.index()] =
+                Some(Body { position: sample.motion.position, heading: Some(sample.heading) });
+            out.message(2, |robot| {
+                robot.uint(1, u64::from(sample.robot.0));
+                let (motion, command) = (sample.motion, sample.command);
+                let numbers = [
+                    motion.position.x,
+                    motion.position.y,
+                    motion.velocity.x,
+                    motion.velocity.y,
+                    sample.heading,
+                    sample.yaw_rate,
+                    command.x,
+                    command.y,
+                ];
+                (2..).zip(numbers).for_each(|(field, number)| robot.double(field, f64::from(number)));
+                robot.uint(10, u64::from(sample.contacts.robot));
+                robot.uint(11, u64::from(sample.contacts.wall));
+            });
+        }
+        self.moved = true;
+        take(Topic::Truth, at, &out.0);
+    }
+
+    /// Records a change of goals or phase in an instruction of the state server.
+    fn follow(&mut self, now: Time, at: u64, mode: &Mode, take: Take) {
+        for (robot, task) in (mode.first.0..).zip(mode.tasks.iter()) {
+            if self.goals.insert(RobotId(robot), task.goal) != Some(task.goal) {
+                (self.standing_due, self.moved) = (now, true);
+            }
+        }
+        if self.followed.replace((mode.round, mode.phase)) == Some((mode.round, mode.phase)) {
+            return;
+        }
+        let (episode, phase) = (mode.round.episode, name_of(mode.phase));
+        let said = json!({ "repeat": mode.repeat, "episode": episode, "phase": phase });
+        json_to(Topic::Episode, at, &said, take);
+        self.say(at, Severity::Info, "state server", &format!("episode {}: {phase}", episode + 1), take);
+    }
+
+    fn episode(&self, at: u64, episode: &Episode, take: Take) {
+        json_to(Topic::Episode, at, episode, take);
+        self.say(at, Severity::Info, "judge", &format!("episode {}: {}", episode.number(), episode.in_words()), take);
+    }
+
+    fn guard(&mut self, at: u64, robot: RobotId, counts: SafetyCounts, take: Take) {
+        let before = self.guards.insert(robot, counts).unwrap_or_default();
+        if before == counts {
+            return;
+        }
+        let mut said = serde_json::to_value(counts).expect("counts are JSON");
+        said["robot"] = robot.0.into();
+        json_to(Topic::Guard, at, &said, take);
+        for reason in counts.begun_since(&before) {
+            self.say(at, Severity::Warning, &format!("guard of robot {}", robot.0), reason.name(), take);
+        }
+    }
+
+    fn say(&self, at: u64, level: Severity, name: &str, text: &str, take: Take) {
+        let mut out = Message::default();
+        foxglove::log(&mut out, at, level, name, text);
+        take(Topic::Log, at, &out.0);
+    }
+
+    fn draw(&mut self, now: Time, at: u64, take: Take) {
+        let mut out = Message::default();
+        if now >= self.standing_due {
+            self.standing_due = now + STANDING_PERIOD;
+            let goals: Vec<Vec2> = self.goals.values().copied().collect();
+            drawing::walls_and_goals(&mut out, at, &self.stage, &goals);
+        }
+        drawing::team(&mut out, at, &self.stage, &self.team);
+        take(Topic::Scene, at, &out.0);
+        for (topic, draw) in [
+            (Topic::Robots, drawing::cloud as fn(&mut Message, u64, &[Option<Body>])),
+            (Topic::Transforms, drawing::transforms),
+        ] {
+            out.0.clear();
+            draw(&mut out, at, &self.team);
+            take(topic, at, &out.0);
+        }
+    }
+}
+
+/// Returns the condition of a robot's hardware as JSON.
+fn condition(robot: RobotId, hardware: &Hardware) -> serde_json::Value {
+    let health = match hardware.health {
+        Health::Ready => "ready",
+        Health::Faulty => "faulty",
+        Health::Silent => "silent",
+    };
+    json!({
+        "robot": robot, "health": health, "battery": hardware.battery,
+        "temperature_c": hardware.temperature.map(Celsius::degrees),
+        "reason": hardware.reason.as_ref().map(Reason::text),
+    })
+}
+
+fn json_to(topic: Topic, at: u64, value: &impl Serialize, take: Take) {
+    take(topic, at, &serde_json::to_vec(value).expect("counts and results are JSON"));
+}
+
+/// Returns the name of a phase in records.
+pub fn name_of(phase: Phase) -> &'static str {
+    match phase {
+        Phase::NeedReset => "need-reset",
+        Phase::Resetting => "resetting",
+        Phase::FinishedResetting => "finished-resetting",
+        Phase::Running => "running",
+        Phase::FinishedRunning => "finished-running",
+        Phase::AbortRunning => "abort-running",
+        Phase::EpisodesFinished => "episodes-finished",
+        Phase::Waiting => "waiting",
+    }
+}

@@ -1,0 +1,32 @@
+//! Delay and loss of a team's latents on a medium of a network study, to train a policy under these conditions.
+
+use super::case::{Addressing, Case, NetworkKind, ReliabilityMode, Sweep};
+use super::emulate;
+use super::medium::Medium;
+use murmurate::net::media::radio::Topology;
+use murmurate_train::config::Conditions;
+
+/// Latents that a robot sends \[1/s\]: one for each decision.
+const RATE: f64 = 20.0;
+
+/// Sets the delay and loss of messages in the training conditions `conditions` to those of `robots` robots (200 at
+/// most) on the medium. An emulation finds them for latents that are sent 20 times a second by best-effort multicast;
+/// the delay is a range from its 10 % to its 90 % quantile, both 0.5 s at most. Returns `None`, and changes nothing, if
+/// no message arrives.
+pub fn apply(medium: &Medium, robots: usize, conditions: &mut Conditions) -> Option<()> {
+    let stations = u16::try_from(robots.clamp(2, 200)).expect("it is at most 200");
+    let network = match medium {
+        Medium::Shaped(_) => NetworkKind::Shaped,
+        Medium::Radio(radio) if radio.channel == Topology::AdHoc => NetworkKind::AdHoc,
+        Medium::Radio(_) => NetworkKind::Infrastructure,
+    };
+    let sweep = Sweep { stations, ..Sweep::whole(medium.clone()) };
+    let (addressing, reliability) = (Addressing::Multicast, ReliabilityMode::BestEffort);
+    let case = Case { network, addressing, reliability, retries: 0, rate: RATE * f64::from(stations) };
+    let outcome = emulate::run(&sweep, &case, &|| true)?;
+    let [low, _, high, _] = outcome.quantiles_s?;
+    let loss = 1.0 - outcome.arrived as f64 / outcome.due as f64;
+    conditions.delay_s = [low.min(0.5) as f32, high.min(0.5) as f32];
+    conditions.loss = [loss as f32; 2];
+    Some(())
+}

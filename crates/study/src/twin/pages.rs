@@ -1,0 +1,117 @@
+//! Report of a twin: its figures and its page.
+
+use super::comparison::Row;
+use super::observed::Run;
+use super::predict::Predicted;
+use murmurate::config::shown::counted;
+use murmurate_figures::{Figure, FigureError, Heard, Makespans};
+use murmurate::report::listening::Listening;
+use murmurate_figures::page::{self, Part};
+use murmurate::time::Span;
+
+/// Texts and numbers for the report page of a twin.
+#[derive(Clone, Debug)]
+pub struct Words {
+    /// Name of the run and of its team.
+    pub title: String,
+    /// Command that repeats the report.
+    pub command: String,
+    /// Number of episodes to which the model was fitted, and number of episodes that it predicted.
+    pub episodes: [usize; 2],
+    /// Number of repeats of the prediction.
+    pub repeats: usize,
+    /// Notes for the report on what the records contain and what they do not.
+    pub notes: Vec<String>,
+}
+
+/// Draws the figures of a prediction beside the measured run: makespans, and ages of messages. `first` is the first
+/// episode of `run` that was predicted. There are none without predictions.
+pub fn figures(run: &Run, first: usize, predicted: &[Predicted]) -> Result<Vec<Figure>, FigureError> {
+    if predicted.is_empty() {
+        return Ok(Vec::new());
+    }
+    let simulated = predicted.iter().flat_map(|one| &one.episodes);
+    let measured = run.episodes[first..].iter();
+    let rows = [
+        Makespans {
+            name: "predicted".to_owned(),
+            values_s: simulated.clone().filter_map(|episode| episode.makespan_s).collect(),
+            episodes: simulated.count(),
+        },
+        Makespans {
+            name: "measured".to_owned(),
+            values_s: measured.clone().filter_map(|episode| episode.makespan_s).collect(),
+            episodes: measured.count(),
+        },
+    ];
+    let caption = "The area under a line is the share of successes; dashed: medians.";
+    let mut all = vec![Figure {
+        name: "makespans".to_owned(),
+        title: "Makespan".to_owned(),
+        caption: caption.to_owned(),
+        svg: murmurate_figures::makespans("Makespan", &rows, "predicted")?,
+    }];
+    let ages = |ages_s: &mut dyn Iterator<Item = f64>| {
+        let mut listening = Listening::default();
+        for age_s in ages_s {
+            listening.age.add(Span::from_secs(age_s.max(0.0)));
+            (listening.due, listening.heard) = (listening.due + 1, listening.heard + 1);
+        }
+        listening
+    };
+    let simulated = predicted.iter().flat_map(|one| &one.decisions).flat_map(|one| one.ages_s.iter().copied());
+    let measured = run.decisions[first..].iter().flat_map(|one| one.ages_s.iter().copied());
+    let both = [ages(&mut { simulated }), ages(&mut { measured })];
+    if both.iter().all(|listening| listening.due > 0) {
+        let heard = [("predicted", &both[0]), ("measured", &both[1])];
+        let heard = heard.map(|(name, listening)| Heard { name, listening });
+        let caption = "From the publication of a message to a control step that uses it, over all messages in use.";
+        all.push(Figure {
+            name: "ages".to_owned(),
+            title: "Ages of messages at decisions".to_owned(),
+            caption: caption.to_owned(),
+            svg: murmurate_figures::ages("Ages of messages at decisions", &heard)?,
+        });
+    }
+    Ok(all)
+}
+
+/// Returns the report page as HTML.
+pub fn page(words: &Words, rows: &[Row], figures: &[Figure]) -> String {
+    let [fitted, predicted] = words.episodes;
+    let outside = rows.iter().filter(|row| !row.agrees).count();
+    let verdict = match outside {
+        0 => "Every measurement agrees with its prediction.".to_owned(),
+        1 => "One measurement lies outside its bar.".to_owned(),
+        more => format!("{more} measurements lie outside their bars."),
+    };
+    let told = if words.repeats == 0 {
+        format!(
+            "The model was fitted to the first {fitted} episodes. Beside it stands the same fit to the other \
+             {predicted}. {verdict}"
+        )
+    } else {
+        format!(
+            "The model was fitted to the first {fitted} episodes. It was then run {} with the layouts of the \
+         other {predicted}, and its results stand beside what was measured in those. {verdict}",
+            counted(words.repeats, "time")
+        )
+    };
+    let mut parts = vec![
+        Part::Text(told),
+        Part::Table(Row::HEADS.to_vec(), rows.iter().map(|row| row.cells().to_vec()).collect()),
+        Part::Text(
+            "Intervals of predictions: of success, that of the binomial distribution for as many episodes; of \
+             makespans and ages, that of single repeats; of lag and links, the bootstrap over the fitted episodes. \
+             Intervals of measurements: Wilson's for success, else the bootstrap over the predicted episodes. Lag and \
+             links were measured by the same fit on the predicted episodes."
+                .to_owned(),
+        ),
+    ];
+    parts.extend(figures.iter().map(Part::Figure));
+    parts.push(Part::Heading("Notes".to_owned()));
+    parts.extend(words.notes.iter().cloned().map(Part::Text));
+    parts.push(Part::Heading("Command".to_owned()));
+    parts.push(Part::Verbatim(words.command.clone()));
+    page::page(&words.title, &parts)
+}

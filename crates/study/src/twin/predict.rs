@@ -1,0 +1,80 @@
+//! Prediction of a twin: runs one repeat of its simulation, and collects the same data as from a record.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use super::ages::{Decisions, Follower, Rules};
+use murmurate::graph::process::ProcessEvent;
+use murmurate::messages::ids::{HostId, RobotId};
+use murmurate::messages::wire::{Kind, Wire};
+use murmurate::net::protocol::codec::{self, Content, Frame};
+use murmurate_record::merge;
+use murmurate::report::episode::Episode;
+use murmurate::trial::{Proceed, Trial};
+
+/// Results of one simulated repeat of a twin's prediction.
+#[derive(Clone, Debug)]
+pub struct Predicted {
+    /// Results of the simulated episodes.
+    pub episodes: Vec<Episode>,
+    /// Robots' decisions in each simulated episode, with the ages of the messages that they used.
+    pub decisions: Vec<Decisions>,
+}
+
+/// Event of a latent's datagram in the simulation: its publication, or its arrival at a host.
+enum Event {
+    Published(Frame),
+    Arrived(HostId, Frame),
+}
+
+/// Returns the rules by which the robots of a trial use neighbours' messages: range, hold time and handling.
+pub fn rules(trial: &Trial) -> Rules {
+    let plan = trial.plan();
+    Rules { range_m: plan.range.mean_m, hold_ns: plan.hold.as_nanos() as i64, handling: plan.handling }
+}
+
+/// Returns the host of each robot's agent in a trial, in the order of the robots.
+pub fn hosts(trial: &Trial) -> Vec<HostId> {
+    let routes = murmurate::deploy::Routes::of(&trial.deployment);
+    RobotId::team(trial.deployment.robots).map(|robot| routes.agent_host(robot)).collect()
+}
+
+/// Runs the trial until its end, and returns its results and decisions; `None` if it did not finish. `proceed` is
+/// called with the results of the episodes so far, and says whether the trial goes on.
+pub fn run(trial: &Trial, mut proceed: impl FnMut(&[Episode]) -> Proceed) -> Option<Predicted> {
+    let mut follower = Follower::new(rules(trial), hosts(trial));
+    let events: Rc<RefCell<Vec<Event>>> = Rc::default();
+    let heard = Rc::clone(&events);
+    let is_latent = |frame: &Frame| matches!(codec::first(frame), Ok(Content::Message(Kind::Latent)));
+    let report = trial.run_observed(
+        move |_, host, event| match event {
+            ProcessEvent::Published(frame) if is_latent(frame) => {
+                heard.borrow_mut().push(Event::Published(Frame::clone(frame)));
+            }
+            ProcessEvent::Arrived(_, frame) if is_latent(frame) => {
+                heard.borrow_mut().push(Event::Arrived(host, Frame::clone(frame)));
+            }
+            _ => {}
+        },
+        |_, now, episodes| {
+            let now_ns = now.as_nanos() as i64;
+            for event in events.borrow_mut().drain(..) {
+                match event {
+                    Event::Published(frame) => {
+                        if let (Some(key), Ok((_, Wire::Latent(latent)))) = (merge::key(&frame), codec::decode(&frame))
+                        {
+                            follower.publish(now_ns, key, &latent);
+                        }
+                    }
+                    Event::Arrived(host, frame) => {
+                        merge::key(&frame).iter().for_each(|key| follower.arrive(now_ns, host, key));
+                    }
+                }
+            }
+            proceed(episodes)
+        },
+    );
+    let mut decisions = follower.into_decisions();
+    let decisions = (0..trial.layouts.len()).map(|episode| decisions.remove(&episode).unwrap_or_default()).collect();
+    report.finished.then_some(Predicted { episodes: report.episodes, decisions })
+}

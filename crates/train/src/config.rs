@@ -1,0 +1,406 @@
+//! Configuration of a training, read from one TOML file or from a preset. The same configuration, seed and number of
+//! decisions give the same weights.
+
+use serde::{Deserialize, Serialize};
+
+use super::network::Shape;
+use murmurate::chassis::{self, Chassis};
+use murmurate::config::{self, ConfigError};
+use murmurate::policy::Draw;
+use murmurate::policy::manifest::{Activation, Aggregation, Architecture, EdgeField, Field, Manifest};
+use murmurate::scenario::size::HULL_M;
+use murmurate::scenario::{Arena, Settings};
+
+/// Name and TOML text of each preset, a predefined configuration of a training.
+pub const PRESETS: &[(&str, &str)] = &[
+    ("published", include_str!("../policies/published.toml")),
+    ("robust", include_str!("../policies/robust.toml")),
+    ("any-size", include_str!("../policies/any-size.toml")),
+];
+
+/// Bounds of a uniform distribution: \[low, high\].
+pub type Range = [f32; 2];
+
+/// Configuration of a training: team, networks, algorithm, reward, conditions and curriculum.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Number of robots in the team; the scenario's default if left out.
+    #[serde(default)]
+    pub robots: Option<usize>,
+    /// Factor on the lengths of the scenario, but for the robots; 1 if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale: Option<f32>,
+    /// Radius of the robots' hull \[m\]; that of the paper's robots, 0.16 m, if left out. Distances of contact and
+    /// nearness of this configuration are those of that hull, and grow or shrink with it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hull_m: Option<f32>,
+    /// Longest duration of an episode \[s\]. An episode that reaches it is truncated: the critic estimates the value of
+    /// its last state.
+    pub episode_s: f32,
+    /// Chassis of the robots; holonomic without limits on speed and acceleration if left out.
+    #[serde(default, skip_serializing_if = "chassis::Settings::is_empty")]
+    pub body: chassis::Settings,
+    /// Network, observation and limits of the policy.
+    pub policy: Policy,
+    /// Layer widths of the critic's network; the policy's widths if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub critic: Option<Critic>,
+    /// Parameters of proximal policy optimisation, the learning algorithm.
+    pub ppo: Ppo,
+    /// Weights of the terms of a robot's reward.
+    pub reward: Reward,
+    /// Distributions from which each episode's conditions are drawn.
+    pub conditions: Conditions,
+    /// Stages of the curriculum, in the order of the training.
+    pub curriculum: Vec<Stage>,
+}
+
+/// Network of the policy, and the parameters written to the policy's manifest.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Policy {
+    /// Layout of the message-passing network.
+    pub architecture: Architecture,
+    /// Fields of a robot's observation, in the order of the network's inputs.
+    pub observation: Vec<Field>,
+    /// Features of an edge, in the order of the network's inputs.
+    #[serde(default)]
+    pub edge: Vec<EdgeField>,
+    /// Widths of the encoder's layers. The last width is that of the latent that a robot broadcasts.
+    pub encoder: Vec<usize>,
+    /// Widths of the layers of the policy's message network.
+    pub message: Vec<usize>,
+    /// Widths of the layers of the policy's update network, without the output layer.
+    pub update: Vec<usize>,
+    /// Largest distance between two robots that receive each other's messages \[m\].
+    pub radius_m: f32,
+    /// Largest commanded velocity along each axis \[m/s\].
+    pub limit_m_s: f32,
+    /// Age, counted from its arrival, up to which a deployed robot uses a message \[s\].
+    pub hold_s: f64,
+    /// Method by which a deployed robot takes an action from the policy's distribution: its mean, or a random sample.
+    pub draw: Draw,
+}
+
+/// Layer widths of the critic's network, which estimates values during the training only. It observes the whole team,
+/// so it may be smaller than the policy's network.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Critic {
+    /// Widths of the layers of the critic's encoder.
+    pub encoder: Vec<usize>,
+    /// Widths of the layers of the critic's message network. With two layers, no matrix product is computed per edge.
+    pub message: Vec<usize>,
+    /// Widths of the layers of the critic's update network, without the output layer.
+    pub update: Vec<usize>,
+}
+
+/// Parameters of proximal policy optimisation (Schulman et al., arXiv 1707.06347) with generalised advantage estimation
+/// (arXiv 1506.02438).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ppo {
+    /// Number of environments that run in parallel. The robots of an environment are those of one configured team.
+    pub environments: usize,
+    /// Number of decisions of each environment in a rollout.
+    pub decisions: usize,
+    /// Number of decisions from which one step of the optimiser is computed.
+    pub minibatch: usize,
+    /// Largest number of passes over a rollout in one update.
+    pub epochs: usize,
+    /// KL divergence from the policy before the update at which the update stops early; may be infinite.
+    pub kl_stop: f32,
+    /// Half width of the interval around 1 to which the probability ratio is clipped.
+    pub clip: f32,
+    /// Discount factor for a step of 50 ms.
+    pub gamma: f32,
+    /// Decay factor lambda of generalised advantage estimation, 0 to 1.
+    pub lambda: f32,
+    /// Learning rate at the beginning and at the end of the training, interpolated geometrically.
+    pub learning_rate: [f32; 2],
+    /// Largest norm of a gradient; a longer gradient is scaled down to it.
+    pub gradient_clip: f32,
+    /// Weight of the entropy at the beginning and at the end of the training, interpolated linearly.
+    pub entropy: [f32; 2],
+    /// Initial log standard deviation of actions, with the standard deviation in m/s.
+    pub log_std: f32,
+    /// Upper limit of the log standard deviation at the beginning and at the end of the training, interpolated
+    /// linearly.
+    pub log_std_max: [f32; 2],
+    /// Weight in the policy's loss of the squares of the parts of its means beyond `policy.limit_m_s` \[s²/m²\].
+    /// It keeps the means where drawn actions differ in the speed that robots are commanded.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub overshoot: f32,
+}
+
+/// Weights of the terms of a robot's reward in a step. A weight of zero leaves a term out.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Reward {
+    /// Factor on the sum of all terms of the reward.
+    pub scale: f32,
+    /// Weight of the scenario's own reward; 0 if the scenario has none.
+    pub scenario: f32,
+    /// Reward per metre by which the remaining path becomes shorter \[1/m\].
+    pub progress: f32,
+    /// Reward for the arrival at the goal, given once per episode.
+    pub arrival: f32,
+    /// Penalty per second until the robot has arrived at its goal \[1/s\].
+    pub time: f32,
+    /// Penalty per second for every robot of a team until the whole team has arrived \[1/s\], so that robots at their
+    /// goals make room for the last one.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub team_time: f32,
+    /// Penalty for each step in which the robot touches a wall.
+    pub wall: f32,
+    /// Penalty for each step in which the robot touches another robot.
+    pub robot: f32,
+    /// Penalty per second for another robot at distance zero \[1/s\]; decreases linearly to zero at distance
+    /// `proximity_m`.
+    pub proximity: f32,
+    /// Distance between two robots' centres at which the proximity penalty becomes zero \[m\].
+    pub proximity_m: f32,
+    /// Penalty per second for a wall at distance zero \[1/s\]; decreases linearly to zero at distance
+    /// `wall_proximity_m`.
+    pub wall_proximity: f32,
+    /// Distance between a robot's centre and a wall at which the wall's proximity penalty becomes zero \[m\].
+    pub wall_proximity_m: f32,
+    /// Whether a robot near its goal pays for nearness to a wall only where it is nearer than the goal itself.
+    /// Otherwise a robot does not drive to a goal that is within `wall_proximity_m` of a wall.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub goals_near_walls: bool,
+    /// Weight of the team's mean reward in a robot's reward, 0 to 1; the rest is the weight of the robot's own.
+    pub shared: f32,
+    /// Factor on the penalties for contacts and proximity in episodes with the safety filter, which keeps robots apart
+    /// by itself.
+    #[serde(default = "unchanged")]
+    pub filtered: f32,
+}
+
+fn unchanged() -> f32 {
+    1.0
+}
+
+fn is_false(switch: &bool) -> bool {
+    !switch
+}
+
+fn is_zero(weight: &f32) -> bool {
+    *weight == 0.0
+}
+
+/// Distributions of the episodes' conditions. For each episode, a value is drawn from every range.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Conditions {
+    /// Probability that all robots of an episode act at the same time, with messages that have neither delay nor loss.
+    pub clean: f32,
+    /// Probability that an episode has deployed physics: the drivetrain lags, and a contact makes the episode fail but
+    /// does not block the move. All other episodes have the physics of the paper's environment.
+    pub deployed: f32,
+    /// Distance between a robot's centre and a wall below which the robot touches the wall \[m\], in deployed physics.
+    pub wall_radius_m: f32,
+    /// Time constant of the drivetrain lag \[s\], in deployed physics.
+    pub lag_s: Range,
+    /// Mean delay of an episode's messages \[s\].
+    pub delay_s: Range,
+    /// Mean loss probability of an episode's messages.
+    pub loss: Range,
+    /// Largest relative deviation of the delay and loss between two robots from the episode's means, 0 to 1.
+    pub edge_spread: f32,
+    /// Age up to which a robot uses a message \[s\], counted from its arrival.
+    pub hold_s: Range,
+    /// Standard deviation of the communication range \[m\], which is drawn anew for each message.
+    pub range_std_m: Range,
+    /// Standard deviation of the noise on each axis of a measured position \[m\].
+    pub position_noise_m: Range,
+    /// Standard deviation of the noise on each axis of a measured velocity \[m/s\].
+    pub velocity_noise_m_s: Range,
+    /// Probability that an episode's communication range is unlimited.
+    #[serde(default)]
+    pub everyone: f32,
+    /// Probability, in deployed physics, that the simulated wheels limit acceleration instead of the robot's
+    /// controller.
+    #[serde(default)]
+    pub wheels: f32,
+    /// Probability, in deployed physics, that the safety filter of real robots limits the policy's velocities.
+    #[serde(default)]
+    pub filtered: f32,
+    /// Probability of the safety filter in all other episodes, those with the physics of the paper's environment.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub filtered_published: f32,
+    /// Size of the smallest team all of whose episodes have deployed physics and the safety filter, such as of teams
+    /// that would always collide without it; none if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub filtered_from: Option<usize>,
+    /// Range of `wall_radius_m` \[m\] in deployed physics with the safety filter, whose minimum distances grow with it;
+    /// `wall_radius_m` itself if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub filtered_wall_radius_m: Option<Range>,
+}
+
+/// One stage of the curriculum: settings that hold for a part of the training.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Stage {
+    /// Progress of the training at which the stage ends, 0 to 1; 1 for the last stage.
+    pub until: f64,
+    /// Ways to split an environment's robots into teams, each a list of team sizes. Environments take the entries in
+    /// turn.
+    pub groups: Vec<Vec<usize>>,
+    /// Number of simulated steps of 50 ms for which an action is held.
+    pub repeat: u32,
+    /// Width of the scenario's bottleneck \[m\]; the scenario's default if left out.
+    #[serde(default)]
+    pub gap_m: Option<f32>,
+    /// Factor on the penalties for contacts and proximity. Large penalties in the first stage make an untrained policy
+    /// learn to stand still.
+    pub penalties: f32,
+}
+
+impl Reward {
+    /// Returns the weights with all penalties for contacts and proximity multiplied by `factor`.
+    pub fn with_penalties(self, factor: f32) -> Reward {
+        Reward {
+            wall: factor * self.wall,
+            robot: factor * self.robot,
+            proximity: factor * self.proximity,
+            wall_proximity: factor * self.wall_proximity,
+            ..self
+        }
+    }
+
+    /// Returns the weights with the distances at which robots pay for nearness those of robots with the hull in
+    /// `arena`.
+    pub fn about(self, arena: &Arena) -> Reward {
+        let share = arena.hull_m() / HULL_M;
+        let (proximity_m, wall_proximity_m) = (share * self.proximity_m, share * self.wall_proximity_m);
+        Reward { proximity_m, wall_proximity_m, ..self }
+    }
+
+    /// Returns the weights for an episode; `filtered` says whether it has the safety filter.
+    pub fn in_episode(self, filtered: bool) -> Reward {
+        if filtered { self.with_penalties(self.filtered) } else { self }
+    }
+}
+
+impl Config {
+    /// Returns the predefined configuration named `name`; `None` if there is none of this name.
+    pub fn preset(name: &str) -> Option<Config> {
+        let (_, text) = PRESETS.iter().find(|(preset, _)| *preset == name)?;
+        Some(Config::from_toml(text).expect("the committed presets are valid; a test reads them all"))
+    }
+
+    /// Parses and checks a configuration in TOML. An error names the line or the field.
+    pub fn from_toml(text: &str) -> Result<Config, ConfigError> {
+        let config: Config = config::from_toml(text)?;
+        config.check()?;
+        Ok(config)
+    }
+
+    /// Converts a TOML table to a configuration, and checks it. An error names the field.
+    pub fn from_table(table: &toml::Table) -> Result<Config, ConfigError> {
+        let config: Config = config::from_table(table)?;
+        config.check()?;
+        Ok(config)
+    }
+
+    /// Returns the settings of the scenario for a team of `robots` robots, with a bottleneck of the width `gap_m`
+    /// \[m\]; `None` for the scenario's default.
+    pub fn settings(&self, robots: Option<usize>, gap_m: Option<f32>) -> Settings {
+        Settings { robots, gap_m, scale: self.scale, hull_m: self.hull_m }
+    }
+
+    /// Returns the index of the curriculum's stage at the completed fraction `progress` of the training, 0 to 1.
+    pub fn stage(&self, progress: f64) -> usize {
+        let last = self.curriculum.len() - 1;
+        self.curriculum.iter().position(|stage| progress < stage.until).unwrap_or(last)
+    }
+
+    /// Returns the manifest (metadata) of a policy trained with this configuration for the scenario named `scenario`,
+    /// without the data of the training and the hash of the weights.
+    pub fn manifest(&self, scenario: &str) -> Manifest {
+        let policy = &self.policy;
+        let shape = self.actor();
+        Manifest {
+            scenario: scenario.to_owned(),
+            architecture: policy.architecture,
+            observation: policy.observation.clone(),
+            edge: policy.edge.clone(),
+            activation: Some(Activation::Relu),
+            aggregation: Some(Aggregation::Sum),
+            encoder: shape.encoder,
+            message: shape.message,
+            update: shape.update,
+            draw: policy.draw,
+            radius_m: policy.radius_m,
+            limit_m_s: policy.limit_m_s,
+            hold_s: policy.hold_s,
+            log_std_max: Some(self.ppo.log_std_max[1]),
+            ..Manifest::published()
+        }
+    }
+
+    /// Returns the chassis (kind of drive and limits) of the robots.
+    ///
+    /// # Panics
+    /// If the settings `body` are wrong, which `check` excludes.
+    pub fn chassis(&self) -> Chassis {
+        self.body.chassis().expect("a checked configuration has a sound chassis")
+    }
+
+    /// Returns the layer widths of the policy's network.
+    pub fn actor(&self) -> Shape {
+        let policy = &self.policy;
+        let edge = policy.edge.iter().map(|field| field.floats()).sum();
+        let widths = [&policy.encoder, &policy.message, &policy.update];
+        shape(policy.architecture, 2 * policy.observation.len(), edge, widths, 4)
+    }
+
+    /// Returns the layer widths of the critic's network, which observes all robots of a team and privileged information
+    /// about each.
+    pub fn critic(&self) -> Shape {
+        let policy = &self.policy;
+        let widths = match &self.critic {
+            Some(critic) => [&critic.encoder, &critic.message, &critic.update],
+            None => [&policy.encoder, &policy.message, &policy.update],
+        };
+        let inputs = 2 * policy.observation.len() + super::observe::PRIVILEGED;
+        shape(Architecture::Full, inputs, 2, widths, 1)
+    }
+}
+
+/// Returns the layer widths of a network from those of its hidden layers.
+fn shape(
+    architecture: Architecture,
+    inputs: usize,
+    edge: usize,
+    [encoder, message, update]: [&Vec<usize>; 3],
+    outputs: usize,
+) -> Shape {
+    let widths = |input: usize, rest: &[usize]| [&[input], rest].concat();
+    let last = |widths: &[usize]| widths.last().copied().unwrap_or(0);
+    let (hidden, messages) = (last(encoder), last(message));
+    let (message_inputs, update_inputs) = match architecture {
+        Architecture::Published => (hidden, messages),
+        // Of a configuration that is not checked yet: a width that does not fit is refused as too large.
+        Architecture::Full => (hidden.saturating_mul(2).saturating_add(edge), hidden.saturating_add(messages)),
+    };
+    let update = [&widths(update_inputs, update)[..], &[outputs]].concat();
+    Shape { architecture, encoder: widths(inputs, encoder), message: widths(message_inputs, message), update, edge }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn penalties_have_their_factor_in_filtered_episodes_alone() {
+        let reward = Reward { filtered: 0.5, ..Config::preset("robust").expect("it is a preset").reward };
+        assert_eq!(reward.in_episode(false), reward);
+        let filtered = reward.in_episode(true);
+        assert_eq!((filtered.robot, filtered.wall), (reward.robot / 2.0, reward.wall / 2.0));
+        assert_eq!((filtered.proximity, filtered.time), (reward.proximity / 2.0, reward.time));
+    }
+}

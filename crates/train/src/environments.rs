@@ -1,0 +1,347 @@
+//! Vectorised environments: the worlds, tasks, conditions and messages of many teams. The dynamics are those of
+//! `world::kinematic`, and the rewards those of the scenario and the configuration.
+//!
+//! For a robot with a differential drive, observation, reward and arrival refer to the point that the policy commands;
+//! contacts refer to the robot's centre, as in a run. The heading is drawn at the start of each episode.
+//!
+//! A row (environment) has as many robots as the configured team: one team, or several teams that do not interact.
+
+use std::f32::consts::PI;
+use std::sync::Arc;
+
+use rand::{Rng, RngExt};
+use serde::{Deserialize, Serialize};
+
+use super::conditions::Episode;
+use super::config::{Conditions, Reward};
+use super::filters;
+use super::message_buffer::MessageBuffer;
+use super::reward::{RobotStep, proximity_penalty, robot_reward, team_penalty};
+use super::rolling::Rolling;
+use murmurate::chassis::{Chassis, DriveKind};
+use murmurate::messages::geometry::{Motion, Task, Vec2};
+use murmurate::messages::local::Contacts;
+use murmurate::random;
+use murmurate::random::Stream;
+use murmurate::safety::filter::Filter;
+use murmurate::scenario::{Scenario, Stage, TeamAfterStep};
+use murmurate::world::kinematic::{self, PERIOD};
+use murmurate::world::{Clamp, Physics};
+
+/// One team in the training environments, with the state of its episode.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Team {
+    /// Index of the team's first robot among all robots.
+    pub first: usize,
+    /// Number of robots in the team.
+    pub robots: usize,
+    /// Number of steps of 50 ms since the start of the team's episode.
+    pub step: u32,
+    /// Conditions of the team's current episode: messages, noise and physics.
+    pub episode: Episode,
+    /// Estimates of the robots' motions in the last steps, and the messages that the robots hold.
+    pub messages: MessageBuffer,
+    /// Whether any robot of the team has touched a wall or, with deployed physics, another robot in the episode.
+    pub touched: bool,
+    /// Return of the episode so far, the mean over the team's robots.
+    pub episode_return: f32,
+    /// Seed and episode number from which the scenario makes the layout.
+    pub(super) layout: (u64, u32),
+}
+
+impl Team {
+    /// Returns the indices of the team's robots among all robots.
+    pub fn range(&self) -> std::ops::Range<usize> {
+        self.first..self.first + self.robots
+    }
+}
+
+/// Training environments of many teams: the states of all their robots. Public lists of robots' states have one entry
+/// per robot, by its index among all robots.
+#[derive(Clone, Debug)]
+pub struct Environments {
+    /// Teams of all environments, in the order of their robots.
+    pub teams: Vec<Team>,
+    /// True position of each robot's centre \[m\], world frame.
+    pub position: Vec<Vec2>,
+    /// True velocity of each robot's centre \[m/s\], world frame.
+    pub velocity: Vec<Vec2>,
+    /// Wheels and commanded points of all robots; `None` for holonomic robots with the default chassis.
+    pub(super) rolling: Option<Rolling>,
+    /// Contacts of each robot with walls and other robots in the last step.
+    pub contacts: Vec<Contacts>,
+    /// Start and goal of each robot in its current episode \[m\], world frame.
+    pub tasks: Vec<Task>,
+    /// Stage of each robot's progress, which the scenario's reward uses.
+    pub stage: Vec<Stage>,
+    /// Whether each robot has arrived at its goal in its current episode.
+    pub arrived: Vec<bool>,
+    /// Length of each robot's remaining path \[m\].
+    pub to_go_m: Vec<f32>,
+    /// Reward of each robot for the last step, with all terms.
+    pub reward: Vec<f32>,
+    /// Scenario for each team size that occurs, indexed by the team size.
+    scenarios: Vec<Option<Arc<dyn Scenario>>>,
+    /// Physical parameters, one entry per team.
+    physics: Vec<Physics>,
+    before: Vec<Vec2>,
+    command: Vec<Vec2>,
+    /// Safety filters; `None` in episodes without them.
+    pub(super) filters: Vec<Option<Filter>>,
+    /// Rewards of the scenario in the last step.
+    scenario_reward: Vec<f32>,
+    reached: Vec<bool>,
+}
+
+impl Environments {
+    /// Makes `rows` environments. Each entry of `groups` lists the team sizes of one of them; they take the entries in
+    /// turn, and `scenarios` has a scenario for each size. Each team needs `start` or `place` before its first step.
+    pub fn new(rows: usize, groups: &[Vec<usize>], scenarios: &[Arc<dyn Scenario>]) -> Environments {
+        let largest = scenarios.iter().map(|scenario| scenario.robots()).max().unwrap_or(0);
+        let mut by_size = vec![None; largest + 1];
+        scenarios.iter().for_each(|scenario| by_size[scenario.robots()] = Some(Arc::clone(scenario)));
+        let mut teams = Vec::new();
+        let mut robots = 0;
+        for row in 0..rows {
+            for &size in &groups[row % groups.len()] {
+                let (episode, mut messages) = (Episode::perfect(size), MessageBuffer::default());
+                messages.restart(size, true);
+                teams.push(Team {
+                    first: robots,
+                    robots: size,
+                    step: 0,
+                    episode,
+                    messages,
+                    touched: false,
+                    episode_return: 0.0,
+                    layout: (0, 0),
+                });
+                robots += size;
+            }
+        }
+        let no_task = Task { start: Vec2::zeros(), goal: Vec2::zeros() };
+        let physics = |team: &Team| {
+            let scenario = by_size[team.robots].as_ref().expect("there is a scenario for every team size");
+            team.episode.physics(scenario.arena())
+        };
+        Environments {
+            physics: teams.iter().map(physics).collect(),
+            teams,
+            position: vec![Vec2::zeros(); robots],
+            velocity: vec![Vec2::zeros(); robots],
+            rolling: None,
+            contacts: vec![Contacts::default(); robots],
+            tasks: vec![no_task; robots],
+            stage: vec![Stage(0); robots],
+            arrived: vec![false; robots],
+            to_go_m: vec![0.0; robots],
+            reward: vec![0.0; robots],
+            scenarios: by_size,
+            before: vec![Vec2::zeros(); robots],
+            command: vec![Vec2::zeros(); robots],
+            filters: vec![None; robots],
+            scenario_reward: vec![0.0; robots],
+            reached: vec![false; robots],
+        }
+    }
+
+    /// Returns the environments with `chassis` for all robots. All episodes must be started afterwards.
+    pub fn equipped(mut self, chassis: &Chassis) -> Environments {
+        self.rolling = Rolling::new(chassis, self.position.len());
+        self
+    }
+
+    /// Returns the true motion, world frame, of the commanded point of the robot with index `robot` among all robots.
+    pub fn point(&self, robot: usize) -> Motion {
+        match &self.rolling {
+            None => Motion { position: self.position[robot], velocity: self.velocity[robot] },
+            Some(rolling) => Motion { position: rolling.position[robot], velocity: rolling.velocity[robot] },
+        }
+    }
+
+    /// Returns the heading \[rad\], counter-clockwise from the x axis of the world frame, of the robot with index
+    /// `robot` among the robots of all teams.
+    pub fn heading(&self, robot: usize) -> f32 {
+        self.rolling.as_ref().map_or(0.0, |rolling| rolling.wheels[robot].heading())
+    }
+
+    /// Returns the scenario of the team with index `team`.
+    pub fn scenario(&self, team: usize) -> &dyn Scenario {
+        &**self.scenarios[self.teams[team].robots].as_ref().expect("every team has a scenario")
+    }
+
+    /// Starts an episode of the team with index `team`, with a layout and conditions drawn from `stream`.
+    pub fn start(&mut self, team: usize, conditions: &Conditions, stream: &mut Stream) {
+        let episode = Episode::draw(conditions, self.teams[team].robots, stream);
+        // Episodes with even and odd numbers start on different sides of the arena.
+        let layout = (stream.next_u64(), stream.random_range(0..2));
+        self.place(team, layout, episode, stream);
+    }
+
+    /// Starts an episode of a team under the conditions `episode`. `layout` has the seed and the episode number from
+    /// which the scenario draws starts and goals; headings and noise are drawn from `stream`.
+    pub fn place(&mut self, team: usize, layout: (u64, u32), episode: Episode, stream: &mut Stream) {
+        let tasks = self.scenario(team).tasks(layout.0, layout.1);
+        self.set_episode(team, layout, &tasks, episode);
+        for (index, task) in tasks.iter().enumerate() {
+            let robot = self.teams[team].first + index;
+            let velocity = self.scenario(team).start_velocity(task);
+            self.position[robot] = task.start;
+            self.velocity[robot] = velocity;
+            if let Some(rolling) = &mut self.rolling {
+                let turns = rolling.wheels[robot].chassis().drive == DriveKind::Differential;
+                // A robot that starts in motion is placed as in a World: with its heading along its velocity.
+                let heading = match turns {
+                    true if velocity != Vec2::zeros() => task.heading(),
+                    true => stream.random_range(-PI..PI),
+                    false => 0.0,
+                };
+                rolling.wheels[robot].place(heading);
+                rolling.update(robot, &Motion { position: task.start, velocity });
+            }
+            self.contacts[robot] = Contacts::default();
+            self.stage[robot] = Stage(0);
+            self.arrived[robot] = false;
+            self.to_go_m[robot] = self.scenario(team).distance_to_go(task, self.point(robot).position);
+        }
+        let team_of = &mut self.teams[team];
+        (team_of.step, team_of.touched, team_of.episode_return) = (0, false, 0.0);
+        team_of.messages.restart(tasks.len(), team_of.episode.lockstep);
+        self.measure(team, stream);
+    }
+
+    pub(super) fn set_episode(&mut self, team: usize, layout: (u64, u32), tasks: &[Task], episode: Episode) {
+        self.physics[team] = episode.physics(self.scenario(team).arena());
+        let range = self.teams[team].range();
+        self.tasks[range.clone()].copy_from_slice(tasks);
+        (self.teams[team].layout, self.teams[team].episode) = (layout, episode);
+        let ahead_m = self.rolling.as_ref().map_or(0.0, Rolling::ahead_m);
+        let (episode, arena) = (&self.teams[team].episode, self.scenario(team).arena());
+        let filter = filters::filter(episode, arena, &self.physics[team], ahead_m);
+        self.filters[range].fill(filter);
+    }
+
+    /// Whether a team has deployed physics, where a contact makes the episode fail but does not block the move.
+    pub fn is_judged(&self, team: usize) -> bool {
+        self.teams[team].episode.lag_s.is_some()
+    }
+
+    /// Advances a team by one step of 50 ms. `actions` are commanded velocities \[m/s\], world frame, one for each
+    /// robot of all teams, limited to `limit_m_s` along each axis. `weights` are those of the reward's terms.
+    pub fn step(&mut self, team: usize, actions: &[Vec2], weights: &Reward, limit_m_s: f32, stream: &mut Stream) {
+        let range = self.teams[team].range();
+        let Episode { filtered, clamp, lockstep, .. } = self.teams[team].episode;
+        let weights = &weights.in_episode(filtered).about(self.scenario(team).arena());
+        let (judged, exact) = (self.is_judged(team), lockstep || clamp == Clamp::Training);
+        for (robot, action) in range.clone().zip(&actions[range.clone()]) {
+            let measured = if exact { self.point(robot).velocity } else { self.estimate(team, robot).velocity };
+            let wanted = clamp.limit(*action, measured, limit_m_s);
+            self.command[robot] = if filtered { self.filtered(team, robot, wanted) } else { wanted };
+        }
+        let scenario = &**self.scenarios[self.teams[team].robots].as_ref().expect("every team has a scenario");
+        let mut world = kinematic::Team {
+            position: &mut self.position[range.clone()],
+            velocity: &mut self.velocity[range.clone()],
+            wheels: self.rolling.as_mut().map_or(&mut [], |rolling| &mut rolling.wheels[range.clone()]),
+            contacts: &mut self.contacts[range.clone()],
+            before: &mut self.before[range.clone()],
+        };
+        kinematic::step(scenario.arena(), &self.physics[team], &self.command[range.clone()], &mut world);
+        if let Some(rolling) = &mut self.rolling {
+            for robot in range.clone() {
+                let centre = Motion { position: self.position[robot], velocity: self.velocity[robot] };
+                rolling.update(robot, &centre);
+            }
+        }
+        let (points, velocity) = match &self.rolling {
+            None => (&self.position[range.clone()], &self.velocity[range.clone()]),
+            Some(rolling) => (&rolling.position[range.clone()], &rolling.velocity[range.clone()]),
+        };
+        let (position, contacts) = (&self.position[range.clone()], &self.contacts[range.clone()]);
+        let tasks = &self.tasks[range.clone()];
+        if weights.scenario > 0.0 {
+            let stage = &mut self.stage[range.clone()];
+            let after = TeamAfterStep { tasks, position: points, velocity, contacts, stage };
+            scenario.rewards(after, &mut self.scenario_reward[range.clone()]);
+        }
+        scenario.arrivals(tasks, points, &mut self.reached[range.clone()]);
+        let scored = self.scenario_reward[range.clone()].iter().zip(&self.reached[range.clone()]);
+        let progress = self.to_go_m[range.clone()].iter_mut().zip(&mut self.arrived[range.clone()]);
+        let progress = progress.zip(&mut self.reward[range.clone()]);
+        let states = tasks.iter().zip(position.iter().zip(points)).zip(contacts).zip(scored).zip(progress).enumerate();
+        let (mut sum, mut touched) = (0.0, false);
+        for (robot, ((((task, (&at, &point)), &contacts), scored), ((to_go_m, arrived), reward))) in states {
+            let (&scenario_reward, &reached) = scored;
+            let step = RobotStep { task, position: at, point, contacts, scenario_reward, reached, to_go_m, arrived };
+            *reward = robot_reward(weights, scenario, step);
+            if weights.proximity > 0.0 {
+                *reward -= proximity_penalty(weights, robot, position);
+            }
+            sum += *reward;
+            touched |= contacts.wall || (judged && contacts.robot);
+        }
+        let waiting = team_penalty(weights, &self.arrived[range.clone()]);
+        let mean = sum / range.len() as f32;
+        for reward in &mut self.reward[range] {
+            *reward += weights.shared * (mean - *reward) - waiting;
+        }
+        let team_of = &mut self.teams[team];
+        team_of.touched |= touched;
+        team_of.episode_return += mean - waiting;
+        team_of.step += 1;
+        if !team_of.episode.lockstep {
+            self.measure(team, stream);
+        }
+    }
+
+    /// Returns the velocity after the robot's safety filter, which knows what the robot itself knows.
+    fn filtered(&mut self, team: usize, robot: usize, wanted: Vec2) -> Vec2 {
+        let Some(mut filter) = self.filters[robot].take() else { return wanted };
+        let Team { first, step, episode, messages, .. } = &self.teams[team];
+        let filtered = if episode.lockstep {
+            let others = self.teams[team].range().filter(|other| *other != robot);
+            filter.apply(&self.point(robot), others.map(|other| (self.point(other), 0.0)), wanted)
+        } else {
+            filter.apply(&self.estimate(team, robot), messages.known(episode, *step, robot - first), wanted)
+        };
+        self.filters[robot] = Some(filter);
+        filtered.velocity
+    }
+
+    /// Draws a noisy measurement of every robot of a team and stores it as the robot's estimate. A team whose robots
+    /// act at the same time needs this only before a decision, any other team in every step.
+    pub fn measure(&mut self, team: usize, stream: &mut Stream) {
+        let (position, velocity) = match &self.rolling {
+            None => (&self.position, &self.velocity),
+            Some(rolling) => (&rolling.position, &rolling.velocity),
+        };
+        let Team { first, robots, step, episode, messages, .. } = &mut self.teams[team];
+        for robot in 0..*robots {
+            let mut motion = Motion { position: position[*first + robot], velocity: velocity[*first + robot] };
+            let mut noise = |std: f32, to: &mut Vec2| {
+                if std > 0.0 {
+                    *to += Vec2::from(random::normals(stream).map(|unit| unit as f32)) * std;
+                }
+            };
+            noise(episode.position_noise_m, &mut motion.position);
+            noise(episode.velocity_noise_m_s, &mut motion.velocity);
+            messages.store(*step, robot, &motion);
+        }
+    }
+
+    /// Returns a robot's estimate of its own motion, world frame, by its team's index and its index among all robots.
+    pub fn estimate(&self, team: usize, robot: usize) -> Motion {
+        let team = &self.teams[team];
+        team.messages.estimate(team.step, robot - team.first)
+    }
+
+    /// Whether all robots of the team with index `team` have arrived.
+    pub fn all_arrived(&self, team: usize) -> bool {
+        self.arrived[self.teams[team].range()].iter().all(|&arrived| arrived)
+    }
+
+    /// Returns the time since the start of a team's episode \[s\].
+    pub fn elapsed_s(&self, team: usize) -> f32 {
+        self.teams[team].step as f32 * PERIOD.as_secs() as f32
+    }
+}

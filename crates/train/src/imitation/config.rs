@@ -1,0 +1,253 @@
+//! Configuration of a training by imitation, read from one TOML file or from the preset. The same configuration, seed
+//! and number of decisions give the same weights.
+
+use serde::{Deserialize, Serialize};
+
+use super::network::Network;
+use murmurate::config::{self, ConfigError};
+use murmurate::policy::Draw;
+use murmurate::policy::hops::action::Action;
+use murmurate::policy::hops::manifest::{
+    Aggregation, Deviation, Distribution, EdgeFeature, FORMAT, Hop, Input, Layers, Manifest, OUTPUTS,
+};
+use murmurate::policy::hops::perceptron::Activation;
+use murmurate::policy::manifest::Field;
+
+/// Name of the preset, the default in a scenario without goals.
+pub const PRESET: &str = "imitation";
+/// TOML text of the preset.
+const TEXT: &str = include_str!("../../policies/flocking.toml");
+
+/// Configuration of a training by imitation.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Number of robots in the team; the scenario's default if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robots: Option<usize>,
+    /// Factor on the lengths of the scenario, but for the robots; 1 if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale: Option<f32>,
+    /// Radius of the robots' hull \[m\]; that of the paper's robots, 0.16 m, if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hull_m: Option<f32>,
+    /// Name of the policy whose actions are learnt, in the registry.
+    pub expert: String,
+    /// Network and limits of the policy.
+    pub policy: Policy,
+    /// Parameters of the optimisation and of the rollouts.
+    pub imitation: Imitation,
+    /// Distributions from which each episode's conditions are drawn.
+    pub conditions: Conditions,
+}
+
+/// Network of the policy, and the parameters written to its manifest. All hops have the same networks, but the first
+/// has no input of its own and none of the sender: its messages are of the edges alone, so that neither a position nor
+/// a velocity that all robots have in common changes an action.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Policy {
+    /// Number of hops.
+    pub hops: usize,
+    /// Features of an edge, in the order of the networks' inputs.
+    pub edge: Vec<EdgeFeature>,
+    /// Widths of the layers of a message network.
+    pub message: Vec<usize>,
+    /// Method of combining messages, sum or mean.
+    pub aggregation: Aggregation,
+    /// Widths of the layers of an update network. The last one is that of a hop's output, which robots broadcast unless
+    /// the hop is the last.
+    pub update: Vec<usize>,
+    /// Activation after every layer but the last of an update network and the decoder: relu or tanh.
+    pub activation: Activation,
+    /// Communication radius \[m\].
+    pub radius_m: f32,
+    /// Steps of the policy per second \[Hz\]: that of the training world, 20.
+    pub rate_hz: f64,
+    /// Largest commanded speed along each axis \[m/s\].
+    pub limit_m_s: f32,
+    /// Hold time \[s\]: age up to which a neighbour's newest message is used.
+    pub hold_s: f64,
+}
+
+/// Parameters of the optimisation and of the rollouts.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Imitation {
+    /// Number of episodes in an iteration.
+    pub episodes: usize,
+    /// Share of the episodes that the expert drives at the start of the training, 0 to 1; it falls linearly to zero.
+    pub expert_share: f32,
+    /// Progress of the training at which the expert drives no more, 0 to 1.
+    pub expert_until: f32,
+    /// Number of successive steps of a team that are learnt together.
+    pub window: usize,
+    /// Number of steps before these from which messages still count.
+    pub lookback: usize,
+    /// Number of windows in a minibatch.
+    pub batch: usize,
+    /// Learning rate at the start and at the end; it falls exponentially.
+    pub learning_rate: [f32; 2],
+    /// Largest norm of a gradient.
+    pub max_gradient: f32,
+}
+
+/// Distributions from which the conditions of an episode are drawn.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Conditions {
+    /// Share of the episodes in which robots step together and exchange all hops within a step, without loss. In the
+    /// others every message is a step older or more.
+    pub lockstep: f32,
+    /// Least and largest probability that a receiver loses a message, in episodes without lock step.
+    pub loss: [f32; 2],
+}
+
+/// Returns an error unless `value` is within the bounds.
+fn within(field: &str, value: f64, low: f64, high: f64) -> Result<(), ConfigError> {
+    if (low..=high).contains(&value) {
+        return Ok(());
+    }
+    Err(ConfigError::field(field, format!("{value} is not {low} to {high}")))
+}
+
+impl Config {
+    /// Returns the preset.
+    pub fn preset() -> Config {
+        Config::from_toml(TEXT).expect("the committed preset is valid; a test reads it")
+    }
+
+    /// Returns whether a text is such a configuration, and not one of reinforcement learning: it has a table
+    /// `imitation`.
+    pub fn is_in(text: &str) -> bool {
+        text.parse::<toml::Table>().is_ok_and(|table| table.contains_key("imitation"))
+    }
+
+    /// Parses and checks a configuration in TOML. An error names the line or the field.
+    pub fn from_toml(text: &str) -> Result<Config, ConfigError> {
+        let config: Config = config::from_toml(text)?;
+        config.check()?;
+        Ok(config)
+    }
+
+    /// Converts a TOML table to a configuration, and checks it. An error names the field.
+    pub fn from_table(table: &toml::Table) -> Result<Config, ConfigError> {
+        let config: Config = config::from_table(table)?;
+        config.check()?;
+        Ok(config)
+    }
+
+    /// Checks all fields; the error names the field.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        let Imitation { episodes, expert_share, expert_until, window, lookback, batch, learning_rate, max_gradient } =
+            &self.imitation;
+        let counts = [("episodes", episodes, 1024), ("window", window, 1024), ("batch", batch, 4096)];
+        for (field, value, most) in counts {
+            within(&format!("imitation.{field}"), *value as f64, 1.0, f64::from(most))?;
+        }
+        within("imitation.lookback", *lookback as f64, 0.0, 64.0)?;
+        within("imitation.expert_share", f64::from(*expert_share), 0.0, 1.0)?;
+        within("imitation.expert_until", f64::from(*expert_until), 0.0, 1.0)?;
+        for rate in learning_rate {
+            within("imitation.learning_rate", f64::from(*rate), 1e-8, 1.0)?;
+        }
+        within("imitation.max_gradient", f64::from(*max_gradient), 1e-6, 1e6)?;
+        within("conditions.lockstep", f64::from(self.conditions.lockstep), 0.0, 1.0)?;
+        let [low, high] = self.conditions.loss;
+        within("conditions.loss", f64::from(low), 0.0, f64::from(high))?;
+        within("conditions.loss", f64::from(high), 0.0, 0.95)?;
+        within("policy.rate_hz", self.policy.rate_hz, 20.0, 20.0)?;
+        // Without a width there is no network to check below.
+        within("policy.hops", self.policy.hops as f64, 1.0, 8.0)?;
+        for (field, widths) in [("message", &self.policy.message), ("update", &self.policy.update)] {
+            within(&format!("policy.{field}"), widths.len() as f64, 1.0, 8.0)?;
+        }
+        let manifest = self.manifest("any");
+        let wrong = |text: String| match text.split_once(": ") {
+            Some((field, reason)) => ConfigError::field(format!("policy.{field}"), reason.to_owned()),
+            None => ConfigError::field("policy", text),
+        };
+        manifest.check().map_err(wrong)?;
+        Network::new(&manifest).map(|_| ()).map_err(wrong)
+    }
+
+    /// Returns the manifest of the policy for a scenario.
+    pub fn manifest(&self, scenario: &str) -> Manifest {
+        let Policy { hops, edge, message, aggregation, update, activation, radius_m, rate_hz, limit_m_s, hold_s } =
+            &self.policy;
+        let edge_floats: usize = edge.iter().map(|feature| feature.floats()).sum();
+        let (messages, output) = (*message.last().unwrap_or(&0), *update.last().unwrap_or(&0));
+        let layers = |inputs: &[Input], first: usize, widths: &[usize], output_activation: Activation| Layers {
+            inputs: inputs.to_vec(),
+            widths: [first].into_iter().chain(widths.iter().copied()).collect(),
+            activation: (widths.len() > 1).then_some(*activation),
+            output_activation,
+        };
+        let hop = |at: usize| {
+            let (message_inputs, update_inputs): (&[Input], &[Input]) = match at {
+                0 => (&[Input::Edge], &[Input::Messages]),
+                _ => (&[Input::Sender, Input::Edge], &[Input::Own, Input::Messages]),
+            };
+            let input = if at == 0 { 0 } else { output };
+            Hop {
+                message: Some(layers(message_inputs, input + edge_floats, message, *activation)),
+                aggregation: *aggregation,
+                heads: None,
+                score: None,
+                query: None,
+                key: None,
+                self_loop: None,
+                update: Some(layers(update_inputs, input + messages, update, Activation::Linear)),
+            }
+        };
+        Manifest {
+            format: FORMAT,
+            scenario: scenario.to_owned(),
+            observation: vec![Field::Velocity],
+            edge: edge.clone(),
+            // The format has an encoder; nothing uses its one output, as the first hop takes edges alone.
+            encoder: layers(&[], 2, &[1], Activation::Linear),
+            hops: (0..*hops).map(hop).collect(),
+            decoder: layers(&[], output, &[OUTPUTS], Activation::Linear),
+            action: Action::Acceleration,
+            distribution: Distribution::DiagonalNormal,
+            deviation: Deviation::Log,
+            draw: Draw::Mean,
+            log_std_max: None,
+            radius_m: *radius_m,
+            rate_hz: *rate_hz,
+            limit_m_s: *limit_m_s,
+            hold_s: *hold_s,
+            sha256: String::new(),
+            training: None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wrong_fields_and_networks_that_training_does_not_support_are_named() {
+        let refused = |change: fn(&mut Config)| {
+            let mut config = Config::preset();
+            change(&mut config);
+            config.check().expect_err("it is wrong").to_string()
+        };
+        for (change, named) in [
+            ((|config| config.imitation.window = 0) as fn(&mut Config), "imitation.window"),
+            (|config| config.conditions.loss = [0.5, 0.2], "conditions.loss"),
+            (|config| config.policy.hops = 0, "policy.hops"),
+            (|config| config.policy.update.clear(), "policy.update"),
+            (|config| config.policy.aggregation = Aggregation::Max, "policy.hops.0.aggregation"),
+            (|config| config.policy.activation = Activation::Elu, "policy.hops.0.message.output_activation"),
+        ] {
+            let why = refused(change);
+            assert!(why.contains(named), "{named}: {why}");
+        }
+        let mut manifest = Config::preset().manifest("flocking");
+        manifest.action = Action::Velocity;
+        assert!(Network::new(&manifest).expect_err("it is not supported").starts_with("action"));
+    }
+}

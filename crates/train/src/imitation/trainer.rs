@@ -1,0 +1,389 @@
+//! The loop of a training by imitation: iterations of rollouts and of gradient steps, from random weights to a policy
+//! file. The state can be saved as bytes, and resumed with identical results.
+
+use std::sync::Arc;
+
+use rand::seq::SliceRandom;
+use rand::{Rng, RngExt};
+use serde::{Deserialize, Serialize};
+
+use super::config::Config;
+use super::episode::{self, Driver, Episode, Messages, Setting};
+use super::learn::{Shard, Window};
+use super::network::Network;
+use murmurate::config::kinds::FileKind;
+use murmurate::policy::hops::file;
+use murmurate::policy::hops::manifest::Manifest;
+use murmurate::policy::manifest::Training;
+use murmurate::policy::{Model, ModelError};
+use murmurate::random::{Seed, Stream};
+use murmurate::registry::Registry;
+use murmurate::report::outcomes::CostOutcomes;
+use murmurate::report::statistics::mean_95;
+use murmurate::scenario::judge::Verdict;
+use murmurate::scenario::{Frame, Scenario, ScenarioError, Settings};
+use crate::adam::{Adam, clip};
+use crate::checkpoint::vector_instructions;
+use crate::parallel::in_parallel;
+use crate::trainer::Diverged;
+
+/// Number of parts of a minibatch whose gradients are added in order, so that the number of threads changes no result.
+const SHARDS: usize = 4;
+/// Version of the checkpoint format.
+const FORMAT: u32 = 1;
+/// Seed of the layouts of an evaluation.
+const EVALUATION_SEED: u64 = 0x9a11_e7a1;
+
+/// Parameters of a training that stay fixed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Plan {
+    /// Name of the scenario.
+    pub scenario: String,
+    /// Name of the preset from which the configuration was made.
+    pub preset: String,
+    /// Configuration of the training.
+    pub config: Config,
+    /// Seed of all random numbers.
+    pub seed: u64,
+}
+
+/// Metrics of one iteration.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Metrics {
+    /// Number of iterations so far.
+    pub iteration: u64,
+    /// Number of decisions so far: one per team and step.
+    pub decisions: u64,
+    /// Mean squared difference of an action's component from the expert's \[m²/s⁴\].
+    pub loss: f32,
+    /// Mean cost of the episodes that the policy drove; NaN if the expert drove all.
+    pub cost: f64,
+    /// Share of these episodes with a collision.
+    pub collided: f64,
+    /// Mean norm of the gradient before clipping.
+    pub gradient: f32,
+    /// Learning rate.
+    pub learning_rate: f32,
+}
+
+/// Error of a training by imitation that cannot be set up or resumed.
+#[derive(Debug, thiserror::Error)]
+pub enum SetupError {
+    /// The scenario cannot be built.
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
+    /// The scenario is not one in which training by imitation is supported; the text says why.
+    #[error("the scenario '{scenario}': {why}")]
+    Unsupported {
+        /// Name of the scenario.
+        scenario: String,
+        /// Reason.
+        why: &'static str,
+    },
+    /// The expert cannot be made.
+    #[error("expert: '{name}': {why}")]
+    Expert {
+        /// Name of the expert in the configuration.
+        name: String,
+        /// Reason.
+        why: String,
+    },
+    /// The bytes are not a checkpoint of this training by imitation.
+    #[error("not a complete checkpoint of this version of the program: {0}")]
+    Format(String),
+    /// The file is of another kind than a checkpoint; the text says of which, and what to give instead.
+    #[error("it is {0}")]
+    Foreign(&'static str),
+    /// The checkpoint is of a processor with other vector instructions, so results would be those of neither.
+    #[error("it is of another processor: its vector instructions are {theirs} there and {ours} here")]
+    Processor {
+        /// Instructions in the checkpoint.
+        theirs: String,
+        /// Instructions of this processor.
+        ours: String,
+    },
+}
+
+/// Costs of a policy under one set of conditions.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Score {
+    /// Name of who drove and under which conditions: `expert`, `lockstep` or `late`.
+    pub conditions: &'static str,
+    /// Mean cost of the episodes.
+    pub cost_mean: f64,
+    /// Its 95 % interval by Student's t distribution.
+    pub cost_ci95: [f64; 2],
+    /// Share of the episodes with a collision.
+    pub collided: f64,
+}
+
+/// State of a training between two iterations.
+#[derive(Debug)]
+pub struct Trainer {
+    plan: Plan,
+    scenario: Arc<dyn Scenario>,
+    expert: Model,
+    manifest: Manifest,
+    network: Network,
+    parameters: Vec<f32>,
+    adam: Adam,
+    iteration: u64,
+    decisions: u64,
+}
+
+#[derive(Serialize, Deserialize)]
+struct State {
+    format: u32,
+    vector: String,
+    plan: Plan,
+    parameters: Vec<f32>,
+    adam: Adam,
+    iteration: u64,
+    decisions: u64,
+}
+
+impl Trainer {
+    /// Starts a training with random weights. The number of robots is resolved in the plan's configuration.
+    ///
+    /// # Errors
+    /// If the scenario or the expert cannot be made, or training by imitation does not support the scenario.
+    pub fn new(mut plan: Plan, registry: &Registry) -> Result<Trainer, SetupError> {
+        let Config { robots, scale, hull_m, .. } = plan.config;
+        let settings = Settings { robots, gap_m: None, scale, hull_m };
+        let scenario = registry.scenario(&plan.scenario, &settings)?;
+        plan.config.robots = Some(scenario.robots());
+        let unsupported = |why: &'static str| SetupError::Unsupported { scenario: plan.scenario.clone(), why };
+        if scenario.cost().is_none() {
+            return Err(unsupported("its robots have goals; training by imitation is for scenarios with a cost"));
+        }
+        if scenario.tasks(0, 0).iter().any(|task| scenario.frame(task) != Frame::World) {
+            return Err(unsupported("its policy frame is not the world frame"));
+        }
+        let name = plan.config.expert.clone();
+        let wrong = |why: String| SetupError::Expert { name: name.clone(), why };
+        let entry = registry.policy(&name).ok_or_else(|| wrong("there is no policy of this name".to_owned()))?;
+        let expert = (entry.build)(&*scenario).map_err(|error: ModelError| wrong(error.to_string()))?;
+        if expert.instance(scenario.arena()).hops() > 1 {
+            return Err(wrong("a policy of several hops is no expert".to_owned()));
+        }
+        let manifest = plan.config.manifest(&plan.scenario);
+        let network = Network::new(&manifest).expect("a checked configuration has a supported network");
+        let mut stream = Seed::of_run(plan.seed).stream("train/imitation/initial");
+        let parameters = initial(&network, &mut stream);
+        let adam = Adam::new(parameters.len());
+        Ok(Trainer { plan, scenario, expert, manifest, network, parameters, adam, iteration: 0, decisions: 0 })
+    }
+
+    fn stream(&self, name: &str) -> Stream {
+        Seed::of_run(self.plan.seed).stream(&format!("train/imitation/{name}"))
+    }
+
+    fn setting(&self) -> Setting<'_> {
+        let Trainer { scenario, expert, manifest, network, parameters, .. } = self;
+        Setting { scenario: &**scenario, expert, manifest, network, parameters }
+    }
+
+    /// Performs one iteration. `progress` is the completed fraction of the training, 0 to 1, on which learning rate and
+    /// the expert's share depend.
+    ///
+    /// # Errors
+    /// If a value is NaN or infinite. The training cannot continue then.
+    pub fn iterate(&mut self, progress: f64, threads: usize) -> Result<Metrics, Diverged> {
+        let progress = progress.clamp(0.0, 1.0) as f32;
+        let (episodes, drivers) = self.rollouts(progress, threads);
+        let settings = self.plan.config.imitation.clone();
+        let [from, to] = settings.learning_rate;
+        let learning_rate = from * libm::powf(to / from, progress);
+        let mut windows: Vec<Window> = Vec::new();
+        for (episode, recorded) in episodes.iter().enumerate() {
+            windows.extend((0..recorded.steps.len()).step_by(settings.window).map(|begin| Window { episode, begin }));
+        }
+        windows.shuffle(&mut self.stream(&format!("order/{}", self.iteration)));
+        let mut shards: Vec<Shard> = Vec::new();
+        shards.resize_with(SHARDS, Shard::default);
+        let (mut loss, mut gradient, mut batches) = (0.0, 0.0, 0.0);
+        for batch in windows.chunks(settings.batch) {
+            let start = |at: usize| batch.len() * at / SHARDS;
+            in_parallel(threads, shards.iter_mut().enumerate(), |(at, shard)| {
+                shard.learn(&self.setting(), &settings, &episodes, &batch[start(at)..start(at + 1)]);
+            });
+            let learnt: usize = shards.iter().map(|shard| shard.learnt).sum();
+            let scale = 1.0 / (2 * learnt).max(1) as f32;
+            let mut sum = vec![0.0; self.parameters.len()];
+            for shard in &shards {
+                sum.iter_mut().zip(&shard.gradient).for_each(|(sum, part)| *sum += *part * scale);
+            }
+            let norm = clip(&mut sum, settings.max_gradient);
+            if !norm.is_finite() {
+                let (iteration, decisions) = (self.iteration + 1, self.decisions);
+                return Err(Diverged { iteration, decisions, what: "the gradient", learning_rate });
+            }
+            self.adam.step(&mut self.parameters, &sum, learning_rate);
+            loss += shards.iter().map(|shard| shard.loss).sum::<f32>() * scale;
+            gradient += norm;
+            batches += 1.0;
+        }
+        self.iteration += 1;
+        self.decisions += episodes.iter().map(|episode| episode.steps.len() as u64).sum::<u64>();
+        let own = || episodes.iter().zip(&drivers).filter(|(_, driver)| **driver == Driver::Policy);
+        let count = own().count() as f64;
+        let collided = own().filter(|(episode, _)| episode.finding.verdict == Verdict::RobotCollision).count();
+        Ok(Metrics {
+            iteration: self.iteration,
+            decisions: self.decisions,
+            loss: loss / batches,
+            cost: own().filter_map(|(episode, _)| episode.finding.cost).sum::<f64>() / count,
+            collided: collided as f64 / count,
+            gradient: gradient / batches,
+            learning_rate,
+        })
+    }
+
+    /// Runs the episodes of an iteration; returns them with who drove each.
+    fn rollouts(&self, progress: f32, threads: usize) -> (Vec<Episode>, Vec<Driver>) {
+        let (settings, conditions) = (&self.plan.config.imitation, &self.plan.config.conditions);
+        let left = (1.0 - progress / settings.expert_until.max(1e-6)).max(0.0);
+        let expert_share = settings.expert_share * left;
+        let mut recorded: Vec<Option<(Episode, Driver)>> = vec![None; settings.episodes];
+        in_parallel(threads, recorded.iter_mut().enumerate(), |(index, recorded)| {
+            let mut stream = self.stream(&format!("rollout/{}/{index}", self.iteration));
+            let layout = (stream.next_u64(), 0);
+            let [low, high] = conditions.loss;
+            let loss = low + (high - low) * stream.random_range(0.0..1.0);
+            let together = stream.random_range(0.0..1.0) < conditions.lockstep;
+            let messages = if together { Messages::Lockstep } else { Messages::Late(loss) };
+            let drives = stream.random_range(0.0..1.0) < expert_share;
+            let driver = if drives { Driver::Expert } else { Driver::Policy };
+            let expert = Some(self.expert.instance(self.scenario.arena()));
+            *recorded = Some((episode::run(self.setting(), layout, (driver, messages), expert, &mut stream), driver));
+        });
+        recorded.into_iter().flatten().unzip()
+    }
+
+    /// Evaluates the policy on `episodes` layouts from a seed of their own, in lock step and with late messages of
+    /// which the mean of the configured loss gets lost, and the expert on the same layouts.
+    pub fn evaluate(&self, episodes: u32, threads: usize) -> Vec<Score> {
+        let [low, high] = self.plan.config.conditions.loss;
+        let late = Messages::Late((low + high) / 2.0);
+        let all = [
+            ("expert", Driver::Expert, Messages::Lockstep),
+            ("lockstep", Driver::Policy, Messages::Lockstep),
+            ("late", Driver::Policy, late),
+        ];
+        all.into_iter()
+            .map(|(conditions, driver, messages)| {
+                let mut found: Vec<Option<Episode>> = vec![None; episodes as usize];
+                in_parallel(threads, found.iter_mut().enumerate(), |(index, found)| {
+                    let mut stream = Seed::of_run(EVALUATION_SEED).stream(&format!("train/imitation/evaluate/{index}"));
+                    let expert = (driver == Driver::Expert).then(|| self.expert.instance(self.scenario.arena()));
+                    let layout = (EVALUATION_SEED, index as u32);
+                    *found = Some(episode::run(self.setting(), layout, (driver, messages), expert, &mut stream));
+                });
+                let findings = || found.iter().flatten().map(|episode| episode.finding);
+                let costs: Vec<f64> = findings().filter_map(|finding| finding.cost).collect();
+                let collided = findings().filter(|finding| finding.verdict == Verdict::RobotCollision).count();
+                let (cost_mean, cost_ci95) = mean_95(&costs).unwrap_or((f64::NAN, [f64::NAN; 2]));
+                Score { conditions, cost_mean, cost_ci95, collided: collided as f64 / f64::from(episodes.max(1)) }
+            })
+            .collect()
+    }
+
+    /// Parameters of the training, fixed at its start.
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// The scenario of the team.
+    pub fn scenario(&self) -> &dyn Scenario {
+        &*self.scenario
+    }
+
+    /// Number of decisions so far.
+    pub fn decisions(&self) -> u64 {
+        self.decisions
+    }
+
+    /// Number of iterations so far.
+    pub fn iterations(&self) -> u64 {
+        self.iteration
+    }
+
+    /// Returns the bytes of a policy file with the current weights.
+    pub fn policy_file(&self) -> Vec<u8> {
+        let mut manifest = self.manifest.clone();
+        manifest.training = Some(Training {
+            program: format!("murmurate {}", env!("CARGO_PKG_VERSION")),
+            preset: self.plan.preset.clone(),
+            seed: self.plan.seed,
+            decisions: self.decisions,
+            env_steps: self.decisions,
+            configuration: serde_json::to_value(&self.plan.config).expect("a configuration is JSON"),
+        });
+        file::write(&manifest, &self.network.tensors(&self.parameters))
+    }
+
+    /// Returns the complete state as bytes, from which [`Trainer::resume`] continues with identical results.
+    pub fn checkpoint(&self) -> Vec<u8> {
+        let state = State {
+            format: FORMAT,
+            vector: vector_instructions(),
+            plan: self.plan.clone(),
+            parameters: self.parameters.clone(),
+            adam: self.adam.clone(),
+            iteration: self.iteration,
+            decisions: self.decisions,
+        };
+        rmp_serde::to_vec_named(&state).expect("a state is plain data")
+    }
+
+    /// Restores a trainer from a checkpoint. The registry must have the checkpoint's scenario and expert.
+    ///
+    /// # Errors
+    /// If the bytes are not a checkpoint of this version, or are of a processor with other vector instructions.
+    pub fn resume(bytes: &[u8], registry: &Registry) -> Result<Trainer, SetupError> {
+        if let Some(other) = FileKind::no_checkpoint(bytes) {
+            return Err(SetupError::Foreign(other));
+        }
+        let state: State = rmp_serde::from_slice(bytes).map_err(|error| SetupError::Format(error.to_string()))?;
+        let ours = vector_instructions();
+        if state.vector != ours {
+            return Err(SetupError::Processor { theirs: state.vector, ours });
+        }
+        if state.format != FORMAT {
+            return Err(SetupError::Format(format!("its format is {}; this program reads {FORMAT}", state.format)));
+        }
+        state.plan.config.check().map_err(|error| SetupError::Format(error.to_string()))?;
+        // Before anything is made of the configuration, which could ask for any amount of memory.
+        let network = Network::new(&state.plan.config.manifest(&state.plan.scenario));
+        let length = network.map_err(|why| SetupError::Format(why.to_string()))?.parameters();
+        if state.parameters.len() != length || !state.adam.fits(length) {
+            return Err(SetupError::Format("its weights do not match its configuration".to_owned()));
+        }
+        let mut trainer = Trainer::new(state.plan, registry)?;
+        (trainer.parameters, trainer.adam) = (state.parameters, state.adam);
+        (trainer.iteration, trainer.decisions) = (state.iteration, state.decisions);
+        Ok(trainer)
+    }
+}
+
+/// Returns random weights: uniform, scaled by the width of each layer's input, with biases of zero (He et al.,
+/// arXiv 1502.01852, for ReLU). The last layer is a tenth as large, so that the first actions are small.
+fn initial(network: &Network, stream: &mut Stream) -> Vec<f32> {
+    let mut parameters = vec![0.0; network.parameters()];
+    let layers = network.layers();
+    for (at, [inputs, begin, bias, _]) in layers.iter().enumerate() {
+        let last = if at + 1 == layers.len() { 0.1 } else { 1.0 };
+        let bound = last * (6.0 / *inputs as f32).sqrt();
+        parameters[*begin..*bias].iter_mut().for_each(|weight| *weight = stream.random_range(-bound..bound));
+    }
+    parameters
+}
+
+/// Returns the costs of a score as text, such as `0.0123 (95 %: 0.0120 to 0.0126)`.
+impl std::fmt::Display for Score {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Score { cost_mean, cost_ci95, .. } = *self;
+        let cost = CostOutcomes { completed: 0, cost_mean, cost_ci95, cost_median: cost_mean };
+        write!(f, "{}", cost.in_words())
+    }
+}

@@ -1,0 +1,38 @@
+//! Training: proximal policy optimisation over many teams at once. Dynamics and rewards are those of a run, with delay,
+//! loss, asynchrony and lag from the start.
+//!
+//! The code uses no clock, file or actor. `trainer` is the entry point. Its caller passes in the progress, writes the
+//! files, and decides when to stop.
+
+#![deny(clippy::print_stdout, clippy::print_stderr)]
+
+pub mod adam;
+pub mod batch;
+mod checkpoint;
+pub mod conditions;
+pub mod config;
+pub mod environments;
+pub mod evaluate;
+pub mod expectation;
+mod filters;
+mod gradient;
+pub mod imitation;
+mod limits;
+pub mod loss;
+pub mod matrix;
+pub mod message_buffer;
+pub mod network;
+pub mod observe;
+pub mod parallel;
+pub mod record;
+pub mod reward;
+mod rolling;
+pub mod rollout;
+mod scale;
+pub mod snapshot;
+pub mod trainer;
+pub mod update;
+pub mod vector;
+
+/// Digest of this package's sources. Packages with equal digests behave equally.
+pub const DIGEST: &str = env!("SOURCE_DIGEST");

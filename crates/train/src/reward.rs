@@ -1,0 +1,138 @@
+//! Reward of a robot for a step: the scenario's own reward, and the terms that the configuration adds.
+
+use super::config::Reward;
+use murmurate::messages::geometry::{Motion, Task, Vec2};
+use murmurate::messages::local::Contacts;
+use murmurate::scenario::{Scenario, Stage};
+use murmurate::world::kinematic::PERIOD;
+
+/// Distance of a robot from its goal within which the goal's own distance from a wall matters \[m\].
+const NEAR_GOAL_M: f32 = 0.5;
+
+/// State of one robot before and after a step, as input of the reward.
+#[derive(Debug)]
+pub struct RobotStep<'a> {
+    /// Start and goal of the robot \[m\], world frame.
+    pub task: &'a Task,
+    /// Position of the robot's centre after the step \[m\], world frame.
+    pub position: Vec2,
+    /// Position, after the step, of the point whose velocity the policy commands \[m\], world frame.
+    pub point: Vec2,
+    /// Contacts of the robot with walls and other robots in the step.
+    pub contacts: Contacts,
+    /// The scenario's own reward of the robot for the step, before weighting.
+    pub scenario_reward: f32,
+    /// Whether the robot is at its goal after the step.
+    pub reached: bool,
+    /// Length of the remaining path before the step \[m\]. It is replaced by the length after the step if the reward
+    /// uses it.
+    pub to_go_m: &'a mut f32,
+    /// Whether the robot had arrived before the step. It is set if the robot arrives in the step.
+    pub arrived: &'a mut bool,
+}
+
+/// Whether the scenario has a reward of its own: whether its method `reward` returns one.
+pub fn has_reward(scenario: &dyn Scenario) -> bool {
+    let tasks = scenario.tasks(0, 0);
+    let reward =
+        |task: &Task| scenario.reward(task, &Motion::at_rest(task.start), Contacts::default(), &mut Stage::default());
+    tasks.first().and_then(reward).is_some()
+}
+
+/// Returns the reward of one robot for a step: the terms with these `weights`, without those that depend on other
+/// robots' positions or rewards.
+pub fn robot_reward(weights: &Reward, scenario: &dyn Scenario, step: RobotStep) -> f32 {
+    let position = step.position;
+    let mut reward = 0.0;
+    if weights.scenario > 0.0 {
+        reward += weights.scenario * step.scenario_reward;
+    }
+    if weights.progress > 0.0 {
+        let to_go_m = scenario.distance_to_go(step.task, step.point);
+        reward += weights.progress * (*step.to_go_m - to_go_m);
+        *step.to_go_m = to_go_m;
+    }
+    if !*step.arrived {
+        if step.reached {
+            *step.arrived = true;
+            reward += weights.arrival;
+        } else {
+            reward -= weights.time * PERIOD.as_secs() as f32;
+        }
+    }
+    if step.contacts.wall {
+        reward -= weights.wall;
+    }
+    if step.contacts.robot {
+        reward -= weights.robot;
+    }
+    if weights.wall_proximity > 0.0 {
+        let near_m = wall_proximity_m(weights, scenario, step.task.goal, position);
+        let near = 1.0 - scenario.arena().clearance(position) / near_m;
+        reward -= weights.wall_proximity * near.max(0.0) * PERIOD.as_secs() as f32;
+    }
+    reward * weights.scale
+}
+
+/// Returns the distance from a wall at which a robot at `position` with the goal `goal` begins to pay for its nearness
+/// \[m\].
+fn wall_proximity_m(weights: &Reward, scenario: &dyn Scenario, goal: Vec2, position: Vec2) -> f32 {
+    if weights.goals_near_walls && (goal - position).norm_squared() < NEAR_GOAL_M * NEAR_GOAL_M {
+        return weights.wall_proximity_m.min(scenario.arena().clearance(goal)).max(f32::EPSILON);
+    }
+    weights.wall_proximity_m
+}
+
+/// Returns the penalty, zero or more, of robot `robot` in a step for its nearness to the other robots of its team.
+/// `positions` are those of the centres of the team's robots \[m\].
+pub fn proximity_penalty(weights: &Reward, robot: usize, positions: &[Vec2]) -> f32 {
+    let mut near = 0.0;
+    for (other, position) in positions.iter().enumerate() {
+        let distance_squared = (position - positions[robot]).norm_squared();
+        if other != robot && distance_squared < weights.proximity_m * weights.proximity_m {
+            near += 1.0 - distance_squared.sqrt() / weights.proximity_m;
+        }
+    }
+    weights.scale * weights.proximity * near * PERIOD.as_secs() as f32
+}
+
+/// Returns the penalty, zero or more, of every robot of a team in a step; `arrived` says which robots have arrived at
+/// their goals.
+pub fn team_penalty(weights: &Reward, arrived: &[bool]) -> f32 {
+    if arrived.iter().all(|&arrived| arrived) {
+        return 0.0;
+    }
+    weights.scale * weights.team_time * PERIOD.as_secs() as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+
+    #[test]
+    fn a_goal_near_a_wall_costs_nothing_if_the_configuration_says_so() {
+        let passage = murmurate::scenario::build("passage", &Default::default()).expect("the default is sound");
+        let reward = Config::preset("robust").expect("it is a preset").reward;
+        let from = |goals_near_walls, goal, position| {
+            let weights = Reward { wall_proximity_m: 0.4, goals_near_walls, ..reward };
+            wall_proximity_m(&weights, &*passage, goal, position)
+        };
+        // The face of the wall is at y = 0.15.
+        let (near, far) = (Vec2::new(1.0, 0.45), Vec2::new(1.0, 2.0));
+        assert!((from(true, near, Vec2::new(1.2, 0.4)) - 0.3).abs() < 1e-5);
+        assert_eq!(from(true, near, Vec2::new(0.4, 0.4)), 0.4, "a robot that has not come near its goal");
+        assert_eq!(from(true, far, far), 0.4);
+        assert_eq!(from(false, near, near), 0.4);
+    }
+
+    #[test]
+    fn a_team_pays_until_its_last_robot_has_arrived() {
+        let reward = Config::preset("robust").expect("it is a preset").reward;
+        let weights = Reward { scale: 0.1, team_time: 2.0, ..reward };
+        let per_step = 0.1 * 2.0 * PERIOD.as_secs() as f32;
+        assert_eq!(team_penalty(&weights, &[true, false, true]), per_step);
+        assert_eq!(team_penalty(&weights, &[true, true, true]), 0.0);
+        assert_eq!(team_penalty(&reward, &[false]), 0.0);
+    }
+}

@@ -1,0 +1,90 @@
+//! Reception statistics by receiving host and sending robot: time since the newest message arrived, and loss of the
+//! last 64.
+
+use std::collections::BTreeMap;
+
+use murmurate::messages::ids::{HostId, RobotId};
+use murmurate::time::{Span, Time};
+
+/// Reception of one robot's messages at one host: last arrival, and which of the last 64 messages arrived.
+#[derive(Clone, Copy, Debug)]
+struct Arrivals {
+    /// Time of the last arrival.
+    last: Time,
+    /// Number of messages that the robot had published at the last arrival.
+    number: u64,
+    /// Bit mask of the last 64 messages up to `number`, newest in bit 0; a set bit is an arrival.
+    bits: u64,
+    /// Number of messages that `bits` covers, at most 64.
+    covered: u32,
+}
+
+/// Reception of all robots' latents at all hosts: time since the newest arrived, and loss.
+#[derive(Clone, Debug)]
+pub(super) struct Heard {
+    /// Number of messages published by each robot.
+    published: Vec<u64>,
+    /// For each receiving host: the arrivals by sending robot.
+    arrivals: Vec<BTreeMap<RobotId, Arrivals>>,
+}
+
+impl Heard {
+    /// Returns statistics without any message, for this number of robots and of hosts.
+    pub fn new(robots: usize, hosts: usize) -> Heard {
+        Heard { published: vec![0; robots], arrivals: vec![BTreeMap::new(); hosts] }
+    }
+
+    /// Counts a latent that a robot has published.
+    pub fn published(&mut self, robot: RobotId) {
+        self.published[robot.index()] += 1;
+    }
+
+    /// Counts the arrival of a robot's newest latent at the host `at`.
+    pub fn arrived(&mut self, now: Time, at: HostId, robot: RobotId) {
+        let number = self.published[robot.index()];
+        let Some(table) = self.arrivals.get_mut(usize::from(at.0)) else { return };
+        let first = Arrivals { last: now, number: number.saturating_sub(1), bits: 0, covered: 0 };
+        let entry = table.entry(robot).or_insert(first);
+        let passed = (number - entry.number) as u32;
+        entry.bits = shifted(entry.bits, passed) | 1;
+        entry.covered = (entry.covered + passed).clamp(1, u64::BITS);
+        (entry.last, entry.number) = (now, number);
+    }
+
+    /// Returns the time since a robot's latent last arrived at the host `at`, and the share \[%\] of the robot's last
+    /// 64 latents (since the first arrival) that have not arrived there; `None` before the first arrival.
+    pub fn link(&self, now: Time, at: HostId, robot: RobotId) -> Option<(Span, u8)> {
+        let entry = self.arrivals.get(usize::from(at.0))?.get(&robot)?;
+        // The newest message may still be in flight, so it does not count as lost.
+        let passed = (self.published[robot.index()] - entry.number).saturating_sub(1).min(64) as u32;
+        let covered = (entry.covered + passed).min(u64::BITS);
+        let got = shifted(entry.bits, passed).count_ones();
+        Some((now.since(entry.last), (100 * covered.saturating_sub(got) / covered.max(1)) as u8))
+    }
+}
+
+fn shifted(bits: u64, by: u32) -> u64 {
+    bits.checked_shl(by).unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn age_and_loss_follow_from_what_was_published_and_what_arrived() {
+        let (mut heard, host, robot) = (Heard::new(1, 2), HostId(1), RobotId(0));
+        let at = |ms| Time::ZERO + Span::from_millis(ms);
+        assert_eq!(heard.link(at(0), host, robot), None);
+        for number in 0..200 {
+            heard.published(robot);
+            if number % 4 != 3 {
+                heard.arrived(at(50 * number), host, robot);
+            }
+        }
+        let (age, loss) = heard.link(at(50 * 199), host, robot).unwrap();
+        assert_eq!((age, loss), (Span::from_millis(50), 25), "one in four, and the newest may be on its way");
+        (0..500).for_each(|_| heard.published(robot));
+        assert_eq!(heard.link(at(50 * 199), host, robot).unwrap().1, 100, "all of the last 64");
+    }
+}

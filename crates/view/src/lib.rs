@@ -1,0 +1,28 @@
+//! Live page: the state of a running team in a browser, with the emergency stop. `team_view` builds the state from the
+//! messages that a process receives. `server` sends it to browsers and receives their commands.
+//!
+//! `snapshot`, `status`, `heard`, `team_view`, `timeline`, `metrics`, `orders` and `command` are pure. `server`,
+//! `request` and `session` do I/O on their own threads: the thread that drives the team publishes without waiting, and
+//! takes commands from a bounded queue. [The page on
+//! threats](https://github.com/murmurate/murmurate/blob/main/docs/watch.md) lists the refused requests and the reasons.
+
+#![deny(clippy::print_stdout, clippy::print_stderr)]
+
+pub mod access;
+pub mod command;
+mod heard;
+pub mod metrics;
+pub mod orders;
+mod places;
+pub mod request;
+mod robot_view;
+pub mod server;
+mod session;
+mod shared;
+pub mod snapshot;
+pub mod status;
+pub mod team_view;
+pub mod timeline;
+
+/// Digest of this package's sources. Packages with equal digests behave equally.
+pub const DIGEST: &str = env!("SOURCE_DIGEST");

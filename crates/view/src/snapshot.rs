@@ -1,0 +1,167 @@
+//! Snapshot of a team at one time, and its binary encoding for the page.
+//!
+//! All numbers are little-endian. The header has 16 bytes: version (1 byte), a zero byte, number of robots (2), time of
+//! the run \[ms\] (4), number of links (2), number of omitted links (2), four zero bytes.
+//!
+//! Then follow 9 bytes for each robot: x (2) and y (2) in units of the scene's `scale_m`, heading (2) in 1e-4 rad,
+//! phase (1), age (1) in 20 ms, flags (1). Then 6 bytes for each link: the two robots (2, 2), age (1) in 10 ms, loss
+//! (1) in %.
+
+use murmurate::messages::geometry::Vec2;
+use murmurate::messages::wire::Phase;
+use murmurate::time::{Span, Time};
+
+/// Version of the binary encoding of a team's snapshots (states of robots and links) for the live page.
+pub const VERSION: u8 = 1;
+/// Length of the header of an encoded snapshot of a team \[bytes\].
+pub const HEADER_BYTES: usize = 16;
+/// Length of one robot's entry in an encoded snapshot of a team \[bytes\].
+pub const ROBOT_BYTES: usize = 9;
+/// Length of one link's entry in an encoded snapshot of a team \[bytes\].
+pub const LINK_BYTES: usize = 6;
+/// Largest number of links in an encoded snapshot of a team: 36 kB, or 360 kB/s at ten snapshots a second.
+pub const MAX_LINKS: usize = 6000;
+
+/// Largest encoded coordinate: number of steps from the origin to the edge of the scene.
+const STEPS: f32 = 32_000.0;
+/// Code of an unknown position or heading.
+const NO_NUMBER: i16 = i16::MIN;
+/// Code of an unknown age, phase or loss.
+const NO_BYTE: u8 = 255;
+/// Largest encoded age, in units of `ROBOT_AGE` or the unit of a link's age. A larger age is encoded as this one.
+const OLDEST: u64 = 250;
+/// Unit of a robot's encoded age.
+const ROBOT_AGE: Span = Span::from_millis(20);
+/// Unit of a link's encoded age.
+const LINK_AGE: Span = Span::from_millis(10);
+
+/// State of one robot in a snapshot of the team. A field is `None` if it is unknown.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RobotState {
+    /// Position of the robot's centre \[m\], world frame.
+    pub position: Option<Vec2>,
+    /// Heading \[rad\], counter-clockwise from the x axis of the world frame.
+    pub heading: Option<f32>,
+    /// Phase of the episode in which the robot is.
+    pub phase: Option<Phase>,
+    /// Time since this process last received a message about the robot.
+    pub age: Option<Span>,
+    /// Whether the robot touches another robot or a wall; always false for a real robot.
+    pub touches: bool,
+    /// Whether the robot stands because of an emergency stop or a hold.
+    pub latched: bool,
+}
+
+/// Link between two robots within communication range, in a snapshot of the team.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LinkState {
+    /// Id of the first robot.
+    pub one: u16,
+    /// Id of the second robot, larger than the first.
+    pub other: u16,
+    /// Time since a message last arrived from one of the two robots at the other's host, in the direction in which it
+    /// is longer; `None` until a message has arrived in both directions.
+    pub age: Option<Span>,
+    /// Share of recent messages between the two robots that were lost \[%\], in the worse direction; `None` before the
+    /// first arrival.
+    pub loss: Option<u8>,
+}
+
+/// State of a team at one time, as the page shows it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Snapshot {
+    /// Time since the start of the run.
+    pub now: Time,
+    /// States of the robots, in the order of robot ids.
+    pub robots: Vec<RobotState>,
+    /// Links between robots within communication range, at most `MAX_LINKS` (6000).
+    pub links: Vec<LinkState>,
+    /// Number of links that are left out because there are more than `MAX_LINKS` (6000).
+    pub left_out: usize,
+}
+
+/// Returns the unit of encoded coordinates \[m\] with which positions up to `reach_m` \[m\] from the origin can be
+/// encoded.
+pub fn scale_m(reach_m: f32) -> f32 {
+    reach_m / STEPS
+}
+
+impl Snapshot {
+    /// Encodes the snapshot in the binary form for the live page. `scale_m` is the unit of encoded coordinates \[m\].
+    pub fn encode(&self, scale_m: f32) -> Vec<u8> {
+        let small = |number: usize| u16::try_from(number).unwrap_or(u16::MAX).to_le_bytes();
+        let mut bytes =
+            Vec::with_capacity(HEADER_BYTES + ROBOT_BYTES * self.robots.len() + LINK_BYTES * self.links.len());
+        bytes.extend([VERSION, 0]);
+        bytes.extend(small(self.robots.len()));
+        let ms = self.now.since(Time::ZERO).as_nanos() / 1_000_000;
+        bytes.extend(u32::try_from(ms).unwrap_or(u32::MAX).to_le_bytes());
+        bytes.extend(small(self.links.len()));
+        bytes.extend(small(self.left_out));
+        bytes.extend([0; 4]);
+        for robot in &self.robots {
+            let place = |number: Option<f32>| number.map_or(NO_NUMBER, |number| step(number / scale_m));
+            bytes.extend(place(robot.position.map(|at| at.x)).to_le_bytes());
+            bytes.extend(place(robot.position.map(|at| at.y)).to_le_bytes());
+            bytes.extend(robot.heading.map_or(NO_NUMBER, |heading| step(heading * 1e4)).to_le_bytes());
+            bytes.push(robot.phase.map_or(NO_BYTE, u8::from));
+            bytes.push(aged(robot.age, ROBOT_AGE));
+            bytes.push(u8::from(robot.touches) | u8::from(robot.latched) << 1);
+        }
+        for link in &self.links {
+            bytes.extend(link.one.to_le_bytes());
+            bytes.extend(link.other.to_le_bytes());
+            bytes.push(aged(link.age, LINK_AGE));
+            bytes.push(link.loss.map_or(NO_BYTE, |loss| loss.min(100)));
+        }
+        bytes
+    }
+}
+
+/// Rounds a coordinate in encoded units to an integer, limited to the encoded range.
+fn step(number: f32) -> i16 {
+    number.round().clamp(-STEPS, STEPS) as i16
+}
+
+fn aged(age: Option<Span>, unit: Span) -> u8 {
+    age.map_or(NO_BYTE, |age| (age.as_nanos() / unit.as_nanos()).min(OLDEST) as u8)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_snapshot_is_encoded_as_its_description_says() {
+        let robot = RobotState {
+            position: Some(Vec2::new(1.0, -2.0)),
+            heading: Some(-0.5),
+            phase: Some(Phase::Running),
+            age: Some(Span::from_millis(45)),
+            touches: false,
+            latched: true,
+        };
+        let link = LinkState { one: 0, other: 1, age: Some(Span::from_millis(120)), loss: Some(7) };
+        let now = Time::ZERO + Span::from_millis(1234);
+        let snapshot = Snapshot { now, robots: vec![robot, RobotState::default()], links: vec![link], left_out: 3 };
+        let bytes = snapshot.encode(scale_m(32.0));
+        assert_eq!(bytes.len(), 16 + 2 * 9 + 6);
+        assert_eq!(bytes[..16], [1, 0, 2, 0, 0xd2, 4, 0, 0, 1, 0, 3, 0, 0, 0, 0, 0]);
+        let number = |at: usize| i16::from_le_bytes([bytes[at], bytes[at + 1]]);
+        assert_eq!([number(16), number(18), number(20)], [1000, -2000, -5000]);
+        assert_eq!(bytes[22..25], [3, 2, 2]);
+        assert_eq!([number(25), number(27), number(29)], [i16::MIN; 3], "nothing is made up");
+        assert_eq!(bytes[31..34], [255, 255, 0]);
+        assert_eq!(bytes[34..], [0, 0, 1, 0, 12, 7]);
+    }
+
+    #[test]
+    fn numbers_beyond_the_scene_stay_at_its_edge() {
+        let robot = RobotState { position: Some(Vec2::new(1e9, -1e9)), ..RobotState::default() };
+        let age = Some(Span::from_secs(1e6));
+        let link = LinkState { one: 0, other: 1, age, loss: None };
+        let bytes = Snapshot { robots: vec![robot], links: vec![link], ..Snapshot::default() }.encode(scale_m(5.0));
+        assert_eq!(bytes[16..20], [0, 125, 0, 131], "32000 and -32000");
+        assert_eq!(bytes[29..31], [250, 255]);
+    }
+}
