@@ -5,9 +5,9 @@
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
-use murmurate_study::network::growth;
 use murmurate::time::Span;
 use murmurate::trial::Trial;
+use murmurate_study::network::growth;
 
 // The program's allocator.
 #[global_allocator]

@@ -7,6 +7,8 @@ use std::time::{Duration, Instant};
 
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::codec::Frame;
+use murmurate::time::Time;
+use murmurate::trial::Trial;
 use murmurate_record::file::Beginning;
 use murmurate_record::identity::Identity;
 use murmurate_record::queue::WhenFull;
@@ -14,8 +16,6 @@ use murmurate_record::series::Retention;
 use murmurate_record::topics::{Stage, Topics};
 use murmurate_record::writer::Recording;
 use murmurate_record::{Event, Scope};
-use murmurate::time::Time;
-use murmurate::trial::Trial;
 
 const RATE: u32 = 500;
 

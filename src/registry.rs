@@ -21,12 +21,13 @@ use crate::estimation;
 use crate::localization::{self, plausibility};
 use crate::messages::ids::RobotId;
 use crate::net::transport;
+use crate::observers;
 use crate::policy::{self, shipped};
 use crate::scenario::{self, Scenario, ScenarioError};
 use crate::world;
 
 /// Registry of the named parts that a run can use: scenarios, plants (simulators), policies, drivers, sources of
-/// readings, estimators and transports.
+/// readings, estimators, transports and observers.
 #[derive(Clone, Debug)]
 pub struct Registry {
     scenarios: Vec<scenario::Entry>,
@@ -36,6 +37,9 @@ pub struct Registry {
     sources: Vec<localization::Entry>,
     estimators: Vec<estimation::Entry>,
     transports: Vec<transport::Entry>,
+    observers: Vec<observers::Entry>,
+    /// Whether a part was added to those of the program.
+    extended: bool,
 }
 
 /// Error for a name that is not in the registry. Its text lists the names in the registry.
@@ -76,15 +80,7 @@ entries! {
     localization::Entry, "source";
     estimation::Entry, "estimator";
     transport::Entry, "transport";
-}
-
-/// Adds an entry.
-///
-/// # Panics
-/// If the name of the entry is already in the registry.
-fn add<E: Entry>(entries: &mut Vec<E>, entry: E) {
-    assert!(entries.iter().all(|other| other.name() != entry.name()), "a second {} '{}'", E::KIND, entry.name());
-    entries.push(entry);
+    observers::Entry, "observer";
 }
 
 fn find<'a, E: Entry>(entries: &'a [E], name: &str) -> Result<&'a E, Unknown> {
@@ -106,7 +102,20 @@ impl Registry {
             sources: localization::REGISTRY.to_vec(),
             estimators: estimation::REGISTRY.to_vec(),
             transports: transport::REGISTRY.to_vec(),
+            observers: Vec::new(),
+            extended: false,
         }
+    }
+
+    /// Adds an entry to one of the lists.
+    ///
+    /// # Panics
+    /// If the name of the entry is already in the registry.
+    fn add<E: Entry>(&mut self, list: impl Fn(&mut Registry) -> &mut Vec<E>, entry: E) {
+        self.extended = true;
+        let entries = list(self);
+        assert!(entries.iter().all(|other| other.name() != entry.name()), "a second {} '{}'", E::KIND, entry.name());
+        entries.push(entry);
     }
 
     /// Adds a scenario (a task for a team) and returns the registry.
@@ -114,7 +123,7 @@ impl Registry {
     /// # Panics
     /// If the registry already has a scenario of that name.
     pub fn with_scenario(mut self, entry: scenario::Entry) -> Registry {
-        add(&mut self.scenarios, entry);
+        self.add(|all| &mut all.scenarios, entry);
         self
     }
 
@@ -123,7 +132,7 @@ impl Registry {
     /// # Panics
     /// If the registry already has a plant of that name.
     pub fn with_plant(mut self, entry: world::Entry) -> Registry {
-        add(&mut self.plants, entry);
+        self.add(|all| &mut all.plants, entry);
         self
     }
 
@@ -132,7 +141,7 @@ impl Registry {
     /// # Panics
     /// If the registry already has a policy of that name.
     pub fn with_policy(mut self, entry: policy::Entry) -> Registry {
-        add(&mut self.policies, entry);
+        self.add(|all| &mut all.policies, entry);
         self
     }
 
@@ -141,7 +150,7 @@ impl Registry {
     /// # Panics
     /// If the registry already has a driver of that name.
     pub fn with_driver(mut self, entry: drivers::Entry) -> Registry {
-        add(&mut self.drivers, entry);
+        self.add(|all| &mut all.drivers, entry);
         self
     }
 
@@ -150,7 +159,7 @@ impl Registry {
     /// # Panics
     /// If the registry already has a source of that name.
     pub fn with_source(mut self, entry: localization::Entry) -> Registry {
-        add(&mut self.sources, entry);
+        self.add(|all| &mut all.sources, entry);
         self
     }
 
@@ -159,7 +168,7 @@ impl Registry {
     /// # Panics
     /// If the registry already has an estimator of that name.
     pub fn with_estimator(mut self, entry: estimation::Entry) -> Registry {
-        add(&mut self.estimators, entry);
+        self.add(|all| &mut all.estimators, entry);
         self
     }
 
@@ -175,7 +184,23 @@ impl Registry {
             let agrees = others().filter(|other| other.name == field.name).all(|other| other.agrees(field));
             assert!(own && agrees, "the field '{}' of '{}' is another's", field.name, entry.name);
         }
-        add(&mut self.transports, entry);
+        self.add(|all| &mut all.transports, entry);
+        self
+    }
+
+    /// Adds an observer, which passes messages of the team on to other programs, and returns the registry.
+    ///
+    /// # Panics
+    /// If the registry already has an observer of that name.
+    pub fn with_observer(mut self, entry: observers::Entry) -> Registry {
+        self.add(|all| &mut all.observers, entry);
+        self
+    }
+
+    /// Returns the registry as that of a program: parts that are added later are extensions of it
+    /// ([`Registry::is_extended`]).
+    pub fn of_program(mut self) -> Registry {
+        self.extended = false;
         self
     }
 
@@ -268,6 +293,14 @@ impl Registry {
         parts.map_err(|error| error.within("source"))
     }
 
+    /// Makes the observer of a team of these `robots` from its `settings` in a deployment. An error names the wrong
+    /// field from `observe` on, such as `observe.name`.
+    pub fn observer(&self, settings: &Settings, robots: &[RobotId]) -> Result<observers::Parts, ConfigError> {
+        let entry =
+            find(&self.observers, &settings.name).map_err(|e| ConfigError::field("observe.name", e.to_string()))?;
+        (entry.make)(settings, robots).map_err(|error| error.within("observe"))
+    }
+
     /// Returns the policy called `name`; `None` if the registry has no policy of that name.
     pub fn policy(&self, name: &str) -> Option<&policy::Entry> {
         find(&self.policies, name).ok()
@@ -280,13 +313,8 @@ impl Registry {
         if shipped { policy::SHIPPED } else { policy::scripted(scenario) }
     }
 
-    /// Whether the registry has a part beyond those of [`Registry::builtin`], such as a user's own scenario.
+    /// Whether the registry has a part beyond those of the program, such as a user's own scenario.
     pub fn is_extended(&self) -> bool {
-        let sizes = |all: &Registry| {
-            let Registry { scenarios, plants, policies, drivers, sources, estimators, transports } = all;
-            let devices = [drivers.len(), sources.len(), estimators.len(), transports.len()];
-            ([scenarios.len(), plants.len(), policies.len()], devices)
-        };
-        sizes(self) != sizes(&Registry::builtin())
+        self.extended
     }
 }

@@ -40,5 +40,5 @@ fn registry() -> &'static Registry {
 #[cfg(feature = "module")]
 #[pymodule]
 fn _murmurate(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    fill(module, Registry::builtin())
+    fill(module, murmurate_cli::registry())
 }

@@ -2,12 +2,10 @@
 
 use std::process::ExitCode;
 
-use murmurate::registry::Registry;
-
 #[cfg(feature = "mimalloc")]
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() -> ExitCode {
-    murmurate_cli::main(&Registry::builtin())
+    murmurate_cli::main(&murmurate_cli::registry())
 }

@@ -5,7 +5,6 @@
 
 pub mod program;
 pub mod robomaster;
-pub mod ros2;
 pub mod simulated;
 
 use crate::config::ConfigError;
@@ -92,8 +91,5 @@ pub struct Entry {
 }
 
 /// All drivers of real robots in this crate, from which a deployment selects one by name.
-pub const REGISTRY: &[Entry] = &[
-    Entry { name: "program", about: program::ABOUT, make: program::make },
-    robomaster::ENTRY,
-    Entry { name: "ros2", about: ros2::ABOUT, make: ros2::make },
-];
+pub const REGISTRY: &[Entry] =
+    &[Entry { name: "program", about: program::ABOUT, make: program::make }, robomaster::ENTRY];

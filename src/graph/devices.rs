@@ -1,5 +1,5 @@
-//! Drivers of robots, source of readings and publication of messages to ROS (observation) of one process, created from
-//! the deployment. Their workers, which do the I/O, run on threads of their own.
+//! Drivers of robots, source of readings and observer of messages of one process, created from the deployment. Their
+//! workers, which do the I/O, run on threads of their own.
 
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
@@ -14,9 +14,11 @@ use crate::edge::exclusive::Exclusive;
 use crate::edge::{self, Gate, Packet, Worker, WorkerState};
 use crate::localization::Source;
 use crate::messages::ids::RobotId;
+use crate::messages::wire::Wire;
+use crate::observers::Observer;
 use crate::registry::Registry;
-use crate::ros2::observe::{self, Observation};
 use crate::runtime::real::Readers;
+use crate::time::Time;
 
 /// Driver of a robot or source of readings: a function that makes its state machine, and the channel to its worker (I/O
 /// thread).
@@ -55,9 +57,26 @@ pub struct Devices {
     pub drivers: BTreeMap<RobotId, Device<dyn Driver>>,
     /// Source of readings of the robots that this process localizes; `None` if there is none.
     pub source: Option<Device<dyn Source>>,
-    /// Publication of received messages for ROS, with the channel to its worker (I/O thread); `None` if it is not
-    /// configured.
-    pub observation: Option<(Rc<Observation>, Rc<RefCell<Gate>>)>,
+    /// Observer of the messages that reach this process; `None` if it is not configured.
+    pub observer: Option<Observed>,
+}
+
+/// Observer of one process, with the channel to its worker.
+#[derive(Clone)]
+pub struct Observed {
+    observer: Rc<RefCell<Box<dyn Observer>>>,
+    gate: Rc<RefCell<Gate>>,
+}
+
+impl Observed {
+    /// Passes a message that has reached this process at `now` to the observer, and what it makes of it to the worker.
+    /// Never waits.
+    pub fn hear(&self, now: Time, message: &Wire) {
+        let (mut packets, mut gate) = (Vec::new(), self.gate.borrow_mut());
+        self.observer.borrow_mut().hear(now, message, &mut packets);
+        packets.into_iter().for_each(|packet| gate.send(packet));
+        gate.take(|_| {});
+    }
 }
 
 /// Threads of the workers, which do the input and output of drivers and sources. They end after the [`Devices`] are
@@ -137,11 +156,10 @@ pub fn open(host: &Host, robots: usize, registry: &Registry) -> Result<(Devices,
     })?;
     if let Some(settings) = &host.observe {
         let team: Vec<RobotId> = RobotId::team(robots).collect();
-        let made = observe::make(settings, &team).map_err(|error| error.within("observe").within("host"));
-        let (observation, worker) = made?;
-        worker.check().map_err(|error| error.within("observe").within("host"))?;
-        let gate = start_worker(Box::new(worker), "observation".to_owned(), &mut workers)?;
-        devices.observation = Some((Rc::new(observation), gate));
+        let parts = registry.observer(settings, &team).map_err(|error| error.within("host"))?;
+        parts.worker.check().map_err(|error| error.within("observe").within("host"))?;
+        let gate = start_worker(parts.worker, "observer".to_owned(), &mut workers)?;
+        devices.observer = Some(Observed { observer: Rc::new(RefCell::new(parts.observer)), gate });
     }
     Ok((devices, workers))
 }

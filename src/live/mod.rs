@@ -2,7 +2,6 @@
 //! command `host` uses it, and `examples/host.rs` runs a whole team with it.
 
 pub mod links;
-mod observer;
 mod replay;
 
 use std::cell::{Cell, RefCell};
@@ -10,7 +9,6 @@ use std::rc::Rc;
 use std::time::Instant;
 
 use self::links::{LinkError, ProcessIdentity};
-use self::observer::Observer;
 use crate::actors::recorder::Out;
 use crate::deploy::team::Team;
 use crate::graph::Plan;
@@ -119,7 +117,7 @@ impl LiveHost {
         done: impl FnMut(&Rc<Graph>, Time) -> bool,
     ) -> Rc<Graph> {
         let LiveHost { mut host, workers, plan, .. } = self;
-        let observer = Rc::new(RefCell::new(host.devices.observation.take().map(Observer::new)));
+        let observer = Rc::new(RefCell::new(host.devices.observer.take()));
         let observing = Rc::clone(&observer);
         let heard = move |host: HostId, event: ProcessEvent| {
             if let (Some(observer), ProcessEvent::Message(message)) = (&*observing.borrow(), event) {

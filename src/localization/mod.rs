@@ -3,7 +3,7 @@
 //!
 //! A source does no I/O: it converts the packets of its worker (I/O thread), or the samples of a World, to readings.
 
-mod alignment;
+pub mod alignment;
 pub mod check;
 mod fused_state;
 pub mod fusion;
@@ -12,7 +12,6 @@ pub mod natnet;
 pub mod odometry;
 pub mod plausibility;
 pub mod program;
-pub mod ros2;
 pub mod screen;
 pub mod simulated;
 
@@ -113,5 +112,4 @@ pub const REGISTRY: &[Entry] = &[
     Entry { name: "natnet", about: natnet::ABOUT, make: natnet::make },
     Entry { name: "odometry", about: odometry::ABOUT, make: odometry::make },
     Entry { name: "program", about: program::ABOUT, make: program::make },
-    Entry { name: "ros2", about: ros2::ABOUT, make: ros2::make },
 ];

@@ -37,7 +37,7 @@ struct Config {
 const ORIGIN: (f32, f32) = (0.005, 0.005);
 
 /// Returns what may be assumed of odometry that states this pose in its own frame.
-pub(super) fn quality(pose: &Pose) -> Quality {
+pub fn quality(pose: &Pose) -> Quality {
     let turned = pose.heading.is_some_and(|heading| heading.abs() > ORIGIN.1);
     Quality { at_origin: pose.position.norm() <= ORIGIN.0 && !turned, ..Quality::RECKONED }
 }

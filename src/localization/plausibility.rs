@@ -167,7 +167,7 @@ impl Quality {
 
 /// Measured pose with its time and its standard deviations.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Fix {
+pub struct Fix {
     /// Time of arrival.
     pub at: Time,
     /// Time of measurement on the source's clock \[ns\].

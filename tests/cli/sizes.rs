@@ -106,7 +106,8 @@ fn what_cannot_work_is_refused_by_the_flag_or_the_field_and_its_file() {
 #[test]
 fn a_team_file_has_the_size_and_its_robots_keep_apart_by_their_hulls() {
     let folder = TempDir::new().expect("a temporary folder");
-    let team = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join("teams/offboard.toml")).unwrap();
+    let team = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join("teams/offboard.toml"))
+        .unwrap();
     let team = team.replace("scenario = \"passage\"\n", "");
     let with = |name: &str, head: &str, tail: &str| file(&folder, name, &format!("{head}\n{team}\n{tail}"));
     let small = with("small.toml", "scenario = \"swap\"\nrobots = 4\nscale = 0.375\nhull_m = 0.06", "");

@@ -15,8 +15,8 @@ use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::Reading;
 use murmurate::random::{RngExt, Seed, Stream};
 use murmurate::registry::Registry;
-use murmurate::ros2::packet::{self, FromNode, Heard, PoseSample, Sample};
 use murmurate::time::{Span, Time};
+use murmurate_ros2::packet::{self, FromNode, Heard, PoseSample, Sample};
 
 use crate::natnet::fake::{self, Body, Scene};
 
@@ -99,7 +99,10 @@ fn situation(random: &mut Stream) -> Situation<'static> {
 fn source(kind: &Kind) -> Box<dyn Source> {
     let settings = Settings { name: kind.name.to_owned(), table: kind.settings.parse().expect("it is TOML") };
     let robots: Vec<RobotId> = (0..kind.robots).map(RobotId).collect();
-    (Registry::builtin().source(&settings, &robots).unwrap_or_else(|error| panic!("{error}")).source)()
+    (murmurate_ros2::add(Registry::builtin())
+        .source(&settings, &robots)
+        .unwrap_or_else(|error| panic!("{error}"))
+        .source)()
 }
 
 /// Place of a robot at a time \[ms\]: robot 0 drives at 0.1 m/s.

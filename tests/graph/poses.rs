@@ -16,8 +16,8 @@ use murmurate::messages::place::{Place, Placed, Verdict, Whereabouts};
 use murmurate::messages::wire::{Located, Reading};
 use murmurate::random::{RngExt, Seed, Stream, normals};
 use murmurate::registry::Registry;
-use murmurate::ros2::packet::{self, FromNode, Heard, PoseSample, Sample, TwistSample};
 use murmurate::time::{Span, Time};
+use murmurate_ros2::packet::{self, FromNode, Heard, PoseSample, Sample, TwistSample};
 
 use crate::natnet::fake;
 
@@ -155,7 +155,11 @@ impl World {
             }
         }
         let ids: Vec<RobotId> = RobotId::team(kind.robots()).collect();
-        let source = Registry::builtin().source(&settings, &ids).map_err(|error| error.to_string()).unwrap().source;
+        let source = murmurate_ros2::add(Registry::builtin())
+            .source(&settings, &ids)
+            .map_err(|error| error.to_string())
+            .unwrap()
+            .source;
         let limits = |robot: &RobotId| {
             (*robot, plausibility::limits(&settings, *robot, (&Chassis::default(), Some(1.5))).unwrap())
         };

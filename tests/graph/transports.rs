@@ -67,12 +67,12 @@ fn alone() -> MutexGuard<'static, ()> {
 }
 
 fn registry() -> Registry {
-    Registry::builtin().with_transport(HUB)
+    Registry::builtin().with_transport(murmurate_zenoh::ENTRY).with_transport(HUB)
 }
 
 /// Transports that this build has.
 fn transports() -> Vec<transport::Entry> {
-    let built = |entry: &transport::Entry| entry.name != "zenoh" || cfg!(feature = "zenoh");
+    let built = |entry: &transport::Entry| entry.name != "zenoh" || murmurate_zenoh::BUILT;
     registry().transports().iter().copied().filter(built).collect()
 }
 
@@ -229,18 +229,20 @@ fn mistakes_in_a_team_file_are_refused_by_their_field() {
 
 #[test]
 fn fields_of_one_name_take_the_same_values_in_all_transports() {
-    let mut all = Registry::builtin();
-    for entry in transport::REGISTRY {
+    let mut all = Registry::builtin().with_transport(murmurate_zenoh::ENTRY);
+    for entry in transport::REGISTRY.iter().chain([&murmurate_zenoh::ENTRY]) {
         // A copy under another name is accepted only if its fields agree with all others.
         let name = Box::leak(format!("{}-copy", entry.name).into_boxed_str());
         all = all.with_transport(transport::Entry { name, ..*entry });
     }
-    assert_eq!(all.transports().len(), 2 * transport::REGISTRY.len());
+    assert_eq!(all.transports().len(), 2 * (transport::REGISTRY.len() + 1));
 }
 
-#[cfg(not(feature = "zenoh"))]
 #[test]
 fn a_transport_that_is_not_built_in_names_its_feature() {
+    if murmurate_zenoh::BUILT {
+        return;
+    }
     let place = &places("zenoh")[1];
     let Err(OpenError::Wrong(why)) = place.endpoint.open(HostId(1), Filter::All) else { panic!("it is not built in") };
     assert!(why.contains("built without Zenoh") && why.contains("--features zenoh"), "{why}");

@@ -18,9 +18,9 @@ use murmurate::deploy::{Deployment, Impair};
 use murmurate::faults::FaultPlan;
 use murmurate::net::media::radio::{self, Radio};
 use murmurate::random::{RngExt, Seed, Stream};
+use murmurate::time::Span;
 use murmurate_study::Job;
 use murmurate_study::record::Record;
-use murmurate::time::Span;
 use murmurate_train::config::{Config, PRESETS};
 use murmurate_train::trainer::{Plan, Trainer};
 

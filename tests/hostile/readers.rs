@@ -18,12 +18,12 @@ use murmurate::net::media::radio::Radio;
 use murmurate::policy::{Model, Neighbour};
 use murmurate::random::Seed;
 use murmurate::registry::Registry;
-use murmurate::ros2::packet as ros;
 use murmurate::safety::Safety;
 use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{self, Observation, Settings};
 use murmurate::time::{Span, Time};
 use murmurate::trial::Trial;
+use murmurate_ros2::packet as ros;
 
 fn text(bytes: &[u8]) -> Option<&str> {
     std::str::from_utf8(bytes).ok()
@@ -50,7 +50,7 @@ pub fn policy(bytes: &[u8]) -> bool {
 /// A team file: read, checked for every host, and shown.
 pub fn team(bytes: &[u8]) -> bool {
     let Some(text) = text(bytes) else { return false };
-    let Ok(file) = TeamFile::read(&Registry::builtin(), text, Path::new("."), &[], &[]) else { return false };
+    let Ok(file) = TeamFile::read(&murmurate_cli::registry(), text, Path::new("."), &[], &[]) else { return false };
     let sound = file.check().is_ok();
     let first = file.hosts().next();
     for host in [None, first] {

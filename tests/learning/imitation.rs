@@ -10,11 +10,11 @@ use murmurate::policy::hops::perceptron::Activation;
 use murmurate::random::{Seed, Stream};
 use murmurate::registry::Registry;
 use murmurate::scenario::judge::Verdict;
+use murmurate::trial::Trial;
 use murmurate_train::imitation::config::Config;
 use murmurate_train::imitation::graph::Graph;
 use murmurate_train::imitation::network::{Network, Space};
 use murmurate_train::imitation::trainer::{Plan, Trainer};
-use murmurate::trial::Trial;
 use rand::RngExt;
 
 /// Returns a graph of six nodes: with several edges, with none, and with edges back in time, as of earlier steps.

@@ -16,6 +16,8 @@ use murmurate::registry::Registry;
 use murmurate::report::statistics::quantile;
 use murmurate::scenario::judge::Verdict;
 use murmurate::scenario::{self, Settings, Stage};
+use murmurate::trial::Trial;
+use murmurate::world::{Clamp, ContactRule, Physics, PlantState, kinematic};
 use murmurate_train::conditions::Episode;
 use murmurate_train::config::{Config, PRESETS, Reward};
 use murmurate_train::environments::Environments;
@@ -23,8 +25,6 @@ use murmurate_train::evaluate::Evaluation;
 use murmurate_train::network::{Network, Shape};
 use murmurate_train::rollout::RolloutSettings;
 use murmurate_train::trainer::{Plan, Trainer};
-use murmurate::trial::Trial;
-use murmurate::world::{Clamp, ContactRule, Physics, PlantState, kinematic};
 use rand::RngExt;
 
 /// Returns a small preset: 70 environments are one whole chunk and a part of one.

@@ -9,12 +9,12 @@ use std::path::{Path, PathBuf};
 
 use murmurate::policy::Model;
 use murmurate::random::Seed;
+use murmurate::trial::{Proceed, Trial};
 use murmurate_record::file::{Attached, Beginning, RecordFile};
 use murmurate_record::identity::Identity;
 use murmurate_record::reader::{Item, Message, ReadError, Reader};
 use murmurate_record::topics::{Stage, Topics};
 use murmurate_record::{Event, Scope};
-use murmurate::trial::{Proceed, Trial};
 use rand::RngExt;
 use tempfile::TempDir;
 
@@ -178,8 +178,7 @@ fn of_version_1(bytes: &[u8]) -> Vec<u8> {
                 writer.write_metadata(&mcap::records::Metadata { name, metadata }).unwrap();
             }
             Item::Attachment(attachment) => {
-                let murmurate_record::reader::Attachment { log_time, create_time, name, media_type, data } =
-                    attachment;
+                let murmurate_record::reader::Attachment { log_time, create_time, name, media_type, data } = attachment;
                 let data = data.into();
                 writer.attach(&mcap::Attachment { log_time, create_time, name, media_type, data }).unwrap();
             }

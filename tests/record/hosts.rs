@@ -5,8 +5,8 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use murmurate::graph::inputs::Input;
-use murmurate_record::tape::Turn;
 use murmurate::time::Span;
+use murmurate_record::tape::Turn;
 use tempfile::TempDir;
 
 use crate::edited::{edit, is_latent};

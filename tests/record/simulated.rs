@@ -6,10 +6,10 @@ use std::path::Path;
 use std::rc::Rc;
 
 use murmurate::policy::Model;
+use murmurate::trial::{Proceed, Trial};
 use murmurate_record::compare::{Compared, Comparison};
 use murmurate_record::topics::{Stage, Topics};
 use murmurate_record::{Event, Scope, reader};
-use murmurate::trial::{Proceed, Trial};
 use tempfile::TempDir;
 
 use crate::program::{ROOT, refuses, run, text};

@@ -12,13 +12,13 @@ use murmurate::graph::inputs::Input;
 use murmurate::graph::process::ProcessEvent;
 use murmurate::messages::ids::HostId;
 use murmurate::policy::Model;
+use murmurate::registry::Registry;
+use murmurate::time::Time;
+use murmurate::trial::{Proceed, Trial};
 use murmurate_record::file::{Attached, Beginning, RecordFile};
 use murmurate_record::identity::{HostIdentity, Identity};
 use murmurate_record::topics::{Stage, Topics};
 use murmurate_record::{Event, Scope};
-use murmurate::registry::Registry;
-use murmurate::time::Time;
-use murmurate::trial::{Proceed, Trial};
 use tempfile::TempDir;
 
 use crate::edited::copy;

@@ -3,9 +3,9 @@
 use murmurate::messages::wire::{KINDS, Kind};
 use murmurate::report::cost::Cost;
 use murmurate::report::trial::TrialReport;
-use murmurate_study::network::growth;
 use murmurate::time::Span;
 use murmurate::trial::Trial;
+use murmurate_study::network::growth;
 
 fn team(mode: &str, robots: usize) -> Trial {
     Trial::of_team(mode, "swap", robots).expect("there is room for them")

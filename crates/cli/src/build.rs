@@ -15,12 +15,14 @@ pub fn digest() -> &'static str {
             murmurate_lab::DIGEST,
             #[cfg(feature = "record")]
             murmurate_record::DIGEST,
+            murmurate_ros2::DIGEST,
             #[cfg(feature = "study")]
             murmurate_study::DIGEST,
             #[cfg(feature = "train")]
             murmurate_train::DIGEST,
             #[cfg(feature = "watch")]
             murmurate_view::DIGEST,
+            murmurate_zenoh::DIGEST,
             env!("SOURCE_DIGEST"),
         ])
     })

@@ -5,12 +5,12 @@ use std::path::Path;
 
 use anyhow::Result;
 
+use crate::BadInput;
+use crate::output::read_text;
 use murmurate::deploy::Deployment;
 use murmurate::deploy::conditions::Conditions;
 use murmurate::faults::FaultPlan;
 use murmurate::hearing::CommRange;
-use crate::BadInput;
-use crate::output::read_text;
 use murmurate::trial::Trial;
 
 /// Reads and checks a conditions file (TOML): plant, properties of the robots' motion, delay and loss of messages.

@@ -2,14 +2,14 @@
 
 use std::collections::BTreeSet;
 
+use anyhow::{Context, Result};
+use clap::Subcommand;
 use murmurate::config::shown::{self, counted};
 use murmurate::deploy::Host;
 use murmurate::deploy::team::Origin;
 use murmurate::graph::devices::{self, RunBy};
 use murmurate::messages::ids::HostId;
 use murmurate::registry::Registry;
-use anyhow::{Context, Result};
-use clap::Subcommand;
 use serde_json::json;
 
 use crate::Ended;

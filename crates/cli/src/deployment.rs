@@ -4,12 +4,12 @@
 use std::ffi::OsStr;
 use std::path::Path;
 
-use murmurate::deploy::{Deployment, MODES};
-use murmurate::net::media::radio::{PRESETS, Radio};
 use anyhow::Result;
 use clap::Arg;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::error::ErrorKind;
+use murmurate::deploy::{Deployment, MODES};
+use murmurate::net::media::radio::{PRESETS, Radio};
 
 use crate::BadInput;
 use crate::Ended;

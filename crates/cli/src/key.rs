@@ -12,12 +12,12 @@ use clap::Subcommand;
 use hmac_sha256::Hash;
 use nix::unistd::geteuid;
 
-use murmurate::config::shown;
 use crate::BadInput;
 use crate::Ended;
 use crate::output;
 use crate::own_name;
 use crate::temporary::Temporary;
+use murmurate::config::shown;
 
 /// Length of a key \[bytes\].
 const BYTES: usize = 32;

@@ -262,6 +262,12 @@ fn this_program() -> anyhow::Result<Vec<OsString>> {
     }
 }
 
+/// Returns the registry of the program: the parts of the library, of ROS 2 and of Zenoh. Another program adds its own
+/// parts to it.
+pub fn registry() -> Registry {
+    murmurate_ros2::add(Registry::builtin()).with_transport(murmurate_zenoh::ENTRY).of_program()
+}
+
 /// Runs the command that the arguments of this process name, with the parts (scenarios, policies and so on) of the
 /// registry. Returns the exit code.
 pub fn main(registry: &Registry) -> ExitCode {
@@ -284,8 +290,8 @@ fn run_command(registry: &Registry, arguments: &[OsString]) -> ExitCode {
     let _ = NAME.set(started.unwrap_or(MURMURATE).to_owned());
     // The DDS process of a ROS 2 driver or source, which this program starts itself.
     #[cfg(feature = "ros2")]
-    if arguments.get(1).is_some_and(|word| word == murmurate::ros2::SUBCOMMAND) {
-        return murmurate::ros2::node::run();
+    if arguments.get(1).is_some_and(|word| word == murmurate_ros2::SUBCOMMAND) {
+        return murmurate_ros2::node::run();
     }
     let cli = match parse(registry, arguments) {
         Ok(cli) => cli,

@@ -10,10 +10,10 @@ use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::path::Path;
 use std::rc::Rc;
 
+use anyhow::{Context, Result, anyhow};
 use murmurate::config::shown::{Layout, printable};
 use murmurate::report::event::{HostEvent, Unwritten};
 use murmurate::report::trial::Step;
-use anyhow::{Context, Result, anyhow};
 use sd_notify::NotifyState;
 
 use crate::BadInput;

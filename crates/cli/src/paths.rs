@@ -2,11 +2,11 @@
 
 use std::io::Write;
 
+use anyhow::{Context, Result};
 use murmurate::messages::geometry::Vec2;
 use murmurate::report::trial::Step;
 #[cfg(feature = "sim")]
 use murmurate::report::trial::TrialReport;
-use anyhow::{Context, Result};
 
 #[cfg(feature = "sim")]
 use crate::whole_file::WholeFile;

@@ -4,6 +4,7 @@ use std::cell::Cell;
 use std::rc::Rc;
 use std::time::Instant;
 
+use anyhow::{Result, anyhow};
 use murmurate::graph::operator;
 use murmurate::messages::geometry::{MAX_HEADING, MAX_SIZE, Pose, Vec2, wrapped};
 use murmurate::messages::ids::RobotId;
@@ -11,7 +12,6 @@ use murmurate::messages::place::{Place, Placed, Verdict};
 use murmurate::registry::Registry;
 use murmurate::runtime::real::run_real;
 use murmurate::time::{Span, Time};
-use anyhow::{Result, anyhow};
 
 use crate::output::print;
 use crate::team;

@@ -7,11 +7,11 @@ use clap::Command;
 use clap_complete::Shell;
 use clap_mangen::Man;
 
-use murmurate::config::shown::counted;
 use crate::destination::check_folder;
 use crate::output::{print, talk};
 use crate::whole_file::WholeFile;
 use crate::{BadInput, Ended, command};
+use murmurate::config::shown::counted;
 use murmurate::registry::Registry;
 
 /// Flags of `murmurate completions`.

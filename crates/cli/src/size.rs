@@ -1,7 +1,7 @@
 //! Flags for the size of a task and of its robots, shared by `sim`, `train` and the studies of policies.
 
-use murmurate::deploy::Deployment;
 use crate::BadInput;
+use murmurate::deploy::Deployment;
 use murmurate::scenario::{ScenarioError, Settings};
 
 /// Flags for the size of a task and of its robots.

@@ -5,6 +5,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
+use anyhow::{Result, anyhow};
 use murmurate::actors::order::{Order, OrderKind, PERIOD, Unconfirmed};
 use murmurate::config::shown::{self, counted};
 use murmurate::deploy::team::TeamFile;
@@ -15,7 +16,6 @@ use murmurate::messages::wire::Hindrance;
 use murmurate::registry::Registry;
 use murmurate::runtime::real::run_real;
 use murmurate::time::{Span, Time};
-use anyhow::{Result, anyhow};
 
 use crate::output::{print, talk};
 use crate::own_name;

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use anyhow::Result;
 use murmurate::config::ConfigError;
 use murmurate::deploy::Routes;
 use murmurate::deploy::team::{Flag, Team, TeamFile};
@@ -11,7 +12,6 @@ use murmurate::live::links::{self, ProcessIdentity};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::net::protocol::key::Key;
 use murmurate::registry::Registry;
-use anyhow::Result;
 
 use crate::BadInput;
 use crate::bad;

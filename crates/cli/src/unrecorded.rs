@@ -5,11 +5,11 @@ use std::time::Instant;
 
 use anyhow::Result;
 
+use crate::bad;
 use murmurate::deploy::team::Team;
 use murmurate::graph::process::ProcessEvent;
 use murmurate::live::LiveHost;
 use murmurate::messages::ids::HostId;
-use crate::bad;
 use murmurate::time::Time;
 
 /// Flags for the record of a run. There are none in a program without the feature `record`.

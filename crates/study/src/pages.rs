@@ -6,10 +6,8 @@ use super::handling::PRESETS;
 use super::results::{Cell, Results};
 use super::{Study, published, table};
 use murmurate::config::shown::counted;
-use murmurate_figures::{
-    self, Figure, FigureError, Group, Heard, Line, Makespans, Panel, Point, Positions, Share,
-};
 use murmurate_figures::page::{self, Part};
+use murmurate_figures::{self, Figure, FigureError, Group, Heard, Line, Makespans, Panel, Point, Positions, Share};
 
 /// Returns all figures of a study: first those of all policies, then those of each policy.
 pub fn figures(study: &Study, results: &Results) -> Result<Vec<Figure>, FigureError> {

@@ -163,8 +163,8 @@ impl Episode {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use murmurate::random::Seed;
     use crate::config::Config;
+    use murmurate::random::Seed;
 
     #[test]
     fn large_teams_always_have_the_filter_and_small_ones_their_share() {

@@ -39,11 +39,11 @@ pub fn restore(filters: &mut [Option<Filter>], yielding: &[Yielding]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Config;
+    use crate::environments::Environments;
     use murmurate::messages::geometry::Vec2;
     use murmurate::random::Seed;
     use murmurate::scenario::{self, Settings};
-    use crate::config::Config;
-    use crate::environments::Environments;
     use murmurate::world::Clamp;
 
     /// Whether robots that drive at their nearest neighbour touch anything in ten seconds.

@@ -176,11 +176,11 @@ impl Text {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::snapshot::LinkState;
+    use crate::status::Scene;
     use murmurate::messages::ids::RobotId;
     use murmurate::safety::guard::SafetyCounts;
     use murmurate::time::Time;
-    use crate::snapshot::LinkState;
-    use crate::status::Scene;
 
     #[test]
     fn every_metric_has_its_type_and_labels() {

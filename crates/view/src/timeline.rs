@@ -143,9 +143,9 @@ impl Timeline {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::status::Scene;
     use murmurate::messages::geometry::{Motion, Vec2};
     use murmurate::messages::wire::{Features, Latent, Phase, Round};
-    use crate::status::Scene;
 
     fn latent(robot: u16, x: f32) -> Sight {
         let motion = Motion::at_rest(Vec2::new(x, 0.0));

@@ -32,7 +32,6 @@ use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{KINDS, Kind};
 use crate::net::transport::Place;
 use crate::registry::Registry;
-use crate::ros2::observe;
 use crate::safety::Safety;
 use crate::scenario::{Scenario, Settings};
 use crate::time::Span;
@@ -339,8 +338,7 @@ fn deployment(registry: &Registry, inline: Option<Deployment>, layers: &Layers) 
     }
 }
 
-/// Checks the settings of all drivers, sources of readings and publications for observers by creating them; no worker
-/// is started.
+/// Checks the settings of all drivers, sources of readings and observers by creating them; no worker is started.
 fn check_devices(registry: &Registry, deployment: &Deployment) -> Result<(), ConfigError> {
     let ids = |robots: &[u16]| robots.iter().copied().map(RobotId).collect::<Vec<_>>();
     for host in &deployment.hosts {
@@ -355,8 +353,7 @@ fn check_devices(registry: &Registry, deployment: &Deployment) -> Result<(), Con
         }
         host.source.iter().try_for_each(|settings| registry.source(settings, &ids(&host.localizes)).map(drop))?;
         let team: Vec<RobotId> = RobotId::team(deployment.robots).collect();
-        let observed = host.observe.iter().try_for_each(|settings| observe::make(settings, &team).map(drop));
-        observed.map_err(|error| error.within("observe"))?;
+        host.observe.iter().try_for_each(|settings| registry.observer(settings, &team).map(drop))?;
     }
     Ok(())
 }

@@ -10,7 +10,6 @@ pub mod interface;
 mod link_watch;
 pub mod settings;
 pub mod udp;
-pub mod zenoh;
 
 pub use endpoint::{Claim, Endpoint, Filter, Finding, Fitness, OpenError, Place};
 pub use settings::{Field, LinkSettings};
@@ -99,7 +98,7 @@ pub struct Entry {
 }
 
 /// Registry entries of all transports of this crate.
-pub const REGISTRY: &[Entry] = &[udp::multicast::ENTRY, udp::unicast::ENTRY, zenoh::ENTRY];
+pub const REGISTRY: &[Entry] = &[udp::multicast::ENTRY, udp::unicast::ENTRY];
 
 /// Names of fields of a link that no transport may define, since every link has them.
 pub const RESERVED: [&str; 2] = ["transport", "reliability"];

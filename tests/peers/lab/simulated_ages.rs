@@ -7,9 +7,9 @@ use std::process::ExitCode;
 
 use murmurate::net::media::radio::Radio;
 use murmurate::policy::Model;
+use murmurate::trial::{Proceed, Trial};
 use murmurate_study::twin::estimate::smooth_quantile_of;
 use murmurate_study::twin::predict;
-use murmurate::trial::{Proceed, Trial};
 
 fn main() -> ExitCode {
     let words: Vec<String> = std::env::args().skip(1).collect();

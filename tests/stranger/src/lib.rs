@@ -10,7 +10,7 @@ use murmurate::registry::Registry;
 
 /// Returns the registry with the built-in parts and those of this crate.
 pub fn registry() -> Registry {
-    Registry::builtin()
+    murmurate_cli::registry()
         .with_scenario(scenario::ROUND)
         .with_policy(policy::GIVE_WAY)
         .with_plant(plant::GLIDE)

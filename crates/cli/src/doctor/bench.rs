@@ -7,6 +7,7 @@ use std::rc::Rc;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
+use anyhow::Result;
 use murmurate::actors::wiggle;
 use murmurate::deploy::Host;
 use murmurate::deploy::team::Team;
@@ -19,7 +20,6 @@ use murmurate::registry::Registry;
 use murmurate::runtime::clock::Clock;
 use murmurate::runtime::real::run_real;
 use murmurate::time::{Span, Time};
-use anyhow::Result;
 
 use super::devices::Seen;
 use super::listen::hindrance;

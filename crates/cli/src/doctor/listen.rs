@@ -6,6 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::rc::Rc;
 use std::time::Instant;
 
+use anyhow::{Result, anyhow};
 use murmurate::deploy::Routes;
 use murmurate::deploy::team::Team;
 use murmurate::graph::operator::{Operator, observe, wire};
@@ -20,11 +21,10 @@ use murmurate::net::protocol::sender::Peer;
 use murmurate::net::transport::{Filter, Place};
 use murmurate::runtime::real::run_real;
 use murmurate::time::{Span, Time};
-use anyhow::{Result, anyhow};
 
 use super::{Found, Status, Subject};
-use murmurate::live::links;
 use crate::key;
+use murmurate::live::links;
 
 /// Age of a host's last datagram below which the host is running \[s\]. Reports are sent four times a second.
 const RUNNING_S: f64 = 2.0;

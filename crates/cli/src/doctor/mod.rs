@@ -16,13 +16,13 @@ pub use notes::{Notes, Warnings};
 use std::fmt;
 use std::path::Path;
 
+use anyhow::{Context, Result};
 use murmurate::deploy::team::{Team, TeamFile};
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::net::transport::{Finding, Fitness, Place};
 use murmurate::registry::Registry;
 use murmurate::scenario::Settings;
-use anyhow::{Context, Result};
 use serde::{Serialize, Serializer};
 
 use crate::BadInput;
@@ -59,7 +59,7 @@ pub struct Args {
 
 /// Log filter of `doctor`, as `target=level` entries. Messages of drivers and sources are off; the findings show them.
 pub const LEVEL: &str = "error,murmurate::drivers=off,murmurate::localization=off,murmurate::edge=off,\
-    murmurate::ros2=off,murmurate::actors=off,murmurate::safety=off";
+    murmurate_ros2=off,murmurate::actors=off,murmurate::safety=off";
 
 /// Severity of a check's result, in rising order; `Fail` means that this machine is not fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]

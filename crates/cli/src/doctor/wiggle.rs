@@ -2,6 +2,7 @@
 
 use std::io::{BufRead, IsTerminal};
 
+use anyhow::Result;
 use murmurate::actors::verdict::{Axes, Verdict};
 use murmurate::actors::wiggle::{Config, Driven, SPEED_M_S};
 use murmurate::deploy::Host;
@@ -11,7 +12,6 @@ use murmurate::messages::ids::RobotId;
 use murmurate::registry::Registry;
 use murmurate::safety::guard;
 use murmurate::time::Span;
-use anyhow::Result;
 
 use super::{Found, Status, Subject};
 use crate::BadInput;

@@ -12,6 +12,8 @@ use std::time::{Duration, Instant};
 
 use self::patience::Patience;
 use self::seen::Seen;
+use anyhow::{Result, anyhow};
+use clap::ValueEnum;
 use murmurate::actors::recorder::Steps;
 use murmurate::deploy::team::{Team, TeamFile};
 use murmurate::graph::process::Graph;
@@ -23,12 +25,9 @@ use murmurate::report::event::HostEvent;
 use murmurate::report::summary::{CostName, Counts, Run, Summary};
 use murmurate::time::{Span, Time};
 use murmurate::trial::Trial;
-use anyhow::{Result, anyhow};
-use clap::ValueEnum;
 use sd_notify::NotifyState;
 use signal_hook::consts::SIGINT;
 
-use murmurate::live::{self, LiveHost};
 use crate::BadInput;
 use crate::Ended;
 use crate::outlets::Outlets;
@@ -37,6 +36,7 @@ use crate::signals;
 use crate::team;
 #[cfg(feature = "watch")]
 use crate::watch::metrics::MetricsFlags;
+use murmurate::live::{self, LiveHost};
 
 /// Time from a request to stop until the host ends, in which its last commands and its notice of shutdown are sent.
 const STOPPING: Span = Span::from_millis(200);

@@ -9,9 +9,9 @@ use std::time::{Duration, Instant};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use sd_notify::NotifyState;
 
-use murmurate::live::links::LinkError;
 use crate::outlets::Outlets;
 use crate::output::talk;
+use murmurate::live::links::LinkError;
 
 /// Longest wait for links. The unit in `packaging/` allows a start of a minute; after this wait the process ends, and
 /// the service manager starts it again.

@@ -3,16 +3,16 @@
 use std::cell::{Cell, OnceCell, RefCell};
 use std::collections::BTreeMap;
 
+use crate::outlets::Outlets;
+use crate::recording::LiveRecord;
+#[cfg(feature = "watch")]
+use crate::watch::metrics::HostMetrics;
 use murmurate::actors::recorder::Out;
 use murmurate::graph::process::{Graph, ProcessEvent};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::wire::{Phase, Wire};
 use murmurate::net::protocol::link::{DuplicateId, LinkCounts};
 use murmurate::net::transport::Renewed;
-use crate::outlets::Outlets;
-use crate::recording::LiveRecord;
-#[cfg(feature = "watch")]
-use crate::watch::metrics::HostMetrics;
 use murmurate::report::event::{Counted, HostEvent, RobotSafety, Unwritten};
 use murmurate::report::hardware::RobotHardware;
 use murmurate::report::trial::TrialReport;

@@ -18,15 +18,15 @@ use nix::sys::timerfd::{ClockId as TimerClock, Expiration, TimerFd, TimerFlags, 
 use nix::time::{ClockId, clock_gettime};
 use tappers::Tap;
 
+use crate::background_writer::BackgroundWriter;
+use crate::output::talk;
+use murmurate::time::{Span, Time};
 use murmurate_lab::capture::Capture;
 use murmurate_lab::ethernet::MAX_FRAME_BYTES;
 use murmurate_lab::file::Laboratory;
 use murmurate_lab::lateness::Lateness;
 use murmurate_lab::medium::{Found, Medium};
 use murmurate_lab::report::LabReport;
-use crate::background_writer::BackgroundWriter;
-use crate::output::talk;
-use murmurate::time::{Span, Time};
 
 /// Frames that are read from a station before another one has its turn.
 const BATCH: usize = 16;

@@ -28,10 +28,10 @@ use std::process::Command;
 use anyhow::{Context, Result, anyhow};
 use clap::Subcommand;
 
-use murmurate_lab::file::Laboratory;
-use murmurate_lab::report::LabReport;
 use crate::output::{print, read_text};
 use crate::{BadInput, Ended};
+use murmurate_lab::file::Laboratory;
+use murmurate_lab::report::LabReport;
 
 /// Subcommands of `murmurate lab`.
 #[derive(Subcommand)]

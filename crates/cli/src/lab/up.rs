@@ -11,10 +11,10 @@ use anyhow::{Context, Result, anyhow};
 use super::carrier::{Carrier, Outside};
 use super::claim::{Claim, path};
 use super::{needs, read};
-use murmurate_lab::file::Laboratory;
 use crate::background_writer::{BackgroundWriter, Target};
 use crate::output::{print, talk};
 use crate::{BadInput, Ended, signals, this_program};
+use murmurate_lab::file::Laboratory;
 
 /// Flags of `murmurate lab up`.
 #[derive(clap::Args)]

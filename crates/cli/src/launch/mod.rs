@@ -14,11 +14,11 @@ use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use anyhow::{Context, Result, anyhow};
 use murmurate::config::shown::counted;
 use murmurate::deploy::team::{Team, TeamFile};
 use murmurate::registry::Registry;
 use murmurate::report::summary::{CostName, Counts, Run, Summary};
-use anyhow::{Context, Result, anyhow};
 
 use crate::BadInput;
 use crate::Ended;

@@ -6,10 +6,10 @@ use std::time::Instant;
 #[cfg(feature = "watch")]
 use super::outcome::Outcome;
 use super::supervisor::{Output, Response};
-use murmurate::config::shown::counted;
 use crate::output::{colour, log_lines_dropped, talk};
 #[cfg(feature = "watch")]
 use crate::watch::team::News;
+use murmurate::config::shown::counted;
 use murmurate::report::episode::{AbortReason, Episode};
 use murmurate::report::event::{Counted, HostEvent, Unwritten};
 use murmurate::report::trial::TrialReport;

@@ -5,13 +5,13 @@ use std::path::Path;
 use anyhow::Result;
 
 use super::{Args, Place, run_team};
-use murmurate::config::shown::counted;
-use murmurate::deploy::LinkMedium;
-use murmurate_lab::file::{CABLE, Laboratory};
 use crate::lab::{self, Running};
 use crate::output::talk_lines;
 use crate::{BadInput, Ended};
+use murmurate::config::shown::counted;
+use murmurate::deploy::LinkMedium;
 use murmurate::registry::Registry;
+use murmurate_lab::file::{CABLE, Laboratory};
 
 /// Runs the team with each host in the station of its number, and the live page, if there is one, in the station after
 /// the last host. Prints the counters of the laboratory at the end.

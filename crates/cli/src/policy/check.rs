@@ -9,13 +9,13 @@ use serde::Serialize;
 
 use super::check_hops;
 use super::facts::{Facts, ProbeFacts, drawn, lines, list, made, observation, probe as probe_row};
+use crate::output::{print, read_bytes, talk};
+use crate::{BadInput, Ended};
 use murmurate::policy::hops;
 use murmurate::policy::manifest::{Activation, Aggregation, Architecture, EdgeField, Manifest};
 use murmurate::policy::probe;
 use murmurate::policy::shipped;
 use murmurate::policy::weights;
-use crate::output::{print, read_bytes, talk};
-use crate::{BadInput, Ended};
 use murmurate::registry::Registry;
 
 /// Flags of `murmurate policy check`.

@@ -6,13 +6,13 @@ mod facts;
 
 use std::path::Path;
 
+use anyhow::Result;
+use clap::Subcommand;
 use murmurate::chassis::{Chassis, DriveKind};
 use murmurate::messages::ids::RobotId;
 use murmurate::policy::{Draw, Model};
 use murmurate::registry::Registry;
 use murmurate::scenario::Scenario;
-use anyhow::Result;
-use clap::Subcommand;
 
 use crate::output::read_bytes;
 use crate::{BadInput, Ended};

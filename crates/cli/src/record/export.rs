@@ -5,13 +5,13 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use serde_json::Value as Json;
 
-use murmurate::graph::inputs::Input;
-use murmurate::messages::wire::Wire;
-use murmurate::net::protocol::codec::{self, Content};
 use crate::output::talk;
 use crate::record::chosen::tell;
 use crate::whole_file::WholeFile;
 use crate::{BadInput, Ended, bad};
+use murmurate::graph::inputs::Input;
+use murmurate::messages::wire::Wire;
+use murmurate::net::protocol::codec::{self, Content};
 use murmurate_record::protobuf_reader::{Fields, Value};
 use murmurate_record::reader::{self, Message};
 use murmurate_record::tape;

@@ -8,10 +8,10 @@ use anyhow::{Context, Result};
 use serde::Serialize;
 use serde_json::Value;
 
-use murmurate::config::shown;
 use crate::output::print;
 use crate::record::chosen::first_files;
 use crate::{BadInput, Ended};
+use murmurate::config::shown;
 use murmurate_record::identity::Identity;
 use murmurate_record::reader::{self, ReadError};
 

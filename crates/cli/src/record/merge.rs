@@ -9,11 +9,11 @@ use anyhow::{Context, Result};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{WriteOptions, Writer};
 
-use murmurate::config::shown;
 use crate::output::{print, talk};
 use crate::record::chosen::{self, Chosen, tell};
 use crate::temporary::Temporary;
 use crate::{BadInput, Ended, bad};
+use murmurate::config::shown;
 use murmurate_record::identity::{Identity, METADATA};
 use murmurate_record::merge::{Alignment, Part, Traffic, align};
 use murmurate_record::reader::{self, Item, Reader};

@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 
-use murmurate::config::shown;
 use crate::output::{print, talk};
 use crate::record::chosen::files;
 use crate::temporary::Temporary;
 use crate::{BadInput, Ended, bad};
+use murmurate::config::shown;
 use murmurate_record::reader::{ReadError, Reader};
 use murmurate_record::repair::copy;
 

@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 
-use murmurate::config::shown;
-use murmurate::net::protocol::key::Key;
 use crate::output::{print, talk};
 use crate::record::chosen::{self, Chosen, tell};
 use crate::temporary::Temporary;
 use crate::{BadInput, Ended, bad, key};
+use murmurate::config::shown;
+use murmurate::net::protocol::key::Key;
 use murmurate_record::identity::Identity;
 use murmurate_record::reader::{self, Reader};
 use murmurate_record::repair;

@@ -12,6 +12,7 @@ use murmurate::deploy::team::Team;
 use murmurate::graph::process::ProcessEvent;
 use murmurate::live::LiveHost;
 use murmurate::messages::ids::HostId;
+use murmurate::time::Time;
 use murmurate_record::file::Beginning;
 use murmurate_record::identity::{HostIdentity, Identity};
 use murmurate_record::queue::{Inlet, WhenFull};
@@ -19,7 +20,6 @@ use murmurate_record::series::Retention;
 use murmurate_record::topics::{Stage, Topics};
 use murmurate_record::writer::Recording;
 use murmurate_record::{Event, Scope};
-use murmurate::time::Time;
 
 /// Longest time that a process waits at its end until its record is written.
 const FINISH_TIMEOUT: Duration = Duration::from_millis(1500);

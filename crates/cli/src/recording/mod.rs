@@ -18,9 +18,9 @@ use anyhow::Result;
 use crate::destination::check_folder;
 use crate::output::read_bytes;
 use crate::{BadInput, bad};
+use murmurate::time::Span;
 use murmurate_record::file::Attached;
 use murmurate_record::series::Retention;
-use murmurate::time::Span;
 
 /// Flags for the record of a run: `--record`, `--record-last` and `--record-size`.
 #[derive(clap::Args, Clone, Default)]

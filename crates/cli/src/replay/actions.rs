@@ -9,9 +9,9 @@ use anyhow::{Context, Result};
 
 use super::Args;
 use super::of_host::{Prepared, published};
-use murmurate::config::shown;
 use crate::output::print;
 use crate::whole_file::WholeFile;
+use murmurate::config::shown;
 use murmurate_record::actions::{Commands, RobotDifference, StepDifference};
 
 /// Runs a host again with its recorded inputs and another policy, and prints by how much the actions of each robot

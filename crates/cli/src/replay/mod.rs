@@ -17,22 +17,22 @@ use std::rc::Rc;
 use anyhow::{Context, Result};
 use serde::Serialize;
 
-use murmurate::config::shown::{self, counted};
-use murmurate::graph::process::ProcessEvent;
-use murmurate::messages::ids::HostId;
 use crate::output::{self, Confined, print, talk};
 use crate::record::chosen::{self, Chosen};
 #[cfg(feature = "study")]
 use crate::study;
 use crate::{BadInput, Ended, bad, sim};
+use murmurate::config::shown::{self, counted};
+use murmurate::graph::process::ProcessEvent;
+use murmurate::messages::ids::HostId;
+use murmurate::registry::Registry;
+use murmurate::time::Time;
+use murmurate::trial::Proceed;
 use murmurate_record::compare::{Compared, Comparison};
 use murmurate_record::reader::{self, Opened};
 use murmurate_record::share::ACCEPTED;
 use murmurate_record::topics::{Stage, Topics};
 use murmurate_record::{Event, Scope};
-use murmurate::registry::Registry;
-use murmurate::time::Time;
-use murmurate::trial::Proceed;
 
 /// Flags of `murmurate replay`.
 #[derive(clap::Args)]

@@ -7,6 +7,8 @@ use std::rc::Rc;
 use anyhow::Result;
 
 use super::{Args, Files, finish};
+use crate::output::talk;
+use crate::{BadInput, bad, host, key, output, team};
 use murmurate::deploy::team::Team;
 use murmurate::graph::inputs::Input;
 use murmurate::graph::process::ProcessEvent;
@@ -14,18 +16,16 @@ use murmurate::live::LiveHost;
 use murmurate::live::links::ProcessIdentity;
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::key::Key;
-use crate::output::talk;
-use crate::{BadInput, bad, host, key, output, team};
 use murmurate::random::Seed;
+use murmurate::registry::Registry;
+use murmurate::time::Time;
+use murmurate::trial::Trial;
 use murmurate_record::compare::{Compared, Comparison};
 use murmurate_record::identity::{HostIdentity, Identity};
 use murmurate_record::reader::{self, Messages, Opened};
 use murmurate_record::share::trusted;
 use murmurate_record::topics::{Stage, Topic, Topics};
 use murmurate_record::{Event, Scope, tape};
-use murmurate::registry::Registry;
-use murmurate::time::Time;
-use murmurate::trial::Trial;
 
 /// Host that was built from its record and is ready to run again.
 pub struct Prepared {

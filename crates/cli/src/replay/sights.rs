@@ -6,6 +6,7 @@ use std::path::Path;
 use anyhow::Result;
 use serde_json::Value as Json;
 
+use crate::BadInput;
 use murmurate::graph::inputs::Input;
 use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::messages::ids::{HostId, RobotId};
@@ -13,16 +14,15 @@ use murmurate::messages::local::{Contacts, Sample, Truth};
 use murmurate::messages::wire::{Features, Wire};
 use murmurate::net::protocol::codec;
 use murmurate::net::protocol::key::Key;
-use crate::BadInput;
+use murmurate::report::episode::Episode;
+use murmurate::safety::guard::SafetyCounts;
+use murmurate::time::Time;
 use murmurate_record::identity::{self, Identity};
 use murmurate_record::protobuf_reader::{Fields, Value};
 use murmurate_record::reader::{Item, Message, ReadError, Reader};
 use murmurate_record::stage::{self, Stage};
 use murmurate_record::tape;
 use murmurate_record::topics::RECEIVED;
-use murmurate::report::episode::Episode;
-use murmurate::safety::guard::SafetyCounts;
-use murmurate::time::Time;
 use murmurate_view::timeline::Sight;
 
 /// Content of a record that the live page can show: constant properties of the run, and events.
@@ -282,11 +282,11 @@ mod tests {
     use murmurate::messages::round::Round;
     use murmurate::messages::wire::Latent;
     use murmurate::net::protocol::codec::{Flags, Header};
+    use murmurate::trial::Trial;
     use murmurate_record::file::{Beginning, RecordFile};
     use murmurate_record::identity::HostIdentity;
     use murmurate_record::topics::Topics;
     use murmurate_record::{Event, Scope};
-    use murmurate::trial::Trial;
 
     /// A record of host 0 of a team with the key `key`, at which three latents of robot 1 have arrived, sent by host 1.
     fn recorded(folder: &Path, key: &Key) -> std::path::PathBuf {

@@ -8,6 +8,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
+use anyhow::{Context, Result};
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::{Args as _, FromArgMatches};
 use murmurate::config::shown::counted;
 use murmurate::deploy::Stepping;
 use murmurate::hearing::Handling;
@@ -19,9 +22,6 @@ use murmurate::safety::Safety;
 use murmurate::scenario::layout::Layouts;
 use murmurate::trial::{Trial, TrialReport};
 use murmurate::world::{Clamp, ContactRule, Placement, Sensor};
-use anyhow::{Context, Result};
-use clap::builder::{PossibleValuesParser, TypedValueParser};
-use clap::{Args as _, FromArgMatches};
 use serde::Serialize;
 
 use crate::BadInput;

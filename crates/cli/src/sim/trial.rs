@@ -6,11 +6,11 @@ use std::sync::Arc;
 use anyhow::Result;
 
 use super::Args;
+use crate::output::{read_text, talk};
+use crate::{BadInput, bad, conditions, deployment, policy, size};
 use murmurate::actors::recorder::Steps;
 use murmurate::deploy::conditions::Conditions;
 use murmurate::deploy::{Deployment, Impair};
-use crate::output::{read_text, talk};
-use crate::{BadInput, bad, conditions, deployment, policy, size};
 use murmurate::registry::Registry;
 use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{ScenarioError, Settings};

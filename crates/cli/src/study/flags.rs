@@ -4,6 +4,8 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use anyhow::{Context, Result};
+use clap::builder::PossibleValuesParser;
 use murmurate::chassis::Chassis;
 use murmurate::registry::Registry;
 use murmurate::scenario::layout::Layouts;
@@ -12,8 +14,6 @@ use murmurate_study::columns::{self, Column};
 use murmurate_study::conditions::Deployed;
 use murmurate_study::handling::{self, Preset};
 use murmurate_study::{PolicyUnderTest, Study};
-use anyhow::{Context, Result};
-use clap::builder::PossibleValuesParser;
 
 use super::run::{CommandLine, Run, check_unique};
 use super::shard::Shard;

@@ -14,15 +14,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
+use anyhow::{Context, Result};
+use clap::{FromArgMatches, Subcommand};
 use murmurate::config::shown::counted;
-use murmurate_record::identity::StudyJob;
 use murmurate::registry::Registry;
+use murmurate::trial::Trial;
+use murmurate_record::identity::StudyJob;
 use murmurate_study::record::Record;
 use murmurate_study::results::{Results, Row};
 use murmurate_study::{Job, Study, table};
-use murmurate::trial::Trial;
-use anyhow::{Context, Result};
-use clap::{FromArgMatches, Subcommand};
 use serde::Serialize;
 
 use crate::BadInput;

@@ -2,12 +2,12 @@
 //! the report.
 
 use crate::recording::Recorded;
-use murmurate_record::identity::StudyJob;
+use anyhow::Result;
 use murmurate::scenario::judge::Verdict;
+use murmurate_record::identity::StudyJob;
 use murmurate_study::record::Record;
 use murmurate_study::results::{Results, Row};
 use murmurate_study::{Job, Study, pages, table};
-use anyhow::Result;
 use serde::Serialize;
 
 use super::folder::Folder;

@@ -1,8 +1,8 @@
 //! Learning curve of a training: one row per iteration, as CSV and as a plot.
 
+use anyhow::{Context, Result};
 use murmurate_train::evaluate::Scores;
 use murmurate_train::trainer::Metrics;
-use anyhow::{Context, Result};
 use plotters::prelude::*;
 use serde::{Deserialize, Serialize};
 

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use murmurate_train::trainer::Trainer;
 use anyhow::{Context, Result};
+use murmurate_train::trainer::Trainer;
 
 use super::curve::Curve;
 use crate::destination::check_folder;

@@ -12,6 +12,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use anyhow::{Context, Result};
+use clap::builder::PossibleValuesParser;
+use indicatif::{ProgressBar, ProgressStyle};
 use murmurate::config::shown::counted;
 use murmurate::registry::Registry;
 use murmurate_train::config::PRESETS;
@@ -20,9 +23,6 @@ use murmurate_train::expectation;
 use murmurate_train::imitation::config::PRESET as PRESET_WITHOUT_GOALS;
 use murmurate_train::reward::has_reward;
 use murmurate_train::trainer::Trainer;
-use anyhow::{Context, Result};
-use clap::builder::PossibleValuesParser;
-use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use crate::Ended;

@@ -6,14 +6,14 @@ use serde::de::DeserializeOwned;
 
 use super::folder::Folder;
 use super::{Args, PRESET};
-use murmurate::config::{ConfigError, from_table, regular, unquoted};
-use murmurate::deploy::conditions::Conditions;
 use crate::BadInput;
 use crate::conditions;
 use crate::output::{self, read_bytes, read_text};
 use crate::own_name;
 use crate::size;
 use crate::study;
+use murmurate::config::{ConfigError, from_table, regular, unquoted};
+use murmurate::deploy::conditions::Conditions;
 use murmurate::registry::Registry;
 use murmurate::scenario::{ScenarioError, Settings};
 use murmurate_study::network::conditions as of_medium;

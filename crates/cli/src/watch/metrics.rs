@@ -7,13 +7,13 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 
 use super::token;
+use crate::bad;
+use crate::output::talk;
+use crate::own_name;
 use murmurate::deploy::Routes;
 use murmurate::deploy::team::Team;
 use murmurate::graph::process::ProcessEvent;
 use murmurate::messages::ids::{HostId, RobotId};
-use crate::bad;
-use crate::output::talk;
-use crate::own_name;
 use murmurate::time::{Span, Time};
 use murmurate_view::access::{Access, Control};
 use murmurate_view::metrics::Metrics;

@@ -11,11 +11,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow};
 
-use murmurate::messages::ids::HostId;
 use crate::bad;
 use crate::key;
 use crate::output::talk;
 use crate::own_name;
+use murmurate::messages::ids::HostId;
 use murmurate_view::access::{Access, Control, TOKEN_BYTES, Token};
 use murmurate_view::server::{Publisher, Server};
 use murmurate_view::status::Scene;

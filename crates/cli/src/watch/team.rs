@@ -14,6 +14,11 @@ use anyhow::Result;
 
 use super::PageFlags;
 use super::feed::Feed;
+use crate::output::talk;
+use crate::recording::LiveRecord;
+#[cfg(feature = "record")]
+use crate::recording::RecordFlags;
+use crate::{BadInput, Ended, signals, team};
 use murmurate::actors::network;
 use murmurate::actors::order::OrderKind;
 use murmurate::deploy::Routes;
@@ -23,19 +28,14 @@ use murmurate::graph::process::ProcessEvent;
 use murmurate::live::links::ProcessIdentity;
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::wire::{Phase, Stop, Wire};
-use crate::output::talk;
-use crate::recording::LiveRecord;
-#[cfg(feature = "record")]
-use crate::recording::RecordFlags;
-use crate::{BadInput, Ended, signals, team};
-#[cfg(feature = "record")]
-use murmurate_record::stage::Stage;
 use murmurate::registry::Registry;
 use murmurate::report::episode::Episode;
 use murmurate::runtime::clock::Clock;
 use murmurate::runtime::real::run_real;
 use murmurate::runtime::shell::Mailbox;
 use murmurate::time::{Span, Time};
+#[cfg(feature = "record")]
+use murmurate_record::stage::Stage;
 use murmurate_view::access::Control;
 use murmurate_view::command::Command;
 use murmurate_view::metrics::Metrics;

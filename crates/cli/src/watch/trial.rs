@@ -11,6 +11,8 @@ use anyhow::Result;
 
 use super::feed::Feed;
 use super::{OPERATOR, OptionalPage};
+use crate::bad;
+use crate::recording::{Recorded, Simulated};
 use murmurate::actors::order::OrderKind;
 use murmurate::actors::recorder;
 use murmurate::deploy::Routes;
@@ -19,8 +21,6 @@ use murmurate::graph::process::{Graph, ProcessEvent};
 use murmurate::messages::ids::{HostId, LinkId, RobotId};
 use murmurate::messages::wire::{Kind, Phase, Wire};
 use murmurate::net::protocol::codec::{self, Content, Frame};
-use crate::bad;
-use crate::recording::{Recorded, Simulated};
 use murmurate::report::episode::Episode;
 use murmurate::time::{Span, Time};
 use murmurate::trial::{Proceed, Trial, TrialReport};

@@ -6,9 +6,9 @@ use super::medium::Medium;
 use super::outcome::{Outcome, Row};
 use super::table::{self, SHOWN};
 use super::{saturation, scale};
-use murmurate_figures::{Figure, FigureError, Heard, Line, Panel, Point};
 use murmurate::report::listening::Listening;
 use murmurate_figures::page::{self, Part};
+use murmurate_figures::{Figure, FigureError, Heard, Line, Panel, Point};
 
 /// Result of a case of a network study: its source (emulated or measured), its parameters and its outcome.
 pub type Found = (Source, Case, Outcome);

@@ -115,7 +115,8 @@ pub fn fit(run: &Run, trial: &Trial, episodes: Range<u32>) -> Fitted {
     };
     let lag_s = of_truth.or(of_estimates.map(|(lag_s, _)| lag_s));
     let late_s = of_estimates.map(|(_, late_s)| late_s);
-    let slips = trial.registry.plant(&trial.deployment.plant).is_ok_and(|plant| plant.name != murmurate::world::KINEMATIC);
+    let slips =
+        trial.registry.plant(&trial.deployment.plant).is_ok_and(|plant| plant.name != murmurate::world::KINEMATIC);
     let slip = of_truth.filter(|_| slips);
     let slip = slip.and_then(|lag_s| lag::slip(motion, lag_s.value, &limits, &mut seed.stream("slip")));
     let link = |link: Option<LinkId>, name: &str| {

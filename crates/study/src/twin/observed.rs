@@ -13,11 +13,11 @@ use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::wire::{Kind, Latent, Wire};
 use murmurate::net::protocol::codec::{self, Content, Flags};
 use murmurate::net::protocol::router::Audience;
+use murmurate::report::episode::Episode;
 use murmurate_record::merge::{self, Alignment, ClockDifference, DatagramKey, Traffic};
 use murmurate_record::protobuf_reader::Fields;
 use murmurate_record::reader::{self, ReadError};
 use murmurate_record::tape;
-use murmurate::report::episode::Episode;
 
 /// Kinds of messages that a host sends as soon as they are published, each in a datagram of its own.
 const PROMPT: [Kind; 3] = [Kind::Latent, Kind::Reading, Kind::MotorCommand];

@@ -4,10 +4,10 @@ use super::comparison::Row;
 use super::observed::Run;
 use super::predict::Predicted;
 use murmurate::config::shown::counted;
-use murmurate_figures::{Figure, FigureError, Heard, Makespans};
 use murmurate::report::listening::Listening;
-use murmurate_figures::page::{self, Part};
 use murmurate::time::Span;
+use murmurate_figures::page::{self, Part};
+use murmurate_figures::{Figure, FigureError, Heard, Makespans};
 
 /// Texts and numbers for the report page of a twin.
 #[derive(Clone, Debug)]

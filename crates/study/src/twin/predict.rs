@@ -8,9 +8,9 @@ use murmurate::graph::process::ProcessEvent;
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::wire::{Kind, Wire};
 use murmurate::net::protocol::codec::{self, Content, Frame};
-use murmurate_record::merge;
 use murmurate::report::episode::Episode;
 use murmurate::trial::{Proceed, Trial};
+use murmurate_record::merge;
 
 /// Results of one simulated repeat of a twin's prediction.
 #[derive(Clone, Debug)]

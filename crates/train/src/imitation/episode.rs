@@ -299,8 +299,8 @@ impl World {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use murmurate::policy::hops::manifest::EdgeFeature;
     use crate::imitation::config::Config;
+    use murmurate::policy::hops::manifest::EdgeFeature;
 
     #[test]
     fn an_edge_has_the_age_of_its_message() {

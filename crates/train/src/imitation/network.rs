@@ -6,12 +6,12 @@
 
 use super::graph::Graph;
 use super::perceptron::{self, Perceptron};
+use crate::matrix::Real;
+use crate::network::{add, resize};
 use murmurate::policy::hops::action::Action;
 use murmurate::policy::hops::file::Tensors;
 use murmurate::policy::hops::manifest::{Aggregation, Distribution, Input, Manifest};
 use murmurate::policy::mlp::Instructions;
-use crate::matrix::Real;
-use crate::network::{add, resize};
 
 /// One hop: its networks, and what their inputs are.
 #[derive(Clone, Debug)]

@@ -1,9 +1,9 @@
 //! Multi-layer perceptrons of policies of several hops over many rows, forward and backward.
 
-use murmurate::policy::hops::manifest::Layers;
-use murmurate::policy::hops::perceptron::Activation;
 use crate::matrix::{Output, Real, View, multiply};
 use crate::network::{Layer, resize};
+use murmurate::policy::hops::manifest::Layers;
+use murmurate::policy::hops::perceptron::Activation;
 
 /// Activation that training supports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

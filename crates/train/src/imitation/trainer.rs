@@ -11,6 +11,10 @@ use super::config::Config;
 use super::episode::{self, Driver, Episode, Messages, Setting};
 use super::learn::{Shard, Window};
 use super::network::Network;
+use crate::adam::{Adam, clip};
+use crate::checkpoint::vector_instructions;
+use crate::parallel::in_parallel;
+use crate::trainer::Diverged;
 use murmurate::config::kinds::FileKind;
 use murmurate::policy::hops::file;
 use murmurate::policy::hops::manifest::Manifest;
@@ -22,10 +26,6 @@ use murmurate::report::outcomes::CostOutcomes;
 use murmurate::report::statistics::mean_95;
 use murmurate::scenario::judge::Verdict;
 use murmurate::scenario::{Frame, Scenario, ScenarioError, Settings};
-use crate::adam::{Adam, clip};
-use crate::checkpoint::vector_instructions;
-use crate::parallel::in_parallel;
-use crate::trainer::Diverged;
 
 /// Number of parts of a minibatch whose gradients are added in order, so that the number of threads changes no result.
 const SHARDS: usize = 4;

@@ -3,13 +3,13 @@
 use std::mem::size_of;
 
 use super::{Content, Options};
+use crate::environments::Team;
+use crate::message_buffer::HISTORY_STEPS;
 use murmurate::messages::geometry::{Task, Vec2};
 use murmurate::messages::local::Contacts;
 use murmurate::random::Stream;
 use murmurate::safety::filter::Filter;
 use murmurate::scenario::KeepOut;
-use crate::environments::Team;
-use crate::message_buffer::HISTORY_STEPS;
 use murmurate::world::{Physics, Wheels};
 
 /// What an allocation costs beside its content \[bytes\].

@@ -377,9 +377,9 @@ impl Chunk {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Config;
     use murmurate::chassis;
     use murmurate::scenario::{self, Settings};
-    use crate::config::Config;
 
     pub(super) fn options(environments: usize, threads: usize, content: Content) -> Options {
         let config = Config::preset("robust").expect("it is there");

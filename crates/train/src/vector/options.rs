@@ -5,12 +5,12 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::Lengths;
+use crate::config::{Conditions, Reward};
+use crate::reward::has_reward;
 use murmurate::chassis::{self, Chassis};
 use murmurate::config::ConfigError;
 use murmurate::policy::manifest::Field;
 use murmurate::scenario::Scenario;
-use crate::config::{Conditions, Reward};
-use crate::reward::has_reward;
 use murmurate::world::kinematic::PERIOD;
 
 /// Treatment of an environment whose episode has ended.

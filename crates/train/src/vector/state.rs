@@ -10,13 +10,13 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use super::{Autoreset, Buffers, Chunk, Content, Lengths, Options, VectorEnvironment};
+use crate::config::{Conditions, Reward};
+use crate::snapshot::Snapshot;
 use murmurate::chassis;
 use murmurate::policy::manifest::Field;
 use murmurate::random::Stream;
 use murmurate::registry::Registry;
 use murmurate::scenario::Settings;
-use crate::config::{Conditions, Reward};
-use crate::snapshot::Snapshot;
 
 /// First bytes of every state.
 const MAGIC: &[u8; 16] = b"murmurate-state\n";

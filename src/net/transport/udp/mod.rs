@@ -2,6 +2,7 @@
 //! are the two transports. Does not interpret frames or decide who may send them.
 
 mod batch;
+mod endpoint;
 mod filter;
 mod fitness;
 pub mod guests;

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
+use anyhow::Result;
 use murmurate_study::network::pages::Findings;
 use murmurate_study::network::{Case, Outcome, Source, Sweep, table};
 use murmurate_study::origin::{self, Origin};
-use anyhow::Result;
 use serde::{Deserialize, Serialize};
 
 use crate::study::folder::Folder;
@@ -67,7 +67,13 @@ impl Journal {
     fn origin(&self, source: Source, case: &Case) -> Origin {
         let Sweep { stations, bytes, medium, history, seconds, seed, .. } = &self.sweep;
         let link = self.link.as_ref().filter(|_| source == Source::Live);
-        Origin::here(crate::build::digest(), STUDY, *seed, "", &(source, case, stations, bytes, medium, history, seconds, link))
+        Origin::here(
+            crate::build::digest(),
+            STUDY,
+            *seed,
+            "",
+            &(source, case, stations, bytes, medium, history, seconds, link),
+        )
     }
 
     /// Returns the stored result of each case, from emulation or measurement as `source` says; `None` for a result that

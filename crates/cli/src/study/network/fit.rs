@@ -5,10 +5,10 @@ use std::fmt;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use anyhow::{Context, Result};
 use murmurate::config;
 use murmurate_study::network::fit::{Observed, fit};
 use murmurate_study::network::{Case, Medium, Outcome, Sweep, emulate};
-use anyhow::{Context, Result};
 use serde::Serialize;
 
 use super::Args;

@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use anyhow::Result;
 use murmurate_study::network::case::{RATES, RETRIES};
 use murmurate_study::network::saturation::SIZES;
 use murmurate_study::network::{Addressing, History, Medium, NetworkKind, ReliabilityMode, Sweep};
-use anyhow::Result;
 use serde::de::DeserializeOwned;
 
 use crate::BadInput;

@@ -3,13 +3,13 @@
 
 use std::path::Path;
 
+use anyhow::Result;
 use murmurate::deploy::LinkMedium;
 use murmurate::deploy::team::TeamFile;
 use murmurate::messages::ids::HostId;
 use murmurate::messages::wire::Kind;
 use murmurate::registry::Registry;
 use murmurate_study::network::{Addressing, Medium, NetworkKind, ReliabilityMode, Sweep};
-use anyhow::Result;
 
 use super::Args;
 use super::live::Participation;

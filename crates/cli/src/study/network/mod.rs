@@ -13,12 +13,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
+use anyhow::{Context, Result};
 use murmurate::registry::Registry;
 use murmurate_study::network::fit::Observed;
 use murmurate_study::network::growth::Growth;
 use murmurate_study::network::pages::{Findings, Found};
 use murmurate_study::network::{Row, Source, emulate, table};
-use anyhow::{Context, Result};
 use serde::Serialize;
 
 use crate::Ended;

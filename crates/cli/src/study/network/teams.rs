@@ -3,14 +3,14 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use anyhow::{Context, Result};
 use murmurate::net::media::radio::Radio;
 use murmurate::report::cost::Cost;
+use murmurate::time::Span;
+use murmurate::trial::{Proceed, Trial};
 use murmurate_study::network::growth::{self, Growth};
 use murmurate_study::network::{Medium, Sweep};
 use murmurate_study::origin::Origin;
-use murmurate::time::Span;
-use murmurate::trial::{Proceed, Trial};
-use anyhow::{Context, Result};
 use nix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
 
@@ -29,7 +29,13 @@ pub struct Team {
 
 impl Team {
     fn origin(&self) -> Origin {
-        Origin::here(crate::build::digest(), "network, growing teams", self.seed, "", &(self.mode, self.robots, growth::DURATION_S))
+        Origin::here(
+            crate::build::digest(),
+            "network, growing teams",
+            self.seed,
+            "",
+            &(self.mode, self.robots, growth::DURATION_S),
+        )
     }
 }
 

@@ -7,13 +7,13 @@ use serde::{Deserialize, Serialize};
 
 use super::super::folder::Folder;
 use murmurate::deploy::conditions::Conditions;
+use murmurate::trial::Trial;
 use murmurate_study::origin;
 use murmurate_study::twin::comparison::Row;
 use murmurate_study::twin::model::Fitted;
 use murmurate_study::twin::observed::Run;
 use murmurate_study::twin::pages::{self, Words};
 use murmurate_study::twin::predict::Predicted;
-use murmurate::trial::Trial;
 
 /// What identifies the twin of a folder, stored in it: a folder with another identity is refused.
 #[derive(PartialEq, Serialize, Deserialize)]

@@ -12,16 +12,16 @@ use anyhow::{Context, Result};
 use serde::Serialize;
 
 use super::run::{CommandLine, Run};
-use murmurate::config::shown::counted;
 use crate::output::{print, talk};
 use crate::progress::{progress, watched};
 use crate::{BadInput, Ended, bad, jobs, own_name};
+use murmurate::config::shown::counted;
 use murmurate::registry::Registry;
+use murmurate::trial::Trial;
 use murmurate_study::twin::comparison::{self, Row};
 use murmurate_study::twin::model::{self, Fitted, Given};
 use murmurate_study::twin::pages::Words;
 use murmurate_study::twin::predict::{self, Predicted};
-use murmurate::trial::Trial;
 use run_of::Recorded;
 
 /// Least number of episodes of a recorded run: two to fit and two to predict, so that both have confidence intervals.

@@ -6,18 +6,18 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 
-use murmurate::config::regular;
-use murmurate::deploy::Routes;
 use crate::record::chosen;
 use crate::replay::{Files, of_host};
 use crate::{BadInput, bad, team};
+use murmurate::config::regular;
+use murmurate::deploy::Routes;
+use murmurate::registry::Registry;
+use murmurate::trial::Trial;
 use murmurate_record::identity::Identity;
 use murmurate_record::merge::{Traffic, align};
 use murmurate_record::reader::{self, ReadError};
-use murmurate::registry::Registry;
 use murmurate_study::twin::observed::{Log, Run, Team};
 use murmurate_study::twin::predict;
-use murmurate::trial::Trial;
 
 /// Recorded run of a team, as read from the records of its hosts, and a trial with the same settings.
 pub struct Recorded {

@@ -5,10 +5,10 @@ use std::net::{SocketAddr, TcpListener};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use anyhow::{Context, Result, anyhow, bail};
 use murmurate_study::network::Source;
 use murmurate_study::network::pages::Found;
 use murmurate_study::network::peer::{StationResult, Task};
-use anyhow::{Context, Result, anyhow, bail};
 
 use super::connection::Connection;
 use super::gather::gather;

@@ -6,6 +6,7 @@ use std::net::{SocketAddr, TcpStream};
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
+use anyhow::{Context, Result, anyhow};
 use murmurate::actors::network;
 use murmurate::deploy::team::Team;
 use murmurate::graph::attachment::{self, Attachment};
@@ -18,19 +19,18 @@ use murmurate::net::transport::{Place, Transport};
 use murmurate::runtime::clock::Clock;
 use murmurate::runtime::real::{Readers, run_real};
 use murmurate::runtime::shell::{Mailbox, start};
+use murmurate::time::Time;
 use murmurate_study::network::linked;
 use murmurate_study::network::peer::{Peer, StationResult, Task};
-use murmurate::time::Time;
-use anyhow::{Context, Result, anyhow};
 use nix::poll::poll;
 use tracing::info_span;
 
 use super::connection::{Connection, Side};
 use super::{Request, Response};
-use murmurate::live::links;
 use crate::BadInput;
 use crate::Ended;
 use crate::output::talk;
+use murmurate::live::links;
 
 const LINK: LinkId = LinkId(0);
 /// Longest time of attempts to connect to the coordinator (`PATIENCE`), and the interval between attempts in ms

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::messages::ids::RobotId;
+use murmurate::messages::ids::RobotId;
 
 use super::packet::TopicState;
 

@@ -14,12 +14,12 @@ use nix::sys::eventfd::{EfdFlags, EventFd};
 
 use super::session::{News, Role, Shared, TO_ALL, Worker, awaits, configuration, endpoints, reach, role};
 use super::{SessionConfig, Streams, route};
-use crate::edge::{self, Gate};
-use crate::messages::ids::HostId;
-use crate::net::protocol::router::Audience;
-use crate::net::transport::flood::{Flood, REST};
-use crate::net::transport::{Counts, Finding, Fitness, In, OpenError, Renewed, Transmit, Transport};
-use crate::time::Time;
+use murmurate::edge::{self, Gate};
+use murmurate::messages::ids::HostId;
+use murmurate::net::protocol::router::Audience;
+use murmurate::net::transport::flood::{Flood, REST};
+use murmurate::net::transport::{Counts, Finding, Fitness, In, OpenError, Renewed, Transmit, Transport};
+use murmurate::time::Time;
 
 /// Longest wait for a session when a link is opened. Without a router, the host starts all the same.
 const OPENING: Duration = Duration::from_millis(1500);

@@ -8,8 +8,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-use crate::net::transport::interface::{Interface, interfaces};
-use crate::net::transport::link_watch::LinkWatch;
+use murmurate::net::transport::interface::{Interface, interfaces};
+use murmurate::net::transport::link_watch::LinkWatch;
 
 /// Longest time between two looks, where the kernel tells of no change.
 const LOOK: Duration = Duration::from_millis(500);

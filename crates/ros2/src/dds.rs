@@ -414,7 +414,7 @@ mod tests {
     use super::*;
 
     /// CDR of messages as rclpy Kilted (Fast CDR) writes them: `peers/fixtures.py`.
-    const RCLPY: &str = include_str!("../../tests/data/ros2_cdr.txt");
+    const RCLPY: &str = include_str!("../data/ros2_cdr.txt");
 
     fn bytes_of(name: &str) -> Vec<u8> {
         let line = RCLPY.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' ')).unwrap();

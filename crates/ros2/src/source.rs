@@ -3,22 +3,22 @@
 //! Does no I/O: the DDS process and its supervisor are in the module `ros2`. If messages have no velocity, it is
 //! computed from the difference of two poses, so the first message gives no reading.
 
-use crate::config::ConfigError;
-use crate::edge::Settings;
-use crate::edge::sender_clock::{Novelty, SenderClock};
-use crate::localization::alignment::Alignment;
-use crate::localization::plausibility::{Fix, Limits, Quality};
-use crate::localization::{In, Out, Parts, Source, odometry};
-use crate::messages::geometry::{Pose, Vec2, wrapped};
-use crate::messages::ids::RobotId;
-use crate::messages::wire::Reading;
-use crate::time::Time;
+use murmurate::config::ConfigError;
+use murmurate::edge::Settings;
+use murmurate::edge::sender_clock::{Novelty, SenderClock};
+use murmurate::localization::alignment::Alignment;
+use murmurate::localization::plausibility::{Fix, Limits, Quality};
+use murmurate::localization::{In, Out, Parts, Source, odometry};
+use murmurate::messages::geometry::{Pose, Vec2, wrapped};
+use murmurate::messages::ids::RobotId;
+use murmurate::messages::wire::Reading;
+use murmurate::time::Time;
 use serde::Deserialize;
 
-use crate::ros2::packet::{self, FromNode, Plan, PoseSample, Read, Reader, Sample, TopicState};
-use crate::ros2::reading::{self, Velocity};
-use crate::ros2::settings;
-use crate::ros2::supervisor::Supervisor;
+use crate::packet::{self, FromNode, Plan, PoseSample, Read, Reader, Sample, TopicState};
+use crate::reading::{self, Velocity};
+use crate::settings;
+use crate::supervisor::Supervisor;
 
 /// Description of the source `ros2` in one line, for lists of all sources.
 pub const ABOUT: &str = "poses from ROS 2: PoseStamped, PoseWithCovarianceStamped or Odometry";
@@ -284,9 +284,9 @@ impl Source for Poses {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::messages::wire::Reading;
-    use crate::ros2::packet::{Heard, TwistSample};
-    use crate::time::Span;
+    use crate::packet::{Heard, TwistSample};
+    use murmurate::messages::wire::Reading;
+    use murmurate::time::Span;
 
     fn of(robots: &[u16]) -> Vec<(RobotId, String)> {
         robots.iter().map(|robot| (RobotId(*robot), format!("/r{robot}/pose"))).collect()
@@ -347,7 +347,7 @@ mod tests {
         let pose = PoseSample { stamp_ns: 1, x: 1.0, y: 2.0, yaw: Some(0.0), twist, ..PoseSample::default() };
         let out = take(&mut source, 0, 0, pose);
         let told = reading(&out);
-        let off = told.pose.position - crate::messages::geometry::Vec2::new(8.0, 21.0);
+        let off = told.pose.position - murmurate::messages::geometry::Vec2::new(8.0, 21.0);
         assert!(off.norm() < 1e-5, "{told:?}");
         assert!((told.twist.velocity.y - 0.5).abs() < 1e-6 && told.twist.velocity.x.abs() < 1e-6, "{told:?}");
         assert!((told.pose.heading.unwrap() - std::f32::consts::FRAC_PI_2).abs() < 1e-6);

@@ -5,7 +5,7 @@
 //! halted, uses too much memory, or no longer receives what the spare receives. The former active process is then
 //! killed and replaced, with backoff.
 
-use crate::time::{Span, Time};
+use murmurate::time::{Span, Time};
 
 use super::packet::{self, Drive, FromNode, Plan, Role, ToNode, Vitals};
 
@@ -374,7 +374,7 @@ impl Pair {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ros2::packet::{Heard, Read, Reader, Sample, Writer, Written};
+    use crate::packet::{Heard, Read, Reader, Sample, Writer, Written};
 
     fn at_ms(ms: u64) -> Time {
         Time::ZERO + Span::from_millis(ms)

@@ -6,6 +6,8 @@
 //! `murmurate/TEAM/LINK/to/HOST`, with its number. Each is best effort, express, of real-time priority, and dropped on
 //! congestion. Routers are not trusted: tag, epoch and replay window are those of every other transport.
 
+#![deny(clippy::print_stdout, clippy::print_stderr)]
+
 #[cfg(feature = "zenoh")]
 mod link;
 #[cfg(feature = "zenoh")]
@@ -16,13 +18,19 @@ mod session;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use crate::config::ConfigError;
-use crate::config::fields::FieldType;
-use crate::messages::ids::HostId;
-use crate::net::protocol::reliability::{Reliabilities, Setup};
+use murmurate::config::ConfigError;
+use murmurate::config::fields::FieldType;
+use murmurate::messages::ids::HostId;
+use murmurate::net::protocol::reliability::{Reliabilities, Setup};
 #[cfg(feature = "zenoh")]
-use crate::net::transport::Finding;
-use crate::net::transport::{Claim, Endpoint, Entry, Field, Filter, LinkSettings, OpenError, Transport};
+use murmurate::net::transport::Finding;
+use murmurate::net::transport::{Claim, Endpoint, Entry, Field, Filter, LinkSettings, OpenError, Transport};
+
+/// Digest of this package's sources. Packages with equal digests behave equally.
+pub const DIGEST: &str = env!("SOURCE_DIGEST");
+
+/// Whether sessions are built in: the feature `zenoh`.
+pub const BUILT: bool = cfg!(feature = "zenoh");
 
 /// Registry entry of the transport `zenoh`, which publishes frames in a Zenoh session.
 pub const ENTRY: Entry = Entry {
@@ -41,7 +49,7 @@ pub const ENTRY: Entry = Entry {
 /// Error text for a user whose program was built without the feature `zenoh`, but whose team file has a link that needs
 /// it.
 pub const NOT_BUILT: &str =
-    "this program is built without Zenoh; build it by `cargo install --path . --features zenoh`";
+    "this program is built without Zenoh; build it by `cargo install --path crates/cli --features zenoh`";
 
 /// Whether an endpoint may be a stream (TCP, or QUIC without datagrams), where a lost packet delays all later frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -205,8 +213,8 @@ mod tests {
     use std::collections::BTreeMap;
 
     use super::*;
-    use crate::config::fields::Value;
-    use crate::net::transport::settings::FieldValue;
+    use murmurate::config::fields::Value;
+    use murmurate::net::transport::settings::FieldValue;
 
     fn error(fields: &[(&str, &str)]) -> String {
         let value = |text: &str| FieldValue { value: Value::Text(text.to_owned()), place: String::new() };

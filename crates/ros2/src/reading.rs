@@ -1,8 +1,8 @@
 //! Conversion of poses and velocities from ROS messages to readings. Does no I/O.
 
-use crate::messages::geometry::{Deviation, Pose, Twist, Vec2, rotated, wrapped};
-use crate::messages::ids::RobotId;
-use crate::messages::wire::Reading;
+use murmurate::messages::geometry::{Deviation, Pose, Twist, Vec2, rotated, wrapped};
+use murmurate::messages::ids::RobotId;
+use murmurate::messages::wire::Reading;
 use serde::Deserialize;
 
 use super::packet::PoseSample;
@@ -86,7 +86,7 @@ pub fn reading(robot: RobotId, stamp_ns: u64, pose: &PoseSample, velocity: Veloc
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ros2::packet::TwistSample;
+    use crate::packet::TwistSample;
 
     #[test]
     fn a_robot_that_points_north_and_goes_ahead_goes_north() {

@@ -5,11 +5,11 @@
 
 use serde::Deserialize;
 
-use crate::config::ConfigError;
-use crate::edge::Settings;
-use crate::messages::geometry::{Motion, rotated};
-use crate::messages::ids::RobotId;
-use crate::messages::wire::Reading;
+use murmurate::config::ConfigError;
+use murmurate::edge::Settings;
+use murmurate::messages::geometry::{Motion, rotated};
+use murmurate::messages::ids::RobotId;
+use murmurate::messages::wire::Reading;
 
 use super::messages::check_topic;
 use super::packet::{self, MAX_FLOATS, Outgoing, Plan, PoseSample, Publish, ToNode, TwistSample, Writer, Written};
@@ -47,10 +47,6 @@ fn prefix() -> String {
 ///
 /// A setting is wrong; the error has its name.
 pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<(Observation, Supervisor), ConfigError> {
-    if settings.name != "ros2" {
-        let why = format!("'{}' is unknown; the only one is 'ros2'", settings.name);
-        return Err(ConfigError::field("name", why));
-    }
     let Config { prefix, domain, interface, memory_mib } = settings.read()?;
     settings::check_participant(domain, interface.as_deref(), memory_mib)?;
     let name = "the observation of the team".to_owned();
@@ -165,7 +161,7 @@ fn publish(topic: usize, message: Outgoing) -> Option<Vec<u8>> {
 
 #[cfg(test)]
 mod tests {
-    use crate::messages::geometry::Vec2;
+    use murmurate::messages::geometry::Vec2;
 
     use super::*;
 

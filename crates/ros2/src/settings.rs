@@ -1,7 +1,7 @@
 //! Checks and defaults of those settings in team files that the ROS 2 driver, the ROS 2 source and the observation of a
 //! team in ROS 2 have in common.
 
-use crate::config::ConfigError;
+use murmurate::config::ConfigError;
 
 use super::messages::check_topic;
 
@@ -24,7 +24,7 @@ pub fn yes() -> bool {
 /// Returns an error if the program was built without the feature `ros2`, so that a driver or source for ROS 2 is
 /// refused.
 pub fn check_built() -> Result<(), ConfigError> {
-    if cfg!(feature = "ros2") { Ok(()) } else { Err(ConfigError::field("name", super::NOT_BUILT)) }
+    if super::BUILT { Ok(()) } else { Err(ConfigError::field("name", super::NOT_BUILT)) }
 }
 
 /// Checks settings of a DDS participant: its domain, network interface and memory limit \[MiB\]. The error names the

@@ -13,9 +13,9 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError, SyncSender};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::config::ConfigError;
-use crate::edge::{Packet, Port, Worker};
-use crate::time::{Span, Time};
+use murmurate::config::ConfigError;
+use murmurate::edge::{Packet, Port, Worker};
+use murmurate::time::{Span, Time};
 
 use super::packet::{LONGEST, Plan};
 use super::pair::{Action, Event, Id, Pair};

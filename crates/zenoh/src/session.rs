@@ -15,10 +15,10 @@ use nix::sys::eventfd::EventFd;
 
 use super::route::Endpoints;
 use super::{SessionConfig, check_endpoint};
-use crate::edge::{PacketSender, Port};
-use crate::messages::ids::HostId;
-use crate::net::protocol::codec::MAX_FRAME_BYTES;
-use crate::net::transport::Renewed;
+use murmurate::edge::{PacketSender, Port};
+use murmurate::messages::ids::HostId;
+use murmurate::net::protocol::codec::MAX_FRAME_BYTES;
+use murmurate::net::transport::Renewed;
 
 /// Receiver number, in front of a packet from the control thread, that stands for all hosts. No host has it.
 pub(super) const TO_ALL: u16 = u16::MAX;
@@ -345,7 +345,7 @@ impl Worker {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::net::transport::zenoh::Streams;
+    use crate::Streams;
 
     fn session(file: Option<&str>) -> (Result<Config, String>, tempfile::TempDir) {
         let folder = tempfile::TempDir::new().unwrap();

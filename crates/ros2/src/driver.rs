@@ -4,22 +4,22 @@
 //! the robot is told to stand. Zeros are repeated at full rate until the odometry says that the robot stands, then five
 //! times a second.
 
-use crate::config::ConfigError;
-use crate::edge::Settings;
-use crate::edge::sender_clock::{Novelty, SenderClock};
-use crate::messages::geometry::{Vec2, limit_below};
-use crate::messages::ids::RobotId;
-use crate::messages::wire::{Hardware, Health, MAX_VALIDITY, Reason};
-use crate::time::{Span, Time};
+use murmurate::config::ConfigError;
+use murmurate::edge::Settings;
+use murmurate::edge::sender_clock::{Novelty, SenderClock};
+use murmurate::messages::geometry::{Vec2, limit_below};
+use murmurate::messages::ids::RobotId;
+use murmurate::messages::wire::{Hardware, Health, MAX_VALIDITY, Reason};
+use murmurate::time::{Span, Time};
 use serde::Deserialize;
 
-use crate::drivers::{Command, Driver, Limits, Out, Parts};
-use crate::messages::local::BodyTwist;
-use crate::ros2::packet::{self, Drive, FromNode, Plan, PoseSample, Read, Reader, Sample, ToNode, Writer, Written};
-use crate::ros2::reading::{self, Axes};
-use crate::ros2::settings;
-use crate::ros2::supervisor::Supervisor;
-use crate::ros2::topics::Topics;
+use crate::packet::{self, Drive, FromNode, Plan, PoseSample, Read, Reader, Sample, ToNode, Writer, Written};
+use crate::reading::{self, Axes};
+use crate::settings;
+use crate::supervisor::Supervisor;
+use crate::topics::Topics;
+use murmurate::drivers::{Command, Driver, Limits, Out, Parts};
+use murmurate::messages::local::BodyTwist;
 
 /// Description of the driver in one line, for lists of all drivers.
 pub const ABOUT: &str = "a ROS 2 robot: Twist or TwistStamped out, Odometry in";
@@ -372,7 +372,7 @@ impl Driver for Ros2 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ros2::packet::{Heard, TopicState, TwistSample};
+    use crate::packet::{Heard, TopicState, TwistSample};
 
     fn config(text: &str) -> Config {
         let text = format!("namespace = '/r1'\nspeed_m_s = 0.5\n{text}");
@@ -410,7 +410,7 @@ mod tests {
         }
 
         fn drive(&mut self, ms: u64, body: Option<[f32; 3]>) {
-            use crate::messages::local::Drive;
+            use murmurate::messages::local::Drive;
             let until = at_ms(ms + 200);
             let drive = Drive { robot: RobotId(1), velocity: Vec2::zeros(), until };
             let body = body.map(|[forward, left, yaw_rate]| BodyTwist { forward, left, yaw_rate });

@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::messages::geometry::{NoRotation, unit_quaternion};
+use murmurate::messages::geometry::{NoRotation, unit_quaternion};
 
 use super::messages::{
     BatteryState, Covariance, Header, Odometry, Pose, PoseStamped, PoseWithCovarianceStamped, Stamp,
