@@ -42,17 +42,14 @@ full-hostile:
     MURMURATE_MUTATIONS=20000 cargo test --release --test hostile -- --nocapture
     FUZZ_FEATURES=train fuzz/run 1200
 
-# The package as a registry would have it: built, and tested from its own tarball (20 minutes)
+# The packages as a registry would have them, each built from its own tarball (20 minutes)
 full-package:
-    CARGO_TARGET_DIR={{justfile_directory()}}/target cargo package --locked
-    rm -rf target/package/tested && mkdir -p target/package/tested
-    tar xf target/package/murmurate-*.crate -C target/package/tested --strip-components 1
-    cd target/package/tested && CARGO_TARGET_DIR={{justfile_directory()}}/target cargo test --locked --no-run
-    cd target/package/tested && CARGO_TARGET_DIR={{justfile_directory()}}/target cargo test --locked --test tidy --test learning --test cli
+    CARGO_TARGET_DIR={{justfile_directory()}}/target cargo package --locked --workspace \
+        --exclude murmurate-python --exclude stranger --exclude stranger-python
 
 # The robot's program, and how large it is (two minutes)
 robot:
-    cargo build --no-default-features --features host --profile robot
+    cargo build --package murmurate-cli --no-default-features --profile robot
     ls -l target/robot/murmurate
 
 # The link beside raw multicast and Cyclone DDS; NETPEERS names the harness's folder (15 minutes, wants an idle machine)

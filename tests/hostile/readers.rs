@@ -47,10 +47,15 @@ pub fn policy(bytes: &[u8]) -> bool {
     true
 }
 
+/// The parts of the program.
+fn registry() -> Registry {
+    murmurate_ros2::add(Registry::builtin()).with_transport(murmurate_zenoh::ENTRY)
+}
+
 /// A team file: read, checked for every host, and shown.
 pub fn team(bytes: &[u8]) -> bool {
     let Some(text) = text(bytes) else { return false };
-    let Ok(file) = TeamFile::read(&murmurate_cli::registry(), text, Path::new("."), &[], &[]) else { return false };
+    let Ok(file) = TeamFile::read(&registry(), text, Path::new("."), &[], &[]) else { return false };
     let sound = file.check().is_ok();
     let first = file.hosts().next();
     for host in [None, first] {

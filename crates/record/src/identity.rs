@@ -83,7 +83,8 @@ pub struct WrongIdentity(String);
 
 impl Identity {
     /// Returns the identity of a record that this program makes of a simulation. `build` is the digest of the program's
-    /// sources, `arguments` are those of the command, `policy` is the digest of the policy's file. Variables, host and wall clock are empty.
+    /// sources, `arguments` are those of the command, `policy` is the digest of the policy's file.
+    /// Variables, host and wall clock are empty.
     pub fn here(build: &str, arguments: Vec<String>, policy: &str) -> Identity {
         Identity {
             format: FORMAT,

@@ -26,9 +26,9 @@ pub struct Origin {
 }
 
 impl Origin {
-    /// Returns the origin of a record that this program computes for a study with this seed. `build` is the digest of the
-    /// program's sources, `policy` is the digest of
-    /// the policy's file; `conditions` is everything else on which the numbers depend, and is stored as a digest.
+    /// Returns the origin of a record that this program computes for a study with this seed. `build` is the digest of
+    /// the program's sources, `policy` that of the policy's file; `conditions` is everything else on which the numbers
+    /// depend, and is stored as a digest.
     pub fn here(build: &str, study: &str, seed: u64, policy: &str, conditions: &impl Serialize) -> Origin {
         let conditions = serde_json::to_vec(conditions).expect("conditions are plain data");
         Origin {

@@ -2,7 +2,7 @@
 //!
 //! It is the part of policy format 2 whose derivatives are written here: hops with a message network and an update
 //! network, sums and means, and the activations relu and tanh. [`Network::new`] refuses the rest by name. The test
-//! `tests/learning/hops.rs` compares the derivatives with central differences.
+//! `tests/learning/imitation.rs` compares the derivatives with central differences.
 
 use super::graph::Graph;
 use super::perceptron::{self, Perceptron};
