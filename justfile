@@ -9,6 +9,11 @@ check:
     cargo clippy --all-targets -- -D warnings
     cargo test --lib --test graph --test tidy
 
+# Every file of the packages, with the first sentence of what it says of itself
+map:
+    @for file in $(git ls-files 'src/*.rs' 'crates/*/src/*.rs'); do \
+        printf '%-52s %s\n' "$file" "$(head -1 "$file" | cut -c5-)"; done
+
 # Episodes of the passage in a preset mode (seconds)
 sim mode="offboard" *flags:
     cargo run --release -- sim --mode {{mode}} {{flags}}

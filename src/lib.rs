@@ -9,10 +9,10 @@
 //!
 //! # Modules in their order
 //! Each module may use those before it, never those after: `time`, `random`, `config`, `messages`, `actor`, `cells`,
-//! `chassis`; `hearing`, `faults`; `scenario`, `policy`, `world`, `safety`; `edge`, `ros2`, `drivers`, `estimation`,
-//! `localization`; `net::protocol`, `net::transport`, `registry`, `net::media`, `lab`; `report`; then [`actors`], and
-//! beside them [`train`], which uses no actor; `deploy`; `runtime`, which runs actors; `graph`, which connects them;
-//! `record`; `trial`; `view`, the live page; `live`, `study`; `program`, the command line. `tests/tidy.rs` checks it.
+//! `chassis`; `hearing`, `faults`; `scenario`, `policy`, `world`, `safety`; `edge`, `drivers`, `estimation`,
+//! `localization`, `observers`; `net::protocol`, `net::transport`, `registry`, `net::media`; `report`; then [`actors`];
+//! `deploy`; `runtime`, which runs actors; `graph`, which connects them; `trial` and `live`. `tests/tidy.rs` checks it.
+//! Training, records, the live page, studies and the command line are packages above this one.
 //!
 //! # Where to start reading
 //! [`messages::wire`], then [`actors`], then `graph/mod.rs`, which connects the actors. [`trial`] runs all of it from a
