@@ -390,7 +390,6 @@ fn endpoint(id: u16) -> Arc<dyn Endpoint> {
 #[derive(Clone)]
 struct Record(Option<Rc<murmurate_record::queue::Inlet>>);
 
-#[cfg(feature = "record")]
 impl Record {
     fn open(id: u16, participants: usize) -> Record {
         use murmurate_record::Scope;

@@ -3,6 +3,9 @@
 
 #[path = "../../tests/hostile/readers.rs"]
 mod readers;
+#[cfg(feature = "train")]
+#[path = "../../tests/hostile/trainings.rs"]
+mod trainings;
 
 use std::sync::OnceLock;
 
@@ -27,13 +30,13 @@ const READERS: &[(&str, Reader)] = &[
     ("robomaster", readers::robomaster),
     ("ros2", readers::ros2),
     #[cfg(feature = "train")]
-    ("training", readers::training),
+    ("training", trainings::training),
     #[cfg(feature = "train")]
-    ("checkpoint", readers::checkpoint),
+    ("checkpoint", trainings::checkpoint),
     #[cfg(feature = "train")]
-    ("imitation", readers::imitation),
+    ("imitation", trainings::imitation),
     #[cfg(feature = "train")]
-    ("journal", readers::journal),
+    ("journal", trainings::journal),
 ];
 
 static READER: OnceLock<Reader> = OnceLock::new();

@@ -168,7 +168,6 @@ fn what_is_no_policy_file_is_called_by_its_name_with_what_to_do() {
     }
 }
 
-#[cfg(feature = "train")]
 #[test]
 fn a_training_that_is_given_a_policy_in_place_of_a_checkpoint_asks_for_the_checkpoint() {
     let folder = TempDir::new().expect("a temporary folder");

@@ -72,9 +72,6 @@ fn the_default_size_may_be_written() {
 #[test]
 fn small_robots_with_the_filter_collide_with_nobody_in_both_worlds() {
     for (scenario, plant) in [("swap", "kinematic"), ("swap", "rigid"), ("passage", "rigid")] {
-        if plant == "rigid" && !cfg!(feature = "rigid") {
-            continue;
-        }
         let args = ["sim", "--scenario", scenario, "--policy", "orca", "--mode", "onboard-adhoc", "--plant", plant];
         let size = ["--scale", "0.5", "--hull-m", "0.08", "--safety", "deployed", "--episodes", "6", "--repeats", "1"];
         let result = json(&[&args[..], &size, &["--json", "--quiet"]].concat());

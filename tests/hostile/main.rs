@@ -7,6 +7,7 @@
 #[path = "../peers/natnet.rs"]
 mod fake;
 mod readers;
+mod trainings;
 
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -207,7 +208,7 @@ fn episodes_files() {
 #[test]
 fn training_configurations() {
     let seeds: Vec<Vec<u8>> = PRESETS.iter().map(|(_, text)| text.as_bytes().to_vec()).collect();
-    survives("training", &seeds, readers::training);
+    survives("training", &seeds, trainings::training);
 }
 
 /// A training that is quick to restore.
@@ -222,7 +223,7 @@ fn small() -> Trainer {
 
 #[test]
 fn checkpoints() {
-    survives("checkpoint", &[small().checkpoint()], readers::checkpoint);
+    survives("checkpoint", &[small().checkpoint()], trainings::checkpoint);
 }
 
 #[test]
@@ -237,16 +238,16 @@ fn checkpoints_of_imitation() {
         seed: 1,
     };
     let trainer = Trainer::new(plan, &murmurate::registry::Registry::builtin()).expect("it is sound");
-    survives("imitation", &[trainer.checkpoint()], readers::imitation);
+    survives("imitation", &[trainer.checkpoint()], trainings::imitation);
 }
 
 #[test]
 fn the_journal_of_a_study() {
-    let study = readers::study();
+    let study = trainings::study();
     let job = Job { column: 0, policy: 0, repeat: 0 };
     let record = Record::of(&study, job, &study.trial(job).run());
     let json = serde_json::to_vec(&record).expect("a record is JSON");
-    survives("journal", &[json], readers::journal);
+    survives("journal", &[json], trainings::journal);
 }
 
 #[test]

@@ -97,7 +97,6 @@ fn a_host_keeps_its_last_seconds_when_it_is_asked_to() {
     assert!(info.contains("/tape/turn"), "{info}");
 }
 
-#[cfg(feature = "study")]
 #[test]
 fn trials_of_a_study_are_recorded_and_run_again() {
     let folder = tempfile::tempdir().expect("a temporary folder");

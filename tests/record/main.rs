@@ -13,7 +13,6 @@ mod junk;
 mod kept;
 mod readers;
 mod simulated;
-#[cfg(feature = "study")]
 mod twin;
 
 use std::path::{Path, PathBuf};

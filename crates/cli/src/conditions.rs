@@ -5,13 +5,13 @@ use std::path::Path;
 
 use anyhow::Result;
 
-use crate::BadInput;
-use crate::output::read_text;
 use murmurate::deploy::Deployment;
 use murmurate::deploy::conditions::Conditions;
 use murmurate::faults::FaultPlan;
 use murmurate::hearing::CommRange;
 use murmurate::trial::Trial;
+use murmurate_robot::BadInput;
+use murmurate_robot::output::read_text;
 
 /// Reads and checks a conditions file (TOML): plant, properties of the robots' motion, delay and loss of messages.
 pub fn file(path: &Path) -> Result<Conditions> {

@@ -11,9 +11,9 @@ use clap::error::ErrorKind;
 use murmurate::deploy::{Deployment, MODES};
 use murmurate::net::media::radio::{PRESETS, Radio};
 
-use crate::BadInput;
-use crate::Ended;
-use crate::output::{print, read_text};
+use murmurate_robot::BadInput;
+use murmurate_robot::Ended;
+use murmurate_robot::output::{print, read_text};
 
 /// Parser of the whole name of a preset mode. For a mere beginning of names, the error lists the modes with it.
 #[derive(Clone)]

@@ -3,9 +3,9 @@
 use anyhow::Result;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 
-use crate::BadInput;
 use murmurate::chassis::{DriveKind, Settings};
 use murmurate::config::ConfigError;
+use murmurate_robot::BadInput;
 
 /// Flags for the drive of all robots.
 #[derive(clap::Args, Clone, Debug)]

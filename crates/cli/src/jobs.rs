@@ -9,7 +9,6 @@ pub fn threads(asked: Option<u16>, pieces: usize) -> usize {
     asked.map_or(cores, usize::from).min(pieces)
 }
 
-#[cfg(feature = "study")]
 /// Completes a list of jobs of which some have results already. `found` has one entry per job: its result, or `None`;
 /// `open` lists the indices of the jobs to run. Runs these with `work` on up to `asked` threads (`None`: one per core),
 /// until all are done or `stop` is set, and returns the list with their results; `None` for a job that was not run or

@@ -4,14 +4,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 
-use crate::bad;
-use crate::output::talk;
-use crate::whole_file::WholeFile;
 use murmurate::actors::recorder::Steps;
 use murmurate::report::episode::Episode;
 use murmurate::time::Span;
 use murmurate::trial::{Trial, TrialReport};
 use murmurate_figures::picture::{Scene, Stage, film, moving, still};
+use murmurate_robot::bad;
+use murmurate_robot::output::talk;
+use murmurate_robot::whole_file::WholeFile;
 
 /// Flags of `sim` for pictures of one episode.
 #[derive(clap::Args)]

@@ -7,12 +7,13 @@ use clap::Command;
 use clap_complete::Shell;
 use clap_mangen::Man;
 
-use crate::destination::check_folder;
-use crate::output::{print, talk};
-use crate::whole_file::WholeFile;
-use crate::{BadInput, Ended, command};
+use crate::Command as Program;
 use murmurate::config::shown::counted;
 use murmurate::registry::Registry;
+use murmurate_robot::destination::check_folder;
+use murmurate_robot::output::{print, talk};
+use murmurate_robot::whole_file::WholeFile;
+use murmurate_robot::{BadInput, Ended};
 
 /// Flags of `murmurate completions`.
 #[derive(clap::Args)]
@@ -35,7 +36,7 @@ pub struct Manual {
 
 /// Runs `completions`: prints the completion script of a shell.
 pub fn complete(args: &Completions, registry: &Registry) -> Result<Ended> {
-    let (mut command, mut script) = (command(registry), Vec::new());
+    let (mut command, mut script) = (murmurate_robot::command::<Program>(registry), Vec::new());
     let name = command.get_name().to_owned();
     clap_complete::generate(args.shell, &mut command, name, &mut script);
     print(String::from_utf8_lossy(&script).trim_end())?;
@@ -44,7 +45,7 @@ pub fn complete(args: &Completions, registry: &Registry) -> Result<Ended> {
 
 /// Runs `man`: prints the program's man page, or writes the pages of all its commands into a folder.
 pub fn manual(args: &Manual, registry: &Registry) -> Result<Ended> {
-    let mut command = command(registry).disable_help_subcommand(true);
+    let mut command = murmurate_robot::command::<Program>(registry).disable_help_subcommand(true);
     command.build();
     let Some(folder) = &args.out else {
         print(String::from_utf8_lossy(&page(&command)?).trim_end())?;

@@ -1,8 +1,8 @@
 //! Flags for the size of a task and of its robots, shared by `sim`, `train` and the studies of policies.
 
-use crate::BadInput;
 use murmurate::deploy::Deployment;
 use murmurate::scenario::{ScenarioError, Settings};
+use murmurate_robot::BadInput;
 
 /// Flags for the size of a task and of its robots.
 #[derive(clap::Args, Clone, Copy, Debug)]

@@ -18,8 +18,6 @@ use nix::sys::timerfd::{ClockId as TimerClock, Expiration, TimerFd, TimerFlags, 
 use nix::time::{ClockId, clock_gettime};
 use tappers::Tap;
 
-use crate::background_writer::BackgroundWriter;
-use crate::output::talk;
 use murmurate::time::{Span, Time};
 use murmurate_lab::capture::Capture;
 use murmurate_lab::ethernet::MAX_FRAME_BYTES;
@@ -27,6 +25,8 @@ use murmurate_lab::file::Laboratory;
 use murmurate_lab::lateness::Lateness;
 use murmurate_lab::medium::{Found, Medium};
 use murmurate_lab::report::LabReport;
+use murmurate_robot::background_writer::BackgroundWriter;
+use murmurate_robot::output::talk;
 
 /// Frames that are read from a station before another one has its turn.
 const BATCH: usize = 16;
@@ -309,7 +309,7 @@ impl Carrier {
     fn end(mut self) -> LabReport {
         if let Some(capture) = &mut self.capture {
             capture.hand_over();
-            capture.writer.flush(crate::output::FLUSH_TIMEOUT);
+            capture.writer.flush(murmurate_robot::output::FLUSH_TIMEOUT);
         }
         self.report()
     }

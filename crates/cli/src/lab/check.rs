@@ -10,13 +10,13 @@ use serde::Serialize;
 use super::needs;
 use super::running::Running;
 use super::traffic::Sockets;
-use crate::output::{print, talk};
-use crate::{BadInput, Ended};
 use murmurate::net::media::radio::{PRESETS, Radio, Topology};
 use murmurate::time::Span;
 use murmurate_lab::file::Laboratory;
 use murmurate_lab::load::{Cast, Load, Outcome};
 use murmurate_lab::report::LabReport;
+use murmurate_robot::output::{print, talk};
+use murmurate_robot::{BadInput, Ended};
 
 /// Flags of `murmurate lab check`.
 #[derive(clap::Args)]

@@ -15,10 +15,10 @@ use serde::{Deserialize, Serialize};
 use tappers::Tap;
 
 use super::namespace;
-use crate::BadInput;
-use crate::output::talk;
-use crate::temporary::Temporary;
 use murmurate_lab::file::Laboratory;
+use murmurate_robot::BadInput;
+use murmurate_robot::output::talk;
+use murmurate_robot::temporary::Temporary;
 
 /// Folder of the files by which commands find running laboratories.
 const FOLDER: &str = "/run/murmurate";

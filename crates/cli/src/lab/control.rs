@@ -13,10 +13,10 @@ use nix::unistd::Pid;
 
 use super::claim::{Claim, path};
 use super::needs;
-use crate::output::talk;
-use crate::{BadInput, Ended};
 use murmurate::config::shown::counted;
 use murmurate_lab::report::LabReport;
+use murmurate_robot::output::talk;
+use murmurate_robot::{BadInput, Ended};
 
 /// Longest time for a running laboratory to answer.
 const ANSWER: Duration = Duration::from_secs(5);

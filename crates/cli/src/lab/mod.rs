@@ -16,7 +16,6 @@ mod running;
 mod traffic;
 mod up;
 
-#[cfg(feature = "watch")]
 pub use namespace::inside;
 pub use needs::check as check_needs;
 pub use running::Running;
@@ -28,10 +27,10 @@ use std::process::Command;
 use anyhow::{Context, Result, anyhow};
 use clap::Subcommand;
 
-use crate::output::{print, read_text};
-use crate::{BadInput, Ended};
 use murmurate_lab::file::Laboratory;
 use murmurate_lab::report::LabReport;
+use murmurate_robot::output::{print, read_text};
+use murmurate_robot::{BadInput, Ended};
 
 /// Subcommands of `murmurate lab`.
 #[derive(Subcommand)]
@@ -136,7 +135,7 @@ fn status(args: &Status) -> Result<Ended> {
     let once = || -> Result<()> { print(&shown(&control::report(&args.which.name)?).context("a report is JSON")?) };
     once()?;
     let Some(every) = args.every else { return Ok(Ended::Done) };
-    let (_, signals) = crate::signals::listen()?;
+    let (_, signals) = murmurate_robot::signals::listen()?;
     while !control::readable(&*signals, u64::from(every) * 1000)? {
         once()?;
     }

@@ -12,10 +12,10 @@ use super::crew::{Crew, CrewEnd};
 use super::running::Running;
 use super::up::Source;
 use super::{needs, variables};
-use crate::output::{print, talk};
-use crate::{BadInput, Ended, signals};
 use murmurate_lab::file::Laboratory;
 use murmurate_lab::report::LabReport;
+use murmurate_robot::output::{print, talk};
+use murmurate_robot::{BadInput, Ended, signals};
 
 /// Flags of `murmurate lab run`.
 #[derive(clap::Args)]

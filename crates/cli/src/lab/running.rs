@@ -7,9 +7,9 @@ use anyhow::{Context, Result};
 
 use super::carrier::{Carrier, Outside};
 use super::claim::Claim;
-use crate::background_writer::BackgroundWriter;
 use murmurate_lab::file::Laboratory;
 use murmurate_lab::report::LabReport;
+use murmurate_robot::background_writer::BackgroundWriter;
 
 /// Running laboratory of this process. Dropping it removes everything that it made.
 pub struct Running {

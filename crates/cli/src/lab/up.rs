@@ -11,10 +11,10 @@ use anyhow::{Context, Result, anyhow};
 use super::carrier::{Carrier, Outside};
 use super::claim::{Claim, path};
 use super::{needs, read};
-use crate::background_writer::{BackgroundWriter, Target};
-use crate::output::{print, talk};
-use crate::{BadInput, Ended, signals, this_program};
 use murmurate_lab::file::Laboratory;
+use murmurate_robot::background_writer::{BackgroundWriter, Target};
+use murmurate_robot::output::{print, talk};
+use murmurate_robot::{BadInput, Ended, signals, this_program};
 
 /// Flags of `murmurate lab up`.
 #[derive(clap::Args)]

@@ -20,18 +20,16 @@ use murmurate::deploy::team::{Team, TeamFile};
 use murmurate::registry::Registry;
 use murmurate::report::summary::{CostName, Counts, Run, Summary};
 
-use crate::BadInput;
-use crate::Ended;
-#[cfg(all(feature = "watch", feature = "lab"))]
+#[cfg(feature = "lab")]
 use crate::lab;
-use crate::output::print;
-#[cfg(feature = "watch")]
-use crate::output::talk;
-use crate::recording;
-use crate::team;
-use crate::this_program;
-#[cfg(feature = "watch")]
 use crate::watch::{self, team::News};
+use murmurate_robot::BadInput;
+use murmurate_robot::Ended;
+use murmurate_robot::output::print;
+use murmurate_robot::output::talk;
+use murmurate_robot::recording;
+use murmurate_robot::team;
+use murmurate_robot::this_program;
 use outcome::Outcome;
 use results::Results;
 use supervisor::{Limits, Process, Supervisor};
@@ -55,7 +53,6 @@ pub struct Args {
     lab: Option<std::path::PathBuf>,
     #[command(flatten)]
     record: recording::RecordFlags,
-    #[cfg(feature = "watch")]
     #[command(flatten)]
     page: watch::OptionalPage,
     /// Prints one JSON object instead of the table
@@ -68,7 +65,6 @@ pub struct Args {
 
 /// Runs `launch`: starts the team, waits for it, and prints the results.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
-    #[cfg(feature = "watch")]
     args.page.check()?;
     #[cfg(feature = "lab")]
     if let Some(file) = &args.lab {
@@ -83,7 +79,6 @@ struct Place<'a> {
     /// Returns the words that precede the command of a process, by the name and the number of its host.
     before: &'a dyn Fn(&str, usize) -> Vec<String>,
     /// Network namespace in which the page joins the team; `None` for that of this process.
-    #[cfg_attr(not(all(feature = "watch", feature = "lab")), expect(dead_code, reason = "there is no page or no lab"))]
     page: Option<&'a str>,
 }
 
@@ -185,29 +180,25 @@ fn through(args: &Args, host: &str) -> Vec<String> {
 /// meanwhile if `--watch` is given. Returns how the run ended.
 fn supervise(
     args: &Args,
-    (_team, _file, _place): (&team::TeamArgs, &TeamFile, &Place),
-    _registry: &Registry,
+    (team, file, place): (&team::TeamArgs, &TeamFile, &Place),
+    registry: &Registry,
     supervisor: Supervisor,
     results: &mut Results,
 ) -> Result<Outcome> {
-    #[cfg(feature = "watch")]
     if args.page.watch {
         let (sender, receiver) = std::sync::mpsc::channel();
         results.page = Some(sender);
-        let page = watch::team::Page::open(_file, _team, &args.page.page, _registry, Some(receiver))?;
-        #[cfg(feature = "lab")]
-        let space = _place.page;
+        let page = watch::team::Page::open(file, team, &args.page.page, registry, Some(receiver))?;
+        let space = place.page;
         return Ok(std::thread::scope(|scope| {
             scope.spawn(|| {
                 // The news of the end end the page.
-                let run = || page.run(_team, _registry, None, || false);
-                #[cfg(feature = "lab")]
+                let run = || page.run(team, registry, None, || false);
                 let ended = match space {
+                    #[cfg(feature = "lab")]
                     Some(space) => lab::inside(space, run),
-                    None => run(),
+                    _ => run(),
                 };
-                #[cfg(not(feature = "lab"))]
-                let ended = run();
                 if let Err(error) = ended {
                     talk(&format!("warning: the page has ended: {error:#}"));
                 }

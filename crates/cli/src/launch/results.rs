@@ -3,11 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
 
-#[cfg(feature = "watch")]
 use super::outcome::Outcome;
 use super::supervisor::{Output, Response};
-use crate::output::{colour, log_lines_dropped, talk};
-#[cfg(feature = "watch")]
 use crate::watch::team::News;
 use murmurate::config::shown::counted;
 use murmurate::report::episode::{AbortReason, Episode};
@@ -15,6 +12,7 @@ use murmurate::report::event::{Counted, HostEvent, Unwritten};
 use murmurate::report::trial::TrialReport;
 use murmurate::scenario::judge::Verdict;
 use murmurate::time::Span;
+use murmurate_robot::output::{colour, log_lines_dropped, talk};
 
 /// ANSI colour codes of the host names before log lines. Red is left out, because it looks like an error.
 const COLOURS: [u8; 10] = [36, 32, 33, 35, 34, 96, 92, 93, 95, 94];
@@ -41,7 +39,6 @@ pub struct Results {
     /// Last counts of processes that have been restarted since: one entry per earlier incarnation.
     past: Vec<Counted>,
     /// Sender of results and of what happens to processes to the live page; `None` without a page.
-    #[cfg(feature = "watch")]
     pub page: Option<std::sync::mpsc::Sender<News>>,
 }
 
@@ -62,7 +59,6 @@ impl Results {
             aborted: BTreeMap::new(),
             counted: vec![Counted::default(); names.len()],
             past: Vec::new(),
-            #[cfg(feature = "watch")]
             page: None,
         }
     }
@@ -109,7 +105,6 @@ impl Results {
         self.down.insert(at, Instant::now());
         let text = format!("the process '{}' {note}", self.names[at]);
         talk(&format!("warning: {text}"));
-        #[cfg(feature = "watch")]
         self.tell_page(News::Died(at, text));
     }
 
@@ -118,7 +113,6 @@ impl Results {
         if let Some(died) = self.down.remove(&at) {
             let text = format!("the process '{}' is back, after {:.2} s", self.names[at], died.elapsed().as_secs_f64());
             talk(&text);
-            #[cfg(feature = "watch")]
             self.tell_page(News::Back(at, text));
         }
         if self.ready.insert(at) && self.ready.len() == self.names.len() {
@@ -130,7 +124,6 @@ impl Results {
     }
 
     /// Passes news on to the live page, if there is one.
-    #[cfg(feature = "watch")]
     pub fn tell_page(&self, news: News) {
         if let Some(page) = &self.page {
             // Sending fails if the page has ended, which does not matter.
@@ -139,7 +132,6 @@ impl Results {
     }
 
     /// Returns what the live page says of the end of the run.
-    #[cfg(feature = "watch")]
     pub fn ending(&self, outcome: &Outcome) -> murmurate_view::status::Ending {
         let (got, all) = (self.episodes.len(), self.wanted);
         let successes = self.episodes.values().filter(|episode| !episode.verdict.is_failure()).count();
@@ -163,7 +155,6 @@ impl Results {
             return;
         }
         self.episodes.insert(episode.episode, episode);
-        #[cfg(feature = "watch")]
         self.tell_page(News::Episode(episode));
         self.info(&format!("episode {} of {}: {}", episode.number(), self.wanted, episode.in_words()));
     }

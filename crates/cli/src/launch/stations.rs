@@ -6,12 +6,12 @@ use anyhow::Result;
 
 use super::{Args, Place, run_team};
 use crate::lab::{self, Running};
-use crate::output::talk_lines;
-use crate::{BadInput, Ended};
 use murmurate::config::shown::counted;
 use murmurate::deploy::LinkMedium;
 use murmurate::registry::Registry;
 use murmurate_lab::file::{CABLE, Laboratory};
+use murmurate_robot::output::talk_lines;
+use murmurate_robot::{BadInput, Ended};
 
 /// Runs the team with each host in the station of its number, and the live page, if there is one, in the station after
 /// the last host. Prints the counters of the laboratory at the end.
@@ -62,11 +62,8 @@ pub fn run(args: &Args, file: &Path, registry: &Registry) -> Result<Ended> {
 }
 
 /// Returns whether a live page of the team is served.
-fn page(_args: &Args) -> bool {
-    #[cfg(feature = "watch")]
-    return _args.page.watch;
-    #[cfg(not(feature = "watch"))]
-    false
+fn page(args: &Args) -> bool {
+    args.page.watch
 }
 
 /// Returns the interface of a link in every station: the radio's, or the cable's if there is one.

@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 
-use crate::output::talk;
-use crate::{BadInput, bad};
 use murmurate_record::identity::Identity;
 use murmurate_record::reader::{self, ReadError, Reader};
 use murmurate_record::series;
+use murmurate_robot::output::talk;
+use murmurate_robot::{BadInput, bad};
 
 /// Name of the metadata that `record merge` gives to its output.
 pub const MERGED: &str = "murmurate.merge";

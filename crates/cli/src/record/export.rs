@@ -5,10 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use serde_json::Value as Json;
 
-use crate::output::talk;
 use crate::record::chosen::tell;
-use crate::whole_file::WholeFile;
-use crate::{BadInput, Ended, bad};
 use murmurate::graph::inputs::Input;
 use murmurate::messages::wire::Wire;
 use murmurate::net::protocol::codec::{self, Content};
@@ -16,6 +13,9 @@ use murmurate_record::protobuf_reader::{Fields, Value};
 use murmurate_record::reader::{self, Message};
 use murmurate_record::tape;
 use murmurate_record::topics::name_of;
+use murmurate_robot::output::talk;
+use murmurate_robot::whole_file::WholeFile;
+use murmurate_robot::{BadInput, Ended, bad};
 
 /// Flags of `murmurate record export`.
 #[derive(clap::Args)]

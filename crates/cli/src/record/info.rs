@@ -8,12 +8,12 @@ use anyhow::{Context, Result};
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::output::print;
 use crate::record::chosen::first_files;
-use crate::{BadInput, Ended};
 use murmurate::config::shown;
 use murmurate_record::identity::Identity;
 use murmurate_record::reader::{self, ReadError};
+use murmurate_robot::output::print;
+use murmurate_robot::{BadInput, Ended};
 
 /// Flags of `murmurate record info`.
 #[derive(clap::Args)]

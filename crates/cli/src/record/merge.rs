@@ -9,15 +9,15 @@ use anyhow::{Context, Result};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{WriteOptions, Writer};
 
-use crate::output::{print, talk};
 use crate::record::chosen::{self, Chosen, tell};
-use crate::temporary::Temporary;
-use crate::{BadInput, Ended, bad};
 use murmurate::config::shown;
 use murmurate_record::identity::{Identity, METADATA};
 use murmurate_record::merge::{Alignment, Part, Traffic, align};
 use murmurate_record::reader::{self, Item, Reader};
 use murmurate_record::stage;
+use murmurate_robot::output::{print, talk};
+use murmurate_robot::temporary::Temporary;
+use murmurate_robot::{BadInput, Ended, bad};
 
 /// Flags of `murmurate record merge`.
 #[derive(clap::Args)]

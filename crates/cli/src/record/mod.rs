@@ -9,7 +9,7 @@ mod share;
 
 use anyhow::Result;
 
-use crate::Ended;
+use murmurate_robot::Ended;
 
 /// Commands of `murmurate record`.
 #[derive(clap::Subcommand)]

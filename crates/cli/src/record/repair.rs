@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 
-use crate::output::{print, talk};
 use crate::record::chosen::files;
-use crate::temporary::Temporary;
-use crate::{BadInput, Ended, bad};
 use murmurate::config::shown;
 use murmurate_record::reader::{ReadError, Reader};
 use murmurate_record::repair::copy;
+use murmurate_robot::output::{print, talk};
+use murmurate_robot::temporary::Temporary;
+use murmurate_robot::{BadInput, Ended, bad};
 
 /// Flags of `murmurate record repair`.
 #[derive(clap::Args)]

@@ -5,16 +5,16 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 
-use crate::output::{print, talk};
 use crate::record::chosen::{self, Chosen, tell};
-use crate::temporary::Temporary;
-use crate::{BadInput, Ended, bad, key};
 use murmurate::config::shown;
 use murmurate::net::protocol::key::Key;
 use murmurate_record::identity::Identity;
 use murmurate_record::reader::{self, Reader};
 use murmurate_record::repair;
 use murmurate_record::share::{accepted, copy};
+use murmurate_robot::output::{print, talk};
+use murmurate_robot::temporary::Temporary;
+use murmurate_robot::{BadInput, Ended, bad, key};
 
 /// Flags of `murmurate record share`.
 #[derive(clap::Args)]

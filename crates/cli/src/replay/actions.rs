@@ -9,10 +9,10 @@ use anyhow::{Context, Result};
 
 use super::Args;
 use super::of_host::{Prepared, published};
-use crate::output::print;
-use crate::whole_file::WholeFile;
 use murmurate::config::shown;
 use murmurate_record::actions::{Commands, RobotDifference, StepDifference};
+use murmurate_robot::output::print;
+use murmurate_robot::whole_file::WholeFile;
 
 /// Runs a host again with its recorded inputs and another policy, and prints by how much the actions of each robot
 /// differ from the recorded ones. Also writes the files of the flags `--steps` and `--svg`.
@@ -30,7 +30,6 @@ pub fn show(args: &Args, prepared: Prepared) -> Result<()> {
         file.writer().write_all(csv(&steps).as_bytes()).context("cannot write the steps")?;
         file.keep()?;
     }
-    #[cfg(feature = "report")]
     if let Some(path) = &args.svg {
         let of = |robot: u16| {
             let own = steps.iter().filter(|step| step.robot == robot);

@@ -2,9 +2,7 @@
 
 mod actions;
 pub mod of_host;
-#[cfg(feature = "watch")]
 mod page;
-#[cfg(feature = "watch")]
 mod sights;
 
 use std::cell::RefCell;
@@ -17,11 +15,9 @@ use std::rc::Rc;
 use anyhow::{Context, Result};
 use serde::Serialize;
 
-use crate::output::{self, Confined, print, talk};
 use crate::record::chosen::{self, Chosen};
-#[cfg(feature = "study")]
+use crate::sim;
 use crate::study;
-use crate::{BadInput, Ended, bad, sim};
 use murmurate::config::shown::{self, counted};
 use murmurate::graph::process::ProcessEvent;
 use murmurate::messages::ids::HostId;
@@ -33,6 +29,8 @@ use murmurate_record::reader::{self, Opened};
 use murmurate_record::share::ACCEPTED;
 use murmurate_record::topics::{Stage, Topics};
 use murmurate_record::{Event, Scope};
+use murmurate_robot::output::{self, Confined, print, talk};
+use murmurate_robot::{BadInput, Ended, bad};
 
 /// Flags of `murmurate replay`.
 #[derive(clap::Args)]
@@ -61,7 +59,6 @@ pub struct Args {
     #[arg(long, value_name = "FILE.csv", requires = "policy")]
     steps: Option<PathBuf>,
     /// Figure of the differences over time, with --policy
-    #[cfg(feature = "report")]
     #[arg(long, value_name = "FILE.svg", requires = "policy")]
     svg: Option<PathBuf>,
     /// Replays a record of another build of this program, too; it may differ for that alone
@@ -70,7 +67,6 @@ pub struct Args {
     /// Prints one JSON object instead of the table
     #[arg(long)]
     json: bool,
-    #[cfg(feature = "watch")]
     #[command(flatten)]
     page: crate::watch::RecordPage,
 }
@@ -105,7 +101,6 @@ struct Table {
 /// Runs `replay`: replays all records and prints whether they are equal, or shows them on a page if `--watch` is given.
 /// Returns [`Ended::Unfit`] if a replay differs from its record.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
-    #[cfg(feature = "watch")]
     if args.page.is_on() {
         return page::watch(args, registry);
     }
@@ -201,8 +196,8 @@ fn check(args: &Args, path: &Path, Opened { identity, messages, .. }: &Opened) -
     if identity.part > 0 {
         return bad(format!("'{}' goes on from another file of its record: name the first one", path.display()));
     }
-    if identity.build != crate::build::digest() {
-        let (theirs, this, at) = (&identity.build, crate::build::digest(), path.display());
+    if identity.build != murmurate_robot::build::digest() {
+        let (theirs, this, at) = (&identity.build, murmurate_robot::build::digest(), path.display());
         if !args.force {
             return bad(format!(
                 "'{at}' was made by another build of this program ({theirs}, version {}; this is {this}): replay it \
@@ -310,10 +305,7 @@ fn rerun_observed(
     let arguments = files.in_place(&identity.arguments);
     let confined = files.confine(None);
     let trial = match identity.job {
-        #[cfg(feature = "study")]
         Some(job) => study::of_record(&arguments, (job, identity.repeat), registry)?,
-        #[cfg(not(feature = "study"))]
-        Some(_) => return bad("the record of a study needs a program with the feature 'study'".to_owned()),
         None => sim::of_record(&arguments, identity.repeat, registry)?,
     };
     drop(confined);

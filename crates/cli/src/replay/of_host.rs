@@ -7,8 +7,6 @@ use std::rc::Rc;
 use anyhow::Result;
 
 use super::{Args, Files, finish};
-use crate::output::talk;
-use crate::{BadInput, bad, host, key, output, team};
 use murmurate::deploy::team::Team;
 use murmurate::graph::inputs::Input;
 use murmurate::graph::process::ProcessEvent;
@@ -26,6 +24,8 @@ use murmurate_record::reader::{self, Messages, Opened};
 use murmurate_record::share::trusted;
 use murmurate_record::topics::{Stage, Topic, Topics};
 use murmurate_record::{Event, Scope, tape};
+use murmurate_robot::output::talk;
+use murmurate_robot::{BadInput, bad, host, key, output, team};
 
 /// Host that was built from its record and is ready to run again.
 pub struct Prepared {

@@ -9,12 +9,9 @@ use anyhow::{Context, Result};
 
 use super::sights::{self, Keys, Shown};
 use super::{Args, Files, rerun_observed};
-use crate::output::talk;
 use crate::record::chosen::{self, first_files, tell};
 use crate::record::merge::merge;
-use crate::temporary::Temporary;
 use crate::watch::feed::Feed;
-use crate::{BadInput, Ended, bad, key, signals};
 use murmurate::config::shown::counted;
 use murmurate::graph::process::ProcessEvent;
 use murmurate::messages::wire::Wire;
@@ -23,6 +20,9 @@ use murmurate::registry::Registry;
 use murmurate::time::{Span, Time};
 use murmurate_record::reader::{self, Opened};
 use murmurate_record::share::trusted;
+use murmurate_robot::output::talk;
+use murmurate_robot::temporary::Temporary;
+use murmurate_robot::{BadInput, Ended, bad, key, signals};
 use murmurate_view::command::Command;
 use murmurate_view::server::Publisher;
 use murmurate_view::snapshot;
@@ -97,7 +97,7 @@ fn read(args: &Args, registry: &Registry) -> Result<Shown> {
     let mut shown = sights::read(&path, &keys)?;
     let Some(opened) = opened.filter(|opened| opened.identity.is_of_simulation()) else { return Ok(shown) };
     let identity = &opened.identity;
-    if identity.build != crate::build::digest() {
+    if identity.build != murmurate_robot::build::digest() {
         talk("links between robots are not shown: the record was made by another build of this program");
         return Ok(shown);
     }

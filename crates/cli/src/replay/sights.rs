@@ -6,7 +6,6 @@ use std::path::Path;
 use anyhow::Result;
 use serde_json::Value as Json;
 
-use crate::BadInput;
 use murmurate::graph::inputs::Input;
 use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::messages::ids::{HostId, RobotId};
@@ -23,6 +22,7 @@ use murmurate_record::reader::{Item, Message, ReadError, Reader};
 use murmurate_record::stage::{self, Stage};
 use murmurate_record::tape;
 use murmurate_record::topics::RECEIVED;
+use murmurate_robot::BadInput;
 use murmurate_view::timeline::Sight;
 
 /// Content of a record that the live page can show: constant properties of the run, and events.

@@ -24,23 +24,23 @@ use murmurate::trial::{Trial, TrialReport};
 use murmurate::world::{Clamp, ContactRule, Placement, Sensor};
 use serde::Serialize;
 
-use crate::BadInput;
-use crate::Ended;
-use crate::bad;
 use crate::deployment;
 use crate::deployment::ModeParser;
 use crate::drive;
 use crate::jobs;
-use crate::output::{print, read_text};
-use crate::paths;
 use crate::picture;
 use crate::picture::Pictures;
 use crate::progress::{progress, watched};
-use crate::recording::{RecordFlags, Recorded, Simulated};
+use crate::recording::{Recorded, Simulated};
 use crate::size::SizeFlags;
-#[cfg(feature = "watch")]
 use crate::watch;
-use crate::whole_file::WholeFile;
+use murmurate_robot::BadInput;
+use murmurate_robot::Ended;
+use murmurate_robot::bad;
+use murmurate_robot::output::{print, read_text};
+use murmurate_robot::paths;
+use murmurate_robot::recording::RecordFlags;
+use murmurate_robot::whole_file::WholeFile;
 
 /// Flags of `murmurate sim`.
 #[derive(clap::Args)]
@@ -168,7 +168,6 @@ pub struct Args {
     drive: drive::DriveFlags,
     #[command(flatten)]
     pictures: picture::Flags,
-    #[cfg(feature = "watch")]
     #[command(flatten)]
     page: watch::trial::PacedPage,
     /// Prints one JSON object instead of the table
@@ -183,7 +182,6 @@ pub struct Args {
 /// enough for an interval of two points.
 const EPISODES: u32 = 200;
 /// Number of episodes without a flag if they are shown in real time.
-#[cfg(feature = "watch")]
 const EPISODES_SHOWN: u32 = 16;
 
 impl Args {
@@ -194,7 +192,6 @@ impl Args {
             if let Some(held) = text.as_deref().and_then(Layouts::held_in) {
                 return held;
             }
-            #[cfg(feature = "watch")]
             if self.page.is_on() {
                 return EPISODES_SHOWN;
             }
@@ -232,7 +229,6 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     // All policies are loaded first, so that errors show before the first trial runs.
     let trials: Vec<(Trial, String)> =
         named.iter().map(|policy| trial::of_flags(args, *policy, registry)).collect::<Result<_>>()?;
-    #[cfg(feature = "watch")]
     args.page.check(trials.len(), args.repeats)?;
     let pictures = Pictures::open(&args.pictures, args.episodes())?;
     if trials.len() > 1 && (args.trajectories.is_some() || pictures.any() || args.record.record.is_some()) {
@@ -278,7 +274,6 @@ pub fn results_of(arguments: &[String], registry: &Registry, stop: &AtomicBool) 
     let found = Args::augment_args(clap::Command::new("sim")).try_get_matches_from(words);
     let args = found.and_then(|found| Args::from_arg_matches(&found)).map_err(|error| BadInput(error.to_string()))?;
     let ([] | [_]) = &args.policy[..] else { return bad("--policy: name one policy".to_owned()) };
-    #[cfg(feature = "watch")]
     args.page.check(1, args.repeats)?;
     let (trial, policy) = trial::of_flags(&args, args.policy.first().map(|policy| &**policy), registry)?;
     let pictures = Pictures::open(&args.pictures, args.episodes())?;
@@ -327,7 +322,6 @@ fn run_all(
     stop: &AtomicBool,
     records: Option<&Simulated>,
 ) -> Result<Vec<TrialReport>> {
-    #[cfg(feature = "watch")]
     if args.page.is_on() {
         let trial = Trial { steps: pictures.steps(0, trial.steps), ..trial.clone() };
         let report = watch::trial::run(&trial, _policy, &args.page, stop, records)?;

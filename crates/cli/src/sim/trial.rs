@@ -6,8 +6,7 @@ use std::sync::Arc;
 use anyhow::Result;
 
 use super::Args;
-use crate::output::{read_text, talk};
-use crate::{BadInput, bad, conditions, deployment, policy, size};
+use crate::{conditions, deployment, size};
 use murmurate::actors::recorder::Steps;
 use murmurate::deploy::conditions::Conditions;
 use murmurate::deploy::{Deployment, Impair};
@@ -16,6 +15,8 @@ use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{ScenarioError, Settings};
 use murmurate::trial::Trial;
 use murmurate::world::{Overrides, Placement};
+use murmurate_robot::output::{read_text, talk};
+use murmurate_robot::{BadInput, bad, policy};
 
 /// Returns the conditions of the file that a flag names; none without one.
 fn given(args: &Args) -> Result<Conditions> {

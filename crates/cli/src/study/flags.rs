@@ -17,15 +17,15 @@ use murmurate_study::{PolicyUnderTest, Study};
 
 use super::run::{CommandLine, Run, check_unique};
 use super::shard::Shard;
-use crate::BadInput;
-use crate::bad;
 use crate::conditions;
 use crate::drive::DriveFlags;
-use crate::output::{read_text, talk};
-use crate::own_name;
-use crate::policy;
-use crate::recording::RecordFlags;
 use crate::size::{self, SizeFlags};
+use murmurate_robot::BadInput;
+use murmurate_robot::bad;
+use murmurate_robot::output::{read_text, talk};
+use murmurate_robot::own_name;
+use murmurate_robot::policy;
+use murmurate_robot::recording::RecordFlags;
 
 /// Flags that the studies `modes`, `delay` and `range` have in common.
 #[derive(clap::Args)]
@@ -291,10 +291,10 @@ impl Shared {
 /// added entries to the registry, a digest of the executable is appended.
 fn build(registry: &Registry) -> Result<String> {
     if !registry.is_extended() {
-        return Ok(crate::build::digest().to_owned());
+        return Ok(murmurate_robot::build::digest().to_owned());
     }
     let program = std::env::current_exe().and_then(std::fs::read).context("cannot read this program")?;
-    Ok(format!("{}+{}", crate::build::digest(), &blake3::hash(&program).to_hex()[..16]))
+    Ok(format!("{}+{}", murmurate_robot::build::digest(), &blake3::hash(&program).to_hex()[..16]))
 }
 
 /// Splits a value 'NAME@HANDLING' of `--policy` into the policy and its handling; `None` if it has no '@HANDLING'.

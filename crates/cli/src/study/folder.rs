@@ -9,10 +9,10 @@ use murmurate_figures::Figure;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use crate::destination::check_folder;
-use crate::temporary::Temporary;
-use crate::whole_file::WholeFile;
-use crate::{BadInput, output};
+use murmurate_robot::destination::check_folder;
+use murmurate_robot::temporary::Temporary;
+use murmurate_robot::whole_file::WholeFile;
+use murmurate_robot::{BadInput, output};
 
 /// Name of the file that identifies the study of the folder: its settings and the program's version.
 const IDENTITY: &str = "study.json";

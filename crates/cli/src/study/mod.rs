@@ -25,14 +25,13 @@ use murmurate_study::results::{Results, Row};
 use murmurate_study::{Job, Study, table};
 use serde::Serialize;
 
-use crate::BadInput;
-use crate::Ended;
 use crate::jobs;
-use crate::output::{print, talk};
 use crate::progress::{progress, watched};
 use crate::recording::Simulated;
 use folder::Folder;
-#[cfg(feature = "train")]
+use murmurate_robot::BadInput;
+use murmurate_robot::Ended;
+use murmurate_robot::output::{print, talk};
 pub use network::medium;
 use shard::Shard;
 

@@ -6,8 +6,8 @@ use std::path::PathBuf;
 use anyhow::Result;
 
 use super::folder::Folder;
-use crate::bad;
-use crate::output::talk;
+use murmurate_robot::bad;
+use murmurate_robot::output::talk;
 
 /// Flags that all studies share.
 #[derive(clap::Args)]

@@ -5,7 +5,7 @@ use std::time::Instant;
 use anyhow::Result;
 
 use super::Args;
-use crate::BadInput;
+use murmurate_robot::BadInput;
 
 /// Length of a training: minutes of real time, or number of decisions.
 #[derive(Clone, Copy, Debug, PartialEq)]

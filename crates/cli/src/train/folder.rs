@@ -8,10 +8,10 @@ use anyhow::{Context, Result};
 use murmurate_train::trainer::Trainer;
 
 use super::curve::Curve;
-use crate::destination::check_folder;
-use crate::temporary::Temporary;
-use crate::whole_file::WholeFile;
-use crate::{BadInput, output};
+use murmurate_robot::destination::check_folder;
+use murmurate_robot::temporary::Temporary;
+use murmurate_robot::whole_file::WholeFile;
+use murmurate_robot::{BadInput, output};
 
 /// Output folder of a training, with its policy, checkpoint, learning curve and configuration.
 pub struct Folder {

@@ -12,12 +12,12 @@ use super::budget::{Budget, Clock, Timed};
 use super::curve::{SIZE, chart, smooth};
 use super::folder::Folder;
 use super::{Args, SAVE_EVERY, bar, finish, plan, resumes};
-use crate::output::{self, print, read_text, talk};
-use crate::{BadInput, Ended, bad};
 use murmurate::config::shown::counted;
 use murmurate::config::{regular, unquoted};
 use murmurate::registry::Registry;
 use murmurate::scenario::Settings;
+use murmurate_robot::output::{self, print, read_text, talk};
+use murmurate_robot::{BadInput, Ended, bad};
 use murmurate_train::imitation::config::{Config, PRESET};
 use murmurate_train::imitation::trainer::{Metrics, Plan, Score, Trainer};
 

@@ -25,13 +25,13 @@ use murmurate_train::reward::has_reward;
 use murmurate_train::trainer::Trainer;
 use serde::Serialize;
 
-use crate::Ended;
 use crate::drive;
-use crate::output::{print, talk};
 use crate::size::SizeFlags;
 use budget::{Budget, Clock, Timed};
 use curve::{Curve, Row};
 use folder::Folder;
+use murmurate_robot::Ended;
+use murmurate_robot::output::{print, talk};
 pub use plan::with_radio;
 
 /// Interval at which a training saves its files, and prints progress lines if there is no progress bar.

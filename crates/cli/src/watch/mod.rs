@@ -1,22 +1,20 @@
 //! The live page that a command serves in a browser: its flags, its HTTP server, and the feed that updates it.
 
 pub mod feed;
-pub mod metrics;
 pub mod team;
-#[cfg(feature = "sim")]
 pub mod trial;
 
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Context, Result};
 
-use crate::bad;
-use crate::key;
-use crate::output::talk;
-use crate::own_name;
 use murmurate::messages::ids::HostId;
-use murmurate_view::access::{Access, Control, TOKEN_BYTES, Token};
+use murmurate_robot::bad;
+use murmurate_robot::key::token;
+use murmurate_robot::output::talk;
+use murmurate_robot::own_name;
+use murmurate_view::access::{Access, Control};
 use murmurate_view::server::{Publisher, Server};
 use murmurate_view::status::Scene;
 
@@ -59,7 +57,6 @@ impl OptionalPage {
 }
 
 /// Flags of `replay` for the page that shows a record if `--watch` is given.
-#[cfg(feature = "sim")]
 #[derive(clap::Args)]
 pub struct RecordPage {
     /// Serves a page that shows the records with a scrubber, and prints its address (docs/watch.md)
@@ -74,7 +71,6 @@ pub struct RecordPage {
     token_file: Option<PathBuf>,
 }
 
-#[cfg(feature = "sim")]
 impl RecordPage {
     /// Returns true if the page was requested by `--watch`.
     pub fn is_on(&self) -> bool {
@@ -124,16 +120,5 @@ impl PageFlags {
     }
 }
 
-/// Returns the access token of a page or of metrics: read from its file, or drawn at random without a file.
-fn token(file: Option<&Path>) -> Result<Token> {
-    if let Some(file) = file {
-        return Ok(Token::new(&key::read(file)?));
-    }
-    let mut bytes = [0; TOKEN_BYTES];
-    getrandom::fill(&mut bytes).map_err(|error| anyhow!("the operating system gives no random bytes: {error}"))?;
-    Ok(Token::new(&bytes))
-}
-
 /// Host id with which the page of a simulation gives orders; the simulation has no other operator.
-#[cfg(feature = "sim")]
 const OPERATOR: HostId = HostId::operator(0);

@@ -3,7 +3,6 @@
 
 use std::cell::{Cell, RefCell};
 use std::io::Read;
-#[cfg(feature = "record")]
 use std::path::Path;
 use std::rc::Rc;
 use std::sync::atomic::Ordering;
@@ -14,11 +13,6 @@ use anyhow::Result;
 
 use super::PageFlags;
 use super::feed::Feed;
-use crate::output::talk;
-use crate::recording::LiveRecord;
-#[cfg(feature = "record")]
-use crate::recording::RecordFlags;
-use crate::{BadInput, Ended, signals, team};
 use murmurate::actors::network;
 use murmurate::actors::order::OrderKind;
 use murmurate::deploy::Routes;
@@ -34,8 +28,11 @@ use murmurate::runtime::clock::Clock;
 use murmurate::runtime::real::run_real;
 use murmurate::runtime::shell::Mailbox;
 use murmurate::time::{Span, Time};
-#[cfg(feature = "record")]
 use murmurate_record::stage::Stage;
+use murmurate_robot::output::talk;
+use murmurate_robot::recording::LiveRecord;
+use murmurate_robot::recording::RecordFlags;
+use murmurate_robot::{BadInput, Ended, signals, team};
 use murmurate_view::access::Control;
 use murmurate_view::command::Command;
 use murmurate_view::metrics::Metrics;
@@ -75,7 +72,6 @@ pub struct Args {
     #[command(flatten)]
     page: PageFlags,
     /// Flags for a record of what this command receives from the team.
-    #[cfg(feature = "record")]
     #[command(flatten)]
     record: RecordFlags,
 }
@@ -85,10 +81,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let (signal, waker) = signals::listen()?;
     let file = args.team.read(registry)?;
     let page = Page::open(&file, &args.team, &args.page, registry, None)?;
-    #[cfg(feature = "record")]
     let record = page.record(&args.record, &args.team.file)?;
-    #[cfg(not(feature = "record"))]
-    let record = None;
     page.run(&args.team, registry, record, || {
         // Empties the pipe whose byte has woken this thread.
         let _ = (&*waker).read(&mut [0; 16]);
@@ -107,7 +100,6 @@ pub struct Page {
     identity: ProcessIdentity,
     /// Time zero of this process's clock.
     began: Instant,
-    #[cfg(feature = "record")]
     stage: Stage,
 }
 
@@ -149,7 +141,6 @@ impl Page {
             news,
             identity: ProcessIdentity::draw()?,
             began: Instant::now(),
-            #[cfg(feature = "record")]
             stage: {
                 let range_m = range_m.unwrap_or(f32::INFINITY);
                 Stage::of_team((deployment, &*scenario), scenario.arena().robot_radius_m, range_m)
@@ -158,7 +149,6 @@ impl Page {
     }
 
     /// Creates the record of what this process receives as an operator; `None` if the flags name no folder.
-    #[cfg(feature = "record")]
     fn record(&self, flags: &RecordFlags, team: &Path) -> Result<Option<LiveRecord>> {
         let run = (self.identity.incarnation, self.stage.clone());
         LiveRecord::of_operator(flags, run, self.began, vec![team.to_owned()])

@@ -11,7 +11,6 @@ use anyhow::Result;
 
 use super::feed::Feed;
 use super::{OPERATOR, OptionalPage};
-use crate::bad;
 use crate::recording::{Recorded, Simulated};
 use murmurate::actors::order::OrderKind;
 use murmurate::actors::recorder;
@@ -24,6 +23,7 @@ use murmurate::net::protocol::codec::{self, Content, Frame};
 use murmurate::report::episode::Episode;
 use murmurate::time::{Span, Time};
 use murmurate::trial::{Proceed, Trial, TrialReport};
+use murmurate_robot::bad;
 use murmurate_view::access::Control;
 use murmurate_view::command::Command;
 use murmurate_view::metrics::Metrics;

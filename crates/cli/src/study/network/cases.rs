@@ -53,7 +53,7 @@ impl Journal {
     /// Opens the stored results of a network study in the folder `path`, if one is given. `link` describes the link
     /// that is measured; `None` in an emulation alone. Fails if the folder belongs to another study.
     pub fn open(path: Option<&Path>, sweep: Sweep, link: Option<String>) -> Result<Journal> {
-        let (version, build) = (origin::VERSION.to_owned(), crate::build::digest().to_owned());
+        let (version, build) = (origin::VERSION.to_owned(), murmurate_robot::build::digest().to_owned());
         let study = STUDY.to_owned();
         let ours = Identity { study, version, build, sweep: sweep.clone(), link: link.clone() };
         let differs =
@@ -68,7 +68,7 @@ impl Journal {
         let Sweep { stations, bytes, medium, history, seconds, seed, .. } = &self.sweep;
         let link = self.link.as_ref().filter(|_| source == Source::Live);
         Origin::here(
-            crate::build::digest(),
+            murmurate_robot::build::digest(),
             STUDY,
             *seed,
             "",

@@ -12,11 +12,11 @@ use murmurate_study::network::{Case, Medium, Outcome, Sweep, emulate};
 use serde::Serialize;
 
 use super::Args;
-use crate::BadInput;
-use crate::bad;
 use crate::jobs;
-use crate::output::{read_text, talk};
-use crate::whole_file::WholeFile;
+use murmurate_robot::BadInput;
+use murmurate_robot::bad;
+use murmurate_robot::output::{read_text, talk};
+use murmurate_robot::whole_file::WholeFile;
 
 /// Result of `study network --fit`, as it is printed: the fitted parameters of a radio, and how well they fit.
 #[derive(Serialize)]

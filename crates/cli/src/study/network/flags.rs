@@ -8,11 +8,11 @@ use murmurate_study::network::saturation::SIZES;
 use murmurate_study::network::{Addressing, History, Medium, NetworkKind, ReliabilityMode, Sweep};
 use serde::de::DeserializeOwned;
 
-use crate::BadInput;
-use crate::bad;
-use crate::output::{read_text, talk};
-use crate::own_name;
 use crate::study::run::{CommandLine, Run, check_unique};
+use murmurate_robot::BadInput;
+use murmurate_robot::bad;
+use murmurate_robot::output::{read_text, talk};
+use murmurate_robot::own_name;
 
 /// Flags of `murmurate study network`.
 #[derive(clap::Args)]

@@ -13,9 +13,9 @@ use murmurate_study::network::{Addressing, Medium, NetworkKind, ReliabilityMode,
 
 use super::Args;
 use super::live::Participation;
-use crate::BadInput;
-use crate::bad;
-use crate::team::{self, TeamArgs};
+use murmurate_robot::BadInput;
+use murmurate_robot::bad;
+use murmurate_robot::team::{self, TeamArgs};
 
 /// Team whose hosts measure a network: the delivery and delay of messages on the link between them.
 pub struct LiveTeam {

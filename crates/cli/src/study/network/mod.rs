@@ -21,17 +21,16 @@ use murmurate_study::network::pages::{Findings, Found};
 use murmurate_study::network::{Row, Source, emulate, table};
 use serde::Serialize;
 
-use crate::Ended;
 use crate::jobs;
-use crate::output::{print, talk};
 use crate::progress::progress;
-use crate::whole_file::WholeFile;
 use cases::Journal;
 pub use flags::Args;
-#[cfg(feature = "train")]
 pub use flags::medium;
 use live::Measured;
 use live_team::LiveTeam;
+use murmurate_robot::Ended;
+use murmurate_robot::output::{print, talk};
+use murmurate_robot::whole_file::WholeFile;
 use teams::Team;
 
 /// Output of a network study with `--json`.

@@ -15,9 +15,9 @@ use nix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
 
 use super::cases;
-use crate::bad;
 use crate::progress::progress;
 use crate::study::folder::Folder;
+use murmurate_robot::bad;
 
 /// Team of one size and mode, which is simulated to find its cost per robot.
 pub struct Team {
@@ -30,7 +30,7 @@ pub struct Team {
 impl Team {
     fn origin(&self) -> Origin {
         Origin::here(
-            crate::build::digest(),
+            murmurate_robot::build::digest(),
             "network, growing teams",
             self.seed,
             "",

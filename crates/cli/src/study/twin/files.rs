@@ -32,7 +32,7 @@ pub fn open(path: &Path, digests: &[String], command: &str) -> Result<Folder> {
     let identity = Identity {
         study: "twin".to_owned(),
         version: origin::VERSION.to_owned(),
-        build: crate::build::digest().to_owned(),
+        build: murmurate_robot::build::digest().to_owned(),
         command: command.to_owned(),
         records: digests.to_vec(),
     };

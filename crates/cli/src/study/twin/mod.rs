@@ -12,12 +12,13 @@ use anyhow::{Context, Result};
 use serde::Serialize;
 
 use super::run::{CommandLine, Run};
-use crate::output::{print, talk};
+use crate::jobs;
 use crate::progress::{progress, watched};
-use crate::{BadInput, Ended, bad, jobs, own_name};
 use murmurate::config::shown::counted;
 use murmurate::registry::Registry;
 use murmurate::trial::Trial;
+use murmurate_robot::output::{print, talk};
+use murmurate_robot::{BadInput, Ended, bad, own_name};
 use murmurate_study::twin::comparison::{self, Row};
 use murmurate_study::twin::model::{self, Fitted, Given};
 use murmurate_study::twin::pages::Words;

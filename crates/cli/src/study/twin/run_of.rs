@@ -8,7 +8,6 @@ use anyhow::Result;
 
 use crate::record::chosen;
 use crate::replay::{Files, of_host};
-use crate::{BadInput, bad, team};
 use murmurate::config::regular;
 use murmurate::deploy::Routes;
 use murmurate::registry::Registry;
@@ -16,6 +15,7 @@ use murmurate::trial::Trial;
 use murmurate_record::identity::Identity;
 use murmurate_record::merge::{Traffic, align};
 use murmurate_record::reader::{self, ReadError};
+use murmurate_robot::{BadInput, bad, team};
 use murmurate_study::twin::observed::{Log, Run, Team};
 use murmurate_study::twin::predict;
 

@@ -13,9 +13,9 @@ use murmurate_study::network::peer::{StationResult, Task};
 use super::connection::Connection;
 use super::gather::gather;
 use super::{Request, Response};
-use crate::BadInput;
 use crate::progress::progress;
 use crate::study::network::cases::Journal;
+use murmurate_robot::BadInput;
 
 /// Number of requests in one comparison of clocks (`REQUESTS`), and longest wait for a participant's response
 /// (`PATIENCE`).

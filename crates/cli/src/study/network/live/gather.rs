@@ -13,9 +13,9 @@ use nix::poll::{PollFd, PollFlags, poll};
 
 use super::connection::{Connection, Side};
 use super::{GREETING, Request, Response};
-use crate::output::talk;
-use crate::own_name;
 use murmurate::config::shown::counted;
+use murmurate_robot::output::talk;
+use murmurate_robot::own_name;
 
 /// Longest time until the coordinator notices an interruption while it waits for connections \[ms\].
 const LOOK: u16 = 100;

@@ -27,10 +27,10 @@ use tracing::info_span;
 
 use super::connection::{Connection, Side};
 use super::{Request, Response};
-use crate::BadInput;
-use crate::Ended;
-use crate::output::talk;
 use murmurate::live::links;
+use murmurate_robot::BadInput;
+use murmurate_robot::Ended;
+use murmurate_robot::output::talk;
 
 const LINK: LinkId = LinkId(0);
 /// Longest time of attempts to connect to the coordinator (`PATIENCE`), and the interval between attempts in ms

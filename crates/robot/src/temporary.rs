@@ -34,7 +34,6 @@ impl Temporary {
     }
 
     /// Returns the path of the temporary file.
-    #[cfg(all(feature = "sim", feature = "watch"))]
     pub fn path(&self) -> &Path {
         &self.path
     }

@@ -5,10 +5,8 @@ use std::io::Write;
 use anyhow::{Context, Result};
 use murmurate::messages::geometry::Vec2;
 use murmurate::report::trial::Step;
-#[cfg(feature = "sim")]
 use murmurate::report::trial::TrialReport;
 
-#[cfg(feature = "sim")]
 use crate::whole_file::WholeFile;
 
 /// Columns of a trajectories file (CSV). Positions and velocities are in the world frame.
@@ -59,7 +57,6 @@ impl<W: Write> Paths<W> {
 
 /// Writes the trajectories of several trials, which are repeats of each other, into one CSV file. `reports` has the
 /// report of each, in the order of the repeats.
-#[cfg(feature = "sim")]
 pub fn write_all(file: &mut WholeFile, reports: &[TrialReport]) -> Result<()> {
     let mut paths = Paths::new(std::io::BufWriter::new(file.writer()))?;
     for (repeat, report) in reports.iter().enumerate() {

@@ -30,12 +30,13 @@ use signal_hook::consts::SIGINT;
 
 use crate::BadInput;
 use crate::Ended;
+#[cfg(feature = "watch")]
+use crate::metrics::MetricsFlags;
 use crate::outlets::Outlets;
-use crate::recording::{self, LiveRecord};
+use crate::recording;
+use crate::recording::LiveRecord;
 use crate::signals;
 use crate::team;
-#[cfg(feature = "watch")]
-use crate::watch::metrics::MetricsFlags;
 use murmurate::live::{self, LiveHost};
 
 /// Time from a request to stop until the host ends, in which its last commands and its notice of shutdown are sent.
@@ -102,7 +103,6 @@ fn results_of(team: &Team, cost: Option<CostName>, policy: String, began: Instan
 
 /// Parses the arguments of the command `host` that made a record, and returns its flags about the team: the path of the
 /// team file and the changes to it. It is an error if the arguments are not understood.
-#[cfg(feature = "sim")]
 pub fn of_record(arguments: &[String]) -> Result<team::TeamArgs> {
     use clap::{Args as _, FromArgMatches};
     let wrong = |error: clap::Error| BadInput(format!("the record's arguments are not understood: {error}"));

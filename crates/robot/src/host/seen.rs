@@ -3,10 +3,10 @@
 use std::cell::{Cell, OnceCell, RefCell};
 use std::collections::BTreeMap;
 
+#[cfg(feature = "watch")]
+use crate::metrics::HostMetrics;
 use crate::outlets::Outlets;
 use crate::recording::LiveRecord;
-#[cfg(feature = "watch")]
-use crate::watch::metrics::HostMetrics;
 use murmurate::actors::recorder::Out;
 use murmurate::graph::process::{Graph, ProcessEvent};
 use murmurate::messages::ids::{HostId, RobotId};

@@ -151,6 +151,18 @@ pub fn fingerprint(key: &[u8; BYTES]) -> String {
     digest.finalize()[..4].iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
+/// Returns the access token of a page or of metrics: read from its file, or drawn at random without a file.
+#[cfg(feature = "watch")]
+pub fn token(file: Option<&Path>) -> Result<murmurate_view::access::Token> {
+    if let Some(file) = file {
+        return Ok(murmurate_view::access::Token::new(&read(file)?));
+    }
+    let mut bytes = [0; murmurate_view::access::TOKEN_BYTES];
+    getrandom::fill(&mut bytes)
+        .map_err(|error| anyhow::anyhow!("the operating system gives no random bytes: {error}"))?;
+    Ok(murmurate_view::access::Token::new(&bytes))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

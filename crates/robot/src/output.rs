@@ -1,12 +1,10 @@
 //! Output to stdout and stderr, and reading of files that the user names.
 
 use std::backtrace::{Backtrace, BacktraceStatus};
-#[cfg(feature = "sim")]
 use std::cell::RefCell;
 use std::fmt;
 use std::io::{self, ErrorKind, IsTerminal, Write};
 use std::path::Path;
-#[cfg(feature = "sim")]
 use std::path::{Component, PathBuf};
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -86,7 +84,6 @@ fn say(lines: String) {
 static RECORDED_AT: AtomicU64 = AtomicU64::new(u64::MAX);
 
 /// Marks the lines that are logged from now on as of a record, at the time `at` of its run; `None` ends that.
-#[cfg(feature = "sim")]
 pub fn stamp_as_recorded(at: Option<murmurate::time::Time>) {
     RECORDED_AT.store(at.map_or(u64::MAX, murmurate::time::Time::as_nanos), Ordering::Relaxed);
 }
@@ -155,17 +152,14 @@ pub fn print(text: &str) -> Result<()> {
 const MAX_FILE: u64 = 1 << 26;
 
 /// Largest checkpoint of a training that is read \[bytes\].
-#[cfg(feature = "train")]
 pub const MAX_CHECKPOINT: u64 = 1 << 30;
 
 /// Reads a text file that this program has written itself, in a folder that the user has named.
-#[cfg(feature = "study")]
 pub fn read_own(path: &Path) -> io::Result<String> {
     let bytes = regular::read(path, MAX_FILE)?;
     String::from_utf8(bytes).map_err(|_| io::Error::new(ErrorKind::InvalidData, "it is no text in UTF-8"))
 }
 
-#[cfg(feature = "sim")]
 thread_local! {
     /// While a record is replayed: the files and folders that may be read; `None` if all may.
     static CONFINED: RefCell<Option<Vec<PathBuf>>> = const { RefCell::new(None) };
@@ -173,10 +167,8 @@ thread_local! {
 
 /// Limit of what this thread reads, as long as it lives: for work on a record that somebody else may have made, which
 /// must open no other file by naming it.
-#[cfg(feature = "sim")]
 pub struct Confined(());
 
-#[cfg(feature = "sim")]
 impl Confined {
     /// Lets this thread read the files and folders `allowed` and nothing else of what is named to it.
     pub fn to(allowed: Vec<PathBuf>) -> Confined {
@@ -185,7 +177,6 @@ impl Confined {
     }
 }
 
-#[cfg(feature = "sim")]
 impl Drop for Confined {
     fn drop(&mut self) {
         CONFINED.set(None);
@@ -193,7 +184,6 @@ impl Drop for Confined {
 }
 
 /// Fails if this thread may not read the file `path`, because a record has named it.
-#[cfg(feature = "sim")]
 fn check_confined(path: &Path) -> Result<(), String> {
     let climbs = path.components().any(|part| part == Component::ParentDir);
     let inside = |allowed: &PathBuf| path == allowed || (path.starts_with(allowed) && !climbs);
@@ -203,11 +193,6 @@ fn check_confined(path: &Path) -> Result<(), String> {
         }
         _ => Ok(()),
     })
-}
-
-#[cfg(not(feature = "sim"))]
-fn check_confined(_: &Path) -> Result<(), String> {
-    Ok(())
 }
 
 /// Reads a text file that the user has named. `what` is the noun for the file in errors. A file that contains a team
@@ -246,7 +231,6 @@ mod tests {
         );
     }
 
-    #[cfg(feature = "sim")]
     #[test]
     fn lines_of_a_replay_have_the_time_of_the_record_and_not_that_of_today() {
         let stamp = || {

@@ -1,30 +1,22 @@
-//! Builds with few features, as on a robot: the commands of every build, and errors about missing features.
+//! The program of a robot: its commands, and what it says of those that it lacks.
+
+#[path = "../program/mod.rs"]
+mod program;
 
 use std::fs::{copy, read_dir, write};
 use std::path::Path;
 
-use crate::program::{refuses, run, text};
+use program::{refuses, run, text};
 use tempfile::TempDir;
 
 /// Commands of every build.
 const ALWAYS: [&str; 8] = ["policy", "host", "doctor", "stop", "resume", "place", "key", "config"];
-/// Commands that depend on a feature, and whether this build has it.
-const WITH: [(&str, bool); 11] = [
-    ("sim", cfg!(feature = "sim")),
-    ("deployment", cfg!(feature = "sim")),
-    ("lab", cfg!(feature = "lab")),
-    ("launch", cfg!(feature = "sim")),
-    ("record", cfg!(feature = "sim")),
-    ("replay", cfg!(feature = "sim")),
-    ("watch", cfg!(feature = "watch")),
-    ("study", cfg!(feature = "study")),
-    ("train", cfg!(feature = "train")),
-    ("completions", cfg!(feature = "completions")),
-    ("man", cfg!(feature = "completions")),
-];
+/// Commands of the whole program alone.
+const WHOLE: [&str; 11] =
+    ["sim", "deployment", "lab", "launch", "record", "replay", "watch", "study", "train", "completions", "man"];
 
 #[test]
-fn a_program_has_the_commands_of_its_features_and_no_others() {
+fn a_robot_s_program_has_its_commands_and_no_others() {
     let help = text(&run(&["--help"]).stdout);
     let (_, list) = help.split_once("Commands:\n").expect("help has a list of commands");
     let commands = list.lines().take_while(|line| !line.is_empty()).filter(|line| line.starts_with("  "));
@@ -34,21 +26,15 @@ fn a_program_has_the_commands_of_its_features_and_no_others() {
         .filter(|name| *name != "help")
         .collect();
     let mut wanted: Vec<&str> = ALWAYS.to_vec();
-    wanted.extend(WITH.iter().filter(|(_, there)| *there).map(|(name, _)| *name));
     found.sort_unstable();
     wanted.sort_unstable();
     assert_eq!(found, wanted);
 }
 
 #[test]
-fn a_command_or_a_flag_of_a_missing_feature_says_which_one_the_program_needs() {
-    for (name, there) in WITH {
-        if !there {
-            refuses(&[name, "--help"], &[&format!("'{name}'"), "without the feature '", "cargo build", "--features "]);
-        }
-    }
-    if !cfg!(feature = "lab") {
-        refuses(&["lab", "up", "lab.toml"], &["the feature 'lab'", "--features lab"]);
+fn a_command_or_a_flag_that_the_program_lacks_says_which_program_has_it() {
+    for name in WHOLE {
+        refuses(&[name, "--help"], &[&format!("'{name}'"), "a robot alone", "cargo build --release"]);
     }
     if !cfg!(feature = "record") {
         refuses(&["host", "team.toml", "--record", "out"], &["'--record'", "the feature 'record'"]);

@@ -6,8 +6,8 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 
-use super::token;
 use crate::bad;
+use crate::key::token;
 use crate::output::talk;
 use crate::own_name;
 use murmurate::deploy::Routes;

@@ -54,13 +54,11 @@ pub struct Which {
 impl TeamArgs {
     /// Returns these flags for a command in which another flag, such as `--live`, names the team file `file`. `set` has
     /// overrides of the file's fields, as `FIELD=VALUE`.
-    #[cfg(feature = "study")]
     pub fn of(file: PathBuf, set: Vec<String>) -> TeamArgs {
         TeamArgs { file, set, interface: None, key_file: None }
     }
 
     /// Sets the network interface of the link `link` on all hosts.
-    #[cfg(all(feature = "lab", feature = "sim"))]
     pub fn set_interface(&mut self, link: &str, interface: &str) {
         self.set.push(format!("link.{link}.interface={interface}"));
     }

@@ -3,12 +3,8 @@
 
 mod live;
 pub mod log;
-#[cfg(feature = "sim")]
-mod simulated;
 
 pub use self::live::LiveRecord;
-#[cfg(feature = "sim")]
-pub use self::simulated::{Recorded, Simulated};
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -40,7 +36,7 @@ impl RecordFlags {
     /// Returns how much of a run is kept in its record: the time around events, and the largest size of a file. Both
     /// are from the flags, or else from `last_s` \[s\] and `size_mb` \[MB\], which are fields of the team file; `None`
     /// if neither gives them. An error names the flag.
-    fn retention(&self, last_s: Option<f64>, size_mb: Option<f64>) -> Result<Retention> {
+    pub fn retention(&self, last_s: Option<f64>, size_mb: Option<f64>) -> Result<Retention> {
         let (last_s, size_mb) = (self.record_last.or(last_s), self.record_size.or(size_mb));
         match (last_s, size_mb) {
             (Some(last_s), _) if !(1.0..=3600.0).contains(&last_s) => {
@@ -57,7 +53,7 @@ impl RecordFlags {
     }
 
     /// Fails if `--record-last` or `--record-size` is given. Called if no folder for a record is given.
-    fn refuse_without_folder(&self) -> Result<()> {
+    pub fn refuse_without_folder(&self) -> Result<()> {
         let given = [("--record-last", self.record_last.is_some()), ("--record-size", self.record_size.is_some())];
         match given.iter().find(|(_, given)| *given) {
             Some((flag, _)) => bad(format!("{flag}: there is no record; add --record DIR")),
@@ -96,7 +92,7 @@ const SWITCHES: [&str; 5] = ["--json", "--quiet", "--launched", "--watch", "--co
 
 /// Returns the command-line arguments of this process without those that do not affect the run, so that equal runs have
 /// equal records.
-fn arguments() -> Vec<String> {
+pub fn arguments() -> Vec<String> {
     let all = std::env::args_os().skip(1).map(|argument| argument.to_string_lossy().into_owned());
     let mut value_follows = false;
     let changes = |argument: &String| {
@@ -111,7 +107,7 @@ fn arguments() -> Vec<String> {
 }
 
 /// Creates the folder for records, if it does not exist. An error names the flag `--record`.
-fn make(folder: &Path) -> Result<()> {
+pub fn make(folder: &Path) -> Result<()> {
     let refuse = |error| BadInput(format!("--record: cannot make the folder '{}': {error}", folder.display()));
     check_folder(folder).map_err(refuse)?;
     std::fs::create_dir_all(folder).map_err(|error| refuse(error.to_string()))?;
@@ -119,7 +115,7 @@ fn make(folder: &Path) -> Result<()> {
 }
 
 /// Reads the files to attach to a record. Paths that are not files, such as names of built-in policies, are ignored.
-fn attach(names: impl IntoIterator<Item = PathBuf>) -> Result<Vec<Attached>> {
+pub fn attach(names: impl IntoIterator<Item = PathBuf>) -> Result<Vec<Attached>> {
     let files = names.into_iter().filter(|name| name.is_file());
     let attached = files.map(|path| {
         let name = path.to_string_lossy().into_owned();

@@ -77,7 +77,6 @@ impl Destination {
 
 /// Checks a folder for output: a link to it, in a folder that others can write, may have been planted there. The error
 /// says so.
-#[cfg(any(test, feature = "record", feature = "completions"))]
 pub fn check_folder(path: &Path) -> Result<(), String> {
     match path.symlink_metadata() {
         Ok(about) if about.is_symlink() && (is_shared(folder(path)) || !is_ours(about.uid())) => {

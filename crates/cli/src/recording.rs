@@ -5,8 +5,6 @@ use std::sync::Mutex;
 
 use anyhow::Result;
 
-use super::{RecordFlags, arguments, attach, make};
-use crate::BadInput;
 use murmurate::graph::process::{Graph, ProcessEvent};
 use murmurate::messages::ids::HostId;
 use murmurate::report::episode::Episode;
@@ -19,6 +17,8 @@ use murmurate_record::series::{self, Retention};
 use murmurate_record::topics::{Stage, Topics};
 use murmurate_record::writer::Recording;
 use murmurate_record::{Event, Scope};
+use murmurate_robot::BadInput;
+use murmurate_robot::recording::{RecordFlags, arguments, attach, make};
 
 /// Records of the simulated trials of a command (`sim` or `study`): one file or series of files for each trial, in one
 /// folder.
@@ -65,8 +65,10 @@ impl Simulated {
             let why = format!("--record: '{}' is there already; name another folder", path.display());
             return Err(BadInput(why).into());
         }
-        let beginning =
-            Beginning { identity: Identity::here(crate::build::digest(), arguments(), ""), attached: attach(files)? };
+        let beginning = Beginning {
+            identity: Identity::here(murmurate_robot::build::digest(), arguments(), ""),
+            attached: attach(files)?,
+        };
         Ok(Some(Simulated { folder: folder.to_owned(), beginning, retention, failure: Mutex::default() }))
     }
 

@@ -1,0 +1,7 @@
+//! The program of a robot: its commands, and nothing else.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    murmurate_robot::main::<murmurate_robot::Command>(&murmurate_robot::registry())
+}
