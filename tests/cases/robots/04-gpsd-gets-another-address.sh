@@ -9,7 +9,6 @@ ip link set lo up || fail "network namespaces need root and ip"
 at() { printf '127.0.0.1 localhost\n%s receiver\n' "$1" >"$CASE_WORK/hosts"; }
 at 127.0.1.1
 mount --bind "$CASE_WORK/hosts" /etc/hosts || fail "a mount needs root"
-listens() { for _ in $(seq 100); do (echo >"/dev/tcp/$1/$port") 2>/dev/null && return; sleep 0.05; done; }
 
 gpsd_team $port 'heading = "none"'
 sed -i "s/address = \"127.0.0.1:/address = \"receiver:/" team.toml
