@@ -8,6 +8,7 @@
 
 mod drawing;
 mod foxglove;
+mod parts;
 mod protobuf;
 mod schemas;
 
