@@ -1,5 +1,5 @@
-//! Opening of files that a user or a record has named: regular files only. A pipe would wait for its writer, and a
-//! device may have no end.
+//! Opening of files that a user or a record has named, regular files only, and the names in a folder. A pipe would wait
+//! for its writer, and a device may have no end.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, ErrorKind, Read};
@@ -29,6 +29,14 @@ pub fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
         return Err(io::Error::new(ErrorKind::FileTooLarge, why));
     }
     Ok(bytes)
+}
+
+/// Returns the names of what is in the folder `path`, in order. Names that are not UTF-8 are left out.
+pub fn names(path: &Path) -> io::Result<Vec<String>> {
+    let entries = path.read_dir()?;
+    let mut names: Vec<String> = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok()).collect();
+    names.sort_unstable();
+    Ok(names)
 }
 
 #[cfg(test)]

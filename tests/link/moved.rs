@@ -2,8 +2,9 @@
 
 use std::net::SocketAddr;
 
-use crate::rig::{Rig, config, is_data, key, latent};
+use crate::rig::{Rig, config, is_data, is_report, key, latent};
 use murmurate::messages::ids::HostId;
+use murmurate::net::protocol::key::Key;
 use murmurate::net::protocol::link::{Guest, Standing};
 use murmurate::net::protocol::reliability::{Reliabilities, Setup};
 
@@ -22,12 +23,38 @@ fn pair() -> Rig {
 
 /// Both hosts send data twenty times a second for this long.
 fn talk(rig: &mut Rig, ms: u64) {
+    talk_of(rig, &[0, 1], ms);
+}
+
+/// These hosts send data twenty times a second for this long.
+fn talk_of(rig: &mut Rig, hosts: &[usize], ms: u64) {
     for step in 0..ms / 50 {
-        for host in 0..2 {
+        for &host in hosts {
             rig.publish(host, latent(host as u16, step as u32));
         }
         rig.run_ms(50);
     }
+}
+
+/// Starts host `first` of two on a unicast link, and the other 3 s later. Host 0 is at another address than the team
+/// file says. `talking` hosts send data once they run. Returns whether each receives from the other within a second.
+fn start(key: Option<&Key>, first: usize, talking: &[usize], loss: f64) -> [bool; 2] {
+    let of = |host: usize, run| config(host as u16, 2, run, key.cloned(), Setup::unicast(Reliabilities::new()));
+    let mut rig = Rig::new((0..2).map(|host| of(host, 1)));
+    rig.configured = Some(vec![at(1), at(2)]);
+    rig.addresses = vec![Some(at(9)), Some(at(2))];
+    rig.loss = loss;
+    let second = 1 - first;
+    // Until the other one starts, nothing arrives from it, and nothing at it.
+    rig.down = Some(second);
+    let alone: Vec<usize> = talking.iter().copied().filter(|host| *host == first).collect();
+    talk_of(&mut rig, &alone, 3000);
+    rig.down = None;
+    rig.restart(second, of(second, 2));
+    talk_of(&mut rig, talking, 1000);
+    rig.delivered.iter_mut().for_each(Vec::clear);
+    talk(&mut rig, 500);
+    [0, 1].map(|host| !rig.delivered[host].is_empty())
 }
 
 /// Returns how host 1 was told that host 0 is at this address.
@@ -61,6 +88,20 @@ fn a_host_that_has_moved_is_sent_data_once_it_proves_its_liveness_from_there() {
 }
 
 #[test]
+fn a_host_that_starts_elsewhere_is_found_whoever_starts_first_and_whoever_sends_data() {
+    for key in [Some(key()), None] {
+        for first in [0, 1] {
+            for talking in [&[][..], &[0], &[1], &[0, 1]] {
+                for loss in [0.0, 0.1] {
+                    let found = start(key.as_ref(), first, talking, loss);
+                    assert_eq!(found, [true; 2], "host {first} first, data of {talking:?}, loss {loss}, {key:?}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
 fn a_recording_from_another_address_redirects_nothing() {
     let mut rig = pair();
     rig.blocked = Some((0, 1, |_| true));
@@ -71,4 +112,29 @@ fn a_recording_from_another_address_redirects_nothing() {
     talk(&mut rig, 3000);
     assert!(told(&rig, at(66)).iter().all(|standing| *standing == Standing::Candidate), "{:?}", told(&rig, at(66)));
     assert!(told(&rig, at(1)).contains(&Standing::Accepted));
+}
+
+#[test]
+fn a_recorded_run_from_another_address_redirects_nothing_and_costs_four_reports_a_second() {
+    let mut recorded = pair();
+    talk(&mut recorded, 3000);
+    let run: Vec<_> =
+        recorded.sent.iter().filter(|flight| flight.from == 0).map(|flight| flight.frame.clone()).collect();
+    let setup = Setup::unicast(Reliabilities::new());
+    let mut rig = Rig::new((0..2).map(|host| config(host, 2, 2, Some(key()), setup.clone())));
+    (rig.configured, rig.addresses) = (Some(vec![at(1), at(2)]), vec![Some(at(1)), Some(at(2))]);
+    rig.down = Some(0);
+    // With stamps of its own.
+    rig.restart(1, config(1, 2, 2, Some(key()), setup));
+    talk_of(&mut rig, &[1], 1000);
+    let before = rig.sent.len();
+    for frame in &run {
+        rig.arrive_from(1, frame, Some(at(66)));
+        talk_of(&mut rig, &[1], 50);
+    }
+    let heard = told(&rig, at(66));
+    assert!(!heard.is_empty() && heard.iter().all(|standing| *standing == Standing::Candidate), "{heard:?}");
+    let reports = rig.sent[before..].iter().filter(|flight| flight.from == 1 && is_report(&flight.frame)).count();
+    let most = run.len() * 50 / 250 + 1;
+    assert!((1..=most).contains(&reports), "{reports} datagrams of reports alone, at most {most}");
 }

@@ -13,7 +13,7 @@ use murmurate::messages::wire::{Features, Heartbeat, Kind, Latent, Phase, Round,
 use murmurate::net::protocol::codec::TAG_BYTES;
 use murmurate::net::protocol::codec::{self, Content, Frame};
 use murmurate::net::protocol::key::Key;
-use murmurate::net::protocol::link::{DuplicateId, Guest, LinkCounts};
+use murmurate::net::protocol::link::{DuplicateId, Guest, LinkCounts, Standing};
 use murmurate::net::protocol::reliability::{Reliabilities, Setup};
 use murmurate::net::protocol::report::Report;
 use murmurate::net::protocol::router::{Audience, Route, Router};
@@ -118,8 +118,13 @@ pub struct Rig {
     pub relay: Option<(usize, bool)>,
     /// Source address of each host; none without one.
     pub addresses: Vec<Option<SocketAddr>>,
+    /// Addresses of the hosts in the team file. With them, datagrams go where the transport of a unicast link sends
+    /// them; otherwise they reach their hosts wherever these are.
+    pub configured: Option<Vec<SocketAddr>>,
     /// Which datagrams from the first of two hosts to the second are lost.
     pub blocked: Option<Blocked>,
+    /// Host that does not run: nothing leaves or reaches it.
+    pub down: Option<usize>,
     flying: BTreeMap<(Time, u64), (usize, usize, Frame)>,
     /// Wake-up times of the hosts.
     wakes: BTreeSet<(Time, usize)>,
@@ -156,7 +161,9 @@ impl Rig {
             jitter: Span::ZERO,
             relay: None,
             addresses: vec![None; count],
+            configured: None,
             blocked: None,
+            down: None,
             flying: BTreeMap::new(),
             count: 0,
             stream: Seed::of_run(5).stream("pipe"),
@@ -192,8 +199,14 @@ impl Rig {
                     for to in 0..self.networks.len() {
                         let meant = audience == Audience::All || audience == Audience::Host(self.ids[to]);
                         let blocked = |(from, at, lost): Blocked| (from, at) == (host, to) && lost(&frame);
-                        let blocked = self.blocked.is_some_and(blocked);
-                        if to != host && meant && !blocked && !self.stream.random_bool(self.loss) {
+                        let blocked = self.blocked.is_some_and(blocked)
+                            || self.down.is_some_and(|down| down == host || down == to);
+                        if to != host
+                            && meant
+                            && !blocked
+                            && self.is_sent_to(host, to, &frame)
+                            && !self.stream.random_bool(self.loss)
+                        {
                             let jitter = match self.jitter.as_nanos() {
                                 0 => Span::ZERO,
                                 most => Span::from_nanos(self.stream.random_range(0..most)),
@@ -205,6 +218,16 @@ impl Rig {
                 }
             }
         }
+    }
+
+    /// Whether the transport of the host `from` sends a datagram to where the host `to` is: to the address from which
+    /// it was last accepted, or else to that of the team file; reports also to all from which it was a candidate.
+    fn is_sent_to(&self, from: usize, to: usize, frame: &[u8]) -> bool {
+        let (Some(configured), Some(is)) = (&self.configured, self.addresses[to]) else { return true };
+        let told = || self.admitted[from].iter().filter(|guest| guest.host == self.ids[to]);
+        let accepted = told().rfind(|guest| guest.standing == Standing::Accepted);
+        accepted.map_or(configured[to], |guest| guest.at) == is
+            || (is_report(frame) && told().any(|guest| guest.at == is))
     }
 
     fn plan(&mut self, host: usize) {
@@ -280,6 +303,7 @@ impl Rig {
         self.runs += 1;
         self.ids[host] = config.me.host;
         self.networks[host] = network_of_run(config, self.runs);
+        self.admitted[host].clear();
         self.plan(host);
     }
 
@@ -298,4 +322,9 @@ pub fn is_held(frame: &[u8]) -> bool {
 /// Whether a datagram holds data, and not only soft state.
 pub fn is_data(frame: &[u8]) -> bool {
     matches!(codec::first(frame), Ok(Content::Message(kind)) if !matches!(kind, Kind::Heartbeat | Kind::Mode))
+}
+
+/// Whether a datagram holds a link report and nothing before it, so that candidates get it.
+pub fn is_report(frame: &[u8]) -> bool {
+    matches!(codec::first(frame), Ok(Content::Report | Content::NumberedReport))
 }

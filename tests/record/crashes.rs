@@ -121,3 +121,73 @@ fn a_launch_whose_records_do_not_fit_on_the_disk_prints_all_results_and_names_th
     }
     assert!(cut >= 1 && gone <= cut, "{cut} are cut, and it is said {gone} times: {said}");
 }
+
+/// Runs two episodes of a team with records on a file system of its own, which the kernel then makes read-only, as it
+/// does after an error of a disk, and one more. Prints what `launch` prints, and ends with its exit code.
+const READ_ONLY: &str = r#"
+    mount -o loop,errors=remount-ro image disk || { echo "no file system can be mounted here" >&2; exit 77; }
+    name=$(losetup --noheadings --output NAME --associated image)
+    fault=/sys/fs/ext4/${name##*/}/trigger_fs_error
+    [ -w "$fault" ] || { echo "no fault can be made here" >&2; exit 77; }
+    mkfifo said
+    "$0" launch team.toml --interface lo --json --record disk/runs >results 2>said &
+    while read -r line; do
+        printf '%s\n' "$line" >&2
+        case $line in
+        *"episode 2"*) echo here >"$fault"; : >disk/probe && echo "the disk can be written" >&2 ;;
+        esac
+    done <said
+    wait $!
+    code=$?
+    cp -r disk/runs kept
+    cat results
+    exit $code
+"#;
+
+#[test]
+fn a_disk_that_becomes_read_only_in_mid_run_ends_the_records_and_not_the_run() {
+    let folder = TempDir::new().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    std::fs::create_dir(path("disk")).unwrap();
+    std::fs::write(path("team.toml"), "team = 815\nmode = \"centralized\"\nrobots = 2\nepisodes = 3\n").unwrap();
+    std::fs::File::create(path("image")).unwrap().set_len(16 << 20).unwrap();
+    let made = std::process::Command::new("mkfs.ext4").args(["-q", "-m", "0"]).arg(path("image")).output();
+    let is_root = nix::unistd::geteuid().is_root();
+    if !is_root || !made.is_ok_and(|made| made.status.success()) {
+        return eprintln!("skipped: a disk that becomes read-only needs root and mkfs.ext4");
+    }
+    let program = murmurate(&[]).get_program().to_owned();
+    let mut command = std::process::Command::new("unshare");
+    command.args(["--mount", "bash", "-c", READ_ONLY]).arg(program).current_dir(folder.path());
+    let output = command.env_remove("MURMURATE_LOG").stdin(std::process::Stdio::null()).output().expect("it starts");
+    let said = text(&output.stderr);
+    if output.status.code() == Some(77) {
+        return eprintln!("skipped: {said}");
+    }
+    // The run goes on to its end, says at the moment what has happened to which file, and again at the end.
+    assert!(!said.contains("the disk can be written"), "{said}");
+    let results: serde_json::Value = serde_json::from_slice(&output.stdout).expect("the results");
+    assert_eq!((&results["episodes"], &results["interrupted"]), (&3.into(), &false.into()), "{results} {said}");
+    let (before, after) = said.split_once("episode 3").expect("the last episode has a result");
+    let at_once = before.lines().find(|line| line.contains("can no longer be written")).expect("it is said at once");
+    assert!(at_once.contains("Read-only file system") && at_once.contains("disk/runs/"), "{at_once}");
+    let last = after.lines().last().expect("an error");
+    assert!(last.starts_with("error: every episode has a result") && last.contains("Read-only"), "{last}");
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    // What was recorded until then is read, named as cut, and runs again.
+    let kept = path("kept");
+    for record in records(&kept) {
+        let reader = Reader::open(&record).expect("it has a beginning");
+        let health = reader.health();
+        assert!(health.faults.is_empty() && health.cut.is_some() && !health.nothing, "{health:?}");
+    }
+    let info: serde_json::Value =
+        serde_json::from_slice(&run(&["record", "info", "--json", kept.to_str().unwrap()]).stdout).expect("a table");
+    let all = info["records"].as_array().expect("records");
+    assert!(!all.is_empty() && all.iter().all(|one| one["duration_s"].as_f64().unwrap() > 2.0), "{info}");
+    let verdicts: u64 =
+        all.iter().flat_map(|one| one["verdicts"].as_object().unwrap().values()).map(|n| n.as_u64().unwrap()).sum();
+    assert!(verdicts >= 1, "the first episode is in it: {info}");
+    let replayed = run(&["replay", kept.to_str().unwrap()]);
+    assert!(replayed.status.success() && text(&replayed.stdout).contains("equal, "), "{replayed:?}");
+}

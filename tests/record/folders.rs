@@ -149,6 +149,44 @@ fn files_of_other_programs_without_checksums_are_whole_and_unchecked() {
     assert!(code == 0 && out.contains("whole, unchecked"), "{out}");
 }
 
+#[test]
+fn messages_that_only_the_checksum_of_the_file_covers_are_not_used_if_it_is_wrong() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("theirs.mcap");
+    for in_chunks in [true, false] {
+        let options = WriteOptions::new().compression(None).use_chunks(in_chunks);
+        let mut writer = options.create(std::fs::File::create(&path).unwrap()).unwrap();
+        let channel_id = writer.add_channel(0, "/a", "json", &BTreeMap::new()).unwrap();
+        for sequence in 0..50 {
+            let header = MessageHeader { channel_id, sequence, log_time: 9, publish_time: 9 };
+            writer.write_to_known_channel(&header, b"{\"number\":40}").unwrap();
+        }
+        writer.finish().unwrap();
+        let mut bytes = std::fs::read(&path).unwrap();
+        let (mut at, mut chunks) = (8, 0);
+        while bytes[at] != 0x0F {
+            if bytes[at] == 6 {
+                bytes[at + 33..at + 37].fill(0);
+                chunks += 1;
+            }
+            at += 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
+        }
+        assert_eq!(chunks > 0, in_chunks);
+        let crc = crc32fast::hash(&bytes[..at]);
+        bytes[at + 9..at + 13].copy_from_slice(&crc.to_le_bytes());
+        std::fs::write(&path, bytes).unwrap();
+        let (code, out, _) = said(&["record", "info", path.to_str().unwrap()]);
+        assert!(code == 0 && out.contains("whole\n") && out.contains("50  /a"), "{out}");
+        let mut bytes = std::fs::read(&path).unwrap();
+        let at = bytes.windows(3).position(|window| window == b":40").unwrap() + 1;
+        bytes[at] ^= 1;
+        std::fs::write(&path, bytes).unwrap();
+        let (code, out, _) = said(&["record", "info", path.to_str().unwrap()]);
+        assert!(code == 1 && out.contains("DAMAGED") && !out.contains("/a"), "{out}");
+        assert!(out.contains("messages that have none of their own"), "{out}");
+    }
+}
+
 /// The same record with its chunks compressed, each as one frame.
 fn compressed(from: &Path, to: &Path, kind: &str) {
     let bytes = std::fs::read(from).unwrap();

@@ -98,11 +98,12 @@ fn hosts_of_a_team_with_a_key_run_again_to_the_bit_and_each_change_is_noticed() 
     }
     edit(&agent, &changed, |_| {});
     assert_eq!(replayed(&changed, &with_key).0, 0, "a copy is equal");
-    shares(&agent, &key, &changed);
+    let shared = folder.path().join("shared.mcap");
+    shares(&agent, &key, &shared);
     shares_a_folder(&records_of, &key, folder.path());
     differs_with_another_policy(&agent, &key, folder.path());
     std::fs::remove_file(&key).unwrap();
-    assert_eq!(replayed(&changed, &[]).0, 0, "a shared copy needs no key");
+    assert_eq!(replayed(&shared, &[]).0, 0, "a shared copy needs no key");
     refuses(&["replay", "--host", agent.to_str().unwrap()], &["a team with a key", "--key-file"]);
 }
 
@@ -143,7 +144,46 @@ fn shares_a_folder(records_of: &Path, key: &Path, folder: &Path) {
     std::fs::remove_file(&empty).unwrap();
     let (status, said) = replayed(&copies, &[]);
     assert_eq!((status, said.matches("equal, ").count()), (0, 4), "{said}");
-    refuses(&["record", "share", from, "--key-file", key, "-o", from], &["another folder"]);
+    shares_into_no_place_that_is_taken((records_of, &copies), (from, key), &folder.join("link"));
+}
+
+/// Checks that copies go neither beside nor into the records, by whatever name, and that nothing is overwritten.
+fn shares_into_no_place_that_is_taken((records_of, copies): (&Path, &Path), (from, key): (&str, &str), link: &Path) {
+    let content = |folder: &Path| -> Vec<_> {
+        records(folder)
+            .into_iter()
+            .map(|path| std::fs::read(&path).map(|bytes| (path, bytes)).expect("a file"))
+            .collect()
+    };
+    let (before, shared) = (content(records_of), content(copies));
+    std::os::unix::fs::symlink(records_of, link).expect("a link can be made");
+    let name = records_of.file_name().expect("it has a name");
+    let inside = [
+        records_of.to_owned(),
+        records_of.join("copies"),
+        records_of.join("a/b"),
+        records_of.join("..").join(name).join("c"),
+        copies.join("none/../..").join(name).join("d"),
+        link.join("e"),
+    ];
+    for to in inside {
+        refuses(&["record", "share", from, "--key-file", key, "-o", to.to_str().unwrap()], &["another folder"]);
+    }
+    // One that is there already is named, and none of the others is written beside it.
+    let half = copies.with_extension("half");
+    std::fs::create_dir(&half).unwrap();
+    let last = before.last().expect("there are records").0.file_name().unwrap();
+    write(half.join(last), "mine").unwrap();
+    let named = [last.to_str().unwrap(), "there already"];
+    refuses(&["record", "share", from, "--key-file", key, "-o", half.to_str().unwrap()], &named);
+    assert_eq!(content(&half), [(half.join(last), b"mine".to_vec())]);
+    // A single one, too, above all the record itself.
+    let one = before[0].0.to_str().unwrap();
+    for to in [one, half.join(last).to_str().unwrap()] {
+        refuses(&["record", "share", one, "--key-file", key, "-o", to], &["there already"]);
+    }
+    refuses(&["record", "merge", from, "-o", one], &["is one of the records"]);
+    assert!(content(records_of) == before && content(copies) == shared, "nothing has changed");
 }
 
 fn differs_with_another_policy(agent: &Path, key: &Path, folder: &Path) {

@@ -54,6 +54,54 @@ fn a_record_in_parts_replays_as_one() {
 }
 
 #[test]
+fn a_record_of_which_a_file_is_absent_or_of_something_else_is_damaged_and_the_rest_is_read() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let parts = sim(&folder.path().join("parts"), &["--record-size", "1"]);
+    assert!(names(&parts).len() >= 3);
+    let (first, second) = (parts.join("repeat-0000.mcap"), parts.join("repeat-0000.1.mcap"));
+    let read = || {
+        let mut record = reader::Reader::open(&first).expect("it is a record");
+        let mut count = 0;
+        while record.next_message().expect("it can be read").is_some() {
+            count += 1;
+        }
+        (count, record.gaps(), record.health().lines(0).join("; "))
+    };
+    let whole = read();
+    assert_eq!((whole.1, &*whole.2), (0, ""));
+    let original = std::fs::read(&second).expect("the second file");
+    let within = reader::Reader::open_one(&second).map(|mut file| {
+        let mut count = 0;
+        while file.next_message().expect("it can be read").is_some() {
+            count += 1;
+        }
+        count
+    });
+    let left = whole.0 - within.expect("it is a file of a record");
+    let third = std::fs::read(parts.join("repeat-0000.2.mcap")).expect("the third file");
+    let cases: [(Option<&[u8]>, &str); 4] = [
+        (None, "absent: 1"),
+        (Some(b"no record"), "it is no MCAP file"),
+        (Some(&third), "it is of another record"),
+        (Some(&[0; 5000]), "nothing but zeros"),
+    ];
+    for (bytes, named) in cases {
+        match bytes {
+            Some(bytes) => std::fs::write(&second, bytes).expect("it can be written"),
+            None => std::fs::remove_file(&second).expect("it was there"),
+        }
+        let (count, gaps, said) = read();
+        assert_eq!((count, gaps > 0 || named.contains("zeros")), (left, true), "{named}: {said}");
+        assert!(said.contains(named), "{named}: {said}");
+        let info = run(&["record", "info", parts.to_str().expect("a path in UTF-8")]);
+        let said = text(&info.stdout);
+        assert!(info.status.code() == Some(1) && !said.contains("whole"), "{named}: {said}");
+    }
+    std::fs::write(&second, original).expect("it can be written");
+    assert_eq!(read(), whole);
+}
+
+#[test]
 fn only_the_seconds_around_an_aborted_episode_are_kept() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let quiet = sim(&folder.path().join("quiet"), &["--record-last", "2"]);

@@ -10,6 +10,7 @@
 
 mod drawing;
 mod foxglove;
+mod parts;
 mod protobuf;
 mod schemas;
 

@@ -2,20 +2,19 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::rc::Rc;
 
 use super::health::Health;
 use super::identity::{Identity, METADATA};
+use super::parts::{self, Part};
 pub use super::read_error::{MAX_ATTACHED, ReadError};
 use super::reading::chunk::{self, Chunk};
 use super::reading::damage::Survey;
 pub use super::reading::element::{Channel, Schema};
 use super::reading::element::{HEAD, Map, Rest, attachment, message, op};
 use super::reading::source::{Seekable, Source};
-use super::reading::survey::{ATTACHMENT_HEAD, survey};
-use super::series::part_of;
-use murmurate::config::regular;
+use super::reading::survey::ATTACHMENT_HEAD;
 
 /// Message in the file of a record.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -62,13 +61,6 @@ pub enum Item {
     Message(Message),
 }
 
-/// One file of a record, and what is known of it.
-struct Part {
-    path: PathBuf,
-    source: Source,
-    survey: Survey,
-}
-
 /// Sequential reader of the files of a record, which may be damaged.
 pub struct Reader {
     /// Files of the record that are still to be read; the first is being read.
@@ -91,32 +83,17 @@ impl Reader {
     /// Opens an MCAP file and looks at all of it. If it is the first file of a record that has several, the reader goes
     /// on with the others.
     pub fn open(path: &Path) -> Result<Reader, ReadError> {
-        let mut parts = VecDeque::from([part(path)?]);
-        let run = parts[0].survey.metadata.iter().find(|(name, _)| name == METADATA);
-        let is = |field: &str, value: &str| {
-            run.is_some_and(|(_, values)| values.get(field).is_none_or(|found| found == value))
-        };
-        if is("excerpt", "false") && is("part", "0") {
-            let more = (1..).map(|number| part_of(path, number)).take_while(|path| path.exists());
-            for path in more {
-                match part(&path) {
-                    Ok(more) => parts.push_back(more),
-                    Err(ReadError::Strange { .. }) => {}
-                    Err(error) => return Err(error),
-                }
-            }
-        }
-        Ok(Reader::of_parts(parts))
+        Ok(Reader::of_parts(parts::of_record(path)?))
     }
 
     /// Opens one MCAP file, without others of its record.
     pub fn open_one(path: &Path) -> Result<Reader, ReadError> {
-        Ok(Reader::of_parts([part(path)?].into()))
+        Ok(Reader::of_parts([parts::one(path)?].into()))
     }
 
     /// Returns a reader of MCAP data in memory. `path` stands for the file in errors.
     pub fn of(path: &Path, source: impl Seekable + 'static) -> Result<Reader, ReadError> {
-        Ok(Reader::of_parts([surveyed(path, Source::new(source))?].into()))
+        Ok(Reader::of_parts([parts::surveyed(path, Source::new(source))?].into()))
     }
 
     fn of_parts(parts: VecDeque<Part>) -> Reader {
@@ -215,7 +192,8 @@ impl Reader {
                         continue;
                     }
                     let changed = |_| failed(std::io::Error::other("it has changed while it was read"));
-                    self.chunk = Some((chunk::open(bytes).map_err(changed)?, 0));
+                    let chunk = chunk::open(bytes).map_err(changed)?;
+                    self.chunk = Some((chunk, 0)).filter(|(chunk, _)| chunk.head.crc != 0 || !part.survey.skips_loose);
                 }
                 None => {
                     // The health of the present file is needed at the end, too.
@@ -309,17 +287,6 @@ fn owned(channels: &BTreeMap<u16, Rc<Channel>>, view: super::reading::element::M
     let channel = Rc::clone(channels.get(&view.channel)?);
     let (at, published, data) = (view.log_time, view.publish_time, view.data.to_vec());
     Some(Message { channel, sequence: view.sequence, at, published, data })
-}
-
-fn part(path: &Path) -> Result<Part, ReadError> {
-    surveyed(path, regular::open(path).and_then(Source::new))
-}
-
-fn surveyed(path: &Path, source: std::io::Result<Source>) -> Result<Part, ReadError> {
-    let failed = |error| ReadError::Open { path: path.to_owned(), error };
-    let mut source = source.map_err(failed)?;
-    let survey = survey(&mut source).map_err(failed)?.ok_or_else(|| ReadError::Strange { path: path.to_owned() })?;
-    Ok(Part { path: path.to_owned(), source, survey })
 }
 
 /// Record that was opened and read up to its first message.

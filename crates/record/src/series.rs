@@ -1,6 +1,7 @@
 //! Files of one record: a single file, several files limited in size, or excerpts of the seconds around triggers.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use mcap::McapError;
@@ -9,6 +10,7 @@ use super::Event;
 use super::file::{Beginning, RecordError, RecordFile, broken};
 use super::stage::Stage;
 use super::topics::Topic;
+use murmurate::config::regular;
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::{Kind, Wire};
 use murmurate::net::protocol::codec::{self, Content};
@@ -144,6 +146,23 @@ pub fn part_of(path: &Path, part: u32) -> PathBuf {
         0 => path.to_owned(),
         _ => path.with_extension(format!("{part}.mcap")),
     }
+}
+
+/// Returns the indices of those files after the first one, `path`, that are in its folder, in order.
+pub fn further_parts(path: &Path) -> Vec<u32> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let of_record = |name: &str| {
+        let (_, part) = name.strip_suffix(".mcap")?.rsplit_once('.')?;
+        let part = part.parse().ok().filter(|part| *part > 0)?;
+        (part_of(path, part).file_name() == Some(OsStr::new(name))).then_some(part)
+    };
+    // A folder may allow its files to be opened and not its names to be listed.
+    let Ok(names) = regular::names(folder) else {
+        return (1..).take_while(|part| part_of(path, *part).exists()).collect();
+    };
+    let mut parts: Vec<u32> = names.iter().filter_map(|name| of_record(name)).collect();
+    parts.sort_unstable();
+    parts
 }
 
 /// Returns the path of the first file of the record to which the file `path` belongs; `None` if `path` is a first file.

@@ -45,17 +45,16 @@ impl Recording {
             .name("record".to_owned())
             .spawn(move || {
                 let mut series = series;
-                let served = serve(&mut series, &outlet, topics, flush);
-                drop(outlet);
-                let ended = match served {
-                    Ok(()) => series.finish(),
-                    Err(error) => {
-                        series.salvage();
-                        Err(error)
-                    }
+                let fails = |error: &McapError| {
+                    *failed.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = Some(reason(error));
                 };
-                if let Err(error) = ended {
-                    *failed.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = Some(reason(&error));
+                let served = serve(&mut series, &outlet, topics, flush);
+                // Before the other end sees that nobody takes its events, as it then asks why.
+                served.as_ref().err().map(fails);
+                drop(outlet);
+                match served {
+                    Ok(()) => drop(series.finish().map_err(|error| fails(&error))),
+                    Err(_) => series.salvage(),
                 }
             })
             .map_err(|error| RecordError::Create { path: path.to_owned(), error })?;
@@ -67,10 +66,9 @@ impl Recording {
         Rc::clone(&self.inlet)
     }
 
-    /// Returns the reason why the record could not be written, the first time that it is called after the failure;
-    /// `None` otherwise.
+    /// Returns the reason why the record can no longer be written; `None` while it can.
     pub fn failure(&self) -> Option<RecordError> {
-        let reason = self.failure.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take()?;
+        let reason = self.failure.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).clone()?;
         Some(RecordError::Write { path: self.path.clone(), reason })
     }
 

@@ -56,6 +56,8 @@ impl Candidate {
 pub enum Novelty {
     /// The candidate is new, or the stamp is later than all before: the sender may be live and wait for an echo.
     New,
+    /// The same, and this host's reports have echoed a stamp of the candidate before: it may not receive them.
+    Unanswered,
     /// The stamp is not later than those before; the last later one arrived less than 2 s ago.
     Repeated,
     /// The stamp is not later than those before; the last later one arrived 2 s ago or more, so the sender may be a
@@ -86,7 +88,7 @@ impl Table {
         if let Some(known) = all.and_then(|all| all.iter_mut().find(same)) {
             if stamp.ahead_us(known.stamp) > 0 {
                 (known.stamp, known.at) = (stamp, now);
-                return Novelty::New;
+                return if known.echoed > 0 { Novelty::Unanswered } else { Novelty::New };
             }
             return if known.is_fresh(now) { Novelty::Repeated } else { Novelty::Expired };
         }
@@ -301,5 +303,16 @@ mod tests {
             [Novelty::New, Novelty::Repeated, Novelty::New, Novelty::Repeated]
         );
         assert_eq!(note(2 + FRESH.as_nanos() / 1_000_000, 9), Novelty::Expired);
+    }
+
+    #[test]
+    fn a_candidate_whose_stamps_advance_after_an_echo_has_not_answered_it() {
+        let mut all = none();
+        let note = |all: &mut Candidates, stamp| all.note(Time::ZERO, HostId(1), 1, Stamp::new(stamp));
+        assert_eq!([note(&mut all, 5), note(&mut all, 6)], [Novelty::New; 2]);
+        all.echoed(HostId(1), Stamp::new(6));
+        assert_eq!([note(&mut all, 6), note(&mut all, 7)], [Novelty::Repeated, Novelty::Unanswered]);
+        all.forget(HostId(1), 1);
+        assert_eq!(note(&mut all, 8), Novelty::New);
     }
 }

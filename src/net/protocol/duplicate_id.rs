@@ -4,6 +4,7 @@
 //! Each process lists the other in its link reports, with the other's stamp and its own uptime. So the later one learns
 //! of the earlier one within a few reports after its start.
 
+use super::counts::LinkCounts;
 use super::report::MAX_HELD_FOR;
 use crate::messages::ids::{HostId, LinkId};
 use crate::time::{Span, Time};
@@ -68,6 +69,20 @@ impl DuplicateIds {
     /// none was found.
     pub fn duplicate(&self) -> Option<DuplicateId> {
         self.duplicate
+    }
+}
+
+/// Counts a refused datagram of another incarnation of `host` than the accepted one, and logs it if both are alive:
+/// `times` is the number of such datagrams. With `None`, the accepted one may have died and this is its restart.
+#[cold]
+pub(super) fn refuse_another(host: HostId, times: Option<u64>, counts: &mut LinkCounts) {
+    let Some(times) = times else {
+        counts.unproven += 1;
+        return;
+    };
+    counts.duplicate_id += 1;
+    if times.is_power_of_two() {
+        tracing::error!("two live hosts have the id {} (noticed {times} times): stop one of them", host.0);
     }
 }
 

@@ -10,7 +10,7 @@ use super::candidates::{Candidates, Novelty};
 use super::codec::{Flags, Header};
 use super::congestion::Congestion;
 use super::counts::LinkCounts;
-use super::duplicate_id::DuplicateIds;
+use super::duplicate_id::{DuplicateIds, refuse_another};
 use super::gaps::Gaps;
 use super::limits::{FRESH, PROOF_VALIDITY, REPORT_VALIDITY, SILENT, SILENT_WITHOUT_KEY};
 use super::offset::Offsets;
@@ -32,6 +32,9 @@ pub enum Urgency {
     Regular,
     /// In the next datagram, whatever that is for.
     NextDatagram,
+    /// The same, and on a link that sends to single hosts also in a datagram of its own: the host that needs it may not
+    /// receive those with data.
+    OwnDatagram,
     /// At once, in a datagram of its own if need be.
     Immediate,
 }
@@ -242,8 +245,11 @@ impl Incoming {
         // gets no answer.
         let novelty = report.map(|report| self.candidates.note(now, header.sender, header.incarnation, report.stamp));
         match novelty {
-            Some(Novelty::New) if header.sender.is_operator() => Verdict::Candidate(Urgency::Immediate),
+            Some(Novelty::New | Novelty::Unanswered) if header.sender.is_operator() => {
+                Verdict::Candidate(Urgency::Immediate)
+            }
             Some(Novelty::New) => Verdict::Candidate(Urgency::NextDatagram),
+            Some(Novelty::Unanswered) => Verdict::Candidate(Urgency::OwnDatagram),
             Some(Novelty::Repeated) => Verdict::Candidate(Urgency::Regular),
             Some(Novelty::Expired) | None => Verdict::Refused,
         }
@@ -402,19 +408,5 @@ impl Incoming {
         let us = self.local.host;
         let candidates = self.candidates.newest().filter(move |(host, _)| *host != us && !self.senders.knows(*host));
         candidates.map(move |(host, candidate)| Peer::candidate(now, link, host, &candidate)).chain(accepted)
-    }
-}
-
-/// Counts a refused datagram of another incarnation of `host` than the accepted one, and logs it if both are alive:
-/// `times` is the number of such datagrams. With `None`, the accepted one may have died and this is its restart.
-#[cold]
-fn refuse_another(host: HostId, times: Option<u64>, counts: &mut LinkCounts) {
-    let Some(times) = times else {
-        counts.unproven += 1;
-        return;
-    };
-    counts.duplicate_id += 1;
-    if times.is_power_of_two() {
-        tracing::error!("two live hosts have the id {} (noticed {times} times): stop one of them", host.0);
     }
 }

@@ -55,6 +55,8 @@ pub struct Outgoing {
     report_due: Option<Time>,
     /// Whether another host waits for a report.
     report_pending: bool,
+    /// Whether the next report is due in a datagram of its own, even if others are appended to data before.
+    report_alone: bool,
     /// Time at which the pending urgent report is due, and time of the last one.
     urgent_due: Option<Time>,
     urgent_sent: Option<Time>,
@@ -84,6 +86,7 @@ impl Outgoing {
             report_sent: None,
             report_due,
             report_pending: false,
+            report_alone: false,
             urgent_due: None,
             urgent_sent: None,
             urgent_bucket: Bucket::full(Time::ZERO, &URGENT_RATE),
@@ -215,11 +218,13 @@ impl Outgoing {
             self.acks.add_to(bytes);
         }
         if audience == Audience::All && self.may_piggyback_report(now) {
-            let urgent = self.urgent_due;
+            let (urgent, regular) = (self.urgent_due, self.report_due);
             self.report(now, bytes, incoming, Occasion::Regular);
-            // On a link with unicast, candidates receive only separate reports and no data, so the urgent report stays
-            // due.
+            // On a link with unicast, candidates receive only separate reports and no data, so these reports stay due.
             self.urgent_due = urgent.filter(|_| !any);
+            if self.report_alone {
+                self.report_due = regular;
+            }
         }
     }
 
@@ -279,6 +284,7 @@ impl Outgoing {
             return;
         }
         self.report_pending = true;
+        self.report_alone |= urgency == Urgency::OwnDatagram && self.setup.is_addressed();
         let eager = self.setup.report_piggyback_age == Span::ZERO;
         if eager || urgency == Urgency::Immediate {
             let period = if eager { EAGER_PERIOD } else { URGENT_PERIOD };
@@ -389,6 +395,7 @@ impl Outgoing {
     ) {
         let mut bytes = codec::start(&self.header(Audience::All, 0));
         if self.report(now, &mut bytes, incoming, occasion) {
+            self.report_alone = false;
             self.send_alone(Audience::All, bytes, counts, out);
         }
     }

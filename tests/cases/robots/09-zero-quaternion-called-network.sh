@@ -5,14 +5,10 @@ source "$(dirname "$0")/lib_devices.sh"
 ip link set lo up && ip link set lo multicast on && ip route add 224.0.0.0/4 dev lo || fail "no namespace: is this root?"
 ros_team
 look() { # SCENE CODE WORD...
-    local scene=$1
-    shift
-    start lib_ros.py "$scene" /r0
+    start lib_ros.py "$1" /r0
     sleep 2
-    doctor --robot 0 --listen 4
-    stop_fakes
-    expect "$scene" "$@"
-    ! grep -q "no odometry is heard" <<<"$said" || fail "$scene: the network is blamed" "$said"
+    check "$1" --robot 0 4 "${@:2}"
+    ! grep -q "no odometry is heard" <<<"$said" || fail "$1: the network is blamed" "$said"
 }
 look zero 1 "robot 0, driver ros2" "/r0/odom: its orientation is all zero; correct its sender"
 look half 1 "robot 0, driver ros2" "/r0/odom" "its orientation is not a unit quaternion; correct its sender"

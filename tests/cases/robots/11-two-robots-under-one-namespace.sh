@@ -7,5 +7,4 @@ ros_team
 start lib_ros.py good /r0
 start lib_ros.py good /r0
 sleep 2
-doctor --robot 0 --listen 5
-expect "two robots" 1 "2 publishers of /r0/odom, 2 subscribers of /r0/cmd_vel: two robots have one namespace; both would be driven"
+check "two robots" --robot 0 5 1 "2 publishers of /r0/odom, 2 subscribers of /r0/cmd_vel: two robots have one namespace; both would be driven"

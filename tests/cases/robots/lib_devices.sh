@@ -107,25 +107,29 @@ expect() { # SCENE CODE WORD...
     for word in "$@"; do lines=$(grep -F -- "$word" <<<"$lines") || fail "$scene: no line says: $*" "$said"; done
 }
 
+# Runs doctor for a host beside the fakes, ends them, and looks at what it says.
+check() { # SCENE FLAG NUMBER SECONDS CODE WORD...
+    doctor "$2" "$3" --listen "$4"
+    stop_fakes
+    expect "$1" "${@:5}"
+}
+
+# Waits until a fake listens.
+listens() { # ADDRESS
+    for _ in $(seq 100); do (echo >"/dev/tcp/$1/$port") 2>/dev/null && break; sleep 0.05; done
+}
+
 # Plays a scene of the tracker to doctor, and looks at what it says.
 natnet() { # SCENE SECONDS CODE WORD...
-    local scene=$1 seconds=$2
-    shift 2
-    start lib_natnet.py "$scene" "$port" $((port + 1)) 239.255.92.7
-    doctor --host pc --listen "$seconds"
-    stop_fakes
-    expect "$scene" "$@"
+    start lib_natnet.py "$1" "$port" $((port + 1)) 239.255.92.7
+    check "$1" --host pc "${@:2}"
 }
 
 # Plays a scene of gpsd to doctor, and looks at what it says.
 gpsd() { # SCENE SECONDS CODE WORD...
-    local scene=$1 seconds=$2
-    shift 2
-    start lib_gpsd.py "$scene" "$port"
-    for _ in $(seq 100); do (echo >"/dev/tcp/127.0.0.1/$port") 2>/dev/null && break; sleep 0.05; done
-    doctor --robot 0 --listen "$seconds"
-    stop_fakes
-    expect "$scene" "$@"
+    start lib_gpsd.py "$1" "$port"
+    listens 127.0.0.1
+    check "$1" --robot 0 "${@:2}"
 }
 
 # Writes a team of one ROS robot with the namespace /r0, which is localized by its odometry.

@@ -1,4 +1,4 @@
-"""A gpsd that plays a scene to each client: lib_gpsd.py SCENE PORT
+"""A gpsd that plays a scene to each client: lib_gpsd.py SCENE PORT [ADDRESS]
 
 Reports have the fields of gpsd 3.25. The receiver stands at the origin of the teams of these cases.
 """
@@ -83,7 +83,7 @@ def serve(client):
 
 listener = socket.socket()
 listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-listener.bind(("127.0.0.1", port))
+listener.bind((sys.argv[3] if len(sys.argv) > 3 else "127.0.0.1", port))
 listener.listen(4)
 while True:
     threading.Thread(target=serve, args=(listener.accept()[0],), daemon=True).start()

@@ -42,6 +42,8 @@ struct Info {
     whole: bool,
     /// State of the record in words, such as `whole` or `cut`.
     state: String,
+    /// Whether a part of the record has no checksum that is right, so that damage to it is not noticed.
+    unchecked: bool,
     /// Damaged places of the record, with their times since its start.
     damaged: Vec<String>,
     /// Number of events that the record lacks, because they could not be written in time.
@@ -102,15 +104,17 @@ fn look(path: &Path) -> Result<Info> {
             note(&mut info, &message.data);
         }
     }
-    info.whole = health.is_whole();
+    (info.whole, info.unchecked) = (health.is_whole(), health.unchecked);
     info.state = match &health.cut {
         _ if health.nothing && health.bytes == 0 => "empty: nothing was written".to_owned(),
         _ if health.nothing => "empty: nothing was written but zeros".to_owned(),
         _ if !health.faults.is_empty() => "DAMAGED".to_owned(),
         Some(cut) => format!("cut, {}; 'record repair' gives it an end", cut.since(zero)),
-        None if health.unchecked => "whole, unchecked: parts of it have no checksum".to_owned(),
         None => "whole".to_owned(),
     };
+    if health.unchecked && !health.nothing {
+        info.state += ", unchecked: parts of it have no checksum";
+    }
     // The end of a file that is damaged and cut is one place more.
     let cut = health.cut.iter().filter(|_| !health.faults.is_empty());
     info.damaged = health.faults.iter().chain(cut).map(|fault| fault.since(zero)).collect();

@@ -39,6 +39,10 @@ pub fn run(args: &Args) -> Result<Ended> {
     let Chosen { records, left_out } = chosen::records(&args.records)?;
     let folder = args.output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let no_room = || format!("cannot write '{}'", args.output.display());
+    let place = args.output.canonicalize().ok();
+    if place.is_some() && records.iter().any(|(path, _)| path.canonicalize().ok() == place) {
+        return bad(format!("--output: '{}' is one of the records: name another file", args.output.display()));
+    }
     let mut fresh = Temporary::new_in(folder, 0o640).with_context(no_room)?;
     let Merge { parts, alignment, whole } = merge(records, fresh.seekable())?;
     fresh.sync().with_context(no_room)?;

@@ -1,7 +1,7 @@
 //! The command `murmurate record share`: copies records so that they can be replayed without the team's key.
 
 use std::io::BufWriter;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use anyhow::{Context, Result};
 
@@ -25,7 +25,8 @@ pub struct Args {
     /// File with the team's key
     #[arg(long, value_name = "FILE")]
     key_file: PathBuf,
-    /// The copy, which says which datagrams had a valid tag; for a folder, a folder of copies
+    /// The copy, which says which datagrams had a valid tag; for a folder, a folder of copies outside of it. Nothing is
+    /// overwritten
     #[arg(short, long, value_name = "FILE.mcap|DIR")]
     output: PathBuf,
 }
@@ -37,18 +38,27 @@ pub fn run(args: &Args) -> Result<Ended> {
     let key = Key::new(key::read(&args.key_file)?);
     let Chosen { records, left_out } = chosen::records(std::slice::from_ref(&args.record))?;
     let whole_folder = args.record.is_dir();
+    let output_of = |path: &Path| match whole_folder {
+        true => args.output.join(path.file_name().unwrap_or_default()),
+        false => args.output.clone(),
+    };
+    if whole_folder && real(&args.output).starts_with(real(&args.record)) {
+        let output = args.output.display();
+        return bad(format!(
+            "--output: '{output}' is in the folder of the records: name another folder, outside of it"
+        ));
+    }
+    let outputs = records.iter().map(|(path, _)| output_of(path));
+    if let Some(taken) = outputs.into_iter().find(|output| output.symlink_metadata().is_ok()) {
+        return bad(format!("--output: '{}' is there already: move it away, or name another", taken.display()));
+    }
     if whole_folder {
         let no_folder = || format!("cannot make the folder '{}'", args.output.display());
         std::fs::create_dir_all(&args.output).with_context(no_folder)?;
-        let same = |path: &Path| path.canonicalize().ok();
-        if same(&args.record) == same(&args.output) {
-            return bad("--output: name another folder than that of the records".to_owned());
-        }
     }
     let mut sound = !left_out;
     for (path, identity) in records {
-        let name = path.file_name().unwrap_or_default();
-        let output = if whole_folder { args.output.join(name) } else { args.output.clone() };
+        let output = output_of(&path);
         match one((&path, &identity), &key, &output, whole_folder) {
             Ok(whole) => sound &= whole,
             Err(error) if whole_folder && error.is::<BadInput>() => {
@@ -59,6 +69,20 @@ pub fn run(args: &Args) -> Result<Ended> {
         }
     }
     Ok(if sound { Ended::Done } else { Ended::Unfit })
+}
+
+/// Returns `path` without links, also if its last folders are not there yet.
+fn real(path: &Path) -> PathBuf {
+    let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    let known = whole.ancestors().find_map(|folder| Some((folder, folder.canonicalize().ok()?)));
+    let Some((folder, mut found)) = known else { return whole };
+    for part in whole.strip_prefix(folder).expect("it is one of its folders").components() {
+        match part {
+            Component::ParentDir => drop(found.pop()),
+            part => found.push(part),
+        }
+    }
+    found
 }
 
 /// Copies one record to `output`. One that was made without a key is only copied if `as_it_is`. Returns whether the

@@ -30,11 +30,10 @@ impl Surveyor<'_> {
             return Ok(false);
         }
         let stated = u32::from_le_bytes(self.source.bytes(from + length - 4, 4)?.try_into().expect("four bytes"));
-        if stated == 0 {
+        if stated == 0 && !self.ours {
             self.bare = true;
-            if self.source.bytes(from + length - 5, 1)? == [0] {
-                self.unproven.push(self.at..from + length);
-            }
+            let in_zeros = self.source.bytes(from + length - 5, 1)? == [0];
+            self.unproven.push((self.at..from + length, in_zeros));
             return Ok(true);
         }
         Ok(self.crc(from, from + length - 4)? == stated)

@@ -21,6 +21,8 @@ pub enum BadChunk {
     Compressed,
     /// Its checksum is wrong.
     Checksum,
+    /// It has no checksum, and should have one.
+    Unchecked,
     /// Its elements do not have the form of elements.
     Elements,
 }
@@ -35,6 +37,7 @@ impl std::fmt::Display for BadChunk {
             }
             BadChunk::Compressed => f.write_str("a chunk cannot be decompressed"),
             BadChunk::Checksum => f.write_str("a chunk's checksum is wrong"),
+            BadChunk::Unchecked => f.write_str("a chunk's checksum is absent"),
             BadChunk::Elements => f.write_str("a chunk's messages cannot be read"),
         }
     }

@@ -60,7 +60,8 @@ pub struct Survey {
     pub end: End,
     /// Whether a part of the file has no checksum.
     pub unchecked: bool,
-    /// Whether messages outside chunks are left out, because a checksum over all of them is wrong.
+    /// Whether messages that have no checksum of their own, in chunks without one and outside chunks, are left out,
+    /// because a checksum over all of them is wrong.
     pub skips_loose: bool,
     /// Places of the intact attachments, from opcode to checksum \[bytes\].
     pub attachments: Vec<Range<u64>>,
@@ -77,6 +78,30 @@ pub struct Survey {
 }
 
 impl Survey {
+    /// Returns what is known of a file of `length` bytes before any was read.
+    pub fn unread(length: u64) -> Survey {
+        Survey {
+            length,
+            intact: Vec::new(),
+            damage: Vec::new(),
+            end: End::Empty,
+            unchecked: false,
+            skips_loose: false,
+            attachments: Vec::new(),
+            last: None,
+            metadata: Vec::new(),
+            channels: BTreeMap::new(),
+            schemas: BTreeMap::new(),
+            profile: String::new(),
+        }
+    }
+
+    /// Returns the survey of a file of `length` bytes of which nothing can be used, for the reason `what`.
+    pub fn lost(length: u64, what: String) -> Survey {
+        let damage = vec![Damage { range: 0..length, what, times: (None, None), loss: Loss::Messages }];
+        Survey { damage, end: End::Marked, ..Survey::unread(length) }
+    }
+
     /// Whether the file has its end, nothing is damaged and nothing is lost.
     pub fn is_whole(&self) -> bool {
         self.end == End::Marked && self.damage.is_empty()

@@ -59,7 +59,8 @@ impl Surveyor<'_> {
         let (from, length) = (at + HEAD, end - at - HEAD);
         let begins = self.source.bytes(from, length.min(ATTACHMENT_HEAD))?;
         let likely = match opcode {
-            op::CHUNK => element::chunk(&begins, length).is_some_and(|head| length <= MAX_CHUNK && head.size > 0),
+            op::CHUNK => element::chunk(&begins, length)
+                .is_some_and(|head| length <= MAX_CHUNK && head.size > 0 && (head.crc != 0 || !self.ours)),
             op::ATTACHMENT => element::attachment(&begins, length).is_some(),
             op::METADATA => {
                 length <= begins.len() as u64 && element::metadata(&begins).is_some_and(|(n, _)| !n.is_empty())

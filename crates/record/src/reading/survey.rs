@@ -19,6 +19,8 @@ const MAX_DAMAGE: usize = 1000;
 const MAX_KEPT: usize = 1 << 24;
 /// Largest number of bytes at which an attachment's content may begin.
 pub const ATTACHMENT_HEAD: u64 = 1 << 14;
+/// Beginning of the name by which this program calls itself in the header of a file.
+const LIBRARY: &str = "murmurate ";
 /// How many times its own length of a file may be read in the search for intact elements.
 const SEARCHES: u64 = 8;
 
@@ -47,11 +49,15 @@ pub(super) struct Surveyor<'a> {
     pub(super) at: u64,
     /// Time of the last intact message \[ns\].
     pub(super) time: Option<u64>,
+    /// Whether this program has written the file: then nothing that can have a checksum is without one.
+    pub(super) ours: bool,
     /// Places that contradict others, which is damage only if a checksum says so.
     pub(super) suspects: Vec<Damage>,
-    /// Attached files that have no checksum and end in a zero. Where a disk has lost a file's end, and the checksum
-    /// with it, there are zeros.
-    pub(super) unproven: Vec<Range<u64>>,
+    /// Number of suspects that another program may have written as they are, so that they explain no wrong checksum.
+    pub(super) doubts: usize,
+    /// Attached files that have no checksum, and whether they end in a zero. Where a disk has lost a file's end, and
+    /// the checksum with it, there are zeros.
+    pub(super) unproven: Vec<(Range<u64>, bool)>,
     /// Messages of the last chunk by channel: time and place.
     pub(super) index: Option<BTreeMap<u16, Vec<(u64, u64)>>>,
     pub(super) used: BTreeSet<u16>,
@@ -59,6 +65,7 @@ pub(super) struct Surveyor<'a> {
     pub(super) chunks: BTreeMap<(u32, u64, u64, u64), Vec<Range<u64>>>,
     /// Channels and schemas outside chunks.
     pub(super) loose: Vec<(u8, Vec<u8>)>,
+    /// Whether there are messages whose only checksum is that of the file: outside chunks, or in chunks without one.
     pub(super) has_loose_messages: bool,
     /// Whether a chunk, an attachment or metadata has no checksum of its own.
     pub(super) bare: bool,
@@ -73,26 +80,14 @@ pub(super) struct Surveyor<'a> {
 impl Surveyor<'_> {
     fn new(source: &mut Source) -> Surveyor<'_> {
         let length = source.length();
-        let out = Survey {
-            length,
-            intact: Vec::new(),
-            damage: Vec::new(),
-            end: End::Empty,
-            unchecked: false,
-            skips_loose: false,
-            attachments: Vec::new(),
-            last: None,
-            metadata: Vec::new(),
-            channels: BTreeMap::new(),
-            schemas: BTreeMap::new(),
-            profile: String::new(),
-        };
         Surveyor {
             source,
-            out,
+            out: Survey::unread(length),
             at: 0,
             time: None,
+            ours: false,
             suspects: Vec::new(),
+            doubts: 0,
             unproven: Vec::new(),
             index: None,
             used: BTreeSet::new(),
@@ -243,11 +238,19 @@ impl Surveyor<'_> {
         if outside && element::chunk(&bytes, length).is_some() && self.is_intact_as(op::CHUNK, self.at, end)? {
             return damaged("the first byte of a chunk is wrong");
         }
+        // Behind a wrong length other bytes seem to be a message, and would take intact chunks along. This program
+        // writes all messages in chunks.
+        if outside && (self.ours || (!self.chunks.is_empty() && self.is_crossed(end)?)) {
+            return broken("no element of MCAP begins here");
+        }
         let fits = match opcode {
-            op::HEADER => element::header(&bytes).map(|(profile, _)| self.out.profile = profile.to_owned()),
+            op::HEADER => element::header(&bytes).map(|(profile, library)| {
+                self.out.profile = profile.to_owned();
+                self.ours = library.starts_with(LIBRARY) && self.at == 8;
+            }),
             op::SCHEMA | op::CHANNEL => {
                 if !element::is_definition(opcode, &bytes) {
-                    self.doubt(end, &bytes, length);
+                    self.doubt(end, form(&bytes, length));
                 }
                 self.keep(bytes.len()).then(|| self.loose.push((opcode, bytes)))
             }
@@ -291,22 +294,21 @@ impl Surveyor<'_> {
             return Ok(Step::Broken("the first byte of the mark of the end is wrong".to_owned()));
         }
         let begins = self.source.bytes(from, length.min(ATTACHMENT_HEAD))?;
-        self.doubt(end, &begins, length);
+        let form = form(&begins, length);
+        // With a wrong length, too, it would take intact ones along. This program writes no such elements.
+        if form.is_none() && (self.ours || self.is_crossed(end)?) {
+            return Ok(Step::Broken("no element of MCAP begins here".to_owned()));
+        }
+        self.doubt(end, form);
         Ok(Step::Intact(end))
     }
 
-    /// Notes that another element may have been where one of `length` bytes is, up to `end`, that begins with the bytes
-    /// `begins`. Of metadata and a header the form alone tells, and an element of another program may have it, too.
-    fn doubt(&mut self, end: u64, begins: &[u8], length: u64) {
-        let all = Some(begins).filter(|bytes| bytes.len() as u64 == length);
-        let (what, loss) = if all.and_then(element::metadata).is_some() {
-            ("metadata may have been here", Loss::Other)
-        } else if all.and_then(element::header).is_some() {
-            ("the header of the file may have been here", Loss::Nothing)
-        } else {
-            ("an element of no known kind is where another may have been", Loss::Messages)
-        };
+    /// Notes that another element, perhaps of the form `form`, may have been where one is up to `end`.
+    fn doubt(&mut self, end: u64, form: Option<(&str, Loss)>) {
+        let unknown = ("an element of no known kind is where another may have been", Loss::Messages);
+        let (what, loss) = form.unwrap_or(unknown);
         self.suspect(end, what, loss);
+        self.doubts += usize::from(!self.ours);
     }
 
     pub(super) fn keep(&mut self, bytes: usize) -> bool {
@@ -327,13 +329,13 @@ impl Surveyor<'_> {
         let (from, length) = (self.at + HEAD, end - self.at - HEAD);
         let opened =
             if length > MAX_CHUNK { Err(chunk::BadChunk::Long) } else { chunk::open(self.source.bytes(from, length)?) };
+        let opened = opened.and_then(|chunk| self.note_checksum(&chunk).map(|()| chunk));
         let taken = opened.and_then(|chunk| self.take(&chunk).map(|()| chunk));
         let chunk = match taken {
             Ok(chunk) => chunk,
             Err(chunk::BadChunk::Head) => return Ok(Step::Broken(chunk::BadChunk::Head.to_string())),
             Err(why) => return Ok(Step::Damaged(end, why.to_string(), Loss::Messages)),
         };
-        self.bare |= chunk.head.crc == 0 && !chunk.elements.is_empty();
         let (first, last) = chunk.span();
         if (chunk.head.first, chunk.head.last) != (first, last) {
             self.suspect(from + chunk.head.at, "the times in a chunk's beginning are wrong", Loss::Nothing);
@@ -346,6 +348,20 @@ impl Surveyor<'_> {
             self.chunks.entry(key).or_default().push(self.at..end);
         }
         Ok(Step::Intact(end))
+    }
+
+    /// Notes whether a chunk has no checksum. Fails if it should have one, which a hole in the file may have taken.
+    fn note_checksum(&mut self, chunk: &Chunk) -> Result<(), chunk::BadChunk> {
+        // This program does not compress: another one has made a copy.
+        self.ours &= chunk.head.compression.is_empty();
+        if chunk.head.crc != 0 || chunk.elements.is_empty() {
+            return Ok(());
+        }
+        if self.ours || !self.chunks.is_empty() {
+            return Err(chunk::BadChunk::Unchecked);
+        }
+        (self.bare, self.has_loose_messages) = (true, true);
+        Ok(())
     }
 
     /// Takes the definitions in a chunk, and where its messages are.
@@ -383,4 +399,14 @@ impl Surveyor<'_> {
             schema.map(|schema| self.out.schemas.entry(schema.id).or_insert(schema)).is_some()
         }
     }
+}
+
+/// Returns what an element of `length` bytes that begins with the bytes `begins` may have been, and what is lost then.
+/// Of metadata and a header the form alone tells, and an element of another program may have it, too.
+fn form(begins: &[u8], length: u64) -> Option<(&'static str, Loss)> {
+    let all = Some(begins).filter(|bytes| bytes.len() as u64 == length)?;
+    if element::metadata(all).is_some() {
+        return Some(("metadata may have been here", Loss::Other));
+    }
+    element::header(all).map(|_| ("the header of the file may have been here", Loss::Nothing))
 }

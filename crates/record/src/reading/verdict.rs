@@ -17,27 +17,33 @@ impl Surveyor<'_> {
     pub(super) fn ends(&mut self, to: u64, crc: u32) -> io::Result<()> {
         let mark = self.at;
         self.out.end = End::Marked;
-        let wrong = !self.out.damage.is_empty() || (crc != 0 && self.crc(0, mark)? != crc);
+        let absent = crc == 0 && self.ours;
+        let wrong = !self.out.damage.is_empty() || absent || (crc != 0 && self.crc(0, mark)? != crc);
+        let mut unexplained = false;
         if wrong {
+            unexplained = self.out.damage.is_empty() && self.suspects.len() == self.doubts;
             self.out.damage.append(&mut self.suspects);
             self.leave_out_unproven();
         }
-        let unexplained = wrong && self.out.damage.is_empty();
         let trusted = self.settle_metadata(unexplained)?;
+        // What is wrong may be the checksum, which is a part of the mark.
         if wrong && self.has_loose_messages {
             self.out.skips_loose = true;
-            self.damaged(0..mark, "a checksum over all messages outside chunks is wrong".to_owned(), Loss::Messages);
-        } else if wrong && self.out.damage.is_empty() {
+            let what = "a checksum over all messages that have none of their own is wrong".to_owned();
+            self.damaged(0..to, what, Loss::Messages);
+        } else if unexplained {
             let (of_metadata, loss) = if trusted { ("right", Loss::Nothing) } else { ("damaged", Loss::Other) };
-            let what = format!("a checksum is wrong: messages and files are right, the metadata are {of_metadata}");
-            self.damaged(0..mark, what, loss);
+            let is = if absent { "absent" } else { "wrong" };
+            let what = format!("a checksum is {is}: messages and files are right, the metadata are {of_metadata}");
+            self.damaged(0..to, what, loss);
         }
         if !wrong {
             self.define_loose();
         }
         self.proven = !wrong && crc != 0;
         self.out.damage.sort_by_key(|damage| damage.range.start);
-        self.out.unchecked = crc == 0 && (self.bare || self.has_loose_messages);
+        // Chunks may have checksums of their own; the header, and where messages are, have none.
+        self.out.unchecked = crc == 0 || (wrong && self.bare);
         self.summary(to)
     }
 
@@ -60,7 +66,8 @@ impl Surveyor<'_> {
                 let stated = u32::from_le_bytes(bytes[25..29].try_into().expect("four bytes"));
                 let begin = if number(9) == 0 { footer } else { number(9) };
                 let form = bytes[0] == op::FOOTER && number(1) == 20 && bytes[29..] == MAGIC && begin == from;
-                form && (stated == 0 || self.crc(from, footer + HEAD + 16)? == stated)
+                self.out.unchecked |= stated == 0;
+                form && (stated != 0 || !self.ours) && (stated == 0 || self.crc(from, footer + HEAD + 16)? == stated)
             }
         };
         if !fits {
@@ -127,26 +134,39 @@ impl Surveyor<'_> {
         Ok(!(unknown && unexplained))
     }
 
-    /// Leaves out the attached files of which only a checksum over all of the file could say that they are right.
+    /// Leaves out the attached files of which only a checksum over all of the file could say that they are right: it
+    /// is wrong, or it was cut off, and zeros at the end of a file may be what a disk has lost.
     fn leave_out_unproven(&mut self) {
-        let unproven = std::mem::take(&mut self.unproven);
-        let places: BTreeSet<u64> = unproven.iter().map(|range| range.start).collect();
-        self.out.attachments.retain(|known| !places.contains(&known.start));
-        for range in unproven {
-            let what = "an attached file ends in zeros and has no checksum".to_owned();
+        let cut = self.out.end != End::Marked;
+        let unproven = std::mem::take(&mut self.unproven).into_iter().filter(|(_, in_zeros)| *in_zeros || !cut);
+        for (range, _) in unproven {
+            self.out.attachments.retain(|known| known.start != range.start);
+            let what = "an attached file has no checksum, and nothing else says that it is right".to_owned();
             self.out.damage.push(Damage { range, what, times: (None, None), loss: Loss::Other });
         }
     }
 
     /// Leaves out chunks that are in the file twice, as on a disk that has mixed up its blocks: of two that one which
-    /// has damage beside it, or the later one.
+    /// is out of order, or has damage beside it, or the later one.
     fn leave_out_strays(&mut self) {
-        for places in std::mem::take(&mut self.chunks).into_values().filter(|places| places.len() > 1) {
+        let chunks = std::mem::take(&mut self.chunks);
+        // Place and times of the chunks that are in the file once.
+        let once = chunks.iter().filter(|(_, places)| places.len() == 1);
+        let mut once: Vec<(u64, u64, u64)> =
+            once.map(|((.., first, last), places)| (places[0].start, *first, *last)).collect();
+        once.sort_unstable();
+        for ((.., first, last), places) in chunks.into_iter().filter(|(_, places)| places.len() > 1) {
             let damage = &self.out.damage;
             let beside = |place: &Range<u64>| {
                 damage.iter().any(|damage| damage.range.end == place.start || damage.range.start == place.end)
             };
-            let kept = places.iter().position(|place| !beside(place)).unwrap_or(0);
+            let disorder = |place: &Range<u64>| {
+                let (before, after) = once.split_at(once.partition_point(|(start, ..)| *start < place.start));
+                let late = before.last().is_some_and(|(.., last)| *last > first);
+                usize::from(late) + usize::from(after.first().is_some_and(|(_, first, _)| *first < last))
+            };
+            let kept = (0..places.len()).min_by_key(|number| (disorder(&places[*number]), beside(&places[*number])));
+            let kept = kept.expect("there are several");
             for (_, stray) in places.into_iter().enumerate().filter(|(number, _)| *number != kept) {
                 let all = std::mem::take(&mut self.out.intact).into_iter();
                 let apart = |range: Range<u64>| {

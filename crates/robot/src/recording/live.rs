@@ -114,7 +114,11 @@ impl LiveRecord {
             None => self.inlet.turn(now),
         }
         if self.inlet.is_abandoned() && !self.failed.replace(true) {
-            tracing::error!("the record can no longer be written; this goes on without it");
+            let recording = self.recording.take();
+            let why = recording.as_ref().and_then(Recording::failure).map(|why| format!(": {why}"));
+            self.recording.set(recording);
+            let why = why.unwrap_or_default();
+            tracing::error!("the record can no longer be written, and this goes on without it{why}");
         }
     }
 
