@@ -9,6 +9,14 @@ check:
     cargo clippy --all-targets -- -D warnings
     cargo test --lib --test graph --test tidy
 
+# What a change in a room needs (CONTRIBUTING.md has the rooms)
+test room:
+    bash .ci/room {{room}}
+
+# A commit hook: format, and the house rules
+hook:
+    install -m 755 .ci/hook "$(git rev-parse --git-path hooks)/pre-commit"
+
 # Every file of the packages, with the first sentence of what it says of itself
 map:
     @for file in $(git ls-files 'src/*.rs' 'crates/*/src/*.rs'); do \

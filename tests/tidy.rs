@@ -432,7 +432,8 @@ fn texts(endings: &[&str]) -> Vec<(String, String)> {
     let mut found = Vec::new();
     let mut folders: Vec<PathBuf> =
         ["src", "crates", "tests", "benches", "examples", "docs"].map(|folder| root.join(folder)).to_vec();
-    let top = ["README.md", "ARCHITECTURE.md", "justfile"].map(|name| root.join(name));
+    let top =
+        ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md"].map(|name| root.join(name));
     let mut files: Vec<PathBuf> = top.to_vec();
     while let Some(folder) = folders.pop() {
         for entry in fs::read_dir(&folder).expect("a folder of the repository") {

@@ -88,7 +88,11 @@ fn folder(name: &str) -> Vec<Page> {
 
 /// The pages whose commands are to work: READMEs and `docs/` without the lab notes.
 fn pages() -> Vec<Page> {
-    ["README.md", "policies/README.md"].map(page).into_iter().chain(folder("docs")).collect()
+    ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md", "policies/README.md"]
+        .map(page)
+        .into_iter()
+        .chain(folder("docs"))
+        .collect()
 }
 
 /// A fenced block.
