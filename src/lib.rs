@@ -1,4 +1,4 @@
-//! Murmurate runs message-passing policies (graph neural networks first) on teams of robots: the same actor
+//! Murmurate runs message-passing policies (above all graph neural networks) on teams of robots: the same actor
 //! graph in one process under virtual time, in many processes, or on one host per robot.
 //!
 //! # The idea

@@ -42,7 +42,7 @@ fn every_example_is_valid_and_shows_all_its_values() {
         let output = run(&["config", "check", &copy.to_string_lossy()]);
         assert!(done(&output).contains("valid"), "{}", path.display());
         let err = text(&output.stderr);
-        assert_eq!(content.contains("key_file ="), err.is_empty(), "no key is said loudly: {err}");
+        assert_eq!(content.contains("key_file ="), err.is_empty(), "a team without a key is warned of: {err}");
         assert!(content.contains("docs/teams.md"), "{} points to the docs", path.display());
         names.push(path.file_stem().expect("a name").to_string_lossy().into_owned());
     }

@@ -235,7 +235,7 @@ impl Asked<'_> {
             }
         }
         if !silent.is_empty() {
-            why.push(format!("no word from robot {silent}: go and look at them"));
+            why.push(format!("no answer from robot {silent}: look at the robot"));
             why.extend(self.unheard(order));
         }
         let (bodies, controllers) = (
@@ -243,13 +243,13 @@ impl Asked<'_> {
             names(&unconfirmed, &[Unconfirmed::Controller]),
         );
         if !bodies.is_empty() && self.kind == OrderKind::Stop {
-            why.push(format!("the motors of robot {bodies} have not confirmed: go and look at them"));
+            why.push(format!("the motors of robot {bodies} have not confirmed: look at the robot"));
         }
         if !controllers.is_empty() && self.kind == OrderKind::Stop {
             why.push(format!("robot {controllers} stands, but its controller has not confirmed"));
         }
         if self.kind != OrderKind::Stop && order.leading().is_none() {
-            why.push("no word from the state server: is its host running?".to_owned());
+            why.push("no answer from the state server: is its host running?".to_owned());
         }
         if why.is_empty() {
             why.push(format!(

@@ -129,7 +129,7 @@ pub struct Ppo {
     /// linearly.
     pub log_std_max: [f32; 2],
     /// Weight in the policy's loss of the squares of the parts of its means beyond `policy.limit_m_s` \[s²/m²\].
-    /// It keeps the means where drawn actions differ in the speed that robots are commanded.
+    /// It keeps the means within the limit, where different actions lead to different speeds.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub overshoot: f32,
 }

@@ -78,10 +78,10 @@ impl Orders {
                     order.unconfirmed().iter().take(8).map(|(robot, _)| robot.0.to_string()).collect();
                 let missing = match robots.len() {
                     _ if order.is_superseded() => "overtaken by a later stop, re-arm or resume".to_owned(),
-                    0 => "no word from the state server".to_owned(),
+                    0 => "no answer from the state server".to_owned(),
                     _ => format!("robots {} have not confirmed", robots.join(", ")),
                 };
-                self.result = Some(format!("{}: {missing}; try again, or go and look at them", word(*kind)));
+                self.result = Some(format!("{}: {missing}; try again, or look at the robots", word(*kind)));
             }
             self.running = None;
             return None;
