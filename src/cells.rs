@@ -7,7 +7,7 @@
 use crate::messages::geometry::Vec2;
 
 /// Largest number of points for which a search through all of them is faster than a query of the grid [`Cells`].
-pub const LINEAR_SEARCH_MAX: usize = 32;
+pub(crate) const LINEAR_SEARCH_MAX: usize = 32;
 
 /// Smallest side of a cell \[m\].
 const MIN_CELL_M: f64 = 1e-3;

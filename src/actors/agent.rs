@@ -21,11 +21,11 @@ use crate::scenario::{Dynamics, Observation, Scenario};
 use crate::time::{Span, Time};
 
 /// Largest distance between a robot and its start at which the robot counts as ready for the episode \[m\].
-pub const START_M: f32 = 0.05;
+pub(crate) const START_M: f32 = 0.05;
 
 /// Time from the start of a round (reset or episode) during which an Agent reports no robot as arrived, because its
 /// percept may still come from the round before.
-pub const SETTLING: Span = Span::from_millis(300);
+pub(crate) const SETTLING: Span = Span::from_millis(300);
 
 /// Input message of an Agent, the actor that runs the policy of one or more robots.
 #[derive(Clone, Debug)]

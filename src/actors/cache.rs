@@ -15,7 +15,7 @@ use crate::random::Stream;
 use crate::time::{Span, Time};
 
 /// Largest number of neighbours whose latents a Cache stores; far more than fit within any communication range.
-pub const MAX_NEIGHBOURS: usize = 256;
+pub(crate) const MAX_NEIGHBOURS: usize = 256;
 
 /// Input message of a Cache, the actor that stores one robot's readings and its neighbours' messages.
 #[derive(Clone, Debug)]

@@ -2,8 +2,8 @@
 //!
 //! `runtime` executes them, and `graph` connects them.
 
-pub mod agent;
-pub mod body;
+pub(crate) mod agent;
+pub(crate) mod body;
 pub mod cache;
 pub mod controller;
 pub mod localizer;
@@ -13,8 +13,8 @@ pub mod network;
 pub mod order;
 pub mod recorder;
 pub mod roster;
-pub mod state_server;
-pub mod status;
+pub(crate) mod state_server;
+pub(crate) mod status;
 pub mod verdict;
 pub mod wiggle;
-pub mod world;
+pub(crate) mod world;

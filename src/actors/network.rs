@@ -67,7 +67,7 @@ const MAX_LATE: Span = Span::from_millis(25);
 /// silent after twice this time.
 const HEARD_PERIOD: Span = Span::from_millis(500);
 /// Period at which a Network sends the counts of its links to the Recorder.
-pub const COUNTS_PERIOD: Span = Span::from_millis(1000);
+pub(crate) const COUNTS_PERIOD: Span = Span::from_millis(1000);
 
 /// Configuration of a Network, the actor that sends and receives one host's messages on its links.
 #[derive(Clone, Debug)]

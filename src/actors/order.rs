@@ -99,7 +99,7 @@ impl Order {
     }
 
     /// Sets the counts of the operator's links so far.
-    pub fn note_links(&mut self, links: LinkCounts) {
+    pub(crate) fn note_links(&mut self, links: LinkCounts) {
         self.links = links;
     }
 

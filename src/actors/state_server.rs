@@ -25,13 +25,13 @@ use crate::world::Placement;
 /// Period at which the state server decides whether to enter another phase: one step of a World.
 pub const TICK: Span = Span::from_millis(50);
 /// Period at which an unchanged instruction is repeated, with the tasks of 64 robots in turn if the team is larger.
-pub const MODE_PERIOD: Span = Span::from_millis(100);
+pub(crate) const MODE_PERIOD: Span = Span::from_millis(100);
 /// Number of times that a new instruction is sent with the tasks of all robots, in case copies are lost.
-pub const NEW_MODE_REPEATS: u32 = 3;
+pub(crate) const NEW_MODE_REPEATS: u32 = 3;
 /// Longest wait for missing robots at the start and after an aborted episode; then the team continues without them.
-pub const MUSTER_LIMIT: Span = Span::from_millis(10_000);
+pub(crate) const MUSTER_LIMIT: Span = Span::from_millis(10_000);
 /// Longest duration of a reset; after it, the reset has failed.
-pub const RESET_LIMIT: Span = Span::from_millis(60_000);
+pub(crate) const RESET_LIMIT: Span = Span::from_millis(60_000);
 /// Time by which an episode may exceed its longest duration before it is aborted: heartbeats may be late.
 pub const GRACE: Span = Span::from_millis(500);
 

@@ -5,10 +5,10 @@ use crate::messages::ids::RobotId;
 use crate::safety::guard::SafetyCounts;
 
 /// Commanded length of a test drive \[m\]: several times the noise of a tracker, and safe on a table.
-pub const DISTANCE_M: f32 = 0.1;
+pub(crate) const DISTANCE_M: f32 = 0.1;
 /// Largest variation of a robot's measured position at rest \[m\] with which it is still driven. With more noise, a
 /// drive of 10 cm cannot be judged.
-pub const NOISE_M: f32 = 0.05;
+pub(crate) const NOISE_M: f32 = 0.05;
 /// Largest deviation of a test drive's measured direction from the commanded one that counts as correct \[rad\].
 /// Mistakes in the axes give at least 45 degrees; the margin is for noise.
 const DIRECTION_RAD: f32 = 30.0 * std::f32::consts::PI / 180.0;
@@ -104,7 +104,7 @@ impl Axes {
 
 /// Whether the measured displacement `way` \[m\] exceeds what noise can explain, so that the robot has moved.
 /// `noise_m` is the robot's largest measured displacement at rest \[m\].
-pub fn has_moved(way: Vec2, noise_m: f32) -> bool {
+pub(crate) fn has_moved(way: Vec2, noise_m: f32) -> bool {
     way.norm() > MOVED_M.max(MOVED_NOISES * noise_m)
 }
 

@@ -109,7 +109,7 @@ struct Track {
 
 /// Actor that drives the robots of one host out and back, one at a time, and judges whether each moved correctly.
 #[derive(Debug)]
-pub struct Wiggle {
+pub(crate) struct Wiggle {
     config: Config,
     stage: Stage,
     /// Index of the current robot in the configuration.

@@ -96,7 +96,7 @@ const LONGEST_NAME: usize = 253;
 
 /// Splits `text` into the name of a host and a port above zero, as in `robot-2.local:7700`. An error describes the
 /// fault.
-pub fn host_and_port(text: &str) -> Result<(&str, u16), String> {
+pub(crate) fn host_and_port(text: &str) -> Result<(&str, u16), String> {
     let wrong = || {
         format!(
             "'{text}' is not an address or a name of a host with a port, such as 10.0.0.2:7700 or robot-2.local:7700"
@@ -157,7 +157,7 @@ impl FieldType {
 
     /// Reads a value of this type from a parsed TOML value, in which texts have quotes and numbers have none. An error
     /// describes the fault.
-    pub fn read_toml(self, value: &DeValue<'_>) -> Result<Value, String> {
+    pub(crate) fn read_toml(self, value: &DeValue<'_>) -> Result<Value, String> {
         let wanted = match self {
             FieldType::Whole(..) => "a whole number",
             FieldType::Number(..) => "a number",

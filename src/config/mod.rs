@@ -4,7 +4,7 @@
 
 pub mod fields;
 pub mod kinds;
-pub mod objects;
+pub(crate) mod objects;
 pub mod regular;
 pub mod shown;
 
@@ -46,7 +46,7 @@ impl ConfigError {
 }
 
 /// Number of hexadecimal digits of a team key, the secret with which a team authenticates its messages.
-pub const KEY_DIGITS: usize = 64;
+pub(crate) const KEY_DIGITS: usize = 64;
 /// Longest run of hexadecimal digits that a message may show: a digest of 128 bits. A key is twice as long.
 const SHOWN_DIGITS: usize = 32;
 /// Longest name of an unknown field that an error repeats \[characters\].
@@ -79,7 +79,7 @@ pub fn from_table<T: DeserializeOwned>(table: &toml::Table) -> Result<T, ConfigE
 
 /// Converts an error of the TOML parser about `text` into a configuration error with line and column. The result quotes
 /// no value, since the text may be a secret key by mistake.
-pub fn syntax(text: &str, error: &toml::de::Error) -> ConfigError {
+pub(crate) fn syntax(text: &str, error: &toml::de::Error) -> ConfigError {
     let why = unquoted(&error.message().replace('\n', ": "));
     let Some(span) = error.span() else { return ConfigError::Syntax(why) };
     let before = &text[..span.start.min(text.len())];

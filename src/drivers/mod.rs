@@ -3,9 +3,9 @@
 //! A driver does no I/O: it turns velocities into packets for its worker, and the worker's packets into the robot's
 //! condition. The Body handles expiry of commands and the emergency stop, for all drivers alike.
 
-pub mod program;
+mod program;
 pub mod robomaster;
-pub mod simulated;
+pub(crate) mod simulated;
 
 use crate::config::ConfigError;
 use crate::edge::{Packet, Settings, Worker};

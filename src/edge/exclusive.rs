@@ -7,7 +7,7 @@ use std::os::unix::net::{SocketAddr, UnixDatagram};
 /// Lock on a resource that only one process of this machine may use. The kernel releases it when the process ends,
 /// however it ends. Processes in different network namespaces do not exclude each other.
 #[derive(Debug)]
-pub struct Exclusive {
+pub(crate) struct Exclusive {
     /// Socket that is bound to an abstract name made from the resource's description. It receives nothing.
     _name: UnixDatagram,
 }

@@ -5,7 +5,7 @@
 //! ones are dropped and counted, so no thread blocks on sending. A packet is plain bytes, so input can be recorded and
 //! replayed like a datagram. Every packet of a worker signals a descriptor, which the real-time event loop watches.
 
-pub mod child;
+pub(crate) mod child;
 pub(crate) mod exclusive;
 pub mod sender_clock;
 mod settings;

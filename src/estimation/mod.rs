@@ -4,9 +4,9 @@
 //! An estimator does no I/O. Ages of readings count from their arrival on this host: an estimator that uses a sensor's
 //! stamps estimates the offset of the sensor's clock from arrival times.
 
-pub mod constant_velocity;
-pub mod kalman;
-pub mod none;
+mod constant_velocity;
+mod kalman;
+mod none;
 
 use crate::messages::geometry::Motion;
 use crate::messages::wire::Reading;

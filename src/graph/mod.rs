@@ -6,7 +6,7 @@ mod bodies;
 mod delivery;
 pub mod devices;
 mod emulated;
-pub mod host;
+pub(crate) mod host;
 mod injection;
 pub mod inputs;
 pub mod operator;

@@ -21,12 +21,12 @@ use crate::time::{Span, Time};
 pub type Take = Rc<dyn Fn(Input)>;
 
 /// Function that is called when the sockets of a link were closed or opened again. This is no input of the actors.
-pub type Tell = Rc<dyn Fn(LinkId, &Renewed)>;
+pub(crate) type Tell = Rc<dyn Fn(LinkId, &Renewed)>;
 
 /// Starts an actor for each link that sends the datagrams in its mailbox through the link's open transports, one for
 /// each network interface. `mailboxes` are in the order of the deployment's links. Received datagrams are passed to
 /// `take`; `tell` is called when a link was closed or opened again.
-pub fn wire_all(
+pub(crate) fn wire_all(
     (clock, readers): (&Clock, &mut Readers),
     open: Vec<(LinkId, Box<dyn Transport>)>,
     mailboxes: &[Mailbox<transport::In>],

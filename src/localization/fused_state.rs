@@ -71,7 +71,7 @@ impl State {
 
     /// Corrects the pose by a measured position. `error` is its difference from the estimate \[m\], and `variance` that
     /// of the measurement \[m²\].
-    pub fn correct_position(&mut self, error: [f64; 2], variance: f64) {
+    pub(crate) fn correct_position(&mut self, error: [f64; 2], variance: f64) {
         let (s, p) = (self.information(variance), self.covariance);
         let gain: [[f64; 2]; 3] =
             std::array::from_fn(|row| std::array::from_fn(|at| p[row][0] * s[0][at] + p[row][1] * s[1][at]));
@@ -82,7 +82,7 @@ impl State {
 
     /// Corrects the pose by a measured heading. `error` is its difference from the estimate \[rad\], and `variance`
     /// that of the measurement \[rad²\].
-    pub fn correct_heading(&mut self, error: f64, variance: f64) {
+    pub(crate) fn correct_heading(&mut self, error: f64, variance: f64) {
         let p = self.covariance;
         let gain: [f64; 3] = std::array::from_fn(|row| p[row][2] / (p[2][2] + variance));
         self.pose = std::array::from_fn(|at| self.pose[at] + gain[at] * error);

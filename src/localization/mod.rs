@@ -6,7 +6,7 @@
 pub mod alignment;
 pub mod check;
 mod fused_state;
-pub mod fusion;
+pub(crate) mod fusion;
 pub mod gpsd;
 pub mod natnet;
 pub mod odometry;

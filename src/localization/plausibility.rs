@@ -18,7 +18,7 @@ use serde::Deserialize;
 
 /// Number of standard deviations of the difference of two measurements by which a pose may be out of reach. Of a normal
 /// distribution in two dimensions one in 66 million is beyond six: at 50 Hz one in 15 days, and it costs one reading.
-pub const SIGMAS: f64 = 6.0;
+pub(crate) const SIGMAS: f64 = 6.0;
 /// Smallest standard deviations of a position \[m\] and of a heading \[rad\] that are used. What a source states is
 /// often its best case; and two poses of a tracker are up to 2 cm apart for other reasons than noise.
 const LEAST: (f64, f64) = (0.0025, 0.01);
@@ -147,9 +147,9 @@ pub struct Quality {
     /// knows where the robot is.
     pub reckoned: bool,
     /// Whether dead reckoning is at its origin: where it is after a restart.
-    pub at_origin: bool,
+    pub(crate) at_origin: bool,
     /// Whether the velocity is measured by itself, as by a satellite receiver, and not computed from positions.
-    pub moves_as_measured: bool,
+    pub(crate) moves_as_measured: bool,
     /// Standard deviation of the position, where the reading has none \[m\].
     pub position_m: f64,
     /// Standard deviation of the heading, where the reading has none \[rad\].
@@ -204,7 +204,7 @@ impl Fix {
     }
 
     /// Returns whether the pose is one of dead reckoning.
-    pub fn is_reckoned(&self) -> bool {
+    pub(crate) fn is_reckoned(&self) -> bool {
         self.quality.reckoned
     }
 
@@ -232,17 +232,17 @@ impl Fix {
     }
 
     /// Returns `SIGMAS` standard deviations of the difference of two positions \[m\].
-    pub fn noise_m(&self, other: &Fix) -> f64 {
+    pub(crate) fn noise_m(&self, other: &Fix) -> f64 {
         SIGMAS * libm::hypot(self.position_m, other.position_m)
     }
 
     /// Returns `SIGMAS` standard deviations of the difference of two headings \[rad\].
-    pub fn noise_rad(&self, other: &Fix) -> f64 {
+    pub(crate) fn noise_rad(&self, other: &Fix) -> f64 {
         SIGMAS * libm::hypot(self.heading_rad, other.heading_rad)
     }
 
     /// Returns whether the speed of the reading is measured by itself, and not the difference of noisy positions.
-    pub fn has_speed(&self) -> bool {
+    pub(crate) fn has_speed(&self) -> bool {
         self.quality.reckoned || self.quality.moves_as_measured
     }
 
@@ -260,7 +260,7 @@ impl Fix {
     }
 
     /// Returns whether the later pose `to` is of the same kind and of one motion with `self`.
-    pub fn agrees_with(&self, to: &Fix, limits: &Limits) -> bool {
+    pub(crate) fn agrees_with(&self, to: &Fix, limits: &Limits) -> bool {
         let one_kind = self.quality.reckoned == to.quality.reckoned;
         one_kind && to.at.since(self.at) <= ONE_MOTION && self.reaches(to, limits)
     }
@@ -381,7 +381,7 @@ impl Track {
 
     /// Judges a new pose of dead reckoning of which only the increments count. After a jump its poses are accepted
     /// again once they have agreed with each other for the time `settle`.
-    pub fn reckon(&mut self, fix: Fix, limits: &Limits, settle: Span) -> Judgement {
+    pub(crate) fn reckon(&mut self, fix: Fix, limits: &Limits, settle: Span) -> Judgement {
         let judgement = self.take(fix, limits);
         let settled = self.held.is_some_and(|held| fix.at.since(held.agree_since) >= settle);
         if judgement == Judgement::Refused && settled {
@@ -398,7 +398,7 @@ impl Track {
     }
 
     /// Changes why a lost robot is lost.
-    pub fn blame(&mut self, why: Whereabouts) {
+    pub(crate) fn blame(&mut self, why: Whereabouts) {
         if self.lost.is_some() {
             self.lost = Some(why);
         }

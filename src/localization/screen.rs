@@ -105,7 +105,7 @@ impl Screen {
     }
 
     /// Tells the source the limits of each robot.
-    pub fn introduce(&self, source: &mut dyn Source) {
+    pub(crate) fn introduce(&self, source: &mut dyn Source) {
         self.robots.iter().for_each(|(robot, watched)| source.limit(*robot, &watched.limits));
     }
 

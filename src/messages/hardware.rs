@@ -59,7 +59,7 @@ impl fmt::Display for Celsius {
 }
 
 /// Longest text of a [`Reason`] \[bytes\]: one line of a terminal.
-pub const MAX_REASON: usize = 80;
+pub(crate) const MAX_REASON: usize = 80;
 
 /// Reason of a hardware fault in a few words: 1 to 80 (`MAX_REASON`) bytes of printable ASCII.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -88,7 +88,7 @@ impl Latch {
 
     /// Whether the number of `other` is so far above the number of this latch (by more than 1024, and above 2^32) that
     /// `other` must be corrupted or forged.
-    pub fn is_overshot_by(self, other: Latch) -> bool {
+    pub(crate) fn is_overshot_by(self, other: Latch) -> bool {
         other.number > ceiling(self.number)
     }
 
@@ -121,7 +121,7 @@ impl Latch {
 
 /// Emergency stop state that one actor of a robot (its Controller or its Body) obeys, updated by received messages.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct LatchFollower {
+pub(crate) struct LatchFollower {
     latch: Latch,
     /// Whether a latch of the state server has arrived; before that, the robot must not move.
     informed: bool,
@@ -137,7 +137,7 @@ impl LatchFollower {
 
     /// Returns whether a latch of the state server (the coordinator of the team) has arrived. Before that, the robot
     /// must not move.
-    pub fn is_informed(&self) -> bool {
+    pub(crate) fn is_informed(&self) -> bool {
         self.informed
     }
 
@@ -186,7 +186,7 @@ pub fn latest(known: Latch, latches: impl Iterator<Item = Latch> + Clone) -> Lat
 
 /// Returns the second largest of `numbers`, which hold one number from each sender; so at least two senders have sent
 /// this number or a larger one. Returns zero for fewer than two numbers.
-pub fn second_largest(numbers: impl Iterator<Item = u64>) -> u64 {
+pub(crate) fn second_largest(numbers: impl Iterator<Item = u64>) -> u64 {
     let (mut largest, mut second) = (0, 0);
     for number in numbers {
         (largest, second) = if number > largest { (number, largest) } else { (largest, second.max(number)) };

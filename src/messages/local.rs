@@ -18,7 +18,7 @@ pub struct Percept {
     /// Estimated position \[m\] and velocity \[m/s\] of the robot in the world frame.
     pub estimate: Motion,
     /// Standard deviation of the estimated position along each axis \[m\]; 0 if unknown.
-    pub deviation_m: f32,
+    pub(crate) deviation_m: f32,
     /// Newest messages of the neighbours, as far as the policy may still use them, in the order of robot ids.
     pub heard: Vec<NeighbourLatent>,
 }

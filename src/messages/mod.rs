@@ -15,7 +15,7 @@ mod nalgebra;
 pub mod phase;
 pub mod place;
 pub mod round;
-pub mod status;
+mod status;
 pub mod telemetry;
 pub mod trigger;
 pub mod wire;

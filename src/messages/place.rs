@@ -48,11 +48,6 @@ impl Whereabouts {
         self != Whereabouts::Known
     }
 
-    /// Whether poses that agree with each other at a new place are not enough: a person has to act.
-    pub fn needs_a_person(self) -> bool {
-        matches!(self, Whereabouts::Adrift | Whereabouts::Shifted | Whereabouts::Exchanged)
-    }
-
     /// Returns what has happened, as the predicate of a sentence about a robot, such as `its pose has jumped`.
     pub fn reason(self) -> &'static str {
         match self {
@@ -174,6 +169,5 @@ mod tests {
         assert!(Whereabouts::ALL.into_iter().all(|value| Whereabouts::try_from(u8::from(value)) == Ok(value)));
         assert!(Verdict::ALL.into_iter().all(|value| Verdict::try_from(u8::from(value)) == Ok(value)));
         assert!(Whereabouts::try_from(5).is_err() && Verdict::try_from(5).is_err());
-        assert!(Whereabouts::ALL.into_iter().all(|value| value.is_lost() || !value.needs_a_person()));
     }
 }

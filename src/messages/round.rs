@@ -30,7 +30,7 @@ impl Round {
 
     /// Whether the term of `other` is so far above the term of this round (by more than 16, and above 2^20) that
     /// `other` must be corrupted or forged.
-    pub fn is_overshot_by(self, other: Round) -> bool {
+    pub(crate) fn is_overshot_by(self, other: Round) -> bool {
         other.term > self.term.max(Round::CREDIBLE) + Round::JUMP
     }
 
@@ -45,7 +45,7 @@ impl Round {
 
 /// Round (number of a state server's instruction) that one actor follows, with the check of newly received rounds.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct RoundFollower {
+pub(crate) struct RoundFollower {
     round: Round,
     /// Term of the round that arrived last, if it was refused because its term is implausibly high; otherwise `None`.
     /// It is admitted if the next round confirms it with the same term or a slightly higher one.

@@ -18,9 +18,9 @@ use crate::scenario::{Observation, Scenario};
 use crate::time::Span;
 
 /// Name of scripted flocking in which each robot knows all others.
-pub const GLOBAL: &str = "flock-global";
+pub(crate) const GLOBAL: &str = "flock-global";
 /// Name of scripted flocking in which each robot knows its neighbours.
-pub const LOCAL: &str = "flock-local";
+pub(crate) const LOCAL: &str = "flock-local";
 
 /// Largest acceleration along each axis \[m/s²\].
 pub const MAX_ACCELERATION_M_S2: f32 = 1.0;
@@ -104,7 +104,7 @@ impl Policy for Flock {
 
 /// Returns the velocity to command \[m/s\] for a robot that moves at `velocity` \[m/s\] and is to accelerate by
 /// `wanted` \[m/s²\], limited along each axis, for one period.
-pub fn accelerated(velocity: Vec2, wanted: Vec2, period: Span) -> Vec2 {
+pub(crate) fn accelerated(velocity: Vec2, wanted: Vec2, period: Span) -> Vec2 {
     let limited = wanted.map(|axis| axis.clamp(-MAX_ACCELERATION_M_S2, MAX_ACCELERATION_M_S2));
     velocity + limited * period.as_secs() as f32
 }

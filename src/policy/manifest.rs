@@ -16,7 +16,7 @@ pub const KEY: &str = "murmurate";
 /// Version of the manifest's format that this module reads, and that the trainer writes.
 pub const FORMAT: u32 = 1;
 /// Versions of the manifest's format that this program reads: this one, and that of policies with several hops.
-pub const FORMATS: [u32; 2] = [FORMAT, 2];
+pub(crate) const FORMATS: [u32; 2] = [FORMAT, 2];
 
 /// Layout of the message-passing network: how the messages of a robot's neighbours lead to its action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

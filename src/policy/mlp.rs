@@ -97,7 +97,7 @@ impl Layer {
     /// bias. `x` is \[rows, inputs\], `y` receives \[rows, outputs\], both row-major; `relu` is the activation of the
     /// outputs.
     #[inline(always)]
-    pub fn apply_from(&self, start: &[f32], rows: usize, x: &[f32], y: &mut [f32], relu: Relu) {
+    pub(crate) fn apply_from(&self, start: &[f32], rows: usize, x: &[f32], y: &mut [f32], relu: Relu) {
         for (block, start) in start[..self.outputs].chunks(BLOCK).enumerate() {
             let mut padded = [0.0; BLOCK];
             padded[..start.len()].copy_from_slice(start);
@@ -153,7 +153,7 @@ impl Layer {
     ///
     /// # Panics
     /// If `inner` does not have as many outputs as this layer has inputs.
-    pub fn fold_after(&self, inner: &Layer) -> (Layer, Vec<f32>) {
+    pub(crate) fn fold_after(&self, inner: &Layer) -> (Layer, Vec<f32>) {
         assert_eq!(inner.outputs, self.inputs, "layers fit each other");
         let sum = |output: usize, term: &dyn Fn(usize) -> f32| -> f32 {
             (0..self.inputs).map(|k| f64::from(self.entry(output, k)) * f64::from(term(k))).sum::<f64>() as f32

@@ -13,7 +13,7 @@ mod model;
 pub mod orca;
 pub mod probe;
 pub mod route;
-pub mod safetensors;
+mod safetensors;
 pub mod shipped;
 pub mod weights;
 

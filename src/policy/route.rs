@@ -74,7 +74,7 @@ impl Crossing {
 
     /// Returns the length of the path \[m\] from `at` through the bottleneck to `to`, both \[m\] in the frame of
     /// `arena`.
-    pub fn path_length(&self, arena: &Arena, at: Vec2, to: Vec2) -> f32 {
+    pub(crate) fn path_length(&self, arena: &Arena, at: Vec2, to: Vec2) -> f32 {
         let aim = self.aim(arena, at);
         (aim - at).norm() + (self.exit - aim).norm() + (to - self.exit).norm()
     }
@@ -82,7 +82,7 @@ impl Crossing {
     /// Returns true if a robot's path still leads through the bottleneck in this direction: on to its exit, or past its
     /// middle on a free straight line to the robot's destination. The robot is at `at` \[m\], moves along the unit
     /// vector `heading`, and has `path_m` \[m\] of path left.
-    pub fn is_ahead_of(&self, arena: &Arena, at: Vec2, heading: Vec2, path_m: f32) -> bool {
+    pub(crate) fn is_ahead_of(&self, arena: &Arena, at: Vec2, heading: Vec2, path_m: f32) -> bool {
         let (along, middle) = (self.exit - self.entry, (self.entry + self.exit) / 2.0);
         if (self.exit - at).dot(&along) <= 0.0 {
             return false;
@@ -99,7 +99,7 @@ impl Crossing {
 
 /// Returns true if a robot can move along the straight line from `from` to `to` \[m\] without touching a solid block
 /// (wall) of `arena`. Other robots are not considered.
-pub fn is_free(arena: &Arena, from: Vec2, to: Vec2) -> bool {
+pub(crate) fn is_free(arena: &Arena, from: Vec2, to: Vec2) -> bool {
     // A robot that is nearer to a block than the margin must still be able to leave it.
     let margin_m = arena.robot_radius_m + share(arena) * MARGIN_M;
     let margin = |block_distance: f32| margin_m.min(block_distance - 1e-3);

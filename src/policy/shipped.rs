@@ -25,7 +25,7 @@ pub fn built_in(name: &str, scenario: &str) -> Option<&'static [u8]> {
 /// Returns whether the shipped policy of the scenario named `scenario` is better than scripted navigation, by the
 /// figures of `policies/README.md`. In `swap` it is faster for four robots, and for robots that lag on bad networks,
 /// and slower or less successful for eight and more in other conditions.
-pub fn is_best_for(scenario: &str) -> bool {
+pub(crate) fn is_best_for(scenario: &str) -> bool {
     matches!(scenario, "passage" | "flocking")
 }
 

@@ -53,7 +53,7 @@ pub struct Probe {
 
 impl Probe {
     /// Largest number of robots in a policy file's test data.
-    pub const MOST_ROBOTS: usize = 64;
+    pub(crate) const MOST_ROBOTS: usize = 64;
 }
 
 /// Content of a policy file of format 1 that has been checked: metadata, weights and test data.

@@ -59,7 +59,7 @@ impl AbortReason {
     }
 
     /// Returns the reason for these robots, each with its cause; `None` without any.
-    pub fn of_robots(robots: &[(RobotId, AbortCause)]) -> Option<AbortReason> {
+    pub(crate) fn of_robots(robots: &[(RobotId, AbortCause)]) -> Option<AbortReason> {
         let (robot, cause) = *robots.first()?;
         Some(AbortReason { cause, robot: Some(robot), others: robots.len() - 1 })
     }

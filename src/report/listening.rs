@@ -63,7 +63,7 @@ pub type Datagram = (HostId, u32, u32, bool);
 /// Observer that follows messages between robots from publication to arrival, and to the control steps that use them.
 /// It needs one clock for all hosts, as a simulation has.
 #[derive(Clone, Debug)]
-pub struct Listener {
+pub(crate) struct Listener {
     listening: Listening,
     /// Number of other hosts at which each message is expected.
     hosts: u64,

@@ -6,5 +6,5 @@
 pub mod clock;
 pub mod drive;
 pub mod real;
-pub mod replay;
+pub(crate) mod replay;
 pub mod shell;

@@ -104,7 +104,7 @@ impl Readers {
     /// Registers the file descriptor `source` of a link: `notify` is called in each turn of the event loop in which it
     /// is readable. `paused_until` returns the time until which the link is paused, or `None`. While any link is
     /// paused, no link is read. Returns a handle by which the descriptor is replaced when the link is opened again.
-    pub fn watch_link(
+    pub(crate) fn watch_link(
         &mut self,
         source: Rc<dyn AsFd>,
         paused_until: impl Fn() -> Option<Time> + 'static,

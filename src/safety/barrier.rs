@@ -26,10 +26,10 @@ pub struct Barrier {
     /// Least distance between the positions of two robots \[m\].
     pub distance_min_m: f32,
     /// Least distance of the robot's position from a wall \[m\].
-    pub wall_min_m: f32,
+    pub(crate) wall_min_m: f32,
     /// Largest speed at which the robot's stopping point may approach a neighbour, for each metre of distance beyond
     /// the least one \[1/s\]; twice that for a wall.
-    pub gain_per_s: f32,
+    pub(crate) gain_per_s: f32,
     /// Longest time from a neighbour's estimate of its own state to the arrival of the message with it \[s\].
     pub delay_s: f32,
 }

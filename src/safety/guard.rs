@@ -149,14 +149,14 @@ impl Guard {
     }
 
     /// Applies an operator's emergency stop or re-arm; returns true if the guard's state of the stop has changed.
-    pub fn apply_stop(&mut self, stop: &Stop) -> bool {
+    pub(crate) fn apply_stop(&mut self, stop: &Stop) -> bool {
         let before = self.latch();
         self.latch.apply(stop.latch) && self.changed(before)
     }
 
     /// Applies the state of the emergency stop that the state server repeats; returns true if the guard's own state has
     /// changed.
-    pub fn learn_latch(&mut self, latch: Latch) -> bool {
+    pub(crate) fn learn_latch(&mut self, latch: Latch) -> bool {
         let before = self.latch();
         self.latch.update(latch) && self.changed(before)
     }
@@ -190,7 +190,7 @@ impl Guard {
     }
 
     /// Records that the state server has given a new instruction, which ends a stop for an invalid policy output.
-    pub fn new_instruction(&mut self) {
+    pub(crate) fn new_instruction(&mut self) {
         self.invalid_output = false;
         self.end(Trigger::Output);
     }

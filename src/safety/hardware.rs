@@ -11,10 +11,10 @@ use crate::messages::wire::{Celsius, Hardware, Health};
 /// Recovery margin of the battery \[%\]: a robot that was stopped for its battery moves again at this much above the
 /// least permitted charge. The value is a choice of this project. The charge that a battery shows rises by some percent
 /// once the motors are off, without being charged.
-pub const RECOVERED_PERCENT: u8 = 10;
+pub(crate) const RECOVERED_PERCENT: u8 = 10;
 /// Recovery margin of the temperature \[°C\]: a robot that was stopped for its temperature moves again at this much
 /// below the highest permitted temperature. The value is a choice of this project.
-pub const RECOVERED_C: i16 = 10;
+pub(crate) const RECOVERED_C: i16 = 10;
 
 /// Limits of one robot's battery charge and temperature, beyond which it may not move.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -58,7 +58,7 @@ pub enum Permit {
 /// Monitor of one robot's battery charge and temperature, which compares the values that its driver reports with their
 /// limits.
 #[derive(Clone, Debug)]
-pub struct HardwareWatch {
+pub(crate) struct HardwareWatch {
     limits: HardwareLimits,
     battery: Option<u8>,
     temperature: Option<Celsius>,

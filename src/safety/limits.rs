@@ -107,7 +107,7 @@ fn on_boundary(limit: Limit, others: &[Limit], wanted: Vec2) -> Option<Vec2> {
 
 /// Returns the distance of `point` beyond a ground centred at the origin, the larger of both axes \[m\]; negative
 /// inside. `half_extent` is half the size of the ground along x and y \[m\].
-pub fn distance_outside(half_extent: Vec2, point: Vec2) -> f32 {
+pub(crate) fn distance_outside(half_extent: Vec2, point: Vec2) -> f32 {
     (point.x.abs() - half_extent.x).max(point.y.abs() - half_extent.y)
 }
 

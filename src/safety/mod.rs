@@ -7,13 +7,13 @@
 //! `docs/safety.md` has every trigger in one table. There is no actor and no clock here: the Controller, an actor, owns
 //! a guard.
 
-pub mod barrier;
-pub mod counts;
+mod barrier;
+pub(crate) mod counts;
 pub mod filter;
 pub mod guard;
-pub mod hardware;
-pub mod limits;
-pub mod stopping;
+pub(crate) mod hardware;
+pub(crate) mod limits;
+mod stopping;
 pub mod yielding;
 
 use serde::{Deserialize, Serialize};

@@ -67,7 +67,7 @@ impl Model {
 
     /// Returns `velocity` \[m/s\], shortened if need be so that a robot that moves at it for another `delay_s` \[s\]
     /// and is then commanded to stand comes to rest within `most_m` \[m\].
-    pub fn stopping_within(&self, velocity: Vec2, delay_s: f32, most_m: f32) -> Vec2 {
+    pub(crate) fn stopping_within(&self, velocity: Vec2, delay_s: f32, most_m: f32) -> Vec2 {
         let distance_m = |v: Vec2| v.norm() * delay_s + self.travel(v).norm() + self.bend(v);
         let stops = |velocity: Vec2| distance_m(velocity) <= most_m;
         if stops(velocity) {

@@ -17,7 +17,7 @@ pub struct Cost {
 
 /// Mean of a cost over the steps of one episode so far.
 #[derive(Clone, Copy, Debug)]
-pub struct MeanCost {
+pub(crate) struct MeanCost {
     cost: Cost,
     sum: f64,
     steps: u32,
@@ -45,7 +45,7 @@ impl MeanCost {
 
 /// Returns the mean squared distance of the robots' velocities from their mean \[m²/s²\]: the cost of a flock (Tolstaya
 /// et al., CoRL 2019, arXiv 1903.10527, section 5).
-pub fn velocity_variance(team: &[Motion]) -> f64 {
+pub(crate) fn velocity_variance(team: &[Motion]) -> f64 {
     let velocities = || team.iter().map(|motion| motion.velocity.to_array().map(f64::from));
     let robots = team.len() as f64;
     let [x, y] = velocities().fold([0.0, 0.0], |[x, y], v| [x + v[0], y + v[1]]).map(|sum| sum / robots);

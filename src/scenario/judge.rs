@@ -131,7 +131,7 @@ impl Judge {
     /// Processes the states of some robots at one step, each with its id; robots that are left out stay as they were.
     /// `after` is the time since the start of the episode. Returns the finding once judging has ended, by the last
     /// arrival or the time limit; `None` before.
-    pub fn update_some(&mut self, after: Span, robots: &[(RobotId, JudgedRobot)]) -> Option<Finding> {
+    pub(crate) fn update_some(&mut self, after: Span, robots: &[(RobotId, JudgedRobot)]) -> Option<Finding> {
         let states: Vec<JudgedRobot> = robots.iter().map(|(_, state)| *state).collect();
         self.process(after, &states, |at| robots[at].0.index())
     }

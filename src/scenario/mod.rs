@@ -6,14 +6,14 @@
 
 pub mod arena;
 pub mod contract;
-pub mod cost;
-pub mod flocking;
+pub(crate) mod cost;
+mod flocking;
 pub mod judge;
 pub mod layout;
-pub mod passage;
+mod passage;
 pub mod sightings;
 pub mod size;
-pub mod swap;
+mod swap;
 
 use std::fmt::{self, Debug};
 use std::sync::Arc;

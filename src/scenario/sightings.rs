@@ -31,7 +31,7 @@ const PLACED_M: f32 = 0.25;
 
 /// One step for the judge of an episode: the robots of which a reading arrived in it, with their measured positions.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Sighting {
+pub(crate) struct Sighting {
     /// Time at which the last reading of the step arrived.
     pub at: Time,
     /// Measured positions of the robots that were seen in the step, in the order of their ids.
@@ -42,7 +42,7 @@ pub struct Sighting {
 
 /// Measured position and velocity of one robot in one step, world frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Spot {
+pub(crate) struct Spot {
     /// Position of the centre of the robot's hull \[m\].
     pub centre: Vec2,
     /// Position \[m\] of the point that the robot's policy commands, as the reading states it. The point is the centre,
@@ -69,7 +69,7 @@ struct Known {
 
 /// Collector of the readings of a team, in the order of their arrival, which groups them into steps for the judge.
 #[derive(Clone, Debug)]
-pub struct Sightings {
+pub(crate) struct Sightings {
     /// State of each robot, by robot id.
     team: Vec<Known>,
     /// Number of robots that were seen in the unfinished step.

@@ -45,7 +45,7 @@ impl Size {
 
     /// Returns the size with the scale that keeps the number of hulls between two places, unless the `settings` have a
     /// scale.
-    pub fn by_hull(self, settings: &Settings) -> Size {
+    pub(crate) fn by_hull(self, settings: &Settings) -> Size {
         let scale = settings.scale.unwrap_or(self.hull_m / HULL_M);
         Size { scale, ..self }
     }

@@ -180,7 +180,7 @@ fn any_within(offsets: impl Iterator<Item = Vec2>, own: usize, distance: f32) ->
 /// Training world of the paper arXiv 2111.01777 as a plant (simulated world): discs that follow their commands within a
 /// limited acceleration.
 #[derive(Debug)]
-pub struct Kinematic {
+pub(crate) struct Kinematic {
     arena: Arena,
     physics: Physics,
     position: Vec<Vec2>,

@@ -10,7 +10,7 @@ mod drivetrain;
 pub mod kinematic;
 mod physics;
 #[cfg(feature = "rigid")]
-pub mod rigid;
+mod rigid;
 mod sensor;
 mod wheels;
 

@@ -21,7 +21,7 @@ use crate::scenario::Arena;
 use crate::time::Span;
 
 /// Fields of `Overrides` that a user may not set for the rigid-body plant: pairs of the field's name and the reason.
-pub const FIXED: &[(&str, &str)] = &[
+pub(crate) const FIXED: &[(&str, &str)] = &[
     ("contacts", "in plant 'rigid' bodies always push each other, and contacts are flagged for the judge"),
     ("wall_radius_m", "in plant 'rigid' the radius of a robot is that of its hull, hull_m or 0.16 m"),
 ];

@@ -12,7 +12,7 @@ type Field = (&'static str, FieldType, Option<&'static str>);
 
 /// Name of the field that sets the network interface of every link. It exists in flags and environment variables only,
 /// not in files.
-pub const EVERY_INTERFACE: &str = "interface";
+pub(crate) const EVERY_INTERFACE: &str = "interface";
 
 /// Names of the reliability modes, as written in a team file.
 const RELIABILITIES: [&str; 4] = {
@@ -57,7 +57,7 @@ const TEAM: [Field; 23] = [
 const OVERRIDES: [&str; 5] = ["key_file", "policy", "record", "record_last_s", "record_size_mb"];
 
 /// Returns the names of the fields of a team file that are for the whole team, not for a link.
-pub fn team_fields() -> impl Iterator<Item = &'static str> {
+pub(crate) fn team_fields() -> impl Iterator<Item = &'static str> {
     TEAM.iter().map(|(name, ..)| *name)
 }
 
@@ -118,7 +118,7 @@ impl Fields {
     }
 
     /// Returns a text that lists the permitted fields beside the unknown field `key`, for the error about it.
-    pub fn siblings(&self, key: &str) -> String {
+    pub(crate) fn siblings(&self, key: &str) -> String {
         let names = match key.split('.').collect::<Vec<_>>()[..] {
             ["link", _, "reliability", ..] => return "a kind of message is followed by its reliability".to_owned(),
             ["link", name, ..] => {
@@ -132,7 +132,7 @@ impl Fields {
     }
 
     /// Whether a table with this key, such as `link.radio` or `host.pc`, may occur in a team file with fields in it.
-    pub fn holds_fields(&self, key: &str) -> bool {
+    pub(crate) fn holds_fields(&self, key: &str) -> bool {
         let parts: Vec<&str> = key.split('.').collect();
         match parts[..] {
             ["robot" | "host"] | ["robot" | "host", _] => true,

@@ -160,14 +160,14 @@ impl Layers {
     }
 
     /// Reads the fields of the whole team from environment variables. An error names the variable.
-    pub fn read_environment(&mut self, variables: &[(String, String)]) -> Result<(), ConfigError> {
+    pub(crate) fn read_environment(&mut self, variables: &[(String, String)]) -> Result<(), ConfigError> {
         let fields: Vec<String> = team_fields().map(str::to_owned).collect();
         self.take(variables, &fields)
     }
 
     /// Reads the fields of links, with the keys `fields`, from environment variables. An error names a variable with a
     /// wrong value, or an unknown one that begins with `MURMURATE_`.
-    pub fn read_link_environment(
+    pub(crate) fn read_link_environment(
         &mut self,
         variables: &[(String, String)],
         fields: &[String],

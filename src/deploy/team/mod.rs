@@ -5,7 +5,7 @@
 //! listing of values, `size` the scenario with its size.
 
 mod fields;
-pub mod layers;
+mod layers;
 mod names;
 mod places;
 mod show;

@@ -31,7 +31,7 @@ pub fn build(
 
 /// Returns `safety` with the least distances to robots and walls of robots with the hull of the `deployment`, unless
 /// the file has distances of its own. An error names the field.
-pub fn about_hulls(safety: Safety, layers: &Layers, deployment: &Deployment) -> Result<Safety, ConfigError> {
+pub(crate) fn about_hulls(safety: Safety, layers: &Layers, deployment: &Deployment) -> Result<Safety, ConfigError> {
     let Some(hull_m) = deployment.hull_m else { return Ok(safety) };
     let of_hull = safety.of_hull(hull_m);
     let (mut found, given) = (safety, |field: &str| layers.table(&format!("safety.{field}")).is_some());

@@ -17,7 +17,7 @@ pub struct Chassis {
     /// Largest yaw rate that the chassis is commanded \[rad/s\].
     pub yaw_rate_rad_s: f32,
     /// Step to whose multiples the speed along each axis is rounded \[m/s\]; zero for no rounding.
-    pub step_m_s: f32,
+    pub(crate) step_m_s: f32,
 }
 
 impl Chassis {

@@ -10,13 +10,13 @@ use std::fmt::Write;
 use std::net::Ipv4Addr;
 
 /// TCP port of a RoboMaster EP for commands and answers.
-pub const CONTROL_PORT: u16 = 40923;
+pub(crate) const CONTROL_PORT: u16 = 40923;
 /// UDP port of the host to which a RoboMaster EP sends (pushes) its state.
-pub const PUSH_PORT: u16 = 40924;
+pub(crate) const PUSH_PORT: u16 = 40924;
 /// TCP port of a RoboMaster EP on which it reports events, such as hits on its armour.
-pub const EVENT_PORT: u16 = 40925;
+pub(crate) const EVENT_PORT: u16 = 40925;
 /// UDP port to which a RoboMaster EP on a router's network announces its address, every 2 s until a program connects.
-pub const ANNOUNCEMENT_PORT: u16 = 40926;
+pub(crate) const ANNOUNCEMENT_PORT: u16 = 40926;
 
 /// Longest statement that is accepted from the robot \[bytes\]: eight times the longest line that is sent.
 const LONGEST: usize = 512;
@@ -114,7 +114,7 @@ impl Malformed {
 
 /// Splits the byte stream from the robot into statements, which end with a semicolon.
 #[derive(Clone, Debug, Default)]
-pub struct Splitter {
+pub(crate) struct Splitter {
     rest: Vec<u8>,
     /// Whether the unfinished statement is too long; everything up to the next semicolon is dropped.
     overflowed: bool,

@@ -4,11 +4,11 @@ use super::super::Out;
 use crate::messages::wire::{Hardware, Health, Reason};
 
 /// Reporter of the hardware condition of one robot. It suppresses repetitions.
-pub struct Reporter {
+pub(crate) struct Reporter {
     /// Health that was last reported, with its reason.
     told: Option<(Health, Option<Reason>)>,
     /// Reason why there is no connection with the robot; `None` if it is not known.
-    pub unconnected: Option<Reason>,
+    pub(crate) unconnected: Option<Reason>,
 }
 
 impl Default for Reporter {
@@ -30,7 +30,7 @@ impl Reporter {
 
     /// Reports the robot as silent for lack of a connection, with the charge of the battery \[%\], if that was not
     /// the last report.
-    pub fn unconnected(&mut self, battery: Option<u8>, out: &mut Vec<Out>) {
+    pub(crate) fn unconnected(&mut self, battery: Option<u8>, out: &mut Vec<Out>) {
         self.report(Health::Silent, self.unconnected.clone(), battery, out);
     }
 

@@ -33,7 +33,7 @@ const LONGEST_HOLD: Duration = Duration::from_millis(1000);
 const BYTES: usize = 2048;
 
 /// Worker of the RoboMaster driver for one robot: does its input and output over TCP and UDP.
-pub struct Tcp {
+pub(crate) struct Tcp {
     /// Robot that the worker connects with.
     pub robot: RobotId,
     /// Network address of the robot.

@@ -10,7 +10,7 @@
 pub mod geodesy;
 mod places;
 mod receivers;
-pub mod report;
+mod report;
 mod settings;
 mod worker;
 

@@ -36,7 +36,7 @@ impl Receivers {
     }
 
     /// Returns true if a report other than of a position is of the robot's receiver.
-    pub fn is_own(&self, device: Option<&str>) -> bool {
+    pub(crate) fn is_own(&self, device: Option<&str>) -> bool {
         self.own.as_deref().is_none_or(|own| device == Some(own))
     }
 

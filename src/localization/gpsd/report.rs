@@ -44,12 +44,12 @@ pub struct Tpv {
     /// Height above the WGS 84 ellipsoid \[m\]; `None` if not known.
     pub height_m: Option<f64>,
     /// Course over ground \[deg\], clockwise from true north; `None` if not known, such as at rest.
-    pub track_deg: Option<f64>,
+    pub(crate) track_deg: Option<f64>,
     /// Speed over ground \[m/s\]; `None` if not known.
     pub speed_m_s: Option<f64>,
     /// Estimated error of the horizontal position \[m\] (`eph`), which gpsd means for 95 % of all fixes; `None` if not
     /// known.
-    pub error_95_m: Option<f64>,
+    pub(crate) error_95_m: Option<f64>,
 }
 
 /// Report ATT of gpsd: attitude of a receiver with two antennas, or of a compass.
@@ -58,7 +58,7 @@ pub struct Att {
     /// Path of the receiver's device on the machine that runs gpsd; `None` if not reported.
     pub device: Option<String>,
     /// Direction from the one antenna to the other \[deg\], clockwise from true north; `None` if not known.
-    pub heading_deg: Option<f64>,
+    pub(crate) heading_deg: Option<f64>,
 }
 
 /// Report GST of gpsd: the expected error of a receiver's position. A field is `None` if the report does not have it.
@@ -69,9 +69,9 @@ pub struct Gst {
     /// Time of measurement \[ns since 1970, UTC\]; `None` if not known.
     pub time_ns: Option<u64>,
     /// Standard deviation of the position along north \[m\]; `None` if not known.
-    pub north_m: Option<f64>,
+    pub(crate) north_m: Option<f64>,
     /// Standard deviation of the position along east \[m\]; `None` if not known.
-    pub east_m: Option<f64>,
+    pub(crate) east_m: Option<f64>,
 }
 
 /// Origin of a position, by the mode and the status of a report.
@@ -156,7 +156,7 @@ impl Kind {
 impl Fix {
     /// Returns the quality of a fix of an unknown kind by the standard deviation of its position \[m\]; the lowest if
     /// that is unknown.
-    pub fn of_error(deviation_m: Option<f64>) -> Fix {
+    pub(crate) fn of_error(deviation_m: Option<f64>) -> Fix {
         let within = |(most_m, _): &&(f64, Fix)| deviation_m.is_some_and(|error_m| error_m <= *most_m);
         ACCURATE_M.iter().find(within).map_or(Fix::ThreeD, |(_, fix)| *fix)
     }
@@ -209,7 +209,7 @@ pub fn decode(line: &[u8]) -> Result<Report, Malformed> {
 
 /// Returns whether a time \[ns since 1970, UTC\] is within a second of the end of a month, where leap seconds are. A
 /// receiver has the stamps of such a second twice, or with second 60, which counts as the first of the next month.
-pub fn may_leap(time_ns: u64) -> bool {
+pub(crate) fn may_leap(time_ns: u64) -> bool {
     const DAY_S: u64 = 86_400;
     // Two seconds before the end of the month's last day to two after it: 60.9 is 0.9 of the next day.
     let seconds = time_ns / 1_000_000_000 + 2;

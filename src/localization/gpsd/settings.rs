@@ -91,7 +91,7 @@ pub struct Config {
     /// Direction of the receiver's heading relative to the robot's front \[rad\], counter-clockwise.
     pub antennas_rad: f64,
     /// Time for which positions by dead reckoning alone are used after the last fix from satellites; zero for never.
-    pub dead_reckoning: Span,
+    pub(crate) dead_reckoning: Span,
 }
 
 impl Config {

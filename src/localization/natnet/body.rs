@@ -45,7 +45,7 @@ pub struct Rates {
     /// Mean yaw rate over the window \[rad/s\], counter-clockwise; `None` if a heading in the window is unknown.
     pub yaw_rate: Option<f64>,
     /// Time between the first and the last pose of the window \[s\].
-    pub span_s: f64,
+    pub(crate) span_s: f64,
 }
 
 /// Poses of one robot's rigid body, as sequences of one motion each, of which velocities are computed.

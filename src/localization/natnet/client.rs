@@ -142,7 +142,7 @@ impl Client {
     /// Returns the newest description of the server and the newest model definitions, as datagrams to pass to the
     /// source again, since the actor that runs it may have been restarted. They are due every 0.5 s; in between, the
     /// result is empty.
-    pub fn reminders(&mut self, now: Time) -> Vec<Box<[u8]>> {
+    pub(crate) fn reminders(&mut self, now: Time) -> Vec<Box<[u8]>> {
         if now < self.remind_at {
             return Vec::new();
         }

@@ -32,7 +32,7 @@ pub struct RigidBody {
     /// Mean distance between the body's measured markers and its model \[m\]; zero if the server does not report it.
     pub error_m: f32,
     /// Whether the body has a pose in this frame.
-    pub tracking: Tracking,
+    pub(crate) tracking: Tracking,
 }
 
 /// State of a rigid body in one frame: whether it has a pose.

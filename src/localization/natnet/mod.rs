@@ -6,8 +6,8 @@
 mod body;
 mod client;
 pub mod frame;
-pub mod model;
-pub mod packet;
+mod model;
+mod packet;
 mod settings;
 mod worker;
 
@@ -282,7 +282,7 @@ impl Source for NatNet {
 
 /// Frame of the tracker: which of its axes points up, and its alignment with the team's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TrackerFrame {
+pub(crate) struct TrackerFrame {
     up: Up,
     level: Alignment,
 }

@@ -3,17 +3,17 @@
 //! Layouts and numbers are those of the manufacturer's sample client for direct depacketisation.
 
 /// NatNet message number of a client's request for the server's description; in unicast it also subscribes to frames.
-pub const CONNECT: u16 = 0;
+pub(crate) const CONNECT: u16 = 0;
 /// NatNet message number of the datagram in which the server describes itself.
-pub const SERVER_INFO: u16 = 1;
+pub(crate) const SERVER_INFO: u16 = 1;
 /// NatNet message number of a client's request for model definitions, the names and IDs of rigid bodies.
-pub const REQUEST_MODEL: u16 = 4;
+pub(crate) const REQUEST_MODEL: u16 = 4;
 /// NatNet message number of model definitions, the names and IDs of rigid bodies.
-pub const MODEL: u16 = 5;
+pub(crate) const MODEL: u16 = 5;
 /// NatNet message number of a frame of motion capture data.
 pub const FRAME: u16 = 7;
 /// NatNet message number of a client's request that renews its subscription at a unicast server.
-pub const KEEP_ALIVE: u16 = 10;
+pub(crate) const KEEP_ALIVE: u16 = 10;
 
 /// Size of a header \[bytes\]: message number and length of the payload.
 const HEADER: usize = 4;

@@ -39,7 +39,7 @@ pub enum Transmission {
 
 /// Reference to a rigid body of the tracker: its name or its streaming ID.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum BodyName {
+pub(crate) enum BodyName {
     /// Name of the body in the tracker. Model definitions give its streaming ID.
     Name(String),
     /// Streaming ID of the body: the number by which the tracker identifies it.

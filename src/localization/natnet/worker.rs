@@ -31,7 +31,7 @@ const BURST: usize = 64;
 const LARGEST: usize = 1 << 16;
 
 /// Worker (I/O thread) of the source `natnet`: requests the server's data and receives its datagrams.
-pub struct Listener {
+pub(crate) struct Listener {
     /// Network addresses of the server and of its frames.
     pub config: Network,
 }

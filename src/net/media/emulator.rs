@@ -29,7 +29,7 @@ pub struct Impairment {
 
 /// Emulator of one link: applies delay, loss and planned faults to its frames.
 #[derive(Clone, Debug)]
-pub struct LinkEmulator {
+pub(crate) struct LinkEmulator {
     impairment: Impairment,
     faults: Vec<LinkFault>,
     manual: ManualLinkFault,
@@ -48,7 +48,7 @@ impl LinkEmulator {
 
     /// Sets the fault that a person has chosen while the program runs: a cut link, or more delay and loss for every
     /// frame. It acts in addition to planned faults and replaces the one set before.
-    pub fn set_manual(&mut self, manual: ManualLinkFault) {
+    pub(crate) fn set_manual(&mut self, manual: ManualLinkFault) {
         self.manual = manual;
     }
 

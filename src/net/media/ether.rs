@@ -31,7 +31,7 @@ pub enum Out {
 /// Ether: the actor that emulates the medium of one link. It carries frames from host to host, with delay, loss, range
 /// and faults.
 #[derive(Debug)]
-pub struct Ether {
+pub(crate) struct Ether {
     emulator: LinkEmulator,
     radio: Option<RadioLink>,
     /// Tells which hosts are in range of a sender; `None` if the range is unlimited. Not used with a radio.

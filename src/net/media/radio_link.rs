@@ -27,7 +27,7 @@ pub struct Sent {
 
 /// Radio channel of one emulated link, with one station for each host.
 #[derive(Debug)]
-pub struct RadioLink {
+pub(crate) struct RadioLink {
     channel: Channel<Sent>,
     /// Hosts that are at the position of each robot, by number of the robot; an entry is empty if no host is there.
     hosts_of_robot: Vec<Vec<HostId>>,

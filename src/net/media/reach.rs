@@ -9,7 +9,7 @@ use crate::messages::local::Truth;
 
 /// Hosts of an emulated link with a limited transmission range, and their true positions.
 #[derive(Debug)]
-pub struct Reach {
+pub(crate) struct Reach {
     range_m: f32,
     /// Hosts that are at the position of each robot, by number of the robot; an entry is empty if no host is there.
     hosts_of_robot: Vec<Vec<HostId>>,

@@ -13,7 +13,7 @@ const ACK_WITHIN: Span = Span::from_millis(2);
 
 /// Acknowledgements that a host has still to send on one link: the ids of the received datagrams, by their sender.
 #[derive(Clone, Debug, Default)]
-pub struct Acks {
+pub(crate) struct Acks {
     pending: BTreeMap<HostId, Vec<DatagramId>>,
     due: Option<Time>,
 }
@@ -46,13 +46,13 @@ impl Acks {
 
     /// Returns the host with the lowest number among the senders of datagrams that are still to be acknowledged; `None`
     /// if there are none.
-    pub fn first_host(&self) -> Option<HostId> {
+    pub(crate) fn first_host(&self) -> Option<HostId> {
         self.pending.first_key_value().map(|(host, _)| *host)
     }
 
     /// Appends pending acknowledgements to `bytes`, a datagram that goes to all hosts: one block for each sender of
     /// acknowledged datagrams, as many ids as fit. The appended ids are no longer pending.
-    pub fn add_to(&mut self, bytes: &mut Vec<u8>) {
+    pub(crate) fn add_to(&mut self, bytes: &mut Vec<u8>) {
         while let Some(mut waiting) = self.pending.first_entry() {
             let room = MAX_PLAIN_BYTES.saturating_sub(bytes.len() + BLOCK_BYTES) / ID_BYTES;
             if room == 0 {
@@ -70,7 +70,7 @@ impl Acks {
 
     /// Appends all pending acknowledgements of datagrams of the host `host` to `bytes`, a datagram for that host that
     /// has no other block yet. They are no longer pending.
-    pub fn add_for(&mut self, host: HostId, bytes: &mut Vec<u8>) {
+    pub(crate) fn add_for(&mut self, host: HostId, bytes: &mut Vec<u8>) {
         if let Some(ids) = self.pending.remove(&host) {
             add(bytes, Content::Ack, |bytes| write_ids(&ids, bytes));
         }

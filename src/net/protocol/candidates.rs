@@ -21,7 +21,7 @@ const MAX_GUESTS: usize = 256;
 const REMOVED_SHARE: usize = 16;
 /// Largest number of stored candidates (incarnations that have not proved their liveness) of one host. An
 /// attacker is unlikely to have recorded as many earlier runs of a host with the same key and link.
-pub const MAX_CANDIDATES: usize = 32;
+pub(crate) const MAX_CANDIDATES: usize = 32;
 /// Difference \[us\] beyond which two stamps belong to different runs, even with equal incarnations: an hour.
 const SAME_CLOCK_US: i64 = 3_600_000_000;
 

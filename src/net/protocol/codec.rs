@@ -54,7 +54,7 @@ impl Flags {
     /// Flag bit: the datagram is a retransmission.
     pub const COPY: u8 = 4;
     /// Flag bit: the sender asks the receiver to acknowledge the datagram.
-    pub const ACK: u8 = 8;
+    pub(crate) const ACK: u8 = 8;
 
     /// Whether the flag `bit`, one of the constants of this type, is set.
     pub fn has(self, bit: u8) -> bool {

@@ -16,7 +16,7 @@ const HOLD: Span = Span::from_millis(10_000);
 
 /// Base delay of the round trips to one host.
 #[derive(Clone, Copy, Debug)]
-pub struct BaseDelay {
+pub(crate) struct BaseDelay {
     began: Time,
     /// Least round trips of this interval and the one before \[s\].
     least_s: [f64; 2],
@@ -29,7 +29,7 @@ impl BaseDelay {
     }
 
     /// Takes a round trip of `round_trip_s` \[s\] that was measured at `now`; returns its queueing delay \[s\].
-    pub fn queueing_s(&mut self, now: Time, round_trip_s: f64) -> f64 {
+    pub(crate) fn queueing_s(&mut self, now: Time, round_trip_s: f64) -> f64 {
         if now.since(self.began) >= INTERVAL {
             (self.began, self.least_s) = (now, [f64::INFINITY, self.least_s[0]]);
         }

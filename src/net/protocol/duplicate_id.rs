@@ -11,7 +11,7 @@ use crate::time::{Span, Time};
 
 /// Time since its start after which a process no longer ends because another host has the same id. Every member with
 /// the key can claim an earlier start, and a false claim must not end a team.
-pub const SETTLED: Span = Span::from_millis(10_000);
+pub(crate) const SETTLED: Span = Span::from_millis(10_000);
 /// Difference of uptimes below which the incarnations decide which process ends.
 const TIE_MARGIN: Span = Span::from_millis(50);
 

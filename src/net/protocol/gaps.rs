@@ -63,7 +63,7 @@ impl Gaps {
 
     /// Postpones requests for the datagrams `ids`, which another host has just requested. It concerns only datagrams to
     /// all hosts: each receiver has its own sequence space for unicast datagrams.
-    pub fn asked_by_others(&mut self, now: Time, ids: &[DatagramId]) {
+    pub(crate) fn asked_by_others(&mut self, now: Time, ids: &[DatagramId]) {
         for id in ids.iter().filter(|id| !id.direct) {
             if let Some(gap) = self.0.get_mut(id) {
                 gap.due = gap.due.max(now + BACKOFF * 2);

@@ -67,9 +67,9 @@ pub struct LocalEnd {
     pub authenticated: bool,
     /// Smallest host id of a guest (operator, or host that the deployment does not know); hosts of the team have
     /// smaller ids.
-    pub first_guest: HostId,
+    pub(crate) first_guest: HostId,
     /// Length of an entry in this host's link reports \[bytes\].
-    pub entry_bytes: usize,
+    pub(crate) entry_bytes: usize,
     /// Clock from which this host's link reports take their stamps.
     pub stamps: Stamps,
 }
@@ -180,12 +180,12 @@ impl Incoming {
 
     /// Returns whether the datagram that was given to `admit` last proves its sender's liveness: it echoes a recent
     /// stamp of this host.
-    pub fn has_proved(&self) -> bool {
+    pub(crate) fn has_proved(&self) -> bool {
         self.proved
     }
 
     /// Lists the accepted incarnations of the host `host` in the next link report, even in an urgent one.
-    pub fn list_soon(&mut self, host: HostId) {
+    pub(crate) fn list_soon(&mut self, host: HostId) {
         self.senders.iter_mut().filter(|((id, _), _)| *id == host).for_each(|(_, sender)| sender.challenged = true);
     }
 
@@ -325,7 +325,7 @@ impl Incoming {
 
     /// Handles the link report of another process with this host's id: a live one, or a recording of an earlier run.
     #[cold]
-    pub fn note_duplicate_id(&mut self, now: Time, header: &Header, report: &Report, counts: &mut LinkCounts) {
+    pub(crate) fn note_duplicate_id(&mut self, now: Time, header: &Header, report: &Report, counts: &mut LinkCounts) {
         self.candidates.note(now, header.sender, header.incarnation, report.stamp);
         match self.liveness_proof(now, report) {
             Some(proof) => {
@@ -367,7 +367,7 @@ impl Incoming {
 
     /// Records as missing those datagrams that their sender still keeps for retransmission, by the sequence numbers
     /// `held` in a datagram of it, and that have not arrived. `backoff` draws the wait before each request.
-    pub fn note_gaps(&mut self, now: Time, header: &Header, held: &[u32], backoff: impl FnMut() -> Span) {
+    pub(crate) fn note_gaps(&mut self, now: Time, header: &Header, held: &[u32], backoff: impl FnMut() -> Span) {
         if held.is_empty() && self.gaps.is_empty() {
             return;
         }
@@ -378,7 +378,7 @@ impl Incoming {
 
     /// Records that another host requested these datagrams at `now`, so that this host does not request them at the
     /// same time.
-    pub fn asked_by_others(&mut self, now: Time, ids: &[DatagramId]) {
+    pub(crate) fn asked_by_others(&mut self, now: Time, ids: &[DatagramId]) {
         self.gaps.asked_by_others(now, ids);
     }
 

@@ -323,7 +323,7 @@ impl LinkState {
     /// Sends a link report of its own soon, which lists the accepted host `host`, so that it can prove its liveness
     /// from another address.
     #[cold]
-    pub fn invite(&mut self, now: Time, host: HostId) {
+    pub(crate) fn invite(&mut self, now: Time, host: HostId) {
         self.incoming.list_soon(host);
         self.outgoing.request_report(now, Urgency::Immediate);
         self.plan();

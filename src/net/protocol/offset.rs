@@ -17,7 +17,7 @@ const DRIFT: f64 = 30e-6;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Offset {
     /// Stamps of the other host minus those of this host \[s\].
-    pub ahead_s: f64,
+    pub(crate) ahead_s: f64,
     /// Bound on the error of the offset \[s\]: half of the round trip, and the drift since the measurement.
     pub uncertainty_s: f64,
     /// Round-trip time of the link reports from which the offset was measured \[s\].
@@ -46,7 +46,7 @@ impl Offsets {
     /// Returns whether a link report that arrived at `now` was certainly in transit for longer than `most`, or was
     /// stamped by another clock than the measured one. `theirs` is its stamp, `here` the stamp of this host's clock at
     /// `now`. `false` without a measurement.
-    pub fn is_off(&self, now: Time, here: Stamp, theirs: Stamp, most: Span) -> bool {
+    pub(crate) fn is_off(&self, now: Time, here: Stamp, theirs: Stamp, most: Span) -> bool {
         let Some(offset) = self.estimate(now) else { return false };
         let delay_s = offset.ahead_s - theirs.ahead_us(here) as f64 * 1e-6;
         delay_s.abs() > most.as_secs() + offset.uncertainty_s

@@ -23,7 +23,7 @@ use crate::time::{Span, Time};
 
 /// Longest time between two link reports of a host on a link; then the next one is sent, in a datagram of its own if
 /// need be.
-pub const REPORT_PERIOD: Span = Span::from_millis(250);
+pub(crate) const REPORT_PERIOD: Span = Span::from_millis(250);
 /// Age of the last report from which on a report that another host waits for may be piggybacked.
 const PENDING_PIGGYBACK_AGE: Span = Span::from_millis(10);
 /// Smallest interval between urgent reports, so that a flood of recordings does not cause a flood of answers.
@@ -35,7 +35,7 @@ const URGENT_RATE: Rate = Rate { per_s: 4.0, burst: 25.0 };
 const EAGER_PERIOD: Span = Span::from_millis(5);
 
 /// Receivers of a datagram, and the datagram with its authentication tag, as given to a transport.
-pub type Outbound = (Audience, Frame);
+pub(crate) type Outbound = (Audience, Frame);
 
 /// State of the transmission on one link: sequence numbers, waiting soft state, link reports and datagrams to
 /// retransmit.
@@ -279,7 +279,7 @@ impl Outgoing {
 
     /// Schedules a link report that another host needs, to prove its liveness or to accept this host. `urgency` says
     /// how soon.
-    pub fn request_report(&mut self, now: Time, urgency: Urgency) {
+    pub(crate) fn request_report(&mut self, now: Time, urgency: Urgency) {
         if urgency == Urgency::Regular || self.setup.reports == Reports::Off {
             return;
         }
@@ -324,7 +324,7 @@ impl Outgoing {
     }
 
     /// Returns whether the acknowledgement of this datagram is pending, or nothing more of its sender can be.
-    pub fn acknowledges(&self, id: &DatagramId) -> bool {
+    pub(crate) fn acknowledges(&self, id: &DatagramId) -> bool {
         self.acks.has(id)
     }
 

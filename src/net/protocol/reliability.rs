@@ -73,7 +73,7 @@ pub enum Heartbeats {
 
 /// Age of a host's last link report from which on the next report may be appended to a datagram that is sent anyway
 /// (piggybacking). It holds for all hosts but operators, which use zero.
-pub const REPORT_PIGGYBACK_AGE: Span = Span::from_millis(150);
+pub(crate) const REPORT_PIGGYBACK_AGE: Span = Span::from_millis(150);
 
 /// Setup of a link: reliability modes, piggybacking, link reports and rate limit. Equal on all hosts, except
 /// `report_piggyback_age`.

@@ -18,17 +18,17 @@ const STAMP_BYTES: usize = 6;
 /// Length of a [`Stamp`] \[bits\]. The stamp wraps after 2^48 us, which is nine years.
 const STAMP_BITS: u32 = 48;
 /// Length of an [`Entry`] in a link report without numbers of unicast datagrams \[bytes\].
-pub const ENTRY_BYTES: usize = 12;
+pub(crate) const ENTRY_BYTES: usize = 12;
 /// Length of an [`Entry`] in a link report that also has the number of the sender's next unicast datagram to the
 /// entry's host \[bytes\].
-pub const NUMBERED_ENTRY_BYTES: usize = 16;
+pub(crate) const NUMBERED_ENTRY_BYTES: usize = 16;
 /// Length of a link report without entries \[bytes\].
-pub const REPORT_BYTES: usize = STAMP_BYTES;
+pub(crate) const REPORT_BYTES: usize = STAMP_BYTES;
 /// Length of an encoded [`DatagramId`] \[bytes\].
-pub const ID_BYTES: usize = 11;
+pub(crate) const ID_BYTES: usize = 11;
 /// Longest time that the field `held` of an [`Entry`] in a link report can express: three bytes of microseconds, 16.8
 /// s. Longer times are sent as this one.
-pub const MAX_HELD_FOR: Span = Span::from_nanos(0xff_ffff * 1000);
+pub(crate) const MAX_HELD_FOR: Span = Span::from_nanos(0xff_ffff * 1000);
 /// Bit in the loss field of an [`Entry`] by which the sender of a link report asks the entry's host for a liveness
 /// proof.
 const CHALLENGE: u8 = 0x80;
@@ -46,7 +46,7 @@ impl Stamp {
     }
 
     /// Returns how much later this stamp is than `other`, a stamp of the same clock \[us\]; negative if it is earlier.
-    pub fn ahead_us(self, other: Stamp) -> i64 {
+    pub(crate) fn ahead_us(self, other: Stamp) -> i64 {
         let spare = u64::BITS - STAMP_BITS;
         (self.0.wrapping_sub(other.0) << spare).cast_signed() >> spare
     }
@@ -59,6 +59,7 @@ pub struct Stamps(u64);
 
 impl Stamps {
     /// Returns a clock for stamps that shows `base` microseconds at the start of the program.
+    #[cfg(test)]
     pub fn beginning_at(base: u64) -> Stamps {
         Stamps(base)
     }
@@ -191,11 +192,11 @@ impl DatagramId {
 }
 
 /// Largest number of datagram ids in one block of acknowledgements or of requests to retransmit.
-pub const MAX_IDS: usize = 64;
+pub(crate) const MAX_IDS: usize = 64;
 
 /// Appends the encoded datagram ids `ids` to `bytes`, as the body of a block of acknowledgements or of requests to
 /// retransmit.
-pub fn write_ids(ids: &[DatagramId], bytes: &mut Vec<u8>) {
+pub(crate) fn write_ids(ids: &[DatagramId], bytes: &mut Vec<u8>) {
     for id in ids {
         bytes.extend_from_slice(&id.host.0.to_le_bytes());
         bytes.extend_from_slice(&id.incarnation.to_le_bytes());
@@ -221,11 +222,11 @@ pub fn read_ids(content: Content, bytes: &[u8]) -> Result<Vec<DatagramId>, Decod
 }
 
 /// Largest number of sequence numbers in a block that offers earlier datagrams for retransmission.
-pub const MAX_HELD: usize = 16;
+pub(crate) const MAX_HELD: usize = 16;
 
 /// Appends `held` to `bytes`, as the body of a block that offers retransmission: the sequence numbers of datagrams that
 /// the sender still keeps, so that receivers may request them.
-pub fn write_held(held: &[u32], bytes: &mut Vec<u8>) {
+pub(crate) fn write_held(held: &[u32], bytes: &mut Vec<u8>) {
     held.iter().for_each(|sequence| bytes.extend_from_slice(&sequence.to_le_bytes()));
 }
 

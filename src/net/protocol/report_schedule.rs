@@ -36,7 +36,7 @@ pub enum Occasion {
 
 /// Order of the hosts in one link's reports, which list them in turn, and the byte budget of the reports.
 #[derive(Clone, Debug)]
-pub struct ReportSchedule {
+pub(crate) struct ReportSchedule {
     me: HostId,
     rate: Rate,
     budget: Bucket,

@@ -16,7 +16,7 @@ use crate::time::{Span, Time};
 
 /// Time after which a message in the reliability mode `repeat` is sent again; earlier if the next message of its stream
 /// comes earlier.
-pub const REPEAT_AFTER: Span = Span::from_millis(4);
+pub(crate) const REPEAT_AFTER: Span = Span::from_millis(4);
 /// Time without an acknowledgement after which a message in the reliability mode `ack` is first retransmitted. Each
 /// further wait is twice as long.
 pub const RETRY_AFTER: Span = Span::from_millis(5);
@@ -26,9 +26,9 @@ pub const RETRIES: u8 = 5;
 const REQUEST_INTERVAL: Span = Span::from_millis(2);
 
 /// Identity of a stream of messages: the kind of the messages, and the robot that they are about.
-pub type StreamId = (Kind, RobotId);
+pub(crate) type StreamId = (Kind, RobotId);
 /// Receivers of a datagram, and the datagram without its authentication tag.
-pub type Untagged = (Audience, Frame);
+pub(crate) type Untagged = (Audience, Frame);
 
 /// Newest datagram of a stream, kept for retransmission.
 #[derive(Clone, Debug)]
@@ -49,7 +49,7 @@ struct Kept {
 
 /// Newest datagram of each stream of one link, kept as long as it may be retransmitted.
 #[derive(Clone, Debug, Default)]
-pub struct Retransmitter {
+pub(crate) struct Retransmitter {
     kept: BTreeMap<StreamId, Kept>,
     dues: BTreeSet<(Time, StreamId)>,
     /// Hosts that have acknowledged any datagram, with the time of their last acknowledgement.
@@ -62,7 +62,7 @@ impl Retransmitter {
     /// Removes the kept datagram of a stream because a newer message replaces it. Returns it if a repeat of it is
     /// pending (mode `repeat`) and it was sent before `now`: the repeat has to go out before the newer message, after
     /// which receivers would refuse it as stale. `None` otherwise.
-    pub fn supersede(&mut self, now: Time, stream: StreamId) -> Option<Untagged> {
+    pub(crate) fn supersede(&mut self, now: Time, stream: StreamId) -> Option<Untagged> {
         let kept = self.kept.get(&stream)?;
         let before = kept.reliability == Reliability::Repeat && kept.due.is_some() && kept.sent_at < now;
         let datagram = before.then(|| (kept.audience, kept.plain.clone()));

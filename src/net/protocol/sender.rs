@@ -54,22 +54,22 @@ pub struct Sender {
     /// Measurements of the offset between the sender's stamps and this host's.
     pub offsets: Offsets,
     /// Base delay of the round trips to the sender.
-    pub base_delay: BaseDelay,
+    pub(crate) base_delay: BaseDelay,
     /// Time of this host's last link report with an entry about the sender; `None` if there was none.
     pub listed: Option<Time>,
     /// Number of lost datagrams among the sender's newest 64, as stated in this host's last link report about the
     /// sender.
-    pub loss_sent: u8,
+    pub(crate) loss_sent: u8,
     /// Whether the sender has asked for a proof that this host is alive and has not got it yet.
-    pub challenged: bool,
+    pub(crate) challenged: bool,
     /// Number of lost datagrams among this host's newest 64, as stated in the sender's last link report about this
     /// host.
-    pub reported_lost: u8,
+    pub(crate) reported_lost: u8,
     /// Times until which messages in the reliability mode `repeat` are sent a second and a third time, because of the
     /// loss that the sender reports.
-    pub repeat_until: [Time; 2],
+    pub(crate) repeat_until: [Time; 2],
     /// Incarnation of the same host that was accepted before and that this one has replaced; `None` if there was none.
-    pub predecessor: Option<u32>,
+    pub(crate) predecessor: Option<u32>,
     /// Number of refused datagrams of a second live host with the same id.
     pub duplicate_ids: u64,
     /// Another incarnation of the same host, of which datagrams are refused, and the time of the first of them; `None`
@@ -121,7 +121,7 @@ impl Sender {
 
     /// Records that the sender reports the loss of `lost` of this host's newest 64 datagrams, which decides about
     /// repeats.
-    pub fn note_reported_loss(&mut self, now: Time, lost: u8) {
+    pub(crate) fn note_reported_loss(&mut self, now: Time, lost: u8) {
         self.reported_lost = lost.min(LOSS_SPAN as u8);
         for (until, bar) in self.repeat_until.iter_mut().zip([LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE]) {
             *until = if lost >= bar { now + REPEATS_FOR } else { (*until).min(now + STOPS_AFTER) };
@@ -133,7 +133,7 @@ impl Sender {
     ///
     /// A host that was killed is restarted within less time than it takes to count as silent, so another incarnation
     /// alone tells nothing: this one may just have died.
-    pub fn contest(&mut self, now: Time, other: u32) -> bool {
+    pub(crate) fn contest(&mut self, now: Time, other: u32) -> bool {
         self.contested.get_or_insert((other, now));
         self.duplicate_ids += u64::from(self.is_duplicated);
         self.is_duplicated
@@ -141,7 +141,7 @@ impl Sender {
 
     /// The same on a link without a key, where nothing proves when a host was alive: both have to be heard for longer
     /// than a datagram of a dead process can be in transit.
-    pub fn contest_without_key(&mut self, now: Time, other: u32) -> bool {
+    pub(crate) fn contest_without_key(&mut self, now: Time, other: u32) -> bool {
         match self.contested {
             Some((before, since)) if before == other => self.is_duplicated |= now.since(since) > FRESH,
             _ => self.contested = Some((other, now)),
@@ -152,7 +152,7 @@ impl Sender {
     /// Records that the sender was alive at some time in the last `age` before `now`. If another incarnation of the
     /// same host was received before that, both are alive: a dead process cannot have echoed so recent a stamp, however
     /// long its datagrams were in transit.
-    pub fn alive_within(&mut self, now: Time, age: Span) {
+    pub(crate) fn alive_within(&mut self, now: Time, age: Span) {
         self.is_duplicated |= self.contested.is_some_and(|(_, since)| now.since(since) > age);
     }
 

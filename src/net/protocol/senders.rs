@@ -11,15 +11,15 @@ use crate::messages::ids::HostId;
 use crate::time::{Span, Time};
 
 /// Largest number of hosts of the team that are accepted on a link.
-pub const MAX_SENDERS: usize = 1024;
+pub(crate) const MAX_SENDERS: usize = 1024;
 /// Largest number of guests (operators, and hosts that the deployment does not know) that are accepted in addition to
 /// the hosts of the team.
-pub const MAX_GUESTS: usize = 128;
+pub(crate) const MAX_GUESTS: usize = 128;
 /// Time without a datagram after which a host is removed if the table is full.
 const FORGET: Span = Span::from_millis(20_000);
 
 /// Identity of a sender: its host id, and its incarnation (random number of one run).
-pub type SenderId = (HostId, u32);
+pub(crate) type SenderId = (HostId, u32);
 
 /// Table of the senders that are accepted on one link, of limited size.
 #[derive(Clone, Debug)]
@@ -68,7 +68,7 @@ impl Senders {
 
     /// Returns another accepted incarnation of the host of `(host, incarnation)`; `None` if there is none. Always
     /// `None` for an operator, since several operators may have drawn the same id.
-    pub fn other_incarnation(&self, (host, incarnation): SenderId) -> Option<SenderId> {
+    pub(crate) fn other_incarnation(&self, (host, incarnation): SenderId) -> Option<SenderId> {
         let mut all = self.all.range(ids(host, host)).map(|(id, _)| *id);
         all.find(|id| id.1 != incarnation).filter(|_| !host.is_operator())
     }
@@ -86,7 +86,7 @@ impl Senders {
     /// Makes room in the table for a new sender of the host `host`; returns `false` if there is none. Among too many
     /// guests, the one that has been silent longest is removed; it is accepted again with its next datagram. Among too
     /// many hosts of the team, those that have been silent for 20 s are removed.
-    pub fn make_room(&mut self, now: Time, host: HostId) -> bool {
+    pub(crate) fn make_room(&mut self, now: Time, host: HostId) -> bool {
         let guests = || ids(self.first_guest, HostId(u16::MAX));
         let count = self.all.range(guests()).count();
         if host >= self.first_guest {

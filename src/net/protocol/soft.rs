@@ -12,10 +12,10 @@ use crate::time::{Span, Time};
 /// Longest time that soft state waits for a datagram with data to which it can be appended, one to the same receivers.
 /// It does not wait if the last of these was sent longer ago than this. With data twelve times a second, all soft state
 /// is appended.
-pub const PIGGYBACK_WAIT: Span = Span::from_millis(100);
+pub(crate) const PIGGYBACK_WAIT: Span = Span::from_millis(100);
 /// Smallest interval between datagrams that contain only soft state; half of it if they contain an instruction of the
 /// state server.
-pub const SOFT_PERIOD: Span = Span::from_millis(200);
+pub(crate) const SOFT_PERIOD: Span = Span::from_millis(200);
 /// Time after a heartbeat from which on its retransmission is appended to a datagram with data, and after which it
 /// leaves in a datagram of its own: a fifth and half of the period of heartbeats.
 const REPEAT_AFTER: [Span; 2] = [Span::from_millis(40), Span::from_millis(100)];
@@ -91,7 +91,7 @@ impl Soft {
     }
 
     /// Whether a heartbeat to the receivers `audience` waits to be sent for the first time.
-    pub fn has_heartbeat(&self, audience: Audience) -> bool {
+    pub(crate) fn has_heartbeat(&self, audience: Audience) -> bool {
         let mut all = self.pending.range((Kind::Heartbeat, RobotId(0))..=(Kind::Heartbeat, RobotId(u16::MAX)));
         all.any(|(_, (to, _))| *to == audience)
     }
@@ -111,7 +111,7 @@ impl Soft {
     }
 
     /// Whether a message waits that can be appended to a datagram to `audience` that leaves at `now`.
-    pub fn has_for(&self, now: Time, audience: Audience) -> bool {
+    pub(crate) fn has_for(&self, now: Time, audience: Audience) -> bool {
         self.pending.values().any(|(to, _)| *to == audience) || self.repeats.has_for(now, audience)
     }
 
@@ -122,7 +122,7 @@ impl Soft {
 
     /// Appends what has the receivers `audience` and fits to the datagram `bytes`, which leaves at `now`. `twice` says
     /// whether heartbeats in it are to be retransmitted.
-    pub fn add_to(&mut self, now: Time, audience: Audience, bytes: &mut Vec<u8>, twice: bool) {
+    pub(crate) fn add_to(&mut self, now: Time, audience: Audience, bytes: &mut Vec<u8>, twice: bool) {
         let Soft { pending, repeats, .. } = self;
         repeats.add_to(now, audience, bytes);
         pending.retain(|stream, (to, frame)| {

@@ -4,7 +4,7 @@
 pub const WINDOW: u32 = 1024;
 const WORDS: usize = WINDOW as usize / 64;
 /// Number of newest datagrams of a sender over which loss is measured.
-pub const LOSS_SPAN: u32 = 64;
+pub(crate) const LOSS_SPAN: u32 = 64;
 
 /// Position of a received datagram relative to the replay window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -75,7 +75,7 @@ impl LinkSettings<'_> {
     }
 
     /// Returns the name of the host that the settings are for.
-    pub fn host_name(&self) -> &str {
+    pub(crate) fn host_name(&self) -> &str {
         self.hosts[usize::from(self.host.0)]
     }
 }

@@ -16,7 +16,7 @@ pub enum Action {
 
 impl Action {
     /// Returns whether the action is a velocity.
-    pub fn is_velocity(&self) -> bool {
+    pub(crate) fn is_velocity(&self) -> bool {
         *self == Action::Velocity
     }
 }

@@ -41,7 +41,7 @@ pub fn softmax(count: usize, heads: usize, scores: &mut [f32]) {
 /// `keys`, with one score for each head. Query and keys consist of `heads` equal parts; a score is the dot product of a
 /// part of the query and of a key, divided by the square root of the part's width.
 #[inline(always)]
-pub fn dot_products(count: usize, heads: usize, query: &[f32], keys: &[f32], scores: &mut [f32]) {
+pub(crate) fn dot_products(count: usize, heads: usize, query: &[f32], keys: &[f32], scores: &mut [f32]) {
     let width = query.len() / heads;
     let scale = (width as f32).sqrt();
     for (key, scores) in keys.chunks_exact(query.len()).zip(scores.chunks_exact_mut(heads)).take(count) {
@@ -54,7 +54,7 @@ pub fn dot_products(count: usize, heads: usize, query: &[f32], keys: &[f32], sco
 /// Writes the sum of the first `count` rows of `messages` into `sum`, each head's part of a row multiplied by its
 /// weight. `weights` has a row of `heads` weights for each row of messages.
 #[inline(always)]
-pub fn weighted_sum(count: usize, heads: usize, weights: &[f32], messages: &[f32], sum: &mut [f32]) {
+pub(crate) fn weighted_sum(count: usize, heads: usize, weights: &[f32], messages: &[f32], sum: &mut [f32]) {
     sum.fill(0.0);
     let width = sum.len() / heads;
     for (message, weights) in messages.chunks_exact(sum.len()).zip(weights.chunks_exact(heads)).take(count) {

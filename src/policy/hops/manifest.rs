@@ -12,9 +12,9 @@ use crate::policy::manifest::{self, Field, Training};
 /// Version of the manifest's format of policies with several hops, which this module reads.
 pub const FORMAT: u32 = manifest::FORMATS[1];
 /// Largest number of hops of a policy.
-pub const MAX_HOPS: usize = 8;
+pub(crate) const MAX_HOPS: usize = 8;
 /// Largest number of heads of an attention, an aggregation that is weighted by scores.
-pub const MAX_HEADS: usize = 64;
+pub(crate) const MAX_HEADS: usize = 64;
 /// Number of raw outputs of the decoder: two means and two parameters of standard deviations.
 pub const OUTPUTS: usize = 4;
 
@@ -152,7 +152,7 @@ pub struct Hop {
 impl Hop {
     /// Returns the number of floats of a neighbour's contribution to the aggregation: the outputs of the message
     /// network, or the neighbour's hop input itself, of `input` floats, if the hop has no message network.
-    pub fn message_width(&self, input: usize) -> usize {
+    pub(crate) fn message_width(&self, input: usize) -> usize {
         self.message.as_ref().map_or(input, Layers::outputs)
     }
 

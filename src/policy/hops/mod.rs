@@ -7,7 +7,7 @@
 //! et al., CoRL 2019 (arXiv 1903.10527).
 
 pub mod action;
-pub mod attention;
+mod attention;
 pub mod file;
 pub mod hop;
 pub mod manifest;

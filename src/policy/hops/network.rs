@@ -70,7 +70,7 @@ impl Network {
 
 /// One robot's instance of a policy of several hops, with buffers of its own.
 #[derive(Debug)]
-pub struct Hops {
+pub(crate) struct Hops {
     network: Arc<Network>,
     draw: Draw,
     instructions: Instructions,

@@ -111,9 +111,9 @@ pub struct Radio {
 /// Bytes of headers and trailers that are transmitted with each UDP datagram \[bytes\]. They are, by clauses of IEEE
 /// 802.11-2016: MAC header 24 (9.2.3), QoS control 2 (9.2.4.5), FCS 4; and LLC and SNAP 8 (RFC 1042), IPv4 20 (RFC
 /// 791), UDP 8 (RFC 768).
-pub const OVERHEAD_BYTES: usize = 24 + 2 + 4 + 8 + 20 + 8;
+pub(crate) const OVERHEAD_BYTES: usize = 24 + 2 + 4 + 8 + 20 + 8;
 /// Length of an acknowledgement (ACK) frame of IEEE 802.11 (9.3.1.4) \[bytes\].
-pub const ACK_BYTES: usize = 14;
+pub(crate) const ACK_BYTES: usize = 14;
 
 /// Names of the predefined radio channels, which `Radio::preset` returns.
 pub const PRESETS: [&str; 4] = ["wifi", "wifi-n", "wifi-slow", "paper"];
@@ -161,14 +161,14 @@ pub struct Times {
     /// Slot time, the unit in which stations count their backoff.
     pub slot: Span,
     /// Propagation delay between any two stations.
-    pub propagation: Span,
+    pub(crate) propagation: Span,
     /// Arbitration interframe space (AIFS): idle time of the medium before stations count their backoff. It equals a
     /// DIFS if `Radio::aifsn` is 2.
     pub aifs: Span,
     /// Time from the arrival of a unicast frame at its receiver to the arrival of the acknowledgement at the sender.
     pub acknowledged: Span,
     /// Time from the end of a frame that no station could decode until stations count their backoff again.
-    pub recovery: Span,
+    pub(crate) recovery: Span,
 }
 
 impl Radio {
@@ -316,7 +316,7 @@ impl Radio {
 
     /// Returns the part of a unicast frame's airtime that the datagram of `datagram_bytes` bytes itself takes, without
     /// the headers.
-    pub fn payload_airtime(&self, datagram_bytes: usize) -> Span {
+    pub(crate) fn payload_airtime(&self, datagram_bytes: usize) -> Span {
         let empty = self.rate.airtime(self.overhead_bytes, self.width_mhz, self.band);
         self.frame_airtime(datagram_bytes) - empty
     }

@@ -79,7 +79,7 @@ pub(super) struct Station<T> {
     /// Frames that wait for transmission, the next one first.
     pub queue: VecDeque<QueuedFrame<T>>,
     /// Frame that refills an empty queue if the station is saturated; `None` if it is not.
-    pub refill: Option<QueuedFrame<T>>,
+    pub(crate) refill: Option<QueuedFrame<T>>,
     /// Counters of the station.
     pub counts: StationCounts,
     /// Backoff counter: number of slots that the station still waits after the medium becomes idle before it transmits
@@ -116,13 +116,13 @@ impl<T: Clone> Station<T> {
 
     /// Schedules the transmission of a frame that came to an empty queue while the medium was idle: in slot number
     /// `slot` since the medium became idle, or later if a backoff is still in progress (IEEE 802.11-2016, 10.3.4.2).
-    pub fn ready_at(&mut self, slot: u64) {
+    pub(crate) fn ready_at(&mut self, slot: u64) {
         self.counter = Some(self.counter.unwrap_or(0).max(slot));
     }
 
     /// Schedules the transmission of a frame that came to an empty queue while the medium was busy: draws a backoff,
     /// unless one is still in progress (IEEE 802.11-2016, 10.3.4.2, 10.3.4.3).
-    pub fn ready_after(&mut self, stream: &mut Stream) {
+    pub(crate) fn ready_after(&mut self, stream: &mut Stream) {
         if self.counter.is_none() {
             self.draw(stream);
         }

@@ -15,15 +15,15 @@ use crate::time::{Span, Time};
 
 /// Largest number of accepted guests (operators) that a unicast link sends to. Each costs an additional datagram for
 /// every one that is sent to all hosts.
-pub const MAX_GUESTS: usize = 32;
+pub(crate) const MAX_GUESTS: usize = 32;
 /// Time after an accepted operator's last datagram for which a unicast link goes on sending to it: at least a hundred
 /// datagrams of a live operator.
-pub const GUEST_LIFETIME: Span = Span::from_millis(10_000);
+pub(crate) const GUEST_LIFETIME: Span = Span::from_millis(10_000);
 /// Largest number of addresses of operators that have not proved their liveness, to which a unicast link sends reports.
 /// Each costs a datagram for every report.
-pub const MAX_CANDIDATES: usize = 32;
+pub(crate) const MAX_CANDIDATES: usize = 32;
 /// Time for which the address of an operator that has not proved its liveness is kept: as long as its stamp is echoed.
-pub const CANDIDATE_LIFETIME: Span = Span::from_millis(2000);
+pub(crate) const CANDIDATE_LIFETIME: Span = Span::from_millis(2000);
 
 /// Addresses of the guests (operators, which are not in the team file) of one unicast link.
 #[derive(Clone, Debug, Default)]

@@ -5,7 +5,7 @@ mod batch;
 mod endpoint;
 mod filter;
 mod fitness;
-pub mod guests;
+mod guests;
 mod keeper;
 mod loopback;
 pub mod multicast;

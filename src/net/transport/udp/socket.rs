@@ -32,7 +32,7 @@ pub(super) fn bound(settings: &LinkSettings) -> Result<(String, usize), ConfigEr
 
 /// Configuration of a host's UDP sockets on a link: addresses, network interface and receive buffer.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct SocketConfig {
+pub(crate) struct SocketConfig {
     /// Addresses to which datagrams are sent, and at which they are received.
     pub addressing: Addressing,
     /// Network interface that the sockets use: its name, or `auto` for the only suitable one. An operator's socket on a
