@@ -4,7 +4,6 @@
 //! condition. The Body handles expiry of commands and the emergency stop, for all drivers alike.
 
 mod program;
-pub mod robomaster;
 pub(crate) mod simulated;
 
 use crate::config::ConfigError;
@@ -91,5 +90,4 @@ pub struct Entry {
 }
 
 /// All drivers of real robots in this crate, from which a deployment selects one by name.
-pub const REGISTRY: &[Entry] =
-    &[Entry { name: "program", about: program::ABOUT, make: program::make }, robomaster::ENTRY];
+pub const REGISTRY: &[Entry] = &[Entry { name: "program", about: program::ABOUT, make: program::make }];

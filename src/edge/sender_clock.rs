@@ -85,7 +85,7 @@ impl SenderClock {
 
     /// Does the same as [`SenderClock::take`] for a stamp within a second of a leap second, which many senders have
     /// twice: there, a stamp that is up to a second older is new at once, and an equal one if it comes a second later.
-    pub(crate) fn take_in_leap(&mut self, now: Time, stamp_ns: u64) -> Novelty {
+    pub fn take_in_leap(&mut self, now: Time, stamp_ns: u64) -> Novelty {
         let Some((newest, at)) = self.newest else { return self.anew(now, stamp_ns) };
         let again = stamp_ns == newest && now.since(at).as_nanos() >= LEAP_NS && self.leapt != Some(stamp_ns);
         if again || (stamp_ns < newest && newest - stamp_ns <= CLOCK_SET_NS && self.leapt != Some(newest)) {
@@ -96,7 +96,7 @@ impl SenderClock {
     }
 
     /// Returns true if a measurement with this stamp \[ns\] is the newest one again.
-    pub(crate) fn is_repeated(&self, stamp_ns: u64) -> bool {
+    pub fn is_repeated(&self, stamp_ns: u64) -> bool {
         self.newest.is_some_and(|(newest, _)| newest == stamp_ns)
     }
 

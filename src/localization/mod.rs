@@ -7,8 +7,6 @@ pub mod alignment;
 pub mod check;
 mod fused_state;
 pub(crate) mod fusion;
-pub mod gpsd;
-pub mod natnet;
 pub mod odometry;
 pub mod plausibility;
 pub mod program;
@@ -108,8 +106,6 @@ pub struct Entry {
 
 /// All sources of readings of real robots that this crate contains.
 pub const REGISTRY: &[Entry] = &[
-    Entry { name: "gpsd", about: gpsd::ABOUT, make: gpsd::make },
-    Entry { name: "natnet", about: natnet::ABOUT, make: natnet::make },
     Entry { name: "odometry", about: odometry::ABOUT, make: odometry::make },
     Entry { name: "program", about: program::ABOUT, make: program::make },
 ];

@@ -147,9 +147,9 @@ pub struct Quality {
     /// knows where the robot is.
     pub reckoned: bool,
     /// Whether dead reckoning is at its origin: where it is after a restart.
-    pub(crate) at_origin: bool,
+    pub at_origin: bool,
     /// Whether the velocity is measured by itself, as by a satellite receiver, and not computed from positions.
-    pub(crate) moves_as_measured: bool,
+    pub moves_as_measured: bool,
     /// Standard deviation of the position, where the reading has none \[m\].
     pub position_m: f64,
     /// Standard deviation of the heading, where the reading has none \[rad\].

@@ -99,7 +99,7 @@ fn situation(random: &mut Stream) -> Situation<'static> {
 fn source(kind: &Kind) -> Box<dyn Source> {
     let settings = Settings { name: kind.name.to_owned(), table: kind.settings.parse().expect("it is TOML") };
     let robots: Vec<RobotId> = (0..kind.robots).map(RobotId).collect();
-    (murmurate_ros2::add(Registry::builtin())
+    (murmurate_ros2::add(murmurate_devices::add(Registry::builtin()))
         .source(&settings, &robots)
         .unwrap_or_else(|error| panic!("{error}"))
         .source)()

@@ -47,11 +47,11 @@ fn with(mut settings: Settings, field: &str, value: impl Into<toml::Value>) -> S
 }
 
 fn driver(settings: &Settings) -> Result<drivers::Parts, murmurate::config::ConfigError> {
-    murmurate_ros2::add(Registry::builtin()).driver(settings, ROBOT)
+    murmurate_ros2::add(murmurate_devices::add(Registry::builtin())).driver(settings, ROBOT)
 }
 
 fn source(settings: &Settings) -> Result<localization::Parts, murmurate::config::ConfigError> {
-    murmurate_ros2::add(Registry::builtin()).source(settings, &[ROBOT])
+    murmurate_ros2::add(murmurate_devices::add(Registry::builtin())).source(settings, &[ROBOT])
 }
 
 fn drive(x: f32) -> Drive {
@@ -79,7 +79,11 @@ fn next<const COUNT: usize>(gate: &mut Gate) -> [Vec<u8>; COUNT] {
 #[test]
 fn every_driver_stands_survives_noise_and_ends_with_its_host() {
     // The worker of ROS 2 starts this very program with another command, and needs a feature: see crates/ros2.
-    for entry in murmurate_ros2::add(Registry::builtin()).drivers().iter().filter(|entry| entry.name != "ros2") {
+    for entry in murmurate_ros2::add(murmurate_devices::add(Registry::builtin()))
+        .drivers()
+        .iter()
+        .filter(|entry| entry.name != "ros2")
+    {
         let parts = driver(&settings(entry.name)).expect("its settings are sound");
         let (mut driver, mut out) = ((parts.driver)(), Vec::new());
         assert!(driver.limits().speed_m_s > 0.0, "{}", entry.name);
@@ -111,7 +115,11 @@ fn is_refusal(said: &localization::Out) -> bool {
 
 #[test]
 fn every_source_refuses_invalid_packets() {
-    for entry in murmurate_ros2::add(Registry::builtin()).sources().iter().filter(|entry| entry.name != "ros2") {
+    for entry in murmurate_ros2::add(murmurate_devices::add(Registry::builtin()))
+        .sources()
+        .iter()
+        .filter(|entry| entry.name != "ros2")
+    {
         let parts = source(&settings(entry.name)).expect("its settings are sound");
         let (mut source, mut out) = ((parts.source)(), Vec::new());
         for noise in [&b""[..], b"\n", b"{}", &[0xff; 5000], b"{\"robot\": 3}"] {

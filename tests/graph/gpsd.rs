@@ -7,11 +7,11 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use murmurate::edge::{self, Gate, Settings};
-use murmurate::localization::gpsd;
 use murmurate::localization::{In, Out, Source};
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::Reading;
 use murmurate::time::Time;
+use murmurate_devices::gpsd;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
 /// Waits for a client and reads its request.

@@ -17,8 +17,6 @@ use fake::{Body, Scene, Setup, Tally, Version};
 use murmurate::actor::Core;
 use murmurate::actors::localizer::{self, Localizer};
 use murmurate::edge::{self, Settings};
-use murmurate::localization::natnet;
-use murmurate::localization::natnet::frame::Layout;
 use murmurate::localization::plausibility::Limits;
 use murmurate::localization::screen::Screen;
 use murmurate::localization::{In, Out, Source};
@@ -28,6 +26,8 @@ use murmurate::messages::place::Whereabouts;
 use murmurate::messages::wire::{Reading, Wire};
 use murmurate::random::{RngExt, Seed, Stream};
 use murmurate::time::{Span, Time};
+use murmurate_devices::natnet;
+use murmurate_devices::natnet::frame::Layout;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
 /// All bitstreams that are decoded. 4.2 to 4.4 are known from here alone.

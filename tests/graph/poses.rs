@@ -7,7 +7,6 @@ use murmurate::actor::Core;
 use murmurate::actors::localizer::{self, Localizer};
 use murmurate::chassis::Chassis;
 use murmurate::edge::Settings;
-use murmurate::localization::gpsd::geodesy::{Geodetic, LocalFrame};
 use murmurate::localization::plausibility;
 use murmurate::localization::screen::Screen;
 use murmurate::messages::geometry::{Motion, Pose, Vec2, rotated, wrapped};
@@ -17,6 +16,7 @@ use murmurate::messages::wire::{Located, Reading};
 use murmurate::random::{RngExt, Seed, Stream, normals};
 use murmurate::registry::Registry;
 use murmurate::time::{Span, Time};
+use murmurate_devices::gpsd::geodesy::{Geodetic, LocalFrame};
 use murmurate_ros2::packet::{self, FromNode, Heard, PoseSample, Sample, TwistSample};
 
 use crate::natnet::fake;
@@ -155,7 +155,7 @@ impl World {
             }
         }
         let ids: Vec<RobotId> = RobotId::team(kind.robots()).collect();
-        let source = murmurate_ros2::add(Registry::builtin())
+        let source = murmurate_ros2::add(murmurate_devices::add(Registry::builtin()))
             .source(&settings, &ids)
             .map_err(|error| error.to_string())
             .unwrap()

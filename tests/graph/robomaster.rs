@@ -7,8 +7,6 @@ mod fake_ep;
 use std::collections::VecDeque;
 
 use fake_ep::{Options, Output, Robot};
-use murmurate::drivers::robomaster::ENTRY;
-use murmurate::drivers::robomaster::link::{FromWorker, Hold, ToWorker};
 use murmurate::drivers::{Command, Driver, Out};
 use murmurate::edge::Settings;
 use murmurate::messages::geometry::Vec2;
@@ -16,6 +14,8 @@ use murmurate::messages::ids::RobotId;
 use murmurate::messages::local::{BodyTwist, Drive};
 use murmurate::messages::wire::{Hardware, Health, Reading};
 use murmurate::time::{Span, Time};
+use murmurate_devices::robomaster::ENTRY;
+use murmurate_devices::robomaster::link::{FromWorker, Hold, ToWorker};
 
 /// Delay of the network in each direction \[ms\].
 const DELAY_MS: u64 = 4;

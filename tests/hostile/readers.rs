@@ -7,10 +7,9 @@ use std::path::Path;
 use murmurate::deploy::conditions::Conditions;
 use murmurate::deploy::team::TeamFile;
 use murmurate::deploy::{Deployment, Impair};
-use murmurate::drivers::robomaster::{link, protocol};
 use murmurate::edge::Settings as Device;
 use murmurate::faults::FaultPlan;
-use murmurate::localization::{In, Out, Parts, gpsd as satellites, natnet as tracker, program};
+use murmurate::localization::{In, Out, Parts, program};
 use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::Wire;
@@ -23,6 +22,8 @@ use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{self, Observation, Settings};
 use murmurate::time::{Span, Time};
 use murmurate::trial::Trial;
+use murmurate_devices::robomaster::{link, protocol};
+use murmurate_devices::{gpsd as satellites, natnet as tracker};
 use murmurate_ros2::packet as ros;
 
 fn text(bytes: &[u8]) -> Option<&str> {
@@ -49,7 +50,7 @@ pub fn policy(bytes: &[u8]) -> bool {
 
 /// The parts of the program.
 fn registry() -> Registry {
-    murmurate_ros2::add(Registry::builtin()).with_transport(murmurate_zenoh::ENTRY)
+    murmurate_ros2::add(murmurate_devices::add(Registry::builtin())).with_transport(murmurate_zenoh::ENTRY)
 }
 
 /// A team file: read, checked for every host, and shown.

@@ -11,7 +11,6 @@ use std::thread::{self, JoinHandle};
 
 use crate::program::{run as run_program, text};
 use fake_ep::{Options, Peer, clock_s};
-use murmurate::drivers::robomaster::ENTRY;
 use murmurate::drivers::{Command, Driver, Out};
 use murmurate::edge::{self, Gate, Settings};
 use murmurate::messages::geometry::Vec2;
@@ -19,6 +18,7 @@ use murmurate::messages::ids::RobotId;
 use murmurate::messages::local::{BodyTwist, Drive};
 use murmurate::messages::wire::{Hardware, Health};
 use murmurate::time::{Span, Time};
+use murmurate_devices::robomaster::ENTRY;
 use nix::poll::{PollTimeout, poll};
 
 /// A robot on a thread of its own, with what it has printed.

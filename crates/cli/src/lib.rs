@@ -101,6 +101,7 @@ impl Commands for Command {
 /// Digests of the sources of all packages of this program.
 const DIGESTS: &[&str] = &[
     murmurate::DIGEST,
+    murmurate_devices::DIGEST,
     murmurate_figures::DIGEST,
     #[cfg(feature = "lab")]
     murmurate_lab::DIGEST,

@@ -172,7 +172,8 @@ pub fn this_program() -> anyhow::Result<Vec<OsString>> {
 /// Returns the registry of the program: the parts of the library, of ROS 2 and of Zenoh. Another program adds its own
 /// parts to it.
 pub fn registry() -> Registry {
-    murmurate_ros2::add(Registry::builtin()).with_transport(murmurate_zenoh::ENTRY).of_program()
+    let registry = murmurate_ros2::add(murmurate_devices::add(Registry::builtin()));
+    registry.with_transport(murmurate_zenoh::ENTRY).of_program()
 }
 
 /// Runs the command among `C` that the arguments of this process name, with the parts (scenarios, policies and so on)

@@ -1,6 +1,6 @@
 //! Battery of the robot: when to ask for its charge, and when it is too low to move.
 
-use crate::time::{Span, Time};
+use murmurate::time::{Span, Time};
 
 /// Charge above the stop limit at which a robot that was stopped may move again \[percentage points\]: a battery's
 /// charge appears to rise when the motors stop.

@@ -1,7 +1,7 @@
 //! Reports the condition of the robot's hardware to its Body: each change once, with the reason of a fault.
 
-use super::super::Out;
-use crate::messages::wire::{Hardware, Health, Reason};
+use murmurate::drivers::Out;
+use murmurate::messages::wire::{Hardware, Health, Reason};
 
 /// Reporter of the hardware condition of one robot. It suppresses repetitions.
 pub(crate) struct Reporter {

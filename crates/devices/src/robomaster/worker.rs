@@ -17,8 +17,8 @@ use socket2::{Domain, Protocol, Socket, Type};
 
 use super::link::{FromWorker, Hold, ToWorker};
 use super::protocol::{ANNOUNCEMENT_PORT, CONTROL_PORT, EVENT_PORT, Line, PUSH_PORT, decode_announcement};
-use crate::edge::{Packet, PacketSender, Port, Worker};
-use crate::messages::ids::RobotId;
+use murmurate::edge::{Packet, PacketSender, Port, Worker};
+use murmurate::messages::ids::RobotId;
 
 /// Time after which an attempt to connect is given up. A new attempt then repeats a lost first segment sooner than TCP
 /// would.

@@ -2,9 +2,9 @@
 //! velocities computed from differences of positions.
 
 use super::protocol::Push;
-use crate::messages::geometry::{Deviation, Pose, Twist, Vec2, wrapped};
-use crate::messages::ids::RobotId;
-use crate::messages::wire::Reading;
+use murmurate::messages::geometry::{Deviation, Pose, Twist, Vec2, wrapped};
+use murmurate::messages::ids::RobotId;
+use murmurate::messages::wire::Reading;
 use std::collections::VecDeque;
 
 /// Time span of the positions and headings from whose differences velocities are computed \[ns\]: five pushes at 50 Hz.

@@ -3,7 +3,7 @@
 use super::link::Hold;
 use super::protocol::{ChassisSpeed, Line};
 use super::times::STAND_PERIOD;
-use crate::time::{Span, Time};
+use murmurate::time::{Span, Time};
 
 /// Motion of one robot: the newest wanted velocity, and whether the last line sent told the robot to move or to stand.
 #[derive(Clone, Debug)]

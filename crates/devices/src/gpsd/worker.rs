@@ -5,8 +5,8 @@ use std::net::{SocketAddr, TcpStream, ToSocketAddrs};
 use std::thread;
 use std::time::Duration;
 
-use crate::edge::{Packet, PacketSender, Port, Worker};
-use crate::messages::ids::RobotId;
+use murmurate::edge::{Packet, PacketSender, Port, Worker};
+use murmurate::messages::ids::RobotId;
 
 /// Request that subscribes to reports (gpsd_json(5)).
 const WATCH: &[u8] = b"?WATCH={\"enable\":true,\"json\":true};\n";

@@ -3,8 +3,8 @@
 //! Positions of two receivers are those of two antennas, perhaps of two robots. So they are never mixed: without the
 //! setting `device`, a second receiver with a fix makes all reports useless.
 
-use crate::messages::ids::RobotId;
-use crate::time::{Span, Time};
+use murmurate::messages::ids::RobotId;
+use murmurate::time::{Span, Time};
 
 use super::report::Malformed;
 

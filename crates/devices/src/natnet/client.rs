@@ -3,7 +3,7 @@
 //!
 //! It has no clock and no socket. The worker passes in the time and datagrams, and sends the requests that it returns.
 
-use crate::time::{Span, Time};
+use murmurate::time::{Span, Time};
 
 use super::frame::{self, Layout};
 use super::model;

@@ -5,7 +5,7 @@
 //! Before 4.1, each section has to be decoded to find its end. The decoder was tested with frames from independent
 //! servers for 3.0 to 4.1, and only with hand-made frames for 4.2 to 4.4.
 
-use crate::messages::geometry::{MAX_SIZE, NoRotation, unit_quaternion};
+use murmurate::messages::geometry::{MAX_SIZE, NoRotation, unit_quaternion};
 
 use super::packet::{Malformed, Reader, Version};
 

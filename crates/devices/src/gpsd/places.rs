@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use crate::messages::geometry::Vec2;
+use murmurate::messages::geometry::Vec2;
 
 /// Time over which the velocity is a mean \[ns\]. Places of 2 cm at its ends give an error of 6 cm/s, half of it late.
 const WINDOW_NS: u64 = 500_000_000;

@@ -6,8 +6,8 @@ use std::os::fd::AsFd;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::edge::{PacketSender, Port, Worker};
-use crate::time::{Span, Time};
+use murmurate::edge::{PacketSender, Port, Worker};
+use murmurate::time::{Span, Time};
 use nix::errno::Errno;
 use nix::net::if_::if_nametoindex;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};

@@ -2,10 +2,10 @@
 
 use std::net::Ipv4Addr;
 
-use crate::config::ConfigError;
-use crate::edge::Settings;
-use crate::localization::alignment::Alignment;
-use crate::messages::ids::RobotId;
+use murmurate::config::ConfigError;
+use murmurate::edge::Settings;
+use murmurate::localization::alignment::Alignment;
+use murmurate::messages::ids::RobotId;
 use serde::Deserialize;
 
 use super::TrackerFrame;

@@ -16,15 +16,15 @@ mod worker;
 
 use std::f64::consts::FRAC_PI_2;
 
-use crate::config::ConfigError;
-use crate::edge::Settings;
-use crate::edge::sender_clock::{Novelty, SenderClock};
-use crate::localization::plausibility::Quality;
-use crate::localization::{In, Out, Parts, Source};
-use crate::messages::geometry::{Deviation, MAX_SIZE, Pose, Twist, Vec2, wrapped};
-use crate::messages::ids::RobotId;
-use crate::messages::wire::Reading;
-use crate::time::{Span, Time};
+use murmurate::config::ConfigError;
+use murmurate::edge::Settings;
+use murmurate::edge::sender_clock::{Novelty, SenderClock};
+use murmurate::localization::plausibility::Quality;
+use murmurate::localization::{In, Out, Parts, Source};
+use murmurate::messages::geometry::{Deviation, MAX_SIZE, Pose, Twist, Vec2, wrapped};
+use murmurate::messages::ids::RobotId;
+use murmurate::messages::wire::Reading;
+use murmurate::time::{Span, Time};
 
 use geodesy::Geodetic;
 use places::Places;
@@ -584,7 +584,7 @@ mod tests {
 
     #[test]
     fn mutated_lines_never_panic() {
-        use crate::random::{RngExt, Seed};
+        use murmurate::random::{RngExt, Seed};
         let (mut source, mut random) = (source(""), Seed::of_run(1).stream("mutation"));
         let mut out = Vec::new();
         for round in 0..20_000 {

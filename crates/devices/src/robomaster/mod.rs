@@ -21,10 +21,10 @@ use serde::Deserialize;
 
 use self::session::Session;
 use self::worker::Tcp;
-use super::{Entry, Parts};
-use crate::config::ConfigError;
-use crate::edge::Settings;
-use crate::messages::ids::RobotId;
+use murmurate::config::ConfigError;
+use murmurate::drivers::{Entry, Parts};
+use murmurate::edge::Settings;
+use murmurate::messages::ids::RobotId;
 
 /// Entry of the RoboMaster driver in the registry of drivers.
 pub const ENTRY: Entry = Entry { name: "robomaster", about: "RoboMaster EP: plaintext SDK over Wi-Fi or USB", make };

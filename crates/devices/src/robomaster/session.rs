@@ -4,7 +4,6 @@
 //! because the robot queues lines and executes them late; only the newest velocity is kept to be sent next. A stand
 //! command does not wait: it is sent at once and repeated.
 
-use super::super::{Command, Driver, Limits, Out};
 use super::Config;
 use super::battery::Battery;
 use super::chassis::Chassis;
@@ -14,10 +13,11 @@ use super::odometry::{Odometry, is_sound};
 use super::protocol::{Answer, Line, Malformed, Push, Splitter, decode_answer, decode_hit, decode_push};
 use super::reporter::Reporter;
 use super::times::{ENTRY_PATIENCE, FIRST_PUSH, OPENING, PATIENCE, PAUSE, RETRY, SETUP_PATIENCE, SILENCE, UNANSWERED};
-use crate::messages::geometry::limit_below;
-use crate::messages::ids::RobotId;
-use crate::messages::wire::{Health, Reason};
-use crate::time::{Span, Time};
+use murmurate::drivers::{Command, Driver, Limits, Out};
+use murmurate::messages::geometry::limit_below;
+use murmurate::messages::ids::RobotId;
+use murmurate::messages::wire::{Health, Reason};
+use murmurate::time::{Span, Time};
 
 /// State of a session's connection with the robot.
 #[derive(Clone, Copy, Debug, PartialEq)]

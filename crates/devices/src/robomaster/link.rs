@@ -1,8 +1,8 @@
 //! Packets between the RoboMaster driver, which does no I/O, and its worker, encoded as bytes so that they can be
 //! recorded and replayed.
 
-use crate::edge::Packet;
-use crate::time::Span;
+use murmurate::edge::Packet;
+use murmurate::time::Span;
 
 /// Time for which a robot's motion stays valid after a line (a command in the text protocol) is sent. When it ends, the
 /// worker stops the robot.

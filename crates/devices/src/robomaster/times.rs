@@ -1,6 +1,6 @@
 //! Time limits of a session of the RoboMaster driver: for the robot, the driver's worker and the network.
 
-use crate::time::Span;
+use murmurate::time::Span;
 
 /// Time without a state datagram (push) after which the robot counts as silent: a dead link has to be noticed within
 /// 300 ms. At 20 Hz, four datagrams in a row are missing then.

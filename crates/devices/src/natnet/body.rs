@@ -7,8 +7,8 @@
 
 use std::collections::VecDeque;
 
-use crate::localization::plausibility::Limits;
-use crate::messages::geometry::wrapped;
+use murmurate::localization::plausibility::Limits;
+use murmurate::messages::geometry::wrapped;
 
 /// Largest distance between two poses that tracker noise alone explains \[m\]: ten times the error of motion capture,
 /// 0.2 mm to 2 mm.

@@ -1,10 +1,10 @@
 //! Settings of the source `gpsd` in a team file.
 
-use crate::config::ConfigError;
-use crate::config::fields::FieldType;
-use crate::edge::Settings;
-use crate::localization::alignment::Alignment;
-use crate::time::Span;
+use murmurate::config::ConfigError;
+use murmurate::config::fields::FieldType;
+use murmurate::edge::Settings;
+use murmurate::localization::alignment::Alignment;
+use murmurate::time::Span;
 use serde::Deserialize;
 
 use super::geodesy::{Geodetic, LocalFrame};

@@ -11,15 +11,15 @@ mod packet;
 mod settings;
 mod worker;
 
-use crate::config::ConfigError;
-use crate::edge::Settings;
-use crate::localization::alignment::Alignment;
-use crate::localization::plausibility::Limits;
-use crate::localization::{In, Out, Parts, Source};
-use crate::messages::geometry::{self, Deviation, MAX_HEADING, MAX_SIZE, Twist, Vec2};
-use crate::messages::ids::RobotId;
-use crate::messages::wire::Reading;
-use crate::time::{Span, Time};
+use murmurate::config::ConfigError;
+use murmurate::edge::Settings;
+use murmurate::localization::alignment::Alignment;
+use murmurate::localization::plausibility::Limits;
+use murmurate::localization::{In, Out, Parts, Source};
+use murmurate::messages::geometry::{self, Deviation, MAX_HEADING, MAX_SIZE, Twist, Vec2};
+use murmurate::messages::ids::RobotId;
+use murmurate::messages::wire::Reading;
+use murmurate::time::{Span, Time};
 
 use body::{Body, Pose};
 use frame::{Frame, Layout, RigidBody, Tracking};
