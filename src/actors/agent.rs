@@ -46,7 +46,7 @@ pub enum Out {
 }
 
 /// Policies with which an Agent drives one of its robots, and the random streams of that robot.
-pub struct RobotPolicies {
+pub(crate) struct RobotPolicies {
     /// Robot that the policies control.
     pub robot: RobotId,
     /// How the robot follows the velocities that the policies command; a part of their observation.

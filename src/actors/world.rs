@@ -52,7 +52,7 @@ pub enum Out {
 
 /// State that survives a crash of the World actor: the plant (simulator), and the round for which each robot was last
 /// placed. Without a running World the plant does not advance.
-pub struct PersistentPlant {
+pub(crate) struct PersistentPlant {
     plant: Box<dyn Plant>,
     placed: Vec<Round>,
     /// Round and phase of the last instruction.

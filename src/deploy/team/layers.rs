@@ -53,7 +53,7 @@ impl fmt::Display for Origin {
 
 /// Value of a field of a team file, with the origin of the value.
 #[derive(Clone, Debug, PartialEq)]
-pub struct LayerValue {
+pub(crate) struct LayerValue {
     /// Value of the field of the team file.
     pub value: Value,
     /// Origin of the value: file, environment variable, flag or default.

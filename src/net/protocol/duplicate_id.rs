@@ -29,7 +29,7 @@ pub struct DuplicateId {
 
 /// Detection of other live processes with the host id of this process, on one link.
 #[derive(Clone, Copy, Debug)]
-pub struct DuplicateIds {
+pub(crate) struct DuplicateIds {
     me: (LinkId, HostId, u32),
     began: Option<Time>,
     claims: u64,

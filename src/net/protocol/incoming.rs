@@ -26,7 +26,7 @@ use crate::time::{Span, Time};
 
 /// How soon this host has to send its next link report because another host needs it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Urgency {
+pub(crate) enum Urgency {
     /// With the next regular report.
     #[default]
     Regular,
@@ -56,7 +56,7 @@ pub enum Verdict {
 
 /// Identity and settings of this host on one link.
 #[derive(Clone, Copy, Debug)]
-pub struct LocalEnd {
+pub(crate) struct LocalEnd {
     /// Id of this host.
     pub host: HostId,
     /// Incarnation of this host: random number of this run.
@@ -85,7 +85,7 @@ pub(super) struct LivenessProof {
 /// State of the reception on one link: accepted senders, candidates that have not proved their liveness, and missing
 /// datagrams.
 #[derive(Clone, Debug)]
-pub struct Incoming {
+pub(crate) struct Incoming {
     pub(super) local: LocalEnd,
     rate: Option<Rate>,
     pub(super) senders: Senders,

@@ -60,7 +60,7 @@ pub struct Stamps(u64);
 impl Stamps {
     /// Returns a clock for stamps that shows `base` microseconds at the start of the program.
     #[cfg(test)]
-    pub fn beginning_at(base: u64) -> Stamps {
+    pub(crate) fn beginning_at(base: u64) -> Stamps {
         Stamps(base)
     }
 

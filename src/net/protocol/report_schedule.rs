@@ -27,7 +27,7 @@ const LOSS_STEP: u8 = 4;
 
 /// Reason why a link report is sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Occasion {
+pub(crate) enum Occasion {
     /// The period of link reports is over.
     Regular,
     /// Another host needs a link report at once. Only hosts that wait for an entry are listed.
