@@ -48,17 +48,17 @@ pub enum Out {
 /// Policies with which an Agent drives one of its robots, and the random streams of that robot.
 pub(crate) struct RobotPolicies {
     /// Robot that the policies control.
-    pub robot: RobotId,
+    pub(crate) robot: RobotId,
     /// How the robot follows the velocities that the policies command; a part of their observation.
-    pub dynamics: Dynamics,
+    pub(crate) dynamics: Dynamics,
     /// Policy under test, used in running episodes.
-    pub run: Box<dyn Policy>,
+    pub(crate) run: Box<dyn Policy>,
     /// Policy that drives the robot to its start in a reset.
-    pub reset: Box<dyn Policy>,
+    pub(crate) reset: Box<dyn Policy>,
     /// Random stream from which both policies sample their actions.
-    pub actions: Stream,
+    pub(crate) actions: Stream,
     /// Random stream of the communication ranges between this robot and the others of the same Agent.
-    pub ranges: Stream,
+    pub(crate) ranges: Stream,
 }
 
 impl RobotPolicies {
@@ -143,7 +143,12 @@ impl Agent {
     /// Creates an Agent of the robots in `robots`; panics if they are not in the order of their ids. `scenario` defines
     /// what a policy observes, `range` is the communication range between two robots of this Agent, and `max_wait` the
     /// longest time for which a joint step waits for late percepts.
-    pub fn new(scenario: Arc<dyn Scenario>, range: CommRange, max_wait: Span, robots: Vec<RobotPolicies>) -> Agent {
+    pub(crate) fn new(
+        scenario: Arc<dyn Scenario>,
+        range: CommRange,
+        max_wait: Span,
+        robots: Vec<RobotPolicies>,
+    ) -> Agent {
         assert!(robots.is_sorted_by_key(|policies| policies.robot), "sums run over robots in the order of their ids");
         Agent {
             scenario,

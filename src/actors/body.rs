@@ -95,7 +95,7 @@ pub struct Body {
 
 impl Body {
     /// Creates the Body of a robot on a host, at rest, with the driver that moves the robot and the robot's chassis.
-    pub fn new((host, robot): (HostId, RobotId), driver: Box<dyn Driver>, chassis: Chassis) -> Body {
+    pub(crate) fn new((host, robot): (HostId, RobotId), driver: Box<dyn Driver>, chassis: Chassis) -> Body {
         Body {
             robot,
             host,
@@ -115,7 +115,7 @@ impl Body {
     }
 
     /// Returns the Body with its limits of battery and temperature set to `limits`.
-    pub fn limited(self, limits: HardwareLimits) -> Body {
+    pub(crate) fn limited(self, limits: HardwareLimits) -> Body {
         Body { hardware: HardwareWatch::new(limits), ..self }
     }
 

@@ -16,7 +16,7 @@ use crate::safety::hardware::Permit;
 use crate::time::{Span, Time};
 
 /// Period at which a robot sends heartbeats (reports to the state server).
-pub const HEARTBEAT_PERIOD: Span = Span::from_millis(200);
+pub(crate) const HEARTBEAT_PERIOD: Span = Span::from_millis(200);
 
 /// Input message of a Controller, the actor that passes one robot's actions through its guard to its motors.
 #[derive(Clone, Debug)]

@@ -66,28 +66,28 @@ pub enum In {
 #[derive(Clone, Debug)]
 pub struct Config {
     /// Starts and goals of all episodes of the trial, in order.
-    pub layouts: Layouts,
+    pub(crate) layouts: Layouts,
     /// Index of this trial among the repeats of the experiment, from zero.
-    pub repeat: u32,
+    pub(crate) repeat: u32,
     /// Rules by which an episode is judged.
-    pub rules: Rules,
+    pub(crate) rules: Rules,
     /// Cost by which an episode is judged; `None` in a scenario with goals.
-    pub cost: Option<Cost>,
+    pub(crate) cost: Option<Cost>,
     /// Whether the report has the true states of the robots at each step, and whose messages each robot then uses.
-    pub steps: Steps,
+    pub(crate) steps: Steps,
     /// Number of other hosts that each broadcast latent should reach: the hosts with an Agent, without the sender.
-    pub receivers: u64,
+    pub(crate) receivers: u64,
     /// Whether episodes are judged from true states or from readings.
-    pub judged: Judged,
+    pub(crate) judged: Judged,
     /// Whether robots are placed at their starts before an episode (`true`) or drive there (`false`).
-    pub placed: bool,
+    pub(crate) placed: bool,
     /// Ground and walls of the scenario.
     pub arena: Arena,
     /// Distance between a robot's centre and a wall below which the robot touches the wall \[m\]. Used only where
     /// readings are judged.
-    pub wall_radius_m: f32,
+    pub(crate) wall_radius_m: f32,
     /// Chassis of each robot, indexed by robot id.
-    pub chassis: Rc<[Chassis]>,
+    pub(crate) chassis: Rc<[Chassis]>,
 }
 
 /// Whether the report of a trial contains its steps: the true states of all robots after each step of the World.
@@ -104,7 +104,7 @@ pub enum Steps {
 
 impl Steps {
     /// Whether the report contains the steps, with or without the neighbours' messages that robots use in them.
-    pub fn kept(self) -> bool {
+    pub(crate) fn kept(self) -> bool {
         self != Steps::Discarded
     }
 }
@@ -147,7 +147,7 @@ pub struct Recorder {
 
 impl Recorder {
     /// Creates the Recorder of a trial with `robots` robots.
-    pub fn new(config: Config, robots: usize) -> Recorder {
+    pub(crate) fn new(config: Config, robots: usize) -> Recorder {
         Recorder {
             listener: Listener::new(config.receivers),
             config,

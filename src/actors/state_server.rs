@@ -23,7 +23,7 @@ use crate::time::{Span, Time};
 use crate::world::Placement;
 
 /// Period at which the state server decides whether to enter another phase: one step of a World.
-pub const TICK: Span = Span::from_millis(50);
+pub(crate) const TICK: Span = Span::from_millis(50);
 /// Period at which an unchanged instruction is repeated, with the tasks of 64 robots in turn if the team is larger.
 pub(crate) const MODE_PERIOD: Span = Span::from_millis(100);
 /// Number of times that a new instruction is sent with the tasks of all robots, in case copies are lost.
@@ -33,7 +33,7 @@ pub(crate) const MUSTER_LIMIT: Span = Span::from_millis(10_000);
 /// Longest duration of a reset; after it, the reset has failed.
 pub(crate) const RESET_LIMIT: Span = Span::from_millis(60_000);
 /// Time by which an episode may exceed its longest duration before it is aborted: heartbeats may be late.
-pub const GRACE: Span = Span::from_millis(500);
+pub(crate) const GRACE: Span = Span::from_millis(500);
 
 /// Input message of a state server, the actor that leads the episodes of a team.
 #[derive(Clone, Debug)]
@@ -65,19 +65,19 @@ pub enum Out {
 #[derive(Clone, Debug)]
 pub struct Config {
     /// Starts and goals of all episodes of the trial, in order.
-    pub layouts: Layouts,
+    pub(crate) layouts: Layouts,
     /// Index of this trial among the repeats of the experiment, from zero.
-    pub repeat: u32,
+    pub(crate) repeat: u32,
     /// Whether robots are placed at their starts before an episode, or drive there.
-    pub placement: Placement,
+    pub(crate) placement: Placement,
     /// Longest duration of an episode, after which it is aborted.
-    pub limit: Span,
+    pub(crate) limit: Span,
     /// Way in which an episode ends if it is not aborted.
-    pub ending: Ending,
+    pub(crate) ending: Ending,
     /// For each host, by its id: the robots whose Agents or Bodies it runs, or which it measures.
-    pub hosts: Vec<Vec<RobotId>>,
+    pub(crate) hosts: Vec<Vec<RobotId>>,
     /// Robots that no World simulates, in ascending order of ids. They reach their starts only by driving or by hand.
-    pub real: Vec<RobotId>,
+    pub(crate) real: Vec<RobotId>,
 }
 
 /// State server: the actor that decides when resets and episodes begin and end, and sends instructions to robots.
@@ -112,7 +112,7 @@ pub struct StateServer {
 
 impl StateServer {
     /// Creates a state server of `robots` robots. `incarnation` counts its starts within the process, from 1.
-    pub fn new(config: Config, robots: usize, incarnation: u32) -> StateServer {
+    pub(crate) fn new(config: Config, robots: usize, incarnation: u32) -> StateServer {
         StateServer {
             config,
             roster: Roster::new(robots),

@@ -76,11 +76,11 @@ pub enum In {
 #[derive(Clone, Debug)]
 pub struct Config {
     /// Host whose state the actor reports.
-    pub host: HostId,
+    pub(crate) host: HostId,
     /// Robots whose Controllers run on this host.
-    pub controllers: Vec<RobotId>,
+    pub(crate) controllers: Vec<RobotId>,
     /// Robots whose Bodies run on this host.
-    pub bodies: Vec<RobotId>,
+    pub(crate) bodies: Vec<RobotId>,
 }
 
 /// Value that a Status has received, with its arrival time.
@@ -137,7 +137,7 @@ pub struct Status {
 
 impl Status {
     /// Creates a Status that has received nothing yet.
-    pub fn new(config: &Config) -> Status {
+    pub(crate) fn new(config: &Config) -> Status {
         let robots: BTreeSet<RobotId> = config.controllers.iter().chain(&config.bodies).copied().collect();
         Status {
             host: config.host,

@@ -70,7 +70,7 @@ pub enum Axes {
 
 impl Axes {
     /// All eight values of [`Axes`], with no mistake first.
-    pub const ALL: [Axes; 8] = [
+    pub(crate) const ALL: [Axes; 8] = [
         Axes::Right,
         Axes::MirroredX,
         Axes::MirroredY,
@@ -82,7 +82,7 @@ impl Axes {
     ];
 
     /// Returns the displacement that is measured for the commanded displacement (`x`, `y`) if axes have this mistake.
-    pub fn apply(self, Vec2 { x, y }: Vec2) -> Vec2 {
+    pub(crate) fn apply(self, Vec2 { x, y }: Vec2) -> Vec2 {
         match self {
             Axes::Right => Vec2::new(x, y),
             Axes::MirroredX => Vec2::new(-x, y),
@@ -112,7 +112,7 @@ pub(crate) fn has_moved(way: Vec2, noise_m: f32) -> bool {
 /// length does not matter. `way` is the robot's measured displacement \[m\], `None` if it has not moved (see
 /// [`has_moved`]); both are in the world frame. `others` are the other robots that moved during the drive, and `counts`
 /// says how often the guard stopped or slowed the driven robot.
-pub fn judge(along: Vec2, way: Option<Vec2>, others: Vec<RobotId>, counts: &SafetyCounts) -> Verdict {
+pub(crate) fn judge(along: Vec2, way: Option<Vec2>, others: Vec<RobotId>, counts: &SafetyCounts) -> Verdict {
     let held: Vec<&str> = counts.reasons().map(|(_, reason)| reason).collect();
     // The guard is the cause if it held the robot.
     let or_held = |verdict| if held.is_empty() { verdict } else { Verdict::Held(held.join(", ")) };

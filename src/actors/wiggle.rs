@@ -124,7 +124,7 @@ pub(crate) struct Wiggle {
 
 impl Wiggle {
     /// Creates a Wiggle that waits for [`In::Begin`]. Until then all robots must stand still.
-    pub fn new(config: Config) -> Wiggle {
+    pub(crate) fn new(config: Config) -> Wiggle {
         let guard = Guard::new(config.guard.clone());
         let (tracks, hardware, before) = Default::default();
         Wiggle { config, stage: Stage::Rest(Time::MAX), turn: 0, guard, tracks, hardware, before, next: Time::ZERO }

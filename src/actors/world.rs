@@ -63,7 +63,7 @@ pub(crate) struct PersistentPlant {
 
 impl PersistentPlant {
     /// Wraps a plant in which no robot was placed at a start yet.
-    pub fn new(plant: Box<dyn Plant>) -> PersistentPlant {
+    pub(crate) fn new(plant: Box<dyn Plant>) -> PersistentPlant {
         let placed = vec![Round::default(); plant.states().len()];
         PersistentPlant { plant, placed, last_mode: (Round::default(), Phase::NeedReset), repair_from: None }
     }
@@ -118,7 +118,7 @@ impl World {
     /// Creates a World that simulates `robots`; `others` stand where their readings say. Both are in the order of their
     /// ids. The plant holds the robots first, then the others, in the same order. `scenario` gives the velocities with
     /// which placed robots start.
-    pub fn new(
+    pub(crate) fn new(
         persistent: Rc<RefCell<PersistentPlant>>,
         scenario: Arc<dyn Scenario>,
         placement: Placement,

@@ -46,7 +46,7 @@ impl Value {
     ///
     /// # Panics
     /// If the value is not a whole number.
-    pub fn whole(&self) -> u64 {
+    pub(crate) fn whole(&self) -> u64 {
         let Value::Whole(whole) = self else { panic!("the field lets only whole numbers through") };
         *whole
     }
@@ -55,7 +55,7 @@ impl Value {
     ///
     /// # Panics
     /// If the value is not a `Number`; a whole number does not count as one.
-    pub fn number(&self) -> f64 {
+    pub(crate) fn number(&self) -> f64 {
         let Value::Number(number) = self else { panic!("the field lets only numbers through") };
         *number
     }
@@ -64,7 +64,7 @@ impl Value {
     ///
     /// # Panics
     /// If the value is not an address.
-    pub fn address(&self) -> SocketAddr {
+    pub(crate) fn address(&self) -> SocketAddr {
         let Value::Address(address) = self else { panic!("the field lets only addresses through") };
         *address
     }

@@ -23,7 +23,7 @@ pub enum FileKind {
 
 impl FileKind {
     /// Returns the kind of a file, of which `bytes` is the whole content; `None` if it is none of these.
-    pub fn of(bytes: &[u8]) -> Option<FileKind> {
+    pub(crate) fn of(bytes: &[u8]) -> Option<FileKind> {
         // A map of MessagePack with up to 15 fields, or with their number in two bytes, and its first name.
         let begins_with_format = |at: usize| bytes.get(at..).is_some_and(|rest| rest.starts_with(b"\xa6format"));
         match bytes {

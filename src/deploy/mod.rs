@@ -133,7 +133,7 @@ pub struct Link {
     /// Transmission range of a robot's frames under emulation \[m\]; `None` for unlimited. A link with a radio uses the
     /// radio's range instead.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub range_m: Option<f32>,
+    pub(crate) range_m: Option<f32>,
     /// Radio channel that the link's frames share under emulation; `None` for a link without contention.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub radio: Option<Radio>,
@@ -156,7 +156,7 @@ pub struct Deployment {
     pub plant: String,
     /// Width of the bottleneck of the team's scenario \[m\]; `None` for the scenario's default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub gap_m: Option<f32>,
+    pub(crate) gap_m: Option<f32>,
     /// Factor on the lengths of the team's scenario; `None` for 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scale: Option<f32>,

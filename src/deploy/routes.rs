@@ -213,7 +213,7 @@ impl Routes {
     }
 
     /// Whether messages of this kind are sent from one host to another in this deployment.
-    pub fn crosses(&self, kind: Kind) -> bool {
+    pub(crate) fn crosses(&self, kind: Kind) -> bool {
         RobotId::team(self.robots).any(|robot| {
             let from = self.publisher(kind, robot);
             // Messages that any host may publish cross hosts if there is more than one host.
@@ -222,7 +222,7 @@ impl Routes {
     }
 
     /// Whether `host` exchanges messages of this kind with other hosts.
-    pub fn exchanges(&self, host: HostId, kind: Kind) -> bool {
+    pub(crate) fn exchanges(&self, host: HostId, kind: Kind) -> bool {
         RobotId::team(self.robots).any(|robot| {
             let (from, receivers) = (self.publisher(kind, robot), self.receivers(kind, robot));
             let sends = from.is_none_or(|from| from == host) && receivers.iter().any(|to| to != host);

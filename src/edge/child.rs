@@ -48,7 +48,7 @@ static STARTED: AtomicU32 = AtomicU32::new(0);
 #[derive(Clone, Debug)]
 pub struct Program {
     /// The program file, followed by its arguments.
-    pub command: Vec<String>,
+    pub(crate) command: Vec<String>,
 }
 
 impl Worker for Program {

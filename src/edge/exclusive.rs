@@ -15,7 +15,7 @@ pub(crate) struct Exclusive {
 impl Exclusive {
     /// Locks the resource with this description, such as the network address of a robot. Returns `None` if another
     /// process, or this one, has locked it.
-    pub fn lock(resource: &str) -> io::Result<Option<Exclusive>> {
+    pub(crate) fn lock(resource: &str) -> io::Result<Option<Exclusive>> {
         // A digest, since an abstract name has at most 107 bytes.
         let name = format!("murmurate/{}", blake3::hash(resource.as_bytes()).to_hex());
         match UnixDatagram::bind_addr(&SocketAddr::from_abstract_name(name)?) {

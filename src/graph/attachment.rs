@@ -62,7 +62,7 @@ pub enum Out {
 impl Attachment {
     /// Starts the Network with the mailbox `network`. Datagrams to send go to the transport of their link in
     /// `transports`, which has the order of the links. All other output is passed to the function `output`.
-    pub fn start(
+    pub(crate) fn start(
         self,
         clock: &Clock,
         network: &Mailbox<network::In>,

@@ -24,15 +24,15 @@ use crate::time::Time;
 /// thread).
 pub struct Device<T: ?Sized> {
     /// Function that makes a new driver or source; it is called at each start of the actor that uses it.
-    pub make: Rc<dyn Fn() -> Box<T>>,
+    pub(crate) make: Rc<dyn Fn() -> Box<T>>,
     /// Channel to the worker (I/O thread) of the driver or source; `None` if there is no worker.
-    pub gate: Option<Rc<RefCell<Gate>>>,
+    pub(crate) gate: Option<Rc<RefCell<Gate>>>,
 }
 
 impl<T: ?Sized> Device<T> {
     /// Registers the device with the event loop of `readers`: it calls `take` with each packet from the worker (I/O
     /// thread), and `ended` once when the worker has ended. Does nothing if there is no worker.
-    pub fn watch(&self, readers: &mut Readers, take: impl Fn(Packet) + 'static, ended: impl Fn() + 'static) {
+    pub(crate) fn watch(&self, readers: &mut Readers, take: impl Fn(Packet) + 'static, ended: impl Fn() + 'static) {
         let Some(gate) = self.gate.clone() else { return };
         let (event_fd, over) = (gate.borrow().event_fd(), Cell::new(false));
         readers.watch(Rc::new(event_fd), move || {
@@ -54,11 +54,11 @@ impl<T: ?Sized> Clone for Device<T> {
 #[derive(Clone, Default)]
 pub struct Devices {
     /// Driver of each real robot whose motors this process drives.
-    pub drivers: BTreeMap<RobotId, Device<dyn Driver>>,
+    pub(crate) drivers: BTreeMap<RobotId, Device<dyn Driver>>,
     /// Source of readings of the robots that this process localizes; `None` if there is none.
-    pub source: Option<Device<dyn Source>>,
+    pub(crate) source: Option<Device<dyn Source>>,
     /// Observer of the messages that reach this process; `None` if it is not configured.
-    pub observer: Option<Observed>,
+    pub(crate) observer: Option<Observed>,
 }
 
 /// Observer of one process, with the channel to its worker.
@@ -71,7 +71,7 @@ pub struct Observed {
 impl Observed {
     /// Passes a message that has reached this process at `now` to the observer, and what it makes of it to the worker.
     /// Never waits.
-    pub fn hear(&self, now: Time, message: &Wire) {
+    pub(crate) fn hear(&self, now: Time, message: &Wire) {
         let (mut packets, mut gate) = (Vec::new(), self.gate.borrow_mut());
         self.observer.borrow_mut().hear(now, message, &mut packets);
         packets.into_iter().for_each(|packet| gate.send(packet));
@@ -85,7 +85,7 @@ pub struct Workers(Vec<JoinHandle<()>>);
 
 impl Workers {
     /// Returns an empty set of workers.
-    pub fn none() -> Workers {
+    pub(crate) fn none() -> Workers {
         Workers(Vec::new())
     }
 
@@ -121,7 +121,7 @@ pub enum DeviceError {
 
 /// Creates the drivers and the source of one host of a checked deployment, without workers and so without access to
 /// hardware, for a replay. An error names the wrong setting.
-pub fn closed(host: &Host, registry: &Registry) -> Result<Devices, DeviceError> {
+pub(crate) fn closed(host: &Host, registry: &Registry) -> Result<Devices, DeviceError> {
     make(host, registry, |_, _, _| Ok(None))
 }
 

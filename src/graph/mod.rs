@@ -59,13 +59,13 @@ pub struct Plan {
     /// Scenario: the task of the team, with its arena and rules.
     pub scenario: Arc<dyn Scenario>,
     /// Registry entry of the plant (simulator) that moves the simulated robots.
-    pub plant: Entry,
+    pub(crate) plant: Entry,
     /// Properties of the simulated robots, such as the errors of their sensors.
     pub physics: Physics,
     /// Policy that drives the robots while an episode runs.
-    pub run: Model,
+    pub(crate) run: Model,
     /// Policy that drives the robots to their starts before an episode.
-    pub reset: Model,
+    pub(crate) reset: Model,
     /// Communication range: largest distance at which a robot uses a neighbour's message.
     pub range: CommRange,
     /// Hold time: age up to which a neighbour's message is used.
@@ -73,29 +73,29 @@ pub struct Plan {
     /// Whether a neighbour's message is used in every control step within the hold time, or only once.
     pub handling: Handling,
     /// Estimator that computes a robot's state from its readings.
-    pub estimator: estimation::Entry,
+    pub(crate) estimator: estimation::Entry,
     /// Known delay from a measurement to the arrival of its reading, for which the estimator can compensate.
-    pub sensor_delay: Span,
+    pub(crate) sensor_delay: Span,
     /// Limit on the velocities of policies: that of training, where the simulator limits acceleration, or that of the
     /// paper's robots.
-    pub clamp: Clamp,
+    pub(crate) clamp: Clamp,
     /// Conditions in which robots are stopped or slowed.
-    pub safety: Safety,
+    pub(crate) safety: Safety,
     /// Emergency stop messages to send during the run, with their times.
-    pub stops: Vec<(Time, Stop)>,
+    pub(crate) stops: Vec<(Time, Stop)>,
     /// Starts and goals of the robots in each episode.
-    pub layouts: Layouts,
+    pub(crate) layouts: Layouts,
     /// Index of this run among the repeats of the experiment, from zero.
-    pub repeat: u32,
+    pub(crate) repeat: u32,
     /// Seed from which all random streams of the run are derived.
-    pub seed: Seed,
+    pub(crate) seed: Seed,
     /// Faults to inject during the run, such as crashes of actors or failures of links.
-    pub faults: FaultPlan,
+    pub(crate) faults: FaultPlan,
     /// Time at which the run ends, even during an episode; `None` to end with the last episode.
-    pub until: Option<Time>,
+    pub(crate) until: Option<Time>,
     /// Whether the Recorder reports the robots' true states after each step of the simulator, and with them whose
     /// messages each robot then uses.
-    pub steps: recorder::Steps,
+    pub(crate) steps: recorder::Steps,
 }
 
 impl Plan {
@@ -111,7 +111,12 @@ impl Plan {
 /// Starts and connects the actors of all hosts of a plan in one process, with emulated links. They run on `clock`.
 /// `report` is called with each event of the process, such as a message, and `output` with the results of episodes and
 /// steps.
-pub fn wire(clock: &Clock, plan: Plan, report: Report, output: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
+pub(crate) fn wire(
+    clock: &Clock,
+    plan: Plan,
+    report: Report,
+    output: impl FnMut(recorder::Out) + 'static,
+) -> Rc<Graph> {
     wire_all(clock, plan, Process::all_hosts(report), output)
 }
 

@@ -37,24 +37,24 @@ const TEAM: u16 = 0;
 #[derive(Clone)]
 pub struct Process {
     /// The one host that runs in this process; `None` if all hosts do.
-    pub only: Option<HostId>,
+    pub(crate) only: Option<HostId>,
     /// Number of the team, which keeps teams on the same network apart.
-    pub team: u16,
+    pub(crate) team: u16,
     /// Incarnation: random number that distinguishes successive processes of the same host.
-    pub incarnation: u32,
+    pub(crate) incarnation: u32,
     /// Secret seed from which the random numbers of the link layer are drawn; `None` to use the seed of the run.
-    pub secret: Option<Seed>,
+    pub(crate) secret: Option<Seed>,
     /// Key that authenticates the team's datagrams; `None` if they are not authenticated.
-    pub key: Option<Key>,
+    pub(crate) key: Option<Key>,
     /// Setup of each link, `None` for a link in which the host does not take part. The whole list is `None` if links
     /// are emulated.
-    pub links: Option<Vec<Option<Setup>>>,
+    pub(crate) links: Option<Vec<Option<Setup>>>,
     /// Drivers and source of readings of real robots; empty if all robots are simulated.
-    pub devices: Devices,
+    pub(crate) devices: Devices,
     /// Whether the Recorder, the actor that collects results, runs in this process.
-    pub records: bool,
+    pub(crate) records: bool,
     /// Function that is called with each event of this process, such as a received message.
-    pub report: Report,
+    pub(crate) report: Report,
 }
 
 /// Function that is called with each event of a process, and with the host at which the event happened.
@@ -336,7 +336,7 @@ impl Graph {
 
     /// Passes an input from outside the actors, such as a datagram, to the actors of `host`, a host of this process.
     /// The input is reported as an event first.
-    pub fn take(&self, host: HostId, input: Input) {
+    pub(crate) fn take(&self, host: HostId, input: Input) {
         (self.report)(host, ProcessEvent::Input(&input));
         match input {
             Input::Frame(link, frame, from) => {

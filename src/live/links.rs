@@ -63,7 +63,10 @@ impl ProcessIdentity {
 /// Returns the setup of each link. `places` has one entry of the team file for each link of the deployment: its
 /// reliability modes override the deployment's; for a `None` entry, a link in which the process does not take part, the
 /// setup is `None`.
-pub fn setups<'a>(deployment: &Deployment, places: impl IntoIterator<Item = Option<&'a Place>>) -> Vec<Option<Setup>> {
+pub(crate) fn setups<'a>(
+    deployment: &Deployment,
+    places: impl IntoIterator<Item = Option<&'a Place>>,
+) -> Vec<Option<Setup>> {
     let setup = |(link, place): (&Link, Option<&Place>)| place.map(|place| place.setup(&link.reliability));
     deployment.links.iter().zip(places).map(setup).collect()
 }
@@ -95,7 +98,7 @@ pub fn filter(team: &Team) -> Filter {
 /// Opens all network links in which this host takes part according to the team file. `me` is the id of this host. An
 /// error names the link. Calls `wait` with an error that may be over in a moment: it may wait, and returns whether to
 /// try again.
-pub fn open(team: &Team, me: HostId, wait: &mut dyn FnMut(&LinkError) -> bool) -> Result<Vec<Open>, LinkError> {
+pub(crate) fn open(team: &Team, me: HostId, wait: &mut dyn FnMut(&LinkError) -> bool) -> Result<Vec<Open>, LinkError> {
     let mut open = Vec::new();
     for (at, (link, place)) in team.deployment.links.iter().zip(&team.links).enumerate() {
         let Some(place) = place else { continue };

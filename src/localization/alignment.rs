@@ -29,13 +29,13 @@ impl Alignment {
 
     /// Makes the alignment of a frame that is rotated by `yaw_rad` \[rad\] and in which the point `from` \[m\] is the
     /// point `to` \[m\] of the team's frame. `None` if the frame's origin is out of range.
-    pub fn between(from: [f64; 2], to: [f64; 2], yaw_rad: f64) -> Option<Alignment> {
+    pub(crate) fn between(from: [f64; 2], to: [f64; 2], yaw_rad: f64) -> Option<Alignment> {
         let (x, y) = rotated(yaw_rad, from[0], from[1]);
         Alignment::new(wrapped(yaw_rad), [to[0] - x, to[1] - y]).ok()
     }
 
     /// Converts a reading to the team's frame.
-    pub fn reading(&self, measured: &Reading) -> Reading {
+    pub(crate) fn reading(&self, measured: &Reading) -> Reading {
         let (position, velocity) = (measured.pose.position, measured.twist.velocity);
         let [x, y] = self.position(f64::from(position.x), f64::from(position.y));
         let (vx, vy) = self.turned(f64::from(velocity.x), f64::from(velocity.y));
@@ -53,7 +53,7 @@ impl Alignment {
     }
 
     /// Rotates a vector, such as a velocity, to the axes of the team's frame.
-    pub fn turned(&self, x: f64, y: f64) -> (f64, f64) {
+    pub(crate) fn turned(&self, x: f64, y: f64) -> (f64, f64) {
         rotated(self.yaw_rad, x, y)
     }
 

@@ -7,15 +7,15 @@ use crate::messages::geometry::rotated;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct State {
     /// Position \[m, m\] and heading \[rad\].
-    pub pose: [f64; 3],
+    pub(crate) pose: [f64; 3],
     /// Covariance of the pose.
-    pub covariance: [[f64; 3]; 3],
+    pub(crate) covariance: [[f64; 3]; 3],
 }
 
 impl State {
     /// Returns a pose of which nothing is known but what was measured or said: with the standard deviations
     /// `position_m` \[m\] and `heading_rad` \[rad\].
-    pub fn at(pose: [f64; 3], position_m: f64, heading_rad: f64) -> State {
+    pub(crate) fn at(pose: [f64; 3], position_m: f64, heading_rad: f64) -> State {
         let mut covariance = [[0.0; 3]; 3];
         for (at, deviation) in [position_m, position_m, heading_rad].into_iter().enumerate() {
             covariance[at][at] = deviation * deviation;
@@ -24,13 +24,13 @@ impl State {
     }
 
     /// Increases the variances by the squares of these deviations \[m, m, rad\].
-    pub fn doubt(&mut self, deviations: [f64; 3]) {
+    pub(crate) fn doubt(&mut self, deviations: [f64; 3]) {
         (0..3).for_each(|at| self.covariance[at][at] += deviations[at] * deviations[at]);
     }
 
     /// Moves the pose by a motion in the robot's own frame (ahead, left, turn) \[m, m, rad\], and increases the
     /// covariance by the error `drift` of the odometry.
-    pub fn advance(&mut self, [ahead, left, turn]: [f64; 3], drift: f64) {
+    pub(crate) fn advance(&mut self, [ahead, left, turn]: [f64; 3], drift: f64) {
         let [x, y, heading] = self.pose;
         // At half the turn, as on an arc.
         let (dx, dy) = rotated(heading + turn / 2.0, ahead, left);
@@ -64,7 +64,7 @@ impl State {
 
     /// Returns the squared Mahalanobis distance of `error`, the difference \[m\] between a measured and the estimated
     /// position. `variance` is that of the measurement \[m²\].
-    pub fn distance(&self, error: [f64; 2], variance: f64) -> f64 {
+    pub(crate) fn distance(&self, error: [f64; 2], variance: f64) -> f64 {
         let s = self.information(variance);
         (0..2).map(|row| (0..2).map(|column| error[row] * s[row][column] * error[column]).sum::<f64>()).sum()
     }

@@ -18,7 +18,7 @@ use crate::messages::ids::RobotId;
 use crate::time::Time;
 
 /// Description of the source `odometry` in one line, for lists of all sources.
-pub const ABOUT: &str = "the robots' own odometry, from their drivers on the same host";
+pub(crate) const ABOUT: &str = "the robots' own odometry, from their drivers on the same host";
 
 /// Settings of the source `odometry` for one robot, in the team file. The frame of its odometry is the pose of the
 /// robot when it was switched on, or when the odometry was last reset.
@@ -52,7 +52,7 @@ struct Odometry {
 }
 
 /// Makes the source of readings that uses the robots' own odometry. The error names the wrong setting.
-pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigError> {
+pub(crate) fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigError> {
     let mut team = BTreeMap::new();
     for robot in robots {
         let config: Config = settings.for_robot(*robot)?.read()?;

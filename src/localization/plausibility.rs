@@ -130,7 +130,7 @@ pub fn limits(
 }
 
 /// Returns the settings of a source without those that concern the plausibility of its poses, which no source reads.
-pub fn without(settings: &Settings) -> Settings {
+pub(crate) fn without(settings: &Settings) -> Settings {
     let mut rest = settings.clone();
     rest.table.retain(|key, _| !is_field(key));
     if let Some(toml::Value::Table(robots)) = rest.table.get_mut("robot") {
@@ -169,11 +169,11 @@ impl Quality {
 #[derive(Clone, Copy, Debug)]
 pub struct Fix {
     /// Time of arrival.
-    pub at: Time,
+    pub(crate) at: Time,
     /// Time of measurement on the source's clock \[ns\].
     stamp_ns: u64,
     /// Position \[m\].
-    pub position: [f64; 2],
+    pub(crate) position: [f64; 2],
     /// Heading \[rad\] with the time at which it arrived; `None` if none was measured yet.
     heading: Option<(Time, f64)>,
     position_m: f64,
@@ -209,24 +209,24 @@ impl Fix {
     }
 
     /// Returns this pose moved to `pose`, as a person has said.
-    pub fn placed(self, now: Time, pose: &Pose) -> Fix {
+    pub(crate) fn placed(self, now: Time, pose: &Pose) -> Fix {
         let heading = pose.heading.map(|heading| (now, f64::from(heading))).or(self.heading);
         Fix { at: now, position: [f64::from(pose.position.x), f64::from(pose.position.y)], heading, ..self }
     }
 
     /// Returns the pose as a message has it.
-    pub fn pose(&self) -> Pose {
+    pub(crate) fn pose(&self) -> Pose {
         let [x, y] = self.position;
         Pose { position: Vec2::new(x as f32, y as f32), heading: self.heading.map(|(_, heading)| heading as f32) }
     }
 
     /// Returns the distance to the position of `other` \[m\].
-    pub fn distance(&self, other: &Fix) -> f64 {
+    pub(crate) fn distance(&self, other: &Fix) -> f64 {
         libm::hypot(self.position[0] - other.position[0], self.position[1] - other.position[1])
     }
 
     /// Returns the angle to the heading of `other` \[rad\], from 0 to pi; `None` if one has no heading.
-    pub fn turn(&self, other: &Fix) -> Option<f64> {
+    pub(crate) fn turn(&self, other: &Fix) -> Option<f64> {
         let ((_, own), (_, other)) = self.heading.zip(other.heading)?;
         Some(wrapped(own - other).abs())
     }
@@ -329,22 +329,22 @@ pub(super) struct Track {
 
 impl Track {
     /// Returns whether the robot's pose is known.
-    pub fn whereabouts(&self) -> Whereabouts {
+    pub(crate) fn whereabouts(&self) -> Whereabouts {
         self.lost.unwrap_or(Whereabouts::Known)
     }
 
     /// Returns the last accepted pose; `None` before the first, and after the source has lost the robot.
-    pub fn accepted(&self) -> Option<&Fix> {
+    pub(crate) fn accepted(&self) -> Option<&Fix> {
         self.accepted.as_ref()
     }
 
     /// Returns the first of the poses that are refused in a row; `None` while none is.
-    pub fn refused(&self) -> Option<&Fix> {
+    pub(crate) fn refused(&self) -> Option<&Fix> {
         self.held.as_ref().map(|held| &held.first)
     }
 
     /// Judges a new pose of the robot.
-    pub fn take(&mut self, fix: Fix, limits: &Limits) -> Judgement {
+    pub(crate) fn take(&mut self, fix: Fix, limits: &Limits) -> Judgement {
         let Some(accepted) = self.accepted else {
             self.accept(fix);
             return Judgement::Accepted;
@@ -392,7 +392,7 @@ impl Track {
     }
 
     /// Takes a pose over without judging it: a person has said where the robot is.
-    pub fn place(&mut self, fix: Fix) {
+    pub(crate) fn place(&mut self, fix: Fix) {
         self.lost = None;
         self.accept(fix);
     }
@@ -405,7 +405,7 @@ impl Track {
     }
 
     /// Marks the robot as lost by its source, whose next reading is accepted wherever it is.
-    pub fn lose(&mut self, why: Whereabouts) {
+    pub(crate) fn lose(&mut self, why: Whereabouts) {
         (self.accepted, self.held, self.lost) = (None, None, Some(why));
     }
 }

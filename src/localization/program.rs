@@ -17,7 +17,7 @@ use crate::messages::wire::Reading;
 use crate::time::{Span, Time};
 
 /// Description of the source `program` in one line, for lists of all sources.
-pub const ABOUT: &str = "a program of yours: JSON lines on its stdout";
+pub(crate) const ABOUT: &str = "a program of yours: JSON lines on its stdout";
 
 /// Settings of the source `program`, which runs a program of the user's, in the team file.
 #[derive(Clone, Debug, Deserialize)]

@@ -110,14 +110,14 @@ impl Screen {
     }
 
     /// Notes odometry of a robot, which shows whether the robot moves.
-    pub fn odometry(&mut self, now: Time, reading: &Reading) {
+    pub(crate) fn odometry(&mut self, now: Time, reading: &Reading) {
         if let Some(watched) = self.robots.get_mut(&reading.robot) {
             watched.by_odometry.take(Fix::of(now, reading, Quality::RECKONED), reading);
         }
     }
 
     /// Judges an output of the source. Returns it unless it is a reading that is refused.
-    pub fn judge(&mut self, now: Time, out: Out, quality: impl Fn(RobotId) -> Quality) -> Out {
+    pub(crate) fn judge(&mut self, now: Time, out: Out, quality: impl Fn(RobotId) -> Quality) -> Out {
         match out {
             Out::Reading(reading) => {
                 let quality = quality(reading.robot);
@@ -199,7 +199,7 @@ impl Screen {
     }
 
     /// Takes a person's statement of where a robot is. `None` if another host measures the robot.
-    pub fn place(&mut self, now: Time, place: &Place, source: &mut dyn Source) -> Option<Located> {
+    pub(crate) fn place(&mut self, now: Time, place: &Place, source: &mut dyn Source) -> Option<Located> {
         let watched = self.robots.get_mut(&place.robot)?;
         let mut answers = self.answered.iter();
         let known = answers.find(|answer| (answer.by, answer.number) == (place.by, place.number)).copied();
@@ -227,7 +227,7 @@ impl Screen {
 
     /// Returns the message about the robots whose state has changed since the last one, or that are lost when a
     /// repetition is due. `None` if there is nothing to say.
-    pub fn report(&mut self, now: Time) -> Option<Located> {
+    pub(crate) fn report(&mut self, now: Time) -> Option<Located> {
         let due = self.next.is_some_and(|next| next <= now);
         let mut robots = Vec::new();
         for (robot, watched) in &mut self.robots {
@@ -252,7 +252,7 @@ impl Screen {
     }
 
     /// Returns the time at which `report` is due again; `None` while no robot is lost.
-    pub fn wake_at(&self) -> Option<Time> {
+    pub(crate) fn wake_at(&self) -> Option<Time> {
         self.next
     }
 }

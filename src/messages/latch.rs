@@ -73,7 +73,7 @@ impl Latch {
 
     /// Returns the number of changes of the emergency stop up to this latch; the later of two latches has the larger
     /// number.
-    pub fn number(self) -> u64 {
+    pub(crate) fn number(self) -> u64 {
         self.number
     }
 
@@ -94,14 +94,14 @@ impl Latch {
 
     /// Returns the later of this latch and `other`, a latch in another host's message. If the number of `other` is
     /// implausibly far above that of this latch, this latch is returned.
-    pub fn joined(self, other: Latch) -> Latch {
+    pub(crate) fn joined(self, other: Latch) -> Latch {
         if self.is_overshot_by(other) { self } else { self.max(other) }
     }
 
     /// Returns the latch after a stop, re-arm or resume (`other`) from an operator or a host. A stop counts whatever
     /// its number, since its sender need not know the present number. A re-arm has to be later than the stop. A resume
     /// changes nothing here: the state server, the coordinator of the team, grants it with [`Latch::resumed`].
-    pub fn after(self, other: Latch) -> Latch {
+    pub(crate) fn after(self, other: Latch) -> Latch {
         match other.state {
             State::Clear => self,
             State::Held => self.joined(other),
@@ -114,7 +114,7 @@ impl Latch {
     /// Returns `other`, the latch that a resume asks for, if the resume is granted. This latch must be held, and
     /// `other` clear with the next number; otherwise `None`. Only the state server, the coordinator of the team, calls
     /// this.
-    pub fn resumed(self, other: Latch) -> Option<Latch> {
+    pub(crate) fn resumed(self, other: Latch) -> Option<Latch> {
         (self.is_held() && other.is_clear() && other.number == self.number + 1).then_some(other)
     }
 }
@@ -131,7 +131,7 @@ pub(crate) struct LatchFollower {
 
 impl LatchFollower {
     /// Returns the emergency stop state that the actor obeys at present.
-    pub fn latch(&self) -> Latch {
+    pub(crate) fn latch(&self) -> Latch {
         self.latch
     }
 
@@ -143,14 +143,14 @@ impl LatchFollower {
 
     /// Applies a stop, re-arm or resume from an operator or a host. Returns whether the emergency stop state that the
     /// actor obeys changed.
-    pub fn apply(&mut self, other: Latch) -> bool {
+    pub(crate) fn apply(&mut self, other: Latch) -> bool {
         self.set(self.latch.after(other))
     }
 
     /// Applies a latch that the state server repeats, and returns whether the state that the actor obeys changed. A
     /// latch with an implausibly high number is accepted only when it arrives a second time: a corrupted number does
     /// not repeat, and an actor that has just started cannot know the true one.
-    pub fn update(&mut self, other: Latch) -> bool {
+    pub(crate) fn update(&mut self, other: Latch) -> bool {
         let before = self.overshot.take();
         let later = if !self.latch.is_overshot_by(other) {
             self.latch.joined(other)

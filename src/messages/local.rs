@@ -12,7 +12,7 @@ use crate::time::{Span, Time};
 #[derive(Clone, Debug, PartialEq)]
 pub struct Percept {
     /// Number of the robot whose policy gets these inputs.
-    pub robot: RobotId,
+    pub(crate) robot: RobotId,
     /// Time at which the control tick was due, on this host's clock.
     pub due: Time,
     /// Estimated position \[m\] and velocity \[m/s\] of the robot in the world frame.
@@ -20,28 +20,28 @@ pub struct Percept {
     /// Standard deviation of the estimated position along each axis \[m\]; 0 if unknown.
     pub(crate) deviation_m: f32,
     /// Newest messages of the neighbours, as far as the policy may still use them, in the order of robot ids.
-    pub heard: Vec<NeighbourLatent>,
+    pub(crate) heard: Vec<NeighbourLatent>,
 }
 
 /// Newest latent (policy message with the sender's motion) of one neighbour, as stored by a robot's Cache.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NeighbourLatent {
     /// Number of the neighbour that sent the latent.
-    pub robot: RobotId,
+    pub(crate) robot: RobotId,
     /// Round, the number of the state server's instruction, in which the neighbour computed the latent.
-    pub round: Round,
+    pub(crate) round: Round,
     /// Phase of the episode in which the neighbour computed the latent.
-    pub phase: Phase,
+    pub(crate) phase: Phase,
     /// The neighbour's estimate of its own position and velocity when it sent the latent, world frame.
-    pub motion: Motion,
+    pub(crate) motion: Motion,
     /// Numbers from the neighbour's policy, such as the encoder's output of a graph neural network.
-    pub features: Features,
+    pub(crate) features: Features,
     /// Time since the latent arrived at this host.
-    pub age: Span,
+    pub(crate) age: Span,
 }
 
 /// Distance beyond which two robots do not affect each other's safety \[m\].
-pub const NEAR_M: f32 = 5.0;
+pub(crate) const NEAR_M: f32 = 5.0;
 
 /// Last known position and velocity of another robot. It is kept even if that robot is in another round or phase of the
 /// episode, since the two may still collide.

@@ -40,7 +40,7 @@ pub enum Whereabouts {
 
 impl Whereabouts {
     /// All values, in the order of their numbers.
-    pub const ALL: [Whereabouts; 5] =
+    pub(crate) const ALL: [Whereabouts; 5] =
         [Whereabouts::Known, Whereabouts::Jumped, Whereabouts::Adrift, Whereabouts::Shifted, Whereabouts::Exchanged];
 
     /// Whether the robot has to stand.
@@ -89,7 +89,7 @@ pub enum Verdict {
 
 impl Verdict {
     /// All values, in the order of their numbers.
-    pub const ALL: [Verdict; 5] =
+    pub(crate) const ALL: [Verdict; 5] =
         [Verdict::Aligned, Verdict::Agrees, Verdict::Differs, Verdict::Moves, Verdict::Unmeasured];
 
     /// Returns the value in a word, as in JSON.

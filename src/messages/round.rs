@@ -36,7 +36,7 @@ impl Round {
 
     /// Returns the latest of the received `rounds`. A single round is ignored if its term is implausibly far above the
     /// term of `known`, the latest round so far, and above the other rounds. Returns term 0, episode 0 if none is left.
-    pub fn latest(known: Round, rounds: impl Iterator<Item = Round> + Clone) -> Round {
+    pub(crate) fn latest(known: Round, rounds: impl Iterator<Item = Round> + Clone) -> Round {
         let second = second_largest(rounds.clone().map(|round| round.term.into()));
         let ceiling = u64::from(known.term).max(second).max(Round::CREDIBLE.into()) + u64::from(Round::JUMP) - 1;
         rounds.filter(|round| u64::from(round.term) <= ceiling).max().unwrap_or_default()
@@ -54,14 +54,14 @@ pub(crate) struct RoundFollower {
 
 impl RoundFollower {
     /// Returns the round of the instruction that the actor follows at present.
-    pub fn round(&self) -> Round {
+    pub(crate) fn round(&self) -> Round {
         self.round
     }
 
     /// Returns whether the actor is to follow an instruction with this round: one that is not earlier than the round it
     /// follows. An implausibly high term is admitted only if the round that arrived just before had about the same
     /// term, since a corrupted term does not repeat.
-    pub fn admits(&mut self, round: Round) -> bool {
+    pub(crate) fn admits(&mut self, round: Round) -> bool {
         let before = self.overshot.take();
         let repeated = before.is_some_and(|before| (before..=before.saturating_add(Round::JUMP)).contains(&round.term));
         if self.round.is_overshot_by(round) && !repeated {
@@ -72,7 +72,7 @@ impl RoundFollower {
     }
 
     /// Sets the round that the actor follows from now on.
-    pub fn follow(&mut self, round: Round) {
+    pub(crate) fn follow(&mut self, round: Round) {
         self.round = round;
     }
 }

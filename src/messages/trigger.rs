@@ -42,7 +42,7 @@ pub enum Trigger {
 
 impl Trigger {
     /// All triggers, in the order of their numbers.
-    pub const ALL: [Trigger; 11] = [
+    pub(crate) const ALL: [Trigger; 11] = [
         Trigger::Stop,
         Trigger::Silence,
         Trigger::Output,

@@ -47,7 +47,7 @@ pub enum Sight {
 }
 
 /// Makes scripted flocking for a scenario without goals; an error says that the scenario has goals.
-pub fn model(scenario: &dyn Scenario, sight: Sight) -> Result<Model, ModelError> {
+pub(crate) fn model(scenario: &dyn Scenario, sight: Sight) -> Result<Model, ModelError> {
     if scenario.cost().is_none() {
         let name = scenario.name();
         return Err(ModelError::Refused(format!("robots of the scenario '{name}' have goals, which it does not know")));

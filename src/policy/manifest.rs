@@ -14,7 +14,7 @@ use crate::scenario::{Dynamics, Observation};
 /// Key of the safetensors metadata under which a policy file stores its manifest.
 pub const KEY: &str = "murmurate";
 /// Version of the manifest's format that this module reads, and that the trainer writes.
-pub const FORMAT: u32 = 1;
+pub(crate) const FORMAT: u32 = 1;
 /// Versions of the manifest's format that this program reads: this one, and that of policies with several hops.
 pub(crate) const FORMATS: [u32; 2] = [FORMAT, 2];
 
@@ -110,7 +110,7 @@ pub struct Training {
 impl Training {
     /// Returns the number of robots in the largest team of the training. `None` means that the configuration does not
     /// say so in the format of this program.
-    pub fn largest_team(&self) -> Option<usize> {
+    pub(crate) fn largest_team(&self) -> Option<usize> {
         if self.configuration.get("imitation").is_some() {
             return usize::try_from(self.configuration.get("robots")?.as_u64()?).ok();
         }
@@ -258,7 +258,7 @@ impl Manifest {
 
     /// Returns the manifest of a network with the full architecture of equation (1) in the paper arXiv 2111.01777. Its
     /// edge features are age and relative position; all other parameters are those of `published`.
-    pub fn full() -> Manifest {
+    pub(crate) fn full() -> Manifest {
         Manifest {
             architecture: Architecture::Full,
             edge: vec![EdgeField::Age, EdgeField::RelativePosition],

@@ -55,7 +55,7 @@ impl Layer {
     ///
     /// # Panics
     /// If the length of `weight` is not a multiple of the number of outputs, or if there are no outputs.
-    pub fn new(weight: &[f32], bias: &[f32]) -> Layer {
+    pub(crate) fn new(weight: &[f32], bias: &[f32]) -> Layer {
         let outputs = bias.len();
         let inputs = weight.len() / outputs;
         assert_eq!(weight.len(), inputs * outputs, "a layer's matrix has outputs x inputs entries");
@@ -87,7 +87,7 @@ impl Layer {
     /// Applies the layer to `rows` independent inputs: `x` is \[rows, inputs\], and `y` receives \[rows, outputs\],
     /// both row-major. `relu` is the activation of the outputs.
     #[inline(always)]
-    pub fn apply(&self, rows: usize, x: &[f32], y: &mut [f32], relu: Relu) {
+    pub(crate) fn apply(&self, rows: usize, x: &[f32], y: &mut [f32], relu: Relu) {
         for (block, bias) in self.bias.iter().enumerate() {
             self.apply_block(block, bias, rows, x, y, relu);
         }
@@ -136,7 +136,7 @@ impl Layer {
     ///
     /// To get the same bits as with one layer, pass the first layer's output as `start` to the second layer's
     /// `apply_from`.
-    pub fn split(&self, at: usize) -> (Layer, Layer) {
+    pub(crate) fn split(&self, at: usize) -> (Layer, Layer) {
         let part = |inputs: std::ops::Range<usize>, bias: &[f32]| {
             let row = |output: usize| inputs.clone().map(move |input| self.entry(output, input));
             Layer::new(&(0..self.outputs).flat_map(row).collect::<Vec<f32>>(), bias)
@@ -230,7 +230,7 @@ impl Mlp {
     ///
     /// # Panics
     /// If there is no layer, or if a layer does not have as many inputs as the layer before it has outputs.
-    pub fn new(layers: Vec<Layer>) -> Mlp {
+    pub(crate) fn new(layers: Vec<Layer>) -> Mlp {
         assert!(!layers.is_empty(), "a perceptron has a layer");
         assert!(layers.windows(2).all(|pair| pair[0].outputs == pair[1].inputs), "layers fit each other");
         Mlp { layers }
@@ -242,17 +242,17 @@ impl Mlp {
     }
 
     /// Returns the number of inputs of the first layer.
-    pub fn inputs(&self) -> usize {
+    pub(crate) fn inputs(&self) -> usize {
         self.layers[0].inputs
     }
 
     /// Returns the number of outputs of the last layer.
-    pub fn outputs(&self) -> usize {
+    pub(crate) fn outputs(&self) -> usize {
         self.layers[self.layers.len() - 1].outputs
     }
 
     /// Makes the scratch space that `apply` needs for `rows` independent inputs at once.
-    pub fn scratch(&self, rows: usize) -> Scratch {
+    pub(crate) fn scratch(&self, rows: usize) -> Scratch {
         let widest = self.layers.iter().map(|layer| layer.outputs).max().unwrap_or(0) * rows;
         Scratch(vec![0.0; widest], vec![0.0; widest])
     }
@@ -261,7 +261,7 @@ impl Mlp {
     /// both row-major. A ReLU follows every layer but the last, and the activation `last` follows the last layer.
     /// `scratch` holds intermediate values; it comes from the method `scratch`, for at least as many rows.
     #[inline(always)]
-    pub fn apply(&self, rows: usize, x: &[f32], y: &mut [f32], scratch: &mut Scratch, last: Relu) {
+    pub(crate) fn apply(&self, rows: usize, x: &[f32], y: &mut [f32], scratch: &mut Scratch, last: Relu) {
         let (mut from, mut to) = (&mut scratch.0, &mut scratch.1);
         for (depth, layer) in self.layers.iter().enumerate() {
             let x = if depth == 0 { x } else { &from[..] };

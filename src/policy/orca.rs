@@ -98,7 +98,7 @@ struct QueuePlace {
 impl Orca {
     /// Makes one robot's instance of scripted navigation for `arena`: ground, walls and bottlenecks, in the policy
     /// frame, and the robots' radius.
-    pub fn new(arena: &Arena) -> Orca {
+    pub(crate) fn new(arena: &Arena) -> Orca {
         let corner = |x: f32, y: f32| dodgy_2d::Vec2::new(x, y);
         let block = |min: Vec2, max: Vec2| Obstacle::Closed {
             // Counter-clockwise vertices: solid inside.

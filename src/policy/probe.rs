@@ -29,7 +29,7 @@ impl Probe {
 
     /// Runs `network` on the inputs of this test data and returns the largest differences of its latents and outputs
     /// from the correct ones, which the test data contain.
-    pub fn compare(&self, network: &Arc<Network>) -> Difference {
+    pub(crate) fn compare(&self, network: &Arc<Network>) -> Difference {
         let at = |floats: &[f32], robot: usize| Vec2::new(floats[2 * robot], floats[2 * robot + 1]);
         let robots = self.position.len() / 2;
         let motion = |robot| Motion { position: at(&self.position, robot), velocity: at(&self.velocity, robot) };

@@ -31,7 +31,7 @@ const SEARCH_STEPS: i8 = 4;
 const CHOSEN_FOR_M: f32 = 0.25;
 
 /// Returns the factor on distances of scripted navigation for the robots in `arena`, 1 for those of the paper.
-pub fn share(arena: &Arena) -> f32 {
+pub(crate) fn share(arena: &Arena) -> f32 {
     (arena.robot_radius_m / CHOSEN_FOR_M).min(1.0)
 }
 
@@ -48,21 +48,21 @@ pub enum Leg {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Crossing {
     /// Mouth of the bottleneck at which the crossing begins \[m\].
-    pub entry: Vec2,
+    pub(crate) entry: Vec2,
     /// Mouth of the bottleneck at which the crossing ends \[m\].
-    pub exit: Vec2,
+    pub(crate) exit: Vec2,
 }
 
 impl Crossing {
     /// Returns the point \[m\] for which a robot at `at` \[m\] steers in order to cross the bottleneck. It is the exit
     /// if the straight line there is free of walls, and the entry otherwise. All points are in the frame of `arena`.
-    pub fn aim(&self, arena: &Arena, at: Vec2) -> Vec2 {
+    pub(crate) fn aim(&self, arena: &Arena, at: Vec2) -> Vec2 {
         if is_free(arena, at, self.exit) { self.exit } else { self.entry }
     }
 
     /// Returns the length of the path \[m\] from a robot at `at` \[m\] to the middle of the bottleneck; negative beyond
     /// the middle. All points are in the frame of `arena`.
-    pub fn ahead(&self, arena: &Arena, at: Vec2) -> f32 {
+    pub(crate) fn ahead(&self, arena: &Arena, at: Vec2) -> f32 {
         let half = (self.exit - self.entry).norm() / 2.0;
         let along = (self.exit - self.entry) / (2.0 * half);
         if is_free(arena, at, self.exit) {
@@ -109,7 +109,7 @@ pub(crate) fn is_free(arena: &Arena, from: Vec2, to: Vec2) -> bool {
 /// Returns the next part of the path from `from` to `to`, both \[m\] in the frame of `arena`. It is direct if the
 /// straight line is free or if the arena has no bottleneck. Otherwise it leads through the bottleneck on the shortest
 /// path.
-pub fn next_leg(arena: &Arena, from: Vec2, to: Vec2) -> Leg {
+pub(crate) fn next_leg(arena: &Arena, from: Vec2, to: Vec2) -> Leg {
     if is_free(arena, from, to) {
         return Leg::Direct;
     }
@@ -159,7 +159,7 @@ fn distance_outside(arena: &Arena, point: Vec2) -> f32 {
 ///
 /// The result is `wanted` itself if that is safe. Otherwise the function searches a grid of commands around the current
 /// velocity; if none is safe, it returns zero.
-pub fn safe_command(arena: &Arena, own: &Motion, wanted: Vec2, period_s: f32) -> Vec2 {
+pub(crate) fn safe_command(arena: &Arena, own: &Motion, wanted: Vec2, period_s: f32) -> Vec2 {
     if is_safe(arena, own, wanted, period_s) {
         return wanted;
     }

@@ -35,17 +35,17 @@ pub(super) const PROBE_TENSORS: [&str; 6] =
 pub struct Probe {
     /// Positions of the robots \[m\], with shape \[robots, 2\], in the policy frame (the world frame, possibly rotated
     /// by half a turn).
-    pub position: Vec<f32>,
+    pub(crate) position: Vec<f32>,
     /// Velocities of the robots \[m/s\], with shape \[robots, 2\], in the policy frame (the world frame, possibly
     /// rotated by half a turn).
-    pub velocity: Vec<f32>,
+    pub(crate) velocity: Vec<f32>,
     /// Goals of the robots \[m\], with shape \[robots, 2\], in the policy frame (the world frame, possibly rotated by
     /// half a turn).
-    pub goal: Vec<f32>,
+    pub(crate) goal: Vec<f32>,
     /// Ages of the messages \[s\], with shape \[robots, robots\]: the row is the receiver, the column the sender.
-    pub age_s: Vec<f32>,
+    pub(crate) age_s: Vec<f32>,
     /// Correct latents (the messages that the encoder makes of a robot's observation), with shape \[robots, features\].
-    pub latent: Vec<f32>,
+    pub(crate) latent: Vec<f32>,
     /// Correct raw outputs of the network, mean_x, mean_y, log_std_x and log_std_y of a velocity \[m/s\], with shape
     /// \[robots, 4\].
     pub output: Vec<f32>,
@@ -66,7 +66,7 @@ pub struct PolicyFile {
     /// was assumed.
     pub assumed: Option<String>,
     /// Digest of the whole file: the first 64 bits of its BLAKE3 hash, in hexadecimal.
-    pub digest: String,
+    pub(crate) digest: String,
     /// The three networks of the policy: encoder, message network and update network.
     pub networks: [Mlp; 3],
     /// Test data with which the networks are to be compared; `None` if the file has none.

@@ -42,12 +42,12 @@ impl Ages {
     }
 
     /// Adds the counts of another histogram.
-    pub fn merge(&mut self, other: &Ages) {
+    pub(crate) fn merge(&mut self, other: &Ages) {
         self.counts.iter_mut().zip(other.counts).for_each(|(mine, theirs)| *mine += theirs);
     }
 
     /// Returns the largest count of all bins.
-    pub fn most(&self) -> u64 {
+    pub(crate) fn most(&self) -> u64 {
         self.counts.into_iter().max().unwrap_or(0)
     }
 

@@ -15,9 +15,9 @@ use crate::scenario::judge::Verdict;
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
     /// Summary of each policy.
-    pub policies: Vec<Summary>,
+    pub(crate) policies: Vec<Summary>,
     /// Number of episodes in which only one policy succeeded, for each policy in the order of `policies`.
-    pub alone_successful: Vec<usize>,
+    pub(crate) alone_successful: Vec<usize>,
 }
 
 impl Comparison {

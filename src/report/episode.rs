@@ -54,7 +54,7 @@ pub struct AbortReason {
 
 impl AbortReason {
     /// Returns a reason that is none of a robot.
-    pub fn of_team(cause: AbortCause) -> AbortReason {
+    pub(crate) fn of_team(cause: AbortCause) -> AbortReason {
         AbortReason { cause, robot: None, others: 0 }
     }
 

@@ -95,7 +95,7 @@ pub struct Unwritten {
 
 impl Unwritten {
     /// Returns the number of all dropped lines, events and steps.
-    pub fn total(&self) -> u64 {
+    pub(crate) fn total(&self) -> u64 {
         self.log_lines + self.events + self.steps + self.record_events
     }
 }

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Axis {
     /// Lower end of the axis.
-    pub low: f32,
+    pub(crate) low: f32,
     /// Upper end of the axis.
     pub high: f32,
     /// Number of bins.

@@ -11,20 +11,20 @@ use crate::messages::wire::{Hardware, Health};
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RobotHardware {
     /// Id of the robot.
-    pub robot: RobotId,
+    pub(crate) robot: RobotId,
     /// Whether the robot's driver last reported it as ready. A report after the run has the state in which the host
     /// ended.
-    pub ready: bool,
+    pub(crate) ready: bool,
     /// Last known charge of the battery \[%\]; `None` if it was never reported.
-    pub battery: Option<u8>,
+    pub(crate) battery: Option<u8>,
     /// Last known temperature \[°C\]; `None` if it was never reported.
-    pub temperature_c: Option<i16>,
+    pub(crate) temperature_c: Option<i16>,
     /// Number of faults: times that the robot became faulty, that it fell silent after it had been ready, or that the
     /// reason changed.
-    pub faults: u64,
+    pub(crate) faults: u64,
     /// Reason of the last fault; without a fault, the reason why the robot has not been ready so far. `None` if there
     /// is none.
-    pub last_fault: Option<String>,
+    pub(crate) last_fault: Option<String>,
 }
 
 impl RobotHardware {
@@ -59,7 +59,7 @@ impl RobotHardware {
 
     /// Merges the conditions that several processes reported: for each robot the last known values and the sum of its
     /// faults. `all` is in the order in which the processes were started.
-    pub fn joined<'a>(all: impl Iterator<Item = &'a RobotHardware>) -> Vec<RobotHardware> {
+    pub(crate) fn joined<'a>(all: impl Iterator<Item = &'a RobotHardware>) -> Vec<RobotHardware> {
         let mut robots: BTreeMap<RobotId, RobotHardware> = BTreeMap::new();
         for later in all {
             let known = robots.entry(later.robot).or_insert_with(|| RobotHardware::new(later.robot));
@@ -76,7 +76,7 @@ impl RobotHardware {
     }
 
     /// Describes the hardware as text, such as `battery 87 %, 41 °C, 1 fault: bumper pressed`.
-    pub fn words(&self) -> String {
+    pub(crate) fn words(&self) -> String {
         let battery = self.battery.map(|battery| format!("battery {battery} %"));
         let temperature = self.temperature_c.map(|degrees| format!("{degrees} \u{b0}C"));
         let faults = match (self.faults, &self.last_fault) {

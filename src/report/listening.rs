@@ -75,24 +75,24 @@ pub(crate) struct Listener {
 
 impl Listener {
     /// Returns an observer of a team in which each message is expected at `hosts` other hosts.
-    pub fn new(hosts: u64) -> Listener {
+    pub(crate) fn new(hosts: u64) -> Listener {
         Listener { listening: Listening::default(), hosts, sent: BTreeMap::new(), had: BTreeMap::new() }
     }
 
     /// Returns the statistics of all messages so far.
-    pub fn listening(&self) -> Listening {
+    pub(crate) fn listening(&self) -> Listening {
         self.listening
     }
 
     /// Records that `robot` has published a message at `now`, in the datagram `datagram`.
-    pub fn published(&mut self, now: Time, datagram: Datagram, robot: RobotId) {
+    pub(crate) fn published(&mut self, now: Time, datagram: Datagram, robot: RobotId) {
         self.listening.due += self.hosts;
         keep(self.sent.entry(datagram.0).or_default(), (datagram, robot, now));
     }
 
     /// Records that a datagram has arrived at the host `to` at `now`. Duplicates do not count, nor does a datagram that
     /// is not among the last 64 of its sender that the method `published` has recorded.
-    pub fn arrived(&mut self, now: Time, to: HostId, datagram: Datagram) {
+    pub(crate) fn arrived(&mut self, now: Time, to: HostId, datagram: Datagram) {
         let sent = self.sent.get(&datagram.0).into_iter().flatten();
         let Some((_, robot, published)) = sent.rev().find(|(other, ..)| *other == datagram) else { return };
         let had = self.had.entry((to, *robot)).or_default();
@@ -108,7 +108,7 @@ impl Listener {
     /// Records a control step of a robot at the host `at`. `heard` has the robots whose messages it used, with the
     /// messages' ages since arrival. Returns these robots with ages since publication; for a message that crossed no
     /// link the age stays as it is.
-    pub fn stepped(&mut self, now: Time, at: HostId, heard: &[(RobotId, Span)]) -> Vec<(RobotId, Span)> {
+    pub(crate) fn stepped(&mut self, now: Time, at: HostId, heard: &[(RobotId, Span)]) -> Vec<(RobotId, Span)> {
         let mut ages = heard.to_vec();
         if self.hosts == 0 {
             return ages;

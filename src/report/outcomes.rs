@@ -12,7 +12,7 @@ pub struct Outcomes {
     /// Number of episodes with a verdict.
     pub episodes: usize,
     /// Number of successful episodes.
-    pub successes: usize,
+    pub(crate) successes: usize,
     /// Share of successful episodes, 0 to 1.
     pub success_rate: f64,
     /// Lower and upper end of the 95 % Wilson interval of the success rate.
@@ -29,10 +29,10 @@ pub struct Outcomes {
     pub timeouts: usize,
     /// Number of episodes that the state server ended before they had a verdict, such as after an emergency stop or
     /// when a robot failed.
-    pub aborted: usize,
+    pub(crate) aborted: usize,
     /// Number of episodes that could not be judged, because a robot was not measured for more than a second. Zero if
     /// true states are judged.
-    pub unseen: usize,
+    pub(crate) unseen: usize,
     /// Costs of the episodes; left out in a scenario with goals. In one without, nothing succeeds: the counts and rates
     /// of successes are zero, and `completed` counts the episodes without a failure.
     #[serde(flatten)]
@@ -55,7 +55,7 @@ pub struct CostOutcomes {
 
 impl CostOutcomes {
     /// Returns the costs of the episodes; `None` if none of them has one.
-    pub fn of(episodes: &[Episode]) -> Option<CostOutcomes> {
+    pub(crate) fn of(episodes: &[Episode]) -> Option<CostOutcomes> {
         let lasted = episodes.iter().filter(|episode| episode.verdict != Verdict::Aborted);
         let costs: Vec<f64> = lasted.filter_map(|episode| episode.cost).collect();
         let (cost_mean, cost_ci95) = mean_95(&costs)?;

@@ -34,62 +34,62 @@ pub enum Counts {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
     /// Name of the deployment's mode.
-    pub mode: String,
+    pub(crate) mode: String,
     /// Name of the scenario.
-    pub scenario: String,
+    pub(crate) scenario: String,
     /// Name of the policy.
-    pub policy: String,
+    pub(crate) policy: String,
     /// Number of robots.
-    pub robots: usize,
+    pub(crate) robots: usize,
     /// Counts of verdicts, success rate and makespan of all episodes.
     #[serde(flatten)]
-    pub outcomes: Outcomes,
+    pub(crate) outcomes: Outcomes,
     /// Counts under the former names of the fields `robot_collisions`, `wall_collisions` and `aborted` of [`Outcomes`],
     /// kept for one version.
     #[serde(flatten)]
     former: FormerNames,
     /// Name and unit of the cost of episodes; left out in a scenario with goals.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub cost: Option<CostName>,
+    pub(crate) cost: Option<CostName>,
     /// Data from which episodes were judged: true states of a simulation, or readings.
-    pub judged: Judged,
+    pub(crate) judged: Judged,
     /// Hosts whose messages, links and safety events are counted.
-    pub counts: Counts,
+    pub(crate) counts: Counts,
     /// Simulated time of all trials together \[s\]; the length of the run if it was in real time.
-    pub virtual_s: f64,
+    pub(crate) virtual_s: f64,
     /// Wall-clock time of the run \[s\].
-    pub wall_s: f64,
+    pub(crate) wall_s: f64,
     /// Episodes that failed.
-    pub failed: Vec<FailedEpisode>,
+    pub(crate) failed: Vec<FailedEpisode>,
     /// Description of the emulated links: delay, loss and radio; null if they are ideal or not emulated.
-    pub network: Option<String>,
+    pub(crate) network: Option<String>,
     /// Descriptions of the injected faults.
-    pub faults: Vec<String>,
+    pub(crate) faults: Vec<String>,
     /// Number of messages that the actors of the counted hosts published.
-    pub messages: u64,
+    pub(crate) messages: u64,
     /// Number of messages that were dropped because the mailbox of the receiving actor was full.
-    pub refused: u64,
+    pub(crate) refused: u64,
     /// Number of messages that were lost in crashes of actors.
-    pub lost: u64,
+    pub(crate) lost: u64,
     /// Numbers of datagrams sent, accepted, and refused by cause, on all links together.
-    pub links: LinkCounts,
+    pub(crate) links: LinkCounts,
     /// Frames and airtime of all emulated radio channels together, and losses by cause; null without an emulated radio.
-    pub radio: Option<RadioCounts>,
+    pub(crate) radio: Option<RadioCounts>,
     /// Numbers of times that robots' guards stopped them or reduced their velocities, by cause.
-    pub safety: SafetyCounts,
+    pub(crate) safety: SafetyCounts,
     /// Hardware of each real robot: last battery charge and temperature, number of hardware faults and the last one.
-    pub hardware: Vec<RobotHardware>,
+    pub(crate) hardware: Vec<RobotHardware>,
     /// Amounts of output (log lines, events, steps) that were dropped, as the control thread does not wait until output
     /// is written.
-    pub unwritten: Unwritten,
+    pub(crate) unwritten: Unwritten,
     /// Largest age that a velocity command had while it still moved a robot \[s\]; null if it is unknown, as on real
     /// robots.
-    pub oldest_command_s: Option<f64>,
+    pub(crate) oldest_command_s: Option<f64>,
     /// Trace: digest of every message and true state of the run, in hexadecimal; null for a run that was interrupted or
     /// in real time.
-    pub trace_hash: Option<String>,
+    pub(crate) trace_hash: Option<String>,
     /// Seed of the run.
-    pub seed: u64,
+    pub(crate) seed: u64,
     /// Whether a user interrupted the run before its end.
     pub interrupted: bool,
 }
@@ -98,9 +98,9 @@ pub struct Summary {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct CostName {
     /// Name of the cost, such as `velocity variance`.
-    pub name: String,
+    pub(crate) name: String,
     /// Unit of the cost, such as `m2/s2`.
-    pub unit: String,
+    pub(crate) unit: String,
 }
 
 impl CostName {
@@ -121,14 +121,14 @@ impl CostName {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct FailedEpisode {
     /// Index of the repeat, from 0.
-    pub repeat: u32,
+    pub(crate) repeat: u32,
     /// Index of the episode in its repeat, from 0.
-    pub episode: u32,
+    pub(crate) episode: u32,
     /// Verdict on the episode.
-    pub verdict: Verdict,
+    pub(crate) verdict: Verdict,
     /// Reason of an aborted episode, with its robot; left out for other verdicts, and if it is not known.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub reason: Option<AbortReason>,
+    pub(crate) reason: Option<AbortReason>,
 }
 
 /// Counts of collisions and aborted episodes under the former names of fields of [`Outcomes`], for scripts that still

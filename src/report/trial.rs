@@ -21,7 +21,7 @@ pub struct Said {
     pub messages: u64,
     /// Total size of the messages \[bytes\]: that of their datagrams without authentication tags, as if each message
     /// had a datagram of its own.
-    pub bytes: u64,
+    pub(crate) bytes: u64,
 }
 
 /// Report of a trial: episodes, totals, undelivered messages, steps and hardware.

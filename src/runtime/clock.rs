@@ -76,7 +76,7 @@ impl Clock {
     }
 
     /// Returns how many things the actors have done so far: messages that they handled, wake-ups, and scheduled calls.
-    pub fn steps(&self) -> u64 {
+    pub(crate) fn steps(&self) -> u64 {
         self.steps.get()
     }
 
@@ -87,7 +87,7 @@ impl Clock {
     }
 
     /// Registers a task with the function `run`, which is called once each time that the task was woken.
-    pub fn register(&self, run: Rc<dyn Fn()>) -> TaskId {
+    pub(crate) fn register(&self, run: Rc<dyn Fn()>) -> TaskId {
         let mut queue = self.queue.borrow_mut();
         queue.tasks.push(Task { run, woken: false, latest: Time::MAX });
         TaskId(queue.tasks.len() - 1)
@@ -95,7 +95,7 @@ impl Clock {
 
     /// Wakes a task: it runs once, after all tasks that were woken before it. A task that is already woken is left
     /// where it is in the queue.
-    pub fn wake(&self, task: TaskId) {
+    pub(crate) fn wake(&self, task: TaskId) {
         let Queue { tasks, woken, .. } = &mut *self.queue.borrow_mut();
         // After the end of a run no task is left.
         if let Some(task_entry) = tasks.get_mut(task.0)
@@ -121,13 +121,13 @@ impl Clock {
 
     /// Schedules a wake-up of `task` at time `at`. In real time the wake-up may be delayed up to the latest time that
     /// `expect` has set.
-    pub fn arm(&self, at: Time, task: TaskId) {
+    pub(crate) fn arm(&self, at: Time, task: TaskId) {
         self.push(at, Action::Wake(task));
     }
 
     /// Sets the latest time to which wake-ups of `task` may be delayed in real time, so that several are served at
     /// once; `None` if no wake-up is expected.
-    pub fn expect(&self, latest: Option<Time>, task: TaskId) {
+    pub(crate) fn expect(&self, latest: Option<Time>, task: TaskId) {
         if let Some(task_entry) = self.queue.borrow_mut().tasks.get_mut(task.0) {
             task_entry.latest = latest.unwrap_or(Time::MAX);
         }

@@ -54,7 +54,7 @@ pub struct Watched {
 impl Watched {
     /// Watches `source` in place of the descriptor before, from the next turn of the event loop on; with `None` nothing
     /// is watched.
-    pub fn replace(&self, source: Option<Rc<dyn AsFd>>) {
+    pub(crate) fn replace(&self, source: Option<Rc<dyn AsFd>>) {
         self.replaced.borrow_mut().push((self.index, source));
     }
 }

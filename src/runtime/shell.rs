@@ -65,7 +65,7 @@ impl<I> Mailbox<I> {
     }
 
     /// Returns the name of the actor whose mailbox this is.
-    pub fn name(&self) -> &str {
+    pub(crate) fn name(&self) -> &str {
         &self.0.name
     }
 
@@ -80,7 +80,7 @@ impl<I> Mailbox<I> {
     }
 
     /// Ends all injected faults of the actor of this mailbox; a crashed actor restarts.
-    pub fn recover(&self) {
+    pub(crate) fn recover(&self) {
         self.post(Envelope::Recover);
     }
 

@@ -38,7 +38,7 @@ pub struct SafetyCounts {
 
 impl SafetyCounts {
     /// Returns the number of times that `trigger` has become active.
-    pub fn of(&self, trigger: Trigger) -> u64 {
+    pub(crate) fn of(&self, trigger: Trigger) -> u64 {
         match trigger {
             Trigger::Stop => self.stop,
             Trigger::Silence => self.silence,
@@ -72,7 +72,7 @@ impl SafetyCounts {
     }
 
     /// Returns the sum of the counts of all triggers.
-    pub fn total(&self) -> u64 {
+    pub(crate) fn total(&self) -> u64 {
         Trigger::ALL.into_iter().map(|trigger| self.of(trigger)).sum()
     }
 

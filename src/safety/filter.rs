@@ -48,11 +48,11 @@ pub struct Filtered {
     /// Velocity to command \[m/s\], world frame.
     pub velocity: Vec2,
     /// Whether the geofence has changed the velocity.
-    pub fence: bool,
+    pub(crate) fence: bool,
     /// Whether a wall or the edge of the ground has changed the velocity.
-    pub walls: bool,
+    pub(crate) walls: bool,
     /// Whether the minimum distance to a neighbour has changed the velocity.
-    pub distance: bool,
+    pub(crate) distance: bool,
 }
 
 /// Safety filter of one robot: changes a velocity command to the nearest one after which the robot can stop before

@@ -139,12 +139,12 @@ impl Guard {
     }
 
     /// Returns the state of the emergency stop that this guard follows: clear, engaged, or held after a re-arm.
-    pub fn latch(&self) -> Latch {
+    pub(crate) fn latch(&self) -> Latch {
         self.latch.latch()
     }
 
     /// Returns how often each trigger has become active in this guard.
-    pub fn counts(&self) -> SafetyCounts {
+    pub(crate) fn counts(&self) -> SafetyCounts {
         self.counts
     }
 
@@ -197,14 +197,14 @@ impl Guard {
 
     /// Applies the decision of the limits of battery and temperature: the guard stops the robot while `permit` is
     /// `Permit::Withdrawn`.
-    pub fn hardware(&mut self, permit: Permit) {
+    pub(crate) fn hardware(&mut self, permit: Permit) {
         self.unfit = permit == Permit::Withdrawn;
         self.set(Trigger::Hardware, self.unfit);
     }
 
     /// Applies what the host that measures the robot says of its pose: the guard stops the robot while that is lost.
     /// Returns true if it was known until now and the robot has to stop.
-    pub fn located(&mut self, whereabouts: Whereabouts) -> bool {
+    pub(crate) fn located(&mut self, whereabouts: Whereabouts) -> bool {
         let before = std::mem::replace(&mut self.whereabouts, whereabouts);
         if whereabouts.is_lost() && before != whereabouts {
             let (reason, remedy) = (whereabouts.reason(), whereabouts.remedy());
@@ -215,7 +215,7 @@ impl Guard {
     }
 
     /// Returns the approved velocity zero, which is always granted, for the Controller to stop the robot.
-    pub fn stop(&mut self) -> Granted {
+    pub(crate) fn stop(&mut self) -> Granted {
         self.driving = None;
         Granted(Vec2::zeros())
     }
@@ -338,13 +338,13 @@ impl Guard {
     }
 
     /// Returns the next time at which the guard stops the robot if nothing arrives before; `None` if there is none.
-    pub fn wake_at(&self) -> Option<Time> {
+    pub(crate) fn wake_at(&self) -> Option<Time> {
         self.deadline().map(|(at, _)| at)
     }
 
     /// Handles the earliest deadline that has passed at time `now`. Returns the decision, to stop the
     /// robot or to abort the episode as well; `None` if no deadline has passed.
-    pub fn wake(&mut self, now: Time) -> Option<Decision> {
+    pub(crate) fn wake(&mut self, now: Time) -> Option<Decision> {
         self.now = now;
         let (_, trigger) = self.deadline().filter(|(at, _)| *at <= now)?;
         if trigger == Trigger::Silence {

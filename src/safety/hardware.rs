@@ -28,7 +28,7 @@ pub struct HardwareLimits {
 impl HardwareLimits {
     /// Returns the limits in a robot's chassis settings (`battery_least` and `temperature_most_c`). A setting that is
     /// left out gives no limit. An error names the setting that is out of range.
-    pub fn of(settings: &Settings) -> Result<HardwareLimits, ConfigError> {
+    pub(crate) fn of(settings: &Settings) -> Result<HardwareLimits, ConfigError> {
         let battery_least = settings.battery_least.map(|least| match least {
             0.0..=1.0 => Ok((least * 100.0).round() as u8),
             _ => Err(ConfigError::field("battery_least", format!("{least} is no share of the charge, 0 to 1"))),
@@ -68,13 +68,13 @@ pub(crate) struct HardwareWatch {
 
 impl HardwareWatch {
     /// Makes a monitor with these limits that knows no values yet.
-    pub fn new(limits: HardwareLimits) -> HardwareWatch {
+    pub(crate) fn new(limits: HardwareLimits) -> HardwareWatch {
         HardwareWatch { limits, battery: None, temperature: None, low: false, hot: false }
     }
 
     /// Takes the values of battery and temperature that a robot's driver reports. A value that the report leaves out
     /// stays as it was.
-    pub fn take(&mut self, hardware: &Hardware) {
+    pub(crate) fn take(&mut self, hardware: &Hardware) {
         self.battery = hardware.battery.or(self.battery);
         self.temperature = hardware.temperature.or(self.temperature);
         if let (Some(least), Some(charge)) = (self.limits.battery_least, self.battery) {
@@ -88,7 +88,7 @@ impl HardwareWatch {
     }
 
     /// Returns whether battery and temperature permit the robot to move.
-    pub fn permit(&self) -> Permit {
+    pub(crate) fn permit(&self) -> Permit {
         let known = |limited: bool, known: bool| !limited || known;
         match () {
             () if self.low || self.hot => Permit::Withdrawn,
@@ -99,7 +99,7 @@ impl HardwareWatch {
     }
 
     /// Returns the reason why the robot may not move, with what to do, as text for the operator; `None` if it may move.
-    pub fn reason(&self) -> Option<String> {
+    pub(crate) fn reason(&self) -> Option<String> {
         let HardwareLimits { battery_least, temperature_most } = self.limits;
         match self.permit() {
             Permit::Granted => None,
@@ -123,7 +123,7 @@ impl HardwareWatch {
 
     /// Returns the condition to report for the driver's report `hardware`. If a value is beyond its limit and the
     /// driver calls the robot ready, the condition is a fault with the reason. Otherwise it is the driver's own.
-    pub fn judged(&self, hardware: Hardware) -> Hardware {
+    pub(crate) fn judged(&self, hardware: Hardware) -> Hardware {
         match self.permit() {
             Permit::Withdrawn if hardware.health == Health::Ready => {
                 let why = self.reason().unwrap_or_default();

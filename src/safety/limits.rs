@@ -13,9 +13,9 @@ const MOST: usize = 64;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limit {
     /// Direction of the bounded component: a unit vector, world frame.
-    pub along: Vec2,
+    pub(crate) along: Vec2,
     /// Upper bound of the component \[m/s\], zero or more.
-    pub most_m_s: f32,
+    pub(crate) most_m_s: f32,
 }
 
 impl Limit {
@@ -41,7 +41,7 @@ impl Default for Limits {
 
 impl Limits {
     /// Adds a limit. If there is no room for it, the only velocity that satisfies all is zero.
-    pub fn push(&mut self, limit: Limit) {
+    pub(crate) fn push(&mut self, limit: Limit) {
         match self.limits.get_mut(self.len) {
             Some(place) => (*place, self.len) = (limit, self.len + 1),
             None => self.full = true,
@@ -49,12 +49,12 @@ impl Limits {
     }
 
     /// Adds limits. If there is no room for all, the only velocity that satisfies all is zero.
-    pub fn extend(&mut self, limits: impl IntoIterator<Item = Limit>) {
+    pub(crate) fn extend(&mut self, limits: impl IntoIterator<Item = Limit>) {
         limits.into_iter().for_each(|limit| self.push(limit));
     }
 
     /// Returns the limits that were added, in their order.
-    pub fn as_slice(&self) -> &[Limit] {
+    pub(crate) fn as_slice(&self) -> &[Limit] {
         &self.limits[..self.len]
     }
 
@@ -63,7 +63,7 @@ impl Limits {
     ///
     /// This is the incremental quadratic program in two dimensions, as in ORCA (van den Berg et al., 2011, section
     /// 5.3): if the solution so far violates the next limit, the new one is on its boundary.
-    pub fn nearest(&self, wanted: Vec2) -> Vec2 {
+    pub(crate) fn nearest(&self, wanted: Vec2) -> Vec2 {
         if self.full {
             return Vec2::zeros();
         }
@@ -114,7 +114,7 @@ pub(crate) fn distance_outside(half_extent: Vec2, point: Vec2) -> f32 {
 /// Returns the limits of velocity that keep a point from passing a rectangular boundary (geofence) within `horizon_s`
 /// \[s\], one for each side. `edge` is the distance of the boundary from the origin along x and y \[m\], and `position`
 /// the point's position \[m\], world frame. A point outside may still return.
-pub fn geofence(edge: Vec2, horizon_s: f32, position: Vec2) -> [Limit; 4] {
+pub(crate) fn geofence(edge: Vec2, horizon_s: f32, position: Vec2) -> [Limit; 4] {
     [Vec2::x(), -Vec2::x(), Vec2::y(), -Vec2::y()].map(|along| {
         let room = edge.dot(&along.abs()) - position.dot(&along);
         Limit { along, most_m_s: (room / horizon_s).max(0.0) }

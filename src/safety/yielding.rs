@@ -44,7 +44,7 @@ pub struct Close(Option<(f32, Vec2)>);
 impl Close {
     /// Counts a neighbour with the motion `other`, of a robot at `position` \[m\], if it stands within `least_m` \[m\],
     /// the least distance, and a margin.
-    pub fn count(&mut self, position: Vec2, other: &Motion, least_m: f32) {
+    pub(crate) fn count(&mut self, position: Vec2, other: &Motion, least_m: f32) {
         let away = position - other.position;
         let apart_m = away.norm();
         if apart_m < self.0.map_or(least_m + CLOSE_M, |(nearest_m, _)| nearest_m)
@@ -73,7 +73,7 @@ impl Yielding {
     /// Returns the velocity to aim at \[m/s\] in place of the wanted `aim`: that of giving way, or the wanted one,
     /// turned aside by an angle that grows with the time for which the robot has been kept from moving, up to a right
     /// angle.
-    pub fn turned(&self, aim: Vec2) -> Vec2 {
+    pub(crate) fn turned(&self, aim: Vec2) -> Vec2 {
         if let Some([x, y]) = self.gives {
             return Vec2::new(x, y) * GIVES_M_S;
         }
@@ -90,7 +90,7 @@ impl Yielding {
     ///
     /// A robot that is kept from moving turns to the side to which its limits let it slide, otherwise to the right. So
     /// two robots that meet turn to different sides of the line between them.
-    pub fn update(&mut self, aim: Vec2, limited: Vec2, close: Close, period_s: f32) {
+    pub(crate) fn update(&mut self, aim: Vec2, limited: Vec2, close: Close, period_s: f32) {
         let square = aim.norm_squared();
         let mean = Vec2::from(self.mean) + (aim - Vec2::from(self.mean)) * (period_s / MEAN_S).min(1.0);
         (self.mean, self.close_s) = ([mean.x, mean.y], self.close_s + period_s);

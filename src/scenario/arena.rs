@@ -19,9 +19,9 @@ pub struct KeepOut {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Portal {
     /// Mouth (end) of the bottleneck on one side \[m\], world frame.
-    pub near: Vec2,
+    pub(crate) near: Vec2,
     /// Mouth (end) of the bottleneck on the other side \[m\], world frame.
-    pub far: Vec2,
+    pub(crate) far: Vec2,
 }
 
 /// Ground on which a team moves, with its solid blocks and bottlenecks. The origin is the middle of the ground.
@@ -41,7 +41,7 @@ pub struct Arena {
 
 impl KeepOut {
     /// Returns the distance from `point` \[m\], world frame, to the block \[m\]; zero inside the block.
-    pub fn distance(&self, point: Vec2) -> f32 {
+    pub(crate) fn distance(&self, point: Vec2) -> f32 {
         (point - self.nearest(point)).norm()
     }
 
@@ -53,7 +53,7 @@ impl KeepOut {
 
     /// Returns true if the straight line from `from` to `to` \[m\] intersects the block enlarged by `margin_m` \[m\] on
     /// each side.
-    pub fn blocks(&self, from: Vec2, to: Vec2, margin_m: f32) -> bool {
+    pub(crate) fn blocks(&self, from: Vec2, to: Vec2, margin_m: f32) -> bool {
         // Slab method: the part of the line that is inside the enlarged block along both axes.
         let (mut enter, mut leave) = (0.0f32, 1.0f32);
         for axis in 0..2 {
@@ -89,12 +89,12 @@ impl Arena {
     /// Returns a copy of the arena in which the robots' radius is larger by `ahead_m` \[m\]. It is for planning the
     /// path of a point that lies `ahead_m` ahead of a robot's centre: the robot's hull is within the larger radius
     /// about that point.
-    pub fn about_point(&self, ahead_m: f32) -> Arena {
+    pub(crate) fn about_point(&self, ahead_m: f32) -> Arena {
         Arena { robot_radius_m: self.robot_radius_m + ahead_m, ..self.clone() }
     }
 
     /// Returns true if a robot's centre may be at `point` \[m\], world frame: on the ground and touching no block.
-    pub fn admits(&self, point: Vec2) -> bool {
+    pub(crate) fn admits(&self, point: Vec2) -> bool {
         point.x.abs() <= self.half_extent.x
             && point.y.abs() <= self.half_extent.y
             && self.clearance(point) > self.robot_radius_m

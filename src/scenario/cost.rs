@@ -25,12 +25,12 @@ pub(crate) struct MeanCost {
 
 impl MeanCost {
     /// Makes the mean of `cost` over no steps yet.
-    pub fn new(cost: Cost) -> MeanCost {
+    pub(crate) fn new(cost: Cost) -> MeanCost {
         MeanCost { cost, sum: 0.0, steps: 0 }
     }
 
     /// Adds a step with these states of the team, world frame. A step without robots does not count.
-    pub fn add(&mut self, team: &[Motion]) {
+    pub(crate) fn add(&mut self, team: &[Motion]) {
         if !team.is_empty() {
             self.sum += (self.cost.of)(team);
             self.steps += 1;
@@ -38,7 +38,7 @@ impl MeanCost {
     }
 
     /// Returns the mean cost of a step; `None` before the first one.
-    pub fn mean(&self) -> Option<f64> {
+    pub(crate) fn mean(&self) -> Option<f64> {
         (self.steps > 0).then(|| self.sum / f64::from(self.steps))
     }
 }
@@ -64,7 +64,7 @@ pub enum Ending {
 
 impl Ending {
     /// Returns how the episodes of a scenario end.
-    pub fn of(scenario: &dyn Scenario) -> Ending {
+    pub(crate) fn of(scenario: &dyn Scenario) -> Ending {
         if scenario.cost().is_some() { Ending::Time } else { Ending::Arrival }
     }
 }

@@ -138,7 +138,7 @@ impl Judge {
 
     /// Marks the episode as failed with `verdict`, for a reason that the robots' states do not show. It has no effect
     /// if the episode has already failed.
-    pub fn fail(&mut self, verdict: Verdict) {
+    pub(crate) fn fail(&mut self, verdict: Verdict) {
         self.failure.get_or_insert(verdict);
     }
 
@@ -173,7 +173,7 @@ impl Judge {
 
     /// Returns the finding for an episode that ends now, at the time `after` since its start. The outcome is the first
     /// failure, or `without_failure` if there was none.
-    pub fn end(&self, after: Span, without_failure: Verdict) -> Finding {
+    pub(crate) fn end(&self, after: Span, without_failure: Verdict) -> Finding {
         let verdict = self.failure.unwrap_or(without_failure);
         let cost = self.cost.and_then(|cost| cost.mean());
         Finding { verdict, after, min_separation_m: self.min_separation_m, cost }

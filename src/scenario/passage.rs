@@ -72,7 +72,7 @@ pub struct Passage {
 
 /// Makes the scenario `passage` with a user's `settings`; by default, 5 robots and a gap of 1 m. An error says that the
 /// team size, the gap width, the scale or the hull is not supported.
-pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
+pub(crate) fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let robots = ROBOTS.check("passage", settings.robots.unwrap_or(PUBLISHED_ROBOTS))?;
     let size = Size::of("passage", settings)?;
     let gap_m = settings.gap_m.unwrap_or(size.length(GAP_M));

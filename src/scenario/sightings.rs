@@ -33,23 +33,23 @@ const PLACED_M: f32 = 0.25;
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Sighting {
     /// Time at which the last reading of the step arrived.
-    pub at: Time,
+    pub(crate) at: Time,
     /// Measured positions of the robots that were seen in the step, in the order of their ids.
-    pub robots: Vec<(RobotId, Spot)>,
+    pub(crate) robots: Vec<(RobotId, Spot)>,
     /// True if some robot of the team has been without a reading for longer than `SIGHT` in this episode.
-    pub lapsed: bool,
+    pub(crate) lapsed: bool,
 }
 
 /// Measured position and velocity of one robot in one step, world frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Spot {
     /// Position of the centre of the robot's hull \[m\].
-    pub centre: Vec2,
+    pub(crate) centre: Vec2,
     /// Position \[m\] of the point that the robot's policy commands, as the reading states it. The point is the centre,
     /// unless the drive is differential.
-    pub point: Vec2,
+    pub(crate) point: Vec2,
     /// Measured velocity of the point \[m/s\].
-    pub velocity: Vec2,
+    pub(crate) velocity: Vec2,
 }
 
 /// State of one robot in [`Sightings`]: its newest reading, when it was last seen, and its position in the unfinished
@@ -82,7 +82,7 @@ pub(crate) struct Sightings {
 
 impl Sightings {
     /// Makes a collector for a team of `robots` robots that has received no reading yet.
-    pub fn new(robots: usize) -> Sightings {
+    pub(crate) fn new(robots: usize) -> Sightings {
         Sightings { team: vec![Known::default(); robots], here: 0, at: Time::ZERO, lapsed: false }
     }
 
@@ -90,7 +90,7 @@ impl Sightings {
     /// robot \[m\], world frame, by robot id, if the simulated world has put the robots there. A robot then counts as
     /// seen only from its first reading near its start, because older readings may still be under way. `None` means
     /// that the robots drove to their starts.
-    pub fn begin(&mut self, now: Time, placed: Option<&[Vec2]>) {
+    pub(crate) fn begin(&mut self, now: Time, placed: Option<&[Vec2]>) {
         (self.here, self.lapsed) = (0, false);
         for (at, known) in self.team.iter_mut().enumerate() {
             (known.since, known.here, known.start) = (now, None, placed.map(|starts| starts[at]));
@@ -99,14 +99,14 @@ impl Sightings {
 
     /// Returns true if, by the time `now`, some robot has been without a reading for longer than `SIGHT` in this
     /// episode.
-    pub fn lapsed(&self, now: Time) -> bool {
+    pub(crate) fn lapsed(&self, now: Time) -> bool {
         self.lapsed || self.team.iter().any(|known| now.since(known.since) > SIGHT)
     }
 
     /// Processes a `reading` that has arrived at time `now` from a robot whose centre is at `centre` \[m\], world
     /// frame. Returns the step that ends with this arrival; `None` if no step ends, or if the reading is old or
     /// repeated.
-    pub fn see(&mut self, now: Time, reading: &Reading, centre: Vec2) -> Option<Sighting> {
+    pub(crate) fn see(&mut self, now: Time, reading: &Reading, centre: Vec2) -> Option<Sighting> {
         let (at, position, velocity) = (reading.robot.index(), reading.pose.position, reading.twist.velocity);
         let known = &mut self.team[at];
         if !known.is_news(now, reading) {

@@ -47,7 +47,7 @@ pub struct Rigid {
 /// Makes the rigid-body world of `arena` with one robot at rest at each of `positions` \[m\], world frame. `physics`
 /// has the parameters of the robots. The wheel slip of each robot is drawn from a random stream of its own, derived
 /// from `seed`.
-pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], seed: Seed) -> Box<dyn Plant> {
+pub(crate) fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], seed: Seed) -> Box<dyn Plant> {
     let period_s = PERIOD.as_secs() as f32;
     let mut world = PhysicsWorld::new();
     world.gravity = Vector::ZERO;

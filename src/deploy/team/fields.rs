@@ -70,7 +70,7 @@ pub struct Fields {
 
 impl Fields {
     /// Returns the permitted fields of a team file whose links may use the given transports.
-    pub fn of(transports: &[transport::Entry]) -> Fields {
+    pub(crate) fn of(transports: &[transport::Entry]) -> Fields {
         let mut own: Vec<transport::Field> = Vec::new();
         for field in transports.iter().flat_map(|entry| entry.fields) {
             if own.iter().all(|other| other.name != field.name) {
@@ -81,12 +81,12 @@ impl Fields {
     }
 
     /// Returns the names of the fields of a link that have one value for all hosts, such as `transport`.
-    pub fn of_link(&self) -> impl Iterator<Item = &'static str> {
+    pub(crate) fn of_link(&self) -> impl Iterator<Item = &'static str> {
         ["transport"].into_iter().chain(self.own.iter().filter(|field| !field.by_host).map(|field| field.name))
     }
 
     /// Returns the names of the fields of a link that are tables with one value for each host, such as `peers`.
-    pub fn by_host(&self) -> impl Iterator<Item = &'static str> {
+    pub(crate) fn by_host(&self) -> impl Iterator<Item = &'static str> {
         self.own.iter().filter(|field| field.by_host).map(|field| field.name)
     }
 
@@ -98,7 +98,7 @@ impl Fields {
     /// Returns type and default of the field with this key, such as `seed` or `link.radio.transport`; `None` if there
     /// is no such field. The inner `None` stands for no default, or for a field of a transport, whose default is in the
     /// transport's entry.
-    pub fn field(&self, key: &str) -> Option<(FieldType, Option<&'static str>)> {
+    pub(crate) fn field(&self, key: &str) -> Option<(FieldType, Option<&'static str>)> {
         let of_team =
             |name: &str| TEAM.iter().find(|(field, ..)| *field == name).map(|(_, takes, default)| (*takes, *default));
         let own = |takes: Option<FieldType>| takes.map(|takes| (takes, None));

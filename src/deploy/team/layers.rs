@@ -30,7 +30,7 @@ pub enum Origin {
 
 impl Origin {
     /// Returns the layer of the value: a value of a higher layer takes precedence.
-    pub fn layer(&self) -> u8 {
+    pub(crate) fn layer(&self) -> u8 {
         match self {
             Origin::Default => 0,
             Origin::File(_) => 1,
@@ -55,9 +55,9 @@ impl fmt::Display for Origin {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct LayerValue {
     /// Value of the field of the team file.
-    pub value: Value,
+    pub(crate) value: Value,
     /// Origin of the value: file, environment variable, flag or default.
-    pub origin: Origin,
+    pub(crate) origin: Origin,
 }
 
 /// Command line flag that sets a field of the team file.
@@ -76,7 +76,7 @@ const OTHER_VARIABLES: [&str; 1] = ["MURMURATE_LOG"];
 
 /// Returns the name of a field in error texts: its key with the origin of its value, or the name of the flag that sets
 /// it.
-pub fn place(key: &str, origin: &Origin) -> String {
+pub(crate) fn place(key: &str, origin: &Origin) -> String {
     match origin {
         Origin::Default => key.to_owned(),
         Origin::Flag(flag) if *flag != "--set" => (*flag).to_owned(),
@@ -100,7 +100,7 @@ impl Layers {
     /// Reads the team file `text` and the flags. An error names the line, the field or the flag. The tables named in
     /// `whole` are left to the caller, `transports` define the fields of links. Environment variables are read later,
     /// when the links are known.
-    pub fn read(
+    pub(crate) fn read(
         text: &str,
         flags: &[Flag],
         whole: &[&str],
@@ -200,7 +200,7 @@ impl Layers {
     }
 
     /// Returns the fields that the team file may contain.
-    pub fn fields(&self) -> &Fields {
+    pub(crate) fn fields(&self) -> &Fields {
         &self.fields
     }
 
@@ -213,7 +213,7 @@ impl Layers {
     /// such as `host.pc.`, the narrowest first and the empty one last. A higher layer (flag, environment, file) takes
     /// precedence over a narrower prefix. Defaults of a transport's fields are not included; they are in the
     /// transport's entry.
-    pub fn find(&self, scopes: &[String], key: &str) -> Option<LayerValue> {
+    pub(crate) fn find(&self, scopes: &[String], key: &str) -> Option<LayerValue> {
         let every = (key.starts_with("link.") && key.ends_with(".interface")).then_some(EVERY_INTERFACE);
         for layer in [&self.flags, &self.environment, &self.file] {
             let scoped = scopes.iter().find_map(|scope| layer.get(&format!("{scope}{key}")));
@@ -228,7 +228,7 @@ impl Layers {
 
     /// Returns key and value of every field whose key begins with `prefix`, once for each layer (flag, environment,
     /// file) that sets it.
-    pub fn below<'a>(&'a self, prefix: &'a str) -> impl Iterator<Item = (&'a str, &'a LayerValue)> {
+    pub(crate) fn below<'a>(&'a self, prefix: &'a str) -> impl Iterator<Item = (&'a str, &'a LayerValue)> {
         let layers = [&self.flags, &self.environment, &self.file];
         layers
             .into_iter()
@@ -239,13 +239,13 @@ impl Layers {
 
     /// Returns the line number in the file of the table `name` (one of those left to the caller of `read`), or of its
     /// field if `name` is `table.field`; `None` if the file does not contain it.
-    pub fn table(&self, name: &str) -> Option<usize> {
+    pub(crate) fn table(&self, name: &str) -> Option<usize> {
         self.tables.get(name).copied()
     }
 }
 
 /// Returns the name of the environment variable that sets the field `key`, such as `MURMURATE_KEY_FILE`.
-pub fn variable(key: &str) -> String {
+pub(crate) fn variable(key: &str) -> String {
     let name = key.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_uppercase() } else { '_' });
     format!("MURMURATE_{}", name.collect::<String>())
 }

@@ -61,7 +61,7 @@ pub struct Team {
     /// Estimator that computes robots' states from readings on this host.
     pub estimator: estimation::Entry,
     /// Known delay from a measurement to the arrival of its reading; `None` for the latency of the simulated sensor.
-    pub sensor_delay: Option<Span>,
+    pub(crate) sensor_delay: Option<Span>,
     /// Conditions in which robots are stopped or slowed, and the limits of their motion.
     pub safety: Safety,
     /// Folder for the host's records; `None` if nothing is recorded.
@@ -80,12 +80,12 @@ pub struct Team {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulationSettings {
     /// Properties of simulated robots and their sensors.
-    pub physics: Physics,
+    pub(crate) physics: Physics,
     /// Limit on the policy's velocities: that of training, where the simulator limits acceleration, or that of the
     /// paper's robots.
     pub clamp: Clamp,
     /// Whether a neighbour's message is used in every control step within the hold time, or only once.
-    pub handling: Handling,
+    pub(crate) handling: Handling,
 }
 
 /// Tables of a team file that are read as a whole, not field by field.
@@ -145,7 +145,7 @@ impl TeamFile {
     }
 
     /// Returns the registry in which names of the file (scenarios, policies, drivers and others) are looked up.
-    pub fn registry(&self) -> &Registry {
+    pub(crate) fn registry(&self) -> &Registry {
         &self.registry
     }
 

@@ -12,7 +12,7 @@ use crate::scenario::{Scenario, ScenarioError, Settings};
 
 /// Creates the scenario named in the field `entry` with the settings of its team. An error names the setting that is
 /// wrong, where it is written, or the scenario.
-pub fn build(
+pub(crate) fn build(
     registry: &Registry,
     layers: &Layers,
     entry: &LayerValue,

@@ -19,12 +19,12 @@ use crate::time::{Span, Time};
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Impairment {
     /// One-way delay of every frame of the impaired kinds.
-    pub delay: Span,
+    pub(crate) delay: Span,
     /// Probability, 0 to 1, that a receiver loses a frame of the impaired kinds, independently for each receiver.
-    pub loss: f64,
+    pub(crate) loss: f64,
     /// Kinds of messages that are impaired; frames of all other kinds pass without delay or loss. An empty list impairs
     /// none.
-    pub kinds: Vec<Kind>,
+    pub(crate) kinds: Vec<Kind>,
 }
 
 /// Emulator of one link: applies delay, loss and planned faults to its frames.
@@ -42,7 +42,7 @@ pub(crate) struct LinkEmulator {
 impl LinkEmulator {
     /// Returns the emulator of one link. `impairment` gives delay and loss, and `faults` are the faults planned for
     /// this link. All random numbers are drawn from `stream`.
-    pub fn new(impairment: Impairment, faults: Vec<LinkFault>, stream: Stream) -> LinkEmulator {
+    pub(crate) fn new(impairment: Impairment, faults: Vec<LinkFault>, stream: Stream) -> LinkEmulator {
         LinkEmulator { impairment, faults, manual: ManualLinkFault::default(), began: BTreeMap::new(), stream }
     }
 
@@ -54,14 +54,14 @@ impl LinkEmulator {
 
     /// Records that the episode with index `episode` begins at time `now`, for faults that are timed from its start.
     /// Only the first call for an episode counts.
-    pub fn begin(&mut self, now: Time, episode: u32) {
+    pub(crate) fn begin(&mut self, now: Time, episode: u32) {
         self.began.entry(episode).or_insert(now);
     }
 
     /// Carries one frame, sent at time `now`, from the host `from` to the host `to`. Each copy that arrives is appended
     /// to `arrivals` with its time of arrival; a lost frame appends none. `kind` is the kind of the frame's message.
     /// Delay, loss and planned faults may be limited to some kinds.
-    pub fn carry(
+    pub(crate) fn carry(
         &mut self,
         now: Time,
         kind: Kind,

@@ -53,7 +53,7 @@ impl Ether {
     ///
     /// `reach` limits the range; `None` means unlimited. It is ignored with a radio, whose own range then applies.
     /// `listens` is a function that returns the hosts that receive messages of a given kind.
-    pub fn new(
+    pub(crate) fn new(
         emulator: LinkEmulator,
         radio: Option<RadioLink>,
         reach: Option<Reach>,

@@ -21,7 +21,7 @@ pub(crate) struct Acks {
 impl Acks {
     /// Adds the id of a received datagram that is to be acknowledged. It is ignored if `MAX_IDS` (64) datagrams of its
     /// sender are already pending. If nothing was pending, the acknowledgements become due 2 ms after `now`.
-    pub fn note(&mut self, now: Time, id: DatagramId) {
+    pub(crate) fn note(&mut self, now: Time, id: DatagramId) {
         let ids = self.pending.entry(id.host).or_default();
         if ids.len() < MAX_IDS {
             ids.push(id);
@@ -30,17 +30,17 @@ impl Acks {
     }
 
     /// Returns whether the acknowledgement of this datagram is pending, or nothing more of its sender can be.
-    pub fn has(&self, id: &DatagramId) -> bool {
+    pub(crate) fn has(&self, id: &DatagramId) -> bool {
         self.pending.get(&id.host).is_some_and(|ids| ids.len() >= MAX_IDS || ids.contains(id))
     }
 
     /// Returns true if no acknowledgement is pending.
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.pending.is_empty()
     }
 
     /// Returns the time at which the pending acknowledgements are to be sent; `None` if there are none.
-    pub fn due(&self) -> Option<Time> {
+    pub(crate) fn due(&self) -> Option<Time> {
         self.due
     }
 

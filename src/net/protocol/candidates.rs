@@ -29,13 +29,13 @@ const SAME_CLOCK_US: i64 = 3_600_000_000;
 #[derive(Clone, Copy, Debug)]
 pub struct Candidate {
     /// Incarnation: random number of one run of the host.
-    pub incarnation: u32,
+    pub(crate) incarnation: u32,
     /// Latest stamp that was received from the incarnation.
-    pub stamp: Stamp,
+    pub(crate) stamp: Stamp,
     /// Time at which the stamp in `stamp` arrived.
-    pub at: Time,
+    pub(crate) at: Time,
     /// Number of this host's link reports that have echoed the candidate's stamp, to let it prove its liveness.
-    pub echoed: u32,
+    pub(crate) echoed: u32,
 }
 
 impl Candidate {
@@ -146,7 +146,7 @@ pub struct Candidates {
 impl Candidates {
     /// Creates an empty table of candidates. Hosts of the team have ids below `first_guest`; guests (operators, and
     /// hosts that the deployment does not know) have the others.
-    pub fn new(first_guest: HostId) -> Candidates {
+    pub(crate) fn new(first_guest: HostId) -> Candidates {
         Candidates { hosts: Table::new(MAX_HOSTS), guests: Table::new(MAX_GUESTS), first_guest }
     }
 
@@ -156,13 +156,13 @@ impl Candidates {
 
     /// Records the `stamp` in a link report of an incarnation that has not proved its liveness, and adds the
     /// incarnation as a candidate if it is new. Returns whether the stamp was new.
-    pub fn note(&mut self, now: Time, host: HostId, incarnation: u32, stamp: Stamp) -> Novelty {
+    pub(crate) fn note(&mut self, now: Time, host: HostId, incarnation: u32, stamp: Stamp) -> Novelty {
         self.table(host).note(now, host, Candidate { incarnation, stamp, at: now, echoed: 0 })
     }
 
     /// Returns what [`Candidates::note`] returns if it would change nothing, as the stamp is no news of a candidate
     /// that is known; `None` if it would.
-    pub fn unchanged(&self, now: Time, host: HostId, incarnation: u32, stamp: Stamp) -> Option<Novelty> {
+    pub(crate) fn unchanged(&self, now: Time, host: HostId, incarnation: u32, stamp: Stamp) -> Option<Novelty> {
         let table = if host < self.first_guest { &self.hosts } else { &self.guests };
         let known = table.by_host.get(&host).into_iter().flatten();
         // Of several that match, `note` takes the first one.
@@ -174,7 +174,7 @@ impl Candidates {
 
     /// Removes an incarnation that has proved its liveness. Returns the removed candidate; `None` if it was not in the
     /// table.
-    pub fn forget(&mut self, host: HostId, incarnation: u32) -> Option<Candidate> {
+    pub(crate) fn forget(&mut self, host: HostId, incarnation: u32) -> Option<Candidate> {
         let table = self.table(host);
         let all = table.by_host.get(&host)?.iter();
         let known = all.filter(|known| known.incarnation == incarnation).max_by_key(|known| known.echoed).copied();
@@ -185,7 +185,7 @@ impl Candidates {
     /// Returns the candidates whose stamps the next report echoes: those whose stamps have advanced in the last 2 s,
     /// guests and hosts of the team alternately, so that neither group delays the other. Within each group, those whose
     /// stamps were echoed least come first, then the newest.
-    pub fn waiting(&self, now: Time) -> Vec<(HostId, Candidate)> {
+    pub(crate) fn waiting(&self, now: Time) -> Vec<(HostId, Candidate)> {
         let [mut guests, mut hosts] = [&self.guests, &self.hosts].map(|table| table.waiting(now).into_iter());
         let mut waiting = Vec::with_capacity(guests.len() + hosts.len());
         while guests.len() + hosts.len() > 0 {
@@ -196,7 +196,7 @@ impl Candidates {
     }
 
     /// Counts that a link report of this host has echoed this stamp of the host `host`.
-    pub fn echoed(&mut self, host: HostId, stamp: Stamp) {
+    pub(crate) fn echoed(&mut self, host: HostId, stamp: Stamp) {
         let all = self.table(host).by_host.get_mut(&host);
         if let Some(one) = all.and_then(|all| all.iter_mut().find(|one| one.stamp == stamp)) {
             one.echoed = one.echoed.saturating_add(1);
@@ -204,7 +204,7 @@ impl Candidates {
     }
 
     /// Returns for each host the candidate whose stamp has advanced last; its first stamp counts as an advance.
-    pub fn newest(&self) -> impl Iterator<Item = (HostId, Candidate)> {
+    pub(crate) fn newest(&self) -> impl Iterator<Item = (HostId, Candidate)> {
         let all = self.hosts.by_host.iter().chain(&self.guests.by_host);
         all.filter_map(|(&host, all)| Some((host, *all.iter().max_by_key(|one| one.at)?)))
     }

@@ -24,7 +24,7 @@ pub(crate) struct BaseDelay {
 
 impl BaseDelay {
     /// Returns the base delay of a host that was accepted at `now`, without a round trip yet.
-    pub fn new(now: Time) -> BaseDelay {
+    pub(crate) fn new(now: Time) -> BaseDelay {
         BaseDelay { began: now, least_s: [f64::INFINITY; 2] }
     }
 
@@ -47,7 +47,7 @@ pub struct Congestion {
 
 impl Congestion {
     /// Takes a queueing delay \[s\] that was measured at `now`.
-    pub fn note(&mut self, now: Time, queueing_s: f64) {
+    pub(crate) fn note(&mut self, now: Time, queueing_s: f64) {
         self.queueing_s += WEIGHT * (queueing_s - self.queueing_s);
         if self.queueing_s > CONGESTED_S {
             self.until = now + HOLD;
@@ -55,7 +55,7 @@ impl Congestion {
     }
 
     /// Whether the link is congested, or was within the last 10 s.
-    pub fn is_on(&self, now: Time) -> bool {
+    pub(crate) fn is_on(&self, now: Time) -> bool {
         now < self.until
     }
 }

@@ -138,7 +138,7 @@ impl Refusal {
 
 impl LinkCounts {
     /// Counts `number` datagrams that were refused for this cause.
-    pub fn refuse(&mut self, cause: Refusal, number: u64) {
+    pub(crate) fn refuse(&mut self, cause: Refusal, number: u64) {
         if matches!(cause, Refusal::OtherKey | Refusal::Untagged | Refusal::Keyed) {
             self.auth += number;
         }
@@ -162,7 +162,7 @@ impl LinkCounts {
     }
 
     /// Returns the number of datagrams and messages that were refused or dropped on arrival, for any cause.
-    pub fn refused(&self) -> u64 {
+    pub(crate) fn refused(&self) -> u64 {
         self.refusals().iter().map(|(_, count)| count).sum()
     }
 
@@ -192,7 +192,7 @@ impl LinkCounts {
     /// have lost a message: (number, cause in words), without zeros. Left out is what costs nothing: own datagrams,
     /// second copies, messages that a newer one has replaced, and datagrams of hosts that have just started or
     /// restarted.
-    pub fn losses(&self) -> impl Iterator<Item = (u64, &'static str)> {
+    pub(crate) fn losses(&self) -> impl Iterator<Item = (u64, &'static str)> {
         let all = [
             (self.auth, "with a wrong tag or none"),
             (self.replay, "of former runs"),

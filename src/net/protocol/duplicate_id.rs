@@ -20,7 +20,7 @@ const TIE_MARGIN: Span = Span::from_millis(50);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DuplicateId {
     /// Link on which the other host was received.
-    pub link: LinkId,
+    pub(crate) link: LinkId,
     /// Common id of both hosts.
     pub host: HostId,
     /// Incarnation (random number of one run) of the process that started earlier.
@@ -38,19 +38,19 @@ pub(crate) struct DuplicateIds {
 
 impl DuplicateIds {
     /// Returns the state before any datagram. `host` is the id of this process, and `incarnation` its incarnation.
-    pub fn new(link: LinkId, host: HostId, incarnation: u32) -> DuplicateIds {
+    pub(crate) fn new(link: LinkId, host: HostId, incarnation: u32) -> DuplicateIds {
         const { assert!(SETTLED.as_nanos() < MAX_HELD_FOR.as_nanos(), "a report can say that it has run for so long") };
         DuplicateIds { me: (link, host, incarnation), began: None, claims: 0, duplicate: None }
     }
 
     /// Returns the time since the first call of `uptime` or `claim`, which counts as the start of this process.
-    pub fn uptime(&mut self, now: Time) -> Span {
+    pub(crate) fn uptime(&mut self, now: Time) -> Span {
         now.since(*self.began.get_or_insert(now))
     }
 
     /// Handles a link report of another process with the same host id: its incarnation, and its uptime `theirs` as
     /// stated in the report. The caller has checked that the report echoes a recent stamp of this process.
-    pub fn claim(&mut self, now: Time, incarnation: u32, theirs: Span) {
+    pub(crate) fn claim(&mut self, now: Time, incarnation: u32, theirs: Span) {
         let ours = self.uptime(now);
         let (link, host, mine) = self.me;
         self.claims += 1;
@@ -67,7 +67,7 @@ impl DuplicateIds {
 
     /// Returns the process with the same host id that was started earlier, so that this process has to end. `None` if
     /// none was found.
-    pub fn duplicate(&self) -> Option<DuplicateId> {
+    pub(crate) fn duplicate(&self) -> Option<DuplicateId> {
         self.duplicate
     }
 }

@@ -15,7 +15,7 @@ const MAX_GAPS: usize = 256;
 const ASKS: u32 = 4;
 /// Longest random wait before a receiver requests a missing datagram. The first receiver that requests it suppresses
 /// the requests of others (RFC 5401, section 3.2).
-pub const BACKOFF: Span = Span::from_millis(10);
+pub(crate) const BACKOFF: Span = Span::from_millis(10);
 
 /// State of a missing datagram.
 #[derive(Clone, Copy, Debug)]
@@ -33,7 +33,7 @@ impl Gaps {
     /// retransmission (sequence numbers `held`) and that `window`, of the same sequence space, has not received.
     /// `backoff` draws the wait before a request. Datagrams that their sender does not offer, such as requests, are
     /// not requested when they are lost.
-    pub fn note(
+    pub(crate) fn note(
         &mut self,
         now: Time,
         header: &Header,
@@ -51,13 +51,13 @@ impl Gaps {
     }
 
     /// Returns whether no missing datagram is tracked.
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
     /// Returns whether the datagram with this header is the retransmission of one that is missing. It is then accepted
     /// at any age.
-    pub fn awaits(&self, header: &Header) -> bool {
+    pub(crate) fn awaits(&self, header: &Header) -> bool {
         header.flags.has(Flags::COPY) && self.0.contains_key(&DatagramId::of(header))
     }
 
@@ -72,13 +72,13 @@ impl Gaps {
     }
 
     /// Returns the time at which to call [`Gaps::ask`] next; `None` if no missing datagram is tracked.
-    pub fn due(&self) -> Option<Time> {
+    pub(crate) fn due(&self) -> Option<Time> {
         self.0.values().map(|gap| gap.due).min()
     }
 
     /// Returns the datagrams to request at `now`, at most `room`. `backoff` draws the wait before the next request for
     /// each.
-    pub fn ask(&mut self, now: Time, room: usize, mut backoff: impl FnMut() -> Span) -> Vec<DatagramId> {
+    pub(crate) fn ask(&mut self, now: Time, room: usize, mut backoff: impl FnMut() -> Span) -> Vec<DatagramId> {
         let mut ids = Vec::new();
         self.0.retain(|_, gap| gap.asked < ASKS || gap.due > now);
         for (id, gap) in &mut self.0 {

@@ -58,20 +58,20 @@ pub enum Verdict {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LocalEnd {
     /// Id of this host.
-    pub host: HostId,
+    pub(crate) host: HostId,
     /// Incarnation of this host: random number of this run.
-    pub incarnation: u32,
+    pub(crate) incarnation: u32,
     /// Id of the link.
-    pub link: LinkId,
+    pub(crate) link: LinkId,
     /// Whether senders have to prove their liveness before they are accepted: true on links with a key.
-    pub authenticated: bool,
+    pub(crate) authenticated: bool,
     /// Smallest host id of a guest (operator, or host that the deployment does not know); hosts of the team have
     /// smaller ids.
     pub(crate) first_guest: HostId,
     /// Length of an entry in this host's link reports \[bytes\].
     pub(crate) entry_bytes: usize,
     /// Clock from which this host's link reports take their stamps.
-    pub stamps: Stamps,
+    pub(crate) stamps: Stamps,
 }
 
 /// Liveness proof of another host: an entry of its report that echoes a recent stamp of this host.
@@ -91,18 +91,18 @@ pub(crate) struct Incoming {
     pub(super) senders: Senders,
     pub(super) candidates: Candidates,
     /// Datagrams that have not arrived, among those that their senders offer for retransmission.
-    pub gaps: Gaps,
+    pub(crate) gaps: Gaps,
     schedule: ReportSchedule,
     congestion: Congestion,
     /// Detection of other processes with the id of this host.
-    pub duplicate_ids: DuplicateIds,
+    pub(crate) duplicate_ids: DuplicateIds,
     /// Whether the last datagram proved its sender's liveness.
     proved: bool,
 }
 
 impl Incoming {
     /// Returns the state before any datagram. `rate` limits the datagrams that are accepted from each sender.
-    pub fn new(local: LocalEnd, rate: Option<Rate>) -> Incoming {
+    pub(crate) fn new(local: LocalEnd, rate: Option<Rate>) -> Incoming {
         let schedule = ReportSchedule::new(local.host, local.authenticated, local.entry_bytes);
         let duplicate_ids = DuplicateIds::new(local.link, local.host, local.incarnation);
         let (senders, candidates) = (Senders::new(local.first_guest), Candidates::new(local.first_guest));
@@ -113,7 +113,13 @@ impl Incoming {
 
     /// Decides whether to accept a datagram of this team whose tag was valid. `report` is the link report in the
     /// datagram, if any; a refusal is counted in `counts` by its cause.
-    pub fn admit(&mut self, now: Time, header: &Header, report: Option<&Report>, counts: &mut LinkCounts) -> Verdict {
+    pub(crate) fn admit(
+        &mut self,
+        now: Time,
+        header: &Header,
+        report: Option<&Report>,
+        counts: &mut LinkCounts,
+    ) -> Verdict {
         let proof = report.and_then(|report| self.liveness_proof(now, report));
         self.proved = proof.is_some();
         let known = match self.local.authenticated {
@@ -346,7 +352,7 @@ impl Incoming {
 
     /// Returns whether a message about `robot` is newer than all others of its stream (kind and robot), and records it
     /// if so. All kinds of messages are state, so older messages are useless.
-    pub fn accept(&mut self, header: &Header, kind: Kind, robot: RobotId, counts: &mut LinkCounts) -> bool {
+    pub(crate) fn accept(&mut self, header: &Header, kind: Kind, robot: RobotId, counts: &mut LinkCounts) -> bool {
         let Some(sender) = self.senders.get_mut((header.sender, header.incarnation)) else { return false };
         let newest = &mut sender.spaces[usize::from(header.flags.has(Flags::DIRECT))].newest;
         let newest = newest.entry((kind, robot)).or_insert(header.sequence.wrapping_sub(1));
@@ -383,7 +389,7 @@ impl Incoming {
     }
 
     /// Returns this host's next link report, of at most `room` bytes; `None` if not even its stamp fits.
-    pub fn report(&mut self, now: Time, room: usize, occasion: Occasion) -> Option<Report> {
+    pub(crate) fn report(&mut self, now: Time, room: usize, occasion: Occasion) -> Option<Report> {
         let places = room.checked_sub(REPORT_BYTES)? / self.local.entry_bytes;
         let uptime = self.duplicate_ids.uptime(now);
         let (candidates, senders) = (&mut self.candidates, &mut self.senders);
@@ -393,12 +399,12 @@ impl Incoming {
 
     /// Returns how many times a message to the hosts in `audience` is to be repeated, 0 to 2, by the loss that they
     /// report; none while the link is congested, because they would make it worse.
-    pub fn repeats(&self, now: Time, audience: Audience) -> u8 {
+    pub(crate) fn repeats(&self, now: Time, audience: Audience) -> u8 {
         if self.congestion.is_on(now) { 0 } else { self.senders.repeats(now, audience) }
     }
 
     /// Returns a summary of each other host on the link: of its accepted incarnations, or else of its newest candidate.
-    pub fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
+    pub(crate) fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
         let link = self.local.link;
         let accepted = self.senders.iter().map(move |(id, sender)| {
             let proven = !self.local.authenticated

@@ -27,7 +27,7 @@ impl Lateness {
     /// Records a link report that arrived at `now`. `numbers` are the sequence numbers of the sender's next datagrams
     /// to all hosts and to this host when it sent the report, each `None` if unknown; datagrams with smaller numbers
     /// were sent before.
-    pub fn reported(&mut self, now: Time, numbers: [Option<u32>; 2]) {
+    pub(crate) fn reported(&mut self, now: Time, numbers: [Option<u32>; 2]) {
         self.advance(now);
         if self.reports.back().is_none_or(|(at, _)| now.since(*at) >= MIN_SPACING) {
             self.reports.push_back((now, numbers));

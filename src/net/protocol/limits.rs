@@ -12,7 +12,7 @@ pub(crate) const PROOF_VALIDITY: Span = Span::from_millis(15_000);
 pub(crate) const REPORT_VALIDITY: Span = Span::from_millis(3000);
 /// On a link with a key: time without a link report after which a host is silent, so that another incarnation of it
 /// may be accepted.
-pub const SILENT: Span = Span::from_millis(400);
+pub(crate) const SILENT: Span = Span::from_millis(400);
 /// On a link without a key: time without any datagram after which a host is silent, so that another incarnation of it
 /// may be accepted.
 pub(crate) const SILENT_WITHOUT_KEY: Span = Span::from_millis(300);

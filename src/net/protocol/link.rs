@@ -47,12 +47,12 @@ pub enum Standing {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Heard {
     /// Id of the host.
-    pub host: HostId,
+    pub(crate) host: HostId,
     /// Whether the host is accepted, or has to prove its liveness first.
-    pub standing: Standing,
+    pub(crate) standing: Standing,
     /// Whether this very datagram proves the sender's liveness, so that it is no recording. Always true on a link
     /// without a key.
-    pub proves: bool,
+    pub(crate) proves: bool,
 }
 
 /// Host whose address is learned from its datagrams: an operator, or a host of the team that has moved.
@@ -177,7 +177,7 @@ impl LinkState {
     }
 
     /// Returns the cause for which the last datagram was refused, if nothing but the count of it has changed.
-    pub fn refusal(&self) -> Option<Refusal> {
+    pub(crate) fn refusal(&self) -> Option<Refusal> {
         self.refusal
     }
 
@@ -304,7 +304,7 @@ impl LinkState {
     }
 
     /// Returns another live host that has the id of this host and was started earlier; `None` if there is none.
-    pub fn duplicate(&self) -> Option<DuplicateId> {
+    pub(crate) fn duplicate(&self) -> Option<DuplicateId> {
         self.incoming.duplicate_ids.duplicate()
     }
 
@@ -316,7 +316,7 @@ impl LinkState {
 
     /// Returns the sender of the last datagram, and whether it is accepted or has to prove its liveness first. `None`
     /// if the datagram was a duplicate, or refused for another reason.
-    pub fn heard(&self) -> Option<Heard> {
+    pub(crate) fn heard(&self) -> Option<Heard> {
         self.heard
     }
 
@@ -331,22 +331,22 @@ impl LinkState {
 
     /// Counts a datagram that could not be decoded, by the cause `error`.
     #[cold]
-    pub fn refuse(&mut self, error: &DecodeError) {
+    pub(crate) fn refuse(&mut self, error: &DecodeError) {
         self.counts.refuse(cause(error), 1);
     }
 
     /// Returns the counters of the link, to be changed.
-    pub fn counts(&mut self) -> &mut LinkCounts {
+    pub(crate) fn counts(&mut self) -> &mut LinkCounts {
         &mut self.counts
     }
 
     /// Returns the counters of the link so far.
-    pub fn counted(&self) -> LinkCounts {
+    pub(crate) fn counted(&self) -> LinkCounts {
         self.counts
     }
 
     /// Returns a summary of each other host (such as delay and loss); nothing on a link without link reports.
-    pub fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
+    pub(crate) fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
         let told = self.reports == Reports::On;
         self.incoming.peers(now).filter(move |_| told)
     }

@@ -69,7 +69,7 @@ pub struct Outgoing {
 impl Outgoing {
     /// Returns the state before any datagram. `me` is the header from which those of all datagrams are made, and
     /// `first_report` the time until the first link report.
-    pub fn new(me: Header, link: LinkId, key: Option<Key>, setup: Setup, first_report: Span) -> Outgoing {
+    pub(crate) fn new(me: Header, link: LinkId, key: Option<Key>, setup: Setup, first_report: Span) -> Outgoing {
         let report_due = (setup.reports == Reports::On).then_some(Time::ZERO + first_report);
         let numbered = key.is_some() && setup.is_addressed();
         let soft = Soft::default();
@@ -98,7 +98,7 @@ impl Outgoing {
     /// Sends a message to the hosts in `audience`: at once, or with the next datagram if it is soft state. Appends the
     /// datagrams that are due to `out`. Returns the message as a datagram without tag; fails if it is out of range or
     /// too long.
-    pub fn send(
+    pub(crate) fn send(
         &mut self,
         now: Time,
         audience: Audience,
@@ -319,7 +319,7 @@ impl Outgoing {
     }
 
     /// Schedules the acknowledgement of a datagram that has arrived.
-    pub fn acknowledge(&mut self, now: Time, id: DatagramId) {
+    pub(crate) fn acknowledge(&mut self, now: Time, id: DatagramId) {
         self.acks.note(now, id);
     }
 
@@ -329,12 +329,12 @@ impl Outgoing {
     }
 
     /// Handles acknowledgements that the host `from` has sent for datagrams of this host.
-    pub fn acknowledged(&mut self, now: Time, from: HostId, ids: &[DatagramId]) {
+    pub(crate) fn acknowledged(&mut self, now: Time, from: HostId, ids: &[DatagramId]) {
         self.retransmitter.acknowledged(now, from, ids);
     }
 
     /// Retransmits the datagrams that the host `from` requests: appends those that are still kept to `out`.
-    pub fn requested(
+    pub(crate) fn requested(
         &mut self,
         now: Time,
         from: HostId,
@@ -348,14 +348,14 @@ impl Outgoing {
     }
 
     /// Appends to `out` a datagram to all hosts that requests the retransmission of the missing datagrams `ids`.
-    pub fn ask(&mut self, ids: &[DatagramId], counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
+    pub(crate) fn ask(&mut self, ids: &[DatagramId], counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
         let mut bytes = codec::start(&self.header(Audience::All, 0));
         add(&mut bytes, Content::Nack, |bytes| write_ids(ids, bytes));
         self.send_alone(Audience::All, bytes, counts, out);
     }
 
     /// Returns the time at which `wake` has to be called next; `None` if nothing is due.
-    pub fn due(&self) -> Option<Time> {
+    pub(crate) fn due(&self) -> Option<Time> {
         let dues = [self.retransmitter.due(), self.soft.due(), self.acks.due(), self.report_due, self.urgent_due];
         let first = dues.map(|due| due.unwrap_or(Time::MAX)).into_iter().fold(Time::MAX, Time::min);
         Some(first).filter(|due| *due < Time::MAX)
@@ -363,7 +363,13 @@ impl Outgoing {
 
     /// Sends what is due at `now` (retransmissions, soft state, acknowledgements, link reports): appends the datagrams
     /// to `out`.
-    pub fn wake(&mut self, now: Time, incoming: &mut Incoming, counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
+    pub(crate) fn wake(
+        &mut self,
+        now: Time,
+        incoming: &mut Incoming,
+        counts: &mut LinkCounts,
+        out: &mut Vec<Outbound>,
+    ) {
         while let Some(datagram) = self.retransmitter.next(now, counts) {
             self.send_copy(datagram, counts, out);
         }

@@ -16,7 +16,7 @@ impl Incoming {
     /// Returns the cause for which a datagram of this team is refused, if nothing but the count of it changes; `None`
     /// if it has to be admitted, or refused with an effect. A duplicate whose sender wants an acknowledgement is among
     /// the causes: the caller decides whether it gets one.
-    pub fn refuses(&self, now: Time, header: &Header, report: Option<&Report>) -> Option<Refusal> {
+    pub(crate) fn refuses(&self, now: Time, header: &Header, report: Option<&Report>) -> Option<Refusal> {
         let id = (header.sender, header.incarnation);
         let sender = match self.local.authenticated {
             false => self.senders.get(id)?,

@@ -28,7 +28,7 @@ pub enum Reliability {
 
 impl Reliability {
     /// Reliability modes by their names in team files.
-    pub const NAMED: [(&'static str, Reliability); 4] = [
+    pub(crate) const NAMED: [(&'static str, Reliability); 4] = [
         ("best-effort", Reliability::BestEffort),
         ("repeat", Reliability::Repeat),
         ("nack", Reliability::Nack),
@@ -101,12 +101,12 @@ pub struct Setup {
 
 /// Limit on the datagrams that a host accepts from each other host on real links: 8000 a second, and as many in a
 /// burst. A robot sends at most 5000 messages a second and soft state.
-pub const RATE: Rate = Rate { per_s: 8000.0, burst: 8000.0 };
+pub(crate) const RATE: Rate = Rate { per_s: 8000.0, burst: 8000.0 };
 
 impl Setup {
     /// Returns the setup of an emulated link: without piggybacking and rate limit. Hosts send link reports only if a
     /// reliability mode other than best effort is used.
-    pub fn emulated(reliability: Reliabilities) -> Setup {
+    pub(crate) fn emulated(reliability: Reliabilities) -> Setup {
         let plain = reliability.values().all(|one| *one == Reliability::BestEffort);
         let reports = if plain { Reports::Off } else { Reports::On };
         Setup {
@@ -146,7 +146,7 @@ impl Setup {
     }
 
     /// Returns the reliability mode of messages of kind `kind` on this link.
-    pub fn of(&self, kind: Kind) -> Reliability {
+    pub(crate) fn of(&self, kind: Kind) -> Reliability {
         self.reliability.get(&kind).copied().unwrap_or_default()
     }
 }

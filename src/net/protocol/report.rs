@@ -65,18 +65,18 @@ impl Stamps {
     }
 
     /// Returns a clock for stamps that shows a random value, drawn from `stream`, at the start of the program.
-    pub fn random(stream: &mut Stream) -> Stamps {
+    pub(crate) fn random(stream: &mut Stream) -> Stamps {
         Stamps(stream.random_range(0..1 << STAMP_BITS))
     }
 
     /// Returns the stamp that this clock gives at `time`.
-    pub fn of(self, time: Time) -> Stamp {
+    pub(crate) fn of(self, time: Time) -> Stamp {
         Stamp::new(self.0.wrapping_add(time.as_nanos() / 1000))
     }
 
     /// Returns the time from `stamp`, which this host has sent, until `now`. `None` if this clock cannot have given the
     /// stamp: it is zero, later than `now`, or from before the start of the program.
-    pub fn age(self, now: Time, stamp: Stamp) -> Option<Span> {
+    pub(crate) fn age(self, now: Time, stamp: Stamp) -> Option<Span> {
         let micros = u64::try_from(self.of(now).ahead_us(stamp)).ok()?;
         (stamp != Stamp::default() && micros <= now.as_nanos() / 1000).then(|| Span::from_nanos(micros * 1000))
     }
@@ -116,7 +116,7 @@ pub struct Report {
 impl Report {
     /// Returns the content type of the block in which this report is sent: `NumberedReport` if an entry has the number
     /// of the next unicast datagram to its host, otherwise `Report`. All entries are to have such a number, or none.
-    pub fn content(&self) -> Content {
+    pub(crate) fn content(&self) -> Content {
         if self.heard.iter().any(|entry| entry.direct.is_some()) { Content::NumberedReport } else { Content::Report }
     }
 
@@ -175,7 +175,7 @@ pub struct DatagramId {
     /// Host that sent the datagram.
     pub host: HostId,
     /// Incarnation (random number of one run) of the host that sent the datagram.
-    pub incarnation: u32,
+    pub(crate) incarnation: u32,
     /// Whether the datagram is unicast. Sequence numbers of unicast datagrams are counted for each receiver; all others
     /// of the sender are counted together.
     pub direct: bool,
@@ -185,7 +185,7 @@ pub struct DatagramId {
 
 impl DatagramId {
     /// Returns the id of the datagram with the header `header`.
-    pub fn of(header: &Header) -> DatagramId {
+    pub(crate) fn of(header: &Header) -> DatagramId {
         let Header { sender: host, incarnation, sequence, flags, .. } = *header;
         DatagramId { host, incarnation, direct: flags.has(Flags::DIRECT), sequence }
     }

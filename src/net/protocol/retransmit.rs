@@ -78,7 +78,7 @@ impl Retransmitter {
 
     /// Keeps a datagram that was sent at `now` with a message of this stream, as the stream's reliability mode
     /// requires. `repeats` is the number of times that a message in the mode `repeat` is sent again.
-    pub fn keep(
+    pub(crate) fn keep(
         &mut self,
         now: Time,
         stream: StreamId,
@@ -122,7 +122,7 @@ impl Retransmitter {
 
     /// Handles acknowledgements of the host `from`. A multicast datagram is removed once every host that has recently
     /// acknowledged any datagram has acknowledged it.
-    pub fn acknowledged(&mut self, now: Time, from: HostId, ids: &[DatagramId]) {
+    pub(crate) fn acknowledged(&mut self, now: Time, from: HostId, ids: &[DatagramId]) {
         self.ackers.insert(from, now);
         self.ackers.retain(|_, at| now.since(*at) < FRESH);
         for id in ids {
@@ -145,7 +145,7 @@ impl Retransmitter {
 
     /// Returns the datagrams that the host `from` requests, except those that newer messages have replaced, and those
     /// retransmitted within the last 2 ms.
-    pub fn requested(&mut self, now: Time, from: HostId, ids: &[DatagramId]) -> Vec<Untagged> {
+    pub(crate) fn requested(&mut self, now: Time, from: HostId, ids: &[DatagramId]) -> Vec<Untagged> {
         let mut answer = |id: &DatagramId| {
             let stream = self.find(from, id, Reliability::Nack)?;
             let kept = &self.kept[&stream];
@@ -157,7 +157,7 @@ impl Retransmitter {
 
     /// Returns the sequence numbers of the kept datagrams to `audience` that receivers may request, at most 16
     /// (`MAX_HELD`). Those offered longest ago come first.
-    pub fn held(&mut self, audience: Audience) -> Vec<u32> {
+    pub(crate) fn held(&mut self, audience: Audience) -> Vec<u32> {
         let repaired = |kept: &&mut Kept| kept.reliability == Reliability::Nack && kept.audience == audience;
         let mut all: Vec<&mut Kept> = self.kept.values_mut().filter(repaired).collect();
         if all.len() > MAX_HELD {
@@ -172,13 +172,13 @@ impl Retransmitter {
     }
 
     /// Returns the time of the next retransmission; `None` if none is pending.
-    pub fn due(&self) -> Option<Time> {
+    pub(crate) fn due(&self) -> Option<Time> {
         self.dues.first().map(|(due, _)| *due)
     }
 
     /// Returns the next datagram that is due for retransmission at `now`; `None` if none is. Datagrams that were
     /// retransmitted as often as permitted are removed, and counted in `counts`.
-    pub fn next(&mut self, now: Time, counts: &mut LinkCounts) -> Option<Untagged> {
+    pub(crate) fn next(&mut self, now: Time, counts: &mut LinkCounts) -> Option<Untagged> {
         while let Some(&(_, stream)) = self.dues.first().filter(|(due, _)| *due <= now) {
             if self.kept[&stream].count < self.kept[&stream].limit {
                 return self.retransmit(now, stream);

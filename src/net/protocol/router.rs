@@ -42,7 +42,7 @@ pub struct Publishers {
 
 impl Publishers {
     /// Returns whether the host `sender` may publish this message.
-    pub fn permit(&self, sender: HostId, message: &Wire) -> bool {
+    pub(crate) fn permit(&self, sender: HostId, message: &Wire) -> bool {
         let of = |hosts: &[HostId]| hosts.get(message.robot().index()) == Some(&sender);
         match message {
             Wire::Reading(_) => of(&self.localizers),
@@ -80,7 +80,7 @@ impl Publishers {
     }
 
     /// Returns the name of a host for log messages.
-    pub fn name(&self, host: HostId) -> String {
+    pub(crate) fn name(&self, host: HostId) -> String {
         match self.names.get(usize::from(host.0)) {
             Some(name) => format!("'{name}' (host {})", host.0),
             None if host.is_operator() => format!("operator {}", host.0),
@@ -112,7 +112,7 @@ impl Router {
 
     /// Creates a table for a team of `robots` robots, of which `mine` have routes of their own. `route` is called for
     /// the routes, and must return the same ones for all robots outside `mine`.
-    pub fn of(robots: usize, mut mine: Vec<RobotId>, mut route: impl FnMut(Kind, RobotId) -> Route) -> Router {
+    pub(crate) fn of(robots: usize, mut mine: Vec<RobotId>, mut route: impl FnMut(Kind, RobotId) -> Route) -> Router {
         mine.sort();
         mine.dedup();
         let other = RobotId::team(robots)
@@ -132,12 +132,12 @@ impl Router {
     }
 
     /// Returns the number of hosts in the team; `None` if unknown.
-    pub fn hosts(&self) -> Option<u16> {
+    pub(crate) fn hosts(&self) -> Option<u16> {
         self.publishers.as_ref().and_then(|publishers| u16::try_from(publishers.names.len()).ok())
     }
 
     /// Returns the sender's name if it may not publish this message; `None` if it may.
-    pub fn forbids(&self, sender: HostId, message: &Wire) -> Option<String> {
+    pub(crate) fn forbids(&self, sender: HostId, message: &Wire) -> Option<String> {
         let publishers = self.publishers.as_ref()?;
         (!publishers.permit(sender, message)).then(|| publishers.name(sender))
     }

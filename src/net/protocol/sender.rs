@@ -29,34 +29,34 @@ const STOPS_AFTER: Span = Span::from_millis(2000);
 #[derive(Clone, Debug, Default)]
 pub struct SequenceSpace {
     /// Replay window, which tells new datagrams from duplicates.
-    pub window: Window,
+    pub(crate) window: Window,
     /// Newest sequence number of each stream (kind and robot).
-    pub newest: BTreeMap<(Kind, RobotId), u32>,
+    pub(crate) newest: BTreeMap<(Kind, RobotId), u32>,
 }
 
 /// State of another host whose datagrams this host accepts on one link.
 #[derive(Clone, Debug)]
 pub struct Sender {
     /// Time at which this host accepted the sender.
-    pub since: Time,
+    pub(crate) since: Time,
     /// Time at which the sender last proved its liveness by the echo of a recent stamp.
-    pub proved: Time,
+    pub(crate) proved: Time,
     /// Time at which the last link report of the sender arrived and was accepted.
-    pub reported: Time,
+    pub(crate) reported: Time,
     /// State of the sender's datagrams to all hosts (index 0), and of those to this host alone (index 1).
-    pub spaces: [SequenceSpace; 2],
+    pub(crate) spaces: [SequenceSpace; 2],
     /// Recent link reports of the sender, from which datagrams that were held back on the way are recognized.
-    pub lateness: Lateness,
+    pub(crate) lateness: Lateness,
     /// Token bucket that limits the rate of the sender's datagrams.
-    pub bucket: Bucket,
+    pub(crate) bucket: Bucket,
     /// Newest stamp in the sender's link reports, and its arrival time; `None` before the first report.
-    pub stamp: Option<(Stamp, Time)>,
+    pub(crate) stamp: Option<(Stamp, Time)>,
     /// Measurements of the offset between the sender's stamps and this host's.
-    pub offsets: Offsets,
+    pub(crate) offsets: Offsets,
     /// Base delay of the round trips to the sender.
     pub(crate) base_delay: BaseDelay,
     /// Time of this host's last link report with an entry about the sender; `None` if there was none.
-    pub listed: Option<Time>,
+    pub(crate) listed: Option<Time>,
     /// Number of lost datagrams among the sender's newest 64, as stated in this host's last link report about the
     /// sender.
     pub(crate) loss_sent: u8,
@@ -71,7 +71,7 @@ pub struct Sender {
     /// Incarnation of the same host that was accepted before and that this one has replaced; `None` if there was none.
     pub(crate) predecessor: Option<u32>,
     /// Number of refused datagrams of a second live host with the same id.
-    pub duplicate_ids: u64,
+    pub(crate) duplicate_ids: u64,
     /// Another incarnation of the same host, of which datagrams are refused, and the time of the first of them; `None`
     /// if there is none.
     contested: Option<(u32, Time)>,
@@ -85,7 +85,7 @@ pub struct Sender {
 impl Sender {
     /// Returns the state of a sender that is accepted at `now`. `rate` is the limit on its datagrams; `None` for no
     /// limit.
-    pub fn new(now: Time, rate: Option<&Rate>) -> Sender {
+    pub(crate) fn new(now: Time, rate: Option<&Rate>) -> Sender {
         Sender {
             since: now,
             proved: now,
@@ -112,7 +112,7 @@ impl Sender {
     }
 
     /// Records a link report of the sender with the stamp `stamp`, which arrived at `now` and was accepted.
-    pub fn stamped(&mut self, now: Time, stamp: Stamp) {
+    pub(crate) fn stamped(&mut self, now: Time, stamp: Stamp) {
         self.reported = now;
         if self.stamp.is_none_or(|(before, _)| stamp.ahead_us(before) > 0) {
             self.stamp = Some((stamp, now));
@@ -157,7 +157,7 @@ impl Sender {
     }
 
     /// Records the arrival of a datagram of the sender, for age, mean interval and jitter.
-    pub fn heard(&mut self, now: Time) {
+    pub(crate) fn heard(&mut self, now: Time) {
         if let Some(before) = self.heard.replace(now) {
             let gap = now.since(before).as_secs();
             if self.spacing_s == 0.0 {
@@ -169,18 +169,18 @@ impl Sender {
     }
 
     /// Returns the time since the sender's last datagram; `None` if there was none.
-    pub fn age(&self, now: Time) -> Option<Span> {
+    pub(crate) fn age(&self, now: Time) -> Option<Span> {
         self.heard.map(|heard| now.since(heard))
     }
 
     /// Returns the number of the sender's newest 64 datagrams whose first transmission was lost.
-    pub fn lost(&self) -> u8 {
+    pub(crate) fn lost(&self) -> u8 {
         self.spaces.iter().map(|space| space.window.lost()).max().unwrap_or(0)
     }
 
     /// Returns a summary of this sender on the link `link` at `now`, for display. `accepted` says whether it is
     /// accepted.
-    pub fn peer(&self, now: Time, link: LinkId, (host, incarnation): (HostId, u32), accepted: bool) -> Peer {
+    pub(crate) fn peer(&self, now: Time, link: LinkId, (host, incarnation): (HostId, u32), accepted: bool) -> Peer {
         let (passed, missing) = self
             .spaces
             .iter()
@@ -208,7 +208,7 @@ impl Sender {
 
 impl Peer {
     /// Returns a summary of a candidate, an incarnation of the host `host` that has not proved its liveness yet.
-    pub fn candidate(now: Time, link: LinkId, host: HostId, candidate: &Candidate) -> Peer {
+    pub(crate) fn candidate(now: Time, link: LinkId, host: HostId, candidate: &Candidate) -> Peer {
         let unknown = Sender::new(now, None).peer(now, link, (host, candidate.incarnation), false);
         Peer { age_s: Some(now.since(candidate.at).as_secs()), ..unknown }
     }
@@ -223,7 +223,7 @@ pub struct Peer {
     pub host: u16,
     /// Incarnation of the other host: random number of its run.
     #[serde(rename = "epoch")]
-    pub incarnation: u32,
+    pub(crate) incarnation: u32,
     /// Whether the host is accepted: it has proved its liveness, or the link has no key. Messages of a host that is not
     /// accepted are refused.
     #[serde(rename = "proven")]
@@ -231,13 +231,13 @@ pub struct Peer {
     /// Time since the host's last datagram \[s\]; `None` if there was none.
     pub age_s: Option<f64>,
     /// Mean time between datagrams of the host \[s\].
-    pub spacing_s: f64,
+    pub(crate) spacing_s: f64,
     /// Mean deviation of the time between datagrams from `spacing_s` \[s\].
-    pub jitter_s: f64,
+    pub(crate) jitter_s: f64,
     /// Share (0 to 1) of the newest 64 datagrams from the other host to this one whose first transmission was lost.
     pub loss: f64,
     /// Number of the host's datagrams that should have arrived so far, by their sequence numbers.
-    pub passed: u64,
+    pub(crate) passed: u64,
     /// Number of the host's datagrams that never arrived, not even as a retransmission.
     pub missing: u64,
     /// Share of this host's newest 64 datagrams that the other host reports as lost.

@@ -37,32 +37,32 @@ fn ids(from: HostId, to: HostId) -> RangeInclusive<SenderId> {
 impl Senders {
     /// Returns an empty table. Hosts of the team have ids below `first_guest`; guests (operators, and hosts that the
     /// deployment does not know) have the others.
-    pub fn new(first_guest: HostId) -> Senders {
+    pub(crate) fn new(first_guest: HostId) -> Senders {
         Senders { all: BTreeMap::new(), first_guest, forgot: Time::ZERO }
     }
 
     /// Returns the state of a sender; `None` if it is not accepted.
-    pub fn get(&self, id: SenderId) -> Option<&Sender> {
+    pub(crate) fn get(&self, id: SenderId) -> Option<&Sender> {
         self.all.get(&id)
     }
 
     /// Returns the state of a sender, to be changed; `None` if it is not accepted.
-    pub fn get_mut(&mut self, id: SenderId) -> Option<&mut Sender> {
+    pub(crate) fn get_mut(&mut self, id: SenderId) -> Option<&mut Sender> {
         self.all.get_mut(&id)
     }
 
     /// Returns all accepted senders, to be changed.
-    pub fn iter_mut(&mut self) -> IterMut<'_, SenderId, Sender> {
+    pub(crate) fn iter_mut(&mut self) -> IterMut<'_, SenderId, Sender> {
         self.all.iter_mut()
     }
 
     /// Returns all accepted senders in the order of host and incarnation.
-    pub fn iter(&self) -> impl Iterator<Item = (SenderId, &Sender)> {
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (SenderId, &Sender)> {
         self.all.iter().map(|(id, sender)| (*id, sender))
     }
 
     /// Whether any incarnation of this host is accepted.
-    pub fn knows(&self, host: HostId) -> bool {
+    pub(crate) fn knows(&self, host: HostId) -> bool {
         self.all.range(ids(host, host)).next().is_some()
     }
 
@@ -74,12 +74,12 @@ impl Senders {
     }
 
     /// Adds an accepted sender to the table, or replaces its state.
-    pub fn insert(&mut self, id: SenderId, sender: Sender) {
+    pub(crate) fn insert(&mut self, id: SenderId, sender: Sender) {
         self.all.insert(id, sender);
     }
 
     /// Removes a sender from the table, so that it is no longer accepted.
-    pub fn remove(&mut self, id: SenderId) {
+    pub(crate) fn remove(&mut self, id: SenderId) {
         self.all.remove(&id);
     }
 
@@ -111,7 +111,7 @@ impl Senders {
 
     /// Returns how many times a message to the hosts in `audience` is to be sent again, 0 to 2, by the loss that they
     /// report.
-    pub fn repeats(&self, now: Time, audience: Audience) -> u8 {
+    pub(crate) fn repeats(&self, now: Time, audience: Audience) -> u8 {
         let asked = |sender: &Sender| sender.repeat_until.iter().filter(|until| **until > now).count() as u8;
         let asking = match audience {
             Audience::Host(host) => ids(host, host),

@@ -81,12 +81,12 @@ fn append(frame: &Frame, bytes: &mut Vec<u8>) -> bool {
 
 impl Soft {
     /// Forgets the retransmission of a heartbeat, since its stream has a newer message.
-    pub fn forget(&mut self, stream: StreamId) {
+    pub(crate) fn forget(&mut self, stream: StreamId) {
         self.repeats.waiting.remove(&stream);
     }
 
     /// Notes that a message has left, of which a heartbeat is to be retransmitted.
-    pub fn repeat(&mut self, now: Time, stream: StreamId, (audience, frame): (Audience, &Frame)) {
+    pub(crate) fn repeat(&mut self, now: Time, stream: StreamId, (audience, frame): (Audience, &Frame)) {
         self.repeats.note(now, stream, audience, frame);
     }
 
@@ -98,7 +98,7 @@ impl Soft {
 
     /// Takes a message in place of the last one of its stream. `data_sent` is the time at which data was last sent to
     /// the same receivers.
-    pub fn put(&mut self, now: Time, stream: StreamId, to: (Audience, Frame), data_sent: Option<Time>) {
+    pub(crate) fn put(&mut self, now: Time, stream: StreamId, to: (Audience, Frame), data_sent: Option<Time>) {
         self.forget(stream);
         self.pending.insert(stream, to);
         let modes = self.pending.keys().any(|(kind, _)| *kind == Kind::Mode);
@@ -116,7 +116,7 @@ impl Soft {
     }
 
     /// Returns the time at which a datagram without data is due; `None` if nothing waits.
-    pub fn due(&self) -> Option<Time> {
+    pub(crate) fn due(&self) -> Option<Time> {
         self.due.into_iter().chain(self.repeats.due()).min()
     }
 
@@ -137,7 +137,7 @@ impl Soft {
 
     /// Takes out a message that is due at `now`, for a datagram without data; `None` if none is. Its stream is returned
     /// with one that leaves for the first time.
-    pub fn next(&mut self, now: Time) -> Option<(Option<StreamId>, Audience, Frame)> {
+    pub(crate) fn next(&mut self, now: Time) -> Option<(Option<StreamId>, Audience, Frame)> {
         if self.due.is_none_or(|due| due > now) {
             return self.repeats.next(now).map(|(audience, frame)| (None, audience, frame));
         }

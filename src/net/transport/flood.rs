@@ -4,7 +4,7 @@ use crate::time::{Span, Time};
 
 /// Time for which a flooded link is not read after each read. With at most 128 datagrams a read, it bounds the cost of
 /// a flood to 128 000 datagrams a second; further ones are lost once the queue below is full.
-pub const REST: Span = Span::from_millis(1);
+pub(crate) const REST: Span = Span::from_millis(1);
 /// Number of datagrams within `REST` from which on a link is flooded: four times what the fastest team sends.
 const FLOOD: usize = 20;
 /// Number of datagrams in one read below which a flood has ended.

@@ -19,17 +19,17 @@ const GROUP_V6: &str = "[ff02::4d75]:7700";
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Interface {
     /// Name of the interface.
-    pub name: String,
+    pub(crate) name: String,
     /// Number of the interface in the kernel.
-    pub index: u32,
+    pub(crate) index: u32,
     /// Whether the interface is up and has a carrier.
-    pub up: bool,
+    pub(crate) up: bool,
     /// Whether the interface is a loopback interface.
-    pub loopback: bool,
+    pub(crate) loopback: bool,
     /// IPv4 addresses of the interface.
-    pub v4: Vec<Ipv4Addr>,
+    pub(crate) v4: Vec<Ipv4Addr>,
     /// IPv6 addresses of the interface.
-    pub v6: Vec<Ipv6Addr>,
+    pub(crate) v6: Vec<Ipv6Addr>,
 }
 
 /// Reason why no interface can be used for a link.
@@ -86,7 +86,7 @@ impl InterfaceError {
 
 impl Interface {
     /// Returns the addresses of a family.
-    pub fn addresses(&self, v6: bool) -> Vec<IpAddr> {
+    pub(crate) fn addresses(&self, v6: bool) -> Vec<IpAddr> {
         if v6 {
             self.v6.iter().copied().map(IpAddr::V6).collect()
         } else {
@@ -96,7 +96,7 @@ impl Interface {
 }
 
 /// Returns all network interfaces of this machine, sorted by name. Fails if the kernel does not list them.
-pub fn interfaces() -> Result<Vec<Interface>, InterfaceError> {
+pub(crate) fn interfaces() -> Result<Vec<Interface>, InterfaceError> {
     let mut all: BTreeMap<String, Interface> = BTreeMap::new();
     for address in getifaddrs().map_err(|errno| InterfaceError::Unknown(errno.to_string()))? {
         let name = address.interface_name;
@@ -137,7 +137,7 @@ fn known(all: &[Interface]) -> String {
 /// Returns the interface called `name` among `all`, or the only suitable one if `name` is `auto`; of several, that with
 /// the name `used`, which is in use already. It must be up and have an IPv6 address if `v6` is set, otherwise an IPv4
 /// address; an error says what is missing.
-pub fn find(all: &[Interface], name: &str, v6: bool, used: Option<&str>) -> Result<Interface, InterfaceError> {
+pub(crate) fn find(all: &[Interface], name: &str, v6: bool, used: Option<&str>) -> Result<Interface, InterfaceError> {
     let fits = |interface: &&Interface| interface.up && !interface.loopback && !interface.addresses(v6).is_empty();
     let known = || known(all);
     if name == AUTO {
@@ -170,7 +170,7 @@ pub fn find(all: &[Interface], name: &str, v6: bool, used: Option<&str>) -> Resu
 }
 
 /// Returns an address with the interface of this number as its scope if it is an IPv6 address of the link.
-pub fn within(at: SocketAddr, index: u32) -> SocketAddr {
+pub(crate) fn within(at: SocketAddr, index: u32) -> SocketAddr {
     match at {
         SocketAddr::V6(v6) if v6.ip().is_multicast() || v6.ip().is_unicast_link_local() => {
             SocketAddrV6::new(*v6.ip(), v6.port(), 0, index).into()

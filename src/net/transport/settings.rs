@@ -10,14 +10,14 @@ use crate::messages::ids::HostId;
 #[derive(Clone, Copy, Debug)]
 pub struct Field {
     /// Name of the field, such as `group`.
-    pub name: &'static str,
+    pub(crate) name: &'static str,
     /// Type of the values that the field takes.
-    pub takes: FieldType,
+    pub(crate) takes: FieldType,
     /// Function that returns the default, as written in a team file, for the link with the given index; `None` for no
     /// default.
-    pub default: Option<fn(usize) -> String>,
+    pub(crate) default: Option<fn(usize) -> String>,
     /// Whether the field is a table with a value for each host of the team, by the host's name.
-    pub by_host: bool,
+    pub(crate) by_host: bool,
 }
 
 impl Field {
@@ -27,7 +27,7 @@ impl Field {
     }
 
     /// Whether two fields have the same name and type, as fields that share a name must.
-    pub fn agrees(&self, other: &Field) -> bool {
+    pub(crate) fn agrees(&self, other: &Field) -> bool {
         (self.name, self.by_host, self.takes) == (other.name, other.by_host, other.takes)
     }
 }

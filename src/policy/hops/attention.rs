@@ -7,7 +7,7 @@ use super::manifest::Aggregation;
 /// Writes the sum, the mean or the maximum of the first `count` rows of `messages` into `sum`, whose length is that of
 /// a row; zero without any row. Any other aggregation is computed as the sum.
 #[inline(always)]
-pub fn plain(aggregation: Aggregation, count: usize, messages: &[f32], sum: &mut [f32]) {
+pub(crate) fn plain(aggregation: Aggregation, count: usize, messages: &[f32], sum: &mut [f32]) {
     let is_max = aggregation == Aggregation::Max;
     sum.fill(if is_max && count > 0 { f32::NEG_INFINITY } else { 0.0 });
     for message in messages.chunks_exact(sum.len()).take(count) {
@@ -23,7 +23,7 @@ pub fn plain(aggregation: Aggregation, count: usize, messages: &[f32], sum: &mut
 /// Replaces the first `count` rows of `scores`, with one score for each of `heads` heads, by their softmax over the
 /// rows, for each head. The largest score is subtracted first, so that no exponential overflows.
 #[inline(always)]
-pub fn softmax(count: usize, heads: usize, scores: &mut [f32]) {
+pub(crate) fn softmax(count: usize, heads: usize, scores: &mut [f32]) {
     let scores = &mut scores[..count * heads];
     for head in 0..heads {
         let of_head = || (head..count * heads).step_by(heads);

@@ -27,13 +27,13 @@ pub struct PolicyFile {
     /// Manifest (metadata) of the policy file.
     pub manifest: Manifest,
     /// Digest of the whole file: the first 64 bits of its BLAKE3 hash, in hexadecimal.
-    pub digest: String,
+    pub(crate) digest: String,
     /// Network that turns an observation into the input of the first hop.
-    pub encoder: Perceptron,
+    pub(crate) encoder: Perceptron,
     /// Hops of the policy in the order in which they are computed.
-    pub hops: Vec<Hop>,
+    pub(crate) hops: Vec<Hop>,
     /// Network that turns the output of the last hop into the parameters of the action.
-    pub decoder: Perceptron,
+    pub(crate) decoder: Perceptron,
     /// Test data with which the networks are to be compared; `None` if the file has none.
     pub probe: Option<TeamProbe>,
 }
@@ -43,7 +43,7 @@ pub struct PolicyFile {
 #[derive(Clone, Debug, PartialEq)]
 pub struct TeamProbe {
     /// Inputs and correct outputs of the team's robots; each latent holds the inputs of all hops, one after the other.
-    pub team: Probe,
+    pub(crate) team: Probe,
     /// Whether a message was received, with shape \[robots, robots\]: the row is the receiver, the column the sender. A
     /// robot's message to itself does not count.
     pub heard: Vec<bool>,

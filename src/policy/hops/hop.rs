@@ -10,9 +10,9 @@ use crate::policy::Neighbour;
 #[derive(Debug)]
 pub struct Part {
     /// Parts of the network's input, which lie one after the other.
-    pub inputs: Vec<Input>,
+    pub(crate) inputs: Vec<Input>,
     /// Layers of the network with their weights.
-    pub perceptron: Perceptron,
+    pub(crate) perceptron: Perceptron,
 }
 
 /// One hop of a policy with the weights of its networks: computes the hop's output for a robot from the messages of its
@@ -62,7 +62,7 @@ impl Hop {
     ///
     /// # Errors
     /// The error of `load`.
-    pub fn new<E>(
+    pub(crate) fn new<E>(
         form: &manifest::Hop,
         (begins, input): (usize, usize),
         edge: &[EdgeFeature],
@@ -90,17 +90,17 @@ impl Hop {
     }
 
     /// Returns the index of the first float of the hop's input in a latent.
-    pub fn begins(&self) -> usize {
+    pub(crate) fn begins(&self) -> usize {
         self.begins
     }
 
     /// Returns the number of floats of the hop's output.
-    pub fn outputs(&self) -> usize {
+    pub(crate) fn outputs(&self) -> usize {
         self.update.as_ref().map_or(self.messages, |update| update.perceptron.outputs())
     }
 
     /// Returns the number of weights and biases of the hop's networks.
-    pub fn parameters(&self) -> usize {
+    pub(crate) fn parameters(&self) -> usize {
         self.parts().map(|part| part.perceptron.parameters()).sum()
     }
 
@@ -109,7 +109,7 @@ impl Hop {
     }
 
     /// Enlarges the buffers `space` so that `apply` can be called with the given number of neighbours.
-    pub fn reserve(&self, space: &mut Space, neighbours: usize) {
+    pub(crate) fn reserve(&self, space: &mut Space, neighbours: usize) {
         let senders = neighbours + usize::from(self.self_loop.is_some());
         if space.capacity >= senders.max(1) {
             return;
@@ -138,7 +138,14 @@ impl Hop {
     /// holds the hop's input, and `neighbours` are those in range, in the order of their ids. `out` receives the
     /// hop's output. `space` has room for as many neighbours, made by `reserve`.
     #[inline(always)]
-    pub fn apply(&self, motion: &Motion, latent: &[f32], neighbours: &[Neighbour], space: &mut Space, out: &mut [f32]) {
+    pub(crate) fn apply(
+        &self,
+        motion: &Motion,
+        latent: &[f32],
+        neighbours: &[Neighbour],
+        space: &mut Space,
+        out: &mut [f32],
+    ) {
         let own = &latent[self.begins..self.begins + self.input];
         let count = self.gather(motion, own, neighbours, space);
         let Space { senders, edges, rows, messages, keys, query, scores, sum, buffers, .. } = space;

@@ -80,7 +80,7 @@ fn is_linear(activation: &Activation) -> bool {
 
 impl Layers {
     /// Returns the number of outputs of the last layer.
-    pub fn outputs(&self) -> usize {
+    pub(crate) fn outputs(&self) -> usize {
         self.widths.last().copied().unwrap_or(0)
     }
 }
@@ -157,7 +157,7 @@ impl Hop {
     }
 
     /// Returns the number of floats of the hop's output, if its input has `input` floats.
-    pub fn outputs(&self, input: usize) -> usize {
+    pub(crate) fn outputs(&self, input: usize) -> usize {
         self.update.as_ref().map_or(self.message_width(input), Layers::outputs)
     }
 
@@ -251,7 +251,7 @@ impl Manifest {
 
     /// Returns the number of floats of each hop's input, in the order of the hops, and last that of the decoder's
     /// input.
-    pub fn widths(&self) -> Vec<usize> {
+    pub(crate) fn widths(&self) -> Vec<usize> {
         let mut widths = vec![self.encoder.outputs()];
         widths.extend(self.hops.iter().scan(self.encoder.outputs(), |width, hop| {
             *width = hop.outputs(*width);
@@ -261,12 +261,12 @@ impl Manifest {
     }
 
     /// Returns the number of floats of a latent, which holds the inputs of all hops.
-    pub fn latent(&self) -> usize {
+    pub(crate) fn latent(&self) -> usize {
         self.widths()[..self.hops.len()].iter().sum()
     }
 
     /// Returns all networks of the policy, each with the prefix of its tensors' names.
-    pub fn networks(&self) -> Vec<(String, &Layers)> {
+    pub(crate) fn networks(&self) -> Vec<(String, &Layers)> {
         let mut networks = vec![("encoder".to_owned(), &self.encoder)];
         for (at, hop) in self.hops.iter().enumerate() {
             let present = hop.networks().into_iter().filter_map(|(name, layers)| Some((name, layers?)));

@@ -84,13 +84,13 @@ pub(crate) struct Hops {
 
 impl Hops {
     /// Makes one robot's instance of `network`, which draws actions from the output distribution by the method `draw`.
-    pub fn new(network: Arc<Network>, draw: Draw) -> Hops {
+    pub(crate) fn new(network: Arc<Network>, draw: Draw) -> Hops {
         Hops::with_instructions(network, draw, Instructions::Detected)
     }
 
     /// Makes one robot's instance of `network` that runs on the given processor instructions; `draw` is the method of
     /// drawing actions. The instruction set changes the speed, and results are the same bit for bit.
-    pub fn with_instructions(network: Arc<Network>, draw: Draw, instructions: Instructions) -> Hops {
+    pub(crate) fn with_instructions(network: Arc<Network>, draw: Draw, instructions: Instructions) -> Hops {
         let mut buffers = Buffers::default();
         buffers.reserve(&network.encoder, 1);
         buffers.reserve(&network.decoder, 1);
@@ -110,7 +110,7 @@ impl Hops {
     ///
     /// `own` is the robot's observation, `features` its own latent, which holds the inputs of all hops, and
     /// `neighbours` are the neighbours' messages in use.
-    pub fn outputs(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour]) -> [f32; OUTPUTS] {
+    pub(crate) fn outputs(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour]) -> [f32; OUTPUTS] {
         let at = self.network.hops.len() - 1;
         let (network, space) = (&*self.network, &mut self.spaces[at]);
         let hop = &network.hops[at];

@@ -27,7 +27,7 @@ pub enum Activation {
 impl Activation {
     /// Replaces each number of `outputs` by its activation.
     #[inline(always)]
-    pub fn apply(self, outputs: &mut [f32]) {
+    pub(crate) fn apply(self, outputs: &mut [f32]) {
         match self {
             Activation::Linear => {}
             Activation::Relu => outputs.iter_mut().for_each(|y| *y = y.max(0.0)),
@@ -52,7 +52,7 @@ pub struct Buffers(Vec<f32>, Vec<f32>);
 
 impl Buffers {
     /// Enlarges the buffers so that `perceptron` can be applied to `rows` independent inputs at once.
-    pub fn reserve(&mut self, perceptron: &Perceptron, rows: usize) {
+    pub(crate) fn reserve(&mut self, perceptron: &Perceptron, rows: usize) {
         let widest = perceptron.layers.iter().map(Layer::outputs).max().unwrap_or(0) * rows;
         [&mut self.0, &mut self.1]
             .into_iter()
@@ -67,31 +67,31 @@ impl Perceptron {
     ///
     /// # Panics
     /// If there is no layer, or if a layer does not have as many inputs as the layer before it has outputs.
-    pub fn new(layers: Vec<Layer>, between: Activation, last: Activation) -> Perceptron {
+    pub(crate) fn new(layers: Vec<Layer>, between: Activation, last: Activation) -> Perceptron {
         assert!(!layers.is_empty(), "a perceptron has a layer");
         assert!(layers.windows(2).all(|pair| pair[0].outputs() == pair[1].inputs()), "layers fit each other");
         Perceptron { layers, between, last }
     }
 
     /// Returns the number of inputs of the first layer.
-    pub fn inputs(&self) -> usize {
+    pub(crate) fn inputs(&self) -> usize {
         self.layers[0].inputs()
     }
 
     /// Returns the number of outputs of the last layer.
-    pub fn outputs(&self) -> usize {
+    pub(crate) fn outputs(&self) -> usize {
         self.layers[self.layers.len() - 1].outputs()
     }
 
     /// Returns the number of weights and biases of all layers.
-    pub fn parameters(&self) -> usize {
+    pub(crate) fn parameters(&self) -> usize {
         self.layers.iter().map(|layer| (layer.inputs() + 1) * layer.outputs()).sum()
     }
 
     /// Applies all layers to `rows` independent inputs: `x` is \[rows, inputs\], and `y` receives \[rows, outputs\],
     /// both row-major. `buffers` has room for as many rows of this perceptron, made by [`Buffers::reserve`].
     #[inline(always)]
-    pub fn apply(&self, rows: usize, x: &[f32], y: &mut [f32], buffers: &mut Buffers) {
+    pub(crate) fn apply(&self, rows: usize, x: &[f32], y: &mut [f32], buffers: &mut Buffers) {
         let (mut from, mut to) = (&mut buffers.0, &mut buffers.1);
         for (depth, layer) in self.layers.iter().enumerate() {
             let x = if depth == 0 { x } else { &from[..] };

@@ -14,7 +14,7 @@ use crate::time::Span;
 impl TeamProbe {
     /// Runs `network` on the inputs of these test data and returns the largest differences of its latents and outputs
     /// from the correct ones.
-    pub fn compare(&self, network: &Arc<Network>) -> Difference {
+    pub(crate) fn compare(&self, network: &Arc<Network>) -> Difference {
         let team = &self.team;
         let at = |floats: &[f32], robot: usize| Vec2::new(floats[2 * robot], floats[2 * robot + 1]);
         let robots = team.position.len() / 2;

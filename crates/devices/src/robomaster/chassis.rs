@@ -1,8 +1,8 @@
 //! Conversion of a wanted velocity to one that a RoboMaster's chassis can follow: axes, limits and smallest speeds.
 
 use super::protocol::ChassisSpeed;
-use murmurate::messages::local::BodyTwist;
 use murmurate::messages::geometry::{Vec2, toward_zero};
+use murmurate::messages::local::BodyTwist;
 
 /// Smallest speed that the robot follows \[m/s\]. At lower commanded speeds it turns at random (RoboMaster-SDK#11).
 const LEAST_M_S: f32 = 0.1;

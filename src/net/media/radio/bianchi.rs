@@ -9,7 +9,7 @@ use crate::time::Span;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Saturation {
     /// Probability that a station transmits in a slot: tau of Bianchi's equation (7).
-    pub attempt: f64,
+    pub(crate) attempt: f64,
     /// Probability that a transmitted frame collides: p of Bianchi's equation (9).
     pub collision: f64,
     /// Share of time, 0 to 1, in which payload is transmitted without collision: S of Bianchi's equation (13).
@@ -22,13 +22,13 @@ pub struct Saturation {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lengths {
     /// Slot time: sigma in Bianchi's model.
-    pub slot: Span,
+    pub(crate) slot: Span,
     /// Time that the channel is busy with a successful transmission: T_s in Bianchi's model.
-    pub success: Span,
+    pub(crate) success: Span,
     /// Time that the channel is busy with a collision: T_c in Bianchi's model.
-    pub collision: Span,
+    pub(crate) collision: Span,
     /// Airtime of the payload of a frame alone: E\[P\] in Bianchi's model.
-    pub payload: Span,
+    pub(crate) payload: Span,
 }
 
 /// Returns the probability that a station transmits in a slot (tau), by Bianchi's equation (7). `p` is the probability
@@ -48,7 +48,7 @@ impl Saturation {
     /// Solves Bianchi's model of a saturated channel for `stations` stations with unlimited retries. The initial
     /// contention window has `window` slots and is doubled at most `stages` times. `lengths` has the time intervals of
     /// the channel.
-    pub fn of(stations: usize, window: u32, stages: i32, lengths: &Lengths) -> Saturation {
+    pub(crate) fn of(stations: usize, window: u32, stages: i32, lengths: &Lengths) -> Saturation {
         let n = stations as f64;
         let window = f64::from(window);
         // Equations (7) and (9) have one common solution, since one falls and the other grows with p: bisection.

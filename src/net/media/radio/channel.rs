@@ -184,7 +184,7 @@ impl<T: Clone> Channel<T> {
     }
 
     /// Returns the number of frames in the transmit queue of the station with index `station`.
-    pub fn queued(&self, station: u16) -> usize {
+    pub(crate) fn queued(&self, station: u16) -> usize {
         self.stations[usize::from(station)].queue.len()
     }
 

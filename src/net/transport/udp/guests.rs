@@ -36,7 +36,7 @@ impl Guests {
     /// Records the address `at` of a guest from which a datagram arrived at `now`. An accepted guest is sent all
     /// datagrams at this address from now on; one that has not proved its liveness (a candidate), only link reports.
     /// Beyond 32 accepted guests, the one that has been silent longest is removed.
-    pub fn admit(&mut self, now: Time, Guest { host, at, standing }: Guest) {
+    pub(crate) fn admit(&mut self, now: Time, Guest { host, at, standing }: Guest) {
         match standing {
             Standing::Accepted => {
                 self.candidates.remove(&(host, at));
@@ -56,7 +56,7 @@ impl Guests {
     }
 
     /// Removes the address `at` of a host that has proved its liveness from the candidates.
-    pub fn forget(&mut self, host: HostId, at: SocketAddr) {
+    pub(crate) fn forget(&mut self, host: HostId, at: SocketAddr) {
         self.candidates.remove(&(host, at));
     }
 
@@ -74,19 +74,19 @@ impl Guests {
 
     /// Returns the address of an accepted guest; `None` if it is not accepted or its last datagram arrived 10 s ago or
     /// more.
-    pub fn find(&self, now: Time, host: HostId) -> Option<SocketAddr> {
+    pub(crate) fn find(&self, now: Time, host: HostId) -> Option<SocketAddr> {
         self.accepted.get(&host).filter(|(_, admitted)| now.since(*admitted) < GUEST_LIFETIME).map(|(at, _)| *at)
     }
 
     /// Removes accepted guests that have been silent for 10 s, and returns the addresses of the others.
-    pub fn accepted(&mut self, now: Time) -> impl Iterator<Item = SocketAddr> {
+    pub(crate) fn accepted(&mut self, now: Time) -> impl Iterator<Item = SocketAddr> {
         self.accepted.retain(|_, (_, admitted)| now.since(*admitted) < GUEST_LIFETIME);
         self.accepted.values().map(|(at, _)| *at)
     }
 
     /// Removes addresses of guests without a liveness proof that have been silent for 2 s, and returns the remaining
     /// ones.
-    pub fn candidates(&mut self, now: Time) -> impl Iterator<Item = SocketAddr> {
+    pub(crate) fn candidates(&mut self, now: Time) -> impl Iterator<Item = SocketAddr> {
         self.candidates.retain(|_, admitted| now.since(*admitted) < CANDIDATE_LIFETIME);
         self.candidates.keys().map(|(_, at)| *at)
     }

@@ -13,7 +13,7 @@ use crate::net::transport::{Endpoint, Entry, Field, LinkSettings};
 const PORT: u16 = 7700;
 
 /// Registry entry of the transport `multicast`, which sends to a UDP multicast group that all hosts of a link join.
-pub const ENTRY: Entry = Entry {
+pub(crate) const ENTRY: Entry = Entry {
     name: "multicast",
     about: "UDP to a group that all hosts listen to",
     fields: &[

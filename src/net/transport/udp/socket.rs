@@ -34,12 +34,12 @@ pub(super) fn bound(settings: &LinkSettings) -> Result<(String, usize), ConfigEr
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct SocketConfig {
     /// Addresses to which datagrams are sent, and at which they are received.
-    pub addressing: Addressing,
+    pub(crate) addressing: Addressing,
     /// Network interface that the sockets use: its name, or `auto` for the only suitable one. An operator's socket on a
     /// unicast link uses any.
-    pub interface: String,
+    pub(crate) interface: String,
     /// Size of the receive buffer that is requested from the kernel \[bytes\].
-    pub receive_buffer_bytes: usize,
+    pub(crate) receive_buffer_bytes: usize,
 }
 
 /// Addresses that a host's UDP sockets on a link use: a multicast group, or one address for each host of the link.

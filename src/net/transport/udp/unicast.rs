@@ -12,7 +12,7 @@ use crate::messages::ids::HostId;
 use crate::net::transport::{Endpoint, Entry, Field, LinkSettings};
 
 /// Registry entry of the transport `unicast`, which sends to each host of a link at its own UDP address.
-pub const ENTRY: Entry = Entry {
+pub(crate) const ENTRY: Entry = Entry {
     name: "unicast",
     about: "UDP to each host by itself",
     fields: &[INTERFACE, RECEIVE_BUFFER, Field { by_host: true, ..Field::new("peers", FieldType::HostAddress) }],
