@@ -114,7 +114,7 @@ impl Slot {
 
 /// Agent: the actor that computes the latents (policy messages) and actions of one or more robots from their percepts,
 /// with their policies.
-pub struct Agent {
+pub(crate) struct Agent {
     scenario: Arc<dyn Scenario>,
     range: CommRange,
     /// Longest wait of a joint step for the last percept. After it, the step runs without the missing robots.

@@ -67,7 +67,7 @@ pub enum Out {
 
 /// Body: the actor that passes velocity commands to the driver of one robot, and stops the robot when they expire or
 /// are not permitted.
-pub struct Body {
+pub(crate) struct Body {
     robot: RobotId,
     /// Host of the Body.
     host: HostId,

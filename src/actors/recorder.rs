@@ -114,7 +114,7 @@ const HEARING_TIMEOUT: Span = Span::from_millis(250);
 
 /// Recorder: the actor that judges the episodes of a trial and sends their results, totals and steps as [`Out`]. The
 /// totals have a digest (trace) that is equal for equal runs.
-pub struct Recorder {
+pub(crate) struct Recorder {
     config: Config,
     digest: Xxh3,
     messages: u64,

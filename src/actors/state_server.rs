@@ -82,7 +82,7 @@ pub struct Config {
 
 /// State server: the actor that decides when resets and episodes begin and end, and sends instructions to robots.
 #[derive(Debug)]
-pub struct StateServer {
+pub(crate) struct StateServer {
     config: Config,
     roster: Roster,
     /// Number of this incarnation of the server; each later one begins with a higher term.

@@ -70,7 +70,7 @@ impl PersistentPlant {
 }
 
 /// World: the actor that steps the plant (simulator) of all or some robots of a team, and publishes their true states.
-pub struct World {
+pub(crate) struct World {
     persistent: Rc<RefCell<PersistentPlant>>,
     scenario: Arc<dyn Scenario>,
     period: Span,

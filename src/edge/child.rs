@@ -46,7 +46,7 @@ static STARTED: AtomicU32 = AtomicU32::new(0);
 /// Worker that runs a user's program as a child process and exchanges packets with it, one a line, over stdin and
 /// stdout.
 #[derive(Clone, Debug)]
-pub struct Program {
+pub(crate) struct Program {
     /// The program file, followed by its arguments.
     pub(crate) command: Vec<String>,
 }

@@ -22,7 +22,7 @@ use crate::time::Time;
 
 /// Driver of a robot or source of readings: a function that makes its state machine, and the channel to its worker (I/O
 /// thread).
-pub struct Device<T: ?Sized> {
+pub(crate) struct Device<T: ?Sized> {
     /// Function that makes a new driver or source; it is called at each start of the actor that uses it.
     pub(crate) make: Rc<dyn Fn() -> Box<T>>,
     /// Channel to the worker (I/O thread) of the driver or source; `None` if there is no worker.
@@ -63,7 +63,7 @@ pub struct Devices {
 
 /// Observer of one process, with the channel to its worker.
 #[derive(Clone)]
-pub struct Observed {
+pub(crate) struct Observed {
     observer: Rc<RefCell<Box<dyn Observer>>>,
     gate: Rc<RefCell<Gate>>,
 }

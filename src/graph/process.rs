@@ -35,7 +35,7 @@ const TEAM: u16 = 0;
 
 /// Part of a deployment that runs in this process: one host or all, with their identity on the links and their devices.
 #[derive(Clone)]
-pub struct Process {
+pub(crate) struct Process {
     /// The one host that runs in this process; `None` if all hosts do.
     pub(crate) only: Option<HostId>,
     /// Number of the team, which keeps teams on the same network apart.

@@ -18,7 +18,7 @@ use crate::runtime::shell::{Mailbox, start};
 use crate::time::{Span, Time};
 
 /// Function that is called with each input from outside the actor graph, such as a received datagram ([`Input`]).
-pub type Take = Rc<dyn Fn(Input)>;
+pub(crate) type Take = Rc<dyn Fn(Input)>;
 
 /// Function that is called when the sockets of a link were closed or opened again. This is no input of the actors.
 pub(crate) type Tell = Rc<dyn Fn(LinkId, &Renewed)>;

@@ -24,7 +24,7 @@ pub enum LinkError {
 }
 
 /// Link, and an open transport that carries its datagrams.
-pub type Open = (LinkId, Box<dyn Transport>);
+pub(crate) type Open = (LinkId, Box<dyn Transport>);
 
 /// Random numbers of the operating system that identify a process.
 pub struct ProcessIdentity {

@@ -25,7 +25,7 @@ pub struct Percept {
 
 /// Newest latent (policy message with the sender's motion) of one neighbour, as stored by a robot's Cache.
 #[derive(Clone, Debug, PartialEq)]
-pub struct NeighbourLatent {
+pub(crate) struct NeighbourLatent {
     /// Number of the neighbour that sent the latent.
     pub(crate) robot: RobotId,
     /// Round, the number of the state server's instruction, in which the neighbour computed the latent.

@@ -39,7 +39,7 @@ const PERIOD: Span = Span::from_millis(50);
 
 /// Robots that a robot knows in scripted flocking.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sight {
+pub(crate) enum Sight {
     /// All robots of the team.
     All,
     /// The neighbours within 2 m.

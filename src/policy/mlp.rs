@@ -194,7 +194,7 @@ fn two_rows(weight: &[Lanes], bias: &Lanes, x: (&[f32], &[f32])) -> (Lanes, Lane
 
 /// Activation function that a layer applies to its outputs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Relu {
+pub(crate) enum Relu {
     /// Rectified linear unit: an output y becomes max(0, y).
     After,
     /// No activation: outputs stay as they are.
@@ -223,7 +223,7 @@ pub struct Mlp {
 
 /// Two buffers for the values between the layers of a perceptron, used alternately. `Mlp::scratch` makes them.
 #[derive(Clone, Debug, Default)]
-pub struct Scratch(Vec<f32>, Vec<f32>);
+pub(crate) struct Scratch(Vec<f32>, Vec<f32>);
 
 impl Mlp {
     /// Makes a perceptron of `layers`, in the order of application.

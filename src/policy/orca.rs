@@ -78,7 +78,7 @@ pub const INTERFACE: Interface = Interface {
 /// Scripted navigation of one robot, a policy: optimal reciprocal collision avoidance (ORCA) along a planned path
 /// through the arena.
 #[derive(Debug)]
-pub struct Orca {
+pub(crate) struct Orca {
     arena: Arena,
     /// Factor on distances between robots, and from robots to walls and bottlenecks.
     share: f32,

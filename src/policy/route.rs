@@ -37,7 +37,7 @@ pub(crate) fn share(arena: &Arena) -> f32 {
 
 /// Next part of a robot's planned path through an arena.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Leg {
+pub(crate) enum Leg {
     /// The robot drives straight to the destination of its path.
     Direct,
     /// The robot drives through a bottleneck, by this crossing.
@@ -46,7 +46,7 @@ pub enum Leg {
 
 /// Crossing of a bottleneck in one direction, along the straight line between the two ends (mouths) of the bottleneck.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Crossing {
+pub(crate) struct Crossing {
     /// Mouth of the bottleneck at which the crossing begins \[m\].
     pub(crate) entry: Vec2,
     /// Mouth of the bottleneck at which the crossing ends \[m\].

@@ -38,7 +38,7 @@ pub(crate) const F32: &str = "F32";
 
 /// Content of a safetensors file, whose header and lengths are checked.
 #[derive(Debug)]
-pub struct SafeTensors<'a> {
+pub(crate) struct SafeTensors<'a> {
     /// Metadata texts of the file, by name.
     pub(crate) metadata: BTreeMap<String, String>,
     /// Tensors of the file, by name.
@@ -47,7 +47,7 @@ pub struct SafeTensors<'a> {
 
 /// Tensor in a safetensors file: numbers of one data type in a row-major array.
 #[derive(Debug, PartialEq)]
-pub struct Tensor<'a> {
+pub(crate) struct Tensor<'a> {
     /// Name of the data type, as in the file, such as `F32`.
     pub(crate) kind: String,
     /// Size of the tensor along each axis. The order is row-major, so the last index varies fastest.

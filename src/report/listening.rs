@@ -58,7 +58,7 @@ impl Listening {
 const KEPT: usize = 64;
 
 /// Identity of a datagram: its sender, the sender's incarnation, its sequence number, and whether it is unicast.
-pub type Datagram = (HostId, u32, u32, bool);
+pub(crate) type Datagram = (HostId, u32, u32, bool);
 
 /// Observer that follows messages between robots from publication to arrival, and to the control steps that use them.
 /// It needs one clock for all hosts, as a simulation has.

@@ -119,7 +119,7 @@ impl CostName {
 
 /// Episode that failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub struct FailedEpisode {
+pub(crate) struct FailedEpisode {
     /// Index of the repeat, from 0.
     pub(crate) repeat: u32,
     /// Index of the episode in its repeat, from 0.

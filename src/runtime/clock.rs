@@ -35,7 +35,7 @@ struct Task {
 
 /// Handle of a task that is registered with a [`Clock`]: a function that runs one actor each time the actor is woken.
 #[derive(Clone, Copy, Debug)]
-pub struct TaskId(usize);
+pub(crate) struct TaskId(usize);
 
 struct Event {
     at: Time,

@@ -46,7 +46,7 @@ type Replaced = Rc<RefCell<Vec<(usize, Option<Rc<dyn AsFd>>)>>>;
 
 /// Handle of a link's file descriptor in a [`Readers`], by which it is replaced.
 #[derive(Clone)]
-pub struct Watched {
+pub(crate) struct Watched {
     index: usize,
     replaced: Replaced,
 }

@@ -20,7 +20,7 @@ const BENDS: f32 = 2.0;
 
 /// Parameters from which the safety filter of one robot computes the limits that neighbours and walls set.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Barrier {
+pub(crate) struct Barrier {
     /// Model of how the velocities of the robot and of its neighbours follow their commands.
     pub(crate) model: Model,
     /// Least distance between the positions of two robots \[m\].

@@ -11,7 +11,7 @@ const MOST: usize = 64;
 
 /// Upper bound of the component of a velocity along one direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Limit {
+pub(crate) struct Limit {
     /// Direction of the bounded component: a unit vector, world frame.
     pub(crate) along: Vec2,
     /// Upper bound of the component \[m/s\], zero or more.

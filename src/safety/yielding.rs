@@ -39,7 +39,7 @@ const GIVES_M_S: f32 = 0.25;
 
 /// Nearest neighbour of those that stand close to a robot.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Close(Option<(f32, Vec2)>);
+pub(crate) struct Close(Option<(f32, Vec2)>);
 
 impl Close {
     /// Counts a neighbour with the motion `other`, of a robot at `position` \[m\], if it stands within `least_m` \[m\],

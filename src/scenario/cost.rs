@@ -54,7 +54,7 @@ pub(crate) fn velocity_variance(team: &[Motion]) -> f64 {
 
 /// Way in which an episode ends if it is not aborted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ending {
+pub(crate) enum Ending {
     /// The episode ends once every robot has arrived at its goal.
     Arrival,
     /// The episode ends by time, in a scenario without goals: half a second (the state server's `GRACE`) after its

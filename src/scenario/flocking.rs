@@ -49,7 +49,7 @@ const DEFAULT_ROBOTS: usize = 50;
 
 /// Scenario in which a team agrees on a velocity, without goals.
 #[derive(Debug)]
-pub struct Flocking {
+pub(crate) struct Flocking {
     robots: usize,
     /// Radius of the disc on which the robots start \[m\].
     disc_m: f32,

@@ -104,7 +104,7 @@ impl Layouts {
     }
 
     /// Returns true if there are no episodes.
-    pub(crate) fn is_empty(&self) -> bool {
+    pub fn is_empty(&self) -> bool {
         self.episodes.is_empty()
     }
 

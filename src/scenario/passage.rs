@@ -60,7 +60,7 @@ const LAST_STAGE: Stage = Stage(4);
 
 /// Scenario of the case study in the paper arXiv 2111.01777: a team crosses a narrow gap in a wall.
 #[derive(Debug)]
-pub struct Passage {
+pub(crate) struct Passage {
     robots: usize,
     size: Size,
     /// |y| at which the straight part of the path through the gap begins and ends \[m\].

@@ -31,7 +31,7 @@ const LAST_STAGE: Stage = Stage(2);
 
 /// Scenario in which robots exchange places on open ground without walls, with a constant area per robot.
 #[derive(Debug)]
-pub struct Swap {
+pub(crate) struct Swap {
     robots: usize,
     per_row: usize,
     /// Width and depth of a place \[m\].

@@ -33,7 +33,7 @@ const RAIL_M: f32 = 1.0;
 const SINK_M: f32 = 0.002;
 
 /// Simulated world of rigid bodies as a plant: robots are discs with mass, friction and slipping wheels.
-pub struct Rigid {
+pub(crate) struct Rigid {
     arena: Arena,
     physics: Physics,
     world: PhysicsWorld,

@@ -63,7 +63,7 @@ pub(crate) fn team_fields() -> impl Iterator<Item = &'static str> {
 
 /// All fields that a team file may have, with their types and defaults; it depends on the transports.
 #[derive(Clone, Debug)]
-pub struct Fields {
+pub(crate) struct Fields {
     /// Fields of links that the transports define; a name that several transports define occurs once.
     own: Vec<transport::Field>,
 }

@@ -144,11 +144,6 @@ impl TeamFile {
         Ok(file)
     }
 
-    /// Returns the registry in which names of the file (scenarios, policies, drivers and others) are looked up.
-    pub(crate) fn registry(&self) -> &Registry {
-        &self.registry
-    }
-
     /// Returns the deployment of the team.
     pub fn deployment(&self) -> &Deployment {
         &self.deployment

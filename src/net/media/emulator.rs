@@ -17,7 +17,7 @@ use crate::time::{Span, Time};
 
 /// Delay and loss of the frames on an emulated link, for messages of some kinds.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Impairment {
+pub(crate) struct Impairment {
     /// One-way delay of every frame of the impaired kinds.
     pub(crate) delay: Span,
     /// Probability, 0 to 1, that a receiver loses a frame of the impaired kinds, independently for each receiver.

@@ -18,7 +18,7 @@ const COUNTS_PERIOD: Span = Span::from_millis(1000);
 
 /// Frame that a host of an emulated link has handed to the radio channel, with the kind of its first message.
 #[derive(Clone, Debug)]
-pub struct Sent {
+pub(crate) struct Sent {
     /// Kind of the frame's first message, by which the link emulator delays or loses the frame.
     pub(crate) kind: Kind,
     /// Bytes of the frame.

@@ -13,7 +13,7 @@ pub struct Rate {
 
 /// State of a token bucket, which limits the rate of one sender: the remaining tokens, each worth one datagram.
 #[derive(Clone, Copy, Debug)]
-pub struct Bucket {
+pub(crate) struct Bucket {
     tokens: f64,
     at: Time,
 }

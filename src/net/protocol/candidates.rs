@@ -27,7 +27,7 @@ const SAME_CLOCK_US: i64 = 3_600_000_000;
 
 /// Incarnation (one run) of another host that has not proved its liveness yet, with the last stamp received from it.
 #[derive(Clone, Copy, Debug)]
-pub struct Candidate {
+pub(crate) struct Candidate {
     /// Incarnation: random number of one run of the host.
     pub(crate) incarnation: u32,
     /// Latest stamp that was received from the incarnation.
@@ -137,7 +137,7 @@ impl Table {
 
 /// All incarnations seen on one link that have not proved their liveness yet: of hosts of the team, and of guests.
 #[derive(Clone, Debug)]
-pub struct Candidates {
+pub(crate) struct Candidates {
     hosts: Table,
     guests: Table,
     first_guest: HostId,

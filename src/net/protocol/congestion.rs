@@ -40,7 +40,7 @@ impl BaseDelay {
 
 /// Congestion of a link, by the queueing delays of the round trips to all hosts.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Congestion {
+pub(crate) struct Congestion {
     queueing_s: f64,
     until: Time,
 }

@@ -162,7 +162,8 @@ impl LinkCounts {
     }
 
     /// Returns the number of datagrams and messages that were refused or dropped on arrival, for any cause.
-    pub(crate) fn refused(&self) -> u64 {
+    #[cfg(test)]
+    pub fn refused(&self) -> u64 {
         self.refusals().iter().map(|(_, count)| count).sum()
     }
 

@@ -26,7 +26,7 @@ struct Gap {
 
 /// Missing datagrams of one link that senders have offered for retransmission, with the times of the requests.
 #[derive(Clone, Debug, Default)]
-pub struct Gaps(BTreeMap<DatagramId, Gap>);
+pub(crate) struct Gaps(BTreeMap<DatagramId, Gap>);
 
 impl Gaps {
     /// Removes the datagram with this header, which has arrived, from the missing ones. Adds those that it offers for

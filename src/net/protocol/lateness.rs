@@ -16,7 +16,7 @@ const MIN_SPACING: Span = Span::from_nanos(LATE.as_nanos() / 16);
 
 /// Recent link reports of one sender, from which datagrams that were held back on the way are recognized.
 #[derive(Clone, Debug, Default)]
-pub struct Lateness {
+pub(crate) struct Lateness {
     /// For each report: its arrival time, and the numbers of the next datagrams to all hosts and to this host.
     reports: VecDeque<(Time, [Option<u32>; 2])>,
     /// Smallest numbers that are not late: of datagrams to all hosts, and to this host.

@@ -45,7 +45,7 @@ pub enum Standing {
 
 /// Sender of the last datagram on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Heard {
+pub(crate) struct Heard {
     /// Id of the host.
     pub(crate) host: HostId,
     /// Whether the host is accepted, or has to prove its liveness first.

@@ -15,7 +15,7 @@ const DRIFT: f64 = 30e-6;
 
 /// Estimated offset between the clock of another host and that of this host, with its error bound.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Offset {
+pub(crate) struct Offset {
     /// Stamps of the other host minus those of this host \[s\].
     pub(crate) ahead_s: f64,
     /// Bound on the error of the offset \[s\]: half of the round trip, and the drift since the measurement.
@@ -26,7 +26,7 @@ pub struct Offset {
 
 /// Recent measurements of the offset between the stamps of another host and those of this host.
 #[derive(Clone, Debug, Default)]
-pub struct Offsets(VecDeque<(Time, f64, f64)>);
+pub(crate) struct Offsets(VecDeque<(Time, f64, f64)>);
 
 impl Offsets {
     /// Adds a measurement from a link report of the other host that arrived at `now`, and returns its round trip \[s\].

@@ -40,7 +40,7 @@ pub(crate) type Outbound = (Audience, Frame);
 /// State of the transmission on one link: sequence numbers, waiting soft state, link reports and datagrams to
 /// retransmit.
 #[derive(Clone, Debug)]
-pub struct Outgoing {
+pub(crate) struct Outgoing {
     me: Header,
     link: LinkId,
     key: Option<Key>,

@@ -55,7 +55,7 @@ impl Stamp {
 /// Clock from which a host takes the stamps of its link reports on one link. It starts at a random value, so that
 /// stamps of earlier runs are not valid.
 #[derive(Clone, Copy, Debug)]
-pub struct Stamps(u64);
+pub(crate) struct Stamps(u64);
 
 impl Stamps {
     /// Returns a clock for stamps that shows `base` microseconds at the start of the program.

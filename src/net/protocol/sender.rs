@@ -27,7 +27,7 @@ const STOPS_AFTER: Span = Span::from_millis(2000);
 
 /// Datagrams of one sender that are numbered together: either those to all hosts, or those to this host alone.
 #[derive(Clone, Debug, Default)]
-pub struct SequenceSpace {
+pub(crate) struct SequenceSpace {
     /// Replay window, which tells new datagrams from duplicates.
     pub(crate) window: Window,
     /// Newest sequence number of each stream (kind and robot).
@@ -36,7 +36,7 @@ pub struct SequenceSpace {
 
 /// State of another host whose datagrams this host accepts on one link.
 #[derive(Clone, Debug)]
-pub struct Sender {
+pub(crate) struct Sender {
     /// Time at which this host accepted the sender.
     pub(crate) since: Time,
     /// Time at which the sender last proved its liveness by the echo of a recent stamp.

@@ -23,7 +23,7 @@ pub(crate) type SenderId = (HostId, u32);
 
 /// Table of the senders that are accepted on one link, of limited size.
 #[derive(Clone, Debug)]
-pub struct Senders {
+pub(crate) struct Senders {
     all: BTreeMap<SenderId, Sender>,
     first_guest: HostId,
     forgot: Time,

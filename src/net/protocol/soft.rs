@@ -22,7 +22,7 @@ const REPEAT_AFTER: [Span; 2] = [Span::from_millis(40), Span::from_millis(100)];
 
 /// Soft state of a host that waits on one link.
 #[derive(Clone, Debug, Default)]
-pub struct Soft {
+pub(crate) struct Soft {
     /// For each stream the receivers of its newest message and its encoding.
     pending: BTreeMap<StreamId, (Audience, Frame)>,
     due: Option<Time>,

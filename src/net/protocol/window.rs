@@ -8,7 +8,7 @@ pub(crate) const LOSS_SPAN: u32 = 64;
 
 /// Position of a received datagram relative to the replay window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Position {
+pub(crate) enum Position {
     /// The datagram has not arrived before, so it is accepted.
     New,
     /// The datagram has arrived before, so it is a duplicate.
@@ -19,7 +19,7 @@ pub enum Position {
 
 /// Replay window of one sequence space: which of its newest datagrams have arrived, and how many were lost.
 #[derive(Clone, Debug, Default)]
-pub struct Window {
+pub(crate) struct Window {
     newest: Option<u32>,
     /// Bit for each sequence number modulo the size of the window: whether the datagram has arrived.
     seen: [u64; WORDS],

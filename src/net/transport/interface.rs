@@ -17,7 +17,7 @@ const GROUP_V6: &str = "[ff02::4d75]:7700";
 
 /// Network interface of this machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Interface {
+pub(crate) struct Interface {
     /// Name of the interface.
     pub(crate) name: String,
     /// Number of the interface in the kernel.

@@ -8,7 +8,7 @@ use crate::policy::Neighbour;
 
 /// Network of a hop, such as the message network, with the parts of its input.
 #[derive(Debug)]
-pub struct Part {
+pub(crate) struct Part {
     /// Parts of the network's input, which lie one after the other.
     pub(crate) inputs: Vec<Input>,
     /// Layers of the network with their weights.
@@ -38,7 +38,7 @@ pub struct Hop {
 
 /// Buffers of one robot for one hop. They grow only in a step in which the robot has more neighbours than ever before.
 #[derive(Debug, Default)]
-pub struct Space {
+pub(crate) struct Space {
     /// Inputs h_j of the senders, one row each; with a self-loop, the robot's own last.
     senders: Vec<f32>,
     /// Edge features, one row for each sender.

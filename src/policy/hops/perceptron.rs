@@ -40,7 +40,7 @@ impl Activation {
 
 /// Linear layers applied one after the other, with one activation between them and one after the last.
 #[derive(Clone, Debug)]
-pub struct Perceptron {
+pub(crate) struct Perceptron {
     layers: Vec<Layer>,
     between: Activation,
     last: Activation,
@@ -48,7 +48,7 @@ pub struct Perceptron {
 
 /// Two buffers for the values between the layers of perceptrons, used alternately.
 #[derive(Clone, Debug, Default)]
-pub struct Buffers(Vec<f32>, Vec<f32>);
+pub(crate) struct Buffers(Vec<f32>, Vec<f32>);
 
 impl Buffers {
     /// Enlarges the buffers so that `perceptron` can be applied to `rows` independent inputs at once.

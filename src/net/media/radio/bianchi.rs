@@ -20,7 +20,7 @@ pub struct Saturation {
 
 /// Time intervals of a radio channel that the saturation model of Bianchi (JSAC 18(3), 2000) needs.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Lengths {
+pub(crate) struct Lengths {
     /// Slot time: sigma in Bianchi's model.
     pub(crate) slot: Span,
     /// Time that the channel is busy with a successful transmission: T_s in Bianchi's model.

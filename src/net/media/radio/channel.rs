@@ -183,11 +183,6 @@ impl<T: Clone> Channel<T> {
         self.transmissions.as_mut().map(std::mem::take).unwrap_or_default()
     }
 
-    /// Returns the number of frames in the transmit queue of the station with index `station`.
-    pub(crate) fn queued(&self, station: u16) -> usize {
-        self.stations[usize::from(station)].queue.len()
-    }
-
     /// Returns the time at which `wake` is next due; `None` if nothing is to be sent.
     pub fn wake_at(&self) -> Option<Time> {
         self.due

@@ -27,7 +27,7 @@ pub(crate) const CANDIDATE_LIFETIME: Span = Span::from_millis(2000);
 
 /// Addresses of the guests (operators, which are not in the team file) of one unicast link.
 #[derive(Clone, Debug, Default)]
-pub struct Guests {
+pub(crate) struct Guests {
     accepted: BTreeMap<HostId, (SocketAddr, Time)>,
     candidates: BTreeMap<(HostId, SocketAddr), Time>,
 }

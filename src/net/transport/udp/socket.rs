@@ -44,7 +44,7 @@ pub(crate) struct SocketConfig {
 
 /// Addresses that a host's UDP sockets on a link use: a multicast group, or one address for each host of the link.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Addressing {
+pub(crate) enum Addressing {
     /// Multicast: address and port of the group that all hosts of the link join.
     Multicast(SocketAddr),
     /// Unicast to the address of each host.
