@@ -112,7 +112,7 @@ fn tell(args: &Args, host: &str, answer: Option<Placed>) -> Result<Ended> {
 fn why(robot: u16, host: &str, answer: Option<Placed>) -> Option<String> {
     let Some(Placed { verdict, measured, .. }) = answer else {
         return Some(format!(
-            "no answer from host '{host}', which measures robot {robot}: does it run, with this key, and is its link up?"
+            "host '{host}', which measures robot {robot}, does not answer: does it run with this key, is its link up?"
         ));
     };
     let seen = measured.map_or_else(String::new, |pose| {
