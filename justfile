@@ -126,7 +126,7 @@ full-boot:
 # The same over Zenoh, too; PYTHON has eclipse-zenoh (20 minutes and 10 to build, root, ip)
 full-boot-zenoh python="python3":
     cargo build --release --features zenoh
-    {{python}} tests/peers/boot/measure.py target/release/murmurate 20 --zenoh
+    {{python}} tests/peers/boot/measure.py target/release/murmurate 20 multicast unicast zenoh
 
 # 500 episodes each by multicast and unicast at 20 % loss under virtual time: how many are aborted (10 minutes, most of it to build)
 full-heartbeats:
