@@ -15,7 +15,6 @@ import itertools
 import json
 import os
 import pathlib
-import queue
 import statistics
 import subprocess
 import sys
@@ -75,7 +74,7 @@ def fit(family):
 
 
 class Host:
-    """A host's process, whose log lines and events go to `heard` with their times."""
+    """A host's process, whose log lines and events are kept with their times."""
 
     def __init__(self, program, machine, name, folder):
         environment = dict(os.environ, MURMURATE_LOG=LOG)
@@ -83,32 +82,30 @@ class Host:
         self.child = subprocess.Popen(
             command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
-        self.heard = queue.Queue()
-        self.lines = []
+        self.said, self.more = [], threading.Condition()
         for pipe in (self.child.stdout, self.child.stderr):
             threading.Thread(target=self.read, args=(pipe,), daemon=True).start()
 
     def read(self, pipe):
         for line in pipe:
             if '"event":"counted"' not in line:
-                self.lines.append(line)
-                self.heard.put((time.monotonic(), line))
+                with self.more:
+                    self.said.append((time.monotonic(), line))
+                    self.more.notify()
 
     def until(self, text, limit_s):
-        """Returns the time at which a line with `text` came; None after the limit."""
-        end = time.monotonic() + limit_s
-        while (left := end - time.monotonic()) > 0:
-            try:
-                at, line = self.heard.get(timeout=left)
-            except queue.Empty:
-                return None
-            if text in line:
-                return at
-        return None
+        """Returns the time at which the first line with `text` came; None after the limit."""
+        first = lambda: next((at for at, line in self.said if text in line), None)
+        with self.more:
+            return self.more.wait_for(first, limit_s)
+
+    def last(self):
+        with self.more:
+            return [line for _, line in self.said[-20:]]
 
     def forget(self):
-        while not self.heard.empty():
-            self.heard.get()
+        with self.more:
+            self.said.clear()
 
     def end(self):
         self.child.kill()
@@ -136,7 +133,7 @@ class Team:
     def found(self):
         """Returns when the last of both others had found robot 0 at its new address."""
         all_s = [one.until("host 0 is at another address", 20) for one in (self.pc, self.other)]
-        assert all(all_s), ("robot 0 is not found at its address", all_s, self.robot.lines[-5:])
+        assert all(all_s), ("robot 0 is not found at its address", all_s, self.robot.last())
         return max(all_s)
 
     def forget(self):
@@ -167,14 +164,14 @@ def boots(team, before, after, family, moved=False):
     if after:
         # A host on Zenoh need not wait for its session.
         waits = team.robot.until("going on without" if team.router else "waiting up to", 20)
-        assert waits, ("it does not wait", team.robot.lines[-5:])
+        assert waits, ("it does not wait", team.robot.last())
         time.sleep(0.7)
         after()
     at = fit(family)
     found = team.found() if moved else at
     heard = team.heard(20)
     team.robot.end()
-    assert heard, ("robot 0 was not heard", team.robot.lines[-20:], team.pc.lines[-5:])
+    assert heard, ("robot 0 was not heard", team.robot.last(), team.pc.last())
     return max(heard, found) - at
 
 
@@ -187,7 +184,7 @@ def changes(team, change, moved=False):
     found = team.found() if moved else at
     heard = team.heard(4)
     if heard is None:
-        lines = "".join(team.robot.lines[-20:])
+        lines = "".join(team.robot.last())
         assert team.robot.child.poll() is None and "open again" in lines, ("robot 0 is mute", lines)
     # Whoever is measured next is to be in the team.
     time.sleep(1.2)
@@ -271,7 +268,7 @@ def main():
                 team = Team(program, LINKS[link], folder)
                 try:
                     team.start()
-                    assert team.heard(30), team.robot.lines
+                    assert team.heard(30), team.robot.last()
                     time.sleep(1.5)
                     numbers = ["55", "10"]
                     moved = link == "unicast"
