@@ -128,15 +128,15 @@ lab-peers:
     bash netpeer/peers.sh
 
 # How soon a host is in its team after its interface is fit, and back after its address or interface has changed, 20 times each
-# (15 minutes, root, ip)
+# (18 minutes, root, ip)
 full-boot:
     cargo build --release
     python3 tests/peers/boot/measure.py target/release/murmurate 20
 
-# The same over Zenoh, too; PYTHON has eclipse-zenoh (20 minutes and 10 to build, root, ip)
+# The same over Zenoh, too; PYTHON has eclipse-zenoh (25 minutes and 10 to build, root, ip)
 full-boot-zenoh python="python3":
     cargo build --release --features zenoh
-    {{python}} tests/peers/boot/measure.py target/release/murmurate 20 --zenoh
+    {{python}} tests/peers/boot/measure.py target/release/murmurate 20 multicast unicast zenoh
 
 # 500 episodes each by multicast and unicast at 20 % loss under virtual time: how many are aborted (10 minutes, most of it to build)
 full-heartbeats:

@@ -1,5 +1,6 @@
 //! Hosts of a team that have moved to another address on a link that sends to single hosts.
 
+use std::collections::BTreeSet;
 use std::net::SocketAddr;
 
 use crate::rig::{Rig, config, is_data, is_report, key, latent};
@@ -98,6 +99,28 @@ fn a_host_that_starts_elsewhere_is_found_whoever_starts_first_and_whoever_sends_
                 }
             }
         }
+    }
+}
+
+#[test]
+fn a_host_that_starts_elsewhere_is_found_by_a_team_of_thirty_within_two_seconds() {
+    const COUNT: usize = 30;
+    let of = |host: usize, run| config(host as u16, COUNT, run, Some(key()), Setup::unicast(Reliabilities::new()));
+    let mut rig = Rig::new((0..COUNT).map(|host| of(host, 1)));
+    let places: Vec<SocketAddr> = (1..).map(at).take(COUNT).collect();
+    rig.addresses = places.iter().copied().map(Some).collect();
+    (rig.addresses[0], rig.configured) = (Some(at(99)), Some(places));
+    (rig.loss, rig.down) = (0.05, Some(0));
+    let all: Vec<usize> = (0..COUNT).collect();
+    talk_of(&mut rig, &all[1..], 3000);
+    rig.down = None;
+    rig.restart(0, of(0, 2));
+    talk_of(&mut rig, &all, 2000);
+    rig.delivered.iter_mut().for_each(Vec::clear);
+    talk_of(&mut rig, &all, 500);
+    for (host, delivered) in rig.delivered.iter().enumerate() {
+        let heard: BTreeSet<u16> = delivered.iter().map(|(_, message)| message.robot().0).collect();
+        assert_eq!(heard.len(), COUNT - 1, "host {host} hears {heard:?}");
     }
 }
 

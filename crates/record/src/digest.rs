@@ -50,12 +50,24 @@ pub struct Judged {
 /// Decides which of the metadata `all`, in the order of the file, are as they were written. A file may have digests
 /// twice, so that damage to them is told from damage to what they are of.
 pub fn judge(all: &[(&str, &Map)]) -> Judged {
-    let lists: Vec<&Map> = all.iter().filter(|(name, _)| *name == METADATA).map(|(_, values)| *values).collect();
+    // What is no digest has been damaged, and says nothing of what it was of.
+    let is_digest = |text: &str| text.len() == 32 && text.bytes().all(|byte| byte.is_ascii_hexdigit());
+    let is_list = |values: &Map| values.values().all(|text| is_digest(text));
+    let lists = all.iter().filter(|(name, _)| *name == METADATA);
+    let broken = lists.clone().any(|(_, values)| !is_list(values));
+    let digests = |(_, values): &(&str, &Map)| -> Map {
+        let right = values.iter().filter(|(_, text)| is_digest(text));
+        right.map(|(name, text)| (name.clone(), text.clone())).collect()
+    };
+    let lists: Vec<Map> = lists.map(digests).collect();
     let listed = |name: &str, digest: &str| lists.iter().any(|list| list.get(name).is_some_and(|is| is == digest));
     let confirmed = |name: &str| {
         all.iter().any(|(other, values)| *other == name && *other != METADATA && listed(name, &of(other, values)))
     };
     let verdict = |(name, values): &(&str, &Map)| {
+        if *name == METADATA && !is_list(values) {
+            return Verdict::Wrong { copied: all.iter().any(|(name, other)| *name == METADATA && is_list(other)) };
+        }
         if *name == METADATA {
             // One of two lists that contradicts what the other one confirms is itself damaged.
             let agrees = |(name, digest): (&String, &String)| {
@@ -71,7 +83,7 @@ pub fn judge(all: &[(&str, &Map)]) -> Judged {
             Verdict::Right
         } else if lists.iter().any(|list| list.contains_key(*name)) {
             Verdict::Wrong { copied: confirmed(name) }
-        } else if !lists.is_empty() && name.starts_with("murmurate.") {
+        } else if !lists.is_empty() && !broken && name.starts_with("murmurate.") {
             // The name itself is damaged.
             Verdict::Wrong { copied: false }
         } else {
@@ -110,11 +122,22 @@ mod tests {
         let copied = judge(&[(r, &other), (s, &stage), (l, &list), (r, &run), (l, &list)]);
         assert_eq!(copied.of, [Verdict::Wrong { copied: true }, right, right, right, right]);
         let mut wrong = list.clone();
-        wrong.insert(r.to_owned(), "00".to_owned());
+        wrong.insert(r.to_owned(), "0".repeat(32));
         let listed = judge(&[(r, &run), (s, &stage), (l, &wrong), (r, &run), (l, &list)]);
         assert_eq!(listed.of, [right, right, Verdict::Wrong { copied: true }, right, right]);
         assert_eq!(judge(&[(r, &run), (l, &list)]).absent, [s]);
         assert_eq!(judge(&[(r, &run), ("theirs", &stage)]).of, [Verdict::Unknown; 2]);
+        // Zeros from the middle of the list on, as after a power cut: nothing is known of what it no longer lists.
+        for (name, digest) in [(s, format!("{:\0<32}", "2b41")), ("murmurate.st\0\0\0", String::new())] {
+            let mut zeros = list.clone();
+            zeros.remove(s);
+            zeros.insert(name.to_owned(), digest);
+            let cut = judge(&[(r, &run), (s, &stage), (l, &zeros)]);
+            assert_eq!(cut.of, [right, Verdict::Unknown, Verdict::Wrong { copied: false }]);
+            assert!(cut.absent.is_empty(), "{:?}", cut.absent);
+            let copied = judge(&[(r, &run), (s, &stage), (l, &zeros), (l, &list)]);
+            assert_eq!(copied.of, [right, right, Verdict::Wrong { copied: true }, right]);
+        }
         assert_eq!(judge(&[("murmurate.ruN", &run), (s, &stage), (l, &list)]).of[0], Verdict::Wrong { copied: false });
     }
 }

@@ -1,5 +1,6 @@
-# Three machines as network namespaces on one bridge, and a team of two robots and a PC on them. For cases of addresses and
-# interfaces; wants root and ip. Sourced with the program in $murmurate; $CASE_WORK is an empty folder.
+# Machines as network namespaces on one bridge, and a team of two robots and a PC on the first three. For cases of addresses
+# and interfaces; wants root and ip. Sourced with the program in $murmurate; $CASE_WORK is an empty folder. As a program it
+# runs one of its functions: bash lib_network.sh TAG FUNCTION ARGUMENT...
 tag=cn$$
 logs=()
 hosts=()
@@ -8,9 +9,8 @@ spaces_end() {
     local pid
     for pid in "${hosts[@]}"; do kill "$pid" 2>/dev/null; done
     for pid in "${hosts[@]}"; do wait "$pid" 2>/dev/null; done
-    for name in 0 1 2 air; do ip netns del "$tag-$name" 2>/dev/null; done
+    for name in 0 1 2 3 air; do ip netns del "$tag-$name" 2>/dev/null; done
 }
-trap spaces_end EXIT
 
 fail() {
     echo "$*"
@@ -25,12 +25,12 @@ on() {
     ip netns exec "$tag-$machine" "$@"
 }
 
-machines() {
+machines() { # [COUNT]
     local machine
     ip netns add "$tag-air" || fail "network namespaces need root and ip"
     ip -n "$tag-air" link add bridge type bridge mcast_snooping 0
     ip -n "$tag-air" link set bridge up
-    for machine in 0 1 2; do
+    for ((machine = 0; machine < ${1:-3}; machine++)); do
         ip netns add "$tag-$machine"
         ip -n "$tag-$machine" link set lo up
     done
@@ -50,7 +50,7 @@ up() { # MACHINE
     ip -n "$tag-$1" link set w0 up
 }
 
-# Writes team.toml in the folder $CASE_WORK, with this table of the link as its input, and the team's key.
+# Writes team.toml in the folder $CASE_WORK, with this table of the link as its input and $episodes, and the team's key.
 team() {
     local work=$CASE_WORK
     [ -e "$work/team.key" ] || "$murmurate" key new --out "$work/team.key" >/dev/null
@@ -59,7 +59,7 @@ team() {
 team = 74
 scenario = "swap"
 policy = "orca"
-episodes = 300
+episodes = ${episodes:-300}
 key_file = "team.key"
 [link.infra]
 END
@@ -124,3 +124,11 @@ successes() {
 more_than() { # COUNT
     [ "$(successes)" -gt "$1" ]
 }
+
+if [ "${BASH_SOURCE[0]}" = "$0" ]; then
+    tag=$1
+    shift
+    "$@"
+else
+    trap spaces_end EXIT
+fi

@@ -1,19 +1,20 @@
 #!/usr/bin/env python3
 """How soon a host is in its team after its network interface is fit, and back after its address or interface has changed.
 
-    measure.py MURMURATE [TIMES] [--zenoh]
+    measure.py MURMURATE [TIMES [LINK...]]
 
 Three machines as network namespaces on one bridge, and a team of two robots and a PC on them. Every state is made TIMES
 times (20). The time begins when the kernel shows the interface up, with a carrier and a usable address; it ends when the
-state server on the PC hears robot 0 again. An outage that the state server does not notice is shorter than a second, and
-counts as one. Exit code 1 if one took more than two seconds. Needs root and `ip`; with --zenoh also the package
-eclipse-zenoh, and a program with the feature `zenoh`.
+state server on the PC hears robot 0 again, and, if its address is another one on a unicast link, both others send there. An
+outage of which the state server notices nothing is shorter than a second. Exit code 1 if one took more than two seconds.
+Needs root and `ip`. LINK is multicast, unicast (both by default) or zenoh, which needs the package eclipse-zenoh, and a
+program with the feature `zenoh`.
 """
 
+import itertools
 import json
 import os
 import pathlib
-import queue
 import statistics
 import subprocess
 import sys
@@ -22,30 +23,12 @@ import threading
 import time
 
 LIMIT_S = 2.0
+# What an outage counts as of which the state server notices nothing [s].
+UNNOTICED_S = 1.0
+LOG = "warn,zenoh=error,murmurate::actors::roster=info,murmurate::net::transport::udp=debug"
 TAG = f"mb{os.getpid()}"
 PREFIX = "10.78.0."
-DEPLOYMENT = """
-[deployment]
-mode = "lab"
-robots = 2
-placement = "drive"
-stepping = "seeded"
-plant = "kinematic"
-[[deployment.host]]
-name = "robot-0"
-agents = [[0]]
-simulates = [0]
-[[deployment.host]]
-name = "robot-1"
-agents = [[1]]
-simulates = [1]
-[[deployment.host]]
-name = "pc"
-state_server = true
-[[deployment.link]]
-name = "infra"
-carries = ["reading", "latent", "heartbeat", "mode", "stop"]
-"""
+NETWORK = pathlib.Path(__file__).parents[2] / "cases/robots/lib_network.sh"
 HOSTS = ["robot-0", "robot-1", "pc"]
 PEERS = "transport = 'unicast'\n[link.infra.peers]\n" + "".join(
     f"{name} = '{PREFIX}1{number}:7700'\n" for number, name in enumerate(HOSTS)
@@ -59,33 +42,24 @@ LINKS = {
 }
 
 
-def ip(*words, check=True):
-    subprocess.run(["ip", *words], check=check, stderr=None if check else subprocess.DEVNULL)
+def net(*words, check=True, **more):
+    """Runs a function of the cases' shell file, such as: net("interface", "0")."""
+    subprocess.run(["bash", NETWORK, TAG, *words], check=check, **more)
 
 
-def ip0(*words):
-    ip("-n", f"{TAG}-0", *words)
+def ip0(*words, check=True):
+    subprocess.run(["ip", "-n", f"{TAG}-0", *words], check=check, stderr=None if check else subprocess.DEVNULL)
 
 
 def space(machine):
     return ["ip", "netns", "exec", f"{TAG}-{machine}"]
 
 
-def interface(machine):
-    ip("-n", f"{TAG}-{machine}", "link", "add", "w0", "type", "veth", "peer", "name", f"port{machine}", "netns", f"{TAG}-air")
-    ip("-n", f"{TAG}-air", "link", "set", f"port{machine}", "master", "bridge", "up")
-
-
-def build():
-    ip("netns", "add", f"{TAG}-air")
-    ip("-n", f"{TAG}-air", "link", "add", "bridge", "type", "bridge", "mcast_snooping", "0")
-    ip("-n", f"{TAG}-air", "link", "set", "bridge", "up")
-    for machine in range(4):
-        ip("netns", "add", f"{TAG}-{machine}")
-        ip("-n", f"{TAG}-{machine}", "link", "set", "lo", "up")
-        interface(machine)
-        ip("-n", f"{TAG}-{machine}", "addr", "add", f"{PREFIX}1{machine}/24", "dev", "w0")
-        ip("-n", f"{TAG}-{machine}", "link", "set", "w0", "up")
+def present(machine=0, last=None):
+    """Makes the interface of a machine, with an address, and up."""
+    net("interface", str(machine))
+    net("address", str(machine), f"{PREFIX}{last or 10 + machine}/24")
+    net("up", str(machine))
 
 
 def fit(family):
@@ -100,40 +74,38 @@ def fit(family):
 
 
 class Host:
-    """A host's process, whose log lines and events go to `heard` with their times."""
+    """A host's process, whose log lines and events are kept with their times."""
 
     def __init__(self, program, machine, name, folder):
-        environment = dict(os.environ, MURMURATE_LOG="warn,murmurate::actors::roster=info")
+        environment = dict(os.environ, MURMURATE_LOG=LOG)
         command = [*space(machine), program, "host", "team.toml", "--host", name, "--json"]
         self.child = subprocess.Popen(
             command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
-        self.heard = queue.Queue()
-        self.lines = []
+        self.said, self.more = [], threading.Condition()
         for pipe in (self.child.stdout, self.child.stderr):
             threading.Thread(target=self.read, args=(pipe,), daemon=True).start()
 
     def read(self, pipe):
         for line in pipe:
             if '"event":"counted"' not in line:
-                self.lines.append(line)
-                self.heard.put((time.monotonic(), line))
+                with self.more:
+                    self.said.append((time.monotonic(), line))
+                    self.more.notify()
 
     def until(self, text, limit_s):
-        """Returns the time at which a line with `text` came; None after the limit."""
-        end = time.monotonic() + limit_s
-        while (left := end - time.monotonic()) > 0:
-            try:
-                at, line = self.heard.get(timeout=left)
-            except queue.Empty:
-                return None
-            if text in line:
-                return at
-        return None
+        """Returns the time at which the first line with `text` came; None after the limit."""
+        first = lambda: next((at for at, line in self.said if text in line), None)
+        with self.more:
+            return self.more.wait_for(first, limit_s)
+
+    def last(self):
+        with self.more:
+            return [line for _, line in self.said[-20:]]
 
     def forget(self):
-        while not self.heard.empty():
-            self.heard.get()
+        with self.more:
+            self.said.clear()
 
     def end(self):
         self.child.kill()
@@ -143,9 +115,7 @@ class Host:
 class Team:
     def __init__(self, program, link, folder):
         self.program, self.folder, self.router = program, folder, None
-        (folder / "team.toml").write_text(
-            f"team = 75\nscenario = 'swap'\npolicy = 'orca'\nepisodes = 100000\nkey_file = 'team.key'\n[link.infra]\n{link}{DEPLOYMENT}"
-        )
+        net("team", input=link, text=True, env=dict(os.environ, CASE_WORK=str(folder), murmurate=program, episodes="100000"))
         if "zenoh" in link:
             router = pathlib.Path(__file__).parents[1] / "zenoh/router.py"
             command = [*space(3), sys.executable, str(router), f"udp/{PREFIX}13:7447"]
@@ -160,6 +130,16 @@ class Team:
     def heard(self, limit_s):
         return self.pc.until("heartbeats of robot 0 arrive", limit_s)
 
+    def found(self):
+        """Returns when the last of both others had found robot 0 at its new address."""
+        all_s = [one.until("host 0 is at another address", 20) for one in (self.pc, self.other)]
+        assert all(all_s), ("robot 0 is not found at its address", all_s, self.robot.last())
+        return max(all_s)
+
+    def forget(self):
+        for one in (self.pc, self.other):
+            one.forget()
+
     def end(self):
         for one in (self.pc, self.other, self.robot):
             if one:
@@ -170,46 +150,45 @@ class Team:
 
 
 def away():
-    ip("-n", f"{TAG}-0", "link", "del", "w0", check=False)
+    ip0("link", "del", "w0", check=False)
 
 
-def boots(team, before, after, family):
+def boots(team, before, after, family, moved=False):
     """Starts robot 0 in the state `before`, makes its interface fit by `after`, and returns how long it took [s]."""
     away()
     before()
     # The state server has to miss the robot first.
     time.sleep(1.5)
-    team.pc.forget()
+    team.forget()
     team.start()
     if after:
-        assert team.robot.until("waiting up to", 20), ("it does not wait", team.robot.lines)
+        # A host on Zenoh need not wait for its session.
+        waits = team.robot.until("going on without" if team.router else "waiting up to", 20)
+        assert waits, ("it does not wait", team.robot.last())
         time.sleep(0.7)
         after()
     at = fit(family)
+    found = team.found() if moved else at
     heard = team.heard(20)
     team.robot.end()
-    assert heard, ("robot 0 was not heard", team.robot.lines, team.pc.lines[-5:])
-    return heard - at
+    assert heard, ("robot 0 was not heard", team.robot.last(), team.pc.last())
+    return max(heard, found) - at
 
 
-def changes(team, change):
+def changes(team, change, moved=False):
     """Applies a change to the interface of robot 0, which is in its team; returns how long it took [s]."""
-    team.pc.forget()
+    team.forget()
     team.robot.forget()
-    at = change() or fit("inet")
+    change()
+    at = fit("inet")
+    found = team.found() if moved else at
     heard = team.heard(4)
     if heard is None:
-        lines = "".join(team.robot.lines[-20:])
+        lines = "".join(team.robot.last())
         assert team.robot.child.poll() is None and "open again" in lines, ("robot 0 is mute", lines)
     # Whoever is measured next is to be in the team.
     time.sleep(1.2)
-    return max(heard - at, 0.0) if heard else 1.0
-
-
-def present(last="10"):
-    interface(0)
-    ip0("addr", "add", f"{PREFIX}{last}/24", "dev", "w0")
-    ip0("link", "set", "w0", "up")
+    return max(heard - at if heard else UNNOTICED_S, found - at)
 
 
 def flip(numbers):
@@ -232,17 +211,20 @@ def lease(numbers):
 def replug(last):
     away()
     time.sleep(3)
-    present(last)
+    present(last=last)
 
 
 def main():
-    words = [word for word in sys.argv[1:] if word != "--zenoh"]
-    program, times = os.path.realpath(words[0]), int(words[1]) if len(words) > 1 else 20
-    add = lambda: ip0("addr", "add", f"{PREFIX}10/24", "dev", "w0")
-    raised = lambda: ip0("link", "set", "w0", "up")
+    program, times = os.path.realpath(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 20
+    links = sys.argv[3:] or ["multicast", "unicast"]
+    add = lambda: net("address", "0", f"{PREFIX}10/24")
+    raised = lambda: net("up", "0")
+    # Never the same twice in a row.
+    places = itertools.cycle(["55", "66"])
+    elsewhere = lambda: net("address", "0", f"{PREFIX}{next(places)}/24")
     nothing = lambda: None
-    bare = lambda: (interface(0), raised())
-    down = lambda: (interface(0), add())
+    bare = lambda: (net("interface", "0"), raised())
+    down = lambda: (net("interface", "0"), add())
     boot = [
         ("multicast", "down", down, raised, "inet"),
         ("multicast", "not there yet", nothing, present, "inet"),
@@ -251,28 +233,32 @@ def main():
         ("multicast IPv6", "tentative address", bare, None, "inet6"),
         ("unicast", "not there yet", nothing, present, "inet"),
         ("unicast", "up, no IPv4 address yet", bare, add, "inet"),
+        ("unicast", "up, then another address than in the file", bare, elsewhere, "inet"),
+        ("zenoh", "not there yet", nothing, present, "inet"),
     ]
-    links = ["multicast", "unicast"]
-    if "--zenoh" in sys.argv:
-        boot += [("zenoh", "not there yet", nothing, present, "inet")]
-        links += ["zenoh"]
-    missed, rows = False, []
+    boot = [state for state in boot if state[0].startswith(tuple(links))]
+    missed = False
 
     def row(link, state, all_s):
         nonlocal missed
         missed |= max(all_s) > LIMIT_S
-        print(f"| {link} | {state} | {len(all_s)} | {statistics.median(all_s):.2f} | {max(all_s):.2f} |", flush=True)
+        middle, most = (
+            "< 1" if one_s == UNNOTICED_S else f"{one_s:.2f}" for one_s in (statistics.median(all_s), max(all_s))
+        )
+        print(f"| {link} | {state} | {len(all_s)} | {middle} | {most} |", flush=True)
 
     with tempfile.TemporaryDirectory() as folder:
         folder = pathlib.Path(folder)
-        subprocess.run([program, "key", "new", "--out", folder / "team.key"], check=True, stdout=subprocess.DEVNULL)
-        build()
         try:
+            net("machines", "4")
+            for machine in range(4):
+                present(machine)
             print("| link | state | times | median [s] | most [s] |\n|---|---|---|---|---|")
             for link, state, before, after, family in boot:
                 team = Team(program, LINKS[link], folder)
                 try:
-                    row(link, f"boot: {state}", [boots(team, before, after, family) for _ in range(times)])
+                    moved = after is elsewhere
+                    row(link, f"boot: {state}", [boots(team, before, after, family, moved) for _ in range(times)])
                 finally:
                     team.end()
             for link in links:
@@ -282,19 +268,19 @@ def main():
                 team = Team(program, LINKS[link], folder)
                 try:
                     team.start()
-                    assert team.heard(30), team.robot.lines
+                    assert team.heard(30), team.robot.last()
                     time.sleep(1.5)
                     numbers = ["55", "10"]
-                    all_s = [changes(team, lambda: flip(numbers)) for _ in range(times)]
+                    moved = link == "unicast"
+                    all_s = [changes(team, lambda: flip(numbers), moved) for _ in range(times)]
                     row(link, "another address at once", all_s)
-                    all_s = [changes(team, lambda: lease(numbers)) for _ in range(times)]
+                    all_s = [changes(team, lambda: lease(numbers), moved) for _ in range(times)]
                     row(link, "no address for 2 s, then another", all_s)
                     row(link, "made again after 3 s", [changes(team, lambda: replug(numbers[1])) for _ in range(times)])
                 finally:
                     team.end()
         finally:
-            for name in [*range(4), "air"]:
-                ip("netns", "del", f"{TAG}-{name}", check=False)
+            net("spaces_end")
     sys.exit(1 if missed else 0)
 
 

@@ -184,9 +184,12 @@ impl Udp {
         let To::Peers(peers) = &mut self.to else { return };
         if peers.admit(now, guest) {
             self.moves += 1;
-            if self.moves.is_power_of_two() {
-                let (host, at) = (guest.host.0, guest.at);
-                tracing::warn!(moves = self.moves, "host {host} is at another address now: data for it goes to {at}");
+            let (moves, host, at) = (self.moves, guest.host.0, guest.at);
+            let text = format!("host {host} is at another address now: data for it goes to {at}");
+            if moves.is_power_of_two() {
+                tracing::warn!(moves, "{text}");
+            } else {
+                tracing::debug!(moves, "{text}");
             }
         }
     }
