@@ -296,8 +296,8 @@ fn access_to_the_machine_is_confined_to_its_files() {
         (
             "Instant",
             &[
-                "src/drivers/robomaster/worker.rs",
-                "src/localization/natnet/worker.rs",
+                "crates/devices/src/robomaster/worker.rs",
+                "crates/devices/src/natnet/worker.rs",
                 "crates/zenoh/src/session.rs",
                 "crates/ros2/src/",
                 "src/runtime/real.rs",
@@ -329,8 +329,8 @@ fn access_to_the_machine_is_confined_to_its_files() {
             "Udp",
             &[
                 "crates/zenoh/src/route.rs",
-                "src/drivers/robomaster/worker.rs",
-                "src/localization/natnet/worker.rs",
+                "crates/devices/src/robomaster/worker.rs",
+                "crates/devices/src/natnet/worker.rs",
                 "src/net/transport/",
             ],
         ),

@@ -1,5 +1,5 @@
-//! Robots and receivers of others: the driver `robomaster` of the RoboMaster EP, the source `natnet` of motion capture by
-//! OptiTrack's protocol, and the source `gpsd` of satellite receivers.
+//! Robots and receivers of others: the driver `robomaster` of the RoboMaster EP, the source `natnet` of motion capture
+//! by OptiTrack's protocol, and the source `gpsd` of satellite receivers.
 //!
 //! Each has a part without I/O, which a replay runs again, and a worker with the sockets.
 
