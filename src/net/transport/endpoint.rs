@@ -79,7 +79,7 @@ pub struct Place {
     pub endpoint: Arc<dyn Endpoint>,
     /// Reliability modes by kind of message, from the team file. Kinds that are left out have the mode that the
     /// deployment sets for the link.
-    pub(crate) reliability: Reliabilities,
+    pub reliability: Reliabilities,
 }
 
 impl Place {
@@ -150,7 +150,7 @@ pub struct Finding {
 
 impl Finding {
     /// Returns a finding without defect: `what` is the subject of the check, `found` the text that says what was found.
-    pub(crate) fn ok(what: &'static str, found: String) -> Finding {
+    pub fn ok(what: &'static str, found: String) -> Finding {
         Finding { fitness: Fitness::Ok, what, found, advice: String::new() }
     }
 }

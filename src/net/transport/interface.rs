@@ -7,9 +7,9 @@ use nix::ifaddrs::getifaddrs;
 use nix::net::if_::{InterfaceFlags, if_nametoindex};
 
 /// Name of the loopback interface.
-pub(crate) const LOOPBACK: &str = "lo";
+pub const LOOPBACK: &str = "lo";
 /// Value for a network interface in a team file that selects the only interface that is suitable.
-pub(crate) const AUTO: &str = "auto";
+pub const AUTO: &str = "auto";
 
 /// Groups that a user may take in place of one of the other family.
 const GROUP_V4: &str = "239.255.77.1:7700";
@@ -17,19 +17,19 @@ const GROUP_V6: &str = "[ff02::4d75]:7700";
 
 /// Network interface of this machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Interface {
+pub struct Interface {
     /// Name of the interface.
-    pub(crate) name: String,
+    pub name: String,
     /// Number of the interface in the kernel.
-    pub(crate) index: u32,
+    pub index: u32,
     /// Whether the interface is up and has a carrier.
-    pub(crate) up: bool,
+    pub up: bool,
     /// Whether the interface is a loopback interface.
-    pub(crate) loopback: bool,
+    pub loopback: bool,
     /// IPv4 addresses of the interface.
-    pub(crate) v4: Vec<Ipv4Addr>,
+    pub v4: Vec<Ipv4Addr>,
     /// IPv6 addresses of the interface.
-    pub(crate) v6: Vec<Ipv6Addr>,
+    pub v6: Vec<Ipv6Addr>,
 }
 
 /// Reason why no interface can be used for a link.
@@ -79,14 +79,14 @@ pub enum InterfaceError {
 impl InterfaceError {
     /// Whether the cause may be over in a moment, without a person: an interface that comes up, or its address. Several
     /// interfaces in place of one stay.
-    pub(crate) fn may_pass(&self) -> bool {
+    pub fn may_pass(&self) -> bool {
         !matches!(self, InterfaceError::Ambiguous { found: 1.., .. })
     }
 }
 
 impl Interface {
     /// Returns the addresses of a family.
-    pub(crate) fn addresses(&self, v6: bool) -> Vec<IpAddr> {
+    pub fn addresses(&self, v6: bool) -> Vec<IpAddr> {
         if v6 {
             self.v6.iter().copied().map(IpAddr::V6).collect()
         } else {
@@ -96,7 +96,7 @@ impl Interface {
 }
 
 /// Returns all network interfaces of this machine, sorted by name. Fails if the kernel does not list them.
-pub(crate) fn interfaces() -> Result<Vec<Interface>, InterfaceError> {
+pub fn interfaces() -> Result<Vec<Interface>, InterfaceError> {
     let mut all: BTreeMap<String, Interface> = BTreeMap::new();
     for address in getifaddrs().map_err(|errno| InterfaceError::Unknown(errno.to_string()))? {
         let name = address.interface_name;
@@ -137,7 +137,7 @@ fn known(all: &[Interface]) -> String {
 /// Returns the interface called `name` among `all`, or the only suitable one if `name` is `auto`; of several, that with
 /// the name `used`, which is in use already. It must be up and have an IPv6 address if `v6` is set, otherwise an IPv4
 /// address; an error says what is missing.
-pub(crate) fn find(all: &[Interface], name: &str, v6: bool, used: Option<&str>) -> Result<Interface, InterfaceError> {
+pub fn find(all: &[Interface], name: &str, v6: bool, used: Option<&str>) -> Result<Interface, InterfaceError> {
     let fits = |interface: &&Interface| interface.up && !interface.loopback && !interface.addresses(v6).is_empty();
     let known = || known(all);
     if name == AUTO {
@@ -170,7 +170,7 @@ pub(crate) fn find(all: &[Interface], name: &str, v6: bool, used: Option<&str>) 
 }
 
 /// Returns an address with the interface of this number as its scope if it is an IPv6 address of the link.
-pub(crate) fn within(at: SocketAddr, index: u32) -> SocketAddr {
+pub fn within(at: SocketAddr, index: u32) -> SocketAddr {
     match at {
         SocketAddr::V6(v6) if v6.ip().is_multicast() || v6.ip().is_unicast_link_local() => {
             SocketAddrV6::new(*v6.ip(), v6.port(), 0, index).into()

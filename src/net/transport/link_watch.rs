@@ -22,7 +22,7 @@ const PACE: Duration = Duration::from_millis(20);
 
 /// Interfaces that were removed since the last look, also if another of the same number has taken their place.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Removed {
+pub enum Removed {
     /// The interfaces with these numbers.
     Only(Vec<u32>),
     /// The kernel has dropped notices, so it may be any.
@@ -31,7 +31,7 @@ pub(super) enum Removed {
 
 impl Removed {
     /// Whether the interface with the number `index` was or may have been removed.
-    pub(super) fn has(&self, index: u32) -> bool {
+    pub fn has(&self, index: u32) -> bool {
         match self {
             Removed::Only(all) => all.contains(&index),
             Removed::Unknown => true,
@@ -41,18 +41,18 @@ impl Removed {
 
 /// Socket on which the kernel tells of changes of network interfaces. Without it, interfaces are only looked at
 /// periodically.
-pub(super) struct LinkWatch(Option<OwnedFd>);
+pub struct LinkWatch(Option<OwnedFd>);
 
 impl LinkWatch {
     /// Subscribes to the kernel's notices of this network namespace.
-    pub(super) fn open() -> LinkWatch {
+    pub fn open() -> LinkWatch {
         let flags = SockFlag::SOCK_CLOEXEC | SockFlag::SOCK_NONBLOCK;
         let open = socket(AddressFamily::Netlink, SockType::Raw, flags, SockProtocol::NetlinkRoute);
         LinkWatch(open.and_then(|fd| bind(fd.as_raw_fd(), &NetlinkAddr::new(0, GROUPS)).map(|()| fd)).ok())
     }
 
     /// Waits until the kernel tells of a change, at most for `longest`. Returns which interfaces were removed.
-    pub(super) fn wait(&self, longest: Duration) -> Removed {
+    pub fn wait(&self, longest: Duration) -> Removed {
         let Some(socket) = &self.0 else {
             thread::park_timeout(longest);
             return Removed::Only(Vec::new());

@@ -5,9 +5,9 @@
 //! The emulated link of one-process runs (`net/media/ether.rs`) takes the same [`In`].
 
 mod endpoint;
-mod flood;
+pub mod flood;
 pub mod interface;
-mod link_watch;
+pub mod link_watch;
 pub mod settings;
 pub mod udp;
 
