@@ -1,5 +1,5 @@
 //! The program `murmurate`: simulations, teams on one machine, records, studies, training, the lab and the live page,
-//! beside the commands of a robot (`crates/robot`). A command is a file here, and a line in [`Command`].
+//! beside the commands of a robot (`crates/robot`). A command is a file here, and a line in `Command`.
 
 // Doc comments of flags are help texts for a terminal, where [m] is a unit and <FILE> a name.
 #![allow(rustdoc::broken_intra_doc_links, rustdoc::invalid_html_tags)]

@@ -63,7 +63,7 @@ pub fn run(args: &Args) -> Result<Ended> {
         Temporary::new_in(folder, 0o600).map_err(|e| refuse(format!("{e}; choose a folder that can be written")))?;
     let digits: String = key.iter().map(|byte| format!("{byte:02x}")).collect();
     writeln!(file, "{digits}").and_then(|()| file.sync()).context("cannot write the key file")?;
-    let kept = if *force { file.replace(out) } else { file.add(out) };
+    let kept = if *force { file.replace(out) } else { file.place(out) };
     kept.map_err(|e| match e.kind() {
         ErrorKind::AlreadyExists => there(),
         _ => refuse(e.to_string()),

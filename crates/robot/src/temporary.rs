@@ -65,7 +65,7 @@ impl Temporary {
     }
 
     /// Gives the temporary file the name `path` in the same folder. Fails with `AlreadyExists` if there is such a file.
-    pub fn add(self, path: &Path) -> io::Result<()> {
+    pub fn place(self, path: &Path) -> io::Result<()> {
         // Unlike a rename, a hard link fails if the name exists.
         fs::hard_link(&self.path, path)
     }
@@ -112,8 +112,8 @@ mod tests {
         };
         drop(written("dropped"));
         assert_eq!(names(), Vec::<String>::new());
-        written("first").add(&path).unwrap();
-        assert_eq!(written("second").add(&path).unwrap_err().kind(), ErrorKind::AlreadyExists);
+        written("first").place(&path).unwrap();
+        assert_eq!(written("second").place(&path).unwrap_err().kind(), ErrorKind::AlreadyExists);
         assert_eq!(fs::read_to_string(&path).unwrap(), "first");
         written("third").replace(&path).unwrap();
         assert_eq!((fs::read_to_string(&path).unwrap(), names()), ("third".to_owned(), vec!["whole".to_owned()]));

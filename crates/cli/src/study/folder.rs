@@ -119,7 +119,7 @@ fn identify(folder: &Path, identity: &impl Serialize) -> std::io::Result<()> {
     let mut file = Temporary::new_in(folder, 0o666)?;
     file.write_all((serde_json::to_string_pretty(identity)? + "\n").as_bytes())?;
     file.sync()?;
-    match file.add(&folder.join(IDENTITY)) {
+    match file.place(&folder.join(IDENTITY)) {
         Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => Ok(()),
         added => added,
     }
