@@ -1,4 +1,4 @@
-//! Results of a run: episodes, summaries, tables, figures and pictures.
+//! Results of a run: episodes, counts, summaries and their tables. (Figures and pictures are in `crates/figures`.)
 
 pub mod ages;
 pub mod comparison;
