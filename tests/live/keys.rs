@@ -75,7 +75,7 @@ fn a_stop_with_a_key_for_a_team_without_one_says_so_and_an_absent_team_is_no_mat
     let said = keyed.fails(&["stop", &keyed.own]);
     assert!(said.contains("it has no key, but this machine has one"), "{said}");
     let nobody = keyed.fails(&["stop", &keyed.own, "--set", "team=787"]);
-    assert!(nobody.contains("nothing of this team is heard") && nobody.contains("go and look"), "{nobody}");
+    assert!(nobody.contains("nothing of this team is heard") && nobody.contains("look at the robot"), "{nobody}");
 }
 
 /// Process that is ended when the test is over.
