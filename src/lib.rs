@@ -8,10 +8,7 @@
 //! everywhere.
 //!
 //! # Modules in their order
-//! Each module may use those before it, never those after: `time`, `random`, `config`, `messages`, `actor`, `cells`,
-//! `chassis`; `hearing`, `faults`; `scenario`, `policy`, `world`, `safety`; `edge`, `drivers`, `estimation`,
-//! `localization`, `observers`; `net::protocol`, `net::transport`, `registry`, `net::media`; `report`; then [`actors`];
-//! `deploy`; `runtime`, which runs actors; `graph`, which connects them; `trial` and `live`. `tests/tidy.rs` checks it.
+//! Each module may use those before it in the table of ARCHITECTURE.md, never those after; `tests/tidy.rs` checks it.
 //! Training, records, the live page, studies and the command line are packages above this one.
 //!
 //! # Where to start reading

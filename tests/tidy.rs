@@ -43,62 +43,42 @@ fn library() -> Vec<Source> {
     packages().iter().flat_map(|folder| sources(folder)).collect()
 }
 
-fn sources(folder: &str) -> Vec<Source> {
+/// Returns the files at and below the paths `places` of the repository, sorted, with these endings. What a package
+/// contains by a link is left out: it is read where it is.
+fn files(places: &[&str], endings: &[&str]) -> Vec<Source> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut paths: Vec<PathBuf> = places.iter().map(|place| root.join(place)).collect();
     let mut found = Vec::new();
-    let mut folders = vec![root.join(folder)];
-    while let Some(folder) = folders.pop() {
-        let mut entries: Vec<PathBuf> = fs::read_dir(&folder)
-            .unwrap_or_else(|e| panic!("{}: {e}", folder.display()))
-            .map(|entry| entry.expect("a readable folder").path())
-            .collect();
-        entries.sort();
-        for path in entries {
-            if path.is_dir() {
-                folders.push(path);
-            } else if path.extension().is_some_and(|ending| ending == "rs") {
-                let relative = path.strip_prefix(root).expect("it is below the root");
-                let text = fs::read_to_string(&path).expect("source is text");
-                found.push(Source { path: relative.to_string_lossy().replace('\\', "/"), text });
-            }
+    while let Some(path) = paths.pop() {
+        let about = path.symlink_metadata().unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        if about.is_dir() {
+            let entries = fs::read_dir(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+            paths.extend(entries.map(|entry| entry.expect("a readable folder").path()));
+        } else if about.is_file() && path.extension().is_some_and(|ending| endings.iter().any(|one| ending == *one)) {
+            let relative = path.strip_prefix(root).expect("it is below the root");
+            let text = fs::read_to_string(&path).expect("source is text");
+            found.push(Source { path: relative.to_string_lossy().replace('\\', "/"), text });
         }
     }
+    found.sort_by(|one, other| one.path.cmp(&other.path));
+    found
+}
+
+fn sources(folder: &str) -> Vec<Source> {
+    let found = files(&[folder], &["rs"]);
     assert!(!found.is_empty(), "there is source in {folder}");
     found
 }
 
-/// Rooms of the library at the root, each after those that it may use. Manifests keep the order of the packages.
-const ROOMS: [&str; 27] = [
-    "time",
-    "random",
-    "config",
-    "messages",
-    "actor",
-    "cells",
-    "chassis",
-    "hearing",
-    "faults",
-    "scenario",
-    "policy",
-    "world",
-    "safety",
-    "edge",
-    "drivers",
-    "estimation",
-    "localization",
-    "observers",
-    "net::protocol",
-    "net::transport",
-    "registry",
-    "net::media",
-    "report",
-    "actors",
-    "deploy",
-    "runtime",
-    "graph",
-];
-/// Rooms above all of [`ROOMS`], which run what is wired.
-const RUNS: [&str; 2] = ["trial", "live"];
+/// Returns the rooms of the library at the root, each after those that it may use: the table of ARCHITECTURE.md. The
+/// order of the packages is kept by their manifests.
+fn rooms() -> Vec<String> {
+    let page = files(&["ARCHITECTURE.md"], &["md"]).remove(0).text;
+    let (_, table) = page.split_once("| rooms | what they hold |").expect("a table of rooms");
+    let rows = table.lines().skip(2).take_while(|line| line.starts_with("| `"));
+    let cells = rows.filter_map(|row| row.split('|').nth(1));
+    cells.flat_map(|cell| cell.split('`').skip(1).step_by(2)).map(str::to_owned).collect()
+}
 
 /// Files with nothing but declarations of their submodules, or a call into one.
 const DOORS: [&str; 3] = ["murmurate::bin::murmurate", "murmurate", "murmurate::net"];
@@ -240,22 +220,24 @@ fn uses_are_found_in_lists_and_not_in_comments() {
 }
 
 /// Returns the index of the room of a module of the library; `None` for one of another package.
-fn room(module: &str) -> Option<usize> {
+fn room(rooms: &[String], module: &str) -> Option<usize> {
     let module = module.strip_prefix("murmurate::")?;
     let within = |room: &str| module == room || module.starts_with(&format!("{room}::"));
-    let rooms = || ROOMS.iter().chain(&RUNS).enumerate();
-    rooms().filter(|(_, room)| within(room)).max_by_key(|(_, room)| room.len()).map(|(at, _)| at)
+    let all = rooms.iter().enumerate().filter(|(_, room)| within(room));
+    all.max_by_key(|(_, room)| room.len()).map(|(at, _)| at)
 }
 
 #[test]
 fn no_room_uses_one_that_comes_after_it() {
-    let mut uses = 0;
+    let (mut uses, rooms) = (0, rooms());
+    assert!(rooms.len() > 20, "{rooms:?}");
     let modules = modules();
     let library = modules.iter().filter(|module| module.name.starts_with("murmurate::"));
     for module in library.filter(|module| !DOORS.contains(&module.name.as_str())) {
-        let own = room(&module.name).unwrap_or_else(|| panic!("{} is in no room; add it to ROOMS", module.name));
+        let own =
+            room(&rooms, &module.name).unwrap_or_else(|| panic!("ARCHITECTURE.md has no room for {}", module.name));
         for used in &module.uses {
-            let Some(other) = room(used) else { continue };
+            let Some(other) = room(&rooms, used) else { continue };
             uses += 1;
             assert!(other <= own, "{} uses {used}, which comes after it", module.name);
         }
@@ -426,55 +408,52 @@ fn files_have_a_description_and_a_readable_size() {
     }
 }
 
-/// Returns the files of the repository with these endings, below its folders of text.
-fn texts(endings: &[&str]) -> Vec<(String, String)> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let mut found = Vec::new();
-    let mut folders: Vec<PathBuf> =
-        ["src", "crates", "tests", "benches", "examples", "docs"].map(|folder| root.join(folder)).to_vec();
-    let top =
-        ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md"].map(|name| root.join(name));
-    let mut files: Vec<PathBuf> = top.to_vec();
-    while let Some(folder) = folders.pop() {
-        for entry in fs::read_dir(&folder).expect("a folder of the repository") {
-            let path = entry.expect("a readable folder").path();
-            // What a package contains by a link is read where it is.
-            match path.symlink_metadata() {
-                Ok(what) if what.is_dir() => folders.push(path),
-                Ok(what) if what.is_file() => files.push(path),
-                _ => {}
-            }
-        }
+#[test]
+fn the_digest_of_the_program_has_that_of_every_package() {
+    let program = files(&["crates/cli/src/lib.rs"], &["rs"]).remove(0).text;
+    for package in packages().iter().filter_map(|folder| folder.strip_prefix("crates/")?.strip_suffix("/src")) {
+        // Its own is in a variable; that of the digest itself is of no run.
+        let named = program.contains(&format!("murmurate_{package}::DIGEST"));
+        assert!(named || ["cli", "digest"].contains(&package), "DIGESTS lacks {package}");
     }
-    for path in files {
-        if path.extension().is_none_or(|ending| endings.iter().any(|one| ending == *one)) {
-            let relative = path.strip_prefix(root).expect("it is below the root").to_string_lossy().replace('\\', "/");
-            found.extend(fs::read_to_string(&path).ok().map(|text| (relative, text)));
-        }
-    }
-    found
+}
+
+/// Returns the files of this repository that a line of text names. `yours` in a path stands for a user's own.
+fn paths_in(line: &str) -> impl Iterator<Item = &str> {
+    let word = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
+    let words = line.split(move |c: char| !word(c)).map(|path| path.trim_end_matches(['.', '/']));
+    let folders = ["src/", "crates/", "tests/", "benches/", "docs/", "policies/", "teams/", "packaging/"];
+    let ours = move |path: &&str| folders.iter().any(|folder| path.starts_with(folder)) && !path.contains("yours");
+    let whole = |path: &&str| [".rs", ".md", ".toml", ".py", ".sh"].iter().any(|ending| path.ends_with(ending));
+    words.filter(ours).filter(whole)
 }
 
 #[test]
 fn paths_that_comments_and_pages_name_are_there() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let (mut seen, mut absent) = (0, Vec::new());
-    for (file, text) in texts(&["rs", "md"]).into_iter().filter(|(file, _)| file != "tests/tidy.rs") {
-        // The paths of a package of another's own, in an example, are not this repository's.
+    let places = [
+        "src",
+        "crates",
+        "tests",
+        "benches",
+        "examples",
+        "docs",
+        "README.md",
+        "ARCHITECTURE.md",
+        "CONTRIBUTING.md",
+        "CHANGELOG.md",
+        "SECURITY.md",
+    ];
+    for Source { path: file, text } in files(&places, &["rs", "md"]) {
+        if file == "tests/tidy.rs" {
+            continue;
+        }
         let commented = |line: &&str| !file.ends_with(".rs") || line.trim_start().starts_with("//");
-        for line in text.lines().filter(commented) {
-            let word = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
-            for path in line.split(|c: char| !word(c)).map(|path| path.trim_end_matches(['.', '/'])) {
-                let ours = ["src/", "crates/", "tests/", "benches/", "docs/", "policies/", "teams/", "packaging/"];
-                let named = ours.iter().any(|folder| path.starts_with(folder));
-                let whole =
-                    path.rsplit_once('.').is_some_and(|(_, ending)| ["rs", "md", "toml", "py", "sh"].contains(&ending));
-                if named && whole && !path.contains("yours") {
-                    seen += 1;
-                    if !root.join(path).exists() {
-                        absent.push(format!("{file} names {path}"));
-                    }
-                }
+        for path in text.lines().filter(commented).flat_map(paths_in) {
+            seen += 1;
+            if !root.join(path).exists() {
+                absent.push(format!("{file} names {path}"));
             }
         }
     }

@@ -21,11 +21,11 @@ use crate::scenario::{Dynamics, Observation, Scenario};
 use crate::time::{Span, Time};
 
 /// Largest distance between a robot and its start at which the robot counts as ready for the episode \[m\].
-pub(crate) const START_M: f32 = 0.05;
+pub const START_M: f32 = 0.05;
 
 /// Time from the start of a round (reset or episode) during which an Agent reports no robot as arrived, because its
 /// percept may still come from the round before.
-pub(crate) const SETTLING: Span = Span::from_millis(300);
+pub const SETTLING: Span = Span::from_millis(300);
 
 /// Input message of an Agent, the actor that runs the policy of one or more robots.
 #[derive(Clone, Debug)]
@@ -46,19 +46,19 @@ pub enum Out {
 }
 
 /// Policies with which an Agent drives one of its robots, and the random streams of that robot.
-pub(crate) struct RobotPolicies {
+pub struct RobotPolicies {
     /// Robot that the policies control.
-    pub(crate) robot: RobotId,
+    pub robot: RobotId,
     /// How the robot follows the velocities that the policies command; a part of their observation.
-    pub(crate) dynamics: Dynamics,
+    pub dynamics: Dynamics,
     /// Policy under test, used in running episodes.
-    pub(crate) run: Box<dyn Policy>,
+    pub run: Box<dyn Policy>,
     /// Policy that drives the robot to its start in a reset.
-    pub(crate) reset: Box<dyn Policy>,
+    pub reset: Box<dyn Policy>,
     /// Random stream from which both policies sample their actions.
-    pub(crate) actions: Stream,
+    pub actions: Stream,
     /// Random stream of the communication ranges between this robot and the others of the same Agent.
-    pub(crate) ranges: Stream,
+    pub ranges: Stream,
 }
 
 impl RobotPolicies {
@@ -114,7 +114,7 @@ impl Slot {
 
 /// Agent: the actor that computes the latents (policy messages) and actions of one or more robots from their percepts,
 /// with their policies.
-pub(crate) struct Agent {
+pub struct Agent {
     scenario: Arc<dyn Scenario>,
     range: CommRange,
     /// Longest wait of a joint step for the last percept. After it, the step runs without the missing robots.
@@ -143,12 +143,7 @@ impl Agent {
     /// Creates an Agent of the robots in `robots`; panics if they are not in the order of their ids. `scenario` defines
     /// what a policy observes, `range` is the communication range between two robots of this Agent, and `max_wait` the
     /// longest time for which a joint step waits for late percepts.
-    pub(crate) fn new(
-        scenario: Arc<dyn Scenario>,
-        range: CommRange,
-        max_wait: Span,
-        robots: Vec<RobotPolicies>,
-    ) -> Agent {
+    pub fn new(scenario: Arc<dyn Scenario>, range: CommRange, max_wait: Span, robots: Vec<RobotPolicies>) -> Agent {
         assert!(robots.is_sorted_by_key(|policies| policies.robot), "sums run over robots in the order of their ids");
         Agent {
             scenario,

@@ -67,7 +67,7 @@ pub enum Out {
 
 /// Body: the actor that passes velocity commands to the driver of one robot, and stops the robot when they expire or
 /// are not permitted.
-pub(crate) struct Body {
+pub struct Body {
     robot: RobotId,
     /// Host of the Body.
     host: HostId,
@@ -95,7 +95,7 @@ pub(crate) struct Body {
 
 impl Body {
     /// Creates the Body of a robot on a host, at rest, with the driver that moves the robot and the robot's chassis.
-    pub(crate) fn new((host, robot): (HostId, RobotId), driver: Box<dyn Driver>, chassis: Chassis) -> Body {
+    pub fn new((host, robot): (HostId, RobotId), driver: Box<dyn Driver>, chassis: Chassis) -> Body {
         Body {
             robot,
             host,
@@ -115,7 +115,7 @@ impl Body {
     }
 
     /// Returns the Body with its limits of battery and temperature set to `limits`.
-    pub(crate) fn limited(self, limits: HardwareLimits) -> Body {
+    pub fn limited(self, limits: HardwareLimits) -> Body {
         Body { hardware: HardwareWatch::new(limits), ..self }
     }
 

@@ -9,7 +9,7 @@ use crate::report::episode::AbortCause;
 use crate::time::{Span, Time};
 
 /// Time without a message that a robot's pose is unknown after which it counts as known: five of their periods.
-pub(crate) const LOST_FOR: Span = Span::from_millis(1000);
+pub const LOST_FOR: Span = Span::from_millis(1000);
 
 /// Robots whose poses are unknown, each with the reason and the arrival of the last message about it.
 #[derive(Debug, Default)]

@@ -15,35 +15,35 @@ use crate::time::Span;
 #[derive(Clone, Copy)]
 pub(super) struct SharedData {
     /// Id of the robot.
-    pub(crate) robot: RobotId,
+    pub robot: RobotId,
     /// Estimate of the robot's position \[m\] and velocity \[m/s\] in the world frame.
-    pub(crate) motion: Motion,
+    pub motion: Motion,
     /// Start and end of the robot's latent features within the list of all latents of the Agent's current step; `None`
     /// if the robot broadcasts nothing.
-    pub(crate) features: Option<[u32; 2]>,
+    pub features: Option<[u32; 2]>,
 }
 
 /// Data of an Agent's current step that decide which messages the policy of one robot gets.
 pub(super) struct Step<'a> {
     /// Communication range between the robots of the Agent.
-    pub(crate) range: CommRange,
+    pub range: CommRange,
     /// Round that the Agent follows; messages that were sent in another round are not used.
-    pub(crate) round: Round,
+    pub round: Round,
     /// Phase of the episode that the Agent follows; messages that were sent in another phase are not used.
     pub phase: Phase,
     /// Number of floats in a latent of the policy; messages of another length are not used.
-    pub(crate) width: usize,
+    pub width: usize,
     /// Policy frame of the robot, into which neighbours' motions are rotated.
-    pub(crate) frame: Frame,
+    pub frame: Frame,
     /// Latent features of the Agent's robots, one after the other.
-    pub(crate) shared: &'a [f32],
+    pub shared: &'a [f32],
 }
 
 impl<'a> Step<'a> {
     /// Returns the neighbours of the robot with this percept, in the order of their ids: the senders of usable messages
     /// in its percept, and those of `companions`, robots of the same Agent, that are within the communication range. A
     /// random range is drawn from `ranges`.
-    pub(crate) fn neighbours(
+    pub fn neighbours(
         &self,
         percept: &'a Percept,
         companions: impl Iterator<Item = SharedData>,

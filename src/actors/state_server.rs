@@ -23,17 +23,17 @@ use crate::time::{Span, Time};
 use crate::world::Placement;
 
 /// Period at which the state server decides whether to enter another phase: one step of a World.
-pub(crate) const TICK: Span = Span::from_millis(50);
+pub const TICK: Span = Span::from_millis(50);
 /// Period at which an unchanged instruction is repeated, with the tasks of 64 robots in turn if the team is larger.
-pub(crate) const MODE_PERIOD: Span = Span::from_millis(100);
+pub const MODE_PERIOD: Span = Span::from_millis(100);
 /// Number of times that a new instruction is sent with the tasks of all robots, in case copies are lost.
-pub(crate) const NEW_MODE_REPEATS: u32 = 3;
+pub const NEW_MODE_REPEATS: u32 = 3;
 /// Longest wait for missing robots at the start and after an aborted episode; then the team continues without them.
-pub(crate) const MUSTER_LIMIT: Span = Span::from_millis(10_000);
+pub const MUSTER_LIMIT: Span = Span::from_millis(10_000);
 /// Longest duration of a reset; after it, the reset has failed.
-pub(crate) const RESET_LIMIT: Span = Span::from_millis(60_000);
+pub const RESET_LIMIT: Span = Span::from_millis(60_000);
 /// Time by which an episode may exceed its longest duration before it is aborted: heartbeats may be late.
-pub(crate) const GRACE: Span = Span::from_millis(500);
+pub const GRACE: Span = Span::from_millis(500);
 
 /// Input message of a state server, the actor that leads the episodes of a team.
 #[derive(Clone, Debug)]
@@ -65,24 +65,24 @@ pub enum Out {
 #[derive(Clone, Debug)]
 pub struct Config {
     /// Starts and goals of all episodes of the trial, in order.
-    pub(crate) layouts: Layouts,
+    pub layouts: Layouts,
     /// Index of this trial among the repeats of the experiment, from zero.
-    pub(crate) repeat: u32,
+    pub repeat: u32,
     /// Whether robots are placed at their starts before an episode, or drive there.
-    pub(crate) placement: Placement,
+    pub placement: Placement,
     /// Longest duration of an episode, after which it is aborted.
-    pub(crate) limit: Span,
+    pub limit: Span,
     /// Way in which an episode ends if it is not aborted.
-    pub(crate) ending: Ending,
+    pub ending: Ending,
     /// For each host, by its id: the robots whose Agents or Bodies it runs, or which it measures.
-    pub(crate) hosts: Vec<Vec<RobotId>>,
+    pub hosts: Vec<Vec<RobotId>>,
     /// Robots that no World simulates, in ascending order of ids. They reach their starts only by driving or by hand.
-    pub(crate) real: Vec<RobotId>,
+    pub real: Vec<RobotId>,
 }
 
 /// State server: the actor that decides when resets and episodes begin and end, and sends instructions to robots.
 #[derive(Debug)]
-pub(crate) struct StateServer {
+pub struct StateServer {
     config: Config,
     roster: Roster,
     /// Number of this incarnation of the server; each later one begins with a higher term.
@@ -112,7 +112,7 @@ pub(crate) struct StateServer {
 
 impl StateServer {
     /// Creates a state server of `robots` robots. `incarnation` counts its starts within the process, from 1.
-    pub(crate) fn new(config: Config, robots: usize, incarnation: u32) -> StateServer {
+    pub fn new(config: Config, robots: usize, incarnation: u32) -> StateServer {
         StateServer {
             config,
             roster: Roster::new(robots),

@@ -76,11 +76,11 @@ pub enum In {
 #[derive(Clone, Debug)]
 pub struct Config {
     /// Host whose state the actor reports.
-    pub(crate) host: HostId,
+    pub host: HostId,
     /// Robots whose Controllers run on this host.
-    pub(crate) controllers: Vec<RobotId>,
+    pub controllers: Vec<RobotId>,
     /// Robots whose Bodies run on this host.
-    pub(crate) bodies: Vec<RobotId>,
+    pub bodies: Vec<RobotId>,
 }
 
 /// Value that a Status has received, with its arrival time.
@@ -137,7 +137,7 @@ pub struct Status {
 
 impl Status {
     /// Creates a Status that has received nothing yet.
-    pub(crate) fn new(config: &Config) -> Status {
+    pub fn new(config: &Config) -> Status {
         let robots: BTreeSet<RobotId> = config.controllers.iter().chain(&config.bodies).copied().collect();
         Status {
             host: config.host,

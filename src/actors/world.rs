@@ -52,7 +52,7 @@ pub enum Out {
 
 /// State that survives a crash of the World actor: the plant (simulator), and the round for which each robot was last
 /// placed. Without a running World the plant does not advance.
-pub(crate) struct PersistentPlant {
+pub struct PersistentPlant {
     plant: Box<dyn Plant>,
     placed: Vec<Round>,
     /// Round and phase of the last instruction.
@@ -63,14 +63,14 @@ pub(crate) struct PersistentPlant {
 
 impl PersistentPlant {
     /// Wraps a plant in which no robot was placed at a start yet.
-    pub(crate) fn new(plant: Box<dyn Plant>) -> PersistentPlant {
+    pub fn new(plant: Box<dyn Plant>) -> PersistentPlant {
         let placed = vec![Round::default(); plant.states().len()];
         PersistentPlant { plant, placed, last_mode: (Round::default(), Phase::NeedReset), repair_from: None }
     }
 }
 
 /// World: the actor that steps the plant (simulator) of all or some robots of a team, and publishes their true states.
-pub(crate) struct World {
+pub struct World {
     persistent: Rc<RefCell<PersistentPlant>>,
     scenario: Arc<dyn Scenario>,
     period: Span,
@@ -118,7 +118,7 @@ impl World {
     /// Creates a World that simulates `robots`; `others` stand where their readings say. Both are in the order of their
     /// ids. The plant holds the robots first, then the others, in the same order. `scenario` gives the velocities with
     /// which placed robots start.
-    pub(crate) fn new(
+    pub fn new(
         persistent: Rc<RefCell<PersistentPlant>>,
         scenario: Arc<dyn Scenario>,
         placement: Placement,

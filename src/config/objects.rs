@@ -18,7 +18,7 @@ const NO_WORD: &str = "?";
 
 /// Parses the JSON text of an object. An error is one line: the path of the wrong field with dots (`hops.0.heads`), its
 /// value, and what is expected.
-pub(crate) fn parse<T: DeserializeOwned>(text: &str) -> Result<T, String> {
+pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     let whole: Value = serde_json::from_str(text).map_err(|error| not_json(text, &error))?;
     // From the text and not from the parsed value, in which a field that is there twice would be there once.
     let mut reader = serde_json::Deserializer::from_str(text);
@@ -32,7 +32,7 @@ pub(crate) fn parse<T: DeserializeOwned>(text: &str) -> Result<T, String> {
 }
 
 /// Returns the value of a field as an error shows it: JSON, short, and without a team key.
-pub(crate) fn shown(value: &Value) -> String {
+pub fn shown(value: &Value) -> String {
     let text = redacted(&value.to_string()).into_owned();
     match text.char_indices().nth(SHOWN_VALUE) {
         Some((end, _)) => format!("{}...", &text[..end]),

@@ -17,7 +17,7 @@ impl Deployment {
 
     /// Returns the host that judges episodes: the one whose World simulates all robots, or else that of the state
     /// server, which then receives all readings. Panics without a state server, which [`Deployment::check`] excludes.
-    pub(crate) fn judge(&self) -> HostId {
+    pub fn judge(&self) -> HostId {
         let judges = |host: &Host| match self.judged() {
             Judged::Truth => host.simulates.len() == self.robots,
             Judged::Readings => host.state_server,
@@ -28,7 +28,7 @@ impl Deployment {
 
     /// Returns the host that judges episodes from readings, and so receives those of all robots; `None` if true states
     /// are judged.
-    pub(crate) fn judge_of_readings(&self) -> Option<HostId> {
+    pub fn judge_of_readings(&self) -> Option<HostId> {
         (self.judged() == Judged::Readings).then(|| self.judge())
     }
 

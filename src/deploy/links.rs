@@ -45,7 +45,7 @@ impl Link {
     }
 
     /// Returns the emulated impairment of the link's frames: delay, loss, and the kinds of messages that they apply to.
-    pub(crate) fn impairment(&self) -> Impairment {
+    pub fn impairment(&self) -> Impairment {
         Impairment { delay: Span::from_secs(self.delay_s), loss: self.loss, kinds: self.impairs.clone() }
     }
 }

@@ -163,7 +163,7 @@ impl Routes {
     }
 
     /// Returns the robots whose Agents or Bodies the host with this index runs, or which it measures.
-    pub(crate) fn robots_of(&self, host: usize) -> &[RobotId] {
+    pub fn robots_of(&self, host: usize) -> &[RobotId] {
         &self.robots_of[host]
     }
 
@@ -178,17 +178,17 @@ impl Routes {
     }
 
     /// Returns the host that drives the robot's motors.
-    pub(crate) fn actuator_host(&self, robot: RobotId) -> HostId {
+    pub fn actuator_host(&self, robot: RobotId) -> HostId {
         self.actuator_host[robot.index()]
     }
 
     /// Returns the host whose Localizer publishes the robot's readings.
-    pub(crate) fn localizer_host(&self, robot: RobotId) -> HostId {
+    pub fn localizer_host(&self, robot: RobotId) -> HostId {
         self.localizer_host[robot.index()]
     }
 
     /// Returns the host whose World simulates the robot; `None` for a real robot.
-    pub(crate) fn world_host(&self, robot: RobotId) -> Option<HostId> {
+    pub fn world_host(&self, robot: RobotId) -> Option<HostId> {
         self.world_host[robot.index()]
     }
 
@@ -198,7 +198,7 @@ impl Routes {
     }
 
     /// Returns all robots of the Agent that drives `robot`, including `robot`, in the order of their ids.
-    pub(crate) fn agent_robots(&self, robot: RobotId) -> &[RobotId] {
+    pub fn agent_robots(&self, robot: RobotId) -> &[RobotId] {
         &self.agent_robots[robot.index()]
     }
 
@@ -213,7 +213,7 @@ impl Routes {
     }
 
     /// Whether messages of this kind are sent from one host to another in this deployment.
-    pub(crate) fn crosses(&self, kind: Kind) -> bool {
+    pub fn crosses(&self, kind: Kind) -> bool {
         RobotId::team(self.robots).any(|robot| {
             let from = self.publisher(kind, robot);
             // Messages that any host may publish cross hosts if there is more than one host.
@@ -222,7 +222,7 @@ impl Routes {
     }
 
     /// Whether `host` exchanges messages of this kind with other hosts.
-    pub(crate) fn exchanges(&self, host: HostId, kind: Kind) -> bool {
+    pub fn exchanges(&self, host: HostId, kind: Kind) -> bool {
         RobotId::team(self.robots).any(|robot| {
             let (from, receivers) = (self.publisher(kind, robot), self.receivers(kind, robot));
             let sends = from.is_none_or(|from| from == host) && receivers.iter().any(|to| to != host);

@@ -19,7 +19,7 @@ use crate::messages::wire::{Celsius, Hardware, Health, Reason};
 use crate::time::Time;
 
 /// Description of the driver in one line, for lists of all drivers.
-pub(crate) const ABOUT: &str = "a program of yours: JSON lines on its stdin and stdout";
+pub const ABOUT: &str = "a program of yours: JSON lines on its stdin and stdout";
 
 /// Settings in the team file of the driver that runs a user's program.
 #[derive(Clone, Debug, Deserialize)]
@@ -72,7 +72,7 @@ struct Lines {
 }
 
 /// Makes the driver that controls `robot` through a user's program, and its worker; an error names the wrong setting.
-pub(crate) fn make(settings: &Settings, robot: RobotId) -> Result<Parts, ConfigError> {
+pub fn make(settings: &Settings, robot: RobotId) -> Result<Parts, ConfigError> {
     let config: Config = settings.read()?;
     if config.command.is_empty() {
         return Err(ConfigError::field("command", "it is empty; name a program and its arguments".to_owned()));

@@ -46,9 +46,9 @@ static STARTED: AtomicU32 = AtomicU32::new(0);
 /// Worker that runs a user's program as a child process and exchanges packets with it, one a line, over stdin and
 /// stdout.
 #[derive(Clone, Debug)]
-pub(crate) struct Program {
+pub struct Program {
     /// The program file, followed by its arguments.
-    pub(crate) command: Vec<String>,
+    pub command: Vec<String>,
 }
 
 impl Worker for Program {

@@ -7,7 +7,7 @@ use std::os::unix::net::{SocketAddr, UnixDatagram};
 /// Lock on a resource that only one process of this machine may use. The kernel releases it when the process ends,
 /// however it ends. Processes in different network namespaces do not exclude each other.
 #[derive(Debug)]
-pub(crate) struct Exclusive {
+pub struct Exclusive {
     /// Socket that is bound to an abstract name made from the resource's description. It receives nothing.
     _name: UnixDatagram,
 }
@@ -15,7 +15,7 @@ pub(crate) struct Exclusive {
 impl Exclusive {
     /// Locks the resource with this description, such as the network address of a robot. Returns `None` if another
     /// process, or this one, has locked it.
-    pub(crate) fn lock(resource: &str) -> io::Result<Option<Exclusive>> {
+    pub fn lock(resource: &str) -> io::Result<Option<Exclusive>> {
         // A digest, since an abstract name has at most 107 bytes.
         let name = format!("murmurate/{}", blake3::hash(resource.as_bytes()).to_hex());
         match UnixDatagram::bind_addr(&SocketAddr::from_abstract_name(name)?) {

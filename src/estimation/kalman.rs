@@ -75,7 +75,7 @@ struct Kalman {
 }
 
 /// Makes a Kalman filter that has received no reading yet. `settings` has the known delay of readings.
-pub(crate) fn make(settings: &Settings) -> Box<dyn Estimator> {
+pub fn make(settings: &Settings) -> Box<dyn Estimator> {
     Box::new(Kalman { delay: settings.delay.as_secs(), state: None, offset: None, outlier: None })
 }
 

@@ -9,7 +9,7 @@ use crate::time::Time;
 struct Last(Option<Motion>);
 
 /// Makes an estimator that returns the last reading unchanged, and has received none yet. It has no settings.
-pub(crate) fn make(_: &Settings) -> Box<dyn Estimator> {
+pub fn make(_: &Settings) -> Box<dyn Estimator> {
     Box::<Last>::default()
 }
 

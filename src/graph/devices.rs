@@ -74,6 +74,10 @@ impl Observed {
     pub(crate) fn hear(&self, now: Time, message: &Wire) {
         let (mut packets, mut gate) = (Vec::new(), self.gate.borrow_mut());
         self.observer.borrow_mut().hear(now, message, &mut packets);
+        // To look for the worker's answers is a system call, which most messages are not worth.
+        if packets.is_empty() {
+            return;
+        }
         packets.into_iter().for_each(|packet| gate.send(packet));
         gate.take(|_| {});
     }

@@ -21,21 +21,21 @@ use crate::runtime::real::Readers;
 /// Identity, links and devices of one host that runs as a process of its own, opened and ready to start.
 pub struct Host {
     /// Id of the host: its index in the deployment.
-    pub(crate) id: HostId,
+    pub id: HostId,
     /// Number of the team, which keeps teams on the same network apart.
-    pub(crate) team: u16,
+    pub team: u16,
     /// Incarnation: random number that distinguishes successive processes of the same host.
-    pub(crate) incarnation: u32,
+    pub incarnation: u32,
     /// Seed of the random streams of the host's link layer, drawn from the operating system.
-    pub(crate) secret: Seed,
+    pub secret: Seed,
     /// Key that authenticates the team's datagrams; `None` only if no link leaves this machine.
-    pub(crate) key: Option<Key>,
+    pub key: Option<Key>,
     /// Setup of each link, in the order of the deployment; `None` for a link in which the host does not take part.
-    pub(crate) links: Vec<Option<Setup>>,
+    pub links: Vec<Option<Setup>>,
     /// Drivers and source of readings of the host's robots.
-    pub(crate) devices: Devices,
+    pub devices: Devices,
     /// Open transports, each with its link; a link that is used on several network interfaces has several.
-    pub(crate) transports: Vec<(LinkId, Box<dyn Transport>)>,
+    pub transports: Vec<(LinkId, Box<dyn Transport>)>,
 }
 
 /// Creates and connects the actors of one host of a team. The event loop that watches `readers` runs them in real time.
@@ -44,7 +44,7 @@ pub struct Host {
 /// event loop watches. `plan` has the settings of the whole team, `host` the identity, links and devices of this host.
 /// `report` is called with each event of the process (see [`ProcessEvent`]), `output` with results of episodes, on the
 /// host that judges them. The returned graph has the mailboxes of all actors.
-pub(crate) fn wire(
+pub fn wire(
     (clock, readers): (&Clock, &mut Readers),
     plan: Plan,
     host: Host,

@@ -7,15 +7,15 @@ use crate::messages::geometry::rotated;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct State {
     /// Position \[m, m\] and heading \[rad\].
-    pub(crate) pose: [f64; 3],
+    pub pose: [f64; 3],
     /// Covariance of the pose.
-    pub(crate) covariance: [[f64; 3]; 3],
+    pub covariance: [[f64; 3]; 3],
 }
 
 impl State {
     /// Returns a pose of which nothing is known but what was measured or said: with the standard deviations
     /// `position_m` \[m\] and `heading_rad` \[rad\].
-    pub(crate) fn at(pose: [f64; 3], position_m: f64, heading_rad: f64) -> State {
+    pub fn at(pose: [f64; 3], position_m: f64, heading_rad: f64) -> State {
         let mut covariance = [[0.0; 3]; 3];
         for (at, deviation) in [position_m, position_m, heading_rad].into_iter().enumerate() {
             covariance[at][at] = deviation * deviation;
@@ -24,13 +24,13 @@ impl State {
     }
 
     /// Increases the variances by the squares of these deviations \[m, m, rad\].
-    pub(crate) fn doubt(&mut self, deviations: [f64; 3]) {
+    pub fn doubt(&mut self, deviations: [f64; 3]) {
         (0..3).for_each(|at| self.covariance[at][at] += deviations[at] * deviations[at]);
     }
 
     /// Moves the pose by a motion in the robot's own frame (ahead, left, turn) \[m, m, rad\], and increases the
     /// covariance by the error `drift` of the odometry.
-    pub(crate) fn advance(&mut self, [ahead, left, turn]: [f64; 3], drift: f64) {
+    pub fn advance(&mut self, [ahead, left, turn]: [f64; 3], drift: f64) {
         let [x, y, heading] = self.pose;
         // At half the turn, as on an arc.
         let (dx, dy) = rotated(heading + turn / 2.0, ahead, left);
@@ -64,14 +64,14 @@ impl State {
 
     /// Returns the squared Mahalanobis distance of `error`, the difference \[m\] between a measured and the estimated
     /// position. `variance` is that of the measurement \[m²\].
-    pub(crate) fn distance(&self, error: [f64; 2], variance: f64) -> f64 {
+    pub fn distance(&self, error: [f64; 2], variance: f64) -> f64 {
         let s = self.information(variance);
         (0..2).map(|row| (0..2).map(|column| error[row] * s[row][column] * error[column]).sum::<f64>()).sum()
     }
 
     /// Corrects the pose by a measured position. `error` is its difference from the estimate \[m\], and `variance` that
     /// of the measurement \[m²\].
-    pub(crate) fn correct_position(&mut self, error: [f64; 2], variance: f64) {
+    pub fn correct_position(&mut self, error: [f64; 2], variance: f64) {
         let (s, p) = (self.information(variance), self.covariance);
         let gain: [[f64; 2]; 3] =
             std::array::from_fn(|row| std::array::from_fn(|at| p[row][0] * s[0][at] + p[row][1] * s[1][at]));
@@ -82,7 +82,7 @@ impl State {
 
     /// Corrects the pose by a measured heading. `error` is its difference from the estimate \[rad\], and `variance`
     /// that of the measurement \[rad²\].
-    pub(crate) fn correct_heading(&mut self, error: f64, variance: f64) {
+    pub fn correct_heading(&mut self, error: f64, variance: f64) {
         let p = self.covariance;
         let gain: [f64; 3] = std::array::from_fn(|row| p[row][2] / (p[2][2] + variance));
         self.pose = std::array::from_fn(|at| self.pose[at] + gain[at] * error);

@@ -105,7 +105,7 @@ impl Config {
 /// # Errors
 ///
 /// Returns the error of `source`, or the name of a wrong setting in the table `fuse`.
-pub(crate) fn make(
+pub fn make(
     settings: &Settings,
     robots: &[RobotId],
     source: impl FnOnce(&Settings, &[RobotId]) -> Result<Parts, ConfigError>,

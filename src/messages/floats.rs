@@ -184,12 +184,12 @@ pub(super) mod vec2 {
     use super::*;
 
     /// Encodes a vector as 8 bytes: x, then y, as little-endian f32.
-    pub(crate) fn serialize<S: Serializer>(v: &Vec2, s: S) -> Result<S::Ok, S::Error> {
+    pub fn serialize<S: Serializer>(v: &Vec2, s: S) -> Result<S::Ok, S::Error> {
         write(v, s)
     }
 
     /// Decodes a vector from 8 bytes: x, then y, as little-endian f32.
-    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<Vec2, D::Error> {
+    pub fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<Vec2, D::Error> {
         read(d)
     }
 }
@@ -199,7 +199,7 @@ pub(super) mod tasks {
     use super::*;
 
     /// Encodes a list of tasks as 16 bytes each: start x and y, goal x and y \[m\], as little-endian f32.
-    pub(crate) fn serialize<S: Serializer>(tasks: &Arc<[Task]>, s: S) -> Result<S::Ok, S::Error> {
+    pub fn serialize<S: Serializer>(tasks: &Arc<[Task]>, s: S) -> Result<S::Ok, S::Error> {
         let floats = |task: &Task| [task.start.x, task.start.y, task.goal.x, task.goal.y];
         let bytes: Vec<[u8; 4]> = tasks.iter().flat_map(floats).map(f32::to_le_bytes).collect();
         s.serialize_bytes(bytes.as_flattened())
@@ -207,7 +207,7 @@ pub(super) mod tasks {
 
     /// Decodes a list of tasks from 16 bytes each: start x and y, goal x and y \[m\], as little-endian f32. Fails if
     /// the length is no multiple of 16 bytes.
-    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<Arc<[Task]>, D::Error> {
+    pub fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<Arc<[Task]>, D::Error> {
         let parse = |bytes: &[u8]| {
             bytes.len().is_multiple_of(16).then(|| {
                 bytes

@@ -34,26 +34,26 @@ const TYPES: [(&str, usize); 15] = [
 ];
 
 /// Name of the data type of 32-bit floats in a safetensors file.
-pub(crate) const F32: &str = "F32";
+pub const F32: &str = "F32";
 
 /// Content of a safetensors file, whose header and lengths are checked.
 #[derive(Debug)]
-pub(crate) struct SafeTensors<'a> {
+pub struct SafeTensors<'a> {
     /// Metadata texts of the file, by name.
-    pub(crate) metadata: BTreeMap<String, String>,
+    pub metadata: BTreeMap<String, String>,
     /// Tensors of the file, by name.
-    pub(crate) tensors: BTreeMap<String, Tensor<'a>>,
+    pub tensors: BTreeMap<String, Tensor<'a>>,
 }
 
 /// Tensor in a safetensors file: numbers of one data type in a row-major array.
 #[derive(Debug, PartialEq)]
-pub(crate) struct Tensor<'a> {
+pub struct Tensor<'a> {
     /// Name of the data type, as in the file, such as `F32`.
-    pub(crate) kind: String,
+    pub kind: String,
     /// Size of the tensor along each axis. The order is row-major, so the last index varies fastest.
-    pub(crate) shape: Vec<usize>,
+    pub shape: Vec<usize>,
     /// Bytes of the numbers, little-endian; there are as many numbers as the shape gives.
-    pub(crate) data: &'a [u8],
+    pub data: &'a [u8],
 }
 
 /// JSON header of a safetensors file: metadata texts, and an entry for each tensor, by name.
@@ -76,7 +76,7 @@ struct Entry {
 
 /// Parses and checks a safetensors file, of which `bytes` is the whole content. The returned tensors borrow their data
 /// from `bytes`. The error describes the fault and quotes nothing of the file.
-pub(crate) fn read(bytes: &[u8]) -> Result<SafeTensors<'_>, String> {
+pub fn read(bytes: &[u8]) -> Result<SafeTensors<'_>, String> {
     let (length, rest) = bytes.split_first_chunk::<LENGTH_BYTES>().ok_or("it is shorter than 8 bytes")?;
     let length = u64::from_le_bytes(*length);
     if length > MAX_HEADER_BYTES {
@@ -126,7 +126,7 @@ fn metadata_is_no_text(header: &[u8]) -> Option<String> {
 ///
 /// # Panics
 /// If a tensor has an unknown data type, or if its data do not have the length that its shape gives.
-pub(crate) fn write(file: &SafeTensors) -> Vec<u8> {
+pub fn write(file: &SafeTensors) -> Vec<u8> {
     let mut at = 0;
     let tensors = file.tensors.iter().map(|(name, Tensor { kind, shape, data })| {
         let size = TYPES.iter().find(|(known, _)| known == kind).expect("the type is known").1;

@@ -12,7 +12,7 @@ use crate::time::Time;
 /// `begun` and returns their owner, which is returned at the end; file descriptors that it registers are never read. A
 /// turn is a time and the inputs at that time. In each turn, due events are executed, `arrive` passes the inputs on to
 /// the actors, and after the actors have run, `end` is called.
-pub(crate) fn run_replayed<W, T>(
+pub fn run_replayed<W, T>(
     begun: Time,
     build: impl FnOnce(&Clock, &mut Readers) -> W,
     turns: impl Iterator<Item = (Time, T)>,

@@ -20,24 +20,24 @@ const BENDS: f32 = 2.0;
 
 /// Parameters from which the safety filter of one robot computes the limits that neighbours and walls set.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Barrier {
+pub struct Barrier {
     /// Model of how the velocities of the robot and of its neighbours follow their commands.
     pub(crate) model: Model,
     /// Least distance between the positions of two robots \[m\].
-    pub(crate) distance_min_m: f32,
+    pub distance_min_m: f32,
     /// Least distance of the robot's position from a wall \[m\].
-    pub(crate) wall_min_m: f32,
+    pub wall_min_m: f32,
     /// Largest speed at which the robot's stopping point may approach a neighbour, for each metre of distance beyond
     /// the least one \[1/s\]; twice that for a wall.
-    pub(crate) gain_per_s: f32,
+    pub gain_per_s: f32,
     /// Longest time from a neighbour's estimate of its own state to the arrival of the message with it \[s\].
-    pub(crate) delay_s: f32,
+    pub delay_s: f32,
 }
 
 impl Barrier {
     /// Returns the limits, one in each direction along both axes, within which the drive of a robot that moves at
     /// `velocity` \[m/s\], world frame, can move the robot's stopping point. Its neighbours rely on these limits.
-    pub(crate) fn drive(&self, velocity: Vec2) -> [Limit; 4] {
+    pub fn drive(&self, velocity: Vec2) -> [Limit; 4] {
         let ((left, right), (down, up)) = (self.model.reach(velocity.x), self.model.reach(velocity.y));
         [(-Vec2::x(), -left), (Vec2::x(), right), (-Vec2::y(), -down), (Vec2::y(), up)]
             .map(|(along, most_m_s)| Limit { along, most_m_s })
@@ -48,7 +48,7 @@ impl Barrier {
     ///
     /// The message took an unknown time to arrive, so there is one limit for a delay of zero and one for the longest
     /// delay: a few centimetres along the way of a fast neighbour change the direction to it.
-    pub(crate) fn neighbour(&self, own: &Motion, other: &Motion, age_s: f32) -> [Limit; 2] {
+    pub fn neighbour(&self, own: &Motion, other: &Motion, age_s: f32) -> [Limit; 2] {
         [age_s, age_s + self.delay_s].map(|known_s| self.neighbour_since(own, other, known_s))
     }
 
@@ -73,7 +73,7 @@ impl Barrier {
 
     /// Returns the limit that a solid block sets to the velocity of a robot's stopping point. `own` is the robot's
     /// motion, world frame.
-    pub(crate) fn wall(&self, own: &Motion, block: &KeepOut) -> Limit {
+    pub fn wall(&self, own: &Motion, block: &KeepOut) -> Limit {
         let from = own.position;
         let to = from + self.model.travel(own.velocity);
         let (point, solid) = nearest_pair(from, to, block);
@@ -87,7 +87,7 @@ impl Barrier {
     /// Returns the limits that the four edges of the ground set to the velocity of a robot's stopping point. `own` is
     /// the robot's motion, world frame, and `half_extent` the distance of the edges from the origin along x and y
     /// \[m\].
-    pub(crate) fn edge(&self, own: &Motion, half_extent: Vec2) -> [Limit; 4] {
+    pub fn edge(&self, own: &Motion, half_extent: Vec2) -> [Limit; 4] {
         geofence(half_extent, 0.5 / self.gain_per_s, own.position + self.model.travel(own.velocity))
     }
 }

@@ -38,7 +38,7 @@ pub struct SafetyCounts {
 
 impl SafetyCounts {
     /// Returns the number of times that `trigger` has become active.
-    pub(crate) fn of(&self, trigger: Trigger) -> u64 {
+    pub fn of(&self, trigger: Trigger) -> u64 {
         match trigger {
             Trigger::Stop => self.stop,
             Trigger::Silence => self.silence,
@@ -55,7 +55,7 @@ impl SafetyCounts {
     }
 
     /// Returns a mutable reference to the number of times that `trigger` has become active.
-    pub(crate) fn of_mut(&mut self, trigger: Trigger) -> &mut u64 {
+    pub fn of_mut(&mut self, trigger: Trigger) -> &mut u64 {
         match trigger {
             Trigger::Stop => &mut self.stop,
             Trigger::Silence => &mut self.silence,
@@ -72,7 +72,7 @@ impl SafetyCounts {
     }
 
     /// Returns the sum of the counts of all triggers.
-    pub(crate) fn total(&self) -> u64 {
+    pub fn total(&self) -> u64 {
         Trigger::ALL.into_iter().map(|trigger| self.of(trigger)).sum()
     }
 

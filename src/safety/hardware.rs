@@ -11,10 +11,10 @@ use crate::messages::wire::{Celsius, Hardware, Health};
 /// Recovery margin of the battery \[%\]: a robot that was stopped for its battery moves again at this much above the
 /// least permitted charge. The value is a choice of this project. The charge that a battery shows rises by some percent
 /// once the motors are off, without being charged.
-pub(crate) const RECOVERED_PERCENT: u8 = 10;
+pub const RECOVERED_PERCENT: u8 = 10;
 /// Recovery margin of the temperature \[°C\]: a robot that was stopped for its temperature moves again at this much
 /// below the highest permitted temperature. The value is a choice of this project.
-pub(crate) const RECOVERED_C: i16 = 10;
+pub const RECOVERED_C: i16 = 10;
 
 /// Limits of one robot's battery charge and temperature, beyond which it may not move.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -28,7 +28,7 @@ pub struct HardwareLimits {
 impl HardwareLimits {
     /// Returns the limits in a robot's chassis settings (`battery_least` and `temperature_most_c`). A setting that is
     /// left out gives no limit. An error names the setting that is out of range.
-    pub(crate) fn of(settings: &Settings) -> Result<HardwareLimits, ConfigError> {
+    pub fn of(settings: &Settings) -> Result<HardwareLimits, ConfigError> {
         let battery_least = settings.battery_least.map(|least| match least {
             0.0..=1.0 => Ok((least * 100.0).round() as u8),
             _ => Err(ConfigError::field("battery_least", format!("{least} is no share of the charge, 0 to 1"))),
@@ -58,7 +58,7 @@ pub enum Permit {
 /// Monitor of one robot's battery charge and temperature, which compares the values that its driver reports with their
 /// limits.
 #[derive(Clone, Debug)]
-pub(crate) struct HardwareWatch {
+pub struct HardwareWatch {
     limits: HardwareLimits,
     battery: Option<u8>,
     temperature: Option<Celsius>,
@@ -68,13 +68,13 @@ pub(crate) struct HardwareWatch {
 
 impl HardwareWatch {
     /// Makes a monitor with these limits that knows no values yet.
-    pub(crate) fn new(limits: HardwareLimits) -> HardwareWatch {
+    pub fn new(limits: HardwareLimits) -> HardwareWatch {
         HardwareWatch { limits, battery: None, temperature: None, low: false, hot: false }
     }
 
     /// Takes the values of battery and temperature that a robot's driver reports. A value that the report leaves out
     /// stays as it was.
-    pub(crate) fn take(&mut self, hardware: &Hardware) {
+    pub fn take(&mut self, hardware: &Hardware) {
         self.battery = hardware.battery.or(self.battery);
         self.temperature = hardware.temperature.or(self.temperature);
         if let (Some(least), Some(charge)) = (self.limits.battery_least, self.battery) {
@@ -88,7 +88,7 @@ impl HardwareWatch {
     }
 
     /// Returns whether battery and temperature permit the robot to move.
-    pub(crate) fn permit(&self) -> Permit {
+    pub fn permit(&self) -> Permit {
         let known = |limited: bool, known: bool| !limited || known;
         match () {
             () if self.low || self.hot => Permit::Withdrawn,
@@ -99,7 +99,7 @@ impl HardwareWatch {
     }
 
     /// Returns the reason why the robot may not move, with what to do, as text for the operator; `None` if it may move.
-    pub(crate) fn reason(&self) -> Option<String> {
+    pub fn reason(&self) -> Option<String> {
         let HardwareLimits { battery_least, temperature_most } = self.limits;
         match self.permit() {
             Permit::Granted => None,
@@ -123,7 +123,7 @@ impl HardwareWatch {
 
     /// Returns the condition to report for the driver's report `hardware`. If a value is beyond its limit and the
     /// driver calls the robot ready, the condition is a fault with the reason. Otherwise it is the driver's own.
-    pub(crate) fn judged(&self, hardware: Hardware) -> Hardware {
+    pub fn judged(&self, hardware: Hardware) -> Hardware {
         match self.permit() {
             Permit::Withdrawn if hardware.health == Health::Ready => {
                 let why = self.reason().unwrap_or_default();

@@ -11,11 +11,11 @@ const MOST: usize = 64;
 
 /// Upper bound of the component of a velocity along one direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Limit {
+pub struct Limit {
     /// Direction of the bounded component: a unit vector, world frame.
-    pub(crate) along: Vec2,
+    pub along: Vec2,
     /// Upper bound of the component \[m/s\], zero or more.
-    pub(crate) most_m_s: f32,
+    pub most_m_s: f32,
 }
 
 impl Limit {
@@ -41,7 +41,7 @@ impl Default for Limits {
 
 impl Limits {
     /// Adds a limit. If there is no room for it, the only velocity that satisfies all is zero.
-    pub(crate) fn push(&mut self, limit: Limit) {
+    pub fn push(&mut self, limit: Limit) {
         match self.limits.get_mut(self.len) {
             Some(place) => (*place, self.len) = (limit, self.len + 1),
             None => self.full = true,
@@ -49,12 +49,12 @@ impl Limits {
     }
 
     /// Adds limits. If there is no room for all, the only velocity that satisfies all is zero.
-    pub(crate) fn extend(&mut self, limits: impl IntoIterator<Item = Limit>) {
+    pub fn extend(&mut self, limits: impl IntoIterator<Item = Limit>) {
         limits.into_iter().for_each(|limit| self.push(limit));
     }
 
     /// Returns the limits that were added, in their order.
-    pub(crate) fn as_slice(&self) -> &[Limit] {
+    pub fn as_slice(&self) -> &[Limit] {
         &self.limits[..self.len]
     }
 
@@ -63,7 +63,7 @@ impl Limits {
     ///
     /// This is the incremental quadratic program in two dimensions, as in ORCA (van den Berg et al., 2011, section
     /// 5.3): if the solution so far violates the next limit, the new one is on its boundary.
-    pub(crate) fn nearest(&self, wanted: Vec2) -> Vec2 {
+    pub fn nearest(&self, wanted: Vec2) -> Vec2 {
         if self.full {
             return Vec2::zeros();
         }
@@ -107,14 +107,14 @@ fn on_boundary(limit: Limit, others: &[Limit], wanted: Vec2) -> Option<Vec2> {
 
 /// Returns the distance of `point` beyond a ground centred at the origin, the larger of both axes \[m\]; negative
 /// inside. `half_extent` is half the size of the ground along x and y \[m\].
-pub(crate) fn distance_outside(half_extent: Vec2, point: Vec2) -> f32 {
+pub fn distance_outside(half_extent: Vec2, point: Vec2) -> f32 {
     (point.x.abs() - half_extent.x).max(point.y.abs() - half_extent.y)
 }
 
 /// Returns the limits of velocity that keep a point from passing a rectangular boundary (geofence) within `horizon_s`
 /// \[s\], one for each side. `edge` is the distance of the boundary from the origin along x and y \[m\], and `position`
 /// the point's position \[m\], world frame. A point outside may still return.
-pub(crate) fn geofence(edge: Vec2, horizon_s: f32, position: Vec2) -> [Limit; 4] {
+pub fn geofence(edge: Vec2, horizon_s: f32, position: Vec2) -> [Limit; 4] {
     [Vec2::x(), -Vec2::x(), Vec2::y(), -Vec2::y()].map(|along| {
         let room = edge.dot(&along.abs()) - position.dot(&along);
         Limit { along, most_m_s: (room / horizon_s).max(0.0) }

@@ -34,7 +34,7 @@ impl Model {
     /// \[m/s^2\]. A lag shorter than three times `period_s` \[s\], for which a command is held, is replaced by that,
     /// and commands differ from the velocity by so much less that the robot follows them no faster.
     /// Commands that do not brake differ from the velocity by `step_m_s` \[m/s\] at most along each axis.
-    pub(crate) fn new(lag_s: f32, acceleration_m_s2: f32, period_s: f32, step_m_s: f32) -> Model {
+    pub fn new(lag_s: f32, acceleration_m_s2: f32, period_s: f32, step_m_s: f32) -> Model {
         // Without this, a robot that brakes along one axis turns up to three times as fast as its limits allow for.
         let effort = (1.0 / LEAST_LAGS / (1.0 - libm::expf(-period_s / lag_s))).min(1.0);
         let lag_s = lag_s.max(LEAST_LAGS * period_s);
@@ -42,7 +42,7 @@ impl Model {
     }
 
     /// Returns the vector \[m\] from the position of a robot that moves at `velocity` \[m/s\] to its stopping point.
-    pub(crate) fn travel(&self, velocity: Vec2) -> Vec2 {
+    pub fn travel(&self, velocity: Vec2) -> Vec2 {
         let Model { lag_s, acceleration_m_s2: most, .. } = *self;
         velocity.map(|v| match v.abs() <= most * lag_s {
             true => v * lag_s,
@@ -52,7 +52,7 @@ impl Model {
 
     /// Returns an upper bound \[m\] of how far a robot that moves at `velocity` \[m/s\] leaves the straight line to
     /// its stopping point on the way there; 0 if the acceleration stays below its limit along both axes.
-    pub(crate) fn bend(&self, velocity: Vec2) -> f32 {
+    pub fn bend(&self, velocity: Vec2) -> f32 {
         // Two axes that brake at the limit until they stand, for the times k T and T, differ in the covered share of
         // their travel by (1 - k) / (1 + k) at most. Here both ends are exponential. At its first speed, r times that
         // from which the limit is reached, an axis would cover its travel in (r + 1 / r) / 2 times the lag. With the
@@ -67,7 +67,7 @@ impl Model {
 
     /// Returns `velocity` \[m/s\], shortened if need be so that a robot that moves at it for another `delay_s` \[s\]
     /// and is then commanded to stand comes to rest within `most_m` \[m\].
-    pub(crate) fn stopping_within(&self, velocity: Vec2, delay_s: f32, most_m: f32) -> Vec2 {
+    pub fn stopping_within(&self, velocity: Vec2, delay_s: f32, most_m: f32) -> Vec2 {
         let distance_m = |v: Vec2| v.norm() * delay_s + self.travel(v).norm() + self.bend(v);
         let stops = |velocity: Vec2| distance_m(velocity) <= most_m;
         if stops(velocity) {
@@ -90,7 +90,7 @@ impl Model {
 
     /// Returns the velocity \[m/s\] of the stopping point of a robot that moves at `velocity` and is commanded the
     /// velocity `command`, both \[m/s\].
-    pub(crate) fn advance(&self, velocity: Vec2, command: Vec2) -> Vec2 {
+    pub fn advance(&self, velocity: Vec2, command: Vec2) -> Vec2 {
         let most = self.acceleration_m_s2 * self.lag_s;
         let axis = |v: f32, u: f32| v + ((u - v) / self.effort).clamp(-most, most) * self.ratio(v);
         Vec2::new(axis(velocity.x, command.x), axis(velocity.y, command.y))
@@ -98,14 +98,14 @@ impl Model {
 
     /// Returns the velocity \[m/s\] to command to a robot that moves at `velocity`, so that its stopping point moves at
     /// `advance`, both \[m/s\]: the inverse of the method `advance`.
-    pub(crate) fn command(&self, velocity: Vec2, advance: Vec2) -> Vec2 {
+    pub fn command(&self, velocity: Vec2, advance: Vec2) -> Vec2 {
         let axis = |v: f32, w: f32| v + (w - v) / self.ratio(v) * self.effort;
         Vec2::new(axis(velocity.x, advance.x), axis(velocity.y, advance.y))
     }
 
     /// Returns the least and the largest velocity \[m/s\], along one axis, that the stopping point of a robot can have
     /// under its next command if the robot moves at `v` \[m/s\] along the axis. Zero is between them.
-    pub(crate) fn reach(&self, v: f32) -> (f32, f32) {
+    pub fn reach(&self, v: f32) -> (f32, f32) {
         let step = self.step_m_s * self.ratio(v);
         // Braking at the largest acceleration keeps the stopping point of a fast robot where it is, and no more.
         let most = self.acceleration_m_s2 * self.lag_s * self.ratio(v);

@@ -17,7 +17,7 @@ pub struct Cost {
 
 /// Mean of a cost over the steps of one episode so far.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct MeanCost {
+pub struct MeanCost {
     cost: Cost,
     sum: f64,
     steps: u32,
@@ -25,12 +25,12 @@ pub(crate) struct MeanCost {
 
 impl MeanCost {
     /// Makes the mean of `cost` over no steps yet.
-    pub(crate) fn new(cost: Cost) -> MeanCost {
+    pub fn new(cost: Cost) -> MeanCost {
         MeanCost { cost, sum: 0.0, steps: 0 }
     }
 
     /// Adds a step with these states of the team, world frame. A step without robots does not count.
-    pub(crate) fn add(&mut self, team: &[Motion]) {
+    pub fn add(&mut self, team: &[Motion]) {
         if !team.is_empty() {
             self.sum += (self.cost.of)(team);
             self.steps += 1;
@@ -38,14 +38,14 @@ impl MeanCost {
     }
 
     /// Returns the mean cost of a step; `None` before the first one.
-    pub(crate) fn mean(&self) -> Option<f64> {
+    pub fn mean(&self) -> Option<f64> {
         (self.steps > 0).then(|| self.sum / f64::from(self.steps))
     }
 }
 
 /// Returns the mean squared distance of the robots' velocities from their mean \[m²/s²\]: the cost of a flock (Tolstaya
 /// et al., CoRL 2019, arXiv 1903.10527, section 5).
-pub(crate) fn velocity_variance(team: &[Motion]) -> f64 {
+pub fn velocity_variance(team: &[Motion]) -> f64 {
     let velocities = || team.iter().map(|motion| motion.velocity.to_array().map(f64::from));
     let robots = team.len() as f64;
     let [x, y] = velocities().fold([0.0, 0.0], |[x, y], v| [x + v[0], y + v[1]]).map(|sum| sum / robots);
@@ -54,7 +54,7 @@ pub(crate) fn velocity_variance(team: &[Motion]) -> f64 {
 
 /// Way in which an episode ends if it is not aborted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Ending {
+pub enum Ending {
     /// The episode ends once every robot has arrived at its goal.
     Arrival,
     /// The episode ends by time, in a scenario without goals: half a second (the state server's `GRACE`) after its
@@ -64,7 +64,7 @@ pub(crate) enum Ending {
 
 impl Ending {
     /// Returns how the episodes of a scenario end.
-    pub(crate) fn of(scenario: &dyn Scenario) -> Ending {
+    pub fn of(scenario: &dyn Scenario) -> Ending {
         if scenario.cost().is_some() { Ending::Time } else { Ending::Arrival }
     }
 }

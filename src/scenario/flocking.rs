@@ -25,7 +25,7 @@ use crate::time::Span;
 
 /// Distance within which two robots are neighbours \[m\] at scale 1: for the density of the team, and for its
 /// connectedness at the start.
-pub(crate) const RADIUS_M: f32 = 2.0;
+pub const RADIUS_M: f32 = 2.0;
 /// Mean number of neighbours of a robot at the start.
 const NEIGHBOURS: f64 = 6.0;
 /// Smallest distance between two robots at the start \[m\] at scale 1.
@@ -49,7 +49,7 @@ const DEFAULT_ROBOTS: usize = 50;
 
 /// Scenario in which a team agrees on a velocity, without goals.
 #[derive(Debug)]
-pub(crate) struct Flocking {
+pub struct Flocking {
     robots: usize,
     /// Radius of the disc on which the robots start \[m\].
     disc_m: f32,
@@ -59,7 +59,7 @@ pub(crate) struct Flocking {
 
 /// Makes the scenario `flocking` with a user's `settings`; the default team has 50 robots. An error says that the team
 /// size, the scale or the hull is not supported, or that a gap width is set, although the scenario has no walls.
-pub(crate) fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
+pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let robots = ROBOTS.check("flocking", settings.robots.unwrap_or(DEFAULT_ROBOTS))?;
     if let Some(gap_m) = settings.gap_m {
         return Err(ScenarioError::Gap { scenario: "flocking", gap_m, hint: "; it has no walls" });

@@ -60,7 +60,7 @@ const LAST_STAGE: Stage = Stage(4);
 
 /// Scenario of the case study in the paper arXiv 2111.01777: a team crosses a narrow gap in a wall.
 #[derive(Debug)]
-pub(crate) struct Passage {
+pub struct Passage {
     robots: usize,
     size: Size,
     /// |y| at which the straight part of the path through the gap begins and ends \[m\].
@@ -72,7 +72,7 @@ pub(crate) struct Passage {
 
 /// Makes the scenario `passage` with a user's `settings`; by default, 5 robots and a gap of 1 m. An error says that the
 /// team size, the gap width, the scale or the hull is not supported.
-pub(crate) fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
+pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let robots = ROBOTS.check("passage", settings.robots.unwrap_or(PUBLISHED_ROBOTS))?;
     let size = Size::of("passage", settings)?;
     let gap_m = settings.gap_m.unwrap_or(size.length(GAP_M));

@@ -31,7 +31,7 @@ const LAST_STAGE: Stage = Stage(2);
 
 /// Scenario in which robots exchange places on open ground without walls, with a constant area per robot.
 #[derive(Debug)]
-pub(crate) struct Swap {
+pub struct Swap {
     robots: usize,
     per_row: usize,
     /// Width and depth of a place \[m\].
@@ -42,7 +42,7 @@ pub(crate) struct Swap {
 
 /// Makes the scenario `swap` with a user's `settings`; the default team has 8 robots. An error says that the team size,
 /// the scale or the hull is not supported, or that a gap width is set, although the scenario has no walls.
-pub(crate) fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
+pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let robots = ROBOTS.check("swap", settings.robots.unwrap_or(8))?;
     if let Some(gap_m) = settings.gap_m {
         return Err(ScenarioError::Gap { scenario: "swap", gap_m, hint: "; it has no walls" });

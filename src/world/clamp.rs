@@ -27,7 +27,7 @@ const DEPLOYED_ACCELERATION_M_S2: f32 = 1.0;
 impl Clamp {
     /// Returns the largest difference \[m/s\] of a command from the measured velocity along each axis; infinite if it
     /// is not limited.
-    pub(crate) fn step_m_s(self) -> f32 {
+    pub fn step_m_s(self) -> f32 {
         match self {
             Clamp::Training => f32::INFINITY,
             Clamp::Deployed => DEPLOYED_ACCELERATION_M_S2 / DEPLOYED_GAIN_PER_S,

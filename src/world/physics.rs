@@ -74,7 +74,7 @@ impl Physics {
 
     /// Returns the parameters of DJI RoboMaster robots, the real robots of the paper arXiv 2111.01777, from data sheets
     /// or assumed; the sensor is a motion capture system. `arena` gives the robots' hull.
-    pub(crate) fn robomaster(arena: &Arena) -> Physics {
+    pub fn robomaster(arena: &Arena) -> Physics {
         Physics {
             contacts: ContactRule::Judge,
             // 0.16 m, half the length of 0.32 m (data sheet: 320 x 240 x 270 mm), unless the user says otherwise; the
@@ -137,7 +137,7 @@ pub struct OverrideError {
     /// Name of the field of `Overrides` that the plant keeps fixed.
     pub field: &'static str,
     /// Reason why the simulated world keeps the field fixed, for the user.
-    pub(crate) why: &'static str,
+    pub why: &'static str,
 }
 
 impl Overrides {

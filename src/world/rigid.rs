@@ -21,7 +21,7 @@ use crate::scenario::Arena;
 use crate::time::Span;
 
 /// Fields of `Overrides` that a user may not set for the rigid-body plant: pairs of the field's name and the reason.
-pub(crate) const FIXED: &[(&str, &str)] = &[
+pub const FIXED: &[(&str, &str)] = &[
     ("contacts", "in plant 'rigid' bodies always push each other, and contacts are flagged for the judge"),
     ("wall_radius_m", "in plant 'rigid' the radius of a robot is that of its hull, hull_m or 0.16 m"),
 ];
@@ -33,7 +33,7 @@ const RAIL_M: f32 = 1.0;
 const SINK_M: f32 = 0.002;
 
 /// Simulated world of rigid bodies as a plant: robots are discs with mass, friction and slipping wheels.
-pub(crate) struct Rigid {
+pub struct Rigid {
     arena: Arena,
     physics: Physics,
     world: PhysicsWorld,
@@ -47,7 +47,7 @@ pub(crate) struct Rigid {
 /// Makes the rigid-body world of `arena` with one robot at rest at each of `positions` \[m\], world frame. `physics`
 /// has the parameters of the robots. The wheel slip of each robot is drawn from a random stream of its own, derived
 /// from `seed`.
-pub(crate) fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], seed: Seed) -> Box<dyn Plant> {
+pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], seed: Seed) -> Box<dyn Plant> {
     let period_s = PERIOD.as_secs() as f32;
     let mut world = PhysicsWorld::new();
     world.gravity = Vector::ZERO;

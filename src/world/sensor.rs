@@ -50,7 +50,7 @@ impl Sensor {
 
     /// Returns the standard deviations of this sensor's measurements, as a reading states them. Headings and yaw rates
     /// are measured without noise, so theirs are zero.
-    pub(crate) fn deviation(&self) -> Deviation {
+    pub fn deviation(&self) -> Deviation {
         Deviation {
             position_m: Some(self.position_m),
             heading_rad: Some(0.0),
@@ -61,7 +61,7 @@ impl Sensor {
 
     /// Returns a measurement of the true `motion` \[m, m/s\] with Gaussian noise drawn from `stream`. A quantity
     /// without noise is returned unchanged and draws no number from the stream.
-    pub(crate) fn measure(&self, motion: &Motion, stream: &mut Stream) -> Motion {
+    pub fn measure(&self, motion: &Motion, stream: &mut Stream) -> Motion {
         let mut noisy = |value: Vec2, deviation: f32| {
             if deviation > 0.0 { value + standard_normals(stream) * deviation } else { value }
         };

@@ -76,7 +76,7 @@ impl Wheels {
 
     /// Returns the velocity \[m/s\], world frame, that the robot's centre has at the end of the last step if no
     /// obstacle blocked it.
-    pub(crate) fn velocity(&self) -> Vec2 {
+    pub fn velocity(&self) -> Vec2 {
         self.velocity
     }
 
@@ -85,7 +85,7 @@ impl Wheels {
     /// \[m/s\], world frame.
     ///
     /// The limits hold for the motion at the beginning and for the motion at the end of the step.
-    pub(crate) fn drive(&mut self, velocity: Vec2, step_s: f32) -> Vec2 {
+    pub fn drive(&mut self, velocity: Vec2, step_s: f32) -> Vec2 {
         if self.chassis.drive == DriveKind::Holonomic {
             self.velocity = self.chassis.limited(velocity, self.heading);
             return self.velocity;

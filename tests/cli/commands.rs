@@ -1,50 +1,23 @@
-//! The commands of the whole program, and what it says of those that it was built without.
+//! The commands of the whole program, and its error for those that it was built without.
 
-use crate::program::{refuses, run, text};
+use crate::program::{commands, refuses};
+use murmurate_robot::features::WHOLE;
 
-/// Commands of every build.
-const ALWAYS: [&str; 18] = [
-    "sim",
-    "deployment",
-    "study",
-    "train",
-    "policy",
-    "host",
-    "doctor",
-    "stop",
-    "resume",
-    "place",
-    "key",
-    "config",
-    "launch",
-    "record",
-    "replay",
-    "watch",
-    "completions",
-    "man",
-];
+/// Commands that a robot's program has, too.
+const OF_ROBOT: [&str; 8] = ["policy", "host", "doctor", "stop", "resume", "place", "key", "config"];
 
 #[test]
-fn a_program_has_the_commands_of_its_features_and_no_others() {
-    let help = text(&run(&["--help"]).stdout);
-    let (_, list) = help.split_once("Commands:\n").expect("help has a list of commands");
-    let commands = list.lines().take_while(|line| !line.is_empty()).filter(|line| line.starts_with("  "));
-    let mut found: Vec<&str> = commands
-        .filter(|line| !line.starts_with("   "))
-        .filter_map(|line| line.split_whitespace().next())
-        .filter(|name| *name != "help")
-        .collect();
-    let mut wanted: Vec<&str> = ALWAYS.to_vec();
-    wanted.extend(cfg!(feature = "lab").then_some("lab"));
-    found.sort_unstable();
+fn a_program_has_the_commands_of_a_robot_and_those_that_a_robot_s_program_says_it_lacks() {
+    let built = |name: &&&str| **name != "lab" || cfg!(feature = "lab");
+    let mut wanted: Vec<&str> = OF_ROBOT.iter().chain(WHOLE.iter().filter(built)).copied().collect();
     wanted.sort_unstable();
-    assert_eq!(found, wanted);
+    assert_eq!(commands(), wanted);
 }
 
 #[test]
 fn a_command_of_a_missing_feature_says_which_one_the_program_needs() {
     if !cfg!(feature = "lab") {
-        refuses(&["lab", "--help"], &["'lab'", "without the feature '", "cargo build", "--features "]);
+        refuses(&["lab", "--help"], &["'lab'", "without the feature 'lab'", "cargo build", "--features lab"]);
         refuses(&["lab", "up", "lab.toml"], &["the feature 'lab'", "--features lab"]);
         refuses(&["launch", "team.toml", "--lab", "lab.toml"], &["'--lab'", "--features lab"]);
     }

@@ -10,7 +10,7 @@ pub fn murmurate(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_murmurate"));
     command.current_dir(ROOT);
     command.args(args).stdin(Stdio::null());
-    // Variables of tests name no field of a team file, and a program refuses them; those of a user would change its log.
+    // A program refuses variables that name no field of a team file, as those of tests do.
     for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("MURMURATE_")) {
         command.env_remove(name);
     }
@@ -23,6 +23,19 @@ pub fn run(args: &[&str]) -> Output {
 
 pub fn text(bytes: &[u8]) -> String {
     String::from_utf8(bytes.to_vec()).expect("output is UTF-8")
+}
+
+/// The commands that the program's help lists, sorted.
+pub fn commands() -> Vec<String> {
+    let help = text(&run(&["--help"]).stdout);
+    let (_, list) = help.split_once("Commands:\n").expect("help has a list of commands");
+    let lines = list.lines().take_while(|line| !line.is_empty());
+    // Further lines of a description are indented deeper.
+    let named = lines.filter(|line| line.starts_with("  ") && !line.starts_with("   "));
+    let names = named.filter_map(|line| line.split_whitespace().next()).filter(|name| *name != "help");
+    let mut names: Vec<String> = names.map(str::to_owned).collect();
+    names.sort_unstable();
+    names
 }
 
 /// Checks that the program refuses: exit code 2, nothing on stdout, one line on stderr with all of `words`.

@@ -58,7 +58,7 @@ enum Command {
     /// Looks at records, repairs, merges and exports them.
     #[command(subcommand)]
     Record(record::Args),
-    /// Runs again what a record is of, a simulation or a host, and compares it to the bit.
+    /// Replays records of simulations and of hosts, and checks that every bit is the same.
     Replay(replay::Args),
     /// Shows a running team on a page in the browser, with its emergency stop.
     Watch(watch::team::Args),

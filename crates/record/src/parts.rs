@@ -13,13 +13,13 @@ use super::reading::survey::survey;
 use super::series::{further_parts, part_of};
 use murmurate::config::regular;
 
-/// One file of a record, and what is known of it.
+/// One file of a record, with its survey.
 pub(super) struct Part {
     /// Path of the file.
     pub path: PathBuf,
     /// The file's bytes.
     pub source: Source,
-    /// What is known of the file.
+    /// Survey of the file: its intact and its damaged ranges.
     pub survey: Survey,
 }
 

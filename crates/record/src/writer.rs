@@ -49,7 +49,7 @@ impl Recording {
                     *failed.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = Some(reason(error));
                 };
                 let served = serve(&mut series, &outlet, topics, flush);
-                // Before the other end sees that nobody takes its events, as it then asks why.
+                // Stored before the queue is closed, whose other end then asks for the reason.
                 served.as_ref().err().map(fails);
                 drop(outlet);
                 match served {

@@ -70,10 +70,10 @@ struct Cli<C: Subcommand> {
 
 /// Commands of a program.
 pub trait Commands: Subcommand {
-    /// What the program may lack.
+    /// Parts that the program can be built without.
     const PARTS: &'static [features::Part];
 
-    /// Returns what the command logs.
+    /// Returns the level and the way of the command's log.
     fn logging(&self) -> Logging;
 
     /// Runs the command with the parts (scenarios, policies and so on) of the registry.
@@ -209,7 +209,7 @@ fn run_command<C: Commands>(registry: &Registry, arguments: &[OsString]) -> Exit
         Err(error) => return refuse(&error, C::PARTS),
     };
     let logging = command.logging();
-    if logging.waits_for_nobody()
+    if logging.is_asynchronous()
         && let Err(why) = output::open_log_lane()
     {
         output::talk(&format!("error: cannot start a thread to write the log: {why}"));

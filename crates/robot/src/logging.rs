@@ -1,4 +1,4 @@
-//! What a command logs, and how its log begins.
+//! Log of a command: its level, and its start.
 
 use tracing_subscriber::Layer;
 use tracing_subscriber::filter::{LevelFilter, Targets};
@@ -7,7 +7,7 @@ use tracing_subscriber::util::SubscriberInitExt;
 
 use crate::{doctor, output};
 
-/// What a command logs on stderr, unless `MURMURATE_LOG` says otherwise.
+/// Level and way of a command's log on stderr; `MURMURATE_LOG` overrides the level.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Logging {
     /// Errors.
@@ -21,8 +21,8 @@ pub enum Logging {
 }
 
 impl Logging {
-    /// Whether lines of the log are written by a thread of their own.
-    pub fn waits_for_nobody(self) -> bool {
+    /// Whether a thread of its own writes the lines of the log.
+    pub fn is_asynchronous(self) -> bool {
         matches!(self, Logging::Urgent | Logging::RealTime)
     }
 

@@ -12,7 +12,7 @@ type Field = (&'static str, FieldType, Option<&'static str>);
 
 /// Name of the field that sets the network interface of every link. It exists in flags and environment variables only,
 /// not in files.
-pub(crate) const EVERY_INTERFACE: &str = "interface";
+pub const EVERY_INTERFACE: &str = "interface";
 
 /// Names of the reliability modes, as written in a team file.
 const RELIABILITIES: [&str; 4] = {
@@ -57,20 +57,20 @@ const TEAM: [Field; 23] = [
 const OVERRIDES: [&str; 5] = ["key_file", "policy", "record", "record_last_s", "record_size_mb"];
 
 /// Returns the names of the fields of a team file that are for the whole team, not for a link.
-pub(crate) fn team_fields() -> impl Iterator<Item = &'static str> {
+pub fn team_fields() -> impl Iterator<Item = &'static str> {
     TEAM.iter().map(|(name, ..)| *name)
 }
 
 /// All fields that a team file may have, with their types and defaults; it depends on the transports.
 #[derive(Clone, Debug)]
-pub(crate) struct Fields {
+pub struct Fields {
     /// Fields of links that the transports define; a name that several transports define occurs once.
     own: Vec<transport::Field>,
 }
 
 impl Fields {
     /// Returns the permitted fields of a team file whose links may use the given transports.
-    pub(crate) fn of(transports: &[transport::Entry]) -> Fields {
+    pub fn of(transports: &[transport::Entry]) -> Fields {
         let mut own: Vec<transport::Field> = Vec::new();
         for field in transports.iter().flat_map(|entry| entry.fields) {
             if own.iter().all(|other| other.name != field.name) {
@@ -81,12 +81,12 @@ impl Fields {
     }
 
     /// Returns the names of the fields of a link that have one value for all hosts, such as `transport`.
-    pub(crate) fn of_link(&self) -> impl Iterator<Item = &'static str> {
+    pub fn of_link(&self) -> impl Iterator<Item = &'static str> {
         ["transport"].into_iter().chain(self.own.iter().filter(|field| !field.by_host).map(|field| field.name))
     }
 
     /// Returns the names of the fields of a link that are tables with one value for each host, such as `peers`.
-    pub(crate) fn by_host(&self) -> impl Iterator<Item = &'static str> {
+    pub fn by_host(&self) -> impl Iterator<Item = &'static str> {
         self.own.iter().filter(|field| field.by_host).map(|field| field.name)
     }
 
@@ -98,7 +98,7 @@ impl Fields {
     /// Returns type and default of the field with this key, such as `seed` or `link.radio.transport`; `None` if there
     /// is no such field. The inner `None` stands for no default, or for a field of a transport, whose default is in the
     /// transport's entry.
-    pub(crate) fn field(&self, key: &str) -> Option<(FieldType, Option<&'static str>)> {
+    pub fn field(&self, key: &str) -> Option<(FieldType, Option<&'static str>)> {
         let of_team =
             |name: &str| TEAM.iter().find(|(field, ..)| *field == name).map(|(_, takes, default)| (*takes, *default));
         let own = |takes: Option<FieldType>| takes.map(|takes| (takes, None));
@@ -118,7 +118,7 @@ impl Fields {
     }
 
     /// Returns a text that lists the permitted fields beside the unknown field `key`, for the error about it.
-    pub(crate) fn siblings(&self, key: &str) -> String {
+    pub fn siblings(&self, key: &str) -> String {
         let names = match key.split('.').collect::<Vec<_>>()[..] {
             ["link", _, "reliability", ..] => return "a kind of message is followed by its reliability".to_owned(),
             ["link", name, ..] => {
@@ -132,7 +132,7 @@ impl Fields {
     }
 
     /// Whether a table with this key, such as `link.radio` or `host.pc`, may occur in a team file with fields in it.
-    pub(crate) fn holds_fields(&self, key: &str) -> bool {
+    pub fn holds_fields(&self, key: &str) -> bool {
         let parts: Vec<&str> = key.split('.').collect();
         match parts[..] {
             ["robot" | "host"] | ["robot" | "host", _] => true,

@@ -30,7 +30,7 @@ pub enum Origin {
 
 impl Origin {
     /// Returns the layer of the value: a value of a higher layer takes precedence.
-    pub(crate) fn layer(&self) -> u8 {
+    pub fn layer(&self) -> u8 {
         match self {
             Origin::Default => 0,
             Origin::File(_) => 1,
@@ -53,11 +53,11 @@ impl fmt::Display for Origin {
 
 /// Value of a field of a team file, with the origin of the value.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct LayerValue {
+pub struct LayerValue {
     /// Value of the field of the team file.
-    pub(crate) value: Value,
+    pub value: Value,
     /// Origin of the value: file, environment variable, flag or default.
-    pub(crate) origin: Origin,
+    pub origin: Origin,
 }
 
 /// Command line flag that sets a field of the team file.
@@ -76,7 +76,7 @@ const OTHER_VARIABLES: [&str; 1] = ["MURMURATE_LOG"];
 
 /// Returns the name of a field in error texts: its key with the origin of its value, or the name of the flag that sets
 /// it.
-pub(crate) fn place(key: &str, origin: &Origin) -> String {
+pub fn place(key: &str, origin: &Origin) -> String {
     match origin {
         Origin::Default => key.to_owned(),
         Origin::Flag(flag) if *flag != "--set" => (*flag).to_owned(),
@@ -100,7 +100,7 @@ impl Layers {
     /// Reads the team file `text` and the flags. An error names the line, the field or the flag. The tables named in
     /// `whole` are left to the caller, `transports` define the fields of links. Environment variables are read later,
     /// when the links are known.
-    pub(crate) fn read(
+    pub fn read(
         text: &str,
         flags: &[Flag],
         whole: &[&str],
@@ -160,14 +160,14 @@ impl Layers {
     }
 
     /// Reads the fields of the whole team from environment variables. An error names the variable.
-    pub(crate) fn read_environment(&mut self, variables: &[(String, String)]) -> Result<(), ConfigError> {
+    pub fn read_environment(&mut self, variables: &[(String, String)]) -> Result<(), ConfigError> {
         let fields: Vec<String> = team_fields().map(str::to_owned).collect();
         self.take(variables, &fields)
     }
 
     /// Reads the fields of links, with the keys `fields`, from environment variables. An error names a variable with a
     /// wrong value, or an unknown one that begins with `MURMURATE_`.
-    pub(crate) fn read_link_environment(
+    pub fn read_link_environment(
         &mut self,
         variables: &[(String, String)],
         fields: &[String],
@@ -200,7 +200,7 @@ impl Layers {
     }
 
     /// Returns the fields that the team file may contain.
-    pub(crate) fn fields(&self) -> &Fields {
+    pub fn fields(&self) -> &Fields {
         &self.fields
     }
 
@@ -213,7 +213,7 @@ impl Layers {
     /// such as `host.pc.`, the narrowest first and the empty one last. A higher layer (flag, environment, file) takes
     /// precedence over a narrower prefix. Defaults of a transport's fields are not included; they are in the
     /// transport's entry.
-    pub(crate) fn find(&self, scopes: &[String], key: &str) -> Option<LayerValue> {
+    pub fn find(&self, scopes: &[String], key: &str) -> Option<LayerValue> {
         let every = (key.starts_with("link.") && key.ends_with(".interface")).then_some(EVERY_INTERFACE);
         for layer in [&self.flags, &self.environment, &self.file] {
             let scoped = scopes.iter().find_map(|scope| layer.get(&format!("{scope}{key}")));
@@ -228,7 +228,7 @@ impl Layers {
 
     /// Returns key and value of every field whose key begins with `prefix`, once for each layer (flag, environment,
     /// file) that sets it.
-    pub(crate) fn below<'a>(&'a self, prefix: &'a str) -> impl Iterator<Item = (&'a str, &'a LayerValue)> {
+    pub fn below<'a>(&'a self, prefix: &'a str) -> impl Iterator<Item = (&'a str, &'a LayerValue)> {
         let layers = [&self.flags, &self.environment, &self.file];
         layers
             .into_iter()
@@ -239,13 +239,13 @@ impl Layers {
 
     /// Returns the line number in the file of the table `name` (one of those left to the caller of `read`), or of its
     /// field if `name` is `table.field`; `None` if the file does not contain it.
-    pub(crate) fn table(&self, name: &str) -> Option<usize> {
+    pub fn table(&self, name: &str) -> Option<usize> {
         self.tables.get(name).copied()
     }
 }
 
 /// Returns the name of the environment variable that sets the field `key`, such as `MURMURATE_KEY_FILE`.
-pub(crate) fn variable(key: &str) -> String {
+pub fn variable(key: &str) -> String {
     let name = key.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_uppercase() } else { '_' });
     format!("MURMURATE_{}", name.collect::<String>())
 }

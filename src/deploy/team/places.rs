@@ -29,7 +29,7 @@ pub struct OperatorAccess {
     pub key_file: Option<PathBuf>,
     /// Endpoints of the operator on the link: one for each network interface that hosts of the team use, or a single
     /// one if the transport sends to each host's address.
-    pub(crate) places: Vec<Place>,
+    pub places: Vec<Place>,
 }
 
 impl TeamFile {

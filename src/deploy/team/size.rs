@@ -12,7 +12,7 @@ use crate::scenario::{Scenario, ScenarioError, Settings};
 
 /// Creates the scenario named in the field `entry` with the settings of its team. An error names the setting that is
 /// wrong, where it is written, or the scenario.
-pub(crate) fn build(
+pub fn build(
     registry: &Registry,
     layers: &Layers,
     entry: &LayerValue,
@@ -31,7 +31,7 @@ pub(crate) fn build(
 
 /// Returns `safety` with the least distances to robots and walls of robots with the hull of the `deployment`, unless
 /// the file has distances of its own. An error names the field.
-pub(crate) fn about_hulls(safety: Safety, layers: &Layers, deployment: &Deployment) -> Result<Safety, ConfigError> {
+pub fn about_hulls(safety: Safety, layers: &Layers, deployment: &Deployment) -> Result<Safety, ConfigError> {
     let Some(hull_m) = deployment.hull_m else { return Ok(safety) };
     let of_hull = safety.of_hull(hull_m);
     let (mut found, given) = (safety, |field: &str| layers.table(&format!("safety.{field}")).is_some());

@@ -17,19 +17,19 @@ use crate::time::{Span, Time};
 
 /// Delay and loss of the frames on an emulated link, for messages of some kinds.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Impairment {
+pub struct Impairment {
     /// One-way delay of every frame of the impaired kinds.
-    pub(crate) delay: Span,
+    pub delay: Span,
     /// Probability, 0 to 1, that a receiver loses a frame of the impaired kinds, independently for each receiver.
-    pub(crate) loss: f64,
+    pub loss: f64,
     /// Kinds of messages that are impaired; frames of all other kinds pass without delay or loss. An empty list impairs
     /// none.
-    pub(crate) kinds: Vec<Kind>,
+    pub kinds: Vec<Kind>,
 }
 
 /// Emulator of one link: applies delay, loss and planned faults to its frames.
 #[derive(Clone, Debug)]
-pub(crate) struct LinkEmulator {
+pub struct LinkEmulator {
     impairment: Impairment,
     faults: Vec<LinkFault>,
     manual: ManualLinkFault,
@@ -42,26 +42,26 @@ pub(crate) struct LinkEmulator {
 impl LinkEmulator {
     /// Returns the emulator of one link. `impairment` gives delay and loss, and `faults` are the faults planned for
     /// this link. All random numbers are drawn from `stream`.
-    pub(crate) fn new(impairment: Impairment, faults: Vec<LinkFault>, stream: Stream) -> LinkEmulator {
+    pub fn new(impairment: Impairment, faults: Vec<LinkFault>, stream: Stream) -> LinkEmulator {
         LinkEmulator { impairment, faults, manual: ManualLinkFault::default(), began: BTreeMap::new(), stream }
     }
 
     /// Sets the fault that a person has chosen while the program runs: a cut link, or more delay and loss for every
     /// frame. It acts in addition to planned faults and replaces the one set before.
-    pub(crate) fn set_manual(&mut self, manual: ManualLinkFault) {
+    pub fn set_manual(&mut self, manual: ManualLinkFault) {
         self.manual = manual;
     }
 
     /// Records that the episode with index `episode` begins at time `now`, for faults that are timed from its start.
     /// Only the first call for an episode counts.
-    pub(crate) fn begin(&mut self, now: Time, episode: u32) {
+    pub fn begin(&mut self, now: Time, episode: u32) {
         self.began.entry(episode).or_insert(now);
     }
 
     /// Carries one frame, sent at time `now`, from the host `from` to the host `to`. Each copy that arrives is appended
     /// to `arrivals` with its time of arrival; a lost frame appends none. `kind` is the kind of the frame's message.
     /// Delay, loss and planned faults may be limited to some kinds.
-    pub(crate) fn carry(
+    pub fn carry(
         &mut self,
         now: Time,
         kind: Kind,

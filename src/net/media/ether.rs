@@ -31,7 +31,7 @@ pub enum Out {
 /// Ether: the actor that emulates the medium of one link. It carries frames from host to host, with delay, loss, range
 /// and faults.
 #[derive(Debug)]
-pub(crate) struct Ether {
+pub struct Ether {
     emulator: LinkEmulator,
     radio: Option<RadioLink>,
     /// Tells which hosts are in range of a sender; `None` if the range is unlimited. Not used with a radio.
@@ -53,7 +53,7 @@ impl Ether {
     ///
     /// `reach` limits the range; `None` means unlimited. It is ignored with a radio, whose own range then applies.
     /// `listens` is a function that returns the hosts that receive messages of a given kind.
-    pub(crate) fn new(
+    pub fn new(
         emulator: LinkEmulator,
         radio: Option<RadioLink>,
         reach: Option<Reach>,

@@ -18,16 +18,16 @@ const COUNTS_PERIOD: Span = Span::from_millis(1000);
 
 /// Frame that a host of an emulated link has handed to the radio channel, with the kind of its first message.
 #[derive(Clone, Debug)]
-pub(crate) struct Sent {
+pub struct Sent {
     /// Kind of the frame's first message, by which the link emulator delays or loses the frame.
-    pub(crate) kind: Kind,
+    pub kind: Kind,
     /// Bytes of the frame.
-    pub(crate) frame: Frame,
+    pub frame: Frame,
 }
 
 /// Radio channel of one emulated link, with one station for each host.
 #[derive(Debug)]
-pub(crate) struct RadioLink {
+pub struct RadioLink {
     channel: Channel<Sent>,
     /// Hosts that are at the position of each robot, by number of the robot; an entry is empty if no host is there.
     hosts_of_robot: Vec<Vec<HostId>>,
@@ -41,7 +41,7 @@ impl RadioLink {
     ///
     /// A host is at the position of that robot. A host without robots is within range of all, and so is one whose robot
     /// was not located yet.
-    pub(crate) fn new(radio: Radio, robots_of: &[Option<u16>], seed: &Seed) -> RadioLink {
+    pub fn new(radio: Radio, robots_of: &[Option<u16>], seed: &Seed) -> RadioLink {
         let hosts = u16::try_from(robots_of.len()).expect("hosts are counted in u16");
         let robots = robots_of.iter().flatten().max().map_or(0, |&last| usize::from(last) + 1);
         let mut hosts_of_robot = vec![Vec::new(); robots];
@@ -54,7 +54,7 @@ impl RadioLink {
     /// Queues a frame of the host `transmit.from` for transmission at time `now`. `kind` is the kind of the frame's
     /// first message. A frame for one host goes to that host; a frame for all hosts goes to `listeners`, without the
     /// sender.
-    pub(crate) fn offer(&mut self, now: Time, transmit: &Transmit, kind: Kind, listeners: &Arc<[u16]>) {
+    pub fn offer(&mut self, now: Time, transmit: &Transmit, kind: Kind, listeners: &Arc<[u16]>) {
         let to = match transmit.audience {
             Audience::Host(to) => Destination::One(to.0),
             Audience::All => Destination::Many(Arc::clone(listeners)),
@@ -65,7 +65,7 @@ impl RadioLink {
 
     /// Updates the hosts' positions from the true positions of their robots, which a simulated world sends after each
     /// step.
-    pub(crate) fn locate(&mut self, truth: &Truth) {
+    pub fn locate(&mut self, truth: &Truth) {
         for sample in truth.samples.iter() {
             for host in self.hosts_of_robot.get(sample.robot.index()).into_iter().flatten() {
                 self.channel.place(host.0, sample.motion.position);
@@ -74,13 +74,13 @@ impl RadioLink {
     }
 
     /// Returns the time at which `wake` is next due, for a transmission or for a report of the counts.
-    pub(crate) fn wake_at(&self) -> Time {
+    pub fn wake_at(&self) -> Time {
         self.channel.wake_at().map_or(self.next_counts, |due| due.min(self.next_counts))
     }
 
     /// Runs the channel up to time `now`, and appends the received frames to `deliveries` in the order of arrival.
     /// Returns the counts of frames and airtime if a report is due (once per second), and `None` otherwise.
-    pub(crate) fn wake(&mut self, now: Time, deliveries: &mut Vec<Delivery<Sent>>) -> Option<RadioCounts> {
+    pub fn wake(&mut self, now: Time, deliveries: &mut Vec<Delivery<Sent>>) -> Option<RadioCounts> {
         self.channel.wake(now, deliveries);
         (self.next_counts <= now).then(|| {
             self.next_counts = now.next_on_grid(Span::ZERO, COUNTS_PERIOD);

@@ -9,7 +9,7 @@ use crate::messages::local::Truth;
 
 /// Hosts of an emulated link with a limited transmission range, and their true positions.
 #[derive(Debug)]
-pub(crate) struct Reach {
+pub struct Reach {
     range_m: f32,
     /// Hosts that are at the position of each robot, by number of the robot; an entry is empty if no host is there.
     hosts_of_robot: Vec<Vec<HostId>>,
@@ -28,7 +28,7 @@ impl Reach {
     /// Returns the hosts of a link with the range `range_m` \[m\]. `robots_of` has one entry per host: the first robot
     /// whose agent the host runs, or `None` for a host without robots. A host is at the position of that robot. A host
     /// without robots is within range of all, and so is one whose robot was not located yet.
-    pub(crate) fn new(range_m: f32, robots_of: &[Option<u16>]) -> Reach {
+    pub fn new(range_m: f32, robots_of: &[Option<u16>]) -> Reach {
         let hosts = u16::try_from(robots_of.len()).expect("hosts are counted in u16");
         let robots = robots_of.iter().flatten().max().map_or(0, |&last| usize::from(last) + 1);
         let mut hosts_of_robot = vec![Vec::new(); robots];
@@ -41,7 +41,7 @@ impl Reach {
 
     /// Updates the hosts' positions from the true positions of their robots, which a simulated world sends after each
     /// step.
-    pub(crate) fn locate(&mut self, truth: &Truth) {
+    pub fn locate(&mut self, truth: &Truth) {
         for sample in truth.samples.iter() {
             for host in self.hosts_of_robot.get(sample.robot.index()).into_iter().flatten() {
                 self.positions[usize::from(host.0)] = Some(sample.motion.position);
@@ -51,7 +51,7 @@ impl Reach {
     }
 
     /// Returns true if the hosts `from` and `to` are within range of each other, or if one of them has no position.
-    pub(crate) fn covers(&self, from: HostId, to: HostId) -> bool {
+    pub fn covers(&self, from: HostId, to: HostId) -> bool {
         let position = |host: HostId| self.positions[usize::from(host.0)];
         match (position(from), position(to)) {
             (Some(from), Some(to)) => (from - to).norm_squared() <= self.range_m * self.range_m,
@@ -61,7 +61,7 @@ impl Reach {
 
     /// Replaces the content of `found` by the hosts among `listeners` that are within range of the host `from`, without
     /// `from` itself. `listeners` must be sorted.
-    pub(crate) fn listeners(&mut self, from: HostId, listeners: &[u16], found: &mut Vec<HostId>) {
+    pub fn listeners(&mut self, from: HostId, listeners: &[u16], found: &mut Vec<HostId>) {
         found.clear();
         let mut candidates = std::mem::take(&mut self.near);
         self.candidates(from, &mut candidates);

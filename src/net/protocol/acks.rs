@@ -13,7 +13,7 @@ const ACK_WITHIN: Span = Span::from_millis(2);
 
 /// Acknowledgements that a host has still to send on one link: the ids of the received datagrams, by their sender.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Acks {
+pub struct Acks {
     pending: BTreeMap<HostId, Vec<DatagramId>>,
     due: Option<Time>,
 }
@@ -21,7 +21,7 @@ pub(crate) struct Acks {
 impl Acks {
     /// Adds the id of a received datagram that is to be acknowledged. It is ignored if `MAX_IDS` (64) datagrams of its
     /// sender are already pending. If nothing was pending, the acknowledgements become due 2 ms after `now`.
-    pub(crate) fn note(&mut self, now: Time, id: DatagramId) {
+    pub fn note(&mut self, now: Time, id: DatagramId) {
         let ids = self.pending.entry(id.host).or_default();
         if ids.len() < MAX_IDS {
             ids.push(id);
@@ -30,29 +30,29 @@ impl Acks {
     }
 
     /// Returns whether the acknowledgement of this datagram is pending, or nothing more of its sender can be.
-    pub(crate) fn has(&self, id: &DatagramId) -> bool {
+    pub fn has(&self, id: &DatagramId) -> bool {
         self.pending.get(&id.host).is_some_and(|ids| ids.len() >= MAX_IDS || ids.contains(id))
     }
 
     /// Returns true if no acknowledgement is pending.
-    pub(crate) fn is_empty(&self) -> bool {
+    pub fn is_empty(&self) -> bool {
         self.pending.is_empty()
     }
 
     /// Returns the time at which the pending acknowledgements are to be sent; `None` if there are none.
-    pub(crate) fn due(&self) -> Option<Time> {
+    pub fn due(&self) -> Option<Time> {
         self.due
     }
 
     /// Returns the host with the lowest number among the senders of datagrams that are still to be acknowledged; `None`
     /// if there are none.
-    pub(crate) fn first_host(&self) -> Option<HostId> {
+    pub fn first_host(&self) -> Option<HostId> {
         self.pending.first_key_value().map(|(host, _)| *host)
     }
 
     /// Appends pending acknowledgements to `bytes`, a datagram that goes to all hosts: one block for each sender of
     /// acknowledged datagrams, as many ids as fit. The appended ids are no longer pending.
-    pub(crate) fn add_to(&mut self, bytes: &mut Vec<u8>) {
+    pub fn add_to(&mut self, bytes: &mut Vec<u8>) {
         while let Some(mut waiting) = self.pending.first_entry() {
             let room = MAX_PLAIN_BYTES.saturating_sub(bytes.len() + BLOCK_BYTES) / ID_BYTES;
             if room == 0 {
@@ -70,7 +70,7 @@ impl Acks {
 
     /// Appends all pending acknowledgements of datagrams of the host `host` to `bytes`, a datagram for that host that
     /// has no other block yet. They are no longer pending.
-    pub(crate) fn add_for(&mut self, host: HostId, bytes: &mut Vec<u8>) {
+    pub fn add_for(&mut self, host: HostId, bytes: &mut Vec<u8>) {
         if let Some(ids) = self.pending.remove(&host) {
             add(bytes, Content::Ack, |bytes| write_ids(&ids, bytes));
         }

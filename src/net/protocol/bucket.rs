@@ -6,26 +6,26 @@ use crate::time::{Span, Time};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rate {
     /// Sustained rate that is permitted \[datagrams/s\].
-    pub(crate) per_s: f64,
+    pub per_s: f64,
     /// Largest number of datagrams that may arrive at once after a pause.
-    pub(crate) burst: f64,
+    pub burst: f64,
 }
 
 /// State of a token bucket, which limits the rate of one sender: the remaining tokens, each worth one datagram.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Bucket {
+pub struct Bucket {
     tokens: f64,
     at: Time,
 }
 
 impl Bucket {
     /// Returns a bucket that is full at `now`: it holds `rate.burst` tokens.
-    pub(crate) fn full(now: Time, rate: &Rate) -> Bucket {
+    pub fn full(now: Time, rate: &Rate) -> Bucket {
         Bucket { tokens: rate.burst, at: now }
     }
 
     /// Returns whether a token is left at `now`. Unlike [`Bucket::take`], it changes nothing.
-    pub(crate) fn has(&self, now: Time, rate: &Rate) -> bool {
+    pub fn has(&self, now: Time, rate: &Rate) -> bool {
         self.tokens + now.since(self.at).as_secs() * rate.per_s >= 1.0
     }
 
@@ -36,14 +36,14 @@ impl Bucket {
     }
 
     /// Returns the number of whole tokens that the bucket holds at `now`, after it was refilled at the rate `rate`.
-    pub(crate) fn left(&mut self, now: Time, rate: &Rate) -> usize {
+    pub fn left(&mut self, now: Time, rate: &Rate) -> usize {
         self.fill(now, rate);
         self.tokens as usize
     }
 
     /// Takes one token at `now`, after the bucket was refilled at the rate `rate`. Returns `false` if there was none:
     /// the limit is exceeded.
-    pub(crate) fn take(&mut self, now: Time, rate: &Rate) -> bool {
+    pub fn take(&mut self, now: Time, rate: &Rate) -> bool {
         self.fill(now, rate);
         let left = self.tokens >= 1.0;
         if left {

@@ -21,21 +21,21 @@ const MAX_GUESTS: usize = 256;
 const REMOVED_SHARE: usize = 16;
 /// Largest number of stored candidates (incarnations that have not proved their liveness) of one host. An
 /// attacker is unlikely to have recorded as many earlier runs of a host with the same key and link.
-pub(crate) const MAX_CANDIDATES: usize = 32;
+pub const MAX_CANDIDATES: usize = 32;
 /// Difference \[us\] beyond which two stamps belong to different runs, even with equal incarnations: an hour.
 const SAME_CLOCK_US: i64 = 3_600_000_000;
 
 /// Incarnation (one run) of another host that has not proved its liveness yet, with the last stamp received from it.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Candidate {
+pub struct Candidate {
     /// Incarnation: random number of one run of the host.
-    pub(crate) incarnation: u32,
+    pub incarnation: u32,
     /// Latest stamp that was received from the incarnation.
-    pub(crate) stamp: Stamp,
+    pub stamp: Stamp,
     /// Time at which the stamp in `stamp` arrived.
-    pub(crate) at: Time,
+    pub at: Time,
     /// Number of this host's link reports that have echoed the candidate's stamp, to let it prove its liveness.
-    pub(crate) echoed: u32,
+    pub echoed: u32,
 }
 
 impl Candidate {
@@ -137,7 +137,7 @@ impl Table {
 
 /// All incarnations seen on one link that have not proved their liveness yet: of hosts of the team, and of guests.
 #[derive(Clone, Debug)]
-pub(crate) struct Candidates {
+pub struct Candidates {
     hosts: Table,
     guests: Table,
     first_guest: HostId,
@@ -146,7 +146,7 @@ pub(crate) struct Candidates {
 impl Candidates {
     /// Creates an empty table of candidates. Hosts of the team have ids below `first_guest`; guests (operators, and
     /// hosts that the deployment does not know) have the others.
-    pub(crate) fn new(first_guest: HostId) -> Candidates {
+    pub fn new(first_guest: HostId) -> Candidates {
         Candidates { hosts: Table::new(MAX_HOSTS), guests: Table::new(MAX_GUESTS), first_guest }
     }
 
@@ -156,13 +156,13 @@ impl Candidates {
 
     /// Records the `stamp` in a link report of an incarnation that has not proved its liveness, and adds the
     /// incarnation as a candidate if it is new. Returns whether the stamp was new.
-    pub(crate) fn note(&mut self, now: Time, host: HostId, incarnation: u32, stamp: Stamp) -> Novelty {
+    pub fn note(&mut self, now: Time, host: HostId, incarnation: u32, stamp: Stamp) -> Novelty {
         self.table(host).note(now, host, Candidate { incarnation, stamp, at: now, echoed: 0 })
     }
 
     /// Returns what [`Candidates::note`] returns if it would change nothing, as the stamp is no news of a candidate
     /// that is known; `None` if it would.
-    pub(crate) fn unchanged(&self, now: Time, host: HostId, incarnation: u32, stamp: Stamp) -> Option<Novelty> {
+    pub fn unchanged(&self, now: Time, host: HostId, incarnation: u32, stamp: Stamp) -> Option<Novelty> {
         let table = if host < self.first_guest { &self.hosts } else { &self.guests };
         let known = table.by_host.get(&host).into_iter().flatten();
         // Of several that match, `note` takes the first one.
@@ -174,7 +174,7 @@ impl Candidates {
 
     /// Removes an incarnation that has proved its liveness. Returns the removed candidate; `None` if it was not in the
     /// table.
-    pub(crate) fn forget(&mut self, host: HostId, incarnation: u32) -> Option<Candidate> {
+    pub fn forget(&mut self, host: HostId, incarnation: u32) -> Option<Candidate> {
         let table = self.table(host);
         let all = table.by_host.get(&host)?.iter();
         let known = all.filter(|known| known.incarnation == incarnation).max_by_key(|known| known.echoed).copied();
@@ -185,7 +185,7 @@ impl Candidates {
     /// Returns the candidates whose stamps the next report echoes: those whose stamps have advanced in the last 2 s,
     /// guests and hosts of the team alternately, so that neither group delays the other. Within each group, those whose
     /// stamps were echoed least come first, then the newest.
-    pub(crate) fn waiting(&self, now: Time) -> Vec<(HostId, Candidate)> {
+    pub fn waiting(&self, now: Time) -> Vec<(HostId, Candidate)> {
         let [mut guests, mut hosts] = [&self.guests, &self.hosts].map(|table| table.waiting(now).into_iter());
         let mut waiting = Vec::with_capacity(guests.len() + hosts.len());
         while guests.len() + hosts.len() > 0 {
@@ -196,7 +196,7 @@ impl Candidates {
     }
 
     /// Counts that a link report of this host has echoed this stamp of the host `host`.
-    pub(crate) fn echoed(&mut self, host: HostId, stamp: Stamp) {
+    pub fn echoed(&mut self, host: HostId, stamp: Stamp) {
         let all = self.table(host).by_host.get_mut(&host);
         if let Some(one) = all.and_then(|all| all.iter_mut().find(|one| one.stamp == stamp)) {
             one.echoed = one.echoed.saturating_add(1);
@@ -204,7 +204,7 @@ impl Candidates {
     }
 
     /// Returns for each host the candidate whose stamp has advanced last; its first stamp counts as an advance.
-    pub(crate) fn newest(&self) -> impl Iterator<Item = (HostId, Candidate)> {
+    pub fn newest(&self) -> impl Iterator<Item = (HostId, Candidate)> {
         let all = self.hosts.by_host.iter().chain(&self.guests.by_host);
         all.filter_map(|(&host, all)| Some((host, *all.iter().max_by_key(|one| one.at)?)))
     }

@@ -16,7 +16,7 @@ const HOLD: Span = Span::from_millis(10_000);
 
 /// Base delay of the round trips to one host.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct BaseDelay {
+pub struct BaseDelay {
     began: Time,
     /// Least round trips of this interval and the one before \[s\].
     least_s: [f64; 2],
@@ -24,12 +24,12 @@ pub(crate) struct BaseDelay {
 
 impl BaseDelay {
     /// Returns the base delay of a host that was accepted at `now`, without a round trip yet.
-    pub(crate) fn new(now: Time) -> BaseDelay {
+    pub fn new(now: Time) -> BaseDelay {
         BaseDelay { began: now, least_s: [f64::INFINITY; 2] }
     }
 
     /// Takes a round trip of `round_trip_s` \[s\] that was measured at `now`; returns its queueing delay \[s\].
-    pub(crate) fn queueing_s(&mut self, now: Time, round_trip_s: f64) -> f64 {
+    pub fn queueing_s(&mut self, now: Time, round_trip_s: f64) -> f64 {
         if now.since(self.began) >= INTERVAL {
             (self.began, self.least_s) = (now, [f64::INFINITY, self.least_s[0]]);
         }
@@ -40,14 +40,14 @@ impl BaseDelay {
 
 /// Congestion of a link, by the queueing delays of the round trips to all hosts.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Congestion {
+pub struct Congestion {
     queueing_s: f64,
     until: Time,
 }
 
 impl Congestion {
     /// Takes a queueing delay \[s\] that was measured at `now`.
-    pub(crate) fn note(&mut self, now: Time, queueing_s: f64) {
+    pub fn note(&mut self, now: Time, queueing_s: f64) {
         self.queueing_s += WEIGHT * (queueing_s - self.queueing_s);
         if self.queueing_s > CONGESTED_S {
             self.until = now + HOLD;
@@ -55,7 +55,7 @@ impl Congestion {
     }
 
     /// Whether the link is congested, or was within the last 10 s.
-    pub(crate) fn is_on(&self, now: Time) -> bool {
+    pub fn is_on(&self, now: Time) -> bool {
         now < self.until
     }
 }

@@ -11,7 +11,7 @@ use crate::time::{Span, Time};
 
 /// Time since its start after which a process no longer ends because another host has the same id. Every member with
 /// the key can claim an earlier start, and a false claim must not end a team.
-pub(crate) const SETTLED: Span = Span::from_millis(10_000);
+pub const SETTLED: Span = Span::from_millis(10_000);
 /// Difference of uptimes below which the incarnations decide which process ends.
 const TIE_MARGIN: Span = Span::from_millis(50);
 
@@ -20,7 +20,7 @@ const TIE_MARGIN: Span = Span::from_millis(50);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DuplicateId {
     /// Link on which the other host was received.
-    pub(crate) link: LinkId,
+    pub link: LinkId,
     /// Common id of both hosts.
     pub host: HostId,
     /// Incarnation (random number of one run) of the process that started earlier.
@@ -29,7 +29,7 @@ pub struct DuplicateId {
 
 /// Detection of other live processes with the host id of this process, on one link.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct DuplicateIds {
+pub struct DuplicateIds {
     me: (LinkId, HostId, u32),
     began: Option<Time>,
     claims: u64,
@@ -38,19 +38,19 @@ pub(crate) struct DuplicateIds {
 
 impl DuplicateIds {
     /// Returns the state before any datagram. `host` is the id of this process, and `incarnation` its incarnation.
-    pub(crate) fn new(link: LinkId, host: HostId, incarnation: u32) -> DuplicateIds {
+    pub fn new(link: LinkId, host: HostId, incarnation: u32) -> DuplicateIds {
         const { assert!(SETTLED.as_nanos() < MAX_HELD_FOR.as_nanos(), "a report can say that it has run for so long") };
         DuplicateIds { me: (link, host, incarnation), began: None, claims: 0, duplicate: None }
     }
 
     /// Returns the time since the first call of `uptime` or `claim`, which counts as the start of this process.
-    pub(crate) fn uptime(&mut self, now: Time) -> Span {
+    pub fn uptime(&mut self, now: Time) -> Span {
         now.since(*self.began.get_or_insert(now))
     }
 
     /// Handles a link report of another process with the same host id: its incarnation, and its uptime `theirs` as
     /// stated in the report. The caller has checked that the report echoes a recent stamp of this process.
-    pub(crate) fn claim(&mut self, now: Time, incarnation: u32, theirs: Span) {
+    pub fn claim(&mut self, now: Time, incarnation: u32, theirs: Span) {
         let ours = self.uptime(now);
         let (link, host, mine) = self.me;
         self.claims += 1;
@@ -67,7 +67,7 @@ impl DuplicateIds {
 
     /// Returns the process with the same host id that was started earlier, so that this process has to end. `None` if
     /// none was found.
-    pub(crate) fn duplicate(&self) -> Option<DuplicateId> {
+    pub fn duplicate(&self) -> Option<DuplicateId> {
         self.duplicate
     }
 }

@@ -15,7 +15,7 @@ const MAX_GAPS: usize = 256;
 const ASKS: u32 = 4;
 /// Longest random wait before a receiver requests a missing datagram. The first receiver that requests it suppresses
 /// the requests of others (RFC 5401, section 3.2).
-pub(crate) const BACKOFF: Span = Span::from_millis(10);
+pub const BACKOFF: Span = Span::from_millis(10);
 
 /// State of a missing datagram.
 #[derive(Clone, Copy, Debug)]
@@ -26,14 +26,14 @@ struct Gap {
 
 /// Missing datagrams of one link that senders have offered for retransmission, with the times of the requests.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Gaps(BTreeMap<DatagramId, Gap>);
+pub struct Gaps(BTreeMap<DatagramId, Gap>);
 
 impl Gaps {
     /// Removes the datagram with this header, which has arrived, from the missing ones. Adds those that it offers for
     /// retransmission (sequence numbers `held`) and that `window`, of the same sequence space, has not received.
     /// `backoff` draws the wait before a request. Datagrams that their sender does not offer, such as requests, are
     /// not requested when they are lost.
-    pub(crate) fn note(
+    pub fn note(
         &mut self,
         now: Time,
         header: &Header,
@@ -51,19 +51,19 @@ impl Gaps {
     }
 
     /// Returns whether no missing datagram is tracked.
-    pub(crate) fn is_empty(&self) -> bool {
+    pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
     /// Returns whether the datagram with this header is the retransmission of one that is missing. It is then accepted
     /// at any age.
-    pub(crate) fn awaits(&self, header: &Header) -> bool {
+    pub fn awaits(&self, header: &Header) -> bool {
         header.flags.has(Flags::COPY) && self.0.contains_key(&DatagramId::of(header))
     }
 
     /// Postpones requests for the datagrams `ids`, which another host has just requested. It concerns only datagrams to
     /// all hosts: each receiver has its own sequence space for unicast datagrams.
-    pub(crate) fn asked_by_others(&mut self, now: Time, ids: &[DatagramId]) {
+    pub fn asked_by_others(&mut self, now: Time, ids: &[DatagramId]) {
         for id in ids.iter().filter(|id| !id.direct) {
             if let Some(gap) = self.0.get_mut(id) {
                 gap.due = gap.due.max(now + BACKOFF * 2);
@@ -72,13 +72,13 @@ impl Gaps {
     }
 
     /// Returns the time at which to call [`Gaps::ask`] next; `None` if no missing datagram is tracked.
-    pub(crate) fn due(&self) -> Option<Time> {
+    pub fn due(&self) -> Option<Time> {
         self.0.values().map(|gap| gap.due).min()
     }
 
     /// Returns the datagrams to request at `now`, at most `room`. `backoff` draws the wait before the next request for
     /// each.
-    pub(crate) fn ask(&mut self, now: Time, room: usize, mut backoff: impl FnMut() -> Span) -> Vec<DatagramId> {
+    pub fn ask(&mut self, now: Time, room: usize, mut backoff: impl FnMut() -> Span) -> Vec<DatagramId> {
         let mut ids = Vec::new();
         self.0.retain(|_, gap| gap.asked < ASKS || gap.due > now);
         for (id, gap) in &mut self.0 {

@@ -26,7 +26,7 @@ use crate::time::{Span, Time};
 
 /// How soon this host has to send its next link report because another host needs it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Urgency {
+pub enum Urgency {
     /// With the next regular report.
     #[default]
     Regular,
@@ -56,22 +56,22 @@ pub enum Verdict {
 
 /// Identity and settings of this host on one link.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct LocalEnd {
+pub struct LocalEnd {
     /// Id of this host.
-    pub(crate) host: HostId,
+    pub host: HostId,
     /// Incarnation of this host: random number of this run.
-    pub(crate) incarnation: u32,
+    pub incarnation: u32,
     /// Id of the link.
-    pub(crate) link: LinkId,
+    pub link: LinkId,
     /// Whether senders have to prove their liveness before they are accepted: true on links with a key.
-    pub(crate) authenticated: bool,
+    pub authenticated: bool,
     /// Smallest host id of a guest (operator, or host that the deployment does not know); hosts of the team have
     /// smaller ids.
-    pub(crate) first_guest: HostId,
+    pub first_guest: HostId,
     /// Length of an entry in this host's link reports \[bytes\].
-    pub(crate) entry_bytes: usize,
+    pub entry_bytes: usize,
     /// Clock from which this host's link reports take their stamps.
-    pub(crate) stamps: Stamps,
+    pub stamps: Stamps,
 }
 
 /// Liveness proof of another host: an entry of its report that echoes a recent stamp of this host.
@@ -85,24 +85,24 @@ pub(super) struct LivenessProof {
 /// State of the reception on one link: accepted senders, candidates that have not proved their liveness, and missing
 /// datagrams.
 #[derive(Clone, Debug)]
-pub(crate) struct Incoming {
+pub struct Incoming {
     pub(super) local: LocalEnd,
     rate: Option<Rate>,
     pub(super) senders: Senders,
     pub(super) candidates: Candidates,
     /// Datagrams that have not arrived, among those that their senders offer for retransmission.
-    pub(crate) gaps: Gaps,
+    pub gaps: Gaps,
     schedule: ReportSchedule,
     congestion: Congestion,
     /// Detection of other processes with the id of this host.
-    pub(crate) duplicate_ids: DuplicateIds,
+    pub duplicate_ids: DuplicateIds,
     /// Whether the last datagram proved its sender's liveness.
     proved: bool,
 }
 
 impl Incoming {
     /// Returns the state before any datagram. `rate` limits the datagrams that are accepted from each sender.
-    pub(crate) fn new(local: LocalEnd, rate: Option<Rate>) -> Incoming {
+    pub fn new(local: LocalEnd, rate: Option<Rate>) -> Incoming {
         let schedule = ReportSchedule::new(local.host, local.authenticated, local.entry_bytes);
         let duplicate_ids = DuplicateIds::new(local.link, local.host, local.incarnation);
         let (senders, candidates) = (Senders::new(local.first_guest), Candidates::new(local.first_guest));
@@ -113,13 +113,7 @@ impl Incoming {
 
     /// Decides whether to accept a datagram of this team whose tag was valid. `report` is the link report in the
     /// datagram, if any; a refusal is counted in `counts` by its cause.
-    pub(crate) fn admit(
-        &mut self,
-        now: Time,
-        header: &Header,
-        report: Option<&Report>,
-        counts: &mut LinkCounts,
-    ) -> Verdict {
+    pub fn admit(&mut self, now: Time, header: &Header, report: Option<&Report>, counts: &mut LinkCounts) -> Verdict {
         let proof = report.and_then(|report| self.liveness_proof(now, report));
         self.proved = proof.is_some();
         let known = match self.local.authenticated {
@@ -186,12 +180,12 @@ impl Incoming {
 
     /// Returns whether the datagram that was given to `admit` last proves its sender's liveness: it echoes a recent
     /// stamp of this host.
-    pub(crate) fn has_proved(&self) -> bool {
+    pub fn has_proved(&self) -> bool {
         self.proved
     }
 
     /// Lists the accepted incarnations of the host `host` in the next link report, even in an urgent one.
-    pub(crate) fn list_soon(&mut self, host: HostId) {
+    pub fn list_soon(&mut self, host: HostId) {
         self.senders.iter_mut().filter(|((id, _), _)| *id == host).for_each(|(_, sender)| sender.challenged = true);
     }
 
@@ -331,7 +325,7 @@ impl Incoming {
 
     /// Handles the link report of another process with this host's id: a live one, or a recording of an earlier run.
     #[cold]
-    pub(crate) fn note_duplicate_id(&mut self, now: Time, header: &Header, report: &Report, counts: &mut LinkCounts) {
+    pub fn note_duplicate_id(&mut self, now: Time, header: &Header, report: &Report, counts: &mut LinkCounts) {
         self.candidates.note(now, header.sender, header.incarnation, report.stamp);
         match self.liveness_proof(now, report) {
             Some(proof) => {
@@ -352,7 +346,7 @@ impl Incoming {
 
     /// Returns whether a message about `robot` is newer than all others of its stream (kind and robot), and records it
     /// if so. All kinds of messages are state, so older messages are useless.
-    pub(crate) fn accept(&mut self, header: &Header, kind: Kind, robot: RobotId, counts: &mut LinkCounts) -> bool {
+    pub fn accept(&mut self, header: &Header, kind: Kind, robot: RobotId, counts: &mut LinkCounts) -> bool {
         let Some(sender) = self.senders.get_mut((header.sender, header.incarnation)) else { return false };
         let newest = &mut sender.spaces[usize::from(header.flags.has(Flags::DIRECT))].newest;
         let newest = newest.entry((kind, robot)).or_insert(header.sequence.wrapping_sub(1));
@@ -373,7 +367,7 @@ impl Incoming {
 
     /// Records as missing those datagrams that their sender still keeps for retransmission, by the sequence numbers
     /// `held` in a datagram of it, and that have not arrived. `backoff` draws the wait before each request.
-    pub(crate) fn note_gaps(&mut self, now: Time, header: &Header, held: &[u32], backoff: impl FnMut() -> Span) {
+    pub fn note_gaps(&mut self, now: Time, header: &Header, held: &[u32], backoff: impl FnMut() -> Span) {
         if held.is_empty() && self.gaps.is_empty() {
             return;
         }
@@ -384,12 +378,12 @@ impl Incoming {
 
     /// Records that another host requested these datagrams at `now`, so that this host does not request them at the
     /// same time.
-    pub(crate) fn asked_by_others(&mut self, now: Time, ids: &[DatagramId]) {
+    pub fn asked_by_others(&mut self, now: Time, ids: &[DatagramId]) {
         self.gaps.asked_by_others(now, ids);
     }
 
     /// Returns this host's next link report, of at most `room` bytes; `None` if not even its stamp fits.
-    pub(crate) fn report(&mut self, now: Time, room: usize, occasion: Occasion) -> Option<Report> {
+    pub fn report(&mut self, now: Time, room: usize, occasion: Occasion) -> Option<Report> {
         let places = room.checked_sub(REPORT_BYTES)? / self.local.entry_bytes;
         let uptime = self.duplicate_ids.uptime(now);
         let (candidates, senders) = (&mut self.candidates, &mut self.senders);
@@ -399,12 +393,12 @@ impl Incoming {
 
     /// Returns how many times a message to the hosts in `audience` is to be repeated, 0 to 2, by the loss that they
     /// report; none while the link is congested, because they would make it worse.
-    pub(crate) fn repeats(&self, now: Time, audience: Audience) -> u8 {
+    pub fn repeats(&self, now: Time, audience: Audience) -> u8 {
         if self.congestion.is_on(now) { 0 } else { self.senders.repeats(now, audience) }
     }
 
     /// Returns a summary of each other host on the link: of its accepted incarnations, or else of its newest candidate.
-    pub(crate) fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
+    pub fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
         let link = self.local.link;
         let accepted = self.senders.iter().map(move |(id, sender)| {
             let proven = !self.local.authenticated

@@ -10,13 +10,13 @@ use crate::time::{Span, Time};
 /// Time after the arrival of a link report during which datagrams that were sent before it are still accepted. It
 /// covers a jitter of 100 ms, and all retransmissions of a lost datagram: these take 155 ms, or 174 ms if each timer is
 /// an eighth late to share a wake-up.
-pub(crate) const LATE: Span = Span::from_millis(280);
+pub const LATE: Span = Span::from_millis(280);
 /// Smallest interval between stored reports, which bounds their number.
 const MIN_SPACING: Span = Span::from_nanos(LATE.as_nanos() / 16);
 
 /// Recent link reports of one sender, from which datagrams that were held back on the way are recognized.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Lateness {
+pub struct Lateness {
     /// For each report: its arrival time, and the numbers of the next datagrams to all hosts and to this host.
     reports: VecDeque<(Time, [Option<u32>; 2])>,
     /// Smallest numbers that are not late: of datagrams to all hosts, and to this host.
@@ -27,7 +27,7 @@ impl Lateness {
     /// Records a link report that arrived at `now`. `numbers` are the sequence numbers of the sender's next datagrams
     /// to all hosts and to this host when it sent the report, each `None` if unknown; datagrams with smaller numbers
     /// were sent before.
-    pub(crate) fn reported(&mut self, now: Time, numbers: [Option<u32>; 2]) {
+    pub fn reported(&mut self, now: Time, numbers: [Option<u32>; 2]) {
         self.advance(now);
         if self.reports.back().is_none_or(|(at, _)| now.since(*at) >= MIN_SPACING) {
             self.reports.push_back((now, numbers));
@@ -47,7 +47,7 @@ impl Lateness {
     }
 
     /// Returns what [`Lateness::is_late`] returns, and changes nothing.
-    pub(crate) fn would_be_late(&self, now: Time, space: usize, sequence: u32) -> bool {
+    pub fn would_be_late(&self, now: Time, space: usize, sequence: u32) -> bool {
         let passed = self.reports.iter().take_while(|(at, _)| now.since(*at) > LATE);
         let numbers = passed.filter_map(|(_, numbers)| numbers[space]);
         let advance = |least: Option<u32>, number: u32| match least {
@@ -59,7 +59,7 @@ impl Lateness {
 
     /// Returns whether the datagram with this sequence number was sent before a link report that arrived more than 280
     /// ms ([`LATE`]) ago. `space` is 0 for datagrams to all hosts, 1 for those to this host.
-    pub(crate) fn is_late(&mut self, now: Time, space: usize, sequence: u32) -> bool {
+    pub fn is_late(&mut self, now: Time, space: usize, sequence: u32) -> bool {
         self.advance(now);
         self.least[space].is_some_and(|least| is_before(sequence, least))
     }

@@ -4,21 +4,21 @@ use crate::time::Span;
 
 /// Largest age at which a stamp of this host, echoed by another host, proves that the other host is live. Hosts echo
 /// a received stamp for the same time.
-pub(crate) const FRESH: Span = Span::from_millis(2000);
+pub const FRESH: Span = Span::from_millis(2000);
 /// Time for which a host stays accepted after a liveness proof (echo of a recent stamp). In a team of 200, each round
 /// of reports takes 3 s, and at a loss of 30 % some reports that list this host do not arrive.
-pub(crate) const PROOF_VALIDITY: Span = Span::from_millis(15_000);
+pub const PROOF_VALIDITY: Span = Span::from_millis(15_000);
 /// Time after a sender's last link report during which its datagrams are accepted. Reports are sent every 250 ms.
-pub(crate) const REPORT_VALIDITY: Span = Span::from_millis(3000);
+pub const REPORT_VALIDITY: Span = Span::from_millis(3000);
 /// On a link with a key: time without a link report after which a host is silent, so that another incarnation of it
 /// may be accepted.
-pub(crate) const SILENT: Span = Span::from_millis(400);
+pub const SILENT: Span = Span::from_millis(400);
 /// On a link without a key: time without any datagram after which a host is silent, so that another incarnation of it
 /// may be accepted.
-pub(crate) const SILENT_WITHOUT_KEY: Span = Span::from_millis(300);
+pub const SILENT_WITHOUT_KEY: Span = Span::from_millis(300);
 /// Smallest number of lost datagrams among a sender's newest 64, as a receiver reports it, with which the sender sends
 /// messages in the reliability mode `repeat` twice: about 3 %.
-pub(crate) const LOSS_TO_REPEAT: u8 = 2;
+pub const LOSS_TO_REPEAT: u8 = 2;
 /// Smallest number of lost datagrams among a sender's newest 64, as a receiver reports it, with which the sender sends
 /// messages in the reliability mode `repeat` three times: about 40 %.
-pub(crate) const LOSS_TO_REPEAT_TWICE: u8 = 26;
+pub const LOSS_TO_REPEAT_TWICE: u8 = 26;

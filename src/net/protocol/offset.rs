@@ -15,24 +15,24 @@ const DRIFT: f64 = 30e-6;
 
 /// Estimated offset between the clock of another host and that of this host, with its error bound.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Offset {
+pub struct Offset {
     /// Stamps of the other host minus those of this host \[s\].
-    pub(crate) ahead_s: f64,
+    pub ahead_s: f64,
     /// Bound on the error of the offset \[s\]: half of the round trip, and the drift since the measurement.
-    pub(crate) uncertainty_s: f64,
+    pub uncertainty_s: f64,
     /// Round-trip time of the link reports from which the offset was measured \[s\].
-    pub(crate) round_trip_s: f64,
+    pub round_trip_s: f64,
 }
 
 /// Recent measurements of the offset between the stamps of another host and those of this host.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Offsets(VecDeque<(Time, f64, f64)>);
+pub struct Offsets(VecDeque<(Time, f64, f64)>);
 
 impl Offsets {
     /// Adds a measurement from a link report of the other host that arrived at `now`, and returns its round trip \[s\].
     /// `entry` is the report's entry about this host, `theirs` its stamp, and `here` the stamp of this host's clock at
     /// `now`. `None` for a round trip that cannot be, which is left out.
-    pub(crate) fn measure(&mut self, now: Time, here: Stamp, theirs: Stamp, entry: &Entry) -> Option<f64> {
+    pub fn measure(&mut self, now: Time, here: Stamp, theirs: Stamp, entry: &Entry) -> Option<f64> {
         let round_trip = here.ahead_us(entry.echo) as f64 * 1e-6 - entry.held.as_secs();
         // A negative round trip means that the sender claims to have held the stamp for longer than possible.
         let round_trip = Some(round_trip).filter(|round_trip| *round_trip >= -1e-5)?.max(0.0);
@@ -46,14 +46,14 @@ impl Offsets {
     /// Returns whether a link report that arrived at `now` was certainly in transit for longer than `most`, or was
     /// stamped by another clock than the measured one. `theirs` is its stamp, `here` the stamp of this host's clock at
     /// `now`. `false` without a measurement.
-    pub(crate) fn is_off(&self, now: Time, here: Stamp, theirs: Stamp, most: Span) -> bool {
+    pub fn is_off(&self, now: Time, here: Stamp, theirs: Stamp, most: Span) -> bool {
         let Some(offset) = self.estimate(now) else { return false };
         let delay_s = offset.ahead_s - theirs.ahead_us(here) as f64 * 1e-6;
         delay_s.abs() > most.as_secs() + offset.uncertainty_s
     }
 
     /// Returns the estimate of the offset with the smallest error bound at `now`; `None` without a measurement.
-    pub(crate) fn estimate(&self, now: Time) -> Option<Offset> {
+    pub fn estimate(&self, now: Time) -> Option<Offset> {
         let of = |&(at, ahead_s, round_trip_s): &(Time, f64, f64)| {
             let uncertainty_s = 0.5 * round_trip_s + DRIFT * now.since(at).as_secs() + 1e-6;
             Offset { ahead_s, uncertainty_s, round_trip_s }

@@ -23,7 +23,7 @@ use crate::time::{Span, Time};
 
 /// Longest time between two link reports of a host on a link; then the next one is sent, in a datagram of its own if
 /// need be.
-pub(crate) const REPORT_PERIOD: Span = Span::from_millis(250);
+pub const REPORT_PERIOD: Span = Span::from_millis(250);
 /// Age of the last report from which on a report that another host waits for may be piggybacked.
 const PENDING_PIGGYBACK_AGE: Span = Span::from_millis(10);
 /// Smallest interval between urgent reports, so that a flood of recordings does not cause a flood of answers.
@@ -35,12 +35,12 @@ const URGENT_RATE: Rate = Rate { per_s: 4.0, burst: 25.0 };
 const EAGER_PERIOD: Span = Span::from_millis(5);
 
 /// Receivers of a datagram, and the datagram with its authentication tag, as given to a transport.
-pub(crate) type Outbound = (Audience, Frame);
+pub type Outbound = (Audience, Frame);
 
 /// State of the transmission on one link: sequence numbers, waiting soft state, link reports and datagrams to
 /// retransmit.
 #[derive(Clone, Debug)]
-pub(crate) struct Outgoing {
+pub struct Outgoing {
     me: Header,
     link: LinkId,
     key: Option<Key>,
@@ -69,7 +69,7 @@ pub(crate) struct Outgoing {
 impl Outgoing {
     /// Returns the state before any datagram. `me` is the header from which those of all datagrams are made, and
     /// `first_report` the time until the first link report.
-    pub(crate) fn new(me: Header, link: LinkId, key: Option<Key>, setup: Setup, first_report: Span) -> Outgoing {
+    pub fn new(me: Header, link: LinkId, key: Option<Key>, setup: Setup, first_report: Span) -> Outgoing {
         let report_due = (setup.reports == Reports::On).then_some(Time::ZERO + first_report);
         let numbered = key.is_some() && setup.is_addressed();
         let soft = Soft::default();
@@ -98,7 +98,7 @@ impl Outgoing {
     /// Sends a message to the hosts in `audience`: at once, or with the next datagram if it is soft state. Appends the
     /// datagrams that are due to `out`. Returns the message as a datagram without tag; fails if it is out of range or
     /// too long.
-    pub(crate) fn send(
+    pub fn send(
         &mut self,
         now: Time,
         audience: Audience,
@@ -279,7 +279,7 @@ impl Outgoing {
 
     /// Schedules a link report that another host needs, to prove its liveness or to accept this host. `urgency` says
     /// how soon.
-    pub(crate) fn request_report(&mut self, now: Time, urgency: Urgency) {
+    pub fn request_report(&mut self, now: Time, urgency: Urgency) {
         if urgency == Urgency::Regular || self.setup.reports == Reports::Off {
             return;
         }
@@ -319,22 +319,22 @@ impl Outgoing {
     }
 
     /// Schedules the acknowledgement of a datagram that has arrived.
-    pub(crate) fn acknowledge(&mut self, now: Time, id: DatagramId) {
+    pub fn acknowledge(&mut self, now: Time, id: DatagramId) {
         self.acks.note(now, id);
     }
 
     /// Returns whether the acknowledgement of this datagram is pending, or nothing more of its sender can be.
-    pub(crate) fn acknowledges(&self, id: &DatagramId) -> bool {
+    pub fn acknowledges(&self, id: &DatagramId) -> bool {
         self.acks.has(id)
     }
 
     /// Handles acknowledgements that the host `from` has sent for datagrams of this host.
-    pub(crate) fn acknowledged(&mut self, now: Time, from: HostId, ids: &[DatagramId]) {
+    pub fn acknowledged(&mut self, now: Time, from: HostId, ids: &[DatagramId]) {
         self.retransmitter.acknowledged(now, from, ids);
     }
 
     /// Retransmits the datagrams that the host `from` requests: appends those that are still kept to `out`.
-    pub(crate) fn requested(
+    pub fn requested(
         &mut self,
         now: Time,
         from: HostId,
@@ -348,14 +348,14 @@ impl Outgoing {
     }
 
     /// Appends to `out` a datagram to all hosts that requests the retransmission of the missing datagrams `ids`.
-    pub(crate) fn ask(&mut self, ids: &[DatagramId], counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
+    pub fn ask(&mut self, ids: &[DatagramId], counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
         let mut bytes = codec::start(&self.header(Audience::All, 0));
         add(&mut bytes, Content::Nack, |bytes| write_ids(ids, bytes));
         self.send_alone(Audience::All, bytes, counts, out);
     }
 
     /// Returns the time at which `wake` has to be called next; `None` if nothing is due.
-    pub(crate) fn due(&self) -> Option<Time> {
+    pub fn due(&self) -> Option<Time> {
         let dues = [self.retransmitter.due(), self.soft.due(), self.acks.due(), self.report_due, self.urgent_due];
         let first = dues.map(|due| due.unwrap_or(Time::MAX)).into_iter().fold(Time::MAX, Time::min);
         Some(first).filter(|due| *due < Time::MAX)
@@ -363,13 +363,7 @@ impl Outgoing {
 
     /// Sends what is due at `now` (retransmissions, soft state, acknowledgements, link reports): appends the datagrams
     /// to `out`.
-    pub(crate) fn wake(
-        &mut self,
-        now: Time,
-        incoming: &mut Incoming,
-        counts: &mut LinkCounts,
-        out: &mut Vec<Outbound>,
-    ) {
+    pub fn wake(&mut self, now: Time, incoming: &mut Incoming, counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
         while let Some(datagram) = self.retransmitter.next(now, counts) {
             self.send_copy(datagram, counts, out);
         }

@@ -16,7 +16,7 @@ impl Incoming {
     /// Returns the cause for which a datagram of this team is refused, if nothing but the count of it changes; `None`
     /// if it has to be admitted, or refused with an effect. A duplicate whose sender wants an acknowledgement is among
     /// the causes: the caller decides whether it gets one.
-    pub(crate) fn refuses(&self, now: Time, header: &Header, report: Option<&Report>) -> Option<Refusal> {
+    pub fn refuses(&self, now: Time, header: &Header, report: Option<&Report>) -> Option<Refusal> {
         let id = (header.sender, header.incarnation);
         let sender = match self.local.authenticated {
             false => self.senders.get(id)?,
@@ -62,7 +62,7 @@ impl Incoming {
     }
 
     /// Returns whether a datagram is of a candidate that is waiting for reports of this host, and no news of it.
-    pub(crate) fn is_of_waiting(&self, now: Time, header: &Header, report: Option<&Report>) -> bool {
+    pub fn is_of_waiting(&self, now: Time, header: &Header, report: Option<&Report>) -> bool {
         report.is_some_and(|report| self.novelty(now, header, report) == Some(Novelty::Repeated))
     }
 
@@ -72,7 +72,7 @@ impl Incoming {
 
     /// Returns the cause for which a datagram of another process with the id of this host is refused, if nothing but
     /// the count of it changes.
-    pub(crate) fn refuses_own_id(&self, now: Time, header: &Header, report: Option<&Report>) -> Option<Refusal> {
+    pub fn refuses_own_id(&self, now: Time, header: &Header, report: Option<&Report>) -> Option<Refusal> {
         if !self.local.authenticated {
             return Some(Refusal::DuplicateId);
         }

@@ -27,7 +27,7 @@ const LOSS_STEP: u8 = 4;
 
 /// Reason why a link report is sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Occasion {
+pub enum Occasion {
     /// The period of link reports is over.
     Regular,
     /// Another host needs a link report at once. Only hosts that wait for an entry are listed.
@@ -36,7 +36,7 @@ pub(crate) enum Occasion {
 
 /// Order of the hosts in one link's reports, which list them in turn, and the byte budget of the reports.
 #[derive(Clone, Debug)]
-pub(crate) struct ReportSchedule {
+pub struct ReportSchedule {
     me: HostId,
     rate: Rate,
     budget: Bucket,
@@ -49,7 +49,7 @@ pub(crate) struct ReportSchedule {
 impl ReportSchedule {
     /// Returns the state before any report, with a full budget. `me` is this host, `authenticated` says whether the
     /// link has a key, and `entry_bytes` is the length of an entry.
-    pub(crate) fn new(me: HostId, authenticated: bool, entry_bytes: usize) -> ReportSchedule {
+    pub fn new(me: HostId, authenticated: bool, entry_bytes: usize) -> ReportSchedule {
         let size = entry_bytes as f64;
         let rate = Rate { per_s: ENTRY_BYTES_PER_S / size, burst: ENTRY_BYTES_AT_ONCE / size };
         ReportSchedule { me, rate, budget: Bucket::full(Time::ZERO, &rate), odd: false, authenticated }
@@ -57,7 +57,7 @@ impl ReportSchedule {
 
     /// Returns the entries of a link report that is sent at `now`, at most `places`: about candidates and about
     /// accepted senders. `uptime` is the time since the start of this process.
-    pub(crate) fn entries(
+    pub fn entries(
         &mut self,
         (now, uptime): (Time, Span),
         places: usize,

@@ -11,19 +11,19 @@ use crate::messages::ids::HostId;
 use crate::time::{Span, Time};
 
 /// Largest number of hosts of the team that are accepted on a link.
-pub(crate) const MAX_SENDERS: usize = 1024;
+pub const MAX_SENDERS: usize = 1024;
 /// Largest number of guests (operators, and hosts that the deployment does not know) that are accepted in addition to
 /// the hosts of the team.
-pub(crate) const MAX_GUESTS: usize = 128;
+pub const MAX_GUESTS: usize = 128;
 /// Time without a datagram after which a host is removed if the table is full.
 const FORGET: Span = Span::from_millis(20_000);
 
 /// Identity of a sender: its host id, and its incarnation (random number of one run).
-pub(crate) type SenderId = (HostId, u32);
+pub type SenderId = (HostId, u32);
 
 /// Table of the senders that are accepted on one link, of limited size.
 #[derive(Clone, Debug)]
-pub(crate) struct Senders {
+pub struct Senders {
     all: BTreeMap<SenderId, Sender>,
     first_guest: HostId,
     forgot: Time,
@@ -37,56 +37,56 @@ fn ids(from: HostId, to: HostId) -> RangeInclusive<SenderId> {
 impl Senders {
     /// Returns an empty table. Hosts of the team have ids below `first_guest`; guests (operators, and hosts that the
     /// deployment does not know) have the others.
-    pub(crate) fn new(first_guest: HostId) -> Senders {
+    pub fn new(first_guest: HostId) -> Senders {
         Senders { all: BTreeMap::new(), first_guest, forgot: Time::ZERO }
     }
 
     /// Returns the state of a sender; `None` if it is not accepted.
-    pub(crate) fn get(&self, id: SenderId) -> Option<&Sender> {
+    pub fn get(&self, id: SenderId) -> Option<&Sender> {
         self.all.get(&id)
     }
 
     /// Returns the state of a sender, to be changed; `None` if it is not accepted.
-    pub(crate) fn get_mut(&mut self, id: SenderId) -> Option<&mut Sender> {
+    pub fn get_mut(&mut self, id: SenderId) -> Option<&mut Sender> {
         self.all.get_mut(&id)
     }
 
     /// Returns all accepted senders, to be changed.
-    pub(crate) fn iter_mut(&mut self) -> IterMut<'_, SenderId, Sender> {
+    pub fn iter_mut(&mut self) -> IterMut<'_, SenderId, Sender> {
         self.all.iter_mut()
     }
 
     /// Returns all accepted senders in the order of host and incarnation.
-    pub(crate) fn iter(&self) -> impl Iterator<Item = (SenderId, &Sender)> {
+    pub fn iter(&self) -> impl Iterator<Item = (SenderId, &Sender)> {
         self.all.iter().map(|(id, sender)| (*id, sender))
     }
 
     /// Whether any incarnation of this host is accepted.
-    pub(crate) fn knows(&self, host: HostId) -> bool {
+    pub fn knows(&self, host: HostId) -> bool {
         self.all.range(ids(host, host)).next().is_some()
     }
 
     /// Returns another accepted incarnation of the host of `(host, incarnation)`; `None` if there is none. Always
     /// `None` for an operator, since several operators may have drawn the same id.
-    pub(crate) fn other_incarnation(&self, (host, incarnation): SenderId) -> Option<SenderId> {
+    pub fn other_incarnation(&self, (host, incarnation): SenderId) -> Option<SenderId> {
         let mut all = self.all.range(ids(host, host)).map(|(id, _)| *id);
         all.find(|id| id.1 != incarnation).filter(|_| !host.is_operator())
     }
 
     /// Adds an accepted sender to the table, or replaces its state.
-    pub(crate) fn insert(&mut self, id: SenderId, sender: Sender) {
+    pub fn insert(&mut self, id: SenderId, sender: Sender) {
         self.all.insert(id, sender);
     }
 
     /// Removes a sender from the table, so that it is no longer accepted.
-    pub(crate) fn remove(&mut self, id: SenderId) {
+    pub fn remove(&mut self, id: SenderId) {
         self.all.remove(&id);
     }
 
     /// Makes room in the table for a new sender of the host `host`; returns `false` if there is none. Among too many
     /// guests, the one that has been silent longest is removed; it is accepted again with its next datagram. Among too
     /// many hosts of the team, those that have been silent for 20 s are removed.
-    pub(crate) fn make_room(&mut self, now: Time, host: HostId) -> bool {
+    pub fn make_room(&mut self, now: Time, host: HostId) -> bool {
         let guests = || ids(self.first_guest, HostId(u16::MAX));
         let count = self.all.range(guests()).count();
         if host >= self.first_guest {
@@ -111,7 +111,7 @@ impl Senders {
 
     /// Returns how many times a message to the hosts in `audience` is to be sent again, 0 to 2, by the loss that they
     /// report.
-    pub(crate) fn repeats(&self, now: Time, audience: Audience) -> u8 {
+    pub fn repeats(&self, now: Time, audience: Audience) -> u8 {
         let asked = |sender: &Sender| sender.repeat_until.iter().filter(|until| **until > now).count() as u8;
         let asking = match audience {
             Audience::Host(host) => ids(host, host),

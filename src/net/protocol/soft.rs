@@ -12,17 +12,17 @@ use crate::time::{Span, Time};
 /// Longest time that soft state waits for a datagram with data to which it can be appended, one to the same receivers.
 /// It does not wait if the last of these was sent longer ago than this. With data twelve times a second, all soft state
 /// is appended.
-pub(crate) const PIGGYBACK_WAIT: Span = Span::from_millis(100);
+pub const PIGGYBACK_WAIT: Span = Span::from_millis(100);
 /// Smallest interval between datagrams that contain only soft state; half of it if they contain an instruction of the
 /// state server.
-pub(crate) const SOFT_PERIOD: Span = Span::from_millis(200);
+pub const SOFT_PERIOD: Span = Span::from_millis(200);
 /// Time after a heartbeat from which on its retransmission is appended to a datagram with data, and after which it
 /// leaves in a datagram of its own: a fifth and half of the period of heartbeats.
 const REPEAT_AFTER: [Span; 2] = [Span::from_millis(40), Span::from_millis(100)];
 
 /// Soft state of a host that waits on one link.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Soft {
+pub struct Soft {
     /// For each stream the receivers of its newest message and its encoding.
     pending: BTreeMap<StreamId, (Audience, Frame)>,
     due: Option<Time>,
@@ -81,24 +81,24 @@ fn append(frame: &Frame, bytes: &mut Vec<u8>) -> bool {
 
 impl Soft {
     /// Forgets the retransmission of a heartbeat, since its stream has a newer message.
-    pub(crate) fn forget(&mut self, stream: StreamId) {
+    pub fn forget(&mut self, stream: StreamId) {
         self.repeats.waiting.remove(&stream);
     }
 
     /// Notes that a message has left, of which a heartbeat is to be retransmitted.
-    pub(crate) fn repeat(&mut self, now: Time, stream: StreamId, (audience, frame): (Audience, &Frame)) {
+    pub fn repeat(&mut self, now: Time, stream: StreamId, (audience, frame): (Audience, &Frame)) {
         self.repeats.note(now, stream, audience, frame);
     }
 
     /// Whether a heartbeat to the receivers `audience` waits to be sent for the first time.
-    pub(crate) fn has_heartbeat(&self, audience: Audience) -> bool {
+    pub fn has_heartbeat(&self, audience: Audience) -> bool {
         let mut all = self.pending.range((Kind::Heartbeat, RobotId(0))..=(Kind::Heartbeat, RobotId(u16::MAX)));
         all.any(|(_, (to, _))| *to == audience)
     }
 
     /// Takes a message in place of the last one of its stream. `data_sent` is the time at which data was last sent to
     /// the same receivers.
-    pub(crate) fn put(&mut self, now: Time, stream: StreamId, to: (Audience, Frame), data_sent: Option<Time>) {
+    pub fn put(&mut self, now: Time, stream: StreamId, to: (Audience, Frame), data_sent: Option<Time>) {
         self.forget(stream);
         self.pending.insert(stream, to);
         let modes = self.pending.keys().any(|(kind, _)| *kind == Kind::Mode);
@@ -111,18 +111,18 @@ impl Soft {
     }
 
     /// Whether a message waits that can be appended to a datagram to `audience` that leaves at `now`.
-    pub(crate) fn has_for(&self, now: Time, audience: Audience) -> bool {
+    pub fn has_for(&self, now: Time, audience: Audience) -> bool {
         self.pending.values().any(|(to, _)| *to == audience) || self.repeats.has_for(now, audience)
     }
 
     /// Returns the time at which a datagram without data is due; `None` if nothing waits.
-    pub(crate) fn due(&self) -> Option<Time> {
+    pub fn due(&self) -> Option<Time> {
         self.due.into_iter().chain(self.repeats.due()).min()
     }
 
     /// Appends what has the receivers `audience` and fits to the datagram `bytes`, which leaves at `now`. `twice` says
     /// whether heartbeats in it are to be retransmitted.
-    pub(crate) fn add_to(&mut self, now: Time, audience: Audience, bytes: &mut Vec<u8>, twice: bool) {
+    pub fn add_to(&mut self, now: Time, audience: Audience, bytes: &mut Vec<u8>, twice: bool) {
         let Soft { pending, repeats, .. } = self;
         repeats.add_to(now, audience, bytes);
         pending.retain(|stream, (to, frame)| {
@@ -137,7 +137,7 @@ impl Soft {
 
     /// Takes out a message that is due at `now`, for a datagram without data; `None` if none is. Its stream is returned
     /// with one that leaves for the first time.
-    pub(crate) fn next(&mut self, now: Time) -> Option<(Option<StreamId>, Audience, Frame)> {
+    pub fn next(&mut self, now: Time) -> Option<(Option<StreamId>, Audience, Frame)> {
         if self.due.is_none_or(|due| due > now) {
             return self.repeats.next(now).map(|(audience, frame)| (None, audience, frame));
         }

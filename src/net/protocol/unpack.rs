@@ -9,11 +9,11 @@ use std::fmt;
 use serde::de::{self, DeserializeSeed, Deserializer, SeqAccess, Visitor};
 
 /// Decoder of a message body; holds the bytes that are not read yet.
-pub(crate) struct Reader<'de>(pub &'de [u8]);
+pub struct Reader<'de>(pub &'de [u8]);
 
 /// Error while a message body is decoded. It has no details, because the sender gets no reply.
 #[derive(Debug)]
-pub(crate) struct Unreadable;
+pub struct Unreadable;
 
 impl fmt::Display for Unreadable {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

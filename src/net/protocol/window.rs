@@ -1,14 +1,14 @@
 //! Replay window of one sequence space, and measurement of loss. Pure.
 
 /// Size of the replay window \[datagrams\]: older datagrams can no longer be told from duplicates.
-pub(crate) const WINDOW: u32 = 1024;
+pub const WINDOW: u32 = 1024;
 const WORDS: usize = WINDOW as usize / 64;
 /// Number of newest datagrams of a sender over which loss is measured.
-pub(crate) const LOSS_SPAN: u32 = 64;
+pub const LOSS_SPAN: u32 = 64;
 
 /// Position of a received datagram relative to the replay window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Position {
+pub enum Position {
     /// The datagram has not arrived before, so it is accepted.
     New,
     /// The datagram has arrived before, so it is a duplicate.
@@ -19,7 +19,7 @@ pub(crate) enum Position {
 
 /// Replay window of one sequence space: which of its newest datagrams have arrived, and how many were lost.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Window {
+pub struct Window {
     newest: Option<u32>,
     /// Bit for each sequence number modulo the size of the window: whether the datagram has arrived.
     seen: [u64; WORDS],
@@ -32,7 +32,7 @@ pub(crate) struct Window {
 
 impl Window {
     /// Returns a window that begins at the sequence number `first`; smaller numbers are behind the window.
-    pub(crate) fn starting(first: u32) -> Window {
+    pub fn starting(first: u32) -> Window {
         let mut window = Window { newest: Some(first.wrapping_sub(1)), ..Window::default() };
         window.seen = [u64::MAX; WORDS];
         window
@@ -40,7 +40,7 @@ impl Window {
 
     /// Returns the position of a datagram with this sequence number if [`Window::record`] would change nothing for it;
     /// `None` if it would. `copy` says whether it is a retransmission.
-    pub(crate) fn unchanged(&self, sequence: u32, copy: bool) -> Option<Position> {
+    pub fn unchanged(&self, sequence: u32, copy: bool) -> Option<Position> {
         let behind = self.newest?.wrapping_sub(sequence);
         if behind > u32::MAX / 2 {
             return None;
@@ -54,7 +54,7 @@ impl Window {
 
     /// Records the arrival of a datagram and returns its position relative to the window. `copy` says that it is a
     /// retransmission, which does not count for loss.
-    pub(crate) fn record(&mut self, sequence: u32, copy: bool) -> Position {
+    pub fn record(&mut self, sequence: u32, copy: bool) -> Position {
         let Some(newest) = self.newest else {
             *self = Window::starting(sequence);
             return self.record(sequence, copy);
@@ -108,19 +108,19 @@ impl Window {
     }
 
     /// Returns whether the datagram with this sequence number is within the window and has not arrived.
-    pub(crate) fn misses(&self, sequence: u32) -> bool {
+    pub fn misses(&self, sequence: u32) -> bool {
         self.newest.is_some_and(|newest| newest.wrapping_sub(sequence) < WINDOW) && !self.has(sequence)
     }
 
     /// Returns the number of the newest 64 (`LOSS_SPAN`) datagrams whose first transmission was lost.
-    pub(crate) fn lost(&self) -> u8 {
+    pub fn lost(&self) -> u8 {
         let span = self.passed.min(u64::from(LOSS_SPAN)) as u32;
         (span - self.originals.count_ones().min(span)) as u8
     }
 
     /// Returns two numbers of datagrams since the window began: those that should have arrived, and of these the ones
     /// that have not, not even as a retransmission.
-    pub(crate) fn missing(&self) -> (u64, u64) {
+    pub fn missing(&self) -> (u64, u64) {
         (self.passed, self.passed.saturating_sub(self.arrived))
     }
 }

@@ -7,7 +7,7 @@ use super::manifest::Aggregation;
 /// Writes the sum, the mean or the maximum of the first `count` rows of `messages` into `sum`, whose length is that of
 /// a row; zero without any row. Any other aggregation is computed as the sum.
 #[inline(always)]
-pub(crate) fn plain(aggregation: Aggregation, count: usize, messages: &[f32], sum: &mut [f32]) {
+pub fn plain(aggregation: Aggregation, count: usize, messages: &[f32], sum: &mut [f32]) {
     let is_max = aggregation == Aggregation::Max;
     sum.fill(if is_max && count > 0 { f32::NEG_INFINITY } else { 0.0 });
     for message in messages.chunks_exact(sum.len()).take(count) {
@@ -23,7 +23,7 @@ pub(crate) fn plain(aggregation: Aggregation, count: usize, messages: &[f32], su
 /// Replaces the first `count` rows of `scores`, with one score for each of `heads` heads, by their softmax over the
 /// rows, for each head. The largest score is subtracted first, so that no exponential overflows.
 #[inline(always)]
-pub(crate) fn softmax(count: usize, heads: usize, scores: &mut [f32]) {
+pub fn softmax(count: usize, heads: usize, scores: &mut [f32]) {
     let scores = &mut scores[..count * heads];
     for head in 0..heads {
         let of_head = || (head..count * heads).step_by(heads);
@@ -41,7 +41,7 @@ pub(crate) fn softmax(count: usize, heads: usize, scores: &mut [f32]) {
 /// `keys`, with one score for each head. Query and keys consist of `heads` equal parts; a score is the dot product of a
 /// part of the query and of a key, divided by the square root of the part's width.
 #[inline(always)]
-pub(crate) fn dot_products(count: usize, heads: usize, query: &[f32], keys: &[f32], scores: &mut [f32]) {
+pub fn dot_products(count: usize, heads: usize, query: &[f32], keys: &[f32], scores: &mut [f32]) {
     let width = query.len() / heads;
     let scale = (width as f32).sqrt();
     for (key, scores) in keys.chunks_exact(query.len()).zip(scores.chunks_exact_mut(heads)).take(count) {
@@ -54,7 +54,7 @@ pub(crate) fn dot_products(count: usize, heads: usize, query: &[f32], keys: &[f3
 /// Writes the sum of the first `count` rows of `messages` into `sum`, each head's part of a row multiplied by its
 /// weight. `weights` has a row of `heads` weights for each row of messages.
 #[inline(always)]
-pub(crate) fn weighted_sum(count: usize, heads: usize, weights: &[f32], messages: &[f32], sum: &mut [f32]) {
+pub fn weighted_sum(count: usize, heads: usize, weights: &[f32], messages: &[f32], sum: &mut [f32]) {
     sum.fill(0.0);
     let width = sum.len() / heads;
     for (message, weights) in messages.chunks_exact(sum.len()).zip(weights.chunks_exact(heads)).take(count) {

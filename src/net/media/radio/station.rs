@@ -38,20 +38,20 @@ pub(super) enum Hop {
 #[derive(Clone, Debug)]
 pub(super) struct QueuedFrame<T> {
     /// Part of the frame's way that its next transmission covers, such as from the station to the access point.
-    pub(crate) hop: Hop,
+    pub hop: Hop,
     /// Index of the station that offered the frame.
-    pub(crate) from: u16,
+    pub from: u16,
     /// Final receivers of the frame.
-    pub(crate) to: Destination,
+    pub to: Destination,
     /// Length of the datagram in the frame \[bytes\].
-    pub(crate) bytes: usize,
+    pub bytes: usize,
     /// Value that the caller passed with the frame, copied into each delivery; `None` for a frame of another network.
-    pub(crate) token: Option<T>,
+    pub token: Option<T>,
 }
 
 impl<T> QueuedFrame<T> {
     /// Returns the number of final receivers of the frame; 0 for a frame of another network.
-    pub(crate) fn copies(&self) -> u64 {
+    pub fn copies(&self) -> u64 {
         match &self.to {
             _ if self.hop == Hop::Foreign => 0,
             Destination::One(_) => 1,
@@ -60,12 +60,12 @@ impl<T> QueuedFrame<T> {
     }
 
     /// Returns the time that the frame takes on the air, on a channel with the parameters `radio`.
-    pub(crate) fn airtime(&self, radio: &Radio) -> Span {
+    pub fn airtime(&self, radio: &Radio) -> Span {
         if self.unicast() { radio.frame_airtime(self.bytes) } else { radio.multicast_airtime(self.bytes) }
     }
 
     /// Returns true if the frame is sent by unicast, and so acknowledged.
-    pub(crate) fn unicast(&self) -> bool {
+    pub fn unicast(&self) -> bool {
         match self.hop {
             Hop::Up | Hop::Foreign => true,
             Hop::Direct | Hop::Down => matches!(self.to, Destination::One(_)),
@@ -77,11 +77,11 @@ impl<T> QueuedFrame<T> {
 #[derive(Clone, Debug)]
 pub(super) struct Station<T> {
     /// Frames that wait for transmission, the next one first.
-    pub(crate) queue: VecDeque<QueuedFrame<T>>,
+    pub queue: VecDeque<QueuedFrame<T>>,
     /// Frame that refills an empty queue if the station is saturated; `None` if it is not.
-    pub(crate) refill: Option<QueuedFrame<T>>,
+    pub refill: Option<QueuedFrame<T>>,
     /// Counters of the station.
-    pub(crate) counts: StationCounts,
+    pub counts: StationCounts,
     /// Backoff counter: number of slots that the station still waits after the medium becomes idle before it transmits
     /// or, with an empty queue, may transmit a new frame. `None` if no backoff is in progress: a new frame may be sent
     /// at once.
@@ -92,7 +92,7 @@ pub(super) struct Station<T> {
 
 impl<T: Clone> Station<T> {
     /// Makes an idle station with the contention window that the channel's parameters `radio` give.
-    pub(crate) fn new(radio: &Radio) -> Station<T> {
+    pub fn new(radio: &Radio) -> Station<T> {
         Station {
             queue: VecDeque::new(),
             refill: None,
@@ -105,24 +105,24 @@ impl<T: Clone> Station<T> {
 
     /// Returns the slot, counted since the medium became idle, in which the station transmits if the medium stays idle.
     /// `None` means that the station has nothing to send.
-    pub(crate) fn slot(&self) -> Option<u64> {
+    pub fn slot(&self) -> Option<u64> {
         self.counter.filter(|_| !self.queue.is_empty())
     }
 
     /// Returns the number of failed transmissions of the frame at the front of the queue.
-    pub(crate) fn failures(&self) -> u32 {
+    pub fn failures(&self) -> u32 {
         self.failures
     }
 
     /// Schedules the transmission of a frame that came to an empty queue while the medium was idle: in slot number
     /// `slot` since the medium became idle, or later if a backoff is still in progress (IEEE 802.11-2016, 10.3.4.2).
-    pub(crate) fn ready_at(&mut self, slot: u64) {
+    pub fn ready_at(&mut self, slot: u64) {
         self.counter = Some(self.counter.unwrap_or(0).max(slot));
     }
 
     /// Schedules the transmission of a frame that came to an empty queue while the medium was busy: draws a backoff,
     /// unless one is still in progress (IEEE 802.11-2016, 10.3.4.2, 10.3.4.3).
-    pub(crate) fn ready_after(&mut self, stream: &mut Stream) {
+    pub fn ready_after(&mut self, stream: &mut Stream) {
         if self.counter.is_none() {
             self.draw(stream);
         }
@@ -131,7 +131,7 @@ impl<T: Clone> Station<T> {
     /// Updates the station's backoff counter at the start of a transmission on the channel, in slot number `slot` since
     /// the medium became idle. `counting` says whether that slot counts for the backoff, too. Returns true if this
     /// station transmits in that slot, too.
-    pub(crate) fn pass(&mut self, slot: u64, counting: Counting) -> bool {
+    pub fn pass(&mut self, slot: u64, counting: Counting) -> bool {
         let Some(counter) = self.counter.take() else { return false };
         if counter <= slot {
             return !self.queue.is_empty();
@@ -144,7 +144,7 @@ impl<T: Clone> Station<T> {
 
     /// Ends a frame that was acknowledged or is not sent again: draws the backoff before the next one (IEEE
     /// 802.11-2016, 10.3.4.3).
-    pub(crate) fn done(&mut self, radio: &Radio, stream: &mut Stream) {
+    pub fn done(&mut self, radio: &Radio, stream: &mut Stream) {
         (self.window, self.failures) = (radio.cw_min, 0);
         self.draw(stream);
         if self.queue.is_empty() {
@@ -155,12 +155,7 @@ impl<T: Clone> Station<T> {
     /// Handles a missing acknowledgement: doubles the contention window and puts the frame back at the front of the
     /// queue (IEEE 802.11-2016, 10.3.3, 10.3.4.4). At the retry limit, returns the frame as lost instead; otherwise
     /// `None`.
-    pub(crate) fn failed(
-        &mut self,
-        frame: QueuedFrame<T>,
-        radio: &Radio,
-        stream: &mut Stream,
-    ) -> Option<QueuedFrame<T>> {
+    pub fn failed(&mut self, frame: QueuedFrame<T>, radio: &Radio, stream: &mut Stream) -> Option<QueuedFrame<T>> {
         if self.failures >= radio.retries {
             self.done(radio, stream);
             return Some(frame);

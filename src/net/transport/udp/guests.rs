@@ -15,19 +15,19 @@ use crate::time::{Span, Time};
 
 /// Largest number of accepted guests (operators) that a unicast link sends to. Each costs an additional datagram for
 /// every one that is sent to all hosts.
-pub(crate) const MAX_GUESTS: usize = 32;
+pub const MAX_GUESTS: usize = 32;
 /// Time after an accepted operator's last datagram for which a unicast link goes on sending to it: at least a hundred
 /// datagrams of a live operator.
-pub(crate) const GUEST_LIFETIME: Span = Span::from_millis(10_000);
+pub const GUEST_LIFETIME: Span = Span::from_millis(10_000);
 /// Largest number of addresses of operators that have not proved their liveness, to which a unicast link sends reports.
 /// Each costs a datagram for every report.
-pub(crate) const MAX_CANDIDATES: usize = 32;
+pub const MAX_CANDIDATES: usize = 32;
 /// Time for which the address of an operator that has not proved its liveness is kept: as long as its stamp is echoed.
-pub(crate) const CANDIDATE_LIFETIME: Span = Span::from_millis(2000);
+pub const CANDIDATE_LIFETIME: Span = Span::from_millis(2000);
 
 /// Addresses of the guests (operators, which are not in the team file) of one unicast link.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Guests {
+pub struct Guests {
     accepted: BTreeMap<HostId, (SocketAddr, Time)>,
     candidates: BTreeMap<(HostId, SocketAddr), Time>,
 }
@@ -36,7 +36,7 @@ impl Guests {
     /// Records the address `at` of a guest from which a datagram arrived at `now`. An accepted guest is sent all
     /// datagrams at this address from now on; one that has not proved its liveness (a candidate), only link reports.
     /// Beyond 32 accepted guests, the one that has been silent longest is removed.
-    pub(crate) fn admit(&mut self, now: Time, Guest { host, at, standing }: Guest) {
+    pub fn admit(&mut self, now: Time, Guest { host, at, standing }: Guest) {
         match standing {
             Standing::Accepted => {
                 self.candidates.remove(&(host, at));
@@ -56,7 +56,7 @@ impl Guests {
     }
 
     /// Removes the address `at` of a host that has proved its liveness from the candidates.
-    pub(crate) fn forget(&mut self, host: HostId, at: SocketAddr) {
+    pub fn forget(&mut self, host: HostId, at: SocketAddr) {
         self.candidates.remove(&(host, at));
     }
 
@@ -74,19 +74,19 @@ impl Guests {
 
     /// Returns the address of an accepted guest; `None` if it is not accepted or its last datagram arrived 10 s ago or
     /// more.
-    pub(crate) fn find(&self, now: Time, host: HostId) -> Option<SocketAddr> {
+    pub fn find(&self, now: Time, host: HostId) -> Option<SocketAddr> {
         self.accepted.get(&host).filter(|(_, admitted)| now.since(*admitted) < GUEST_LIFETIME).map(|(at, _)| *at)
     }
 
     /// Removes accepted guests that have been silent for 10 s, and returns the addresses of the others.
-    pub(crate) fn accepted(&mut self, now: Time) -> impl Iterator<Item = SocketAddr> {
+    pub fn accepted(&mut self, now: Time) -> impl Iterator<Item = SocketAddr> {
         self.accepted.retain(|_, (_, admitted)| now.since(*admitted) < GUEST_LIFETIME);
         self.accepted.values().map(|(at, _)| *at)
     }
 
     /// Removes addresses of guests without a liveness proof that have been silent for 2 s, and returns the remaining
     /// ones.
-    pub(crate) fn candidates(&mut self, now: Time) -> impl Iterator<Item = SocketAddr> {
+    pub fn candidates(&mut self, now: Time) -> impl Iterator<Item = SocketAddr> {
         self.candidates.retain(|_, admitted| now.since(*admitted) < CANDIDATE_LIFETIME);
         self.candidates.keys().map(|(_, at)| *at)
     }

@@ -52,13 +52,13 @@ impl From<OpenError> for transport::OpenError {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Ends {
     /// Name of the interface.
-    pub(crate) name: String,
+    pub name: String,
     /// Number of the interface in the kernel: another one if it was removed and is there again.
-    pub(crate) index: u32,
+    pub index: u32,
     /// Whether it is a loopback interface.
-    pub(crate) loopback: bool,
+    pub loopback: bool,
     /// Address from which the sockets send; on a unicast link with the port at which they receive.
-    pub(crate) at: SocketAddr,
+    pub at: SocketAddr,
     /// Addresses of the interface of the same family, for errors.
     others: Vec<IpAddr>,
 }
@@ -108,13 +108,13 @@ pub(super) fn look(config: &SocketConfig, used: Option<&Ends>) -> Result<Ends, O
 #[derive(Debug)]
 pub(super) struct Sockets {
     /// Socket that receives, and on a unicast link also sends.
-    pub(crate) rx: UdpSocket,
+    pub rx: UdpSocket,
     /// Socket that sends to a group, with its own address; `None` on a unicast link.
-    pub(crate) tx: Option<(UdpSocket, SocketAddr)>,
+    pub tx: Option<(UdpSocket, SocketAddr)>,
     /// Interface and address; `None` for an operator on a unicast link, which uses any.
-    pub(crate) ends: Option<Ends>,
+    pub ends: Option<Ends>,
     /// Receive buffer that the kernel has granted \[bytes\].
-    pub(crate) granted: usize,
+    pub granted: usize,
 }
 
 /// Opens the sockets of a host with these ends; `filter` says which frames have to be received.

@@ -25,7 +25,7 @@ const SILENT: Span = Span::from_millis(1000);
 
 /// Address of a host in a team file: an IP address, or a name that is resolved while the program runs.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum PeerAddress {
+pub enum PeerAddress {
     /// IP address and port.
     At(SocketAddr),
     /// Name and port, such as `robot-2.local:7700`.

@@ -32,19 +32,19 @@ pub(super) fn bound(settings: &LinkSettings) -> Result<(String, usize), ConfigEr
 
 /// Configuration of a host's UDP sockets on a link: addresses, network interface and receive buffer.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct SocketConfig {
+pub struct SocketConfig {
     /// Addresses to which datagrams are sent, and at which they are received.
-    pub(crate) addressing: Addressing,
+    pub addressing: Addressing,
     /// Network interface that the sockets use: its name, or `auto` for the only suitable one. An operator's socket on a
     /// unicast link uses any.
-    pub(crate) interface: String,
+    pub interface: String,
     /// Size of the receive buffer that is requested from the kernel \[bytes\].
-    pub(crate) receive_buffer_bytes: usize,
+    pub receive_buffer_bytes: usize,
 }
 
 /// Addresses that a host's UDP sockets on a link use: a multicast group, or one address for each host of the link.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Addressing {
+pub enum Addressing {
     /// Multicast: address and port of the group that all hosts of the link join.
     Multicast(SocketAddr),
     /// Unicast to the address of each host.
