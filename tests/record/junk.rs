@@ -55,8 +55,8 @@ fn listener(group: SocketAddrV4) -> UdpSocket {
     socket.into()
 }
 
-/// Sends until it is told to stop. Returns the number of datagrams.
-fn disturb(noise: Noise, number: u16, groups: [SocketAddrV4; 2], per_s: u64, stop: &AtomicBool) -> u64 {
+/// Sends until it is told to stop. Returns the datagrams a second that have left.
+fn disturb(noise: Noise, number: u16, groups: [SocketAddrV4; 2], per_s: u64, stop: &AtomicBool) -> f64 {
     let sender = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP)).unwrap();
     sender.set_multicast_if_v4(&Ipv4Addr::LOCALHOST).unwrap();
     let sender: UdpSocket = sender.into();
@@ -66,23 +66,22 @@ fn disturb(noise: Noise, number: u16, groups: [SocketAddrV4; 2], per_s: u64, sto
     let mut junk = codec::start(&header);
     junk[FLAGS_AT] = Flags::TAGGED;
     junk.resize(1100, 0x5a);
-    let (begun, mut sent, mut bytes) = (Instant::now(), 0u64, [0; 2048]);
+    let (begun, mut next, mut sent, mut bytes) = (Instant::now(), 0u64, 0u64, [0; 2048]);
     while !stop.load(Ordering::Relaxed) {
         let due = (begun.elapsed().as_secs_f64() * per_s as f64) as u64;
         // At most what is due now: a machine that was busy does not catch up with a burst.
-        sent = sent.max(due.saturating_sub(per_s / 20));
-        while sent < due {
-            let link = (sent % 2) as usize;
-            junk[10..18].copy_from_slice(&sent.to_le_bytes());
+        next = next.max(due.saturating_sub(per_s / 20));
+        while next < due {
+            let link = (next % 2) as usize;
+            junk[10..18].copy_from_slice(&next.to_le_bytes());
             let of_link = &kept[link];
-            match noise {
-                Noise::Copies if !of_link.is_empty() => {
-                    drop(sender.send_to(&of_link[(sent / 2) as usize % of_link.len()], groups[link]));
-                }
-                Noise::Junk => drop(sender.send_to(&junk, groups[link])),
-                _ => {}
-            }
-            sent += 1;
+            let datagram = match noise {
+                Noise::Copies if !of_link.is_empty() => Some(&of_link[(next / 2) as usize % of_link.len()]),
+                Noise::Junk => Some(&junk),
+                _ => None,
+            };
+            sent += u64::from(datagram.is_some_and(|datagram| sender.send_to(datagram, groups[link]).is_ok()));
+            next += 1;
         }
         for (ear, kept) in ears.iter().zip(&mut kept) {
             while let Ok(length) = ear.recv(&mut bytes) {
@@ -93,7 +92,7 @@ fn disturb(noise: Noise, number: u16, groups: [SocketAddrV4; 2], per_s: u64, sto
         }
         std::thread::park_timeout(Duration::from_millis(1));
     }
-    sent
+    sent as f64 / begun.elapsed().as_secs_f64()
 }
 
 /// Records a team under noise. Returns the bytes a second of all its records.
@@ -120,7 +119,10 @@ fn recorded(noise: Noise, number: u16, per_s: u64, episodes: u32) -> f64 {
     assert!(all.len() == records(&to).len() && all.iter().all(|one| one["dropped"] == 0), "{info}");
     let rates = all.iter().map(|one| one["bytes"].as_f64().unwrap() / one["duration_s"].as_f64().unwrap());
     let rate = rates.sum();
-    println!("{noise:?}: {sent} datagrams sent, records of {:.1} kB/s in all, replayed to their end", rate / 1e3);
+    println!(
+        "{noise:?}: {sent:.0} datagrams a second, records of {:.1} kB/s in all, replayed to their end",
+        rate / 1e3
+    );
     rate
 }
 
