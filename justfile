@@ -63,7 +63,7 @@ full-package:
 # The robot's program, and how large it is (two minutes)
 robot:
     cargo build --package murmurate-robot --features program --profile robot
-    ls -l target/robot/murmurate
+    ls -l target/robot/murmurate-robot
 
 # The link beside raw multicast and Cyclone DDS; NETPEERS names the harness's folder (15 minutes, wants an idle machine)
 full-network:

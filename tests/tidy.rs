@@ -418,6 +418,20 @@ fn the_digest_of_the_program_has_that_of_every_package() {
     }
 }
 
+#[test]
+fn programs_have_names_of_their_own() {
+    let mut names: Vec<String> = Vec::new();
+    for manifest in files(&["Cargo.toml", "crates"], &["toml"]) {
+        let programs = manifest.text.split("[[bin]]").skip(1);
+        let named = programs.filter_map(|program| program.split('"').nth(1).map(str::to_owned));
+        names.extend(named);
+    }
+    let all = names.len();
+    names.sort_unstable();
+    names.dedup();
+    assert!(all >= 2 && names.len() == all, "`cargo run` does not know which of {names:?} is meant");
+}
+
 /// Returns the files of this repository that a line of text names. `yours` in a path stands for a user's own.
 fn paths_in(line: &str) -> impl Iterator<Item = &str> {
     let word = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);

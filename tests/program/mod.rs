@@ -6,8 +6,14 @@ use std::process::{Command, Output, Stdio};
 /// The repository's folder: paths in the arguments of tests are relative to it.
 pub const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
+/// The program of the package that is tested: the whole one, or that of robots.
+const PROGRAM: Option<&str> = match option_env!("CARGO_BIN_EXE_murmurate") {
+    None => option_env!("CARGO_BIN_EXE_murmurate-robot"),
+    whole => whole,
+};
+
 pub fn murmurate(args: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_murmurate"));
+    let mut command = Command::new(PROGRAM.expect("a test of a package that has a program"));
     command.current_dir(ROOT);
     command.args(args).stdin(Stdio::null());
     // A program refuses variables that name no field of a team file, as those of tests do.
