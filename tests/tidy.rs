@@ -285,6 +285,7 @@ fn access_to_the_machine_is_confined_to_its_files() {
                 "src/runtime/real.rs",
                 "crates/view/src/",
                 "src/live/",
+                "crates/launch/src/",
                 "crates/record/src/writer.rs",
                 "crates/cli/src/",
                 "crates/robot/src/",

@@ -105,6 +105,7 @@ const DIGESTS: &[&str] = &[
     murmurate_figures::DIGEST,
     #[cfg(feature = "lab")]
     murmurate_lab::DIGEST,
+    murmurate_launch::DIGEST,
     murmurate_record::DIGEST,
     murmurate_robot::DIGEST,
     murmurate_ros2::DIGEST,

@@ -3,11 +3,9 @@
 //! Each process is `host` of this program. It prints events as JSON lines on stdout (`report::event`). Its stderr is
 //! passed on with the host's name before each line.
 
-mod outcome;
 mod results;
 #[cfg(feature = "lab")]
 mod stations;
-mod supervisor;
 
 use std::ffi::OsString;
 use std::process::Command;
@@ -23,6 +21,8 @@ use murmurate::report::summary::{CostName, Counts, Run, Summary};
 #[cfg(feature = "lab")]
 use crate::lab;
 use crate::watch::{self, team::News};
+use murmurate_launch::outcome::Outcome;
+use murmurate_launch::supervisor::{Limits, Process, Supervisor};
 use murmurate_robot::BadInput;
 use murmurate_robot::Ended;
 use murmurate_robot::output::print;
@@ -30,9 +30,7 @@ use murmurate_robot::output::talk;
 use murmurate_robot::recording;
 use murmurate_robot::team;
 use murmurate_robot::this_program;
-use outcome::Outcome;
 use results::Results;
-use supervisor::{Limits, Process, Supervisor};
 
 /// Flags of `murmurate launch`.
 #[derive(clap::Args)]

@@ -3,8 +3,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
 
-use super::outcome::Outcome;
-use super::supervisor::{Output, Response};
 use crate::watch::team::News;
 use murmurate::config::shown::counted;
 use murmurate::report::episode::{AbortReason, Episode};
@@ -12,6 +10,8 @@ use murmurate::report::event::{Counted, HostEvent, Unwritten};
 use murmurate::report::trial::TrialReport;
 use murmurate::scenario::judge::Verdict;
 use murmurate::time::Span;
+use murmurate_launch::outcome::Outcome;
+use murmurate_launch::supervisor::{Output, Response};
 use murmurate_robot::output::{colour, log_lines_dropped, talk};
 
 /// ANSI colour codes of the host names before log lines. Red is left out, because it looks like an error.

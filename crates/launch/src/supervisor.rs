@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use nix::sys::signal::{Signal, killpg};
 use nix::unistd::Pid;
 
-use super::outcome::Outcome;
+use crate::outcome::Outcome;
 
 /// Interval at which the supervisor checks for ended processes and exceeded time limits while no process prints.
 const TICK: Duration = Duration::from_millis(50);
