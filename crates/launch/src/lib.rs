@@ -1,9 +1,10 @@
-//! The processes of a team on one machine: starts, restarts and ends them together. The caller provides their commands
-//! and interprets their output.
+//! The processes of a team on one machine: `supervisor` starts, restarts and ends them together, `results` takes what
+//! they report. The caller provides their commands, and prints what is told.
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod outcome;
+pub mod results;
 pub mod supervisor;
 
 /// Digest of this package's sources. Packages with equal digests behave equally.

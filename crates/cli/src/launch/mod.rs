@@ -3,9 +3,9 @@
 //! Each process is `host` of this program. It prints events as JSON lines on stdout (`report::event`). Its stderr is
 //! passed on with the host's name before each line.
 
-mod results;
 #[cfg(feature = "lab")]
 mod stations;
+mod told;
 
 use std::ffi::OsString;
 use std::process::Command;
@@ -16,21 +16,23 @@ use anyhow::{Context, Result, anyhow};
 use murmurate::config::shown::counted;
 use murmurate::deploy::team::{Team, TeamFile};
 use murmurate::registry::Registry;
+use murmurate::report::event::Unwritten;
 use murmurate::report::summary::{CostName, Counts, Run, Summary};
 
 #[cfg(feature = "lab")]
 use crate::lab;
 use crate::watch::{self, team::News};
 use murmurate_launch::outcome::Outcome;
+use murmurate_launch::results::Results;
 use murmurate_launch::supervisor::{Limits, Process, Supervisor};
 use murmurate_robot::BadInput;
 use murmurate_robot::Ended;
-use murmurate_robot::output::print;
-use murmurate_robot::output::talk;
+use murmurate_robot::output::{log_lines_dropped, print, talk};
 use murmurate_robot::recording;
 use murmurate_robot::team;
 use murmurate_robot::this_program;
-use results::Results;
+use murmurate_view::status::Ending;
+use told::Told;
 
 /// Flags of `murmurate launch`.
 #[derive(clap::Args)]
@@ -96,15 +98,14 @@ fn run_team(args: &Args, team: &team::TeamArgs, place: &Place, registry: &Regist
     .context("cannot listen for Ctrl-C")?;
 
     let names: Vec<String> = file.deployment().hosts.iter().map(|host| host.name.clone()).collect();
-    let mut results = Results::new(&names, teams[0].episodes, args.quiet);
-    let outcome = supervise(args, (team, &file, place), registry, supervisor, &mut results)?;
+    let mut results = Results::new(&names, teams[0].episodes);
+    let told = Told::new(&names, teams[0].episodes, args.quiet);
+    let outcome = supervise(args, (team, &file, place), registry, supervisor, (&mut results, told))?;
     if let Outcome::Refused(why) = outcome {
         return Err(BadInput(why).into());
     }
     let first = &teams[0];
-    let began = results.began;
-    let wall_s = began.elapsed().as_secs_f64();
-    let finished = results.episodes.len() == first.episodes as usize;
+    let (wall_s, finished) = (results.wall_s(), results.are_all());
     // An interrupt counts even if all results are there, as long as processes are running.
     let interrupted = interrupted.load(Ordering::Relaxed);
     let run = Run {
@@ -120,7 +121,9 @@ fn run_team(args: &Args, team: &team::TeamArgs, place: &Place, registry: &Regist
         faults: Vec::new(),
         interrupted: !finished || interrupted,
     };
-    let summary = Summary::of_team(run, results.report(wall_s), Counts::Team, results.unwritten());
+    let own = Unwritten { log_lines: log_lines_dropped(), ..Unwritten::default() };
+    let unwritten = [results.unwritten(), own].into_iter().sum();
+    let summary = Summary::of_team(run, results.report(wall_s), Counts::Team, unwritten);
     print(&if args.json {
         serde_json::to_string(&summary).context("a summary is JSON")?
     } else {
@@ -129,7 +132,7 @@ fn run_team(args: &Args, team: &team::TeamArgs, place: &Place, registry: &Regist
     match outcome {
         Outcome::Failed(why) => Err(anyhow!(why)),
         Outcome::Done | Outcome::Incomplete(_) if !finished => {
-            let (got, all) = (results.episodes.len(), first.episodes);
+            let (got, all) = (results.received(), first.episodes);
             Err(anyhow!(
                 "every process has ended, with a result of {got} of {}; see their logs",
                 counted(all, "episode")
@@ -174,18 +177,18 @@ fn through(args: &Args, host: &str) -> Vec<String> {
         .collect()
 }
 
-/// Runs the processes of all hosts until they end, and collects their results in `results`; serves the live page
-/// meanwhile if `--watch` is given. Returns how the run ended.
+/// Runs the processes of all hosts until they end, and collects their results in `results`; `told` prints
+/// what happens, and the live page shows it if `--watch` is given. Returns how the run ended.
 fn supervise(
     args: &Args,
     (team, file, place): (&team::TeamArgs, &TeamFile, &Place),
     registry: &Registry,
     supervisor: Supervisor,
-    results: &mut Results,
+    (results, mut told): (&mut Results, Told),
 ) -> Result<Outcome> {
     if args.page.watch {
         let (sender, receiver) = std::sync::mpsc::channel();
-        results.page = Some(sender);
+        told.page = Some(sender);
         let page = watch::team::Page::open(file, team, &args.page.page, registry, Some(receiver))?;
         let space = place.page;
         return Ok(std::thread::scope(|scope| {
@@ -201,12 +204,13 @@ fn supervise(
                     talk(&format!("warning: the page has ended: {error:#}"));
                 }
             });
-            let outcome = supervisor.run(|at, output| results.handle(at, &output));
-            results.tell_page(News::Over(results.ending(&outcome)));
+            let outcome = supervisor.run(|at, output| results.take(at, &output, |news| told.tell(at, news)));
+            let (regular, text) = results.ending(&outcome);
+            told.tell_page(News::Over(Ending { regular, text }));
             outcome
         }));
     }
-    Ok(supervisor.run(|at, output| results.handle(at, &output)))
+    Ok(supervisor.run(|at, output| results.take(at, &output, |news| told.tell(at, news))))
 }
 
 /// Returns the team file and the flags `--set`, `--interface` and `--key-file` as command-line arguments for another
