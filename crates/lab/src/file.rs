@@ -160,6 +160,15 @@ impl Laboratory {
         format!("{}-cable", self.name)
     }
 
+    /// Returns the command of each station that has one: its own, or else `common`.
+    pub fn commands_or(&self, common: &[String]) -> Vec<(u16, Vec<String>)> {
+        let of = |(station, own): (u16, &Vec<String>)| {
+            let words = if own.is_empty() { common } else { own };
+            (!words.is_empty()).then(|| (station, words.to_vec()))
+        };
+        (0..self.stations).zip(&self.commands).filter_map(of).collect()
+    }
+
     /// Returns the name of a station's network namespace.
     pub fn namespace(&self, station: u16) -> String {
         format!("{}{station}", self.name)
@@ -272,6 +281,15 @@ mod tests {
         let changed = Laboratory::from_toml(text).unwrap().radio;
         let paper = Radio::preset("paper").unwrap();
         assert_eq!(changed, Radio { channel: Topology::AdHoc, retries: 1, ..paper });
+    }
+
+    #[test]
+    fn a_station_runs_its_own_command_or_else_the_common_one() {
+        let text = "stations = 2\n[[station]]\nnumber = 1\ncommand = [\"iperf\", \"-s\"]\n";
+        let lab = Laboratory::from_toml(text).unwrap();
+        let own = (1, vec!["iperf".to_owned(), "-s".to_owned()]);
+        assert_eq!(lab.commands_or(&[]), [own.clone()]);
+        assert_eq!(lab.commands_or(&["ping".to_owned()]), [(0, vec!["ping".to_owned()]), own]);
     }
 
     #[test]

@@ -18,6 +18,16 @@ pub enum Cast {
     Multicast,
 }
 
+impl Cast {
+    /// Returns the name of the cast, such as `unicast`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Cast::Unicast => "unicast",
+            Cast::Multicast => "multicast",
+        }
+    }
+}
+
 /// Traffic of a comparison.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Load {

@@ -63,6 +63,19 @@ pub struct LabReport {
 }
 
 impl LabReport {
+    /// Returns the variables of the environment by which a command knows its station.
+    pub fn variables(&self, station: u16) -> Vec<(&'static str, String)> {
+        let addresses: Vec<&str> = self.stations.iter().map(|station| station.address.as_str()).collect();
+        vec![
+            ("LAB_NAME", self.name.clone()),
+            ("LAB_STATION", station.to_string()),
+            ("LAB_STATIONS", addresses.len().to_string()),
+            ("LAB_ADDRESS", addresses[usize::from(station)].to_owned()),
+            ("LAB_ADDRESSES", addresses.join(",")),
+            ("LAB_INTERFACE", self.interface.clone()),
+        ]
+    }
+
     /// Returns the counters of a laboratory at time `now`, as far as its medium knows them.
     pub fn of(lab: &Laboratory, medium: &Medium, lateness: &Lateness, now: Time) -> LabReport {
         let ns = now.as_nanos().max(1) as f64;
@@ -175,6 +188,9 @@ mod tests {
         assert_eq!(report.radio.arrived, 1);
         assert!(text.contains("10.77.0.2") && text.contains("access point"), "{text}");
         assert!(text.contains("1 of 1 deliveries came more than 1000 us late"), "{text}");
+        let variables = report.variables(1);
+        assert!(variables.contains(&("LAB_ADDRESS", "10.77.0.2".to_owned())), "{variables:?}");
+        assert!(variables.contains(&("LAB_ADDRESSES", "10.77.0.1,10.77.0.2".to_owned())), "{variables:?}");
         let json = serde_json::to_string(&report).unwrap();
         assert_eq!(serde_json::from_str::<LabReport>(&json).unwrap(), report);
     }

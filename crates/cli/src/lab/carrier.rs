@@ -10,7 +10,6 @@ use std::os::unix::net::UnixListener;
 use std::process::{Command, Stdio};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use anyhow::{Context, Result};
 use nix::errno::Errno;
 use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags, EpollTimeout};
 use nix::sys::time::TimeSpec;
@@ -18,6 +17,7 @@ use nix::sys::timerfd::{ClockId as TimerClock, Expiration, TimerFd, TimerFlags, 
 use nix::time::{ClockId, clock_gettime};
 use tappers::Tap;
 
+use super::error::{Context, Result};
 use murmurate::time::{Span, Time};
 use murmurate_lab::capture::Capture;
 use murmurate_lab::ethernet::MAX_FRAME_BYTES;
@@ -25,8 +25,6 @@ use murmurate_lab::file::Laboratory;
 use murmurate_lab::lateness::Lateness;
 use murmurate_lab::medium::{Found, Medium};
 use murmurate_lab::report::LabReport;
-use murmurate_robot::background_writer::BackgroundWriter;
-use murmurate_robot::output::talk;
 
 /// Frames that are read from a station before another one has its turn.
 const BATCH: usize = 16;
@@ -94,6 +92,18 @@ pub fn prioritize(priority: u8) -> Result<(), String> {
     }
 }
 
+/// Function that is called with each warning for the user, as one line of text.
+pub type Tell = fn(&str);
+
+/// Destination of a capture. It never waits for a disk.
+pub trait CaptureWriter: Send {
+    /// Takes a piece of the file, to be written whole; returns false if it was dropped.
+    fn push(&self, piece: Vec<u8>) -> bool;
+
+    /// Waits a short time until everything is written.
+    fn flush(&self);
+}
+
 /// The stations' interfaces and the medium between them.
 pub struct Carrier {
     lab: Laboratory,
@@ -108,12 +118,13 @@ pub struct Carrier {
     origin_ns: u64,
     longest_turn_ns: u64,
     capture: Option<Recording>,
+    tell: Tell,
 }
 
 /// A capture file that is being written.
 struct Recording {
     encoder: Capture,
-    writer: BackgroundWriter,
+    writer: Box<dyn CaptureWriter>,
     bytes: Vec<u8>,
     /// Transmissions in `bytes`, and those that are missing in the file.
     pending: u64,
@@ -139,8 +150,9 @@ pub struct Outside<'a, S> {
 }
 
 impl Carrier {
-    /// Returns a laboratory whose time begins now. Transmissions are captured by `writer`, if there is one.
-    pub fn new(lab: &Laboratory, taps: Vec<Tap>, writer: Option<BackgroundWriter>) -> Carrier {
+    /// Returns a laboratory whose time begins now. Transmissions are captured by `writer`, if there is one, and `tell`
+    /// is called with warnings.
+    pub fn new(lab: &Laboratory, taps: Vec<Tap>, writer: Option<Box<dyn CaptureWriter>>, tell: Tell) -> Carrier {
         let mut medium = Medium::new(lab);
         let began = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let capture = writer.map(|writer| {
@@ -160,6 +172,7 @@ impl Carrier {
             origin_ns: monotonic_ns(),
             longest_turn_ns: 0,
             capture,
+            tell,
         }
     }
 
@@ -183,7 +196,7 @@ impl Carrier {
     /// Carries frames until the laboratory is to end. Returns the final counters.
     pub fn carry<S: AsFd>(mut self, outside: &Outside<'_, S>) -> Result<LabReport> {
         if let Err(why) = prioritize(self.lab.priority) {
-            talk(&format!("warning: the lab has no real-time priority, so frames may be late: {why}"));
+            (self.tell)(&format!("warning: the lab has no real-time priority, so frames may be late: {why}"));
         }
         let epoll = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).context("cannot watch interfaces")?;
         let watch = |source: &dyn AsFd, key| epoll.add(source.as_fd(), EpollEvent::new(EpollFlags::EPOLLIN, key));
@@ -279,7 +292,7 @@ impl Carrier {
         let Some(tap) = self.taps[station].take() else { return };
         // An error means that it is not watched any more, which is the aim.
         let _ = epoll.delete(tap.as_fd());
-        talk(&format!(
+        (self.tell)(&format!(
             "warning: the interface of station {station} is gone ({error}); the other stations go on without it"
         ));
     }
@@ -309,7 +322,7 @@ impl Carrier {
     fn end(mut self) -> LabReport {
         if let Some(capture) = &mut self.capture {
             capture.hand_over();
-            capture.writer.flush(murmurate_robot::output::FLUSH_TIMEOUT);
+            capture.writer.flush();
         }
         self.report()
     }

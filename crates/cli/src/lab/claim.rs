@@ -7,18 +7,16 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, anyhow};
 use nix::poll::{PollTimeout, poll};
 use nix::sys::signal::kill;
 use nix::unistd::Pid;
 use serde::{Deserialize, Serialize};
 use tappers::Tap;
 
+use super::carrier::Tell;
+use super::error::{Context, LabError, Result, failed};
 use super::namespace;
 use murmurate_lab::file::Laboratory;
-use murmurate_robot::BadInput;
-use murmurate_robot::output::talk;
-use murmurate_robot::temporary::Temporary;
 
 /// Folder of the files by which commands find running laboratories.
 const FOLDER: &str = "/run/murmurate";
@@ -52,28 +50,29 @@ struct Made {
 /// Ownership of a laboratory's name. Dropping it removes everything that was made under the name.
 pub struct Claim {
     name: String,
+    /// Is told if not everything can be removed.
+    tell: Tell,
     _lock: File,
 }
 
 impl Claim {
     /// Takes the name, and removes what an earlier laboratory of that name has left behind after a crash. Fails if such
-    /// a laboratory runs.
-    pub fn take(name: &str) -> Result<Claim> {
-        match Claim::try_take(name)? {
+    /// a laboratory runs. `tell` is called with a warning if not everything can be removed at the end.
+    pub fn take(name: &str, tell: Tell) -> Result<Claim> {
+        match Claim::try_take(name, tell)? {
             Some(claim) => {
                 claim.clean()?;
                 Ok(claim)
             }
-            None => Err(BadInput(format!(
+            None => Err(LabError::Wrong(format!(
                 "the lab '{name}' is up already; remove it with 'murmurate lab down --name {name}', or give the file \
                  another 'name'"
-            ))
-            .into()),
+            ))),
         }
     }
 
     /// Takes the name; `None` if a running laboratory has it. A claim cleans up when it is dropped.
-    pub fn try_take(name: &str) -> Result<Option<Claim>> {
+    pub fn try_take(name: &str, tell: Tell) -> Result<Option<Claim>> {
         fs::create_dir_all(FOLDER).with_context(|| format!("cannot make the folder {FOLDER}"))?;
         let lock = path(name, "lock");
         let began = Instant::now();
@@ -97,7 +96,7 @@ impl Claim {
             if fs::metadata(&lock).is_ok_and(|named| named.ino() == own) {
                 let written = file.set_len(0).and_then(|()| write!(&file, "{}", Pid::this()));
                 written.with_context(|| format!("cannot write '{}'", lock.display()))?;
-                return Ok(Some(Claim { name: name.to_owned(), _lock: file }));
+                return Ok(Some(Claim { name: name.to_owned(), tell, _lock: file }));
             }
         }
     }
@@ -107,15 +106,16 @@ impl Claim {
         let stations = (0..lab.stations).map(|station| lab.namespace(station));
         let namespaces: Vec<String> = stations.chain(lab.cable.map(|_| lab.cable_namespace())).collect();
         if let Some(taken) = namespaces.iter().find(|name| namespace::exists(name)) {
-            return Err(anyhow!(
+            return failed(format!(
                 "there is a network namespace '{taken}' that no lab has made; remove it with 'ip netns del {taken}', \
                  or give the laboratory file another 'name'"
             ));
         }
         let made = Made { namespaces };
-        let mut file = Temporary::new_in(FOLDER.as_ref(), 0o644).context("cannot write to /run")?;
-        file.write_all(&serde_json::to_vec(&made).context("a list is JSON")?)
-            .and_then(|()| file.replace(&path(&self.name, "made")))
+        // It gets its name once it is complete. The name's owner alone writes it.
+        let incomplete = path(&self.name, "made.incomplete");
+        fs::write(&incomplete, serde_json::to_vec(&made).context("a list is JSON")?)
+            .and_then(|()| fs::rename(&incomplete, path(&self.name, "made")))
             .context("cannot write to /run")?;
         made.namespaces.iter().try_for_each(|name| namespace::add(name))?;
         let taps = (0..lab.stations).map(|station| namespace::make_station(lab, station)).collect::<Result<_>>()?;
@@ -137,7 +137,7 @@ impl Claim {
     /// Removes everything that was made under the name.
     fn clean(&self) -> Result<()> {
         namespace::remove(&self.made().map(|made| made.namespaces).unwrap_or_default())?;
-        for kind in ["made", "sock"] {
+        for kind in ["made", "made.incomplete", "sock"] {
             match fs::remove_file(path(&self.name, kind)) {
                 Err(error) if error.kind() != ErrorKind::NotFound => {
                     return Err(error).with_context(|| format!("cannot remove a file of the lab in {FOLDER}"));
@@ -158,7 +158,7 @@ fn owner_has_ended(lock: &Path) -> bool {
 impl Drop for Claim {
     fn drop(&mut self) {
         if let Err(error) = self.clean() {
-            talk(&format!("warning: not everything of the lab '{}' is removed: {error:#}", self.name));
+            (self.tell)(&format!("warning: not everything of the lab '{}' is removed: {error}", self.name));
             return;
         }
         // The lock itself goes last; whether that works changes nothing for the next start.

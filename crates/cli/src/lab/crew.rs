@@ -7,9 +7,10 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, anyhow};
 use nix::sys::signal::{Signal, killpg};
 use nix::unistd::Pid;
+
+use super::error::{Context, Result};
 
 /// Longest time for a command to end after it was asked to; then it is killed.
 const STOP: Duration = Duration::from_secs(5);
@@ -56,7 +57,7 @@ impl Crew {
         for (station, mut command) in commands {
             // Its own process group: Ctrl-C on the terminal is for this program, which then ends the others.
             command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).process_group(0);
-            let child = command.spawn().map_err(|error| anyhow!("the command of station {station}: {error}"))?;
+            let child = command.spawn().with_context(|| format!("the command of station {station}"))?;
             crew.children.push((station, child));
             let child = &mut crew.children.last_mut().expect("it was added").1;
             let pipes: [Box<dyn Read + Send>; 2] = [
@@ -150,5 +151,53 @@ impl Drop for Crew {
             // It is waited for so that it does not stay as a zombie.
             let _ = child.wait();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shell(station: u16, script: &str) -> (u16, Command) {
+        let mut command = Command::new("sh");
+        command.args(["-c", script]);
+        (station, command)
+    }
+
+    #[test]
+    fn output_and_failures_are_those_of_their_stations() {
+        let crew = Crew::start(vec![shell(0, "echo one; echo two >&2"), shell(3, "echo three; exit 4")]).unwrap();
+        let mut told = Vec::new();
+        let end = crew.wait(None, |station, line| told.push(format!("{station} {line}")));
+        told.sort();
+        assert_eq!(told, ["0 one", "0 two", "3 three"]);
+        assert_eq!(end, CrewEnd { failed: vec![(3, "exit status: 4".to_owned())], interrupted: false });
+    }
+
+    #[test]
+    fn commands_end_at_the_limit_and_that_is_no_failure() {
+        let limit = Some(Duration::from_millis(100));
+        let end = Crew::start(vec![shell(0, "tail -f /dev/null")]).unwrap().wait(limit, |_, _| {});
+        assert_eq!(end, CrewEnd::default());
+    }
+
+    #[test]
+    fn a_second_request_to_stop_kills() {
+        let crew = Crew::start(vec![shell(0, "trap 'echo asked' TERM; echo ready; tail -f /dev/null & wait; wait")]);
+        let crew = crew.unwrap();
+        let stopper = crew.stopper();
+        let end = crew.wait(None, |_, line| {
+            if matches!(line, "ready" | "asked") {
+                stopper.stop();
+            }
+        });
+        assert_eq!(end, CrewEnd { failed: Vec::new(), interrupted: true });
+    }
+
+    #[test]
+    fn if_one_command_cannot_be_started_none_is_left() {
+        let missing = (1, Command::new("/nowhere/at/all"));
+        let error = Crew::start(vec![shell(0, "tail -f /dev/null"), missing]).err().unwrap();
+        assert!(error.to_string().starts_with("the command of station 1: "), "{error}");
     }
 }

@@ -4,11 +4,13 @@
 //! The channel is `murmurate_lab`. The files of this folder hold the clock, the TAP interfaces, the namespaces and the
 //! processes.
 
+mod accuracy;
 mod carrier;
 mod check;
 mod claim;
 mod control;
 mod crew;
+mod error;
 mod namespace;
 mod needs;
 mod run;
@@ -20,16 +22,21 @@ pub use namespace::inside;
 pub use needs::check as check_needs;
 pub use running::Running;
 
+use std::os::fd::AsFd;
 use std::os::unix::process::CommandExt;
 use std::path::Path;
-use std::process::Command;
 
 use anyhow::{Context, Result, anyhow};
 use clap::Subcommand;
+use murmurate::config::shown::counted;
+use nix::errno::Errno;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
+use control::Removed;
+use error::LabError;
 use murmurate_lab::file::Laboratory;
 use murmurate_lab::report::LabReport;
-use murmurate_robot::output::{print, read_text};
+use murmurate_robot::output::{print, read_text, talk};
 use murmurate_robot::{BadInput, Ended};
 
 /// Subcommands of `murmurate lab`.
@@ -86,13 +93,23 @@ pub struct Status {
 
 /// Runs a subcommand of `lab`.
 pub fn run(args: &Args) -> Result<Ended> {
-    match args {
+    let ended = match args {
         Args::Up(args) => up::run(args),
         Args::Exec(args) => exec(args),
         Args::Run(args) => run::run(args),
-        Args::Down(which) => control::down(&which.name),
+        Args::Down(which) => down(&which.name),
         Args::Status(args) => status(args),
         Args::Check(args) => check::run(args),
+    };
+    ended.map_err(sorted)
+}
+
+/// Returns the error of a command: one of a laboratory about what was asked for is a [`BadInput`].
+pub fn sorted(error: anyhow::Error) -> anyhow::Error {
+    match error.downcast::<LabError>() {
+        Ok(LabError::Wrong(why)) => BadInput(why).into(),
+        Ok(failed) => failed.into(),
+        Err(other) => other,
     }
 }
 
@@ -103,19 +120,6 @@ pub fn read(path: &Path) -> Result<Laboratory> {
         .map_err(|error| BadInput(format!("the laboratory file '{}': {error}", path.display())).into())
 }
 
-/// Returns the variables of the environment by which a command knows its station.
-fn variables(report: &LabReport, station: u16) -> Vec<(&'static str, String)> {
-    let addresses: Vec<&str> = report.stations.iter().map(|station| station.address.as_str()).collect();
-    vec![
-        ("LAB_NAME", report.name.clone()),
-        ("LAB_STATION", station.to_string()),
-        ("LAB_STATIONS", addresses.len().to_string()),
-        ("LAB_ADDRESS", addresses[usize::from(station)].to_owned()),
-        ("LAB_ADDRESSES", addresses.join(",")),
-        ("LAB_INTERFACE", report.interface.clone()),
-    ]
-}
-
 fn exec(args: &Exec) -> Result<Ended> {
     let report = control::report(&args.which.name)?;
     let Some(station) = report.stations.get(usize::from(args.station)) else {
@@ -123,10 +127,9 @@ fn exec(args: &Exec) -> Result<Ended> {
         return Err(BadInput(format!("there is no station {}; there are 0 to {last}", args.station)).into());
     };
     needs::capabilities()?;
-    let mut command = Command::new("ip");
-    command.args(["netns", "exec", &station.namespace]).args(&args.command);
+    let mut command = namespace::command(&station.namespace);
     // Replaces this process, so that signals and the exit code are the command's.
-    let error = command.envs(variables(&report, args.station)).exec();
+    let error = command.args(&args.command).envs(report.variables(args.station)).exec();
     Err(anyhow!(error)).context("cannot start 'ip' (package iproute2)")
 }
 
@@ -136,8 +139,28 @@ fn status(args: &Status) -> Result<Ended> {
     once()?;
     let Some(every) = args.every else { return Ok(Ended::Done) };
     let (_, signals) = murmurate_robot::signals::listen()?;
-    while !control::readable(&*signals, u64::from(every) * 1000)? {
+    while !readable(&*signals, u64::from(every) * 1000)? {
         once()?;
     }
     Ok(Ended::Interrupted)
+}
+
+/// Waits until `source` is readable, at most `ms` \[ms\]. Returns whether it is.
+fn readable(source: impl AsFd, ms: u64) -> Result<bool> {
+    let timeout = PollTimeout::try_from(ms.min(600_000)).unwrap_or(PollTimeout::NONE);
+    match poll(&mut [PollFd::new(source.as_fd(), PollFlags::POLLIN)], timeout) {
+        Ok(count) => Ok(count > 0),
+        Err(Errno::EINTR) => Ok(false),
+        Err(error) => Err(anyhow!(error)).context("cannot wait for a socket"),
+    }
+}
+
+/// Ends a laboratory, and says what was removed.
+fn down(name: &str) -> Result<Ended> {
+    talk(&match control::down(name, talk)? {
+        Removed::Running => format!("the lab '{name}' is removed"),
+        Removed::Left(0) => format!("no lab '{name}' is up"),
+        Removed::Left(count) => format!("removed: {} that a lab '{name}' had left behind", counted(count, "station")),
+    });
+    Ok(Ended::Done)
 }

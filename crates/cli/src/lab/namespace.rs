@@ -6,7 +6,6 @@ use std::process::{Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, anyhow, bail};
 use nix::ifaddrs::getifaddrs;
 use nix::net::if_::InterfaceFlags;
 use nix::poll::{PollTimeout, poll};
@@ -15,6 +14,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use tappers::{Interface, Tap};
 
+use super::error::{Context, LabError, Result, failed};
 use super::needs;
 use murmurate_lab::ethernet;
 use murmurate_lab::file::{CABLE, Laboratory};
@@ -42,7 +42,14 @@ fn ip(args: &[&str], lines: &str) -> Result<String> {
         return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
     }
     let why = String::from_utf8_lossy(&output.stderr).trim().replace('\n', "; ");
-    Err(anyhow!("'ip {}' has failed: {why}", args.join(" ")))
+    failed(format!("'ip {}' has failed: {why}", args.join(" ")))
+}
+
+/// Returns a command that runs the words added to it in a network namespace.
+pub fn command(name: &str) -> Command {
+    let mut command = Command::new("ip");
+    command.args(["netns", "exec", name]);
+    command
 }
 
 /// Makes a network namespace.
@@ -83,7 +90,10 @@ fn processes(name: &str) -> Result<Vec<Pid>> {
 
 /// Calls `work` on a thread of its own within a network namespace, and returns its result. Sockets and interfaces that
 /// it opens belong to that namespace.
-pub fn inside<T: Send>(name: &str, work: impl FnOnce() -> Result<T> + Send) -> Result<T> {
+pub fn inside<T: Send, E: From<LabError> + Send>(
+    name: &str,
+    work: impl FnOnce() -> Result<T, E> + Send,
+) -> Result<T, E> {
     let space = needs::open(&format!("{FOLDER}/{name}"))?;
     let enter = || {
         setns(space, CloneFlags::CLONE_NEWNET).with_context(|| format!("cannot enter the namespace '{name}'"))?;
@@ -102,7 +112,7 @@ pub fn make_station(lab: &Laboratory, station: u16) -> Result<Tap> {
         if let Err(error) = disabled
             && error.kind() != std::io::ErrorKind::NotFound
         {
-            bail!("cannot switch off IPv6 in the namespace '{space}': {error}");
+            return failed(format!("cannot switch off IPv6 in the namespace '{space}': {error}"));
         }
         let name = Interface::new(&lab.interface).context("not an interface's name")?;
         let mut tap = Tap::new_named(name).context("cannot make a TAP interface")?;
@@ -156,5 +166,5 @@ fn wait_for_cable() -> Result<()> {
         // It ends with a timeout, or a signal.
         let _ = poll(&mut [], PollTimeout::from(20u16));
     }
-    Err(anyhow!("the cable of a station has no carrier after {} s", CARRIER.as_secs()))
+    failed(format!("the cable of a station has no carrier after {} s", CARRIER.as_secs()))
 }

@@ -4,7 +4,7 @@ use std::fs::{File, OpenOptions};
 use std::io::ErrorKind;
 use std::process::{Command, Stdio};
 
-use anyhow::{Context, Result, anyhow};
+use super::error::{Context, LabError, Result, failed};
 
 /// Device of which TAP interfaces are made.
 const TUN: &str = "/dev/net/tun";
@@ -16,15 +16,15 @@ pub fn check() -> Result<()> {
     capabilities()?;
     let found = Command::new("ip").arg("-V").stdout(Stdio::null()).stderr(Stdio::null()).status();
     if found.is_err() {
-        return Err(anyhow!("a lab needs the program 'ip': install the package iproute2"));
+        return failed("a lab needs the program 'ip': install the package iproute2".to_owned());
     }
     match OpenOptions::new().read(true).write(true).open(TUN) {
         Ok(_) => Ok(()),
-        Err(error) if error.kind() == ErrorKind::NotFound => Err(anyhow!(
+        Err(error) if error.kind() == ErrorKind::NotFound => Err(LabError::Failed(format!(
             "there is no {TUN}, of which TAP interfaces are made: load the module with 'modprobe tun'; give a \
              container the device with '--device {TUN}'"
-        )),
-        Err(error) => Err(anyhow!(
+        ))),
+        Err(error) => failed(format!(
             "{TUN} cannot be opened ({error}): the kernel has no TUN/TAP driver, or a container is not given the device"
         )),
     }
@@ -37,7 +37,7 @@ pub fn capabilities() -> Result<()> {
     if missing.is_empty() {
         return Ok(());
     }
-    Err(anyhow!(
+    failed(format!(
         "a lab makes network namespaces and TAP interfaces, for which this process lacks {}: run it as root ('sudo')",
         missing.join(" and ")
     ))

@@ -1,7 +1,6 @@
 //! `murmurate lab run`: a laboratory for one run of a command in every station.
 
 use std::io::Read;
-use std::process::Command;
 use std::thread;
 use std::time::Duration;
 
@@ -11,7 +10,7 @@ use serde::Serialize;
 use super::crew::{Crew, CrewEnd};
 use super::running::Running;
 use super::up::Source;
-use super::{needs, variables};
+use super::{namespace, needs};
 use murmurate_lab::file::Laboratory;
 use murmurate_lab::report::LabReport;
 use murmurate_robot::output::{print, talk};
@@ -57,7 +56,11 @@ struct FailedCommand<'a> {
 /// Runs `lab run`.
 pub fn run(args: &Args) -> Result<Ended> {
     let lab = args.source.read()?;
-    let commands = commands(&lab, &args.command)?;
+    let commands = lab.commands_or(&args.command);
+    if commands.is_empty() {
+        let why = "no station has a command: give one after '--', or as 'command' of a [[station]] in the file";
+        return Err(BadInput(why.to_owned()).into());
+    }
     let limit = match args.seconds {
         None => None,
         Some(seconds) if (0.0..=1e6).contains(&seconds) => Some(Duration::from_secs_f64(seconds)),
@@ -82,20 +85,6 @@ pub fn run(args: &Args) -> Result<Ended> {
     })
 }
 
-/// Returns the command of each station that has one: its own, or else `common`.
-fn commands(lab: &Laboratory, common: &[String]) -> Result<Vec<(u16, Vec<String>)>> {
-    let of = |(station, own): (u16, &Vec<String>)| {
-        let words = if own.is_empty() { common } else { own };
-        (!words.is_empty()).then(|| (station, words.to_vec()))
-    };
-    let commands: Vec<_> = (0..lab.stations).zip(&lab.commands).filter_map(of).collect();
-    if commands.is_empty() {
-        let why = "no station has a command: give one after '--', or as 'command' of a [[station]] in the file";
-        return Err(BadInput(why.to_owned()).into());
-    }
-    Ok(commands)
-}
-
 /// Makes a laboratory, runs the commands in its stations, and removes it. Returns the counters and how the commands
 /// have ended.
 fn with_lab(
@@ -107,11 +96,11 @@ fn with_lab(
     let (_, signals) = signals::listen()?;
     let signals = signals.try_clone().context("cannot listen for signals")?;
     let capture = source.capture()?;
-    let running = Running::start(lab, capture)?;
+    let running = Running::start(lab, capture, talk)?;
     let about = running.about.clone();
     let prepared = commands.into_iter().map(|(station, words)| {
-        let mut command = Command::new("ip");
-        command.args(["netns", "exec", &lab.namespace(station)]).args(words).envs(variables(&about, station));
+        let mut command = namespace::command(&lab.namespace(station));
+        command.args(words).envs(about.variables(station));
         (station, command)
     });
     let crew = Crew::start(prepared.collect())?;

@@ -3,13 +3,11 @@
 use std::os::unix::net::UnixStream;
 use std::thread::{self, JoinHandle};
 
-use anyhow::{Context, Result};
-
-use super::carrier::{Carrier, Outside};
+use super::carrier::{CaptureWriter, Carrier, Outside, Tell};
 use super::claim::Claim;
+use super::error::{Context, Result};
 use murmurate_lab::file::Laboratory;
 use murmurate_lab::report::LabReport;
-use murmurate_robot::background_writer::BackgroundWriter;
 
 /// Running laboratory of this process. Dropping it removes everything that it made.
 pub struct Running {
@@ -22,10 +20,10 @@ pub struct Running {
 
 impl Running {
     /// Makes the stations of a laboratory, and carries their frames from now on. Transmissions are captured by
-    /// `capture`, if there is one.
-    pub fn start(lab: &Laboratory, capture: Option<BackgroundWriter>) -> Result<Running> {
-        let claim = Claim::take(&lab.name)?;
-        let carrier = Carrier::new(lab, claim.make(lab)?, capture);
+    /// `capture`, if there is one, and `tell` is called with warnings.
+    pub fn start(lab: &Laboratory, capture: Option<Box<dyn CaptureWriter>>, tell: Tell) -> Result<Running> {
+        let claim = Claim::take(&lab.name, tell)?;
+        let carrier = Carrier::new(lab, claim.make(lab)?, capture, tell);
         let about = carrier.report();
         let (stop, stopped) = UnixStream::pair().context("cannot make a pipe")?;
         let thread = thread::Builder::new().name("lab".to_owned());

@@ -4,7 +4,6 @@
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::{AsFd, AsRawFd, OwnedFd};
 
-use anyhow::{Context, Result};
 use nix::errno::Errno;
 use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags, EpollTimeout};
 use nix::sys::socket::{
@@ -13,6 +12,7 @@ use nix::sys::socket::{
 };
 
 use super::carrier::{Alarm, monotonic_ns, prioritize};
+use super::error::{Context, Result};
 use super::namespace;
 use murmurate::time::{Span, Time};
 use murmurate_lab::file::Laboratory;

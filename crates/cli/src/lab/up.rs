@@ -8,12 +8,12 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, anyhow};
 
-use super::carrier::{Carrier, Outside};
+use super::carrier::{CaptureWriter, Carrier, Outside};
 use super::claim::{Claim, path};
 use super::{needs, read};
 use murmurate_lab::file::Laboratory;
 use murmurate_robot::background_writer::{BackgroundWriter, Target};
-use murmurate_robot::output::{print, talk};
+use murmurate_robot::output::{FLUSH_TIMEOUT, print, talk};
 use murmurate_robot::{BadInput, Ended, signals, this_program};
 
 /// Flags of `murmurate lab up`.
@@ -51,10 +51,24 @@ impl Source {
     }
 
     /// Opens the capture file, if there is one.
-    pub fn capture(&self) -> Result<Option<BackgroundWriter>> {
+    pub fn capture(&self) -> Result<Option<Box<dyn CaptureWriter>>> {
         let Some(path) = &self.capture else { return Ok(None) };
         let target = Target::create(path).map_err(|e| BadInput(format!("cannot write '{}': {e}", path.display())))?;
-        Ok(Some(BackgroundWriter::open(target, None).context("cannot start a thread to write the capture")?))
+        let writer = BackgroundWriter::open(target, None).context("cannot start a thread to write the capture")?;
+        Ok(Some(Box::new(CaptureFile(writer))))
+    }
+}
+
+/// Capture file, written by a thread of its own.
+struct CaptureFile(BackgroundWriter);
+
+impl CaptureWriter for CaptureFile {
+    fn push(&self, piece: Vec<u8>) -> bool {
+        self.0.push(piece)
+    }
+
+    fn flush(&self) {
+        self.0.flush(FLUSH_TIMEOUT);
     }
 }
 
@@ -88,10 +102,10 @@ fn here(args: &Args, lab: &Laboratory) -> Result<Ended> {
     // Before anything is made: a signal that comes while the stations are made ends the lab as soon as they are.
     let (signal, stop) = signals::listen()?;
     let capture = args.source.capture()?;
-    let claim = Claim::take(&lab.name)?;
+    let claim = Claim::take(&lab.name, talk)?;
     let taps = claim.make(lab)?;
     let control = UnixListener::bind(path(&lab.name, "sock")).context("cannot make a socket in /run")?;
-    let carrier = Carrier::new(lab, taps, capture);
+    let carrier = Carrier::new(lab, taps, capture, talk);
     if args.behind {
         print("up")?;
     } else {

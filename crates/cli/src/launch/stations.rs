@@ -10,7 +10,7 @@ use murmurate::config::shown::counted;
 use murmurate::deploy::LinkMedium;
 use murmurate::registry::Registry;
 use murmurate_lab::file::{CABLE, Laboratory};
-use murmurate_robot::output::talk_lines;
+use murmurate_robot::output::{talk, talk_lines};
 use murmurate_robot::{BadInput, Ended};
 
 /// Runs the team with each host in the station of its number, and the live page, if there is one, in the station after
@@ -43,13 +43,13 @@ pub fn run(args: &Args, file: &Path, registry: &Registry) -> Result<Ended> {
         })?;
         team.set_interface(&link.name, interface);
     }
-    lab::check_needs()?;
+    lab::check_needs().map_err(|error| lab::sorted(error.into()))?;
     // The team is checked before anything is made.
     let checked = team.read(registry)?;
     for host in checked.hosts() {
         team.for_host(&checked, host)?;
     }
-    let running = Running::start(&laboratory, None)?;
+    let running = Running::start(&laboratory, None, talk).map_err(|error| lab::sorted(error.into()))?;
     let names: Vec<String> = (0..laboratory.stations).map(|station| laboratory.namespace(station)).collect();
     let before = |_: &str, number: usize| ["ip", "netns", "exec", &names[number]].map(str::to_owned).to_vec();
     let place = Place { before: &before, page: page(args).then(|| names[hosts].as_str()) };
