@@ -3,12 +3,12 @@
 
 use anyhow::Result;
 
-use super::accuracy::{self, Accuracy, HEADING};
-use super::needs;
 use murmurate::net::media::radio::{PRESETS, Radio, Topology};
 use murmurate::time::Span;
 use murmurate_lab::file::Laboratory;
 use murmurate_lab::load::{Cast, Load};
+use murmurate_lab::machine::accuracy::{self, Accuracy, HEADING};
+use murmurate_lab::machine::needs;
 use murmurate_robot::output::{print, talk};
 use murmurate_robot::{BadInput, Ended};
 

@@ -1,26 +1,11 @@
 //! The command `murmurate lab`: stations in network namespaces, whose frames travel over the emulated radio channel in
 //! real time. Any program runs in a station.
 //!
-//! The channel is `murmurate_lab`. The files of this folder hold the clock, the TAP interfaces, the namespaces and the
-//! processes.
+//! The channel and the stations are of `murmurate_lab`.
 
-mod accuracy;
-mod carrier;
 mod check;
-mod claim;
-mod control;
-mod crew;
-mod error;
-mod namespace;
-mod needs;
 mod run;
-mod running;
-mod traffic;
 mod up;
-
-pub use namespace::inside;
-pub use needs::check as check_needs;
-pub use running::Running;
 
 use std::os::fd::AsFd;
 use std::os::unix::process::CommandExt;
@@ -32,9 +17,9 @@ use murmurate::config::shown::counted;
 use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
-use control::Removed;
-use error::LabError;
 use murmurate_lab::file::Laboratory;
+use murmurate_lab::machine::control::{self, Removed};
+use murmurate_lab::machine::{self, LabError, needs};
 use murmurate_lab::report::LabReport;
 use murmurate_robot::output::{print, read_text, talk};
 use murmurate_robot::{BadInput, Ended};
@@ -127,7 +112,7 @@ fn exec(args: &Exec) -> Result<Ended> {
         return Err(BadInput(format!("there is no station {}; there are 0 to {last}", args.station)).into());
     };
     needs::capabilities()?;
-    let mut command = namespace::command(&station.namespace);
+    let mut command = machine::command(&station.namespace);
     // Replaces this process, so that signals and the exit code are the command's.
     let error = command.args(&args.command).envs(report.variables(args.station)).exec();
     Err(anyhow!(error)).context("cannot start 'ip' (package iproute2)")

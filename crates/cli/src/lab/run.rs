@@ -7,11 +7,10 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use serde::Serialize;
 
-use super::crew::{Crew, CrewEnd};
-use super::running::Running;
 use super::up::Source;
-use super::{namespace, needs};
 use murmurate_lab::file::Laboratory;
+use murmurate_lab::machine::crew::{Crew, CrewEnd};
+use murmurate_lab::machine::{self, Running, needs};
 use murmurate_lab::report::LabReport;
 use murmurate_robot::output::{print, talk};
 use murmurate_robot::{BadInput, Ended, signals};
@@ -99,7 +98,7 @@ fn with_lab(
     let running = Running::start(lab, capture, talk)?;
     let about = running.about.clone();
     let prepared = commands.into_iter().map(|(station, words)| {
-        let mut command = namespace::command(&lab.namespace(station));
+        let mut command = machine::command(&lab.namespace(station));
         command.args(words).envs(about.variables(station));
         (station, command)
     });

@@ -8,10 +8,9 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, anyhow};
 
-use super::carrier::{CaptureWriter, Carrier, Outside};
-use super::claim::{Claim, path};
-use super::{needs, read};
+use super::read;
 use murmurate_lab::file::Laboratory;
+use murmurate_lab::machine::{CaptureWriter, Carrier, Claim, Outside, needs, path};
 use murmurate_robot::background_writer::{BackgroundWriter, Target};
 use murmurate_robot::output::{FLUSH_TIMEOUT, print, talk};
 use murmurate_robot::{BadInput, Ended, signals, this_program};

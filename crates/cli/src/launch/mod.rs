@@ -19,8 +19,6 @@ use murmurate::registry::Registry;
 use murmurate::report::event::Unwritten;
 use murmurate::report::summary::{CostName, Counts, Run, Summary};
 
-#[cfg(feature = "lab")]
-use crate::lab;
 use crate::watch::{self, team::News};
 use murmurate_launch::outcome::Outcome;
 use murmurate_launch::results::Results;
@@ -197,7 +195,7 @@ fn supervise(
                 let run = || page.run(team, registry, None, || false);
                 let ended = match space {
                     #[cfg(feature = "lab")]
-                    Some(space) => lab::inside(space, run),
+                    Some(space) => murmurate_lab::machine::inside(space, run),
                     _ => run(),
                 };
                 if let Err(error) = ended {

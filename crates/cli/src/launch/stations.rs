@@ -5,11 +5,12 @@ use std::path::Path;
 use anyhow::Result;
 
 use super::{Args, Place, run_team};
-use crate::lab::{self, Running};
+use crate::lab;
 use murmurate::config::shown::counted;
 use murmurate::deploy::LinkMedium;
 use murmurate::registry::Registry;
 use murmurate_lab::file::{CABLE, Laboratory};
+use murmurate_lab::machine::{Running, needs};
 use murmurate_robot::output::{talk, talk_lines};
 use murmurate_robot::{BadInput, Ended};
 
@@ -43,7 +44,7 @@ pub fn run(args: &Args, file: &Path, registry: &Registry) -> Result<Ended> {
         })?;
         team.set_interface(&link.name, interface);
     }
-    lab::check_needs().map_err(|error| lab::sorted(error.into()))?;
+    needs::check().map_err(|error| lab::sorted(error.into()))?;
     // The team is checked before anything is made.
     let checked = team.read(registry)?;
     for host in checked.hosts() {

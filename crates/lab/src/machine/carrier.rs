@@ -18,13 +18,13 @@ use nix::time::{ClockId, clock_gettime};
 use tappers::Tap;
 
 use super::error::{Context, Result};
+use crate::capture::Capture;
+use crate::ethernet::MAX_FRAME_BYTES;
+use crate::file::Laboratory;
+use crate::lateness::Lateness;
+use crate::medium::{Found, Medium};
+use crate::report::LabReport;
 use murmurate::time::{Span, Time};
-use murmurate_lab::capture::Capture;
-use murmurate_lab::ethernet::MAX_FRAME_BYTES;
-use murmurate_lab::file::Laboratory;
-use murmurate_lab::lateness::Lateness;
-use murmurate_lab::medium::{Found, Medium};
-use murmurate_lab::report::LabReport;
 
 /// Frames that are read from a station before another one has its turn.
 const BATCH: usize = 16;

@@ -16,7 +16,7 @@ use tappers::Tap;
 use super::carrier::Tell;
 use super::error::{Context, LabError, Result, failed};
 use super::namespace;
-use murmurate_lab::file::Laboratory;
+use crate::file::Laboratory;
 
 /// Folder of the files by which commands find running laboratories.
 const FOLDER: &str = "/run/murmurate";

@@ -51,7 +51,7 @@ fn missing(status: &str) -> Vec<&'static str> {
 }
 
 /// Opens a file of the machine's, for a namespace or a device.
-pub fn open(path: &str) -> Result<File> {
+pub(super) fn open(path: &str) -> Result<File> {
     File::open(path).with_context(|| format!("cannot open '{path}'"))
 }
 

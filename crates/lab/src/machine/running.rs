@@ -6,8 +6,8 @@ use std::thread::{self, JoinHandle};
 use super::carrier::{CaptureWriter, Carrier, Outside, Tell};
 use super::claim::Claim;
 use super::error::{Context, Result};
-use murmurate_lab::file::Laboratory;
-use murmurate_lab::report::LabReport;
+use crate::file::Laboratory;
+use crate::report::LabReport;
 
 /// Running laboratory of this process. Dropping it removes everything that it made.
 pub struct Running {

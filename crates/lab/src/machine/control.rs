@@ -12,7 +12,7 @@ use super::carrier::Tell;
 use super::claim::{Claim, path};
 use super::error::{Context, LabError, Result, failed};
 use super::needs;
-use murmurate_lab::report::LabReport;
+use crate::report::LabReport;
 
 /// Longest time for a running laboratory to answer.
 const ANSWER: Duration = Duration::from_secs(5);

@@ -1,5 +1,5 @@
-//! How true a laboratory is on this machine: a load over the channel in real time beside the same in virtual time, and at
-//! saturation beside Bianchi's model.
+//! How true a laboratory is on this machine: a load over the channel in real time beside the same in virtual time, and
+//! at saturation beside Bianchi's model.
 
 use std::fmt;
 use std::thread;
@@ -10,9 +10,9 @@ use super::carrier::Tell;
 use super::error::Result;
 use super::running::Running;
 use super::traffic::Sockets;
-use murmurate_lab::file::Laboratory;
-use murmurate_lab::load::{Load, Outcome};
-use murmurate_lab::report::LabReport;
+use crate::file::Laboratory;
+use crate::load::{Load, Outcome};
+use crate::report::LabReport;
 
 /// Priority of the thread that sends and receives; the lab's own is higher.
 const TRAFFIC_PRIORITY: u8 = 10;
@@ -54,8 +54,8 @@ pub struct Accuracy {
     pub met: bool,
 }
 
-/// Measures a load on a laboratory, which is made for it, and returns it beside the same in virtual time. `tell` is called
-/// with warnings.
+/// Measures a load on a laboratory, which is made for it, and returns it beside the same in virtual time. `tell` is
+/// called with warnings.
 pub fn measure(lab: &Laboratory, load: &Load, tell: Tell) -> Result<Accuracy> {
     let running = Running::start(lab, None, tell)?;
     let sockets = Sockets::open(lab)?;
@@ -139,8 +139,8 @@ pub const HEADING: &str = "stations cast       load offered/s  deliv %    virt  
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::load::Cast;
     use murmurate::time::Span;
-    use murmurate_lab::load::Cast;
 
     #[test]
     fn delays_are_alike_within_a_tenth_or_half_a_millisecond() {

@@ -14,9 +14,9 @@ use nix::sys::socket::{
 use super::carrier::{Alarm, monotonic_ns, prioritize};
 use super::error::{Context, Result};
 use super::namespace;
+use crate::file::Laboratory;
+use crate::load::{Cast, DRAIN, Load, Offer, Outcome, Received};
 use murmurate::time::{Span, Time};
-use murmurate_lab::file::Laboratory;
-use murmurate_lab::load::{Cast, DRAIN, Load, Offer, Outcome, Received};
 
 /// Port of all stations.
 const PORT: u16 = 7777;

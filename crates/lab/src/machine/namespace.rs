@@ -16,8 +16,8 @@ use tappers::{Interface, Tap};
 
 use super::error::{Context, LabError, Result, failed};
 use super::needs;
-use murmurate_lab::ethernet;
-use murmurate_lab::file::{CABLE, Laboratory};
+use crate::ethernet;
+use crate::file::{CABLE, Laboratory};
 
 /// Longest time for the programs of a laboratory to end after they were asked to.
 const GRACE: Duration = Duration::from_secs(1);
