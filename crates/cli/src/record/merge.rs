@@ -11,8 +11,8 @@ use mcap::{WriteOptions, Writer};
 
 use crate::record::chosen::{self, Chosen, tell};
 use murmurate::config::shown;
+use murmurate_record::clocks::{Alignment, Part, Traffic, align};
 use murmurate_record::identity::{Identity, METADATA};
-use murmurate_record::merge::{Alignment, Part, Traffic, align};
 use murmurate_record::reader::{self, Item, Reader};
 use murmurate_record::stage;
 use murmurate_robot::output::{print, talk};
@@ -227,7 +227,7 @@ impl Source<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use murmurate_record::merge::ClockDifference;
+    use murmurate_record::clocks::ClockDifference;
 
     #[test]
     fn drawings_are_of_the_record_with_true_states_even_if_they_begin_late() {

@@ -11,7 +11,7 @@ use murmurate::messages::geometry::Vec2;
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::phase::Phase;
 use murmurate::messages::wire::Latent;
-use murmurate_record::merge::DatagramKey;
+use murmurate_record::clocks::DatagramKey;
 
 /// Rules by which robots use neighbours' messages: communication range, hold time and handling.
 #[derive(Clone, Copy, Debug)]

@@ -14,7 +14,7 @@ use murmurate::messages::wire::{Kind, Latent, Wire};
 use murmurate::net::protocol::codec::{self, Content, Flags};
 use murmurate::net::protocol::router::Audience;
 use murmurate::report::episode::Episode;
-use murmurate_record::merge::{self, Alignment, ClockDifference, DatagramKey, Traffic};
+use murmurate_record::clocks::{self, Alignment, ClockDifference, DatagramKey, Traffic};
 use murmurate_record::protobuf_reader::Fields;
 use murmurate_record::reader::{self, ReadError};
 use murmurate_record::tape;
@@ -99,7 +99,7 @@ impl Log {
     fn publish(&mut self, at_ns: i64, datagram: &[u8]) {
         self.traffic.publish(at_ns, datagram);
         let Ok(Content::Message(kind)) = codec::first(datagram) else { return };
-        let Some(key) = merge::key(datagram).filter(|_| PROMPT.contains(&kind)) else { return };
+        let Some(key) = clocks::key(datagram).filter(|_| PROMPT.contains(&kind)) else { return };
         let Ok((_, message)) = codec::decode(datagram) else { return };
         let robot = message.robot();
         let (mut latent, mut command) = (None, None);
@@ -119,7 +119,7 @@ impl Log {
             self.traffic.arrive(at_ns, &frame);
             let first = codec::peek(&frame).is_ok_and(|header| !header.flags.has(Flags::COPY));
             if first && matches!(codec::first(&frame), Ok(Content::Message(kind)) if PROMPT.contains(&kind)) {
-                self.arrived.extend(merge::key(&frame).map(|key| (at_ns, key)));
+                self.arrived.extend(clocks::key(&frame).map(|key| (at_ns, key)));
             }
         }
     }

@@ -10,7 +10,7 @@ use murmurate::messages::wire::{Kind, Wire};
 use murmurate::net::protocol::codec::{self, Content, Frame};
 use murmurate::report::episode::Episode;
 use murmurate::trial::{Proceed, Trial};
-use murmurate_record::merge;
+use murmurate_record::clocks;
 
 /// Results of one simulated repeat of a twin's prediction.
 #[derive(Clone, Debug)]
@@ -61,13 +61,13 @@ pub fn run(trial: &Trial, mut proceed: impl FnMut(&[Episode]) -> Proceed) -> Opt
             for event in events.borrow_mut().drain(..) {
                 match event {
                     Event::Published(frame) => {
-                        if let (Some(key), Ok((_, Wire::Latent(latent)))) = (merge::key(&frame), codec::decode(&frame))
+                        if let (Some(key), Ok((_, Wire::Latent(latent)))) = (clocks::key(&frame), codec::decode(&frame))
                         {
                             follower.publish(now_ns, key, &latent);
                         }
                     }
                     Event::Arrived(host, frame) => {
-                        merge::key(&frame).iter().for_each(|key| follower.arrive(now_ns, host, key));
+                        clocks::key(&frame).iter().for_each(|key| follower.arrive(now_ns, host, key));
                     }
                 }
             }
