@@ -9,6 +9,8 @@ use murmurate::messages::ids::HostId;
 
 /// Name of the MCAP metadata that contains the identity of a record.
 pub const METADATA: &str = "murmurate.run";
+/// Name of the metadata of a file that was merged of several records: the clock offset of each host.
+pub const MERGED: &str = "murmurate.merge";
 /// Version of the format of records that this program writes. It reads those before it, too: version 1 has no digests
 /// of metadata, and no numbers of refused datagrams.
 pub const FORMAT: u32 = 2;

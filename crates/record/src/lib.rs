@@ -15,12 +15,14 @@ mod protobuf;
 mod schemas;
 
 pub mod actions;
+pub mod chosen;
 pub mod clocks;
 pub mod compare;
 pub mod digest;
 pub mod file;
 pub mod health;
 pub mod identity;
+pub mod merge;
 pub mod protobuf_reader;
 pub mod queue;
 pub mod read_error;

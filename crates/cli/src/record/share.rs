@@ -5,9 +5,10 @@ use std::path::{Component, Path, PathBuf};
 
 use anyhow::{Context, Result};
 
-use crate::record::chosen::{self, Chosen, tell};
+use crate::record::chosen::{self, tell};
 use murmurate::config::shown;
 use murmurate::net::protocol::key::Key;
+use murmurate_record::chosen::Chosen;
 use murmurate_record::identity::Identity;
 use murmurate_record::reader::{self, Reader};
 use murmurate_record::repair;

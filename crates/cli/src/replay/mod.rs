@@ -15,7 +15,7 @@ use std::rc::Rc;
 use anyhow::{Context, Result};
 use serde::Serialize;
 
-use crate::record::chosen::{self, Chosen};
+use crate::record::chosen;
 use crate::sim;
 use crate::study;
 use murmurate::config::shown::{self, counted};
@@ -24,6 +24,7 @@ use murmurate::messages::ids::HostId;
 use murmurate::registry::Registry;
 use murmurate::time::Time;
 use murmurate::trial::Proceed;
+use murmurate_record::chosen::Chosen;
 use murmurate_record::compare::{Compared, Comparison};
 use murmurate_record::reader::{self, Opened};
 use murmurate_record::share::ACCEPTED;

@@ -10,7 +10,7 @@ use anyhow::{Context, Result};
 use super::sights::{self, Keys, Shown};
 use super::{Args, Files, rerun_observed};
 use crate::record::chosen::{self, first_files, tell};
-use crate::record::merge::merge;
+use crate::record::merge::into_file;
 use crate::watch::feed::Feed;
 use murmurate::config::shown::counted;
 use murmurate::graph::process::ProcessEvent;
@@ -85,7 +85,7 @@ fn read(args: &Args, registry: &Registry) -> Result<Shown> {
             return sights::read(only, &keys);
         }
         let mut merged = Temporary::new_in(&std::env::temp_dir(), 0o600).context("cannot write a temporary file")?;
-        merge(records, merged.seekable())?;
+        into_file(records, merged.seekable())?;
         return sights::read(merged.path(), &keys);
     }
     let path = paths.remove(0);
