@@ -5,6 +5,9 @@
 //! writer thread ([`writer`]) converts the events to the messages of the record's topics ([`topics`]) and writes them
 //! to files ([`series`], [`mod@file`]). A replay makes the same messages and compares them with the file ([`compare`]).
 //! docs/record.md lists the topics.
+//!
+//! Of records that are there, [`chosen`] takes those that can be used, [`info`] describes one, [`tables`] makes rows of
+//! it, [`repair`] and [`share`] copy it, and [`mod@merge`] joins those of a team's hosts by their [`clocks`].
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
@@ -22,6 +25,7 @@ pub mod digest;
 pub mod file;
 pub mod health;
 pub mod identity;
+pub mod info;
 pub mod merge;
 pub mod protobuf_reader;
 pub mod queue;
@@ -32,6 +36,7 @@ pub mod repair;
 pub mod series;
 pub mod share;
 pub mod stage;
+pub mod tables;
 pub mod tape;
 pub mod topic;
 pub mod topics;

@@ -1,0 +1,186 @@
+//! Tables of a record as rows of CSV: true states of simulated robots, links, and messages.
+
+use serde_json::Value as Json;
+
+use super::identity::Identity;
+use super::protobuf_reader::{Fields, Value};
+use super::reader::{Message, Messages, ReadError};
+use super::tape;
+use super::topics::name_of;
+use murmurate::graph::inputs::Input;
+use murmurate::messages::wire::Wire;
+use murmurate::net::protocol::codec::{self, Content};
+
+/// Table of a record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Table {
+    /// True states of simulated robots, over time.
+    Trajectories,
+    /// What a host measured of each other host, once a second.
+    Links,
+    /// Each datagram that was published, and in a host's record each that arrived.
+    Messages,
+}
+
+impl Table {
+    /// Returns the first line of the table, with the names of its columns.
+    pub fn header(self) -> &'static str {
+        match self {
+            Table::Trajectories => TRAJECTORIES,
+            Table::Links => LINKS,
+            Table::Messages => MESSAGES,
+        }
+    }
+
+    /// Returns what the rows of the table are of, in words.
+    pub fn subject(self) -> &'static str {
+        match self {
+            Table::Trajectories => "true states",
+            Table::Links => "links",
+            Table::Messages => "messages",
+        }
+    }
+}
+
+const TRAJECTORIES: &str = "episode,phase,time_s,robot,x_m,y_m,vx_m_s,vy_m_s,heading_rad,yaw_rate_rad_s,command_x_m_s,\
+                            command_y_m_s,touches_robot,touches_wall";
+const LINKS: &str = "time_s,host,link,peer,incarnation,accepted,age_s,loss,passed,missing,round_trip_s,uncertainty_s";
+const MESSAGES: &str = "time_s,event,host,link,sender,incarnation,sequence,kind,bytes";
+
+/// Function that is called with each row of a table.
+type Rows<'a> = dyn FnMut(&str) + 'a;
+
+/// Reads the messages of a record, and calls `take` with each row of the tables `wanted`, in the order of time.
+pub fn read(
+    identity: &Identity,
+    mut messages: Messages,
+    wanted: &[Table],
+    mut take: impl FnMut(Table, &str),
+) -> Result<(), ReadError> {
+    let host = identity.host.as_ref().map_or("", |host| &host.name);
+    let (mut phase, mut gaps) = (Some((Json::Null, String::new())), 0);
+    while let Some(message) = messages.next_message()? {
+        if std::mem::replace(&mut gaps, messages.gaps()) != messages.gaps() {
+            // The phase may have changed in what is lost.
+            phase = None;
+        }
+        let at_s = message.at.saturating_sub(identity.anchor_ns) as f64 / 1e9;
+        let mut rows_of = |table: Table, fill: &dyn Fn(&mut Rows)| {
+            if wanted.contains(&table) {
+                fill(&mut |row| take(table, row));
+            }
+        };
+        match &*message.channel.topic {
+            "/episode" => {
+                let said: Json = serde_json::from_slice(&message.data).unwrap_or_default();
+                if let Some(begins) = said["phase"].as_str() {
+                    phase = Some((said["episode"].clone(), begins.to_owned()));
+                }
+            }
+            "/truth" => rows_of(Table::Trajectories, &|row| truth(row, at_s, phase.as_ref(), &message.data)),
+            "/links" => rows_of(Table::Links, &|row| peers(row, at_s, &message.data)),
+            "/tape/turn" => {
+                if phase.is_none() {
+                    let frames = tape::read(&message.data).into_iter().flat_map(|turn| turn.frames());
+                    phase = frames.filter_map(|frame| followed(codec::untagged(&frame))).next();
+                }
+                rows_of(Table::Messages, &|row| arrived(row, at_s, host, &message.data));
+            }
+            topic if topic.starts_with("/wire/") => {
+                phase = phase.or_else(|| followed(&message.data));
+                rows_of(Table::Messages, &|row| published(row, at_s, &message));
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// Returns episode and phase that the instruction in a datagram gives; `None` for another datagram.
+fn followed(datagram: &[u8]) -> Option<(Json, String)> {
+    let (_, Wire::Mode(mode)) = codec::decode(datagram).ok()? else { return None };
+    Some((mode.round.episode.into(), name_of(mode.phase).to_owned()))
+}
+
+fn truth(row: &mut Rows, at_s: f64, phase: Option<&(Json, String)>, data: &[u8]) {
+    let (episode, phase) = phase.map_or((&Json::Null, ""), |(episode, phase)| (episode, &**phase));
+    for (_, robot) in Fields(data).filter(|(field, _)| *field == 2) {
+        let mut fields = [0.0; 12];
+        for (field, value) in Fields(robot.bytes().unwrap_or_default()) {
+            if let (Some(place), Some(number)) = (fields.get_mut(field as usize), Value::number(value)) {
+                *place = number;
+            }
+        }
+        let [_, robot, x, y, vx, vy, heading, yaw_rate, command_x, command_y, robots, walls] = fields;
+        let episode = episode.as_u64().map_or(String::new(), |episode| episode.to_string());
+        row(&format!(
+            "{episode},{phase},{at_s},{robot},{x},{y},{vx},{vy},{heading},{yaw_rate},{command_x},{command_y},{robots},\
+             {walls}"
+        ));
+    }
+}
+
+fn peers(row: &mut Rows, at_s: f64, data: &[u8]) {
+    let said: Json = serde_json::from_slice(data).unwrap_or_default();
+    let host = said["host"].as_str().unwrap_or_default();
+    for peer in said["peers"].as_array().into_iter().flatten() {
+        const FIELDS: [&str; 10] =
+            ["link", "host", "epoch", "proven", "age_s", "loss", "passed", "missing", "round_trip_s", "uncertainty_s"];
+        let text = |value: &Json| if value.is_null() { String::new() } else { value.to_string() };
+        let cells: Vec<String> = FIELDS.iter().map(|field| text(&peer[*field])).collect();
+        row(&format!("{at_s},{host},{}", cells.join(",")));
+    }
+}
+
+fn published(row: &mut Rows, at_s: f64, message: &Message) {
+    let host = message.channel.topic.trim_start_matches("/wire/");
+    datagram(row, &format!("{at_s},published,{host},"), &message.data);
+}
+
+fn arrived(row: &mut Rows, at_s: f64, host: &str, data: &[u8]) {
+    for input in tape::read(data).into_iter().flat_map(|turn| turn.inputs) {
+        if let Input::Frame(link, frame, _) = input {
+            datagram(row, &format!("{at_s},arrived,{host},{}", link.0), &frame);
+        }
+    }
+}
+
+fn datagram(row: &mut Rows, start: &str, frame: &[u8]) {
+    let Ok(header) = codec::peek(frame) else {
+        row(&format!("{start},,,,junk,{}", frame.len()));
+        return;
+    };
+    let kind = match codec::first(frame) {
+        Ok(Content::Message(kind)) => format!("{kind:?}"),
+        Ok(_) => "link layer".to_owned(),
+        Err(_) => "junk".to_owned(),
+    };
+    let (sender, incarnation, sequence) = (header.sender.0, header.incarnation, header.sequence);
+    row(&format!("{start},{sender},{incarnation:08x},{sequence},{kind},{}", frame.len()));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_has_as_many_cells_as_its_table_has_columns() {
+        let mut rows = Vec::new();
+        let mut row = |text: &str| rows.push(text.to_owned());
+        let mut robot = crate::protobuf::Message(Vec::new());
+        robot.uint(1, 3);
+        robot.double(2, 0.5);
+        let mut data = crate::protobuf::Message(Vec::new());
+        data.bytes(2, &robot.0);
+        let phase = (Json::from(4), "running".to_owned());
+        truth(&mut row, 1.5, Some(&phase), &data.0);
+        peers(&mut row, 2.0, br#"{"host": "a", "peers": [{"link": 0, "host": 1, "loss": 0.25}]}"#);
+        datagram(&mut row, "2,arrived,a,0", b"x");
+        assert!(rows[0].starts_with("4,running,1.5,3,0.5,0,"), "{}", rows[0]);
+        assert_eq!(rows[1], "2,a,0,1,,,,0.25,,,,");
+        assert_eq!(rows[2], "2,arrived,a,0,,,,junk,1");
+        for (row, table) in rows.iter().zip([Table::Trajectories, Table::Links, Table::Messages]) {
+            assert_eq!(row.split(',').count(), table.header().split(',').count(), "{row}");
+        }
+    }
+}
