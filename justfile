@@ -60,6 +60,10 @@ full-package:
     CARGO_TARGET_DIR={{justfile_directory()}}/target cargo package --locked --workspace \
         --exclude murmurate-python --exclude stranger --exclude stranger-python
 
+# Licences, advisories, versions and sources of all dependencies, by deny.toml (a minute, network, cargo install cargo-deny)
+full-deny:
+    cargo deny --locked --workspace check
+
 # The robot's program, and how large it is (two minutes)
 robot:
     cargo build --package murmurate-robot --features program --profile robot
