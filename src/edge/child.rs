@@ -11,11 +11,13 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::thread::{self, JoinHandle};
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::thread;
 use std::time::Duration;
 
+use nix::errno::Errno;
 use nix::sys::signal::{Signal, kill, killpg};
-use nix::sys::wait::{Id, WaitPidFlag, WaitStatus, waitid};
+use nix::sys::wait::{Id, WaitPidFlag, waitid};
 use nix::unistd::{Pid, getpgid, getsid};
 
 use super::{Packet, PacketSender, Port, Worker};
@@ -23,12 +25,10 @@ use crate::config::shown;
 
 /// Longest line of the program's output \[bytes\]. A longer line is split, so its reader refuses the parts.
 const LONGEST: u64 = 4096;
-/// Period at which the end of a program is looked for \[ms\].
-const LOOK_MS: u64 = 5;
-/// Longest time for a program to end once its stdin is closed \[ms\]; then it is killed.
-const END_MS: u64 = 500;
-/// Longest time for the program's last lines to arrive after its end \[ms\].
-const LAST_LINES_MS: u64 = 100;
+/// Longest time for a program to end once its stdin is closed; then it is killed.
+const END: Duration = Duration::from_millis(500);
+/// Longest time for the program's last lines to arrive after its end.
+const LAST_LINES: Duration = Duration::from_millis(100);
 /// Variable of the program's environment by which what it has started is found.
 const MARK: &str = "MURMURATE_STARTED_BY";
 /// What the shell runs that outlives this process: the end of its stdin is this process's end. The program may then
@@ -66,10 +66,16 @@ impl Worker for Program {
         };
         let guard = guard(&child, program);
         let (sender, stdout, stderr) = (port.sender(), child.stdout.take(), child.stderr.take());
-        let readers = [
-            thread::spawn(move || stdout.into_iter().for_each(|stdout| read(stdout, &sender))),
-            thread::spawn(move || stderr.into_iter().for_each(pass_on)),
-        ];
+        let (reads, last_lines) = channel::<()>();
+        let reads_too = reads.clone();
+        thread::spawn(move || {
+            stdout.into_iter().for_each(|stdout| read(stdout, &sender));
+            drop(reads);
+        });
+        thread::spawn(move || {
+            stderr.into_iter().for_each(pass_on);
+            drop(reads_too);
+        });
         let mut stdin = child.stdin.take();
         while let Some(line) = port.wait() {
             let written = stdin.as_mut().map(|stdin| stdin.write_all(&line).and_then(|()| stdin.flush()));
@@ -92,7 +98,8 @@ impl Worker for Program {
             let _ = guard.kill();
             let _ = guard.wait();
         }
-        finish(readers);
+        // What has escaped may hold its stdout and stderr open for ever.
+        let _ = last_lines.recv_timeout(LAST_LINES);
     }
 
     fn runs(&self) -> Option<Vec<String>> {
@@ -146,16 +153,17 @@ fn group(child: &Child) -> Pid {
 fn end(child: &mut Child, program: &str) {
     let group = group(child);
     // The program is not waited for before its group is killed: until then no other group can have its number.
-    let looked = WaitPidFlag::WEXITED | WaitPidFlag::WNOHANG | WaitPidFlag::WNOWAIT;
-    let has_ended = (0..END_MS / LOOK_MS).any(|_| {
-        thread::park_timeout(Duration::from_millis(LOOK_MS));
-        !matches!(waitid(Id::Pid(group), looked), Ok(WaitStatus::StillAlive))
+    let (runs, ended) = channel::<()>();
+    let watch = thread::spawn(move || {
+        while waitid(Id::Pid(group), WaitPidFlag::WEXITED | WaitPidFlag::WNOWAIT) == Err(Errno::EINTR) {}
+        drop(runs);
     });
-    if !has_ended {
+    if ended.recv_timeout(END) == Err(RecvTimeoutError::Timeout) {
         tracing::warn!("'{program}' does not end, and is killed");
     }
     // An error says that nobody of the group is left.
     let _ = killpg(group, Signal::SIGKILL);
+    let _ = watch.join();
     let _ = child.wait();
 }
 
@@ -182,21 +190,14 @@ fn escaped(mark: &str, group: Pid) -> Vec<String> {
     escaped
 }
 
-/// Waits a short time for the program's last lines. What has escaped may hold its stdout and stderr open for ever.
-fn finish(readers: [JoinHandle<()>; 2]) {
-    for _ in 0..LAST_LINES_MS / LOOK_MS {
-        if readers.iter().all(JoinHandle::is_finished) {
-            return;
-        }
-        thread::park_timeout(Duration::from_millis(LOOK_MS));
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::edge::channel;
     use std::fs;
+
+    /// Period at which the files of processes are read.
+    const LOOK: Duration = Duration::from_millis(5);
 
     /// Waits until the file has as many lines, and returns them as numbers of processes.
     fn pids(file: &std::path::Path, count: usize) -> Vec<Pid> {
@@ -205,7 +206,7 @@ mod tests {
             if text.ends_with('\n') && text.lines().count() >= count {
                 return text.lines().map(|line| Pid::from_raw(line.trim().parse().unwrap())).collect();
             }
-            thread::park_timeout(Duration::from_millis(LOOK_MS));
+            thread::park_timeout(LOOK);
         }
     }
 
@@ -230,7 +231,7 @@ mod tests {
             drop(gate);
             worker.join().unwrap();
             while started.iter().any(|pid| runs(*pid)) {
-                thread::park_timeout(Duration::from_millis(LOOK_MS));
+                thread::park_timeout(LOOK);
             }
         }
     }
@@ -253,7 +254,7 @@ mod tests {
         assert_eq!(escaped(&mark, group), [format!("{daemon} (tail)")]);
         for pid in &started {
             while runs(*pid) && *pid != daemon {
-                thread::park_timeout(Duration::from_millis(LOOK_MS));
+                thread::park_timeout(LOOK);
             }
         }
         assert!(runs(daemon), "it may be meant to stay");

@@ -4,6 +4,7 @@
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 use std::rc::Rc;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
@@ -19,6 +20,9 @@ use crate::observers::Observer;
 use crate::registry::Registry;
 use crate::runtime::real::Readers;
 use crate::time::Time;
+
+/// Longest time that all workers together have to end.
+const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Driver of a robot or source of readings: a function that makes its state machine, and the channel to its worker (I/O
 /// thread).
@@ -85,22 +89,28 @@ impl Observed {
 
 /// Threads of the workers, which do the input and output of drivers and sources. They end after the [`Devices`] are
 /// dropped.
-pub struct Workers(Vec<JoinHandle<()>>);
+pub struct Workers {
+    threads: Vec<JoinHandle<()>>,
+    /// A copy of the sender is in each thread, so that the receiver learns when the last of them has ended.
+    running: Sender<()>,
+    ended: Receiver<()>,
+}
 
 impl Workers {
     /// Returns an empty set of workers.
     pub(crate) fn none() -> Workers {
-        Workers(Vec::new())
+        let (running, ended) = channel();
+        Workers { threads: Vec::new(), running, ended }
     }
 
     /// Waits until all worker threads have ended, for up to a second in total. The [`Devices`] must be dropped before,
     /// since only then the workers end.
     pub fn join(self) {
-        let mut rests = (0..200).map(|_| thread::park_timeout(Duration::from_millis(5)));
-        for worker in self.0 {
+        drop(self.running);
+        let all_have_ended = self.ended.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Disconnected);
+        for worker in self.threads {
             let name = worker.thread().name().unwrap_or("worker").to_owned();
-            while !worker.is_finished() && rests.next().is_some() {}
-            if !worker.is_finished() {
+            if !(all_have_ended || worker.is_finished()) {
                 tracing::warn!("the worker of {name} does not end; its thread is abandoned");
             } else if worker.join().is_err() {
                 tracing::error!("the worker of {name} has panicked");
@@ -153,7 +163,7 @@ pub fn programs(host: &Host, registry: &Registry) -> Result<Vec<RunBy>, DeviceEr
 /// `robots` is the number of robots of the team. An error names the wrong setting, or says that a worker cannot be
 /// started.
 pub fn open(host: &Host, robots: usize, registry: &Registry) -> Result<(Devices, Workers), DeviceError> {
-    let mut workers = Workers(Vec::new());
+    let mut workers = Workers::none();
     let mut devices = make(host, registry, |worker, field, name| {
         worker.check().map_err(|error| error.within(field).within("host"))?;
         Ok(Some(start_worker(worker, name, &mut workers)?))
@@ -208,10 +218,12 @@ fn start_worker(
         return Err(DeviceError::InUse(robot));
     }
     let (gate, port) = edge::channel()?;
+    let running = workers.running.clone();
     let run = move || {
+        let _running = running;
         worker.run(port);
         drop(lock);
     };
-    workers.0.push(thread::Builder::new().name(name).spawn(run)?);
+    workers.threads.push(thread::Builder::new().name(name).spawn(run)?);
     Ok(Rc::new(RefCell::new(gate)))
 }

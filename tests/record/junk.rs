@@ -8,8 +8,7 @@ use std::collections::BTreeSet;
 use std::fs::write;
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
 use murmurate::messages::ids::HostId;
@@ -56,7 +55,7 @@ fn listener(group: SocketAddrV4) -> UdpSocket {
 }
 
 /// Sends until it is told to stop. Returns the datagrams a second that have left.
-fn disturb(noise: Noise, number: u16, groups: [SocketAddrV4; 2], per_s: u64, stop: &AtomicBool) -> f64 {
+fn disturb(noise: Noise, number: u16, groups: [SocketAddrV4; 2], per_s: u64, stop: &Receiver<()>) -> f64 {
     let sender = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP)).unwrap();
     sender.set_multicast_if_v4(&Ipv4Addr::LOCALHOST).unwrap();
     let sender: UdpSocket = sender.into();
@@ -67,7 +66,8 @@ fn disturb(noise: Noise, number: u16, groups: [SocketAddrV4; 2], per_s: u64, sto
     junk[FLAGS_AT] = Flags::TAGGED;
     junk.resize(1100, 0x5a);
     let (begun, mut next, mut sent, mut bytes) = (Instant::now(), 0u64, 0u64, [0; 2048]);
-    while !stop.load(Ordering::Relaxed) {
+    // One look a millisecond at what is due.
+    while stop.recv_timeout(Duration::from_millis(1)) == Err(RecvTimeoutError::Timeout) {
         let due = (begun.elapsed().as_secs_f64() * per_s as f64) as u64;
         // At most what is due now: a machine that was busy does not catch up with a burst.
         next = next.max(due.saturating_sub(per_s / 20));
@@ -90,7 +90,6 @@ fn disturb(noise: Noise, number: u16, groups: [SocketAddrV4; 2], per_s: u64, sto
                 }
             }
         }
-        std::thread::park_timeout(Duration::from_millis(1));
     }
     sent as f64 / begun.elapsed().as_secs_f64()
 }
@@ -101,11 +100,10 @@ fn recorded(noise: Noise, number: u16, per_s: u64, episodes: u32) -> f64 {
     let (file, groups) = team(folder.path(), number, episodes);
     let to = folder.path().join("records");
     let flags = ["launch", file.to_str().unwrap(), "--quiet", "--json", "--record", to.to_str().unwrap()];
-    let stop = Arc::new(AtomicBool::new(false));
-    let told = Arc::clone(&stop);
-    let disturber = std::thread::spawn(move || disturb(noise, number, groups, per_s, &told));
+    let (stop, stopped) = channel();
+    let disturber = std::thread::spawn(move || disturb(noise, number, groups, per_s, &stopped));
     let output = murmurate(&flags).output().expect("it starts");
-    stop.store(true, Ordering::Relaxed);
+    drop(stop);
     let sent = disturber.join().unwrap();
     assert!(output.status.success(), "{noise:?}: {}", text(&output.stderr));
     let key = folder.path().join("team.key");

@@ -2,8 +2,9 @@
 
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex};
-use std::thread::{self, JoinHandle};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use mcap::McapError;
@@ -21,7 +22,8 @@ const FLUSH: Duration = Duration::from_millis(170);
 /// Record that is being made: its event queue, and the thread that writes its files.
 pub struct Recording {
     inlet: Rc<Inlet>,
-    thread: JoinHandle<()>,
+    /// Disconnected when the thread has closed its last file, or has panicked.
+    ended: Receiver<()>,
     path: PathBuf,
     failure: Arc<Mutex<Option<String>>>,
 }
@@ -39,11 +41,14 @@ impl Recording {
         let series = Series::begin(path, beginning.clone(), topics.stage(), retention)?;
         let (inlet, outlet) = queue(when_full);
         let failure = Arc::new(Mutex::new(None));
+        let (running, ended) = channel();
         let failed = Arc::clone(&failure);
         let flush = (when_full == WhenFull::Drop).then_some(FLUSH);
-        let thread = thread::Builder::new()
+        thread::Builder::new()
             .name("record".to_owned())
             .spawn(move || {
+                // Dropped last, in a panic, too.
+                let _running: Sender<()> = running;
                 let mut series = series;
                 let fails = |error: &McapError| {
                     *failed.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = Some(reason(error));
@@ -58,7 +63,7 @@ impl Recording {
                 }
             })
             .map_err(|error| RecordError::Create { path: path.to_owned(), error })?;
-        Ok(Recording { inlet: Rc::new(inlet), thread, path: path.to_owned(), failure })
+        Ok(Recording { inlet: Rc::new(inlet), ended, path: path.to_owned(), failure })
     }
 
     /// Returns the sending end of the record's event queue, for the thread that runs the actors.
@@ -76,14 +81,14 @@ impl Recording {
     /// events that were dropped. An error says that the record is incomplete.
     pub fn finish(self, most: Option<Duration>) -> Result<u64, RecordError> {
         self.inlet.close();
-        let until = most.map(|most| (most, Instant::now() + most));
-        while !self.thread.is_finished() && until.is_none_or(|(_, until)| Instant::now() < until) {
-            thread::park_timeout(Duration::from_millis(2));
-        }
-        if let (false, Some((most, _))) = (self.thread.is_finished(), until) {
+        if let Some(most) = most
+            && self.ended.recv_timeout(most) == Err(RecvTimeoutError::Timeout)
+        {
             let reason = format!("its disk has taken more than {} s", most.as_secs_f64());
             return Err(RecordError::Write { path: self.path, reason });
         }
+        // Nothing is ever sent.
+        let _ = self.ended.recv();
         match self.failure() {
             Some(error) => Err(error),
             None => Ok(self.inlet.dropped()),

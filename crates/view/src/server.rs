@@ -7,7 +7,7 @@ use std::io::{self, Write};
 use std::net::{IpAddr, Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::Builder;
 use std::time::{Duration, Instant};
 
@@ -64,6 +64,7 @@ impl Server {
             commands: sender,
             closing: AtomicBool::new(false),
             places: Mutex::new(Places::default()),
+            left: Condvar::new(),
             refused: AtomicU64::new(0),
         });
         let accepting = Arc::clone(&shared);
@@ -92,10 +93,7 @@ impl Server {
         self.shared.closing.store(true, Ordering::Release);
         // The connection unblocks the accepting thread.
         let _ = TcpStream::connect_timeout(&self.address, CLOSING);
-        let until = Instant::now() + CLOSING;
-        while self.connections() > 0 && Instant::now() < until {
-            std::thread::park_timeout(LOOK);
-        }
+        drop(self.shared.left.wait_timeout_while(places(&self.shared), CLOSING, |present| present.len() > 0));
     }
 }
 
@@ -183,6 +181,7 @@ struct Taken(Arc<Shared>, u64);
 impl Drop for Taken {
     fn drop(&mut self) {
         places(&self.0).leave(self.1);
+        self.0.left.notify_all();
     }
 }
 

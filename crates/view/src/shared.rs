@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::SyncSender;
-use std::sync::{Mutex, PoisonError, TryLockError};
+use std::sync::{Condvar, Mutex, PoisonError, TryLockError};
 use std::time::{Duration, Instant};
 
 use tungstenite::{Bytes, Utf8Bytes};
@@ -81,6 +81,8 @@ pub(super) struct Shared {
     pub closing: AtomicBool,
     /// Present connections, within their limits.
     pub places: Mutex<Places>,
+    /// Notified when a connection has left its place.
+    pub left: Condvar,
     /// Number of requests and commands that were refused so far.
     pub refused: AtomicU64,
 }
