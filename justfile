@@ -32,7 +32,7 @@ faults seed mode="onboard-adhoc" *flags:
 
 # The emergency stop against every team file, at 20 % loss, 200 stops; relays, wrong clocks (40 minutes, root, apt: nftables faketime)
 full-stop:
-    MURMURATE_STOPS=20 cargo test --release --test live stop:: -- --nocapture
+    TESTS_MUST="namespaces nft faketime" MURMURATE_STOPS=20 cargo test --release --test live stop:: -- --nocapture
 
 # The safety filter under random and hostile policies: a million steps, 1000 episodes of each policy (5 minutes)
 full-safety:
@@ -149,7 +149,7 @@ full-heartbeats:
 # How true the lab is on this machine, and how much it carries (10 minutes, root, /dev/net/tun, wants an idle machine)
 full-lab:
     cargo build --release --features lab
-    cargo test --release --features lab --test lab
+    TESTS_MUST=lab cargo test --release --features lab --test lab
     bash tests/peers/lab/full.sh target/release/murmurate
 
 # Failures from public reports, each as a script with its expected end. PYTHON is 3.11, for ROS 2 from PyPI

@@ -3,12 +3,12 @@
 //! The robots and their tracker are in `tests/peers/bench.py`, with what is wrong with them.
 
 use std::fs::{read_to_string, write};
-use std::io::Write;
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
 use std::path::Path;
 use std::process::{Output, Stdio};
 use std::time::Instant;
 
+use crate::program::skip::skip;
 use crate::program::{murmurate, refuses, text};
 use serde_json::Value;
 use tempfile::TempDir;
@@ -17,7 +17,7 @@ use tempfile::TempDir;
 fn has_python() -> bool {
     let has = std::process::Command::new("python3").arg("-SEV").stdout(Stdio::null()).status().is_ok();
     if !has {
-        let _ = writeln!(std::io::stderr(), "skipped: there is no python3");
+        skip("python", "the robots are a Python program, and there is no python3");
     }
     has
 }
@@ -216,8 +216,7 @@ fn no_robot_moves_beside_a_state_server() {
     child.wait().expect("it ends");
     let out = text(&output.stdout);
     if out.contains("what this machine sends does not come back to it") {
-        let _ = writeln!(std::io::stderr(), "skipped: there is no multicast here");
-        return;
+        return skip("multicast", "what this machine sends to a group does not come back to it");
     }
     assert_eq!(output.status.code(), Some(1), "{out}");
     assert!(out.contains("fail wiggle: refused: the host of the state server is running"), "{out}");

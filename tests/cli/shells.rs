@@ -6,6 +6,7 @@ use std::process::{Command, Stdio};
 
 use tempfile::TempDir;
 
+use crate::program::skip::skip;
 use crate::program::{refuses, run, text};
 
 const SHELLS: [&str; 5] = ["bash", "elvish", "fish", "powershell", "zsh"];
@@ -15,7 +16,7 @@ fn tool(program: &str, args: &[&str], input: &str) -> Option<(bool, String)> {
     let mut command = Command::new(program);
     command.args(args).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
     let Ok(mut child) = command.spawn() else {
-        eprintln!("skipped: there is no '{program}' here");
+        skip(program, &format!("there is no program '{program}'"));
         return None;
     };
     child.stdin.take().expect("it was piped").write_all(input.as_bytes()).expect("it reads its input");

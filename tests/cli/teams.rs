@@ -1,11 +1,12 @@
 //! Team files and keys on the command line, their refusals, and the example files.
 
 use std::fs::{Permissions, read_to_string, set_permissions, write};
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufRead, BufReader};
 use std::os::unix::fs::{PermissionsExt, chown, symlink};
 use std::path::{Path, PathBuf};
 use std::process::{Output, Stdio};
 
+use crate::program::skip::skip;
 use crate::program::{murmurate, refuses, run, text};
 use nix::sys::stat::Mode;
 use nix::unistd::{geteuid, mkfifo};
@@ -105,8 +106,7 @@ fn root_refuses_a_key_of_an_ordinary_user() {
     let (folder, file) = folder();
     let key = folder.path().join("team.key");
     if !geteuid().is_root() {
-        let _ = writeln!(std::io::stderr(), "skipped: only root can give a file away");
-        return;
+        return skip("root", "only root can give a file away");
     }
     chown(&key, Some(1000), None).expect("root may");
     refuses(&["config", "check", &file], &["team.key", "user 1000", "user 0", "chown 0"]);

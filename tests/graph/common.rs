@@ -1,11 +1,12 @@
 //! Shared by several tests: access to the reference data.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use safetensors::SafeTensors;
 
-/// Returns a file of the reference data; `None`, with a notice, if it is absent.
+use crate::skip::skip;
+
+/// Returns a file of the reference data; `None`, and the test is skipped, if it is absent.
 pub fn reference(name: &str) -> Option<PathBuf> {
     let folder = std::env::var_os("MURMURATE_REFERENCE").map(PathBuf::from);
     let folder = folder.unwrap_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/reference"));
@@ -13,10 +14,7 @@ pub fn reference(name: &str) -> Option<PathBuf> {
     if path.exists() {
         return Some(path);
     }
-    // Directly to stderr, because the output of a passing test is captured.
-    let where_from = "set MURMURATE_REFERENCE to the folder of the reference data";
-    let line = format!("skipped: there is no '{}'; {where_from}\n", path.display());
-    let _ = std::io::stderr().write_all(line.as_bytes());
+    skip("reference", "the folder MURMURATE_REFERENCE has no reference data");
     None
 }
 

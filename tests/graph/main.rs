@@ -21,4 +21,6 @@ mod reference;
 mod robomaster;
 mod safety;
 mod shell;
+#[path = "../skip/mod.rs"]
+mod skip;
 mod transports;

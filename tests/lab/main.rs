@@ -11,6 +11,7 @@ use std::process::{Child, Command, Stdio};
 use murmurate_lab::report::LabReport;
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
+use program::skip::skip;
 use program::{murmurate, refuses, run, text};
 use tempfile::TempDir;
 
@@ -25,7 +26,7 @@ fn possible() -> bool {
     let tun = std::fs::OpenOptions::new().read(true).write(true).open("/dev/net/tun").is_ok();
     let ip = Command::new("ip").arg("-V").output().is_ok();
     if !(root && tun && ip) {
-        report(&format!("skipped: root {root}, /dev/net/tun {tun}, ip {ip}"));
+        skip("lab", "a lab needs root, /dev/net/tun and the program 'ip'");
     }
     root && tun && ip
 }
@@ -109,7 +110,7 @@ fn a_wrong_file_is_refused_by_field_and_line() {
 #[test]
 fn without_privileges_the_refusal_names_what_is_missing() {
     if !nix::unistd::geteuid().is_root() || Command::new("setpriv").arg("--version").output().is_err() {
-        return report("skipped: 'setpriv' drops capabilities of root");
+        return skip("setpriv", "the program 'setpriv' drops capabilities of root");
     }
     let file = File::new("p", "stations = 2\n");
     let output = Command::new("setpriv")
@@ -177,7 +178,7 @@ fn reads_as_80211(path: &str) {
         let said = text(&output.stdout);
         assert!(said.lines().filter(|line| line.contains("10.77.0.3.9: UDP, length 100")).count() >= 20, "{said}");
     } else {
-        report("the capture is not read: there is neither tshark nor tcpdump");
+        skip("tcpdump", "the capture is not read: there is neither tshark nor tcpdump");
     }
 }
 
@@ -272,8 +273,11 @@ fn blocks<'a>(page: &'a str, language: &str) -> Vec<(&'a str, &'a str)> {
 fn every_command_of_the_page_works() {
     let busy = Path::new("/run/netns/lab0").exists() || Path::new("/run/netns/robots0").exists();
     let ping = Command::new("ping").arg("-V").output().is_ok();
-    if !possible() || busy || !ping {
-        return report(&format!("skipped: the page's names are in use here {busy}, ping {ping}"));
+    if !possible() {
+        return;
+    }
+    if busy || !ping {
+        return skip("ping", "the page's commands need the program 'ping', and its names to be free");
     }
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let page = std::fs::read_to_string(root.join("docs/lab.md")).unwrap();

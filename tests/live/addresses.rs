@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use crate::beside;
-use crate::crew::report;
+use crate::program::skip::skip;
 use tempfile::TempDir;
 
 /// Runs a case, and checks that the program does what is expected there.
@@ -16,7 +16,7 @@ fn case(name: &str) {
     let may = Command::new("ip").args(["netns", "add", &probe]).stderr(Stdio::null()).status();
     let _ = Command::new("ip").args(["netns", "del", &probe]).stderr(Stdio::null()).status();
     if !may.is_ok_and(|status| status.success()) {
-        return report("skipped: network namespaces need root and the program 'ip'");
+        return skip("namespaces", "network namespaces need root and the program 'ip'");
     }
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join("tests/cases/robots").join(name);
     let work = TempDir::new().expect("a temporary folder");

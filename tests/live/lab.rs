@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::crew::report;
+use crate::program::skip::skip;
 
 /// Machine: its name, and the name and network of each interface.
 pub type Machine = (String, Vec<(String, String)>);
@@ -33,7 +33,7 @@ impl Lab {
             let hub = lab.space(network);
             if !lab.ip(&["netns", "add", &hub]) {
                 assert!(at == 0, "a namespace cannot be made");
-                report("skipped: network namespaces need root and the program 'ip'");
+                skip("namespaces", "network namespaces need root and the program 'ip'");
                 return None;
             }
             // Without snooping, multicast frames go to every port.

@@ -1,6 +1,7 @@
 //! The network study between five network namespaces on one bridge. With each sender shaped by `tc tbf` and each
 //! receiver losing by nftables it is compared with the emulation of the same; without, it is interrupted, continued,
 //! and a radio is fitted to it. Needs root, `ip`, `tc` and `nft`; skips with a notice where it cannot run.
+use crate::program::skip::skip;
 use crate::{alone, beside};
 use std::fs;
 use std::io::{BufRead as _, BufReader, Write as _};
@@ -34,7 +35,7 @@ impl Lab {
         let lab = Lab(format!("mnet{}", std::process::id()));
         let tools = ["tc", "nft"].iter().all(|tool| run(tool, &["-V"]) || run(tool, &["-v"]));
         if !tools || !run("ip", &["netns", "add", &lab.space("hub")]) {
-            let _ = writeln!(std::io::stderr(), "skipped: it needs root and the programs 'ip', 'tc' and 'nft'");
+            skip("namespaces", "a radio in namespaces needs root and the programs 'ip', 'tc' and 'nft'");
             return None;
         }
         let hub = lab.space("hub");

@@ -13,7 +13,8 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use crate::beside;
-use crate::crew::{Crew, Said, report};
+use crate::crew::{Crew, Said};
+use crate::program::skip::skip;
 use crate::program::{murmurate, run, text};
 
 /// Number of failures of odometry in the test.
@@ -96,7 +97,7 @@ impl Spoilt {
 fn odometry_that_fails_twenty_times_moves_nobody_before_a_person_has_said_where_the_robot_is() {
     let _permit = beside();
     if run_python().is_none() {
-        return report("skipped: the robots are a Python program, and there is no python3");
+        return skip("python", "the robots are a Python program, and there is no python3");
     }
     let spoilt = Spoilt::new();
     let file = spoilt.file();

@@ -12,6 +12,8 @@ use serde_json::{Value, json};
 use tungstenite::protocol::WebSocketConfig;
 use tungstenite::{Message, WebSocket, client};
 
+use crate::program::skip::skip;
+
 /// Programs that are tried, in order.
 const PROGRAMS: [&str; 5] = ["chromium", "chromium-headless-shell", "chrome", "google-chrome", "chromium-browser"];
 /// Largest message of the browser: a picture of a page.
@@ -26,7 +28,7 @@ pub struct Browser {
 }
 
 impl Browser {
-    /// Starts a browser; says so and returns `None` where there is none.
+    /// Starts a browser; `None`, and the test is skipped, where there is none.
     pub fn start() -> Option<Browser> {
         let profile = tempfile::tempdir().unwrap();
         let start = |program: &&str| {
@@ -38,7 +40,7 @@ impl Browser {
             command.process_group(0).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().ok()
         };
         let Some(mut child) = PROGRAMS.iter().find_map(start) else {
-            eprintln!("skipped: none of {} is installed", PROGRAMS.join(", "));
+            skip("browser", &format!("none of {} is installed", PROGRAMS.join(", ")));
             return None;
         };
         let mut lines = BufReader::new(child.stderr.take().unwrap());

@@ -1,6 +1,9 @@
 //! Running the program in tests, and checking its refusals. Shared by the tests of the command line.
 #![allow(dead_code)] // Each test uses its part.
 
+#[path = "../skip/mod.rs"]
+pub mod skip;
+
 use std::process::{Command, Output, Stdio};
 
 /// The repository's folder: paths in the arguments of tests are relative to it.

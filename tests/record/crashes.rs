@@ -7,6 +7,7 @@ use murmurate_record::reader::Reader;
 use murmurate_record::repair::copy;
 use tempfile::TempDir;
 
+use crate::program::skip::skip;
 use crate::program::{murmurate, run, text};
 use crate::records;
 
@@ -97,7 +98,7 @@ fn a_launch_whose_records_do_not_fit_on_the_disk_prints_all_results_and_names_th
     command.args(["--user", "--map-root-user", "--mount", "sh", "-c", script]).arg(program).args([&to, &team, &kept]);
     let output = command.env_remove("MURMURATE_LOG").stdin(std::process::Stdio::null()).output();
     let Some(output) = output.ok().filter(|output| !text(&output.stderr).contains("unshare:")) else {
-        return eprintln!("skipped: no file system can be mounted here");
+        return skip("mounts", "no file system can be mounted here");
     };
     let said = text(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{said}");
@@ -154,7 +155,7 @@ fn a_disk_that_becomes_read_only_in_mid_run_ends_the_records_and_not_the_run() {
     let made = std::process::Command::new("mkfs.ext4").args(["-q", "-m", "0"]).arg(path("image")).output();
     let is_root = nix::unistd::geteuid().is_root();
     if !is_root || !made.is_ok_and(|made| made.status.success()) {
-        return eprintln!("skipped: a disk that becomes read-only needs root and mkfs.ext4");
+        return skip("mounts", "a disk that becomes read-only needs root and mkfs.ext4");
     }
     let program = murmurate(&[]).get_program().to_owned();
     let mut command = std::process::Command::new("unshare");
@@ -162,7 +163,7 @@ fn a_disk_that_becomes_read_only_in_mid_run_ends_the_records_and_not_the_run() {
     let output = command.env_remove("MURMURATE_LOG").stdin(std::process::Stdio::null()).output().expect("it starts");
     let said = text(&output.stderr);
     if output.status.code() == Some(77) {
-        return eprintln!("skipped: {said}");
+        return skip("mounts", said.lines().last().unwrap_or("no disk can be mounted here"));
     }
     // The run goes on to its end, says at the moment what has happened to which file, and again at the end.
     assert!(!said.contains("the disk can be written"), "{said}");

@@ -4,6 +4,7 @@ use std::process::Command;
 
 use tempfile::TempDir;
 
+use crate::program::skip::skip;
 use crate::program::{ROOT, run, text};
 use crate::records;
 
@@ -17,8 +18,7 @@ fn python() -> Option<String> {
 #[test]
 fn python_reads_what_was_recorded() {
     let Some(python) = python() else {
-        eprintln!("skipped: no Python with mcap and mcap-protobuf-support (set RECORD_PYTHON)");
-        return;
+        return skip("readers", "RECORD_PYTHON is no Python with mcap and mcap-protobuf-support");
     };
     let folder = TempDir::new().unwrap();
     let (to, csv) = (folder.path().join("records"), folder.path().join("trajectories.csv"));

@@ -34,6 +34,7 @@ use nix::sys::signal::Signal;
 use crate::alone;
 use crate::beside;
 use crate::crew::{Said, report};
+use crate::program::skip::skip;
 use crate::program::text;
 use crate::stop::team::{Case, OPERATOR, Running};
 
@@ -43,7 +44,7 @@ const LIBRARY: &str = "/usr/lib/x86_64-linux-gnu/faketime/libfaketime.so.1";
 /// Returns the variables that set the clock of one process; none, with a notice, if that is not possible.
 fn clock(when: &str) -> Option<Vec<(String, String)>> {
     if !Path::new(LIBRARY).exists() {
-        report("skipped: clocks are set by Debian's package 'faketime', which is not there");
+        skip("faketime", "clocks are set by Debian's package 'faketime', which is not there");
         return None;
     }
     let set = [("LD_PRELOAD", LIBRARY), ("FAKETIME", when), ("FAKETIME_DONT_FAKE_MONOTONIC", "1")];

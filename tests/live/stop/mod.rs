@@ -10,13 +10,14 @@ mod team;
 
 use crate::alone;
 use crate::crew::report;
+use crate::program::skip::skip;
 use team::{CONFIRMED_S, Case, STANDS, Stopped, WORST_S};
 
 /// Whether the long tests run; prints a notice if not.
 fn in_full(what: &str) -> bool {
     let full = std::env::var_os("MURMURATE_STOPS").is_some();
     if !full {
-        report(&format!("skipped: {what}, which 'just full-stop' runs"));
+        skip("long", &format!("{what}, which 'just full-stop' runs"));
     }
     full
 }

@@ -7,9 +7,10 @@ use std::process::{Command, Output, Stdio};
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
-use crate::crew::{Crew, Heard, Said, folder, report};
+use crate::crew::{Crew, Heard, Said, folder};
 use crate::lab;
 use crate::lab::{Lab, Machine};
+use crate::program::skip::skip;
 use crate::program::text;
 use murmurate::deploy::Deployment;
 use murmurate::messages::wire::Kind;
@@ -77,7 +78,7 @@ impl Case {
         machines.push((OPERATOR.to_owned(), vec![(stop.name.clone(), stop.name.clone())]));
         let lab = Lab::build("stop", machines)?;
         if !self.relayed && !lab.lose(LOSS_PERCENT) {
-            report("skipped: frames are lost by the program 'nft', which is not there");
+            skip("nft", "frames are lost by the program 'nft', which is not there");
             return None;
         }
         let mut sets = vec!["episodes=100000".to_owned()];
