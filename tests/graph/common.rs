@@ -1,6 +1,9 @@
-//! Shared by several tests: access to the reference data.
+//! Shared by several tests: access to the reference data, and the end of workers.
 
 use std::path::{Path, PathBuf};
+use std::sync::mpsc::channel;
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
 
 use safetensors::SafeTensors;
 
@@ -16,6 +19,17 @@ pub fn reference(name: &str) -> Option<PathBuf> {
     }
     skip("reference", "the folder MURMURATE_REFERENCE has no reference data");
     None
+}
+
+/// Longest wait for what a worker does at once. No machine is as slow: only a worker that hangs takes it.
+pub const HANGS: Duration = Duration::from_secs(60);
+
+/// Waits for the end of a worker whose host has ended.
+pub fn ends(worker: JoinHandle<()>, name: &str) {
+    let (tell, ended) = channel();
+    thread::spawn(move || tell.send(worker.join()));
+    let end = ended.recv_timeout(HANGS).unwrap_or_else(|_| panic!("{name}: it does not end with its host"));
+    end.expect("it does not panic");
 }
 
 /// A tensor of 32-bit floats, row-major.

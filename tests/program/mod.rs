@@ -1,6 +1,7 @@
 //! Running the program in tests, and checking its refusals. Shared by the tests of the command line.
 #![allow(dead_code)] // Each test uses its part.
 
+pub mod lateness;
 #[path = "../skip/mod.rs"]
 pub mod skip;
 

@@ -34,6 +34,7 @@ use nix::sys::signal::Signal;
 use crate::alone;
 use crate::beside;
 use crate::crew::{Said, report};
+use crate::program::lateness::Lateness;
 use crate::program::skip::skip;
 use crate::program::text;
 use crate::stop::team::{Case, OPERATOR, Running};
@@ -280,10 +281,15 @@ fn operators_act_in_turn_and_ten_at_once_with_any_clocks() {
     team.driven();
     // One operator for the whole time, which sends ten requests a second and must be answered.
     let (tell, answers) = sync_channel(1 << 16);
-    let asks = |_| vec![Wire::Stop(Stop::ask(HostId::operator(9)))];
+    let asked = Arc::new(AtomicU64::new(0));
+    let so_far = Arc::clone(&asked);
+    let asks = move |turn| {
+        asked.store(turn, Ordering::Relaxed);
+        vec![Wire::Stop(Stop::ask(HostId::operator(9)))]
+    };
     let hears = move |message: &Wire| {
         if matches!(message, Wire::Status(_)) {
-            let _ = tell.send(Instant::now());
+            let _ = tell.send(so_far.load(Ordering::Relaxed));
         }
     };
     let long = Member::start(&team, HostId::operator(9), Span::from_millis(100), asks, hears);
@@ -309,15 +315,14 @@ fn operators_act_in_turn_and_ten_at_once_with_any_clocks() {
     let refused = refusals(&team);
     long.end();
     let longest = longest_gap(&answers);
-    report(&format!(
-        "45 operators and one throughout: {refused} refusals, the longest it waited for an answer {longest:.0?}"
-    ));
+    report(&format!("45 operators and one throughout: {refused} refusals, it asked {longest} times in vain at most"));
     assert_eq!(refused, 0);
-    assert!(longest < Duration::from_secs(1), "an operator was not answered for {longest:?}");
+    assert!(longest < 10, "an operator has asked {longest} times in vain");
 }
 
-fn longest_gap(answers: &Receiver<Instant>) -> Duration {
-    let at: Vec<Instant> = answers.try_iter().collect();
+/// Returns the largest number of requests between two answers, of the numbers of requests before each answer.
+fn longest_gap(answers: &Receiver<u64>) -> u64 {
+    let at: Vec<u64> = answers.try_iter().collect();
     assert!(at.len() > 50, "{} answers", at.len());
     at.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap_or_default()
 }
@@ -340,6 +345,8 @@ fn a_restarted_robot_is_accepted_within_a_second_with_any_clock() {
     let often = std::env::var("MURMURATE_STOPS").map_or(3, |_| 20);
     let clocks = ["@2040-01-01 00:00:00", "@1970-01-02 00:00:00", "+0"];
     let mut latest = Duration::ZERO;
+    // An unoptimised program on a machine that compiles beside it takes longer to start.
+    let (start, lateness) = (team.start_of_a_process(), Lateness::watch());
     for at in 0..often {
         team.clocks.borrow_mut().insert("agent-2".to_owned(), clock(clocks[at % clocks.len()]).expect("as before"));
         team.crew.signal("agent-2", Signal::SIGKILL);
@@ -352,8 +359,9 @@ fn a_restarted_robot_is_accepted_within_a_second_with_any_clock() {
         team.crew.ready(&["agent-2"]);
     }
     listener.end();
-    report(&format!("restarted {often} times: heard again after {latest:.0?} at most"));
-    // An unoptimised program on a machine that compiles beside it takes longer to start.
-    let limit = Duration::from_secs(if cfg!(debug_assertions) { 2 } else { 1 });
-    assert!(latest <= limit, "{latest:?}");
+    let machine = 4 * start + lateness.end();
+    report(&format!(
+        "restarted {often} times: heard again after {latest:.0?} at most, of which {machine:.0?} may be the machine's"
+    ));
+    assert!(latest <= Duration::from_secs(1) + machine, "{latest:?}");
 }

@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use crate::crew::{Crew, Heard, Said, folder};
 use crate::lab;
 use crate::lab::{Lab, Machine};
+use crate::program::lateness::Lateness;
 use crate::program::skip::skip;
 use crate::program::text;
 use murmurate::deploy::Deployment;
@@ -18,7 +19,8 @@ use nix::sys::signal::Signal;
 
 /// Share of frames that each receiver loses \[%\].
 const LOSS_PERCENT: u32 = 20;
-/// Longest times from the start of the operator's process until the motors stand still, and until robots confirm.
+/// Longest times from the start of the operator's process until the motors stand still, and until robots confirm, on a
+/// machine that has nothing else to do.
 pub const STANDS: Duration = Duration::from_millis(200);
 pub const CONFIRMED_S: f64 = 0.5;
 pub const WORST_S: f64 = 1.0;
@@ -59,6 +61,8 @@ pub struct Stopped {
     pub stood: Duration,
     /// Time until all robots had confirmed, by the operator's clock \[s\].
     pub took_s: f64,
+    /// What the machine has added to these at most: its lateness meanwhile, and the start of a process.
+    pub machine: Duration,
 }
 
 impl Case {
@@ -164,8 +168,17 @@ impl Running {
         });
     }
 
+    /// Returns the time that this machine takes now to start the program.
+    pub fn start_of_a_process(&self) -> Duration {
+        let began = Instant::now();
+        let output = self.lab.command(OPERATOR, env!("CARGO_BIN_EXE_murmurate")).arg("--version").output();
+        assert!(output.expect("the program starts").status.success());
+        began.elapsed()
+    }
+
     /// Stops the team; returns when it stood still and when it had confirmed.
     pub fn stop(&self) -> Stopped {
+        let (start, lateness) = (self.start_of_a_process(), Lateness::watch());
         let (said, began) = self.succeeds(&["stop"]);
         let deadline = Instant::now() + STEP;
         // The first step of the World after which no robot is driven any more.
@@ -180,7 +193,7 @@ impl Running {
         });
         let stood = stood.expect("the World steps on and nobody is driven");
         let took_s = said["took_s"].as_f64().expect("it took");
-        Stopped { stood: stood.saturating_duration_since(began), took_s }
+        Stopped { stood: stood.saturating_duration_since(began), took_s, machine: start + lateness.end() }
     }
 
     /// Checks that no robot is driven for a while.
