@@ -11,6 +11,8 @@ use std::time::{Duration, Instant};
 use crate::alone;
 use crate::beside;
 use crate::crew::{folder, report};
+use crate::program::lateness::Lateness;
+use crate::program::skip::skip;
 use crate::program::{murmurate, run, text};
 use murmurate::report::event::{Counted, HostEvent};
 use nix::fcntl::{FcntlArg, OFlag, fcntl};
@@ -24,6 +26,8 @@ const ROBOTS: usize = 12;
 /// Time without a reader: the queue holds 13 seconds of the trajectories of this many robots.
 const STUCK: Duration = Duration::from_secs(18);
 const PATIENCE: Duration = Duration::from_secs(60);
+/// Period of control ticks.
+const TICK: Duration = Duration::from_millis(50);
 
 /// Pipe that is already full.
 struct Full {
@@ -145,7 +149,9 @@ fn full_pipes_and_a_trajectory_pipe_without_a_reader_make_no_tick_late() {
         Process(command.spawn().expect("it starts"))
     };
     let mut hosts: Vec<Process> = ["pc", "world"].iter().zip(&pipes).map(|(host, pipes)| start(host, pipes)).collect();
+    let machine = Lateness::watch();
     pass(STUCK);
+    let lateness = machine.end();
     // Now stdout is read again; the log never is.
     let [pc, world] = [0, 1].map(|host| read_all(&pipes[host][0].reader));
     let [pc, world] = [pc, world].map(|host| host.recv_timeout(PATIENCE).expect("it has gone on while nobody read"));
@@ -157,7 +163,11 @@ fn full_pipes_and_a_trajectory_pipe_without_a_reader_make_no_tick_late() {
         let status = host.ends("stuck pipes");
         assert!(status.code().is_some(), "it has ended by itself: {status}");
     }
-    assert_eq!(late, 0, "late ticks");
+    if lateness < TICK {
+        assert_eq!(late, 0, "late ticks");
+    } else {
+        skip("idle", "ticks beside full pipes are not judged: this machine is late by itself");
+    }
     let seconds = STUCK.as_secs();
     assert!(pc.messages > 15 * seconds * ROBOTS as u64, "its robots were driven all the while: {pc:?}");
     assert!(world.unwritten.steps > 0, "the steps that were dropped are counted: {world:?}");
