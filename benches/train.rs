@@ -11,10 +11,10 @@ use murmurate::random::Seed;
 use murmurate::registry::Registry;
 use murmurate::scenario::{self, Settings};
 use murmurate_train::batch::{Batch, Graphs};
-use murmurate_train::conditions::Episode;
-use murmurate_train::config::{Conditions, Config, Reward, Stage};
+use murmurate_train::conditions::EpisodeConditions;
+use murmurate_train::config::{Conditions, Config, CurriculumStage, Reward};
 use murmurate_train::environments::Environments;
-use murmurate_train::network::{Network, Space};
+use murmurate_train::network::{Space, TrainableGnn};
 use murmurate_train::rollout::CHUNK;
 use murmurate_train::trainer::{Plan, Trainer};
 use murmurate_train::update::initial;
@@ -45,7 +45,12 @@ fn rollout(bencher: Bencher, reward: &str) {
         .map(|chunk| {
             let mut environments = Environments::new(CHUNK, &[vec![5]], std::slice::from_ref(&passage));
             for team in 0..CHUNK {
-                environments.place(team, ((chunk * CHUNK + team) as u64, 0), Episode::perfect(5), &mut stream);
+                environments.place(
+                    team,
+                    ((chunk * CHUNK + team) as u64, 0),
+                    EpisodeConditions::perfect(5),
+                    &mut stream,
+                );
             }
             environments
         })
@@ -133,7 +138,7 @@ fn forward(bencher: Bencher, architecture: &str) {
     if architecture == "published" {
         (config.policy.architecture, config.policy.edge) = (Architecture::Published, Vec::new());
     }
-    let network = Network::new(config.actor());
+    let network = TrainableGnn::new(config.actor());
     let parameters = initial(&network, Seed::of_run(1), &[0.0; 4]);
     let mut stream = Seed::of_run(1).stream("bench");
     let mut graphs = Graphs::new(5, network.inputs(), network.shape().edge);
@@ -162,7 +167,8 @@ fn forward(bencher: Bencher, architecture: &str) {
 /// Returns a trainer for five robots with `epochs` epochs and no early stop.
 fn trainer(name: &str, epochs: usize) -> Trainer {
     let mut config = preset(name);
-    config.curriculum = vec![Stage { until: 1.0, groups: vec![vec![5]], repeat: 4, gap_m: None, penalties: 1.0 }];
+    config.curriculum =
+        vec![CurriculumStage { until: 1.0, groups: vec![vec![5]], repeat: 4, gap_m: None, penalties: 1.0 }];
     (config.ppo.epochs, config.ppo.kl_stop) = (epochs, f32::INFINITY);
     let plan = Plan { scenario: "passage".to_owned(), preset: name.to_owned(), config, seed: 1 };
     Trainer::new(plan, &Registry::builtin()).expect("the preset passes its check")

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use murmurate::messages::geometry::{Task, Vec2};
 use murmurate::registry::Registry;
-use murmurate::scenario::{Arena, Entry, Frame, Rules, Scenario, ScenarioError, Settings, TeamSizes};
+use murmurate::scenario::{Arena, Entry, PolicyFrame, Rules, Scenario, ScenarioError, Settings, TeamSizes};
 use murmurate::time::Span;
 use murmurate::trial::Trial;
 
@@ -49,8 +49,8 @@ impl Scenario for Rows {
         (0..self.robots).map(task).collect()
     }
 
-    fn frame(&self, _: &Task) -> Frame {
-        Frame::World
+    fn frame(&self, _: &Task) -> PolicyFrame {
+        PolicyFrame::World
     }
 
     fn rules(&self) -> Rules {

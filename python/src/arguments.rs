@@ -3,7 +3,7 @@
 
 use murmurate::policy::manifest::Field;
 use murmurate::scenario::{Scenario, ScenarioError, Settings};
-use murmurate_train::config::{Conditions, Config, Reward, Stage};
+use murmurate_train::config::{Conditions, Config, CurriculumStage, Reward};
 use murmurate_train::imitation::config::Config as Imitation;
 use murmurate_train::vector::{Autoreset, Content, Options};
 use pyo3::exceptions::{PyUserWarning, PyValueError};
@@ -193,7 +193,7 @@ impl Arguments<'_, '_> {
     }
 
     /// Returns the stage of the curriculum that is asked for; a negative number counts from the end.
-    fn stage<'c>(&self, config: &'c Config) -> PyResult<Option<&'c Stage>> {
+    fn stage<'c>(&self, config: &'c Config) -> PyResult<Option<&'c CurriculumStage>> {
         let Some(given) = self.stage else { return Ok(None) };
         let stages = config.curriculum.len() as i64;
         let at = whole("stage", given, -stages, stages - 1)?;
@@ -249,7 +249,7 @@ fn without_goals(scenario: &dyn Scenario, config: Config) -> Config {
 
 /// Warns of what the curriculum of a configuration says and environments without `stage` do not take.
 fn warn_of_curriculum(py: Python<'_>, file: &str, config: &Config, robots: usize) -> PyResult<()> {
-    let any = |other: &dyn Fn(&Stage) -> bool| config.curriculum.iter().any(other);
+    let any = |other: &dyn Fn(&CurriculumStage) -> bool| config.curriculum.iter().any(other);
     let fields = [
         ("groups", any(&|stage| stage.groups.iter().any(|group| *group != [robots]))),
         ("repeat", any(&|stage| stage.repeat != 1)),

@@ -7,7 +7,7 @@ use crate::messages::local::{NeighbourLatent, Percept};
 use crate::messages::wire::{Phase, Round};
 use crate::policy::Neighbour;
 use crate::random::Stream;
-use crate::scenario::Frame;
+use crate::scenario::PolicyFrame;
 use crate::time::Span;
 
 /// Data of one robot that the other robots of its Agent read in the current step. Small and contiguous, because each
@@ -34,7 +34,7 @@ pub(super) struct Step<'a> {
     /// Number of floats in a latent of the policy; messages of another length are not used.
     pub width: usize,
     /// Policy frame of the robot, into which neighbours' motions are rotated.
-    pub frame: Frame,
+    pub frame: PolicyFrame,
     /// Latent features of the Agent's robots, one after the other.
     pub shared: &'a [f32],
 }

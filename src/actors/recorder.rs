@@ -23,10 +23,10 @@ use crate::net::protocol::codec::{self, Content, Flags, Frame, Header};
 use crate::net::protocol::link::LinkCounts;
 use crate::report::episode::{AbortReason, Episode, Judged};
 use crate::report::listening::{Datagram, Listener};
-pub use crate::report::trial::Told as Out;
-use crate::report::trial::{Hearing, Said, Step, Totals};
+pub use crate::report::trial::RecorderOutput as Out;
+use crate::report::trial::{Hearing, PublishedCount, Step, Totals};
 use crate::safety::guard::SafetyCounts;
-use crate::scenario::judge::{Finding, Judge, JudgedRobot, Verdict};
+use crate::scenario::judge::{Judge, JudgedRobot, Judgement, Verdict};
 use crate::scenario::layout::Layouts;
 use crate::scenario::sightings::{Sighting, Sightings, Spot};
 use crate::scenario::{Arena, Cost, Rules};
@@ -118,7 +118,7 @@ pub(crate) struct Recorder {
     config: Config,
     digest: Xxh3,
     messages: u64,
-    published: [Said; KINDS.len()],
+    published: [PublishedCount; KINDS.len()],
     team: Vec<Option<Sample>>,
     /// For each robot: whether its true state has arrived since the last complete step of the team.
     seen: Vec<bool>,
@@ -153,7 +153,7 @@ impl Recorder {
             config,
             digest: Xxh3::new(),
             messages: 0,
-            published: [Said::default(); KINDS.len()],
+            published: [PublishedCount::default(); KINDS.len()],
             team: vec![None; robots],
             seen: vec![false; robots],
             commanded: vec![Time::ZERO; robots],
@@ -218,7 +218,7 @@ impl Recorder {
             let lapsed = self.config.judged == Judged::Readings && self.sightings.lapsed(now);
             let finding = match &self.judge {
                 Some(judge) => judge.end(after, if lapsed { Verdict::Unseen } else { Verdict::Aborted }),
-                None => Finding { verdict: Verdict::Aborted, after, min_separation_m: f32::INFINITY, cost: None },
+                None => Judgement { verdict: Verdict::Aborted, after, min_separation_m: f32::INFINITY, cost: None },
             };
             self.close(now, finding, out);
         }
@@ -262,7 +262,7 @@ impl Recorder {
         }
     }
 
-    fn close(&mut self, now: Time, finding: Finding, out: &mut Vec<Out>) {
+    fn close(&mut self, now: Time, finding: Judgement, out: &mut Vec<Out>) {
         let success = finding.verdict == Verdict::Success;
         let aborted = finding.verdict == Verdict::Aborted;
         let episode = Episode {

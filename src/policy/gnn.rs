@@ -24,7 +24,7 @@ use crate::time::Span;
 
 /// Weights and parameters of a trained message-passing network, which all robots of a team share.
 #[derive(Debug)]
-pub struct Network {
+pub struct GnnWeights {
     manifest: Manifest,
     assumed: Option<String>,
     digest: String,
@@ -65,10 +65,10 @@ struct FirstLayer {
     neighbour: Layer,
 }
 
-impl Network {
+impl GnnWeights {
     /// Makes the network of a policy file that was read and checked. The file's test data are not compared with the
     /// network; `probe::network` does that.
-    pub fn new(file: PolicyFile) -> Network {
+    pub fn new(file: PolicyFile) -> GnnWeights {
         let PolicyFile { manifest, assumed, digest, networks: [encoder, message, update], .. } = file;
         let part = |layers: &[Layer]| (!layers.is_empty()).then(|| Mlp::new(layers.to_vec()));
         let (last, rest) = message.layers().split_last().expect("a perceptron has a layer");
@@ -86,7 +86,7 @@ impl Network {
             }
         };
         let (aggregate, term_bias) = first.fold_after(last);
-        Network {
+        GnnWeights {
             interface: interface(&manifest, encoder.outputs()),
             manifest,
             assumed,
@@ -160,7 +160,7 @@ fn interface(manifest: &Manifest, features: usize) -> Interface {
 /// One robot's instance of a trained message-passing network, with buffers of its own.
 #[derive(Debug)]
 pub struct Gnn {
-    network: Arc<Network>,
+    network: Arc<GnnWeights>,
     draw: Draw,
     instructions: Instructions,
     space: Space,
@@ -192,13 +192,13 @@ struct Space {
 
 impl Gnn {
     /// Makes one robot's instance of `network`, which draws actions from the output distribution by the method `draw`.
-    pub fn new(network: Arc<Network>, draw: Draw) -> Gnn {
+    pub fn new(network: Arc<GnnWeights>, draw: Draw) -> Gnn {
         Gnn::with_instructions(network, draw, Instructions::Detected)
     }
 
     /// Makes one robot's instance of `network` that runs on the given processor instructions; `draw` is the method of
     /// drawing actions. The instruction set changes the speed, and results are the same bit for bit.
-    pub fn with_instructions(network: Arc<Network>, draw: Draw, instructions: Instructions) -> Gnn {
+    pub fn with_instructions(network: Arc<GnnWeights>, draw: Draw, instructions: Instructions) -> Gnn {
         let own_message = network.first_message_layer().map_or(0, |first| first.own.outputs());
         let space = Space {
             observation: vec![0.0; network.encoder.inputs()],
@@ -248,7 +248,7 @@ impl Gnn {
 
 #[inline(always)]
 fn outputs(
-    network: &Network,
+    network: &GnnWeights,
     space: &mut Space,
     position: Vec2,
     features: &[f32],
@@ -372,9 +372,9 @@ mod tests {
     use crate::random::Seed;
     use rand::RngExt;
 
-    fn network(manifest: &Manifest, tensors: &Tensors) -> Arc<Network> {
+    fn network(manifest: &Manifest, tensors: &Tensors) -> Arc<GnnWeights> {
         let file = weights::read(&weights::write(manifest, tensors)).expect("the file can be read");
-        Arc::new(Network::new(file))
+        Arc::new(GnnWeights::new(file))
     }
 
     /// Applies all layers in turn, with ReLU between them.

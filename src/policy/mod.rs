@@ -189,7 +189,7 @@ pub fn untrained_full(seed: u64) -> Model {
 fn random_model(manifest: &Manifest, seed: u64) -> Model {
     let bytes = weights::write(manifest, &random_tensors(manifest, seed));
     let file = weights::read(&bytes).expect("a file that was just written can be read");
-    Model::Gnn(Arc::new(gnn::Network::new(file)), Draw::Sample)
+    Model::Gnn(Arc::new(gnn::GnnWeights::new(file)), Draw::Sample)
 }
 
 fn random_tensors(manifest: &Manifest, seed: u64) -> weights::Tensors {

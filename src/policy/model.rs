@@ -3,7 +3,7 @@
 use std::fmt;
 use std::sync::Arc;
 
-use super::gnn::{Gnn, Network};
+use super::gnn::{Gnn, GnnWeights};
 use super::hops::{self, network::Hops};
 use super::manifest::{Architecture, Training};
 use super::weights::{self, WeightsError};
@@ -19,9 +19,9 @@ pub enum Model {
     /// Scripted navigation by optimal reciprocal collision avoidance (ORCA), without training.
     Orca,
     /// Trained graph neural network, with the method by which actions are drawn from its output distribution.
-    Gnn(Arc<Network>, Draw),
+    Gnn(Arc<GnnWeights>, Draw),
     /// Trained policy of several hops, from a policy file of format 2, with the method by which actions are drawn.
-    Hops(Arc<hops::network::Network>, Draw),
+    Hops(Arc<hops::network::HopsWeights>, Draw),
     /// Policy that another crate implements in code; see [`Model::custom`].
     Custom(Custom),
 }

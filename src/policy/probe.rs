@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use super::gnn::{Gnn, Network};
+use super::gnn::{Gnn, GnnWeights};
 use super::weights::{PolicyFile, Probe, WeightsError};
 use super::{Draw, Neighbour, Policy};
 use crate::messages::geometry::{Motion, Vec2};
@@ -29,7 +29,7 @@ impl Probe {
 
     /// Runs `network` on the inputs of this test data and returns the largest differences of its latents and outputs
     /// from the correct ones, which the test data contain.
-    pub(crate) fn compare(&self, network: &Arc<Network>) -> Difference {
+    pub(crate) fn compare(&self, network: &Arc<GnnWeights>) -> Difference {
         let at = |floats: &[f32], robot: usize| Vec2::new(floats[2 * robot], floats[2 * robot + 1]);
         let robots = self.position.len() / 2;
         let motion = |robot| Motion { position: at(&self.position, robot), velocity: at(&self.velocity, robot) };
@@ -57,7 +57,7 @@ impl Probe {
 
     /// Runs `network` on the inputs of this test data and compares its latents and outputs with the correct ones, which
     /// the test data contain. Returns the largest differences, or an error if one exceeds `TOLERANCE` or is NaN.
-    pub fn check(&self, network: &Arc<Network>) -> Result<Difference, WeightsError> {
+    pub fn check(&self, network: &Arc<GnnWeights>) -> Result<Difference, WeightsError> {
         let difference = self.compare(network);
         for (what, difference) in [("latents", difference.latent), ("outputs", difference.output)] {
             if difference.is_nan() || difference > Probe::TOLERANCE {
@@ -73,9 +73,9 @@ impl Probe {
 ///
 /// # Errors
 /// If the network's outputs differ from the correct ones of the test data by more than `Probe::TOLERANCE`.
-pub fn network(mut file: PolicyFile) -> Result<(Arc<Network>, Option<Difference>), WeightsError> {
+pub fn network(mut file: PolicyFile) -> Result<(Arc<GnnWeights>, Option<Difference>), WeightsError> {
     let probe = file.probe.take();
-    let network = Arc::new(Network::new(file));
+    let network = Arc::new(GnnWeights::new(file));
     let difference = probe.map(|probe| probe.check(&network)).transpose()?;
     Ok((network, difference))
 }

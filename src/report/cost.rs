@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::trial::{Said, TrialReport};
+use super::trial::{PublishedCount, TrialReport};
 use crate::messages::wire::{KINDS, Kind};
 
 /// Messages of one kind that actors published, per robot and simulated second.
@@ -42,7 +42,7 @@ impl Cost {
         let virtual_s = report.simulated.as_secs();
         let each = |count: u64| count as f64 / (robots as f64 * virtual_s);
         let totals = &report.totals;
-        let all = totals.said.iter().fold(Said::default(), |sum, said| Said {
+        let all = totals.said.iter().fold(PublishedCount::default(), |sum, said| PublishedCount {
             messages: sum.messages + said.messages,
             bytes: sum.bytes + said.bytes,
         });

@@ -16,7 +16,7 @@ use crate::time::{Span, Time};
 
 /// Number and size of published messages of one kind.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Said {
+pub struct PublishedCount {
     /// Number of messages, including those that stayed on their host.
     pub messages: u64,
     /// Total size of the messages \[bytes\]: that of their datagrams without authentication tags, as if each message
@@ -47,7 +47,7 @@ pub struct TrialReport {
 
 /// Output of a Recorder, the actor that reports a trial.
 #[derive(Clone, Debug)]
-pub enum Told {
+pub enum RecorderOutput {
     /// Result of an episode, and the totals so far.
     Episode(Episode, Totals),
     /// State of the whole team at one instant.
@@ -60,15 +60,15 @@ pub enum Told {
 
 impl TrialReport {
     /// Adds an output of a Recorder to the report: an episode or a step is appended, totals replace earlier totals.
-    pub fn note(&mut self, event: Told) {
+    pub fn note(&mut self, event: RecorderOutput) {
         match event {
-            Told::Episode(episode, totals) => {
+            RecorderOutput::Episode(episode, totals) => {
                 self.episodes.push(episode);
                 self.totals = totals;
             }
-            Told::Step(step) => self.steps.push(step),
-            Told::Finished(totals) => (self.totals, self.finished) = (totals, true),
-            Told::Closed(totals) => self.totals = totals,
+            RecorderOutput::Step(step) => self.steps.push(step),
+            RecorderOutput::Finished(totals) => (self.totals, self.finished) = (totals, true),
+            RecorderOutput::Closed(totals) => self.totals = totals,
         }
     }
 
@@ -129,7 +129,7 @@ pub struct Totals {
     /// Number of messages that actors published.
     pub messages: u64,
     /// Number and size of the published messages of each kind, in the order of [`KINDS`].
-    pub said: [Said; KINDS.len()],
+    pub said: [PublishedCount; KINDS.len()],
     /// Time up to which the totals count, such as the end of an episode.
     pub end: Time,
     /// Trace: digest of all messages and all true states of robots, each with its time.

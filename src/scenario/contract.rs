@@ -5,7 +5,7 @@
 
 use std::fmt::Display;
 
-use super::{Entry, Scenario, Settings, Stage, build_of};
+use super::{Entry, Progress, Scenario, Settings, build_of};
 use crate::messages::geometry::{Motion, Task, Vec2, is_finite};
 use crate::messages::local::Contacts;
 use crate::time::Span;
@@ -169,7 +169,7 @@ fn costs(scenario: &dyn Scenario) -> Result<(), String> {
 }
 
 fn reward(scenario: &dyn Scenario, task: &Task) -> Result<(), String> {
-    let mut stage = Stage::default();
+    let mut stage = Progress::default();
     // From start to goal along a line, through walls, which a reward does not know.
     for k in 0..=400 {
         let share = (k as f32 / 200.0).min(1.0);
@@ -196,7 +196,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::scenario::{Arena, Frame, Rules, ScenarioError, swap};
+    use crate::scenario::{Arena, PolicyFrame, Rules, ScenarioError, swap};
 
     /// A scenario whose robots all have the same goal.
     #[derive(Debug)]
@@ -216,7 +216,7 @@ mod tests {
             let tasks = self.0.tasks(seed, episode);
             tasks.iter().map(|_| tasks[0]).collect()
         }
-        fn frame(&self, task: &Task) -> Frame {
+        fn frame(&self, task: &Task) -> PolicyFrame {
             self.0.frame(task)
         }
         fn rules(&self) -> Rules {
@@ -250,7 +250,7 @@ mod tests {
         fn tasks(&self, seed: u64, episode: u32) -> Vec<Task> {
             self.0.tasks(seed, episode)
         }
-        fn frame(&self, task: &Task) -> Frame {
+        fn frame(&self, task: &Task) -> PolicyFrame {
             self.0.frame(task)
         }
         fn rules(&self) -> Rules {

@@ -17,7 +17,9 @@ use std::sync::Arc;
 use rand::RngExt;
 
 use super::cost::velocity_variance;
-use super::{Arena, Cost, Frame, Rules, Scenario, ScenarioError, Settings, Size, Stage, TeamAfterStep, TeamSizes};
+use super::{
+    Arena, Cost, PolicyFrame, Progress, Rules, Scenario, ScenarioError, Settings, Size, TeamAfterStep, TeamSizes,
+};
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
 use crate::random::{Seed, Stream};
@@ -178,8 +180,8 @@ impl Scenario for Flocking {
         (task.goal - task.start) / AHEAD_S
     }
 
-    fn frame(&self, _: &Task) -> Frame {
-        Frame::World
+    fn frame(&self, _: &Task) -> PolicyFrame {
+        PolicyFrame::World
     }
 
     fn reached(&self, _: &Task, _: Vec2) -> bool {
@@ -191,7 +193,7 @@ impl Scenario for Flocking {
     }
 
     /// Returns a robot's own part of the reward: minus 1 for a contact. `rewards` adds that of the team.
-    fn reward(&self, _: &Task, _: &Motion, contacts: Contacts, _: &mut Stage) -> Option<f32> {
+    fn reward(&self, _: &Task, _: &Motion, contacts: Contacts, _: &mut Progress) -> Option<f32> {
         Some(if contacts.robot || contacts.wall { -1.0 } else { 0.0 })
     }
 

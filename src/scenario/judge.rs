@@ -79,7 +79,7 @@ pub struct JudgedRobot {
 
 /// Result of judging an episode: outcome, duration and smallest distance between robots.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Finding {
+pub struct Judgement {
     /// Outcome of the episode: success, or the first failure.
     pub verdict: Verdict,
     /// Time from the start of the episode to the end of judging, which for a success is the last arrival.
@@ -123,7 +123,7 @@ impl Judge {
     ///
     /// # Panics
     /// If `robots` does not have one state per goal.
-    pub fn update(&mut self, after: Span, robots: &[JudgedRobot]) -> Option<Finding> {
+    pub fn update(&mut self, after: Span, robots: &[JudgedRobot]) -> Option<Judgement> {
         assert_eq!(robots.len(), self.goals.len(), "the judge gets the states of the whole team");
         self.process(after, robots, |at| at)
     }
@@ -131,7 +131,7 @@ impl Judge {
     /// Processes the states of some robots at one step, each with its id; robots that are left out stay as they were.
     /// `after` is the time since the start of the episode. Returns the finding once judging has ended, by the last
     /// arrival or the time limit; `None` before.
-    pub(crate) fn update_some(&mut self, after: Span, robots: &[(RobotId, JudgedRobot)]) -> Option<Finding> {
+    pub(crate) fn update_some(&mut self, after: Span, robots: &[(RobotId, JudgedRobot)]) -> Option<Judgement> {
         let states: Vec<JudgedRobot> = robots.iter().map(|(_, state)| *state).collect();
         self.process(after, &states, |at| robots[at].0.index())
     }
@@ -145,7 +145,7 @@ impl Judge {
     /// Processes the states of some or all robots at one step, the time `after` since the start of the episode.
     /// `index` maps a position in `robots` to the robot's index in the team. Returns the finding once judging has
     /// ended; `None` before.
-    fn process(&mut self, after: Span, robots: &[JudgedRobot], index: impl Fn(usize) -> usize) -> Option<Finding> {
+    fn process(&mut self, after: Span, robots: &[JudgedRobot], index: impl Fn(usize) -> usize) -> Option<Judgement> {
         self.min_separation_m = self.min_separation_m.min(separation(robots, self.min_separation_m));
         if self.failure.is_none() {
             if robots.iter().any(|robot| robot.contacts.wall) {
@@ -173,10 +173,10 @@ impl Judge {
 
     /// Returns the finding for an episode that ends now, at the time `after` since its start. The outcome is the first
     /// failure, or `without_failure` if there was none.
-    pub(crate) fn end(&self, after: Span, without_failure: Verdict) -> Finding {
+    pub(crate) fn end(&self, after: Span, without_failure: Verdict) -> Judgement {
         let verdict = self.failure.unwrap_or(without_failure);
         let cost = self.cost.and_then(|cost| cost.mean());
-        Finding { verdict, after, min_separation_m: self.min_separation_m, cost }
+        Judgement { verdict, after, min_separation_m: self.min_separation_m, cost }
     }
 }
 

@@ -29,19 +29,19 @@ use crate::time::Span;
 /// Transformation between the world frame and the policy frame. A policy's inputs and outputs are given in the policy
 /// frame, which is the world frame, possibly rotated by half a turn. Each transformation is its own inverse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Frame {
+pub enum PolicyFrame {
     /// Identity: the policy frame is the world frame.
     World,
     /// Rotation by half a turn (180 degrees) about the origin of the world frame.
     HalfTurn,
 }
 
-impl Frame {
+impl PolicyFrame {
     /// Transforms a point \[m\] or a velocity \[m/s\] from the world frame to the policy frame, or back.
     pub fn turn(self, v: Vec2) -> Vec2 {
         match self {
-            Frame::World => v,
-            Frame::HalfTurn => -v,
+            PolicyFrame::World => v,
+            PolicyFrame::HalfTurn => -v,
         }
     }
 
@@ -82,7 +82,7 @@ pub struct Dynamics {
 /// Stage of a robot's progress in an episode, as a number that only the reward uses. It is zero at the start of an
 /// episode, and the scenario increments it, for example when the robot reaches a waypoint.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Stage(pub u8);
+pub struct Progress(pub u8);
 
 /// Criteria for success and failure of an episode, by which the judge decides.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -111,7 +111,7 @@ pub struct TeamAfterStep<'a> {
     /// Contacts of each robot with walls and other robots in the step.
     pub contacts: &'a [Contacts],
     /// Stage of progress of each robot, which the computation of the reward updates.
-    pub stage: &'a mut [Stage],
+    pub stage: &'a mut [Progress],
 }
 
 /// Task for a team of robots, with its arena, its reward and its rules of success. Positions passed to the methods are
@@ -150,7 +150,7 @@ pub trait Scenario: Debug + Send + Sync {
 
     /// Returns the policy frame of a robot with start and goal `task`: the world frame, or that frame rotated by half a
     /// turn. In this frame the robot's policy observes and commands.
-    fn frame(&self, task: &Task) -> Frame;
+    fn frame(&self, task: &Task) -> PolicyFrame;
 
     /// Returns the policy's observation for a robot with start and goal `task`, whose estimated state is `estimate` in
     /// the world frame. The default implementation transforms the estimate and the goal to the policy frame. The
@@ -178,7 +178,7 @@ pub trait Scenario: Debug + Send + Sync {
     ///
     /// `None`, the default, means that the scenario has no reward of its own. Training then rewards only progress and
     /// arrival, by `distance_to_go` and `reached`.
-    fn reward(&self, _task: &Task, _after: &Motion, _contacts: Contacts, _stage: &mut Stage) -> Option<f32> {
+    fn reward(&self, _task: &Task, _after: &Motion, _contacts: Contacts, _stage: &mut Progress) -> Option<f32> {
         None
     }
 

@@ -11,7 +11,9 @@ use std::sync::Arc;
 
 use rand::RngExt;
 
-use super::{Arena, Frame, KeepOut, Portal, Rules, Scenario, ScenarioError, Settings, Size, Stage, TeamSizes, size};
+use super::{
+    Arena, KeepOut, PolicyFrame, Portal, Progress, Rules, Scenario, ScenarioError, Settings, Size, TeamSizes, size,
+};
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
 use crate::random::{Seed, Stream};
@@ -56,7 +58,7 @@ const WAYPOINT_M: f32 = 0.4;
 /// paper authors' published environment).
 const STAGE_M: f32 = 0.1;
 /// The last stage of a robot's progress, which begins one step after that in which it was rewarded for its arrival.
-const LAST_STAGE: Stage = Stage(4);
+const LAST_STAGE: Progress = Progress(4);
 
 /// Scenario of the case study in the paper arXiv 2111.01777: a team crosses a narrow gap in a wall.
 #[derive(Debug)]
@@ -204,13 +206,13 @@ impl Scenario for Passage {
         starts.into_iter().zip(goals).map(|(start, goal)| Task { start, goal }).collect()
     }
 
-    fn frame(&self, task: &Task) -> Frame {
-        if task.start.y > 0.0 { Frame::HalfTurn } else { Frame::World }
+    fn frame(&self, task: &Task) -> PolicyFrame {
+        if task.start.y > 0.0 { PolicyFrame::HalfTurn } else { PolicyFrame::World }
     }
 
     /// Returns the reward of the paper authors' published environment: the speed toward the next waypoint or the goal
     /// \[m/s\], minus 1.5 for a contact with a robot and 0.25 for one with a wall, plus 10 on arrival.
-    fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> Option<f32> {
+    fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Progress) -> Option<f32> {
         let seen = self.observe(task, after);
         let target = match stage.0 {
             0 => Vec2::new(0.0, -self.size.length(WAYPOINT_M)),
@@ -221,7 +223,7 @@ impl Scenario for Passage {
         let distance = offset.norm();
         *stage = match stage.0 {
             3 => LAST_STAGE,
-            0..=2 if distance < self.size.length(STAGE_M) => Stage(stage.0 + 1),
+            0..=2 if distance < self.size.length(STAGE_M) => Progress(stage.0 + 1),
             _ => *stage,
         };
         let mut reward = 0.0;
@@ -308,12 +310,12 @@ mod tests {
     fn the_stages_lead_through_the_gap() {
         let passage = published();
         let task = Task { start: Vec2::new(0.3, 1.7), goal: Vec2::new(-0.3, -1.7) };
-        let mut stage = Stage(0);
+        let mut stage = Progress(0);
         // For a start at y > 0 everything is mirrored: the first waypoint is at y = +0.4.
         let at = |y| Motion { position: Vec2::new(0.0, y), velocity: Vec2::new(0.0, -1.0) };
         let reward = passage.reward(&task, &at(0.9), Contacts::default(), &mut stage).unwrap();
         assert!((reward - 1.0).abs() < 1e-6, "moving straight to the waypoint is rewarded by its speed, not {reward}");
         passage.reward(&task, &at(0.45), Contacts::default(), &mut stage).unwrap();
-        assert_eq!(stage, Stage(1));
+        assert_eq!(stage, Progress(1));
     }
 }

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use rand::RngExt;
 use rand::seq::SliceRandom;
 
-use super::{Arena, Frame, Rules, Scenario, ScenarioError, Settings, Size, Stage, TeamSizes};
+use super::{Arena, PolicyFrame, Progress, Rules, Scenario, ScenarioError, Settings, Size, TeamSizes};
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
 use crate::random::Seed;
@@ -27,7 +27,7 @@ const SLOWEST_M_S: f32 = 0.2;
 /// Team sizes that the scenario supports: 2 to 2000 robots.
 const ROBOTS: TeamSizes = TeamSizes::new(2, 2000);
 /// The last stage of a robot's progress, which begins one step after that in which it was rewarded for its arrival.
-const LAST_STAGE: Stage = Stage(2);
+const LAST_STAGE: Progress = Progress(2);
 
 /// Scenario in which robots exchange places on open ground without walls, with a constant area per robot.
 #[derive(Debug)]
@@ -109,12 +109,12 @@ impl Scenario for Swap {
         starts.into_iter().zip(goals).map(|(start, goal)| Task { start: places[start], goal: places[goal] }).collect()
     }
 
-    fn frame(&self, _: &Task) -> Frame {
-        Frame::World
+    fn frame(&self, _: &Task) -> PolicyFrame {
+        PolicyFrame::World
     }
 
     /// Returns the reward: the speed toward the goal \[m/s\], minus 1 for a contact, plus 10 on arrival.
-    fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> Option<f32> {
+    fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Progress) -> Option<f32> {
         let offset = task.goal - after.position;
         let distance = offset.norm();
         let mut reward = if contacts.robot || contacts.wall { -1.0 } else { 0.0 };
@@ -122,7 +122,7 @@ impl Scenario for Swap {
             reward += (offset / distance).dot(&after.velocity);
         }
         *stage = match stage.0 {
-            0 if self.reached(task, after.position) => Stage(1),
+            0 if self.reached(task, after.position) => Progress(1),
             1 => LAST_STAGE,
             _ => *stage,
         };

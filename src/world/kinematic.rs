@@ -33,7 +33,7 @@ pub const MAX_ACCELERATION_M_S2: f32 = 1.0;
 /// State of all robots of one simulated world, which `step` updates in place. Each slice has one entry per robot,
 /// except `wheels`, which may be empty.
 #[derive(Debug)]
-pub struct Team<'a> {
+pub struct TeamMotion<'a> {
     /// Positions of the robots' centres \[m\], world frame.
     pub position: &'a mut [Vec2],
     /// Velocities of the robots' centres \[m/s\], world frame.
@@ -51,7 +51,7 @@ pub struct Team<'a> {
 ///
 /// `commands` has, for each robot, the commanded velocity \[m/s\], world frame. The velocity is that of the commanded
 /// point: the centre of a holonomic robot, a point ahead of the axle of a differential drive.
-pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team) {
+pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut TeamMotion) {
     team.before.copy_from_slice(team.position);
     let (max_acceleration, gain) = (physics.acceleration_m_s2, physics.gain(PERIOD));
     // The same expression for both axes, so that the compiler vectorizes the divisions.
@@ -101,7 +101,7 @@ pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team
 
 /// Replaces each robot's mean velocity over the step by that at its end, which is that of its wheels unless it was
 /// blocked.
-fn end_motions(team: &mut Team) {
+fn end_motions(team: &mut TeamMotion) {
     for (robot, wheels) in team.wheels.iter().enumerate() {
         let (before, now) = (team.before[robot], team.position[robot]);
         // That of positions is rounded by more than a limit of speed allows.
@@ -113,7 +113,7 @@ fn end_motions(team: &mut Team) {
 
 /// Moves a robot to its candidate position, unless a robot that it touches blocks it, and records the contact.
 #[inline(always)]
-fn move_robot(robot: usize, candidate: Vec2, touches: bool, blocks: bool, team: &mut Team) {
+fn move_robot(robot: usize, candidate: Vec2, touches: bool, blocks: bool, team: &mut TeamMotion) {
     team.contacts[robot] = Contacts { robot: touches, wall: false };
     if !(touches && blocks) {
         team.position[robot] = candidate;
@@ -123,7 +123,7 @@ fn move_robot(robot: usize, candidate: Vec2, touches: bool, blocks: bool, team: 
 /// Moves all robots in the order of their ids. Each is checked for contact with all others, of which those with lower
 /// ids have already moved.
 #[inline(always)]
-fn move_with_all_pairs(distance: f32, blocks: bool, team: &mut Team) {
+fn move_with_all_pairs(distance: f32, blocks: bool, team: &mut TeamMotion) {
     for robot in 0..team.position.len() {
         let candidate = team.position[robot] + team.velocity[robot] * DT_S;
         let touches = any_within(team.position.iter().map(|other| candidate - other), robot, distance);
@@ -134,7 +134,7 @@ fn move_with_all_pairs(distance: f32, blocks: bool, team: &mut Team) {
 /// Moves all robots with the same result as `move_with_all_pairs`, but with a grid over the positions before the step.
 /// The query radius is the contact distance and the farthest that another robot can have moved since. Returns `false`
 /// and does nothing if that is not finite.
-fn move_with_grid(distance: f32, blocks: bool, team: &mut Team) -> bool {
+fn move_with_grid(distance: f32, blocks: bool, team: &mut TeamMotion) -> bool {
     let fastest = team.velocity.iter().fold(0.0, |max: f32, velocity| max.max(velocity.norm()));
     // Twice the largest move: rounding errors are far smaller than a step.
     let radius_m = distance * ROUNDING_MARGIN + 2.0 * fastest * DT_S;
@@ -278,7 +278,7 @@ impl Plant for Kinematic {
         for &robot in self.carried.keys() {
             (self.velocity[robot], self.commands[robot]) = (Vec2::zeros(), Vec2::zeros());
         }
-        let mut team = Team {
+        let mut team = TeamMotion {
             position: &mut self.position,
             velocity: &mut self.velocity,
             wheels: &mut self.wheels,
@@ -368,7 +368,8 @@ mod tests {
             let (mut position, mut contacts) = (before.clone(), vec![Contacts::default(); 200]);
             let (position_of, contacts_of) = (&mut position, &mut contacts);
             let before = &mut before.clone();
-            let mut team = Team { position: position_of, velocity, wheels: &mut [], contacts: contacts_of, before };
+            let mut team =
+                TeamMotion { position: position_of, velocity, wheels: &mut [], contacts: contacts_of, before };
             if with_grid {
                 assert!(move_with_grid(0.5, true, &mut team));
             } else {

@@ -19,7 +19,7 @@ use murmurate::scenario::judge::Verdict;
 use murmurate::scenario::{self, Arena, Dynamics, Observation};
 use murmurate::time::{Span, Time};
 use murmurate::trial::Trial;
-use murmurate::world::kinematic::{self, PERIOD, Team};
+use murmurate::world::kinematic::{self, PERIOD, TeamMotion};
 use murmurate::world::{Clamp, ContactRule, Physics, Wheels};
 use rand::RngExt;
 
@@ -179,7 +179,7 @@ impl Bench {
                 }
             }
         }
-        let mut team = Team {
+        let mut team = TeamMotion {
             position: &mut self.position,
             velocity: &mut self.velocity,
             wheels: &mut self.wheels,

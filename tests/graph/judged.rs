@@ -8,7 +8,7 @@ use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::{Kind, Phase};
 use murmurate::report::episode::{Episode, Judged};
 use murmurate::report::trial::{Step, TrialReport};
-use murmurate::scenario::judge::{Finding, Judge, JudgedRobot, Verdict};
+use murmurate::scenario::judge::{Judge, JudgedRobot, Judgement, Verdict};
 use murmurate::scenario::sightings::SIGHT;
 use murmurate::time::Span;
 use murmurate::trial::Trial;
@@ -47,7 +47,7 @@ fn result(episode: &Episode) -> Episode {
 }
 
 /// Returns the results from true states of the same run, from the first step after the start to the verdict.
-fn truth(trial: &Trial, report: &TrialReport, episode: u32) -> Option<Finding> {
+fn truth(trial: &Trial, report: &TrialReport, episode: u32) -> Option<Judgement> {
     let of = |step: &&Step| step.episode == episode && step.phase == Phase::Running;
     let goals = trial.layouts.episode(episode).iter().map(|task| task.goal).collect();
     let mut judge = Judge::new(trial.scenario.rules(), goals);

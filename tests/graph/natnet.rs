@@ -27,7 +27,7 @@ use murmurate::messages::wire::{Reading, Wire};
 use murmurate::random::{RngExt, Seed, Stream};
 use murmurate::time::{Span, Time};
 use murmurate_devices::natnet;
-use murmurate_devices::natnet::frame::Layout;
+use murmurate_devices::natnet::frame::FrameLayout;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
 use crate::common::{HANGS, ends};
@@ -123,10 +123,10 @@ fn a_frame_of_4_0_may_have_a_precise_stamp_or_none() {
         let stamp = datagram.len() - 14..datagram.len() - 6;
         datagram.splice(stamp, vec![0xff; if precise { 8 } else { 0 }]);
         let payload = &datagram[4..];
-        let (frame, layout) = natnet::frame::decode(payload, Layout::Plain).expect("a frame");
-        assert_eq!((frame.models_changed, frame.bodies.len(), layout), (false, 2, Layout::Plain));
-        let found = natnet::frame::decode(payload, Layout::Sized).expect("found by its length");
-        assert_eq!(found, (frame, Layout::Plain));
+        let (frame, layout) = natnet::frame::decode(payload, FrameLayout::Plain).expect("a frame");
+        assert_eq!((frame.models_changed, frame.bodies.len(), layout), (false, 2, FrameLayout::Plain));
+        let found = natnet::frame::decode(payload, FrameLayout::Sized).expect("found by its length");
+        assert_eq!(found, (frame, FrameLayout::Plain));
     }
 }
 

@@ -17,7 +17,7 @@ use murmurate::random::{RngExt, Seed, Stream, normals};
 use murmurate::registry::Registry;
 use murmurate::time::{Span, Time};
 use murmurate_devices::gpsd::geodesy::{Geodetic, LocalFrame};
-use murmurate_ros2::packet::{self, FromNode, Heard, PoseSample, Sample, TwistSample};
+use murmurate_ros2::packet::{self, FromNode, PoseSample, ReceivedMessage, Sample, TwistSample};
 
 use crate::natnet::fake;
 
@@ -320,7 +320,7 @@ impl World {
             heading_rad: Some(self.sigma_rad),
             twist: (self.kind == Kind::RosOdometry).then_some(twist),
         };
-        let heard = FromNode::Heard(Heard { topic: at as u16, sample: Sample::Pose(sample) });
+        let heard = FromNode::Heard(ReceivedMessage { topic: at as u16, sample: Sample::Pose(sample) });
         localizer::In::Packet(packet::encode(&heard).into())
     }
 

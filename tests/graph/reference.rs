@@ -8,12 +8,12 @@ use crate::common::{bytes, floats, integers, reference};
 use murmurate::deploy::Deployment;
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::local::Contacts;
-use murmurate::policy::gnn::{Gnn, Network};
+use murmurate::policy::gnn::{Gnn, GnnWeights};
 use murmurate::policy::{Draw, Model, Neighbour, Policy, weights};
 use murmurate::report::episode::Episode;
 use murmurate::report::outcomes::Outcomes;
 use murmurate::scenario::layout::Layouts;
-use murmurate::scenario::{self, Observation, Scenario, Settings, Stage};
+use murmurate::scenario::{self, Observation, Progress, Scenario, Settings};
 use murmurate::time::Span;
 use murmurate::trial::Trial;
 use murmurate::world::{Physics, kinematic};
@@ -23,10 +23,10 @@ fn passage() -> Arc<dyn Scenario> {
     scenario::build("passage", &Settings::of(5)).expect("five robots is the published team")
 }
 
-fn published(path: &Path) -> Arc<Network> {
+fn published(path: &Path) -> Arc<GnnWeights> {
     let file = weights::read(&std::fs::read(path).expect("the file is there")).expect("the published file loads");
     assert!(file.assumed.is_some(), "a file without a manifest says what was assumed");
-    Arc::new(Network::new(file))
+    Arc::new(GnnWeights::new(file))
 }
 
 fn vec2(floats: &[f32], at: usize) -> Vec2 {
@@ -103,7 +103,7 @@ fn every_step_of_the_environment_matches() {
     let t0 = integers(&tensors, "t0");
     const ROBOTS: usize = 5;
     // The published environment pays for no stage after this one.
-    const LAST_STAGE: Stage = Stage(4);
+    const LAST_STAGE: Progress = Progress(4);
     let steps = near.len() / t0.len();
     let scenario = passage();
     // The rules' limit in steps.
@@ -123,7 +123,7 @@ fn every_step_of_the_environment_matches() {
             let commands: Vec<Vec2> = (0..ROBOTS).map(|i| vec2(&action, now + i)).collect();
             let mut contacts = vec![Contacts::default(); ROBOTS];
             let mut space = vec![Vec2::zeros(); ROBOTS];
-            let mut team = kinematic::Team {
+            let mut team = kinematic::TeamMotion {
                 position: &mut position,
                 velocity: &mut velocity,
                 wheels: &mut [],
@@ -139,7 +139,7 @@ fn every_step_of_the_environment_matches() {
                 inexact += usize::from(position[i] != p);
                 agree(&place, (position[i], p), (velocity[i], v));
                 let task = Task { start, goal: vec2(&goal, rollout * ROBOTS + i) };
-                let mut reached = Stage(stage[before + i]);
+                let mut reached = Progress(stage[before + i]);
                 let motion = Motion { position: position[i], velocity: velocity[i] };
                 let earned = scenario.reward(&task, &motion, contacts[i], &mut reached).expect("the passage has one");
                 let expected = Contacts { robot: hit_agent[now + i] == 1, wall: hit_wall[now + i] == 1 };

@@ -14,7 +14,7 @@ use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::latch::Latch;
 use murmurate::messages::local::{Action, Progress};
 use murmurate::messages::wire::{Kind, Mode, Phase, Reading, Round, Stop};
-use murmurate::policy::gnn::Network;
+use murmurate::policy::gnn::GnnWeights;
 use murmurate::policy::manifest::Manifest;
 use murmurate::policy::shipped::built_in;
 use murmurate::policy::{Draw, Model, weights};
@@ -154,7 +154,7 @@ fn a_policy_with_invalid_outputs_moves_no_robot_and_the_episodes_are_aborted() {
     };
     let tensors = [huge(&manifest.encoder), huge(&manifest.message), huge(&manifest.update)];
     let file = weights::read(&weights::write(&manifest, &tensors)).expect("large numbers are numbers");
-    let model = Model::Gnn(Arc::new(Network::new(file)), Draw::Mean);
+    let model = Model::Gnn(Arc::new(GnnWeights::new(file)), Draw::Mean);
     for mode in ["sim", "offboard"] {
         for safety in [Safety::deployed(), Safety::emulated()] {
             let report = Trial { model: model.clone(), safety, ..trial(mode, 2) }.run();
@@ -261,7 +261,7 @@ fn a_geofence_keeps_commands_inside() {
 #[test]
 fn a_minimum_distance_reduces_collisions_of_a_policy_without_messages() {
     let model = weights::read(built_in("robust", "passage").expect("it is built in")).expect("and it can be read");
-    let model = Model::Gnn(Arc::new(Network::new(model)), Draw::Mean);
+    let model = Model::Gnn(Arc::new(GnnWeights::new(model)), Draw::Mean);
     let collisions = |distance: Switch| {
         let mut trial = Trial { model: model.clone(), ..trial("centralized", 9) }.episodes(24);
         trial.range = Some(CommRange::fixed(0.0));

@@ -21,7 +21,7 @@ use murmurate::net::media::radio::{self, Radio};
 use murmurate::random::{RngExt, Seed, Stream};
 use murmurate::time::Span;
 use murmurate_study::Job;
-use murmurate_study::record::Record;
+use murmurate_study::record::TrialRecord;
 use murmurate_train::config::{Config, PRESETS};
 use murmurate_train::trainer::{Plan, Trainer};
 
@@ -245,7 +245,7 @@ fn checkpoints_of_imitation() {
 fn the_journal_of_a_study() {
     let study = trainings::study();
     let job = Job { column: 0, policy: 0, repeat: 0 };
-    let record = Record::of(&study, job, &study.trial(job).run());
+    let record = TrialRecord::of(&study, job, &study.trial(job).run());
     let json = serde_json::to_vec(&record).expect("a record is JSON");
     survives("journal", &[json], trainings::journal);
 }

@@ -6,7 +6,7 @@ use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{self, Settings};
 use murmurate_study::columns::Column;
 use murmurate_study::conditions::Deployed;
-use murmurate_study::record::Record;
+use murmurate_study::record::TrialRecord;
 use murmurate_study::results::Results;
 use murmurate_study::{Identity, Job, PolicyUnderTest, Study, handling, pages, table};
 use murmurate_train::config::Config;
@@ -63,7 +63,7 @@ pub fn journal(bytes: &[u8]) -> bool {
         if let Ok(identity) = serde_json::from_slice::<Identity>(bytes) {
             let _ = study.identity().difference(&identity);
         }
-        let Ok(record) = serde_json::from_slice::<Record>(bytes) else { return false };
+        let Ok(record) = serde_json::from_slice::<TrialRecord>(bytes) else { return false };
         let job = Job { column: 0, policy: 0, repeat: 0 };
         if !record.belongs_to(study, job) {
             return false;

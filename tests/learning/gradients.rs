@@ -5,7 +5,7 @@ use murmurate::policy::manifest::Architecture;
 use murmurate::random::{Seed, Stream};
 use murmurate_train::batch::{Batch, Graphs};
 use murmurate_train::loss::{self, Sample, Terms};
-use murmurate_train::network::{Network, Shape, Space};
+use murmurate_train::network::{Shape, Space, TrainableGnn};
 use rand::RngExt;
 
 /// Returns graphs of three robots: with late sources, with a robot 1 without neighbours, and without any edge.
@@ -60,7 +60,7 @@ fn lost(outputs: &[f64], samples: &[Sample<f64>]) -> (f64, Vec<f64>) {
 fn every_derivative_matches_central_differences() {
     for (index, shape) in shapes().into_iter().enumerate() {
         let mut stream = Seed::of_run(3).stream(&format!("gradients/{index}"));
-        let network = Network::new(shape);
+        let network = TrainableGnn::new(shape);
         let graphs = graphs(network.inputs(), network.shape().edge, &mut stream);
         let mut batch = Batch::default();
         batch.gather((0..3).map(|graph| (&graphs, graph)));

@@ -13,7 +13,7 @@ use murmurate::scenario::judge::Verdict;
 use murmurate::trial::Trial;
 use murmurate_train::imitation::config::Config;
 use murmurate_train::imitation::graph::Graph;
-use murmurate_train::imitation::network::{Network, Space};
+use murmurate_train::imitation::network::{Space, TrainableHops};
 use murmurate_train::imitation::trainer::{Plan, Trainer};
 use rand::RngExt;
 
@@ -57,7 +57,7 @@ fn every_derivative_of_several_hops_matches_central_differences() {
     all.check().expect("it is sound");
     shapes.push(all);
     for (index, manifest) in shapes.iter().enumerate() {
-        let network = Network::new(manifest).expect("training supports it");
+        let network = TrainableHops::new(manifest).expect("training supports it");
         let mut stream = Seed::of_run(5).stream(&format!("hops/{index}"));
         let graph = graph(network.inputs(), network.edge(), &mut stream);
         let mut parameters: Vec<f64> = (0..network.parameters()).map(|_| stream.random_range(-0.6..0.6)).collect();

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use murmurate::messages::geometry::{Motion, Vec2};
-use murmurate::policy::gnn::{Gnn, Network};
+use murmurate::policy::gnn::{Gnn, GnnWeights};
 use murmurate::policy::manifest::{Architecture, EdgeField};
 use murmurate::policy::weights::{self, WeightsError};
 use murmurate::policy::{Draw, Model, Neighbour, Policy};
@@ -35,10 +35,10 @@ fn text(name: &str) -> String {
 }
 
 /// Runs all cases of an architecture; returns the largest errors of latents and outputs.
-fn compare(architecture: &str) -> (Arc<Network>, f32, f32) {
+fn compare(architecture: &str) -> (Arc<GnnWeights>, f32, f32) {
     let file = weights::read(&read(&format!("tests/data/python_{architecture}.safetensors")))
         .unwrap_or_else(|e| panic!("{architecture}: {e}"));
-    let network = Arc::new(Network::new(file));
+    let network = Arc::new(GnnWeights::new(file));
     let mut gnn = Gnn::new(Arc::clone(&network), Draw::Mean);
     let mut expected: serde_json::Value =
         serde_json::from_str(&text("tests/data/python_expected.json")).expect("it is JSON");
@@ -97,7 +97,7 @@ fn a_network_that_computes_other_numbers_than_its_probe_is_refused() {
     assert_eq!(model.assumed(), None, "its manifest says everything");
     let mut file = weights::read(&bytes).expect("the file is sound");
     let mut probe = file.probe.take().expect("the script writes one");
-    let network = Arc::new(Network::new(file));
+    let network = Arc::new(GnnWeights::new(file));
     let difference = probe.check(&network).expect("it matches");
     assert!(difference.latent < 1e-5 && difference.output < 1e-5, "{difference:?}");
     probe.output[3] += 0.01;

@@ -15,14 +15,14 @@ use murmurate::random::Seed;
 use murmurate::registry::Registry;
 use murmurate::report::statistics::quantile;
 use murmurate::scenario::judge::Verdict;
-use murmurate::scenario::{self, Settings, Stage};
+use murmurate::scenario::{self, Progress, Settings};
 use murmurate::trial::Trial;
 use murmurate::world::{Clamp, ContactRule, Physics, PlantState, kinematic};
-use murmurate_train::conditions::Episode;
+use murmurate_train::conditions::EpisodeConditions;
 use murmurate_train::config::{Config, PRESETS, Reward};
 use murmurate_train::environments::Environments;
 use murmurate_train::evaluate::Evaluation;
-use murmurate_train::network::{Network, Shape};
+use murmurate_train::network::{Shape, TrainableGnn};
 use murmurate_train::rollout::RolloutSettings;
 use murmurate_train::trainer::{Plan, Trainer};
 use rand::RngExt;
@@ -62,9 +62,9 @@ fn train(mut trainer: Trainer, iterations: std::ops::Range<u32>, stop: u32, thre
 fn dynamics_and_reward_are_those_of_the_world() {
     for (name, robots) in [("passage", 5), ("passage", 2), ("swap", 6)] {
         let scenario = scenario::build(name, &Settings::of(robots)).expect("it can be made");
-        let wheels = Episode { lag_s: Some(0.3), wall_radius_m: 0.16, ..Episode::perfect(robots) };
-        let deployed = Episode { clamp: Clamp::Deployed, ..wheels.clone() };
-        let plain = [Episode::perfect(robots), wheels, deployed].map(|episode| (episode, Chassis::default()));
+        let wheels = EpisodeConditions { lag_s: Some(0.3), wall_radius_m: 0.16, ..EpisodeConditions::perfect(robots) };
+        let deployed = EpisodeConditions { clamp: Clamp::Deployed, ..wheels.clone() };
+        let plain = [EpisodeConditions::perfect(robots), wheels, deployed].map(|episode| (episode, Chassis::default()));
         let rolling = plain.clone().map(|(episode, _)| (episode, differential().chassis().expect("it is sound")));
         for (episode, chassis) in plain.into_iter().chain(rolling) {
             let none = Config::preset("published").expect("it is a preset").reward.with_penalties(0.0);
@@ -84,7 +84,7 @@ fn dynamics_and_reward_are_those_of_the_world() {
                 (0..robots).for_each(|robot| plant.equip(robot, chassis, environments.heading(robots + robot)));
             }
             let point = |state: &PlantState| chassis.point_motion(&state.motion, state.heading, state.yaw_rate);
-            let mut stages = vec![Stage(0); robots];
+            let mut stages = vec![Progress(0); robots];
             let clamp = episode.clamp;
             for step in 0..300 {
                 let actions: Vec<Vec2> = (0..2 * robots)
@@ -225,7 +225,7 @@ fn both(
     robots: usize,
     episodes: u32,
     change: impl Fn(Trial) -> Trial,
-    conditions: impl Fn(u32) -> Episode + Sync,
+    conditions: impl Fn(u32) -> EpisodeConditions + Sync,
 ) -> [Vec<(Verdict, f64)>; 2] {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join("policies/passage.safetensors");
     let bytes = std::fs::read(&path).expect("the shipped policy");
@@ -233,21 +233,21 @@ fn both(
     let manifest = file.manifest.clone();
     let scenario = scenario::build("passage", &Settings::of(robots)).expect("it can be made");
     let deployment = Deployment::preset(mode, robots).expect("it is a mode");
-    let model = Model::Gnn(Arc::new(gnn::Network::new(file)), Draw::Mean);
+    let model = Model::Gnn(Arc::new(gnn::GnnWeights::new(file)), Draw::Mean);
     let trial = Trial::new(deployment, Arc::clone(&scenario), model);
     let report = change(trial.seed(21).episodes(episodes)).run();
     let theirs = report.episodes.iter().map(|episode| (episode.verdict, episode.makespan_s.unwrap_or(0.0))).collect();
 
     let configuration = manifest.training.clone().expect("it was trained here").configuration;
     let config: Config = serde_json::from_value(configuration).expect("it is a configuration");
-    let network = Network::new(Shape {
+    let network = TrainableGnn::new(Shape {
         architecture: manifest.architecture,
         encoder: manifest.encoder.clone(),
         message: manifest.message.clone(),
         update: manifest.update.clone(),
         edge: manifest.edge.iter().map(|field| field.floats()).sum(),
     });
-    let critic = Network::new(config.critic());
+    let critic = TrainableGnn::new(config.critic());
     let settings = RolloutSettings {
         config: &config,
         actor: &network,
@@ -288,7 +288,7 @@ fn median(all: &[(Verdict, f64)]) -> f64 {
 fn the_quick_evaluation_is_that_of_sim_in_lock_step() {
     // Sums have another order. With two robots rounding rarely changes an episode; with five at a gap it often does.
     for (robots, episodes, alike) in [(2, 100, 0.85), (5, 150, 0.5)] {
-        let [ours, theirs] = both("sim", robots, episodes, |trial| trial, |_| Episode::perfect(robots));
+        let [ours, theirs] = both("sim", robots, episodes, |trial| trial, |_| EpisodeConditions::perfect(robots));
         let same = ours.iter().zip(&theirs).filter(|(a, b)| a.0 == b.0 && (a.1 - b.1).abs() < 0.0501).count();
         let same = same as f64 / f64::from(episodes);
         println!("{robots} robots: {same} alike, {} here, {} in sim", rate(&ours), rate(&theirs));
@@ -312,7 +312,7 @@ fn the_quick_evaluation_is_that_of_sim_when_messages_are_late_and_lost() {
     let hold_s = Config::preset("robust").expect("it is a preset").policy.hold_s as f32;
     let conditions = |episode: u32| {
         let mut stream = Seed::of_run(1).stream(&format!("phases/{episode}"));
-        Episode {
+        EpisodeConditions {
             lockstep: false,
             lag_s: Some(0.5),
             clamp: Clamp::Deployed,
@@ -320,7 +320,7 @@ fn the_quick_evaluation_is_that_of_sim_when_messages_are_late_and_lost() {
             hold_s,
             phase_s: (0..5).map(|_| stream.random_range(0.0..0.05)).collect(),
             edges: vec![(0.05, 0.3); 25],
-            ..Episode::perfect(5)
+            ..EpisodeConditions::perfect(5)
         }
     };
     let [ours, theirs] = both("onboard-adhoc", 5, EPISODES, lagging, conditions);

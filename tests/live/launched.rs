@@ -8,7 +8,7 @@ use std::sync::Arc;
 use crate::beside;
 use crate::program::{murmurate, text};
 use murmurate::deploy::Deployment;
-use murmurate::policy::gnn::Network;
+use murmurate::policy::gnn::GnnWeights;
 use murmurate::policy::shipped::built_in;
 use murmurate::policy::{Model, weights};
 use murmurate::safety::Safety;
@@ -27,7 +27,7 @@ fn simulated(episodes: u32) -> BTreeMap<u32, (String, String)> {
     let deployment = Deployment::preset("offboard", scenario.robots()).expect("a preset");
     let file = weights::read(built_in("shipped", "passage").expect("it is shipped")).expect("it is sound");
     let draw = file.manifest.draw;
-    let trial = Trial::new(deployment, scenario, Model::Gnn(Arc::new(Network::new(file)), draw));
+    let trial = Trial::new(deployment, scenario, Model::Gnn(Arc::new(GnnWeights::new(file)), draw));
     let report = Trial { safety: Safety::deployed(), ..trial }.seed(SEED).episodes(episodes).run();
     let told = |episode: &murmurate::report::episode::Episode| {
         let verdict = serde_json::to_value(episode.verdict).expect("it is JSON");

@@ -8,7 +8,7 @@ use murmurate::actors::recorder::Steps;
 use murmurate::report::episode::Episode;
 use murmurate::time::Span;
 use murmurate::trial::{Trial, TrialReport};
-use murmurate_figures::picture::{Scene, Stage, film, moving, still};
+use murmurate_figures::picture::{Backdrop, Scene, film, moving, still};
 use murmurate_robot::bad;
 use murmurate_robot::output::talk;
 use murmurate_robot::whole_file::WholeFile;
@@ -148,11 +148,11 @@ fn draw(flag: &str, path: &Path, endings: &[(&str, Draw)]) -> Result<Draw> {
     }
 }
 
-fn stage<'a>(trial: &'a Trial, policy: &str, episode: u32) -> Stage<'a> {
+fn stage<'a>(trial: &'a Trial, policy: &str, episode: u32) -> Backdrop<'a> {
     let (robots, scenario) = (trial.scenario.robots(), trial.scenario.name());
     let window_s = trial.model.interface().hold.as_secs().clamp(0.1, 1.0);
     let many = if robots == 1 { "robot" } else { "robots" };
-    Stage {
+    Backdrop {
         title: format!("{robots} {many}, scenario {scenario}, mode {}", trial.deployment.mode),
         caption: format!("policy {policy}, seed {}, episode {}", trial.seed, episode + 1),
         arena: trial.scenario.arena(),

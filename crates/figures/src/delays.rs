@@ -9,7 +9,7 @@ use murmurate::report::listening::Listening;
 
 /// Deliveries and delays of messages in one column of a study, for a figure.
 #[derive(Clone, Debug)]
-pub struct Heard<'a> {
+pub struct DelayColumn<'a> {
     /// Name of the column, a set of conditions in a study.
     pub name: &'a str,
     /// Deliveries and delays of messages in the column.
@@ -26,8 +26,8 @@ const ENDS_S: (f64, f64) = (1e-4, 1.0);
 
 /// Draws the delays of messages from publication to arrival and to the control step that uses them, as cumulative
 /// shares, with a line for every column in which messages cross a link. Returns the SVG.
-pub fn delays(title: &str, columns: &[Heard]) -> Result<String, FigureError> {
-    let crossing: Vec<(usize, &Heard)> =
+pub fn delays(title: &str, columns: &[DelayColumn]) -> Result<String, FigureError> {
+    let crossing: Vec<(usize, &DelayColumn)> =
         columns.iter().enumerate().filter(|(_, column)| column.listening.due > 0).collect();
     let below = 16 + 30 * crossing.len().div_ceil(3) as u32;
     svg(HEIGHT + below, |area| {
@@ -47,9 +47,9 @@ pub fn delays(title: &str, columns: &[Heard]) -> Result<String, FigureError> {
 }
 
 /// Draws the ages of messages at control steps as cumulative shares, one line per column. Returns the SVG.
-pub fn ages(title: &str, columns: &[Heard]) -> Result<String, FigureError> {
+pub fn ages(title: &str, columns: &[DelayColumn]) -> Result<String, FigureError> {
     // Lines that coincide differ in width, and their colours are far from each other.
-    let columns: Vec<(usize, &Heard)> = columns.iter().enumerate().map(|(at, column)| (3 * at, column)).collect();
+    let columns: Vec<(usize, &DelayColumn)> = columns.iter().enumerate().map(|(at, column)| (3 * at, column)).collect();
     svg(HEIGHT + 46, |area| {
         area.draw(&Text::new(title.to_owned(), (20, 14), style(TEXT + 3, BLACK, HPos::Left, VPos::Top)))?;
         let below = area.clone().shrink((0, HEAD), (WIDTH, HEIGHT - HEAD as u32));
@@ -60,7 +60,7 @@ pub fn ages(title: &str, columns: &[Heard]) -> Result<String, FigureError> {
     })
 }
 
-fn legend(area: &Area, columns: &[(usize, &Heard)]) -> Drawn {
+fn legend(area: &Area, columns: &[(usize, &DelayColumn)]) -> Drawn {
     for (place, (at, column)) in columns.iter().enumerate() {
         let (x, y) = (60 + 370 * (place % 3) as i32, HEIGHT as i32 + 30 * (place / 3) as i32 + 14);
         area.draw(&PathElement::new(vec![(x, y), (x + 36, y)], colour(*at).stroke_width(4)))?;
@@ -74,7 +74,7 @@ fn panel(
     area: &Area,
     title: &str,
     what: &str,
-    columns: &[(usize, &Heard)],
+    columns: &[(usize, &DelayColumn)],
     line: impl Fn(&Listening) -> Vec<(f64, f64)>,
 ) -> Drawn {
     area.draw(&Text::new(title.to_owned(), (86, 4), style(TEXT, BLACK, HPos::Left, VPos::Top)))?;

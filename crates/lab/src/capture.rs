@@ -6,7 +6,7 @@
 //! Acknowledgements and frames of other networks are not in it.
 
 use super::ethernet::{self, HEADER_BYTES, Mac};
-use super::medium::Frame;
+use super::medium::EthernetFrame;
 use murmurate::net::media::radio::channel::Transmission;
 use murmurate::net::media::radio::{Band, Destination, Radio, Topology, Width};
 use std::sync::Arc;
@@ -60,7 +60,7 @@ impl Capture {
     }
 
     /// Appends a transmission as a record to `out`.
-    pub fn append(&self, sent: &Transmission<Arc<Frame>>, out: &mut Vec<u8>) {
+    pub fn append(&self, sent: &Transmission<Arc<EthernetFrame>>, out: &mut Vec<u8>) {
         let mut packet = self.radiotap(sent);
         self.mac_header(sent, &mut packet);
         let frame = &sent.token.bytes;
@@ -75,7 +75,7 @@ impl Capture {
         out.extend(packet);
     }
 
-    fn radiotap(&self, sent: &Transmission<Arc<Frame>>) -> Vec<u8> {
+    fn radiotap(&self, sent: &Transmission<Arc<EthernetFrame>>) -> Vec<u8> {
         let radio = &self.radio;
         let rate = if sent.unicast { radio.rate } else { radio.basic_rate };
         let name = rate.to_string();
@@ -109,7 +109,7 @@ impl Capture {
         header
     }
 
-    fn mac_header(&self, sent: &Transmission<Arc<Frame>>, out: &mut Vec<u8>) {
+    fn mac_header(&self, sent: &Transmission<Arc<EthernetFrame>>, out: &mut Vec<u8>) {
         let frame = &sent.token.bytes;
         let mac = |at: usize| -> Mac { frame[at..at + 6].try_into().expect("the medium takes no shorter frames") };
         let (to, from) = (mac(0), mac(6));
@@ -140,7 +140,7 @@ mod tests {
     use super::*;
     use murmurate::time::Time;
 
-    fn sent(unicast: bool, by: u16) -> Transmission<Arc<Frame>> {
+    fn sent(unicast: bool, by: u16) -> Transmission<Arc<EthernetFrame>> {
         let bytes = [&ethernet::station(1)[..], &ethernet::station(0), &[8, 0], &[9; 20]].concat();
         Transmission {
             since: Time::from_nanos(2_000_000),
@@ -151,7 +151,7 @@ mod tests {
             unicast,
             retry: 1,
             collided: true,
-            token: Arc::new(Frame { number: 3, taken: Time::ZERO, bytes: bytes.into() }),
+            token: Arc::new(EthernetFrame { number: 3, taken: Time::ZERO, bytes: bytes.into() }),
         }
     }
 

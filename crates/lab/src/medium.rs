@@ -19,7 +19,7 @@ const MOVE_PERIOD: Span = Span::from_millis(20);
 
 /// Ethernet frame that a station has handed to the medium.
 #[derive(Debug, PartialEq, Eq)]
-pub struct Frame {
+pub struct EthernetFrame {
     /// Number of the frame among those of its station, from zero; retries have the same number.
     pub number: u64,
     /// Time at which the medium has taken the frame.
@@ -49,7 +49,7 @@ pub struct Refused {
 /// Radio channel of a laboratory, which carries Ethernet frames of stations.
 #[derive(Debug)]
 pub struct Medium {
-    channel: Channel<Arc<Frame>>,
+    channel: Channel<Arc<EthernetFrame>>,
     stations: u16,
     has_access_point: bool,
     everyone: Arc<[u16]>,
@@ -63,7 +63,7 @@ pub struct Medium {
     arrival: Stream,
     taken: Vec<u64>,
     refused: Vec<Refused>,
-    deliveries: Vec<Delivery<Arc<Frame>>>,
+    deliveries: Vec<Delivery<Arc<EthernetFrame>>>,
 }
 
 impl Medium {
@@ -111,7 +111,7 @@ impl Medium {
             }
         };
         let taken = &mut self.taken[usize::from(station)];
-        let frame = Arc::new(Frame { number: *taken, taken: now, bytes: bytes.into() });
+        let frame = Arc::new(EthernetFrame { number: *taken, taken: now, bytes: bytes.into() });
         *taken += 1;
         self.channel.offer(now, station, to, ethernet::datagram_bytes(bytes), frame);
     }
@@ -163,7 +163,7 @@ impl Medium {
 
     /// Removes and returns the frames received so far, in the order of their arrival, each with the time at which its
     /// last bit has arrived.
-    pub fn deliveries(&mut self) -> impl Iterator<Item = Delivery<Arc<Frame>>> {
+    pub fn deliveries(&mut self) -> impl Iterator<Item = Delivery<Arc<EthernetFrame>>> {
         self.deliveries.drain(..)
     }
 
@@ -173,7 +173,7 @@ impl Medium {
     }
 
     /// Removes and returns the transmissions recorded so far, in the order of their ends.
-    pub fn transmissions(&mut self) -> Vec<Transmission<Arc<Frame>>> {
+    pub fn transmissions(&mut self) -> Vec<Transmission<Arc<EthernetFrame>>> {
         self.channel.transmissions()
     }
 

@@ -409,7 +409,7 @@ mod tests {
     use rustdds::{CDRDeserializerAdapter, CDRSerializerAdapter, RepresentationIdentifier};
 
     use super::super::messages::{
-        Covariance, Dimension, Layout, Pose, PoseWithCovariance, Quaternion, TwistWithCovariance,
+        Covariance, Dimension, MultiArrayLayout, Pose, PoseWithCovariance, Quaternion, TwistWithCovariance,
     };
     use super::*;
 
@@ -477,7 +477,7 @@ mod tests {
         };
         agrees("BatteryState", battery);
         let dimension = |label: &str, stride| Dimension { label: label.to_owned(), size: 2, stride };
-        let layout = Layout { dim: vec![dimension("row", 4), dimension("column", 2)], data_offset: 0 };
+        let layout = MultiArrayLayout { dim: vec![dimension("row", 4), dimension("column", 2)], data_offset: 0 };
         agrees("Float32MultiArray", Float32MultiArray { layout, data: vec![1.0, 2.0, 3.0, 4.5] });
     }
 }

@@ -13,7 +13,9 @@ use murmurate::messages::wire::{Hardware, Health, MAX_VALIDITY, Reason};
 use murmurate::time::{Span, Time};
 use serde::Deserialize;
 
-use crate::packet::{self, Drive, FromNode, Plan, PoseSample, Read, Reader, Sample, ToNode, Writer, Written};
+use crate::packet::{
+    self, Drive, FromNode, Plan, PoseSample, Publication, Read, Sample, Subscription, ToNode, Written,
+};
 use crate::reading::{self, Axes};
 use crate::settings;
 use crate::supervisor::Supervisor;
@@ -148,13 +150,13 @@ fn plan(config: &Config, robot: RobotId) -> Result<Plan, ConfigError> {
         (true, StampForm::Now) => Written::TwistStamped,
     };
     let full = |field, topic: &str| settings::full_topic(field, &config.namespace, topic);
-    let writers = vec![Writer { topic: full("cmd_vel", &config.cmd_vel)?, kind }];
+    let writers = vec![Publication { topic: full("cmd_vel", &config.cmd_vel)?, kind }];
     let mut readers = Vec::new();
     if !config.odom.is_empty() {
-        readers.push(Reader { topic: full("odom", &config.odom)?, kind: Read::Odometry });
+        readers.push(Subscription { topic: full("odom", &config.odom)?, kind: Read::Odometry });
     }
     if let Some(battery) = &config.battery {
-        readers.push(Reader { topic: full("battery", battery)?, kind: Read::Battery });
+        readers.push(Subscription { topic: full("battery", battery)?, kind: Read::Battery });
     }
     let (domain, interface, memory_mib) = (config.domain, config.interface.clone(), config.memory_mib);
     Ok(Plan { name: robot.to_string(), domain, interface, memory_mib, writers, readers })
@@ -372,7 +374,7 @@ impl Driver for Ros2 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::packet::{Heard, TopicState, TwistSample};
+    use crate::packet::{ReceivedMessage, TopicState, TwistSample};
 
     fn config(text: &str) -> Config {
         let text = format!("namespace = '/r1'\nspeed_m_s = 0.5\n{text}");
@@ -405,7 +407,7 @@ mod tests {
         fn odometry(&mut self, ms: u64, x: f64) {
             let twist = Some(TwistSample { x, ..TwistSample::default() });
             let pose = PoseSample { stamp_ns: ms + 1, yaw: Some(0.0), twist, ..PoseSample::default() };
-            let heard = FromNode::Heard(Heard { topic: 0, sample: Sample::Pose(pose) });
+            let heard = FromNode::Heard(ReceivedMessage { topic: 0, sample: Sample::Pose(pose) });
             self.driver.receive(at_ms(ms), &packet::encode(&heard), &mut self.out);
         }
 
@@ -516,7 +518,7 @@ mod tests {
         let mut bench = Bench::new("");
         let zero = |ms: u64| {
             let pose = PoseSample { stamp_ns: ms + 1, twist: Some(TwistSample::default()), ..PoseSample::default() };
-            packet::encode(&FromNode::Heard(Heard { topic: 0, sample: Sample::Pose(pose) }))
+            packet::encode(&FromNode::Heard(ReceivedMessage { topic: 0, sample: Sample::Pose(pose) }))
         };
         bench.driver.receive(at_ms(20), &zero(20), &mut bench.out);
         let why = "/r1/odom: its orientation is all zero; correct its sender".to_owned();
@@ -586,7 +588,7 @@ mod tests {
         let again = bench.driver.heard;
         let pose =
             PoseSample { stamp_ns: 1, yaw: Some(0.0), twist: Some(TwistSample::default()), ..Default::default() };
-        let heard = FromNode::Heard(Heard { topic: 0, sample: Sample::Pose(pose) });
+        let heard = FromNode::Heard(ReceivedMessage { topic: 0, sample: Sample::Pose(pose) });
         bench.driver.receive(at_ms(200), &packet::encode(&heard), &mut bench.out);
         assert_eq!((readings(&bench), bench.driver.heard), (1, again));
     }
@@ -600,7 +602,7 @@ mod tests {
         assert_eq!(bench.condition(), Some((Health::Faulty, None)));
         bench.topic(20, "/r1/cmd_vel", 1, Some("QoS policy Durability"));
         assert_eq!(bench.condition(), Some((Health::Ready, None)), "an observer is refused, the robot is not");
-        let heard = FromNode::Heard(Heard { topic: 1, sample: Sample::Battery(Some(0.875)) });
+        let heard = FromNode::Heard(ReceivedMessage { topic: 1, sample: Sample::Battery(Some(0.875)) });
         bench.driver.receive(at_ms(30), &packet::encode(&heard), &mut bench.out);
         assert_eq!(bench.condition(), Some((Health::Ready, Some(88))));
         bench.driver.receive(at_ms(40), b"{}", &mut bench.out);

@@ -194,7 +194,7 @@ pub struct Dimension {
 
 /// ROS message `std_msgs/MultiArrayLayout`: the shape of an array whose numbers are stored in one list.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Layout {
+pub struct MultiArrayLayout {
     /// Dimensions of the array, the outermost first.
     pub dim: Vec<Dimension>,
     /// Number of floats in the list before the first number of the array.
@@ -205,7 +205,7 @@ pub struct Layout {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Float32MultiArray {
     /// Shape of the array: its dimensions, and where its numbers begin.
-    pub layout: Layout,
+    pub layout: MultiArrayLayout,
     /// Numbers of the array in one list, the last dimension varying fastest.
     pub data: Vec<f32>,
 }
@@ -221,7 +221,7 @@ impl Float32MultiArray {
             stride: stride(reach),
         };
         let dim = vec![dimension(rows, rows.1 * columns.1), dimension(columns, columns.1)];
-        Float32MultiArray { layout: Layout { dim, data_offset: 0 }, data }
+        Float32MultiArray { layout: MultiArrayLayout { dim, data_offset: 0 }, data }
     }
 }
 

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 use nix::sys::resource::{Resource, setrlimit};
 
 use super::dds::Dds;
-use super::packet::{self, FromNode, Heard, LONGEST, Plan, Role, Sample, ToNode, TopicState, Vitals};
+use super::packet::{self, FromNode, LONGEST, Plan, ReceivedMessage, Role, Sample, ToNode, TopicState, Vitals};
 use super::{REFUSED, SUBCOMMAND};
 
 /// Period of the heartbeats that a DDS process sends to its host.
@@ -316,7 +316,7 @@ impl Node {
             if *role == Role::Active || now >= report_at[topic] {
                 report_at[topic] = now + SPARE_REPORT;
                 let topic = u16::try_from(topic).expect("a plan has at most 256 topics");
-                say.say(&FromNode::Heard(Heard { topic, sample }));
+                say.say(&FromNode::Heard(ReceivedMessage { topic, sample }));
             }
         });
     }

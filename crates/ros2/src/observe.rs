@@ -12,7 +12,7 @@ use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::Reading;
 
 use super::messages::check_topic;
-use super::packet::{self, MAX_FLOATS, Outgoing, Plan, PoseSample, Publish, ToNode, TwistSample, Writer, Written};
+use super::packet::{self, MAX_FLOATS, Outgoing, Plan, PoseSample, Publication, Publish, ToNode, TwistSample, Written};
 use super::settings;
 use super::supervisor::Supervisor;
 
@@ -77,9 +77,9 @@ impl Observation {
         }
         let mut robots = robots.to_vec();
         robots.sort_unstable();
-        let floats = |name: &str| Writer { topic: format!("{prefix}/{name}"), kind: Written::Floats };
+        let floats = |name: &str| Publication { topic: format!("{prefix}/{name}"), kind: Written::Floats };
         let pose = |robot: &RobotId| format!("{prefix}/robot_{}/odom", robot.0);
-        let poses = robots.iter().map(|robot| Writer { topic: pose(robot), kind: Written::Odometry });
+        let poses = robots.iter().map(|robot| Publication { topic: pose(robot), kind: Written::Odometry });
         let writers = [floats("state"), floats("latents")].into_iter().chain(poses).collect();
         let plan = Plan { writers, readers: Vec::new(), ..plan };
         Ok(Observation { robots, plan })

@@ -63,7 +63,7 @@ pub enum FromNode {
     /// Heartbeat of the DDS process, every 50 ms, with its memory use and whether its command topics have subscribers.
     Beat(Vitals),
     /// ROS message that the DDS process has received on a subscribed topic.
-    Heard(Heard),
+    Heard(ReceivedMessage),
     /// State of a topic (number of remote endpoints, newest problem), sent after each change of the state.
     Topic(TopicState),
 }
@@ -91,15 +91,15 @@ pub struct Plan {
     /// Memory that the process may use in addition to its size at its start \[MiB\].
     pub memory_mib: u32,
     /// Topics that the process publishes; packets name a topic by its index in this list.
-    pub writers: Vec<Writer>,
+    pub writers: Vec<Publication>,
     /// Topics that the process subscribes to; packets name a topic by its index in this list.
-    pub readers: Vec<Reader>,
+    pub readers: Vec<Subscription>,
 }
 
 /// Topic that a DDS process publishes, with the type of its messages.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Writer {
+pub struct Publication {
     /// Full ROS name of the topic, such as `/r1/cmd_vel`.
     pub topic: String,
     /// Type of the ROS messages on the topic.
@@ -132,7 +132,7 @@ impl Written {
 /// Topic that a DDS process subscribes to, with the type of its messages.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Reader {
+pub struct Subscription {
     /// Full ROS name of the topic, such as `/r1/odom`.
     pub topic: String,
     /// Type of the ROS messages on the topic.
@@ -202,7 +202,7 @@ pub struct Vitals {
 /// ROS message that a DDS process has received on a topic and passes to its host.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Heard {
+pub struct ReceivedMessage {
     /// Index of the topic in the list `readers` of the [`Plan`] of the DDS process.
     pub topic: u16,
     /// Content of the received ROS message.
@@ -279,8 +279,8 @@ mod tests {
         let problem = Some("a \"policy\"\n".to_owned());
         let from = vec![
             FromNode::Beat(Vitals { resident_mib: 12, matched: true }),
-            FromNode::Heard(Heard { topic: 0, sample }),
-            FromNode::Heard(Heard { topic: 1, sample: Sample::Battery(None) }),
+            FromNode::Heard(ReceivedMessage { topic: 0, sample }),
+            FromNode::Heard(ReceivedMessage { topic: 1, sample: Sample::Battery(None) }),
             FromNode::Topic(TopicState { topic: "/r1/odom".to_owned(), written: false, peers: 2, problem }),
         ];
         let plan = Plan {
@@ -288,8 +288,8 @@ mod tests {
             domain: 3,
             interface: Some("lo".to_owned()),
             memory_mib: 192,
-            writers: vec![Writer { topic: "/r1/cmd_vel".to_owned(), kind: Written::TwistUnstamped }],
-            readers: vec![Reader { topic: "/r1/odom".to_owned(), kind: Read::Odometry }],
+            writers: vec![Publication { topic: "/r1/cmd_vel".to_owned(), kind: Written::TwistUnstamped }],
+            readers: vec![Subscription { topic: "/r1/odom".to_owned(), kind: Read::Odometry }],
         };
         let to = vec![
             ToNode::Open(plan),
@@ -348,7 +348,7 @@ mod tests {
 
     #[test]
     fn numbers_out_of_range_are_refused() {
-        let pose = FromNode::Heard(Heard { topic: 0, sample: Sample::Pose(PoseSample::default()) });
+        let pose = FromNode::Heard(ReceivedMessage { topic: 0, sample: Sample::Pose(PoseSample::default()) });
         let far = String::from_utf8(encode(&pose)).unwrap().replace(r#""x":0.0"#, r#""x":1e999"#);
         assert!(decode_from_node(far.as_bytes()).is_err());
         assert_eq!(decode_from_node(br#"{"heard":{"topic":0,"sample":{"battery":1.5}}}"#), Err(PacketError::Range));

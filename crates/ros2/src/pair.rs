@@ -47,7 +47,7 @@ const LIVED: Span = Span::from_millis(10_000);
 
 /// Input of a pair of DDS processes, the active one and its spare.
 #[derive(Clone, Copy, Debug)]
-pub enum Event<'a> {
+pub enum Input<'a> {
     /// The DDS process with this number has written this line.
     Line(Id, &'a [u8]),
     /// The DDS process with this number has ended.
@@ -147,15 +147,15 @@ impl Pair {
 
     /// Handles an event of the DDS processes, the driver or the source, and appends actions to `out`. The caller must
     /// call [`Pair::tick`] afterwards.
-    pub fn handle(&mut self, now: Time, event: Event, out: &mut Vec<Action>) {
+    pub fn handle(&mut self, now: Time, event: Input, out: &mut Vec<Action>) {
         match event {
-            Event::Line(id, line) => self.heard(now, id, line, out),
-            Event::Ended(id) => {
+            Input::Line(id, line) => self.heard(now, id, line, out),
+            Input::Ended(id) => {
                 if let Some(index) = self.index(id) {
                     self.end(now, index, out);
                 }
             }
-            Event::Packet(line) => {
+            Input::Packet(line) => {
                 if let Ok(ToNode::Drive(drive)) = packet::decode_to_node(line)
                     && let Some(newest) = self.newest.get_mut(usize::from(drive.topic))
                 {
@@ -374,7 +374,7 @@ impl Pair {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::packet::{Heard, Read, Reader, Sample, Writer, Written};
+    use crate::packet::{Publication, Read, ReceivedMessage, Sample, Subscription, Written};
 
     fn at_ms(ms: u64) -> Time {
         Time::ZERO + Span::from_millis(ms)
@@ -386,8 +386,8 @@ mod tests {
             domain: 0,
             interface: None,
             memory_mib: 200,
-            writers: vec![Writer { topic: "/r1/cmd_vel".to_owned(), kind: Written::Twist }],
-            readers: vec![Reader { topic: "/r1/odom".to_owned(), kind: Read::Odometry }],
+            writers: vec![Publication { topic: "/r1/cmd_vel".to_owned(), kind: Written::Twist }],
+            readers: vec![Subscription { topic: "/r1/odom".to_owned(), kind: Read::Odometry }],
         }
     }
 
@@ -409,7 +409,7 @@ mod tests {
             Bench { pair, ms: 0, alive: vec![], halted: vec![], driven: vec![], passed: 0 }
         }
 
-        fn event(&mut self, event: Event) {
+        fn event(&mut self, event: Input) {
             let mut out = Vec::new();
             self.pair.handle(at_ms(self.ms), event, &mut out);
             self.pair.tick(at_ms(self.ms), &mut out);
@@ -440,10 +440,11 @@ mod tests {
                         continue;
                     }
                     let beat = FromNode::Beat(Vitals { resident_mib, matched: true });
-                    self.event(Event::Line(id, &packet::encode(&beat)));
+                    self.event(Input::Line(id, &packet::encode(&beat)));
                     if hears {
-                        let heard = FromNode::Heard(Heard { topic: 0, sample: Sample::Pose(Default::default()) });
-                        self.event(Event::Line(id, &packet::encode(&heard)));
+                        let heard =
+                            FromNode::Heard(ReceivedMessage { topic: 0, sample: Sample::Pose(Default::default()) });
+                        self.event(Input::Line(id, &packet::encode(&heard)));
                     }
                 }
                 let mut out = Vec::new();
@@ -454,7 +455,7 @@ mod tests {
 
         fn command(&mut self, x: f64) {
             let drive = ToNode::Drive(Drive { topic: 0, x, y: 0.0, yaw: 0.0, for_ms: 200 });
-            self.event(Event::Packet(&packet::encode(&drive)));
+            self.event(Input::Packet(&packet::encode(&drive)));
         }
     }
 
@@ -482,7 +483,7 @@ mod tests {
         bench.command(0.3);
         bench.run(250);
         bench.alive.remove(0);
-        bench.event(Event::Ended(0));
+        bench.event(Input::Ended(0));
         assert_eq!(bench.driven[1..], [(1250, 1, 0.0)]);
     }
 
@@ -494,7 +495,7 @@ mod tests {
             bench.run(10);
             if let Some((id, ..)) = bench.alive.pop() {
                 starts.push(bench.ms);
-                bench.event(Event::Ended(id));
+                bench.event(Input::Ended(id));
             }
         }
         let gaps: Vec<u64> = starts.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -548,10 +549,10 @@ mod tests {
         bench.run(1000);
         let spare = 1 - bench.pair.active().unwrap();
         let before = bench.passed;
-        let heard = FromNode::Heard(Heard { topic: 0, sample: Sample::Pose(Default::default()) });
-        bench.event(Event::Line(spare, &packet::encode(&heard)));
-        bench.event(Event::Line(99, &packet::encode(&heard)));
-        bench.event(Event::Line(1 - spare, b"not a packet"));
+        let heard = FromNode::Heard(ReceivedMessage { topic: 0, sample: Sample::Pose(Default::default()) });
+        bench.event(Input::Line(spare, &packet::encode(&heard)));
+        bench.event(Input::Line(99, &packet::encode(&heard)));
+        bench.event(Input::Line(1 - spare, b"not a packet"));
         assert_eq!(bench.passed, before + 1, "what is not understood is refused further on");
     }
 }

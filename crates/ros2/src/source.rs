@@ -15,7 +15,7 @@ use murmurate::messages::wire::Reading;
 use murmurate::time::Time;
 use serde::Deserialize;
 
-use crate::packet::{self, FromNode, Plan, PoseSample, Read, Reader, Sample, TopicState};
+use crate::packet::{self, FromNode, Plan, PoseSample, Read, Sample, Subscription, TopicState};
 use crate::reading::{self, Velocity};
 use crate::settings;
 use crate::supervisor::Supervisor;
@@ -114,7 +114,7 @@ fn plan(config: &Config, robots: &[RobotId]) -> Result<Plan, ConfigError> {
     };
     let reader = |robot: &RobotId| {
         let topic = settings::full_topic("topic", "", &config.topic.replace(NUMBER, &robot.0.to_string()))?;
-        Ok(Reader { topic, kind })
+        Ok(Subscription { topic, kind })
     };
     Ok(Plan {
         name: format!("source ros2 of {} robots", robots.len()),
@@ -284,7 +284,7 @@ impl Source for Poses {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::packet::{Heard, TwistSample};
+    use crate::packet::{ReceivedMessage, TwistSample};
     use murmurate::messages::wire::Reading;
     use murmurate::time::Span;
 
@@ -297,7 +297,7 @@ mod tests {
     }
 
     fn take(source: &mut Poses, ms: u64, topic: u16, pose: PoseSample) -> Vec<Out> {
-        let line = packet::encode(&FromNode::Heard(Heard { topic, sample: Sample::Pose(pose) }));
+        let line = packet::encode(&FromNode::Heard(ReceivedMessage { topic, sample: Sample::Pose(pose) }));
         let mut out = Vec::new();
         source.take(Time::ZERO + Span::from_millis(ms), In::Packet(&line), &mut out);
         out

@@ -18,7 +18,7 @@ use murmurate::edge::{Packet, Port, Worker};
 use murmurate::time::{Span, Time};
 
 use super::packet::{LONGEST, Plan};
-use super::pair::{Action, Event, Id, Pair};
+use super::pair::{Action, Id, Input, Pair};
 use super::{REFUSED, SUBCOMMAND};
 
 /// Largest number of events that wait for the supervisor. A DDS process that sends more is blocked, and drops packets.
@@ -126,10 +126,10 @@ impl Shell<'_> {
             };
             let now = clock();
             match &event {
-                Happened::Line(id, line) => pair.handle(now, Event::Line(*id, line), &mut actions),
-                Happened::Packet(packet) => pair.handle(now, Event::Packet(packet), &mut actions),
+                Happened::Line(id, line) => pair.handle(now, Input::Line(*id, line), &mut actions),
+                Happened::Packet(packet) => pair.handle(now, Input::Packet(packet), &mut actions),
                 Happened::Ended(id) => {
-                    pair.handle(now, Event::Ended(*id), &mut actions);
+                    pair.handle(now, Input::Ended(*id), &mut actions);
                     // The other process first gets the newest command.
                     self.act(&mut actions);
                     self.bury(*id);

@@ -7,7 +7,9 @@ use super::results::{Cell, Results};
 use super::{Study, published, table};
 use murmurate::config::shown::counted;
 use murmurate_figures::page::{self, Part};
-use murmurate_figures::{self, Figure, FigureError, Group, Heard, Line, Makespans, Panel, Point, Positions, Share};
+use murmurate_figures::{
+    self, DelayColumn, Figure, FigureError, Group, Line, Makespans, Panel, Point, Positions, Share,
+};
 
 /// Returns all figures of a study: first those of all policies, then those of each policy.
 pub fn figures(study: &Study, results: &Results) -> Result<Vec<Figure>, FigureError> {
@@ -213,8 +215,8 @@ fn separation(study: &Study, number: usize, name: &str, cells: &[&Cell]) -> Resu
 }
 
 fn delays(number: usize, name: &str, cells: &[&Cell]) -> Result<Figure, FigureError> {
-    let columns: Vec<Heard> =
-        cells.iter().map(|cell| Heard { name: &cell.row.name, listening: &cell.listening }).collect();
+    let columns: Vec<DelayColumn> =
+        cells.iter().map(|cell| DelayColumn { name: &cell.row.name, listening: &cell.listening }).collect();
     Ok(Figure {
         name: format!("delay-{number}"),
         title: format!("Delays of messages: {name}"),

@@ -30,7 +30,7 @@ const MOST_COUNT: u64 = 10_000_000_000;
 /// Record of one trial of a study: results of its episodes and histograms of its steps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Record {
+pub struct TrialRecord {
     /// Origin of the record: study, version, build, seed, policy and conditions that it was computed for.
     pub origin: Origin,
     /// Name of the trial's column.
@@ -93,13 +93,13 @@ impl Traces {
     }
 }
 
-impl Record {
+impl TrialRecord {
     /// Returns the record of the finished trial `job` of a study. `report` has its results and steps.
-    pub fn of(study: &Study, job: Job, report: &TrialReport) -> Record {
+    pub fn of(study: &Study, job: Job, report: &TrialReport) -> TrialRecord {
         let mut traces = Traces::new(study.scenario.arena());
         report.steps.iter().for_each(|step| traces.add_step(step));
         let tested = &study.policies[job.policy];
-        Record {
+        TrialRecord {
             origin: study.origin(job),
             column: study.columns[job.column].name.clone(),
             policy: tested.policy.clone(),

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::columns::{BASELINE, Range};
-use super::record::{Record, Traces};
+use super::record::{Traces, TrialRecord};
 use super::{Job, Study, published};
 use murmurate::report::episode::Episode;
 use murmurate::report::listening::Listening;
@@ -72,12 +72,13 @@ impl Results {
     ///
     /// # Panics
     /// If `records` are not in the order of their trials, which determines the order of float sums.
-    pub fn of(study: &Study, records: &[(Job, Record)]) -> Results {
+    pub fn of(study: &Study, records: &[(Job, TrialRecord)]) -> Results {
         assert!(records.is_sorted_by_key(|(job, _)| *job), "records must be in the order of trials");
         let pairs = (0..study.columns.len()).flat_map(|column| (0..study.policies.len()).map(move |e| (column, e)));
         let cell = |(column, policy): (usize, usize)| {
             let of = |job: &Job| (job.column, job.policy) == (column, policy);
-            let records: Vec<&Record> = records.iter().filter(|(job, _)| of(job)).map(|(_, record)| record).collect();
+            let records: Vec<&TrialRecord> =
+                records.iter().filter(|(job, _)| of(job)).map(|(_, record)| record).collect();
             (!records.is_empty()).then(|| Cell::of(study, (column, policy), &records))
         };
         Results { cells: pairs.filter_map(cell).collect() }
@@ -105,7 +106,7 @@ impl Results {
 }
 
 impl Cell {
-    fn of(study: &Study, (column, policy): (usize, usize), records: &[&Record]) -> Cell {
+    fn of(study: &Study, (column, policy): (usize, usize), records: &[&TrialRecord]) -> Cell {
         let episodes: Vec<Episode> = records.iter().flat_map(|record| &record.episodes).copied().collect();
         let mut listening = Listening::default();
         let mut traces = Traces::new(study.scenario.arena());

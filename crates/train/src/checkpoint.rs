@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::adam::Adam;
-use super::network::{Network, Shape};
+use super::network::{Shape, TrainableGnn};
 use super::rollout::CHUNK;
 use super::snapshot::Snapshot;
 use super::trainer::{Plan, SetupError, Trainer};
@@ -92,7 +92,8 @@ impl Trainer {
         // Before anything is made of the configuration, which could ask for any amount of memory.
         let (config, team) = (&state.plan.config, state.plan.config.robots);
         let weights = [(config.actor(), &state.actor), (config.critic(), &state.critic)];
-        if weights.into_iter().any(|(shape, (parameters, _))| Network::new(shape).parameters() != parameters.len()) {
+        if weights.into_iter().any(|(shape, (parameters, _))| TrainableGnn::new(shape).parameters() != parameters.len())
+        {
             return Err(broken("weights"));
         }
         let robots: usize = state.chunks.iter().map(|chunk| chunk.position.len()).sum();

@@ -12,7 +12,7 @@ use murmurate::world::{Clamp, ContactRule, Physics};
 
 /// Conditions of one training episode of one team: messages, sensor noise and physics.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Episode {
+pub struct EpisodeConditions {
     /// Whether all robots act at the same time, on messages without delay or loss.
     pub lockstep: bool,
     /// Time constant \[s\] of the lag of the robots' drives, for deployed physics. `None` selects the physics of the
@@ -59,23 +59,23 @@ fn draw([low, high]: Range, stream: &mut Stream) -> f32 {
     if high > low { stream.random_range(low..high) } else { low }
 }
 
-impl Episode {
+impl EpisodeConditions {
     /// Returns the conditions of the paper's own training for a team of `robots` robots: all act at the same time, and
     /// messages have neither delay nor loss.
-    pub fn perfect(robots: usize) -> Episode {
-        Episode {
+    pub fn perfect(robots: usize) -> EpisodeConditions {
+        EpisodeConditions {
             lockstep: true,
             hold_s: PERIOD.as_secs() as f32,
             phase_s: vec![0.0; robots],
             edges: vec![(0.0, 0.0); robots * robots],
-            ..Episode::default()
+            ..EpisodeConditions::default()
         }
     }
 
     /// Draws the conditions of one episode of a team of `robots` robots from the distributions `conditions`, with the
     /// random numbers of `stream`.
-    pub fn draw(conditions: &Conditions, robots: usize, stream: &mut Stream) -> Episode {
-        let mut episode = Episode::perfect(robots);
+    pub fn draw(conditions: &Conditions, robots: usize, stream: &mut Stream) -> EpisodeConditions {
+        let mut episode = EpisodeConditions::perfect(robots);
         // Nothing is drawn for a probability of zero. So a configuration that lacks a newer field, whose default is
         // zero, gets the same random numbers as before.
         let happens = |probability: f32, stream: &mut Stream| probability > 0.0 && stream.random::<f32>() < probability;
@@ -172,7 +172,7 @@ mod tests {
         let conditions = Conditions { filtered: 0.25, deployed: 0.5, filtered_from: Some(6), ..config.conditions };
         let mut stream = Seed::of_run(3).stream("conditions");
         let mut filtered = |robots: usize| {
-            let episodes = (0..400).map(|_| Episode::draw(&conditions, robots, &mut stream));
+            let episodes = (0..400).map(|_| EpisodeConditions::draw(&conditions, robots, &mut stream));
             episodes.filter(|episode| episode.filtered && episode.lag_s.is_some()).count()
         };
         assert_eq!([6, 12].map(&mut filtered), [400, 400]);
@@ -185,7 +185,8 @@ mod tests {
         let config = Config::preset("any-size").expect("it is a preset");
         let conditions = Conditions { deployed: 0.5, filtered: 0.0, filtered_published: 0.5, ..config.conditions };
         let mut stream = Seed::of_run(5).stream("conditions");
-        let episodes: Vec<Episode> = (0..400).map(|_| Episode::draw(&conditions, 5, &mut stream)).collect();
+        let episodes: Vec<EpisodeConditions> =
+            (0..400).map(|_| EpisodeConditions::draw(&conditions, 5, &mut stream)).collect();
         let filtered = episodes.iter().filter(|episode| episode.filtered).count();
         assert!((75..=125).contains(&filtered), "a quarter of 400, within three standard deviations: {filtered}");
         assert!(episodes.iter().all(|episode| !episode.filtered || episode.lag_s.is_none()));
@@ -197,7 +198,8 @@ mod tests {
         let filtered_wall_radius_m = Some([0.1, 0.3]);
         let conditions = Conditions { deployed: 1.0, filtered: 0.5, filtered_wall_radius_m, ..config.conditions };
         let mut stream = Seed::of_run(4).stream("conditions");
-        let episodes: Vec<Episode> = (0..400).map(|_| Episode::draw(&conditions, 5, &mut stream)).collect();
+        let episodes: Vec<EpisodeConditions> =
+            (0..400).map(|_| EpisodeConditions::draw(&conditions, 5, &mut stream)).collect();
         let radii = |filtered: bool| episodes.iter().filter(move |e| e.filtered == filtered).map(|e| e.wall_radius_m);
         assert!(radii(false).all(|radius_m| radius_m == conditions.wall_radius_m) && radii(false).count() > 150);
         assert!(radii(true).all(|radius_m| (0.1..0.3).contains(&radius_m)));

@@ -53,7 +53,7 @@ pub struct Config {
     /// Distributions from which each episode's conditions are drawn.
     pub conditions: Conditions,
     /// Stages of the curriculum, in the order of the training.
-    pub curriculum: Vec<Stage>,
+    pub curriculum: Vec<CurriculumStage>,
 }
 
 /// Network of the policy, and the parameters written to the policy's manifest.
@@ -243,7 +243,7 @@ pub struct Conditions {
 /// One stage of the curriculum: settings that hold for a part of the training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Stage {
+pub struct CurriculumStage {
     /// Progress of the training at which the stage ends, 0 to 1; 1 for the last stage.
     pub until: f64,
     /// Ways to split an environment's robots into teams, each a list of team sizes. Environments take the entries in

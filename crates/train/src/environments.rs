@@ -12,7 +12,7 @@ use std::sync::Arc;
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 
-use super::conditions::Episode;
+use super::conditions::EpisodeConditions;
 use super::config::{Conditions, Reward};
 use super::filters;
 use super::message_buffer::MessageBuffer;
@@ -24,13 +24,13 @@ use murmurate::messages::local::Contacts;
 use murmurate::random;
 use murmurate::random::Stream;
 use murmurate::safety::filter::Filter;
-use murmurate::scenario::{Scenario, Stage, TeamAfterStep};
+use murmurate::scenario::{Progress, Scenario, TeamAfterStep};
 use murmurate::world::kinematic::{self, PERIOD};
 use murmurate::world::{Clamp, Physics};
 
 /// One team in the training environments, with the state of its episode.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Team {
+pub struct TrainingTeam {
     /// Index of the team's first robot among all robots.
     pub first: usize,
     /// Number of robots in the team.
@@ -38,7 +38,7 @@ pub struct Team {
     /// Number of steps of 50 ms since the start of the team's episode.
     pub step: u32,
     /// Conditions of the team's current episode: messages, noise and physics.
-    pub episode: Episode,
+    pub episode: EpisodeConditions,
     /// Estimates of the robots' motions in the last steps, and the messages that the robots hold.
     pub messages: MessageBuffer,
     /// Whether any robot of the team has touched a wall or, with deployed physics, another robot in the episode.
@@ -49,7 +49,7 @@ pub struct Team {
     pub(super) layout: (u64, u32),
 }
 
-impl Team {
+impl TrainingTeam {
     /// Returns the indices of the team's robots among all robots.
     pub fn range(&self) -> std::ops::Range<usize> {
         self.first..self.first + self.robots
@@ -61,7 +61,7 @@ impl Team {
 #[derive(Clone, Debug)]
 pub struct Environments {
     /// Teams of all environments, in the order of their robots.
-    pub teams: Vec<Team>,
+    pub teams: Vec<TrainingTeam>,
     /// True position of each robot's centre \[m\], world frame.
     pub position: Vec<Vec2>,
     /// True velocity of each robot's centre \[m/s\], world frame.
@@ -73,7 +73,7 @@ pub struct Environments {
     /// Start and goal of each robot in its current episode \[m\], world frame.
     pub tasks: Vec<Task>,
     /// Stage of each robot's progress, which the scenario's reward uses.
-    pub stage: Vec<Stage>,
+    pub stage: Vec<Progress>,
     /// Whether each robot has arrived at its goal in its current episode.
     pub arrived: Vec<bool>,
     /// Length of each robot's remaining path \[m\].
@@ -104,9 +104,9 @@ impl Environments {
         let mut robots = 0;
         for row in 0..rows {
             for &size in &groups[row % groups.len()] {
-                let (episode, mut messages) = (Episode::perfect(size), MessageBuffer::default());
+                let (episode, mut messages) = (EpisodeConditions::perfect(size), MessageBuffer::default());
                 messages.restart(size, true);
-                teams.push(Team {
+                teams.push(TrainingTeam {
                     first: robots,
                     robots: size,
                     step: 0,
@@ -120,7 +120,7 @@ impl Environments {
             }
         }
         let no_task = Task { start: Vec2::zeros(), goal: Vec2::zeros() };
-        let physics = |team: &Team| {
+        let physics = |team: &TrainingTeam| {
             let scenario = by_size[team.robots].as_ref().expect("there is a scenario for every team size");
             team.episode.physics(scenario.arena())
         };
@@ -132,7 +132,7 @@ impl Environments {
             rolling: None,
             contacts: vec![Contacts::default(); robots],
             tasks: vec![no_task; robots],
-            stage: vec![Stage(0); robots],
+            stage: vec![Progress(0); robots],
             arrived: vec![false; robots],
             to_go_m: vec![0.0; robots],
             reward: vec![0.0; robots],
@@ -172,7 +172,7 @@ impl Environments {
 
     /// Starts an episode of the team with index `team`, with a layout and conditions drawn from `stream`.
     pub fn start(&mut self, team: usize, conditions: &Conditions, stream: &mut Stream) {
-        let episode = Episode::draw(conditions, self.teams[team].robots, stream);
+        let episode = EpisodeConditions::draw(conditions, self.teams[team].robots, stream);
         // Episodes with even and odd numbers start on different sides of the arena.
         let layout = (stream.next_u64(), stream.random_range(0..2));
         self.place(team, layout, episode, stream);
@@ -180,7 +180,7 @@ impl Environments {
 
     /// Starts an episode of a team under the conditions `episode`. `layout` has the seed and the episode number from
     /// which the scenario draws starts and goals; headings and noise are drawn from `stream`.
-    pub fn place(&mut self, team: usize, layout: (u64, u32), episode: Episode, stream: &mut Stream) {
+    pub fn place(&mut self, team: usize, layout: (u64, u32), episode: EpisodeConditions, stream: &mut Stream) {
         let tasks = self.scenario(team).tasks(layout.0, layout.1);
         self.set_episode(team, layout, &tasks, episode);
         for (index, task) in tasks.iter().enumerate() {
@@ -200,7 +200,7 @@ impl Environments {
                 rolling.update(robot, &Motion { position: task.start, velocity });
             }
             self.contacts[robot] = Contacts::default();
-            self.stage[robot] = Stage(0);
+            self.stage[robot] = Progress(0);
             self.arrived[robot] = false;
             self.to_go_m[robot] = self.scenario(team).distance_to_go(task, self.point(robot).position);
         }
@@ -210,7 +210,7 @@ impl Environments {
         self.measure(team, stream);
     }
 
-    pub(super) fn set_episode(&mut self, team: usize, layout: (u64, u32), tasks: &[Task], episode: Episode) {
+    pub(super) fn set_episode(&mut self, team: usize, layout: (u64, u32), tasks: &[Task], episode: EpisodeConditions) {
         self.physics[team] = episode.physics(self.scenario(team).arena());
         let range = self.teams[team].range();
         self.tasks[range.clone()].copy_from_slice(tasks);
@@ -230,7 +230,7 @@ impl Environments {
     /// robot of all teams, limited to `limit_m_s` along each axis. `weights` are those of the reward's terms.
     pub fn step(&mut self, team: usize, actions: &[Vec2], weights: &Reward, limit_m_s: f32, stream: &mut Stream) {
         let range = self.teams[team].range();
-        let Episode { filtered, clamp, lockstep, .. } = self.teams[team].episode;
+        let EpisodeConditions { filtered, clamp, lockstep, .. } = self.teams[team].episode;
         let weights = &weights.in_episode(filtered).about(self.scenario(team).arena());
         let (judged, exact) = (self.is_judged(team), lockstep || clamp == Clamp::Training);
         for (robot, action) in range.clone().zip(&actions[range.clone()]) {
@@ -239,7 +239,7 @@ impl Environments {
             self.command[robot] = if filtered { self.filtered(team, robot, wanted) } else { wanted };
         }
         let scenario = &**self.scenarios[self.teams[team].robots].as_ref().expect("every team has a scenario");
-        let mut world = kinematic::Team {
+        let mut world = kinematic::TeamMotion {
             position: &mut self.position[range.clone()],
             velocity: &mut self.velocity[range.clone()],
             wheels: self.rolling.as_mut().map_or(&mut [], |rolling| &mut rolling.wheels[range.clone()]),
@@ -297,7 +297,7 @@ impl Environments {
     /// Returns the velocity after the robot's safety filter, which knows what the robot itself knows.
     fn filtered(&mut self, team: usize, robot: usize, wanted: Vec2) -> Vec2 {
         let Some(mut filter) = self.filters[robot].take() else { return wanted };
-        let Team { first, step, episode, messages, .. } = &self.teams[team];
+        let TrainingTeam { first, step, episode, messages, .. } = &self.teams[team];
         let filtered = if episode.lockstep {
             let others = self.teams[team].range().filter(|other| *other != robot);
             filter.apply(&self.point(robot), others.map(|other| (self.point(other), 0.0)), wanted)
@@ -315,7 +315,7 @@ impl Environments {
             None => (&self.position, &self.velocity),
             Some(rolling) => (&rolling.position, &rolling.velocity),
         };
-        let Team { first, robots, step, episode, messages, .. } = &mut self.teams[team];
+        let TrainingTeam { first, robots, step, episode, messages, .. } = &mut self.teams[team];
         for robot in 0..*robots {
             let mut motion = Motion { position: position[*first + robot], velocity: velocity[*first + robot] };
             let mut noise = |std: f32, to: &mut Vec2| {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
-use super::conditions::Episode;
+use super::conditions::EpisodeConditions;
 use super::config::Conditions;
 use super::parallel::in_parallel;
 use super::rollout::{CHUNK, Chunk, RolloutSettings};
@@ -13,7 +13,7 @@ use murmurate::policy::Draw;
 use murmurate::random::Seed;
 use murmurate::report::statistics::quantile;
 use murmurate::scenario::Scenario;
-use murmurate::scenario::judge::{Finding, Judge, JudgedRobot, Verdict};
+use murmurate::scenario::judge::{Judge, JudgedRobot, Judgement, Verdict};
 use murmurate::time::Span;
 use murmurate::world::kinematic::PERIOD;
 
@@ -40,16 +40,16 @@ pub struct Evaluation<'a> {
 impl Evaluation<'_> {
     /// Runs one episode of every layout, on up to `threads` threads. Returns the findings in the order of the layouts.
     /// `conditions` returns the conditions of the episode with the given index.
-    pub fn run(&self, conditions: impl Fn(u32) -> Episode + Sync, threads: usize) -> Vec<Finding> {
+    pub fn run(&self, conditions: impl Fn(u32) -> EpisodeConditions + Sync, threads: usize) -> Vec<Judgement> {
         let firsts: Vec<u32> = (0..self.episodes).step_by(CHUNK).collect();
-        let mut findings: Vec<Vec<Finding>> = firsts.iter().map(|_| Vec::new()).collect();
+        let mut findings: Vec<Vec<Judgement>> = firsts.iter().map(|_| Vec::new()).collect();
         in_parallel(threads, firsts.iter().zip(&mut findings), |(&first, findings)| {
             *findings = self.chunk(first..self.episodes.min(first + CHUNK as u32), &conditions);
         });
         findings.concat()
     }
 
-    fn chunk(&self, episodes: std::ops::Range<u32>, conditions: impl Fn(u32) -> Episode) -> Vec<Finding> {
+    fn chunk(&self, episodes: std::ops::Range<u32>, conditions: impl Fn(u32) -> EpisodeConditions) -> Vec<Judgement> {
         let (settings, robots) = (self.settings, self.scenario.robots());
         let mut stream = Seed::of_run(self.seed).stream(&format!("train/evaluate/{}", episodes.start));
         let rows = episodes.len();
@@ -61,7 +61,7 @@ impl Evaluation<'_> {
             let goals = chunk.environments.tasks[range].iter().map(|task| task.goal);
             judges.push(Judge::new(self.scenario.rules(), goals.collect()).with_cost(self.scenario.cost()));
         }
-        let mut findings: Vec<Option<Finding>> = vec![None; rows];
+        let mut findings: Vec<Option<Judgement>> = vec![None; rows];
         let mut after = Span::ZERO;
         while findings.iter().any(Option::is_none) {
             chunk.decide_unrecorded(settings, self.parameters, self.draw, &mut stream);
@@ -103,7 +103,7 @@ pub struct Score {
 impl Score {
     /// Returns the score of `findings`, one per episode. `conditions` is the name of the conditions of these episodes,
     /// and `draw` their method of drawing actions.
-    pub fn of(conditions: &'static str, draw: Draw, findings: &[Finding]) -> Score {
+    pub fn of(conditions: &'static str, draw: Draw, findings: &[Judgement]) -> Score {
         let successes = findings.iter().filter(|finding| finding.verdict == Verdict::Success);
         let makespans: Vec<f64> = successes.map(|finding| finding.after.as_secs()).collect();
         let action = if draw == Draw::Mean { "mean" } else { "sample" };
@@ -134,14 +134,14 @@ pub fn quick_evaluation(trainer: &Trainer, episodes: u32, threads: usize) -> Sco
     let seed = Seed::of_run(QUICK_SEED);
     let disturbed = |episode: u32| {
         let conditions = Conditions { clean: 0.0, ..config.conditions.clone() };
-        Episode::draw(&conditions, robots, &mut seed.stream(&format!("train/disturbed/{episode}")))
+        EpisodeConditions::draw(&conditions, robots, &mut seed.stream(&format!("train/disturbed/{episode}")))
     };
     let other = if config.policy.draw == Draw::Mean { Draw::Sample } else { Draw::Mean };
     let mut scores = Vec::new();
     for draw in [config.policy.draw, other] {
         let (parameters, scenario) = (trainer.parameters(), trainer.scenario());
         let evaluation = Evaluation { settings: &settings, parameters, scenario, seed: QUICK_SEED, episodes, draw };
-        scores.push(Score::of("perfect", draw, &evaluation.run(|_| Episode::perfect(robots), threads)));
+        scores.push(Score::of("perfect", draw, &evaluation.run(|_| EpisodeConditions::perfect(robots), threads)));
         if config.conditions.clean < 1.0 || config.conditions.deployed > 0.0 {
             scores.push(Score::of("disturbed", draw, &evaluation.run(disturbed, threads)));
         }

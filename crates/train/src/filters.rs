@@ -1,6 +1,6 @@
 //! Safety filters of the robots in training environments: those of real robots, with the drives of each episode.
 
-use super::conditions::Episode;
+use super::conditions::EpisodeConditions;
 use murmurate::safety::Safety;
 use murmurate::safety::filter::{Filter, Settings};
 use murmurate::safety::yielding::Yielding;
@@ -10,7 +10,7 @@ use murmurate::world::kinematic::{MAX_SPEED_M_S, PERIOD};
 
 /// Returns the safety filter of a robot in an episode with the conditions `episode`; `None` if robots have no filter in
 /// it. The commanded points of all robots are `ahead_m` \[m\] ahead of their centres.
-pub fn filter(episode: &Episode, arena: &Arena, physics: &Physics, ahead_m: f32) -> Option<Filter> {
+pub fn filter(episode: &EpisodeConditions, arena: &Arena, physics: &Physics, ahead_m: f32) -> Option<Filter> {
     episode.filtered.then(|| {
         Filter::new(Settings {
             safety: Safety::filter().of_hull(arena.hull_m()).simulated(physics).about_point(ahead_m, ahead_m),
@@ -54,7 +54,15 @@ mod tests {
         let mut environments = Environments::new(1, &[vec![5]], &[passage]);
         let (lag_s, clamp) = (Some(0.5), Clamp::Deployed);
         let hold_s = 0.4;
-        let episode = Episode { lockstep, filtered, lag_s, clamp, hold_s, wall_radius_m: 0.16, ..Episode::perfect(5) };
+        let episode = EpisodeConditions {
+            lockstep,
+            filtered,
+            lag_s,
+            clamp,
+            hold_s,
+            wall_radius_m: 0.16,
+            ..EpisodeConditions::perfect(5)
+        };
         environments.place(0, (3, 0), episode.clone(), &mut stream);
         for step in 0..200 {
             let mut messages = std::mem::take(&mut environments.teams[0].messages);

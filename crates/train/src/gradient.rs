@@ -3,10 +3,10 @@
 
 use super::batch::Batch;
 use super::matrix::{Output, Real, View, multiply};
-use super::network::{Layer, Network, Space, add, resize};
+use super::network::{Layer, Space, TrainableGnn, add, resize};
 use murmurate::policy::mlp::Instructions;
 
-impl Network {
+impl TrainableGnn {
     /// Adds the gradient of a loss with respect to the parameters to `gradient`. `space` must hold the forward pass of
     /// the same batch. `d_outputs` are the derivatives of the loss with respect to the network's outputs, \[robots,
     /// outputs\], row-major.

@@ -7,7 +7,7 @@
 
 use rand::RngExt;
 
-use super::conditions::{Connectivity, Episode};
+use super::conditions::{Connectivity, EpisodeConditions};
 use murmurate::hearing::CommRange;
 use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::random::Stream;
@@ -90,7 +90,7 @@ impl MessageBuffer {
     /// \[s\], at the action of robot `receiver` in `step`. Only messages that `receive` has found to arrive are known.
     pub fn known<'a>(
         &'a self,
-        episode: &'a Episode,
+        episode: &'a EpisodeConditions,
         step: u32,
         receiver: usize,
     ) -> impl Iterator<Item = (Motion, f32)> + 'a {
@@ -109,7 +109,7 @@ impl MessageBuffer {
     /// put them out with their actions.
     pub fn receive(
         &mut self,
-        (episode, radius_m): (&Episode, f32),
+        (episode, radius_m): (&EpisodeConditions, f32),
         (step, behind): (u32, u32),
         receiver: usize,
         stream: &mut Stream,
@@ -173,7 +173,7 @@ mod tests {
 
     /// Returns how often, of `steps` decisions, the message in use was sent each number of steps before; the last
     /// entry counts decisions without a message. A robot decides every `repeat` steps.
-    fn ages(episode: &Episode, steps: u32, repeat: u32) -> Vec<u32> {
+    fn ages(episode: &EpisodeConditions, steps: u32, repeat: u32) -> Vec<u32> {
         let mut stream = Seed::of_run(5).stream("ages");
         let mut messages = MessageBuffer::default();
         messages.restart(2, false);
@@ -195,7 +195,7 @@ mod tests {
     #[test]
     fn a_lost_message_stays_lost_however_often_a_robot_decides() {
         let (loss, steps) = (0.5, 40_000);
-        let mut episode = Episode { lockstep: false, hold_s: 0.22, ..Episode::perfect(2) };
+        let mut episode = EpisodeConditions { lockstep: false, hold_s: 0.22, ..EpisodeConditions::perfect(2) };
         episode.edges.fill((0.0, loss));
         for repeat in [1, 2, 4] {
             let counts = ages(&episode, steps, repeat);

@@ -75,7 +75,7 @@ impl Layer {
 /// Layer widths of a message-passing network, with the place of each layer in its parameters. The parameters are one
 /// flat vector, which the caller passes to each function.
 #[derive(Clone, Debug)]
-pub struct Network {
+pub struct TrainableGnn {
     /// Layer widths of the network.
     pub(super) shape: Shape,
     /// Layers of the encoder, in the order of application.
@@ -128,12 +128,12 @@ impl<T> Space<T> {
     }
 }
 
-impl Network {
+impl TrainableGnn {
     /// Makes a network with the layer widths `shape`, and gives each layer its place in the parameter vector.
     ///
     /// # Panics
     /// If the widths of encoder, message and update network do not fit each other; those of a checked configuration do.
-    pub fn new(shape: Shape) -> Network {
+    pub fn new(shape: Shape) -> TrainableGnn {
         let mut at = 0;
         let mut layers = |widths: &[usize]| -> Vec<Layer> {
             let place = |pair: &[usize]| {
@@ -144,7 +144,7 @@ impl Network {
             widths.windows(2).map(place).collect()
         };
         let (encoder, message, update) = (layers(&shape.encoder), layers(&shape.message), layers(&shape.update));
-        let network = Network { encoder, message, update, parameters: at, shape };
+        let network = TrainableGnn { encoder, message, update, parameters: at, shape };
         let (hidden, messages) = (network.hidden(), network.message[network.message.len() - 1].outputs);
         let (message, update) = match network.shape.architecture {
             Architecture::Published => (hidden, messages),

@@ -3,7 +3,7 @@
 
 use murmurate::messages::geometry::{Motion, Task};
 use murmurate::policy::manifest::Field;
-use murmurate::scenario::{Dynamics, Observation, Scenario, Stage};
+use murmurate::scenario::{Dynamics, Observation, Progress, Scenario};
 
 /// Number of inputs of the critic per robot in addition to the policy's observation.
 pub const PRIVILEGED: usize = 8;
@@ -27,7 +27,7 @@ pub fn own(
 #[derive(Clone, Copy, Debug)]
 pub struct Privileged {
     /// Stage of the robot's progress, which the scenario's reward uses.
-    pub stage: Stage,
+    pub stage: Progress,
     /// Whether the robot has arrived at its goal.
     pub arrived: bool,
     /// Fraction of the episode's longest duration that has passed, 0 to 1.

@@ -20,7 +20,7 @@ pub enum EpisodeState {
 /// All decisions of a chunk (rows of robots that one thread steps together) since the last update. Lists with one entry
 /// per action are ordered by decision, then by row, then by robot.
 #[derive(Debug, Default)]
-pub struct Record {
+pub struct Experience {
     /// Observations of the policy, one graph per row and decision.
     pub actor: Graphs,
     /// Observations of the critic: those of the decisions, then each row's state after the last decision, then the last
@@ -70,7 +70,7 @@ impl EpisodeTotals {
     }
 }
 
-impl Record {
+impl Experience {
     /// Removes all decisions and totals, and keeps the allocated memory.
     pub fn clear(&mut self) {
         self.actor.clear();

@@ -3,7 +3,7 @@
 use super::config::Reward;
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::local::Contacts;
-use murmurate::scenario::{Scenario, Stage};
+use murmurate::scenario::{Progress, Scenario};
 use murmurate::world::kinematic::PERIOD;
 
 /// Distance of a robot from its goal within which the goal's own distance from a wall matters \[m\].
@@ -34,8 +34,9 @@ pub struct RobotStep<'a> {
 /// Whether the scenario has a reward of its own: whether its method `reward` returns one.
 pub fn has_reward(scenario: &dyn Scenario) -> bool {
     let tasks = scenario.tasks(0, 0);
-    let reward =
-        |task: &Task| scenario.reward(task, &Motion::at_rest(task.start), Contacts::default(), &mut Stage::default());
+    let reward = |task: &Task| {
+        scenario.reward(task, &Motion::at_rest(task.start), Contacts::default(), &mut Progress::default())
+    };
     tasks.first().and_then(reward).is_some()
 }
 

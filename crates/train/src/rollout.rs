@@ -9,9 +9,9 @@ use super::batch::{Batch, Graphs};
 use super::config::{Config, Reward};
 use super::environments::Environments;
 use super::message_buffer::HISTORY_STEPS;
-use super::network::{Network, Space};
+use super::network::{Space, TrainableGnn};
 use super::observe::{self, Privileged};
-use super::record::{EpisodeState, EpisodeTotals, HALF_LOG_TWO_PI, Record};
+use super::record::{EpisodeState, EpisodeTotals, Experience, HALF_LOG_TWO_PI};
 use murmurate::messages::geometry::Vec2;
 use murmurate::policy::Draw;
 use murmurate::policy::manifest::EdgeField;
@@ -30,9 +30,9 @@ pub struct RolloutSettings<'a> {
     /// Configuration of the training.
     pub config: &'a Config,
     /// Layout of the policy's network; its weights are passed separately.
-    pub actor: &'a Network,
+    pub actor: &'a TrainableGnn,
     /// Layout of the critic's network; its weights are passed separately.
-    pub critic: &'a Network,
+    pub critic: &'a TrainableGnn,
     /// Weights of the terms of a robot's reward in the current stage of the curriculum.
     pub reward: Reward,
     /// Number of simulated steps of 50 ms for which an action is held.
@@ -51,7 +51,7 @@ pub struct Chunk {
     /// Number of robots in a row (environment).
     pub robots: usize,
     /// Decisions of the chunk's rows since the last update.
-    pub record: Record,
+    pub record: Experience,
     batch: Batch<f32>,
     space: Space<f32>,
     /// Actions of the current decision \[m/s\], world frame.
@@ -74,10 +74,10 @@ impl Chunk {
         let environments = Environments::new(rows, groups, scenarios).equipped(&settings.config.chassis());
         let robots = environments.position.len() / rows;
         let (actor, critic) = (settings.actor, settings.critic);
-        let record = Record {
+        let record = Experience {
             actor: Graphs::new(robots, actor.inputs(), actor.shape().edge),
             critic: Graphs::new(robots, critic.inputs(), critic.shape().edge),
-            ..Record::default()
+            ..Experience::default()
         };
         Chunk {
             velocities: vec![Vec2::zeros(); rows * robots],

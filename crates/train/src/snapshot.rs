@@ -2,11 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::environments::{Environments, Team};
+use super::environments::{Environments, TrainingTeam};
 use super::filters;
 use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::safety::yielding::Yielding;
-use murmurate::scenario::Stage;
+use murmurate::scenario::Progress;
 
 /// Largest number of steps of an episode in a snapshot: far beyond the longest, and far from overflows.
 const LATEST: u32 = 1 << 30;
@@ -14,7 +14,7 @@ const LATEST: u32 = 1 << 30;
 /// Saved state of training environments, from which [`Environments::restore`] continues exactly.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Snapshot {
-    teams: Vec<Team>,
+    teams: Vec<TrainingTeam>,
     pub(super) position: Vec<[f32; 2]>,
     velocity: Vec<[f32; 2]>,
     stage: Vec<u8>,
@@ -28,10 +28,10 @@ pub struct Snapshot {
     yielding: Vec<Yielding>,
 }
 
-impl Team {
+impl TrainingTeam {
     /// Returns whether a team that was read has conditions and messages that an episode can have.
     fn is_sound(&self) -> bool {
-        let Team { robots, step, episode, messages, .. } = self;
+        let TrainingTeam { robots, step, episode, messages, .. } = self;
         *step <= LATEST && episode.is_sound(*robots) && messages.is_sound(*robots, *step, episode.lockstep)
     }
 }
@@ -55,7 +55,7 @@ impl Environments {
     /// Returns whether a snapshot is of such environments: of the same teams and robots, with values that episodes of
     /// theirs can have.
     pub fn fits(&self, snapshot: &Snapshot) -> bool {
-        let shape = |teams: &[Team]| teams.iter().map(|team| (team.first, team.robots)).collect::<Vec<_>>();
+        let shape = |teams: &[TrainingTeam]| teams.iter().map(|team| (team.first, team.robots)).collect::<Vec<_>>();
         let robots = self.position.len();
         let lengths = [
             snapshot.position.len(),
@@ -70,7 +70,7 @@ impl Environments {
             && lengths == [robots; 5]
             && snapshot.turned.len() == turned
             && motions.all(|number| number.is_finite())
-            && snapshot.teams.iter().all(Team::is_sound)
+            && snapshot.teams.iter().all(TrainingTeam::is_sound)
     }
 
     /// Restores a snapshot. Returns `false` and changes nothing if the snapshot is not of such environments.
@@ -81,7 +81,7 @@ impl Environments {
         self.teams = snapshot.teams;
         self.position = snapshot.position.into_iter().map(Vec2::from).collect();
         self.velocity = snapshot.velocity.into_iter().map(Vec2::from).collect();
-        self.stage = snapshot.stage.into_iter().map(Stage).collect();
+        self.stage = snapshot.stage.into_iter().map(Progress).collect();
         self.arrived = snapshot.arrived;
         self.to_go_m = snapshot.to_go_m;
         if let Some(rolling) = &mut self.rolling {
@@ -91,7 +91,7 @@ impl Environments {
             }
         }
         for team in 0..self.teams.len() {
-            let Team { layout, episode, .. } = self.teams[team].clone();
+            let TrainingTeam { layout, episode, .. } = self.teams[team].clone();
             let tasks = self.scenario(team).tasks(layout.0, layout.1);
             self.set_episode(team, layout, &tasks, episode);
         }

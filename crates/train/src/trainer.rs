@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::adam::Adam;
 use super::config::Config;
-use super::network::Network;
+use super::network::TrainableGnn;
 use super::parallel::in_parallel;
 use super::record::EpisodeTotals;
 use super::reward::has_reward;
@@ -185,9 +185,9 @@ impl Trainer {
             return Err(SetupError::NoGoals { scenario: plan.scenario });
         }
         let seed = Seed::of_run(plan.seed);
-        let (actor, critic) = (Network::new(plan.config.actor()), Network::new(plan.config.critic()));
+        let (actor, critic) = (TrainableGnn::new(plan.config.actor()), TrainableGnn::new(plan.config.critic()));
         let log_std = plan.config.ppo.log_std;
-        let learner = |network: Network, name: &str, bias: &[f32]| {
+        let learner = |network: TrainableGnn, name: &str, bias: &[f32]| {
             let parameters = initial(&network, seed.child(name), bias);
             Learner { adam: Adam::new(parameters.len()), parameters, network }
         };

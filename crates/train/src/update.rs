@@ -10,9 +10,9 @@ use super::adam::{Adam, clip};
 use super::batch::Batch;
 use super::config::Ppo;
 use super::loss::{self, Sample, Terms};
-use super::network::{Network, Space};
+use super::network::{Space, TrainableGnn};
 use super::parallel::in_parallel;
-use super::record::Record;
+use super::record::Experience;
 use super::rollout::{CHUNK, RolloutSettings};
 use murmurate::random;
 use murmurate::random::{Seed, Stream};
@@ -24,7 +24,7 @@ const SHARDS: usize = 8;
 #[derive(Clone, Debug)]
 pub struct Learner {
     /// Layer widths of the network, and the places of its layers in `parameters`.
-    pub network: Network,
+    pub network: TrainableGnn,
     /// All weights and biases of the network, in one vector.
     pub parameters: Vec<f32>,
     /// State of the network's optimiser.
@@ -84,7 +84,7 @@ pub struct Workspace {
 #[expect(clippy::too_many_arguments, reason = "they are unrelated; a struct of them would serve this call only")]
 pub fn update(
     settings: &RolloutSettings,
-    records: &[&Record],
+    records: &[&Experience],
     actor: &mut Learner,
     critic: &mut Learner,
     (learning_rate, entropy): (f32, f32),
@@ -154,7 +154,7 @@ pub fn update(
 }
 
 /// Returns the mean and standard deviation of the advantages in all records.
-fn advantage_statistics(records: &[&Record]) -> (f32, f32) {
+fn advantage_statistics(records: &[&Experience]) -> (f32, f32) {
     let all = || records.iter().flat_map(|record| &record.advantage).map(|&advantage| f64::from(advantage));
     let count = all().count() as f64;
     let mean = all().sum::<f64>() / count;
@@ -190,7 +190,7 @@ impl Shard {
     /// Computes the gradients of the losses of policy and critic over the shard's decisions.
     fn compute_gradients(
         &mut self,
-        records: &[&Record],
+        records: &[&Experience],
         (actor, critic): (&Learner, &Learner),
         terms: &Terms<f32>,
         (mean, scale): (f32, f32),
@@ -242,7 +242,7 @@ impl Shard {
 /// Returns initial parameters of `network`, drawn from normal distributions whose variance preserves the size of
 /// activations (He et al., arXiv 1502.01852). The weights of the output layer are near zero, so that an untrained
 /// policy stands still; `bias` is the bias of that layer, and all other biases are zero.
-pub fn initial(network: &Network, seed: Seed, bias: &[f32]) -> Vec<f32> {
+pub fn initial(network: &TrainableGnn, seed: Seed, bias: &[f32]) -> Vec<f32> {
     let mut stream = seed.stream("train/initial");
     let mut parameters = vec![0.0; network.parameters()];
     for (index, layers) in network.layers().into_iter().enumerate() {

@@ -21,17 +21,17 @@ struct Arrivals {
 
 /// Reception of all robots' latents at all hosts: time since the newest arrived, and loss.
 #[derive(Clone, Debug)]
-pub(super) struct Heard {
+pub(super) struct Receptions {
     /// Number of messages published by each robot.
     published: Vec<u64>,
     /// For each receiving host: the arrivals by sending robot.
     arrivals: Vec<BTreeMap<RobotId, Arrivals>>,
 }
 
-impl Heard {
+impl Receptions {
     /// Returns statistics without any message, for this number of robots and of hosts.
-    pub fn new(robots: usize, hosts: usize) -> Heard {
-        Heard { published: vec![0; robots], arrivals: vec![BTreeMap::new(); hosts] }
+    pub fn new(robots: usize, hosts: usize) -> Receptions {
+        Receptions { published: vec![0; robots], arrivals: vec![BTreeMap::new(); hosts] }
     }
 
     /// Counts a latent that a robot has published.
@@ -73,7 +73,7 @@ mod tests {
 
     #[test]
     fn age_and_loss_follow_from_what_was_published_and_what_arrived() {
-        let (mut heard, host, robot) = (Heard::new(1, 2), HostId(1), RobotId(0));
+        let (mut heard, host, robot) = (Receptions::new(1, 2), HostId(1), RobotId(0));
         let at = |ms| Time::ZERO + Span::from_millis(ms);
         assert_eq!(heard.link(at(0), host, robot), None);
         for number in 0..200 {

@@ -16,7 +16,7 @@ const OTHERS: [usize; 2] = [16, 4];
 
 /// Part of a connection's life that counts against a limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stage {
+pub enum Admission {
     /// The header has not arrived yet, or a file is being sent.
     Waiting,
     /// WebSocket of a browser that has sent the token.
@@ -29,7 +29,7 @@ pub enum Stage {
 struct Place {
     number: u64,
     address: IpAddr,
-    stage: Stage,
+    stage: Admission,
     /// Handle by which another thread can end the connection; `None` in tests.
     stream: Option<TcpStream>,
 }
@@ -46,7 +46,7 @@ impl Places {
     /// oldest of the same address is ended, or else the oldest of the address that has most.
     pub fn enter(&mut self, address: IpAddr, stream: Option<TcpStream>) -> u64 {
         let address = address.to_canonical();
-        let waiting = |place: &&Place| place.stage == Stage::Waiting;
+        let waiting = |place: &&Place| place.stage == Admission::Waiting;
         let of = |address: IpAddr| self.all.iter().filter(waiting).filter(|place| place.address == address).count();
         let crowd = if of(address) >= MAX_WAITING_OF_ONE {
             Some(address)
@@ -55,27 +55,27 @@ impl Places {
         } else {
             None
         };
-        let leaves = |place: &Place| place.stage == Stage::Waiting && Some(place.address) == crowd;
+        let leaves = |place: &Place| place.stage == Admission::Waiting && Some(place.address) == crowd;
         if let Some(at) = self.all.iter().position(leaves) {
             let place = self.all.remove(at);
             // An error means that the client has ended it already.
             place.stream.iter().for_each(|stream| drop(stream.shutdown(Shutdown::Both)));
         }
         self.count += 1;
-        self.all.push(Place { number: self.count, address, stage: Stage::Waiting, stream });
+        self.all.push(Place { number: self.count, address, stage: Admission::Waiting, stream });
         self.count
     }
 
     /// Makes the connection a WebSocket of this kind. Returns whether there is a place for it.
-    pub fn upgrade(&mut self, number: u64, stage: Stage) -> bool {
+    pub fn upgrade(&mut self, number: u64, stage: Admission) -> bool {
         let Some(at) = self.all.iter().position(|place| place.number == number) else { return false };
         let address = self.all[at].address;
         let like = || self.all.iter().filter(|place| place.stage == stage);
         let [others, own] = OTHERS;
         let free = match stage {
-            Stage::Waiting => true,
-            Stage::Holder => like().count() < HOLDERS,
-            Stage::Other => {
+            Admission::Waiting => true,
+            Admission::Holder => like().count() < HOLDERS,
+            Admission::Other => {
                 let near = address.is_loopback() || like().filter(|place| place.address == address).count() < own;
                 near && like().count() < others
             }
@@ -106,7 +106,7 @@ mod tests {
         IpAddr::from([192, 168, 1, last])
     }
 
-    fn number_of(places: &Places, address: IpAddr, stage: Stage) -> usize {
+    fn number_of(places: &Places, address: IpAddr, stage: Admission) -> usize {
         places.all.iter().filter(|place| (place.address, place.stage) == (address, stage)).count()
     }
 
@@ -117,14 +117,14 @@ mod tests {
         (0..1000).for_each(|_| {
             places.enter(ip(2), None);
         });
-        assert_eq!(number_of(&places, ip(2), Stage::Waiting), MAX_WAITING_OF_ONE);
+        assert_eq!(number_of(&places, ip(2), Admission::Waiting), MAX_WAITING_OF_ONE);
         for last in 3..100 {
             (0..3).for_each(|_| {
                 places.enter(ip(last), None);
             });
         }
         assert!(places.len() <= MAX_WAITING, "{}", places.len());
-        assert!(places.upgrade(mine, Stage::Holder), "one of an address with one stays longest");
+        assert!(places.upgrade(mine, Admission::Holder), "one of an address with one stays longest");
     }
 
     #[test]
@@ -139,12 +139,12 @@ mod tests {
             taken
         };
         let here = IpAddr::from([127, 0, 0, 1]);
-        let far = (0..100).filter(|_| socket(ip(2), Stage::Other)).count();
-        let near = (0..100).filter(|_| socket(here, Stage::Other)).count();
+        let far = (0..100).filter(|_| socket(ip(2), Admission::Other)).count();
+        let near = (0..100).filter(|_| socket(here, Admission::Other)).count();
         assert_eq!((far, near), (OTHERS[1], OTHERS[0] - OTHERS[1]));
-        assert_eq!((0..100).filter(|_| socket(ip(2), Stage::Holder)).count(), HOLDERS);
+        assert_eq!((0..100).filter(|_| socket(ip(2), Admission::Holder)).count(), HOLDERS);
         places.leave(1);
         let number = places.enter(ip(3), None);
-        assert!(places.upgrade(number, Stage::Other), "a place that is left is free");
+        assert!(places.upgrade(number, Admission::Other), "a place that is left is free");
     }
 }

@@ -16,7 +16,7 @@ use tungstenite::Utf8Bytes;
 
 use super::access::Access;
 use super::command::Command;
-use super::places::{MAX_WAITING, Places, Stage};
+use super::places::{Admission, MAX_WAITING, Places};
 use super::request::{self, Response};
 use super::session;
 use super::shared::{LOOK, Shared, Slot};
@@ -210,7 +210,7 @@ fn serve(mut stream: TcpStream, peer: IpAddr, taken: &Taken) {
         Response::Metrics => finish(&mut stream, &request::metrics(&shared.metrics.get())),
         Response::Health => finish(&mut stream, &request::health(shared.silent_for())),
         Response::Upgrade(socket, bytes) => {
-            let stage = if socket.is_holder() { Stage::Holder } else { Stage::Other };
+            let stage = if socket.is_holder() { Admission::Holder } else { Admission::Other };
             if !places(shared).upgrade(taken.1, stage) {
                 shared.refuse();
                 finish(&mut stream, &request::too_many());

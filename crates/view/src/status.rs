@@ -49,12 +49,12 @@ pub struct Scene {
     /// Whether this process knows the results of episodes.
     pub hears_results: bool,
     /// Properties of the record that is played; null for a running team.
-    pub record: Option<Record>,
+    pub record: Option<PlayedRecord>,
 }
 
 /// Properties of a record that the live page needs to play it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Record {
+pub struct PlayedRecord {
     /// Name of the record's file or folder.
     pub name: String,
     /// Duration of the record \[s\].
@@ -171,7 +171,7 @@ pub struct Ending {
 
 /// State of the team that the live page shows beside the snapshots: episode, emergency stop, results, faults and log.
 #[derive(Clone, Debug, Default, Serialize)]
-pub struct Status {
+pub struct PageStatus {
     /// Time since the start of the run \[s\].
     pub time_s: f64,
     /// Simulated seconds per second of real time, over the last second; null if the team is not simulated.
@@ -226,7 +226,7 @@ pub struct Status {
     pub playback: Option<Playback>,
 }
 
-impl Status {
+impl PageStatus {
     /// Encodes the status as a JSON message to the page.
     pub fn to_json(&self) -> String {
         message("status", self)

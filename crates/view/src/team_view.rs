@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use super::heard::Heard;
+use super::heard::Receptions;
 use super::robot_view::{RobotView, SILENT};
 use super::snapshot::{LinkState, MAX_LINKS, RobotState, Snapshot};
-use super::status::{Goals, Log, Scene, Status, Success};
+use super::status::{Goals, Log, PageStatus, Scene, Success};
 use murmurate::cells::Cells;
 use murmurate::messages::geometry::{Pose, Vec2};
 use murmurate::messages::ids::{HostId, RobotId};
@@ -34,7 +34,7 @@ pub struct TeamView {
     /// Host of each robot's agent, by robot id.
     homes: Vec<HostId>,
     robots: Vec<RobotView>,
-    heard: Heard,
+    heard: Receptions,
     goals: Vec<Option<[f32; 2]>>,
     /// Number of changes of the goals so far.
     goals_changed: u64,
@@ -58,7 +58,7 @@ impl TeamView {
             scene,
             homes,
             robots: vec![RobotView::default(); robots],
-            heard: Heard::new(robots, hosts),
+            heard: Receptions::new(robots, hosts),
             goals: vec![None; robots],
             goals_changed: 0,
             leader: None,
@@ -370,10 +370,10 @@ impl TeamView {
 
     /// Returns the status of the team at the time `now`, as far as messages tell it. Fields that the calling process
     /// has to fill, such as its speed, have defaults.
-    pub fn status(&mut self, now: Time) -> Status {
+    pub fn status(&mut self, now: Time) -> PageStatus {
         self.note_silence(now);
         let numbered = || self.robots.iter().enumerate().map(|(at, robot)| (at as u16, robot));
-        Status {
+        PageStatus {
             time_s: now.as_secs(),
             episode: self.leader.map(|(_, episode, _)| episode + 1),
             phase: self.leader.map(|(phase, ..)| phase.into()),
@@ -395,7 +395,7 @@ impl TeamView {
             link: numbered().filter_map(|(at, robot)| Some((at, robot.link_age_ms(now)?))).collect(),
             battery: numbered().filter_map(|(at, robot)| Some((at, robot.battery?))).collect(),
             log: self.log.lines().iter().cloned().collect(),
-            ..Status::default()
+            ..PageStatus::default()
         }
     }
 
@@ -492,7 +492,7 @@ mod tests {
         assert!(view.status(at(60_001)).guard.is_empty(), "a minute later it tells nothing");
     }
 
-    fn lines(status: &Status) -> Vec<&str> {
+    fn lines(status: &PageStatus) -> Vec<&str> {
         status.log.iter().map(|line| &*line.text).collect()
     }
 

@@ -17,7 +17,7 @@ use crate::time::Span;
 
 /// Weights and parameters of a policy of several hops, which all robots of a team share.
 #[derive(Debug)]
-pub struct Network {
+pub struct HopsWeights {
     /// Manifest (metadata) of the policy file.
     pub(super) manifest: Manifest,
     /// Digest of the policy file: the first 64 bits of its BLAKE3 hash, in hexadecimal.
@@ -31,10 +31,10 @@ pub struct Network {
     interface: Interface,
 }
 
-impl Network {
+impl HopsWeights {
     /// Makes the network of a policy file that was read and checked. The file's test data are not compared with the
     /// network; `probe::network` does that.
-    pub fn new(file: PolicyFile) -> Network {
+    pub fn new(file: PolicyFile) -> HopsWeights {
         let PolicyFile { manifest, digest, encoder, hops, decoder, .. } = file;
         let interface = Interface {
             features: manifest.latent(),
@@ -43,7 +43,7 @@ impl Network {
             limit_m_s: manifest.limit_m_s,
             hold: Span::from_secs(manifest.hold_s),
         };
-        Network { manifest, digest, encoder, hops, decoder, interface }
+        HopsWeights { manifest, digest, encoder, hops, decoder, interface }
     }
 
     /// Returns the parameters that the rest of the system needs to run the network, such as message size and period.
@@ -71,7 +71,7 @@ impl Network {
 /// One robot's instance of a policy of several hops, with buffers of its own.
 #[derive(Debug)]
 pub(crate) struct Hops {
-    network: Arc<Network>,
+    network: Arc<HopsWeights>,
     draw: Draw,
     instructions: Instructions,
     observation: Vec<f32>,
@@ -84,13 +84,13 @@ pub(crate) struct Hops {
 
 impl Hops {
     /// Makes one robot's instance of `network`, which draws actions from the output distribution by the method `draw`.
-    pub(crate) fn new(network: Arc<Network>, draw: Draw) -> Hops {
+    pub(crate) fn new(network: Arc<HopsWeights>, draw: Draw) -> Hops {
         Hops::with_instructions(network, draw, Instructions::Detected)
     }
 
     /// Makes one robot's instance of `network` that runs on the given processor instructions; `draw` is the method of
     /// drawing actions. The instruction set changes the speed, and results are the same bit for bit.
-    pub(crate) fn with_instructions(network: Arc<Network>, draw: Draw, instructions: Instructions) -> Hops {
+    pub(crate) fn with_instructions(network: Arc<HopsWeights>, draw: Draw, instructions: Instructions) -> Hops {
         let mut buffers = Buffers::default();
         buffers.reserve(&network.encoder, 1);
         buffers.reserve(&network.decoder, 1);
@@ -163,7 +163,7 @@ impl Policy for Hops {
 
     fn act(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour], stream: &mut Stream) -> Vec2 {
         let outputs = self.outputs(own, features, neighbours);
-        let Network { manifest, interface, .. } = &*self.network;
+        let HopsWeights { manifest, interface, .. } = &*self.network;
         let normal = match self.draw {
             Draw::Mean => Vec2::new(outputs[0], outputs[1]),
             Draw::Sample => {
@@ -209,7 +209,7 @@ mod tests {
     use crate::random::Seed;
 
     /// Network with these raw outputs, whatever its inputs are.
-    fn constant(distribution: &str, deviation: &str, outputs: [f32; OUTPUTS]) -> Arc<Network> {
+    fn constant(distribution: &str, deviation: &str, outputs: [f32; OUTPUTS]) -> Arc<HopsWeights> {
         let manifest = serde_json::json!({
             "format": 2, "scenario": "passage", "observation": ["position"], "encoder": {"widths": [2, 1]},
             "hops": [{"aggregation": "sum"}], "decoder": {"widths": [1, 4]}, "distribution": distribution,
@@ -218,10 +218,10 @@ mod tests {
         });
         let manifest: Manifest = serde_json::from_value(manifest).expect("it is a manifest");
         let tensors = vec![vec![(vec![1.0, 1.0], vec![0.0])], vec![(vec![0.0; 4], outputs.to_vec())]];
-        Arc::new(Network::new(file::read(&file::write(&manifest, &tensors)).expect("it is sound")))
+        Arc::new(HopsWeights::new(file::read(&file::write(&manifest, &tensors)).expect("it is sound")))
     }
 
-    fn action(network: &Arc<Network>, draw: Draw) -> Vec2 {
+    fn action(network: &Arc<HopsWeights>, draw: Draw) -> Vec2 {
         let own = Observation::new(Motion::default(), Vec2::zeros());
         Hops::new(Arc::clone(network), draw).act(&own, &[0.0], &[], &mut Seed::of_run(1).stream("draw"))
     }

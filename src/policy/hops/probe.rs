@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::file::{PolicyFile, TeamProbe};
-use super::network::{Hops, Network};
+use super::network::{Hops, HopsWeights};
 use crate::messages::geometry::{Motion, Vec2};
 use crate::policy::probe::{Difference, largest};
 use crate::policy::weights::{Probe, WeightsError};
@@ -14,7 +14,7 @@ use crate::time::Span;
 impl TeamProbe {
     /// Runs `network` on the inputs of these test data and returns the largest differences of its latents and outputs
     /// from the correct ones.
-    pub(crate) fn compare(&self, network: &Arc<Network>) -> Difference {
+    pub(crate) fn compare(&self, network: &Arc<HopsWeights>) -> Difference {
         let team = &self.team;
         let at = |floats: &[f32], robot: usize| Vec2::new(floats[2 * robot], floats[2 * robot + 1]);
         let robots = team.position.len() / 2;
@@ -57,7 +57,7 @@ impl TeamProbe {
 
     /// Runs `network` on the inputs of these test data and compares its latents and outputs with the correct ones.
     /// Returns the largest differences, or an error if one exceeds `Probe::TOLERANCE` or is NaN.
-    pub fn check(&self, network: &Arc<Network>) -> Result<Difference, WeightsError> {
+    pub fn check(&self, network: &Arc<HopsWeights>) -> Result<Difference, WeightsError> {
         let difference = self.compare(network);
         for (what, difference) in [("latents", difference.latent), ("outputs", difference.output)] {
             if difference.is_nan() || difference > Probe::TOLERANCE {
@@ -73,9 +73,9 @@ impl TeamProbe {
 ///
 /// # Errors
 /// If the network's outputs differ from the correct ones of the test data by more than `Probe::TOLERANCE`.
-pub fn network(mut file: PolicyFile) -> Result<(Arc<Network>, Option<Difference>), WeightsError> {
+pub fn network(mut file: PolicyFile) -> Result<(Arc<HopsWeights>, Option<Difference>), WeightsError> {
     let probe = file.probe.take();
-    let network = Arc::new(Network::new(file));
+    let network = Arc::new(HopsWeights::new(file));
     let difference = probe.map(|probe| probe.check(&network)).transpose()?;
     Ok((network, difference))
 }

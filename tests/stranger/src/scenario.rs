@@ -6,7 +6,7 @@ use std::sync::Arc;
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::local::Contacts;
 use murmurate::random::{Rng, Seed};
-use murmurate::scenario::{Arena, Entry, Frame, Rules, Scenario, ScenarioError, Settings, Stage, TeamSizes};
+use murmurate::scenario::{Arena, Entry, PolicyFrame, Progress, Rules, Scenario, ScenarioError, Settings, TeamSizes};
 use murmurate::time::Span;
 
 /// Entry in a registry.
@@ -58,14 +58,14 @@ impl Scenario for Round {
         (0..self.robots).map(|robot| Task { start: place(episode, robot), goal: place(episode + 1, robot) }).collect()
     }
 
-    fn frame(&self, _: &Task) -> Frame {
-        Frame::World
+    fn frame(&self, _: &Task) -> PolicyFrame {
+        PolicyFrame::World
     }
 
     /// Returns the speed toward the goal, minus one for a contact.
-    fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> Option<f32> {
+    fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Progress) -> Option<f32> {
         if self.reached(task, after.position) {
-            *stage = Stage(1);
+            *stage = Progress(1);
         }
         let way = (task.goal - after.position).try_normalize(1e-6).unwrap_or_default();
         Some(way.dot(&after.velocity) - if contacts.robot || contacts.wall { 1.0 } else { 0.0 })

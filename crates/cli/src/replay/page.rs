@@ -26,7 +26,7 @@ use murmurate_robot::{BadInput, Ended, bad, key, signals};
 use murmurate_view::command::Command;
 use murmurate_view::server::Publisher;
 use murmurate_view::snapshot;
-use murmurate_view::status::{Playback, Record, Scene, Status};
+use murmurate_view::status::{PageStatus, Playback, PlayedRecord, Scene};
 use murmurate_view::team_view::TeamView;
 use murmurate_view::timeline::{Sight, Timeline};
 
@@ -52,7 +52,7 @@ pub fn watch(args: &Args, registry: &Registry) -> Result<Ended> {
     let homes = shown.stage.homes.clone();
     let blank = TeamView::new(scene.clone(), homes, shown.stage.hosts.len());
     let timeline = Timeline::new(blank, shown.sights);
-    let record = Record {
+    let record = PlayedRecord {
         name,
         duration_s: timeline.end().as_secs(),
         marks: timeline.marks().to_vec(),
@@ -187,7 +187,7 @@ impl Player {
             }
             before = present;
             let (playing, rate) = (self.playing, self.rate);
-            let fill = |status: &mut Status| status.playback = Some(Playback { playing, rate });
+            let fill = |status: &mut PageStatus| status.playback = Some(Playback { playing, rate });
             self.feed.tell(&self.publisher, self.now, if playing { "playing" } else { "paused" }, fill);
         }
     }

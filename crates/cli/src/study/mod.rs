@@ -20,7 +20,7 @@ use murmurate::config::shown::counted;
 use murmurate::registry::Registry;
 use murmurate::trial::Trial;
 use murmurate_record::identity::StudyJob;
-use murmurate_study::record::Record;
+use murmurate_study::record::TrialRecord;
 use murmurate_study::results::{Results, Row};
 use murmurate_study::{Job, Study, table};
 use serde::Serialize;
@@ -121,7 +121,7 @@ struct Part<'a> {
 fn part_is_done(
     study: &Study,
     shard: Shard,
-    records: &[(Job, Record)],
+    records: &[(Job, TrialRecord)],
     (folder, run): (&Folder, &run::Run),
 ) -> Result<Ended> {
     let mine: BTreeSet<Job> =
@@ -174,9 +174,9 @@ fn run_all(
     folder: Option<&Folder>,
     stop: &AtomicBool,
     shared: &flags::Shared,
-) -> Result<Vec<(Job, Record)>> {
+) -> Result<Vec<(Job, TrialRecord)>> {
     let (all, threads, quiet) = (study.jobs(), shared.run.jobs, shared.run.quiet);
-    let found: Vec<Option<Record>> =
+    let found: Vec<Option<TrialRecord>> =
         all.iter().map(|job| folder.and_then(|folder| trials::read(folder, study, *job))).collect();
     let there = found.iter().flatten().count();
     let mine = |at: usize| shared.shard.is_none_or(|shard| shard.has(at));
@@ -188,7 +188,7 @@ fn run_all(
         let are = if all.len() == 1 { "is" } else { "are" };
         talk(&format!("{there} of {} {are} finished already", counted(all.len(), "trial")));
     }
-    let work = |at: usize| -> Result<Option<Record>> {
+    let work = |at: usize| -> Result<Option<TrialRecord>> {
         let job = all[at];
         let (trial, recorded) = (study.trial(job), trials::recorded(study, job));
         let report = match &recording {
@@ -199,7 +199,7 @@ fn run_all(
             recording.iter().for_each(|recording| recording.discard(&recorded));
             return Ok(None);
         }
-        let record = Record::of(study, job, &report);
+        let record = TrialRecord::of(study, job, &report);
         if let Some(folder) = folder {
             trials::write(folder, study, job, &record)?;
             tracing::info!("kept repeat {} of '{}', {}", job.repeat, record.column, study.policies[job.policy].name());

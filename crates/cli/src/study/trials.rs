@@ -5,7 +5,7 @@ use crate::recording::Recorded;
 use anyhow::Result;
 use murmurate::scenario::judge::Verdict;
 use murmurate_record::identity::StudyJob;
-use murmurate_study::record::Record;
+use murmurate_study::record::TrialRecord;
 use murmurate_study::results::{Results, Row};
 use murmurate_study::{Job, Study, pages, table};
 use serde::Serialize;
@@ -59,17 +59,17 @@ fn name(study: &Study, job: Job) -> String {
 
 /// Reads the results of the trial `job` from the study's folder; `None` if they are missing, damaged or found under
 /// other conditions.
-pub fn read(folder: &Folder, study: &Study, job: Job) -> Option<Record> {
-    folder.kept(&name(study, job)).filter(|record: &Record| record.belongs_to(study, job))
+pub fn read(folder: &Folder, study: &Study, job: Job) -> Option<TrialRecord> {
+    folder.kept(&name(study, job)).filter(|record: &TrialRecord| record.belongs_to(study, job))
 }
 
 /// Writes the results of the finished trial `job` into the study's folder.
-pub fn write(folder: &Folder, study: &Study, job: Job, record: &Record) -> Result<()> {
+pub fn write(folder: &Folder, study: &Study, job: Job, record: &TrialRecord) -> Result<()> {
     folder.keep(&name(study, job), record)
 }
 
 /// Writes the report of a study into its folder: rows of all episodes, results of the columns, table, figures and page.
-pub fn write_report(folder: &Folder, study: &Study, results: &Results, records: &[(Job, Record)]) -> Result<()> {
+pub fn write_report(folder: &Folder, study: &Study, results: &Results, records: &[(Job, TrialRecord)]) -> Result<()> {
     folder.write_csv("episodes.csv", records.iter().flat_map(|(_, record)| lines(record)))?;
     folder.write_json("columns.json", &results.rows().collect::<Vec<&Row>>())?;
     folder.write("table.txt", (table::text(study, results) + "\n").as_bytes())?;
@@ -77,7 +77,7 @@ pub fn write_report(folder: &Folder, study: &Study, results: &Results, records: 
     folder.write_page(&figures, &pages::page(study, results, &figures))
 }
 
-fn lines(record: &Record) -> impl Iterator<Item = Line<'_>> {
+fn lines(record: &TrialRecord) -> impl Iterator<Item = Line<'_>> {
     record.episodes.iter().map(|episode| Line {
         column: &record.column,
         policy: &record.policy,

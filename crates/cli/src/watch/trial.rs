@@ -29,7 +29,7 @@ use murmurate_view::command::Command;
 use murmurate_view::metrics::Metrics;
 use murmurate_view::orders::Orders;
 use murmurate_view::server::Publisher;
-use murmurate_view::status::{Ending, LinkImpairment, Scene, Status};
+use murmurate_view::status::{Ending, LinkImpairment, PageStatus, Scene};
 use murmurate_view::team_view::TeamView;
 
 /// Flags of `sim` for its live page: those of the page, and the speed of the simulation.
@@ -276,7 +276,7 @@ impl Desk<'_> {
             Pause::Asked => "asked",
             Pause::Yes => "yes",
         };
-        let fill = |status: &mut Status| {
+        let fill = |status: &mut PageStatus| {
             status.speed = Some(pace.reached);
             status.ordering = orders.borrow().is_running();
             status.pause = pause;

@@ -29,7 +29,7 @@ use murmurate::time::{Span, Time};
 use geodesy::Geodetic;
 use places::Places;
 use receivers::Receivers;
-use report::{Att, Fix, Gst, Kind, Malformed, Report, Tpv};
+use report::{Att, Fix, GpsdReport, Gst, Kind, Malformed, Tpv};
 use settings::{Config, Heading};
 
 /// Description of the source `gpsd` in one line, for lists of all sources.
@@ -115,33 +115,35 @@ impl Gpsd {
     fn line(&mut self, now: Time, line: &[u8], out: &mut Vec<Out>) -> Result<(), Malformed> {
         let begun = *self.begun.get_or_insert(now);
         match report::decode(line)? {
-            Report::Tpv(tpv) => {
+            GpsdReport::Tpv(tpv) => {
                 self.positioned = Some(now);
                 if self.receivers.take(now, tpv.device.as_deref(), tpv.mode >= 2)? {
                     out.extend(self.fix(now, &tpv)?);
                 }
             }
-            Report::Gst(statistics) if self.receivers.is_own(statistics.device.as_deref()) => {
+            GpsdReport::Gst(statistics) if self.receivers.is_own(statistics.device.as_deref()) => {
                 let sound = |error_m: Option<f64>| error_m.is_none_or(|m| (0.0..=f64::from(MAX_SIZE)).contains(&m));
                 if !(sound(statistics.north_m) && sound(statistics.east_m)) {
                     return Err(Malformed("the receiver's GST has a standard deviation that is none"));
                 }
                 self.statistics = Some(statistics);
             }
-            Report::Att(Att { device, heading_deg: Some(heading_deg) }) if self.receivers.is_own(device.as_deref()) => {
+            GpsdReport::Att(Att { device, heading_deg: Some(heading_deg) })
+                if self.receivers.is_own(device.as_deref()) =>
+            {
                 if heading_deg.abs() > 720.0 {
                     return Err(Malformed("the receiver's ATT has a heading that is none"));
                 }
                 self.attitude = Some((now, heading_deg));
             }
-            Report::Sky if now.since(self.positioned.unwrap_or(begun)) >= SKY_ALONE => {
+            GpsdReport::Sky if now.since(self.positioned.unwrap_or(begun)) >= SKY_ALONE => {
                 return Err(Malformed("gpsd sends the satellites of its receiver (SKY) and no position (TPV)"));
             }
-            Report::Devices(0) => {
+            GpsdReport::Devices(0) => {
                 return Err(Malformed("gpsd has no receiver: name its device to gpsd, or plug it in"));
             }
-            Report::Error => return Err(Malformed("gpsd reports an error; is it of version 3.20 or later?")),
-            Report::Gst(_) | Report::Att(_) | Report::Sky | Report::Devices(_) | Report::Other => {}
+            GpsdReport::Error => return Err(Malformed("gpsd reports an error; is it of version 3.20 or later?")),
+            GpsdReport::Gst(_) | GpsdReport::Att(_) | GpsdReport::Sky | GpsdReport::Devices(_) | GpsdReport::Other => {}
         }
         Ok(())
     }

@@ -9,7 +9,7 @@ pub struct Malformed(pub &'static str);
 
 /// Report of gpsd, the daemon that reads satellite receivers. Only the classes and fields in use are decoded.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Report {
+pub enum GpsdReport {
     /// Report TPV: time, position and velocity of a receiver.
     Tpv(Tpv),
     /// Report GST (statistics of pseudorange errors): expected error of a receiver's position.
@@ -164,7 +164,7 @@ impl Fix {
 
 /// Decodes one line of JSON from gpsd. Of a report of an unused class, only the class is examined. An error says why
 /// the line is malformed.
-pub fn decode(line: &[u8]) -> Result<Report, Malformed> {
+pub fn decode(line: &[u8]) -> Result<GpsdReport, Malformed> {
     #[derive(Deserialize)]
     struct Class {
         class: String,
@@ -173,16 +173,16 @@ pub fn decode(line: &[u8]) -> Result<Report, Malformed> {
     let Class { class } = serde_json::from_slice(line).map_err(|_| NO_REPORT)?;
     match class.as_str() {
         "TPV" | "GST" | "ATT" | "DEVICES" => {}
-        "SKY" => return Ok(Report::Sky),
-        "ERROR" => return Ok(Report::Error),
-        _ => return Ok(Report::Other),
+        "SKY" => return Ok(GpsdReport::Sky),
+        "ERROR" => return Ok(GpsdReport::Error),
+        _ => return Ok(GpsdReport::Other),
     }
     let line: Line = serde_json::from_slice(line).map_err(|_| NO_REPORT)?;
     if line.class == "DEVICES" {
-        return Ok(Report::Devices(line.devices.map_or(0, |devices| devices.len())));
+        return Ok(GpsdReport::Devices(line.devices.map_or(0, |devices| devices.len())));
     }
     if line.class == "ATT" {
-        return Ok(Report::Att(Att { device: line.device, heading_deg: line.heading }));
+        return Ok(GpsdReport::Att(Att { device: line.device, heading_deg: line.heading }));
     }
     let time_ns = match line.time.as_deref().map(nanoseconds) {
         Some(None) => return Err(Malformed("the time of a gpsd report is not in ISO 8601")),
@@ -190,9 +190,9 @@ pub fn decode(line: &[u8]) -> Result<Report, Malformed> {
         None => None,
     };
     Ok(if line.class == "GST" {
-        Report::Gst(Gst { device: line.device, time_ns, north_m: line.lat, east_m: line.lon })
+        GpsdReport::Gst(Gst { device: line.device, time_ns, north_m: line.lat, east_m: line.lon })
     } else {
-        Report::Tpv(Tpv {
+        GpsdReport::Tpv(Tpv {
             device: line.device,
             mode: line.mode.unwrap_or(0),
             status: line.status,
@@ -305,7 +305,7 @@ mod tests {
     fn a_report_is_read_and_its_quality_judged_by_mode_and_status() {
         let line = br#"{"class":"TPV","device":"/dev/pts/1","mode":3,"status":4,"time":"1970-01-01T00:00:01.000Z",
             "lat":52.2053,"lon":0.1218,"altHAE":58.0,"track":45.5,"speed":0.5,"eph":11.4,"unknown":[1,2]}"#;
-        let Report::Tpv(tpv) = decode(line).unwrap() else { panic!("a TPV") };
+        let GpsdReport::Tpv(tpv) = decode(line).unwrap() else { panic!("a TPV") };
         assert_eq!((tpv.time_ns, tpv.height_m, tpv.track_deg), (Some(1_000_000_000), Some(58.0), Some(45.5)));
         assert_eq!((Kind::of(&tpv), tpv.error_95_m), (Kind::Satellites(Fix::RtkFloat), Some(11.4)));
         for (mode, status, kind) in [
@@ -327,15 +327,15 @@ mod tests {
     #[test]
     fn what_is_no_report_is_refused_at_any_length() {
         let line = br#"{"class":"GST","device":"a","time":"2026-11-22T12:00:00.000Z","lat":0.01,"lon":0.02}"#;
-        assert!(matches!(decode(line), Ok(Report::Gst(Gst { north_m: Some(_), east_m: Some(_), .. }))));
+        assert!(matches!(decode(line), Ok(GpsdReport::Gst(Gst { north_m: Some(_), east_m: Some(_), .. }))));
         (0..line.len()).for_each(|length| assert!(decode(&line[..length]).is_err()));
-        assert_eq!(decode(br#"{"class":"SKY","lat":"not looked at"}"#), Ok(Report::Sky));
-        assert_eq!(decode(br#"{"class":"VERSION","lat":"not looked at"}"#), Ok(Report::Other));
-        assert_eq!(decode(br#"{"class":"DEVICES","devices":[{"path":"/dev/ttyACM0"}]}"#), Ok(Report::Devices(1)));
+        assert_eq!(decode(br#"{"class":"SKY","lat":"not looked at"}"#), Ok(GpsdReport::Sky));
+        assert_eq!(decode(br#"{"class":"VERSION","lat":"not looked at"}"#), Ok(GpsdReport::Other));
+        assert_eq!(decode(br#"{"class":"DEVICES","devices":[{"path":"/dev/ttyACM0"}]}"#), Ok(GpsdReport::Devices(1)));
         let att = br#"{"class":"ATT","device":"a","time":"2026-11-22T12:00:00.000Z","heading":181.5,"mag_st":"N"}"#;
         let known = Att { device: Some("a".to_owned()), heading_deg: Some(181.5) };
-        assert_eq!(decode(att), Ok(Report::Att(known)));
-        assert_eq!(decode(br#"{"class":"ERROR","message":"Unrecognized request"}"#), Ok(Report::Error));
+        assert_eq!(decode(att), Ok(GpsdReport::Att(known)));
+        assert_eq!(decode(br#"{"class":"ERROR","message":"Unrecognized request"}"#), Ok(GpsdReport::Error));
         for line in [&b"{}"[..], b"null", br#"{"class":7}"#, br#"{"class":"TPV","time":"now"}"#, &[b'['; 5000]] {
             assert!(decode(line).is_err());
         }

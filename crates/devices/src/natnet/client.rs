@@ -5,7 +5,7 @@
 
 use murmurate::time::{Span, Time};
 
-use super::frame::{self, Layout};
+use super::frame::{self, FrameLayout};
 use super::model;
 use super::packet::{self, ServerInfo, Version};
 
@@ -25,7 +25,7 @@ const BITSTREAM: Version = Version { major: 4, minor: 1 };
 
 /// Change of the connection to the server, to be shown to an operator.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Event {
+pub enum Change {
     /// The server has sent its first description, or a changed one.
     Server(ServerInfo),
     /// Frames of motion capture data have begun to arrive, for the first time or after a silence.
@@ -41,7 +41,7 @@ pub enum Event {
 pub struct Client {
     unicast: bool,
     server: Option<ServerInfo>,
-    layout: Layout,
+    layout: FrameLayout,
     /// Time of the last frame; before the first, the time of the start.
     heard: Time,
     /// Time of the first frame since the start or the last silence; `None` if no frames arrive.
@@ -68,7 +68,7 @@ impl Client {
         Client {
             unicast,
             server: None,
-            layout: Layout::Sized,
+            layout: FrameLayout::Sized,
             heard: now,
             streaming: None,
             unanswered: false,
@@ -84,7 +84,7 @@ impl Client {
 
     /// Processes a datagram of the server. Returns the change of the connection that it causes. A malformed frame
     /// counts as a frame that has arrived; other malformed datagrams are ignored.
-    pub fn take(&mut self, now: Time, datagram: &[u8]) -> Option<Event> {
+    pub fn take(&mut self, now: Time, datagram: &[u8]) -> Option<Change> {
         let split = packet::split(datagram);
         // A frame that cannot be decoded has arrived all the same: opening the sockets again would not help.
         if datagram.starts_with(&packet::FRAME.to_le_bytes()) {
@@ -93,7 +93,7 @@ impl Client {
                 self.named &= !frame.models_changed;
             }
             (self.heard, self.silent) = (now, false);
-            return self.streaming.replace(self.streaming.unwrap_or(now)).is_none().then_some(Event::Frames);
+            return self.streaming.replace(self.streaming.unwrap_or(now)).is_none().then_some(Change::Frames);
         }
         let (message, payload) = split.ok()?;
         match message {
@@ -111,32 +111,32 @@ impl Client {
                 if self.server.as_ref() == Some(&server) {
                     return None;
                 }
-                self.layout = Layout::of(server.natnet);
+                self.layout = FrameLayout::of(server.natnet);
                 self.named = false;
                 self.server = Some(server.clone());
-                Some(Event::Server(server))
+                Some(Change::Server(server))
             }
             _ => None,
         }
     }
 
-    /// Returns whether the server is silent: [`Event::Silent`] was returned, and no frame has arrived since.
+    /// Returns whether the server is silent: [`Change::Silent`] was returned, and no frame has arrived since.
     pub fn is_silent(&self) -> bool {
         self.silent
     }
 
-    /// Returns [`Event::Silent`] once when no frame has arrived for one second, and [`Event::Unanswered`] once when the
-    /// server does not answer requests for model definitions; otherwise `None`.
-    pub fn listen(&mut self, now: Time) -> Option<Event> {
+    /// Returns [`Change::Silent`] once when no frame has arrived for one second, and [`Change::Unanswered`] once when
+    /// the server does not answer requests for model definitions; otherwise `None`.
+    pub fn listen(&mut self, now: Time) -> Option<Change> {
         if !self.silent && now.since(self.heard) >= SILENCE {
             // The server may have been restarted with other bodies.
             (self.streaming, self.silent, self.named) = (None, true, false);
-            return Some(Event::Silent);
+            return Some(Change::Silent);
         }
         let waits = self.streaming.is_some_and(|since| now.since(since) >= UNANSWERED) && self.newest[1].is_none();
         let first = waits && !self.unanswered;
         self.unanswered |= waits;
-        first.then_some(Event::Unanswered)
+        first.then_some(Change::Unanswered)
     }
 
     /// Returns the newest description of the server and the newest model definitions, as datagrams to pass to the
@@ -200,7 +200,7 @@ mod tests {
         assert!(asked(&mut client, 500).is_empty());
         assert_eq!(asked(&mut client, 1000), [packet::CONNECT]);
         let info = message(packet::SERVER_INFO, &[0; 264]);
-        assert!(matches!(client.take(at_ms(1100), &info), Some(Event::Server(_))));
+        assert!(matches!(client.take(at_ms(1100), &info), Some(Change::Server(_))));
         assert_eq!(client.take(at_ms(1100), &info), None, "known");
         assert_eq!(asked(&mut client, 1100), [packet::REQUEST_MODEL]);
         let model = message(packet::MODEL, &[0; 4]);
@@ -208,7 +208,7 @@ mod tests {
         assert_eq!(client.reminders(at_ms(1300)), [info.clone().into(), model.into()]);
         assert!(client.reminders(at_ms(1400)).is_empty());
         assert!(asked(&mut client, 3000).is_empty());
-        assert_eq!(client.take(at_ms(3000), &frame(false)), Some(Event::Frames));
+        assert_eq!(client.take(at_ms(3000), &frame(false)), Some(Change::Frames));
         assert!(asked(&mut client, 3000).is_empty());
         assert_eq!(client.take(at_ms(3010), &frame(true)), None);
         assert_eq!(asked(&mut client, 3010), [packet::REQUEST_MODEL]);
@@ -222,10 +222,10 @@ mod tests {
         damaged.truncate(40);
         for ms in (0..10_000).step_by(10) {
             let event = client.take(at_ms(ms), &damaged);
-            assert_eq!(event, (ms == 0).then_some(Event::Frames), "{ms}");
-            assert!(client.listen(at_ms(ms)) != Some(Event::Silent) && !client.is_silent());
+            assert_eq!(event, (ms == 0).then_some(Change::Frames), "{ms}");
+            assert!(client.listen(at_ms(ms)) != Some(Change::Silent) && !client.is_silent());
         }
-        assert_eq!(client.listen(at_ms(11_000)), Some(Event::Silent));
+        assert_eq!(client.listen(at_ms(11_000)), Some(Change::Silent));
     }
 
     #[test]
@@ -246,13 +246,13 @@ mod tests {
         let mut client = Client::new(at_ms(0), true);
         client.take(at_ms(10), &message(packet::SERVER_INFO, &[0; 264]));
         client.take(at_ms(10), &message(packet::MODEL, &[0; 4]));
-        assert_eq!(client.take(at_ms(20), &frame(false)), Some(Event::Frames));
+        assert_eq!(client.take(at_ms(20), &frame(false)), Some(Change::Frames));
         assert_eq!(asked(&mut client, 20), [packet::KEEP_ALIVE]);
         assert_eq!((asked(&mut client, 100), asked(&mut client, 270)), (vec![], vec![packet::KEEP_ALIVE]));
         assert_eq!(client.listen(at_ms(1000)), None);
-        assert_eq!((client.listen(at_ms(1020)), client.listen(at_ms(1100))), (Some(Event::Silent), None));
+        assert_eq!((client.listen(at_ms(1020)), client.listen(at_ms(1100))), (Some(Change::Silent), None));
         assert_eq!(asked(&mut client, 1100), [packet::CONNECT, packet::REQUEST_MODEL, packet::KEEP_ALIVE]);
-        assert_eq!(client.take(at_ms(2000), &frame(false)), Some(Event::Frames));
+        assert_eq!(client.take(at_ms(2000), &frame(false)), Some(Change::Frames));
     }
 
     #[test]
@@ -260,7 +260,7 @@ mod tests {
         let mut client = Client::new(at_ms(0), false);
         for ms in (0..10_000).step_by(10) {
             client.take(at_ms(ms), &frame(false));
-            assert_eq!(client.listen(at_ms(ms)), (ms == 3000).then_some(Event::Unanswered), "{ms}");
+            assert_eq!(client.listen(at_ms(ms)), (ms == 3000).then_some(Change::Unanswered), "{ms}");
         }
         assert_eq!(asked(&mut client, 10_000), [packet::CONNECT, packet::REQUEST_MODEL]);
     }

@@ -7,11 +7,11 @@
 
 use murmurate::messages::geometry::{MAX_SIZE, NoRotation, unit_quaternion};
 
-use super::packet::{Malformed, Reader, Version};
+use super::packet::{Cursor, Malformed, Version};
 
 /// Layout of a frame of motion capture data, which depends on the bitstream (version of the NatNet format).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Layout {
+pub enum FrameLayout {
     /// Layout of the NatNet bitstreams 3.0 to 4.0: sections have no length.
     Plain,
     /// Layout of the NatNet bitstreams from 4.1: each section has a length, a section of assets is added, and the frame
@@ -49,7 +49,7 @@ pub enum Tracking {
 
 /// Frame of motion capture data: the poses of all rigid bodies at one time.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Frame {
+pub struct MocapFrame {
     /// Number of the frame, by which a repeated frame is recognised.
     pub number: i32,
     /// Time of measurement on the tracker's clock \[s\].
@@ -77,17 +77,17 @@ const TRACKED: i16 = 1;
 /// Bit in the flags of a frame: the model definitions have changed.
 const MODELS_CHANGED: i16 = 2;
 
-impl Layout {
+impl FrameLayout {
     /// Returns the layout in which a server of this NatNet version sends frames, if the client requests no other
     /// version.
-    pub fn of(version: Version) -> Layout {
-        if version >= (Version { major: 4, minor: 1 }) { Layout::Sized } else { Layout::Plain }
+    pub fn of(version: Version) -> FrameLayout {
+        if version >= (Version { major: 4, minor: 1 }) { FrameLayout::Sized } else { FrameLayout::Plain }
     }
 
-    fn other(self) -> Layout {
+    fn other(self) -> FrameLayout {
         match self {
-            Layout::Plain => Layout::Sized,
-            Layout::Sized => Layout::Plain,
+            FrameLayout::Plain => FrameLayout::Sized,
+            FrameLayout::Sized => FrameLayout::Plain,
         }
     }
 }
@@ -96,7 +96,7 @@ impl Layout {
 ///
 /// The layout `expected` is tried first, then the other one, because a unicast server may send another bitstream than
 /// its own. The other layout is accepted only if it ends at the payload's last byte.
-pub fn decode(payload: &[u8], expected: Layout) -> Result<(Frame, Layout), Malformed> {
+pub fn decode(payload: &[u8], expected: FrameLayout) -> Result<(MocapFrame, FrameLayout), Malformed> {
     let error = match decode_as(payload, expected) {
         Ok((frame, _)) => return Ok((frame, expected)),
         Err(error) => error,
@@ -108,12 +108,12 @@ pub fn decode(payload: &[u8], expected: Layout) -> Result<(Frame, Layout), Malfo
 }
 
 /// Decodes the payload of a frame in one layout. Returns the frame and the number of bytes after its end.
-fn decode_as(payload: &[u8], layout: Layout) -> Result<(Frame, usize), Malformed> {
-    let mut reader = Reader::new(payload);
+fn decode_as(payload: &[u8], layout: FrameLayout) -> Result<(MocapFrame, usize), Malformed> {
+    let mut reader = Cursor::new(payload);
     let number = reader.i32()?;
     let bodies = match layout {
-        Layout::Plain => plain_sections(&mut reader)?,
-        Layout::Sized => sized_sections(&mut reader)?,
+        FrameLayout::Plain => plain_sections(&mut reader)?,
+        FrameLayout::Sized => sized_sections(&mut reader)?,
     };
     // Timecode, then its subframe.
     reader.skip(2, 4)?;
@@ -124,17 +124,17 @@ fn decode_as(payload: &[u8], layout: Layout) -> Result<(Frame, usize), Malformed
     // Ticks of mid-exposure, of reception and of transmission.
     reader.skip(3, 8)?;
     // Precise stamp. The manufacturer's samples disagree on whether bitstream 4.0 has it.
-    if layout == Layout::Sized || reader.left() >= PRECISE_STAMP + PARAMS + END {
+    if layout == FrameLayout::Sized || reader.left() >= PRECISE_STAMP + PARAMS + END {
         reader.skip(1, PRECISE_STAMP)?;
     }
     let params = reader.i16()?;
     reader.skip(1, END)?;
-    Ok((Frame { number, stamp_s, models_changed: params & MODELS_CHANGED != 0, bodies }, reader.left()))
+    Ok((MocapFrame { number, stamp_s, models_changed: params & MODELS_CHANGED != 0, bodies }, reader.left()))
 }
 
 /// Reads the sections of a frame in the layout from 4.1, and returns the rigid bodies. The sections are marker sets,
 /// other markers, rigid bodies, skeletons, assets, labelled markers, force plates and devices.
-fn sized_sections(reader: &mut Reader) -> Result<Vec<RigidBody>, Malformed> {
+fn sized_sections(reader: &mut Cursor) -> Result<Vec<RigidBody>, Malformed> {
     for _ in 0..2 {
         section(reader)?;
     }
@@ -147,29 +147,29 @@ fn sized_sections(reader: &mut Reader) -> Result<Vec<RigidBody>, Malformed> {
 }
 
 /// Reads the header of a section. Returns the number of elements and a reader of the section's bytes.
-fn section<'a>(reader: &mut Reader<'a>) -> Result<(usize, Reader<'a>), Malformed> {
+fn section<'a>(reader: &mut Cursor<'a>) -> Result<(usize, Cursor<'a>), Malformed> {
     let (count, length) = (reader.count()?, reader.count()?);
     if (count == 0) != (length == 0) {
         return Err(Malformed("a section of a NatNet frame has a length that its count contradicts"));
     }
-    Ok((count, Reader::new(reader.bytes(length)?)))
+    Ok((count, Cursor::new(reader.bytes(length)?)))
 }
 
 /// Reads the rigid bodies of a section. Elements of a later bitstream may be longer; their remaining bytes are skipped.
-fn rigid_bodies(count: usize, section: &mut Reader) -> Result<Vec<RigidBody>, Malformed> {
+fn rigid_bodies(count: usize, section: &mut Cursor) -> Result<Vec<RigidBody>, Malformed> {
     let size = section.left().checked_div(count).unwrap_or(RIGID_BODY);
     if size < RIGID_BODY || size * count != section.left() {
         return Err(Malformed("the section of rigid bodies in a NatNet frame has a length that does not fit"));
     }
     let one = |_| {
-        let mut element = Reader::new(section.bytes(size)?);
+        let mut element = Cursor::new(section.bytes(size)?);
         rigid_body(&mut element)
     };
     (0..count).map(one).collect()
 }
 
 /// Reads the sections of a frame in the layout before 4.1, and returns the rigid bodies.
-fn plain_sections(reader: &mut Reader) -> Result<Vec<RigidBody>, Malformed> {
+fn plain_sections(reader: &mut Cursor) -> Result<Vec<RigidBody>, Malformed> {
     // Marker sets: each a name, then positions.
     for _ in 0..reader.count()? {
         reader.text()?;
@@ -201,12 +201,12 @@ fn plain_sections(reader: &mut Reader) -> Result<Vec<RigidBody>, Malformed> {
 }
 
 /// Skips a list of positions, which begins with their number.
-fn vectors(reader: &mut Reader) -> Result<(), Malformed> {
+fn vectors(reader: &mut Cursor) -> Result<(), Malformed> {
     let count = reader.count()?;
     reader.skip(count, 12)
 }
 
-fn rigid_body(reader: &mut Reader) -> Result<RigidBody, Malformed> {
+fn rigid_body(reader: &mut Cursor) -> Result<RigidBody, Malformed> {
     let id = reader.i32()?;
     let (position, rotation) = (reader.vector()?, reader.vector()?);
     let (error_m, tracked) = (reader.f32()?, reader.i16()? & TRACKED != 0);

@@ -22,7 +22,7 @@ use murmurate::messages::wire::Reading;
 use murmurate::time::{Span, Time};
 
 use body::{Body, Pose};
-use frame::{Frame, Layout, RigidBody, Tracking};
+use frame::{FrameLayout, MocapFrame, RigidBody, Tracking};
 use model::Definition;
 use packet::{Malformed, Version};
 use settings::{BodyName, Config, Up};
@@ -71,7 +71,7 @@ struct Tracked {
 struct NatNet {
     config: Config,
     robots: Vec<Tracked>,
-    layout: Layout,
+    layout: FrameLayout,
     /// NatNet version of the server; `None` before the server's description arrives.
     version: Option<Version>,
     /// Last received definitions (names and IDs) of the tracker's rigid bodies; empty before the first arrive.
@@ -93,7 +93,7 @@ impl NatNet {
         NatNet {
             robots: config.bodies.iter().map(tracked).collect(),
             config: config.clone(),
-            layout: Layout::Sized,
+            layout: FrameLayout::Sized,
             version: None,
             definitions: Vec::new(),
             strangers: Vec::new(),
@@ -116,7 +116,7 @@ impl NatNet {
             packet::SERVER_INFO => {
                 let version = packet::server_info(payload)?.natnet;
                 if self.version != Some(version) {
-                    (self.version, self.layout) = (Some(version), Layout::of(version));
+                    (self.version, self.layout) = (Some(version), FrameLayout::of(version));
                 }
             }
             _ => {}
@@ -145,7 +145,7 @@ impl NatNet {
         self.definitions = definitions;
     }
 
-    fn frame(&mut self, frame: &Frame, out: &mut Vec<Out>) {
+    fn frame(&mut self, frame: &MocapFrame, out: &mut Vec<Out>) {
         if let Some((number, stamp_s)) = self.last {
             if number == frame.number || stamp_s.total_cmp(&frame.stamp_s).is_eq() {
                 out.push(Out::Refused("the tracker repeats a frame or its stamp"));
@@ -179,7 +179,7 @@ impl NatNet {
 
     /// Logs each body of no robot that is tracked without a pose, once. It concerns nobody, and its tracker may have to
     /// be corrected.
-    fn note_strangers(&mut self, frame: &Frame) {
+    fn note_strangers(&mut self, frame: &MocapFrame) {
         for rigid in &frame.bodies {
             let Tracking::NoPose(why) = rigid.tracking else { continue };
             let id = rigid.id;
@@ -193,7 +193,7 @@ impl NatNet {
 
     /// Processes the pose of the body of robot `at` in a frame. Returns a reading if the body is tracked and its
     /// velocity is known. An error is the reason for which the pose is refused.
-    fn follow(&mut self, at: usize, frame: &Frame) -> Result<Option<Reading>, &'static str> {
+    fn follow(&mut self, at: usize, frame: &MocapFrame) -> Result<Option<Reading>, &'static str> {
         let (before, rest) = self.robots.split_at_mut(at);
         let Some((tracked, after)) = rest.split_first_mut() else { return Ok(None) };
         let Tracked { robot, id: Some(id), body, limits, .. } = tracked else { return Ok(None) };
@@ -223,7 +223,7 @@ impl NatNet {
 }
 
 /// Returns the rigid body with this streaming ID in a frame. An error says why the frame has no pose of it.
-fn sole(frame: &Frame, id: i32) -> Result<&RigidBody, &'static str> {
+fn sole(frame: &MocapFrame, id: i32) -> Result<&RigidBody, &'static str> {
     let mut own = frame.bodies.iter().filter(|rigid| rigid.id == id).peekable();
     if own.peek().is_none() {
         return Err("the tracker's frames have no rigid body of its ID: does it stream rigid bodies?");

@@ -4,7 +4,7 @@
 //! From 4.1, each definition begins with its length. Before 4.1, each definition has to be decoded to find its end; 4.0
 //! has names of markers, which 3.0 lacks. For 4.2 to 4.4 the decoder was tested with hand-made definitions only.
 
-use super::packet::{Malformed, Reader, Version};
+use super::packet::{Cursor, Malformed, Version};
 
 /// Definition of a rigid body in the tracker: its name, and the ID by which frames identify it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -17,7 +17,7 @@ pub struct Definition {
 
 /// Layout of model definitions, which depends on the bitstream (version of the NatNet format).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Layout {
+enum ModelLayout {
     /// Layout of the NatNet bitstreams 3.0 and 3.1: no lengths, and no names of markers.
     Plain,
     /// Layout of the NatNet bitstream 4.0: no lengths, and rigid bodies have names of markers.
@@ -26,7 +26,7 @@ enum Layout {
     Sized,
 }
 
-const ALL: [Layout; 3] = [Layout::Sized, Layout::NamedMarkers, Layout::Plain];
+const ALL: [ModelLayout; 3] = [ModelLayout::Sized, ModelLayout::NamedMarkers, ModelLayout::Plain];
 
 /// Number that identifies a marker set in a datagram with model definitions. Rigid bodies, skeletons, force plates,
 /// devices and cameras have the numbers after it.
@@ -48,9 +48,9 @@ const POSE: usize = 28;
 /// tried. One of these is accepted only if the definitions end at the payload's last byte.
 pub fn decode(payload: &[u8], version: Option<Version>) -> Result<Vec<Definition>, Malformed> {
     let expected = match version {
-        Some(version) if version < (Version { major: 4, minor: 0 }) => Layout::Plain,
-        Some(Version { major: 4, minor: 0 }) => Layout::NamedMarkers,
-        _ => Layout::Sized,
+        Some(version) if version < (Version { major: 4, minor: 0 }) => ModelLayout::Plain,
+        Some(Version { major: 4, minor: 0 }) => ModelLayout::NamedMarkers,
+        _ => ModelLayout::Sized,
     };
     let error = match decode_as(payload, expected) {
         Ok((definitions, _)) => return Ok(definitions),
@@ -63,13 +63,13 @@ pub fn decode(payload: &[u8], version: Option<Version>) -> Result<Vec<Definition
 
 /// Decodes the payload of model definitions in one layout. Returns the definitions of rigid bodies, and the number of
 /// bytes after the end of all definitions.
-fn decode_as(payload: &[u8], layout: Layout) -> Result<(Vec<Definition>, usize), Malformed> {
-    let (mut reader, mut definitions) = (Reader::new(payload), Vec::new());
+fn decode_as(payload: &[u8], layout: ModelLayout) -> Result<(Vec<Definition>, usize), Malformed> {
+    let (mut reader, mut definitions) = (Cursor::new(payload), Vec::new());
     for _ in 0..reader.count()? {
         let kind = reader.i32()?;
-        if layout == Layout::Sized {
+        if layout == ModelLayout::Sized {
             let length = reader.count()?;
-            let mut definition = Reader::new(reader.bytes(length)?);
+            let mut definition = Cursor::new(reader.bytes(length)?);
             // A definition that cannot be read costs itself alone.
             if kind == RIGID_BODY {
                 definitions.extend(named(&mut definition));
@@ -111,19 +111,19 @@ fn decode_as(payload: &[u8], layout: Layout) -> Result<(Vec<Definition>, usize),
 }
 
 /// Reads the name and id at the start of a definition.
-fn named(reader: &mut Reader) -> Result<Definition, Malformed> {
+fn named(reader: &mut Cursor) -> Result<Definition, Malformed> {
     let name = String::from_utf8_lossy(reader.text()?).into_owned();
     Ok(Definition { name, id: reader.i32()? })
 }
 
 /// Reads the definition of a rigid body in a layout before 4.1, and returns its name and id. Skips parent, offset, and
 /// the markers with positions, labels and names.
-fn rigid_body(reader: &mut Reader, layout: Layout) -> Result<Definition, Malformed> {
+fn rigid_body(reader: &mut Cursor, layout: ModelLayout) -> Result<Definition, Malformed> {
     let definition = named(reader)?;
     reader.skip(4, 4)?;
     let markers = reader.count()?;
     reader.skip(markers, 12 + 4)?;
-    if layout == Layout::NamedMarkers {
+    if layout == ModelLayout::NamedMarkers {
         for _ in 0..markers {
             reader.text()?;
         }
@@ -132,13 +132,13 @@ fn rigid_body(reader: &mut Reader, layout: Layout) -> Result<Definition, Malform
 }
 
 /// Skips the end of a force plate or device: two numbers of kinds of data, then the names of channels.
-fn channels(reader: &mut Reader) -> Result<(), Malformed> {
+fn channels(reader: &mut Cursor) -> Result<(), Malformed> {
     reader.skip(2, 4)?;
     texts(reader)
 }
 
 /// Skips a list of texts, which begins with their number.
-fn texts(reader: &mut Reader) -> Result<(), Malformed> {
+fn texts(reader: &mut Cursor) -> Result<(), Malformed> {
     for _ in 0..reader.count()? {
         reader.text()?;
     }

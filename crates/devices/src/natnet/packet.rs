@@ -63,14 +63,14 @@ pub struct ServerInfo {
 /// Reader of the little-endian fields of a NatNet message. Each method returns an error if the bytes end too early;
 /// none panics.
 #[derive(Clone, Copy, Debug)]
-pub struct Reader<'a> {
+pub struct Cursor<'a> {
     rest: &'a [u8],
 }
 
-impl<'a> Reader<'a> {
+impl<'a> Cursor<'a> {
     /// Returns a reader that begins at the first of `bytes`.
-    pub fn new(bytes: &'a [u8]) -> Reader<'a> {
-        Reader { rest: bytes }
+    pub fn new(bytes: &'a [u8]) -> Cursor<'a> {
+        Cursor { rest: bytes }
     }
 
     /// Returns the number of bytes that are not yet read.
@@ -143,7 +143,7 @@ impl<'a> Reader<'a> {
 
 /// Splits a datagram into the number of its NatNet message type and its payload. Bytes after the payload are ignored.
 pub fn split(datagram: &[u8]) -> Result<(u16, &[u8]), Malformed> {
-    let mut reader = Reader::new(datagram);
+    let mut reader = Cursor::new(datagram);
     let message = u16::from_le_bytes(reader.array()?);
     let length = usize::from(u16::from_le_bytes(reader.array()?));
     Ok((message, reader.bytes(length)?))
@@ -151,7 +151,7 @@ pub fn split(datagram: &[u8]) -> Result<(u16, &[u8]), Malformed> {
 
 /// Decodes the payload of a datagram in which the server describes itself (`SERVER_INFO`).
 pub fn server_info(payload: &[u8]) -> Result<ServerInfo, Malformed> {
-    let mut reader = Reader::new(payload);
+    let mut reader = Cursor::new(payload);
     let name = reader.bytes(NAME)?.split(|byte| *byte == 0).next().unwrap_or_default();
     let [version, natnet] = [reader.array::<4>()?, reader.array()?].map(|[major, minor, ..]| Version { major, minor });
     // Fields since 3.0: clock frequency (u64), data port (u16), whether frames are sent by multicast (u8), group.

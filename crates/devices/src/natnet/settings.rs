@@ -48,7 +48,7 @@ pub(crate) enum BodyName {
 
 /// Network addresses of the tracker's server and of its frames.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Network {
+pub struct Addresses {
     /// Address of the server. Datagrams from other addresses are ignored.
     pub server: Ipv4Addr,
     /// Name of the network interface on which multicast frames arrive, such as `eth0`; used for multicast only. `None`
@@ -120,7 +120,7 @@ impl Default for Fields {
 #[derive(Clone, Debug)]
 pub struct Config {
     /// Network addresses of the server and of its frames.
-    pub network: Network,
+    pub network: Addresses,
     /// Position and rotation of the tracker's frame in the team's frame.
     pub frame: TrackerFrame,
     /// Robots by ascending number, each with its rigid body.
@@ -163,7 +163,7 @@ impl Config {
             }
         }
         Ok(Config {
-            network: Network {
+            network: Addresses {
                 server,
                 interface: fields.interface,
                 transmission: fields.transmission,

@@ -13,9 +13,9 @@ use nix::net::if_::if_nametoindex;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use socket2::{Domain, InterfaceIndexOrAddress, Protocol, Socket, Type};
 
-use super::client::{Client, Event};
+use super::client::{Change, Client};
 use super::packet::Version;
-use super::settings::{Network, Transmission};
+use super::settings::{Addresses, Transmission};
 
 /// Longest wait for a datagram \[ms\]. The worker notices the end of the host after at most this time.
 const WAIT_MS: u16 = 50;
@@ -33,7 +33,7 @@ const LARGEST: usize = 1 << 16;
 /// Worker (I/O thread) of the source `natnet`: requests the server's data and receives its datagrams.
 pub(crate) struct Listener {
     /// Network addresses of the server and of its frames.
-    pub config: Network,
+    pub config: Addresses,
 }
 
 /// Open UDP sockets of the worker of the source `natnet`.
@@ -162,17 +162,17 @@ impl Listener {
     fn fail(&self, state: &mut State, error: &io::Error) {
         state.failures += 1;
         if state.failures.is_power_of_two() {
-            let Network { server, interface, .. } = &self.config;
+            let Addresses { server, interface, .. } = &self.config;
             let interface = interface.as_deref().unwrap_or("the way to it");
             tracing::warn!("no connection to the tracker {server} by {interface}: {error}; is the network up?");
         }
     }
 
-    fn report(&self, event: Option<Event>) {
-        let Network { server, transmission, .. } = &self.config;
+    fn report(&self, event: Option<Change>) {
+        let Addresses { server, transmission, .. } = &self.config;
         match event {
             None => {}
-            Some(Event::Server(info)) => {
+            Some(Change::Server(info)) => {
                 tracing::info!("the tracker {server} is {} {}, NatNet {}", info.name, info.version, info.natnet);
                 if info.natnet < OLDEST {
                     tracing::warn!(
@@ -185,14 +185,14 @@ impl Listener {
                     tracing::warn!("the tracker {server} sends by {other}: set `transmission`, or change it there");
                 }
             }
-            Some(Event::Unanswered) => {
+            Some(Change::Unanswered) => {
                 let port = self.config.command_port;
                 tracing::warn!(
                     "the tracker {server} does not answer on port {port} with names: is it behind a firewall?"
                 );
             }
-            Some(Event::Frames) => tracing::info!("the tracker {server} sends frames"),
-            Some(Event::Silent) => {
+            Some(Change::Frames) => tracing::info!("the tracker {server} sends frames"),
+            Some(Change::Silent) => {
                 tracing::warn!("no frames of the tracker {server} for a second: does it stream, and on this network?");
             }
         }

@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use super::scene::{Frame, Scene};
+use super::scene::{Scene, SceneFrame};
 use super::sheet::{LOOK, escaped, walls};
 use murmurate::messages::geometry::Vec2;
 use murmurate::time::Span;
@@ -45,8 +45,8 @@ fn ms(span: Span) -> u64 {
 fn json(scene: &Scene, stride: usize) -> String {
     let stage = &scene.stage;
     let last = scene.frames.len() - 1;
-    let shown = |(at, _): &(usize, &Frame)| at.is_multiple_of(stride) || *at == last;
-    let frames: Vec<&Frame> = scene.frames.iter().enumerate().filter(shown).map(|(_, frame)| frame).collect();
+    let shown = |(at, _): &(usize, &SceneFrame)| at.is_multiple_of(stride) || *at == last;
+    let frames: Vec<&SceneFrame> = scene.frames.iter().enumerate().filter(shown).map(|(_, frame)| frame).collect();
     let walls: Vec<[i64; 4]> =
         walls(stage).iter().map(|[min, max]| [mm(min.x), mm(min.y), mm(max.x), mm(max.y)]).collect();
     let rings: Vec<Value> = scene
@@ -83,7 +83,7 @@ fn differences(numbers: impl Iterator<Item = i64>) -> Vec<i64> {
     numbers.map(|number| number - std::mem::replace(&mut before, number)).collect()
 }
 
-fn path(frames: &[&Frame], robot: usize) -> [Vec<i64>; 2] {
+fn path(frames: &[&SceneFrame], robot: usize) -> [Vec<i64>; 2] {
     [
         differences(frames.iter().map(|frame| mm(frame.at[robot].x))),
         differences(frames.iter().map(|frame| mm(frame.at[robot].y))),
@@ -93,8 +93,8 @@ fn path(frames: &[&Frame], robot: usize) -> [Vec<i64>; 2] {
 /// Returns a pair of robots, the first frame in which one uses a message of the other, and from there one letter per
 /// frame. The letter is the age step of the message; it is a capital if only one of them uses a message, and a dot if
 /// none does.
-fn link(frames: &[&Frame], (one, other): (usize, usize), window: Span) -> Value {
-    let letter = |frame: &&Frame| match frame.links.iter().find(|link| (link.one, link.other) == (one, other)) {
+fn link(frames: &[&SceneFrame], (one, other): (usize, usize), window: Span) -> Value {
+    let letter = |frame: &&SceneFrame| match frame.links.iter().find(|link| (link.one, link.other) == (one, other)) {
         None => '.',
         Some(link) => {
             let step = (link.age.as_nanos() * LETTERS / window.as_nanos().max(1)).min(LETTERS);

@@ -8,5 +8,5 @@ mod still;
 
 pub use film::film;
 pub use moving::moving;
-pub use scene::{Ending, Frame, Link, Ring, Scene, Stage};
+pub use scene::{Backdrop, Ending, Link, Ring, Scene, SceneFrame};
 pub use still::still;

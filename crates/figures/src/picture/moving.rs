@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::scene::{Frame, Link, Scene};
+use super::scene::{Link, Scene, SceneFrame};
 use super::sheet::{AGES, COLOURS, View, goal_mark, goals, legend, px, sheet, verdict};
 use super::still::{self, drawn, path};
 use murmurate::messages::geometry::Vec2;
@@ -26,7 +26,7 @@ struct Reel<'a> {
     /// Duration of one round of the animation with the pause at its end \[s\].
     lasts_s: f64,
     /// Samples at equal intervals over one round: two successive frames, and the fraction of the way between them.
-    samples: Vec<(&'a Frame, &'a Frame, f32)>,
+    samples: Vec<(&'a SceneFrame, &'a SceneFrame, f32)>,
 }
 
 impl<'a> Reel<'a> {
@@ -151,7 +151,7 @@ fn trail(reel: &Reel, view: &View, robot: usize) -> String {
     }
     let whole = gone[gone.len() - 1] + 1.0;
     let at = |time: Span| reel.scene.frames.partition_point(|frame| frame.time < time);
-    let left = |(from, to, share): &(&Frame, &Frame, f32)| {
+    let left = |(from, to, share): &(&SceneFrame, &SceneFrame, f32)| {
         let (from, to) = (gone[at(from.time)], gone[at(to.time)]);
         px(whole - from - (to - from) * share)
     };

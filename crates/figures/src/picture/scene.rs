@@ -24,7 +24,7 @@ const NAMED: usize = 8;
 
 /// Unchanging content of an episode's picture: texts, arena, rules and the robots' tasks.
 #[derive(Clone, Debug)]
-pub struct Stage<'a> {
+pub struct Backdrop<'a> {
     /// Title of the picture.
     pub title: String,
     /// Caption of the picture: all that is needed to reproduce the episode.
@@ -45,7 +45,7 @@ pub struct Stage<'a> {
     pub chassis: Vec<Chassis>,
 }
 
-impl Stage<'_> {
+impl Backdrop<'_> {
     /// Returns the position of the point that a robot's policy commands \[m\], world frame.
     fn point(&self, sample: &Sample) -> Vec2 {
         self.chassis[sample.robot.index()].point_of(sample)
@@ -56,16 +56,16 @@ impl Stage<'_> {
 #[derive(Clone, Debug)]
 pub struct Scene<'a> {
     /// Unchanging content: texts, arena, rules and tasks.
-    pub stage: Stage<'a>,
+    pub stage: Backdrop<'a>,
     /// Frames from the start of the episode to its verdict; at least one.
-    pub frames: Vec<Frame>,
+    pub frames: Vec<SceneFrame>,
     /// Verdict on the episode as text, and the places to mark.
     pub ending: Ending,
 }
 
 /// State of the team at one instant of an episode's picture.
 #[derive(Clone, Debug)]
-pub struct Frame {
+pub struct SceneFrame {
     /// Time since the start of the episode.
     pub time: Span,
     /// Position of each robot's centre \[m\], world frame.
@@ -122,7 +122,7 @@ impl<'a> Scene<'a> {
     /// trial.
     ///
     /// An episode without steps, which was aborted before it began, shows the robots at their starts.
-    pub fn new(stage: Stage<'a>, episode: &Episode, steps: &[Step]) -> Scene<'a> {
+    pub fn new(stage: Backdrop<'a>, episode: &Episode, steps: &[Step]) -> Scene<'a> {
         let (before, steps) = running(episode.episode, steps);
         let began = match (before, steps) {
             (Some(before), _) => time(before),
@@ -135,7 +135,7 @@ impl<'a> Scene<'a> {
         };
         let mut judge = Judge::new(stage.rules, stage.tasks.iter().map(|task| task.goal).collect());
         judge = judge.with_cost(stage.cost);
-        let (mut frames, mut contact, mut arrived): (Vec<Frame>, _, _) =
+        let (mut frames, mut contact, mut arrived): (Vec<SceneFrame>, _, _) =
             (Vec::new(), None, vec![false; stage.tasks.len()]);
         frames.extend(before.map(|step| frame(&stage, Span::ZERO, step)));
         for step in steps {
@@ -166,7 +166,7 @@ impl<'a> Scene<'a> {
         }
         if frames.is_empty() {
             let at: Vec<Vec2> = stage.tasks.iter().map(|task| task.start).collect();
-            frames.push(Frame { time: Span::ZERO, points: at.clone(), at, links: Vec::new() });
+            frames.push(SceneFrame { time: Span::ZERO, points: at.clone(), at, links: Vec::new() });
         }
         let ending = ending(&stage, episode, contact, &arrived, &frames[frames.len() - 1]);
         Scene { stage, frames, ending }
@@ -186,7 +186,7 @@ impl<'a> Scene<'a> {
     /// not arrive.
     pub fn arrivals(&self) -> Vec<Option<Span>> {
         let arrived = |(robot, task): (usize, &Task)| {
-            let near = |frame: &&Frame| (task.goal - frame.points[robot]).norm() <= self.stage.rules.arrival_m;
+            let near = |frame: &&SceneFrame| (task.goal - frame.points[robot]).norm() <= self.stage.rules.arrival_m;
             self.frames.iter().find(near).map(|frame| frame.time)
         };
         self.stage.tasks.iter().enumerate().map(arrived).collect()
@@ -225,10 +225,10 @@ fn time(step: &Step) -> Time {
     step.samples.iter().map(|sample| sample.time).max().unwrap_or(Time::ZERO)
 }
 
-fn frame(stage: &Stage, time: Span, step: &Step) -> Frame {
+fn frame(stage: &Backdrop, time: Span, step: &Step) -> SceneFrame {
     let at = step.samples.iter().map(|sample| sample.motion.position).collect();
     let points = step.samples.iter().map(|sample| stage.point(sample)).collect();
-    Frame { time, at, points, links: links(&step.hearing) }
+    SceneFrame { time, at, points, links: links(&step.hearing) }
 }
 
 /// Returns one link for each pair of robots of which at least one uses a message of the other.
@@ -247,7 +247,7 @@ fn links(hearing: &[Hearing]) -> Vec<Link> {
 }
 
 /// Returns the contact for which the judge would fail the episode at this instant; `None` if there is none.
-fn touching(stage: &Stage, after: Span, seen: &[JudgedRobot]) -> Option<Contact> {
+fn touching(stage: &Backdrop, after: Span, seen: &[JudgedRobot]) -> Option<Contact> {
     if let Some(robot) = seen.iter().position(|robot| robot.contacts.wall) {
         return Some(Contact::Wall(after, robot, seen[robot].position));
     }
@@ -259,7 +259,13 @@ fn touching(stage: &Stage, after: Span, seen: &[JudgedRobot]) -> Option<Contact>
 }
 
 /// Returns the verdict on an episode as text, and the places to mark.
-fn ending(stage: &Stage, episode: &Episode, contact: Option<Contact>, arrived: &[bool], last: &Frame) -> Ending {
+fn ending(
+    stage: &Backdrop,
+    episode: &Episode,
+    contact: Option<Contact>,
+    arrived: &[bool],
+    last: &SceneFrame,
+) -> Ending {
     let late: Vec<usize> = (0..arrived.len()).filter(|robot| !arrived[*robot]).collect();
     let mut names = late.iter().take(NAMED).map(usize::to_string).collect::<Vec<_>>().join(", ");
     if late.len() > NAMED {
@@ -330,7 +336,7 @@ mod tests {
         let passage = murmurate::scenario::build("passage", &murmurate::scenario::Settings::of(2)).unwrap();
         let task = |x| Task { start: Vec2::new(x, 0.0), goal: Vec2::new(x + 0.5, 0.0) };
         let tasks = [task(0.0), task(1.0)];
-        let stage = Stage {
+        let stage = Backdrop {
             title: String::new(),
             caption: String::new(),
             arena: passage.arena(),

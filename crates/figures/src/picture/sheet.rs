@@ -3,7 +3,7 @@
 
 use std::fmt::Write as _;
 
-use super::scene::{Scene, Stage};
+use super::scene::{Backdrop, Scene};
 use murmurate::messages::geometry::Vec2;
 
 /// CSS style sheet of the pictures of episodes: colours of light and dark schemes, of robots (Okabe and Ito, which
@@ -45,13 +45,13 @@ pub fn px(number: f32) -> String {
 
 /// Returns half the size of the drawn ground \[m\]. It exceeds the arena by the hull's radius, as centres stay within
 /// the arena.
-fn half(stage: &Stage) -> Vec2 {
+fn half(stage: &Backdrop) -> Vec2 {
     stage.arena.half_extent + Vec2::repeat(stage.radius_m)
 }
 
 /// Returns the walls of the arena as lower left and upper right corners \[m\], world frame. A wall at the edge of the
 /// arena is extended to the edge of the drawn ground, as no robot can get behind it.
-pub fn walls(stage: &Stage) -> Vec<[Vec2; 2]> {
+pub fn walls(stage: &Backdrop) -> Vec<[Vec2; 2]> {
     let (inner, outer) = (stage.arena.half_extent, half(stage));
     let to = |at: f32, inner: f32, outer: f32| if at.abs() >= inner - 1e-3 { outer.copysign(at) } else { at };
     let corner = |at: Vec2| Vec2::new(to(at.x, inner.x, outer.x), to(at.y, inner.y, outer.y));
@@ -72,7 +72,7 @@ pub struct View {
 impl View {
     /// Returns the projection for the arena of `stage`. An arena that is deeper than wide is rotated clockwise by a
     /// right angle.
-    pub fn new(stage: &Stage) -> View {
+    pub fn new(stage: &Backdrop) -> View {
         let half = half(stage);
         let turned = half.y > half.x;
         let ground = if turned { Vec2::new(half.y, half.x) } else { half } * 2.0;
@@ -103,7 +103,7 @@ impl View {
     }
 
     /// Returns the SVG elements of the arena's ground and walls.
-    pub fn ground(&self, stage: &Stage) -> String {
+    pub fn ground(&self, stage: &Backdrop) -> String {
         let walls = walls(stage).into_iter().map(|wall| self.rectangle("wall", wall, 3.0));
         self.rectangle("ground", [-self.half, self.half], 6.0) + &walls.collect::<String>()
     }
@@ -117,7 +117,7 @@ impl View {
     }
 
     /// Returns the font size \[pixels\] in which the id `robot` is drawn on that robot; ids of two digits are smaller.
-    pub fn number(&self, stage: &Stage, robot: usize) -> f32 {
+    pub fn number(&self, stage: &Backdrop, robot: usize) -> f32 {
         stage.radius_m * self.scale * if robot < 10 { 1.05 } else { 0.9 }
     }
 }

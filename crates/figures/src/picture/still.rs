@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::scene::{Frame, Scene};
+use super::scene::{Scene, SceneFrame};
 use super::sheet::{COLOURS, View, goal_mark, goals, legend, px, sheet, verdict};
 use murmurate::time::Span;
 
@@ -45,7 +45,7 @@ pub fn drawn(scene: &Scene, view: &View) -> String {
         let _ = writeln!(text, "<g class=\"c{}\">{start}</g>", robot % COLOURS);
     }
     let between = between(scene.length());
-    let mut moments: Vec<&Frame> = Vec::new();
+    let mut moments: Vec<&SceneFrame> = Vec::new();
     for frame in &scene.frames[1..] {
         let due = between.as_nanos() * (moments.len() as u64 + 1);
         if frame.time.as_nanos() >= due && frame.time.as_nanos() + between.as_nanos() / 2 < last.time.as_nanos() {

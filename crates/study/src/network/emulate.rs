@@ -1,7 +1,7 @@
 //! Emulation of one case of a network study: stations, their medium, and control steps that use received messages.
 
 use super::case::{Addressing, Case, ReliabilityMode, Sweep};
-use super::endpoint::{DRAIN, Endpoint, Output, STEP, WARM_UP};
+use super::endpoint::{DRAIN, Output, STEP, StationProtocol, WARM_UP};
 use super::linked::{self, Linked};
 use super::medium::MediumEmulator;
 use super::outcome::{Outcome, Tally};
@@ -74,7 +74,7 @@ pub fn run_rtps(sweep: &Sweep, case: &Case, timing: &Timing, proceed: &dyn Fn() 
     Emulation::new(sweep, case, (&seed, timing), end).run(proceed)
 }
 
-struct Emulation<E: Endpoint> {
+struct Emulation<E: StationProtocol> {
     addressing: Addressing,
     stations: u16,
     medium: MediumEmulator<E::Packet>,
@@ -99,7 +99,7 @@ enum Due {
     Step(u16),
 }
 
-impl<E: Endpoint> Emulation<E> {
+impl<E: StationProtocol> Emulation<E> {
     fn new(sweep: &Sweep, case: &Case, (seed, timing): (&Seed, &Timing), end: impl Fn(u16) -> E) -> Emulation<E> {
         let n = sweep.stations;
         let begin = Time::ZERO + timing.warm_up;

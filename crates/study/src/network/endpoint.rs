@@ -44,7 +44,7 @@ pub enum Output<P> {
 
 /// Protocol at one station of a network study, such as the link layer or RTPS: turns publications, received datagrams
 /// and timers into outputs.
-pub trait Endpoint {
+pub trait StationProtocol {
     /// Content of a datagram.
     type Packet: Clone;
     /// Publishes the station's message with the number `sequence`: appends the datagrams to send to `out`.

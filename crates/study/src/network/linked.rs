@@ -1,7 +1,7 @@
 //! Station of a network study that uses the project's link layer: best effort, repeat or nack.
 
 use super::case::{Addressing, ReliabilityMode};
-use super::endpoint::{Endpoint, Output};
+use super::endpoint::{Output, StationProtocol};
 use super::traffic;
 use murmurate::messages::ids::{HostId, LinkId};
 use murmurate::messages::wire::{Kind, Wire};
@@ -63,7 +63,7 @@ impl Linked {
     }
 }
 
-impl Endpoint for Linked {
+impl StationProtocol for Linked {
     type Packet = Frame;
 
     fn publish(&mut self, now: Time, sequence: u32, out: &mut Vec<Output<Frame>>) {

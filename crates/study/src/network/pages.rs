@@ -8,7 +8,7 @@ use super::table::{self, SHOWN};
 use super::{saturation, scale};
 use murmurate::report::listening::Listening;
 use murmurate_figures::page::{self, Part};
-use murmurate_figures::{Figure, FigureError, Heard, Line, Panel, Point};
+use murmurate_figures::{DelayColumn, Figure, FigureError, Line, Panel, Point};
 
 /// Result of a case of a network study: its source (emulated or measured), its parameters and its outcome.
 pub type Found = (Source, Case, Outcome);
@@ -172,7 +172,7 @@ impl Findings<'_> {
                 found.map(|(_, _, outcome)| (name, listening(outcome)))
             })
             .collect();
-        let heard: Vec<Heard> = lines.iter().map(|(name, listening)| Heard { name, listening }).collect();
+        let heard: Vec<DelayColumn> = lines.iter().map(|(name, listening)| DelayColumn { name, listening }).collect();
         let title = format!("{}, {rate} messages/s", group.title);
         Ok(Figure {
             name: format!("delay-{}-{rate}", group.name),

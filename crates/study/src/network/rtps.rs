@@ -5,10 +5,10 @@
 //! `docs/evidence/lab.md` holds this imitation against Fast DDS on the same channel.
 
 use super::case::{Addressing, History, ReliabilityMode};
-use super::endpoint::{Endpoint, Output};
+use super::endpoint::{Output, StationProtocol};
 use super::rtps_packet::Packet;
-use super::rtps_reader::Reader;
-use super::rtps_writer::Writer;
+use super::rtps_reader::RtpsReader;
+use super::rtps_writer::RtpsWriter;
 use murmurate::time::{Span, Time};
 
 /// Period of a participant's announcements (SPDP, 8.5.3), which go to each known participant by unicast and to all by
@@ -17,8 +17,8 @@ pub const ANNOUNCEMENT_PERIOD: Span = Span::from_millis(3000);
 
 /// Station of a network study that uses RTPS.
 pub struct Rtps {
-    writer: Writer,
-    reader: Reader,
+    writer: RtpsWriter,
+    reader: RtpsReader,
     others: Vec<u16>,
     /// Time of the next announcement.
     announcement: Time,
@@ -38,15 +38,15 @@ impl Rtps {
     ) -> Rtps {
         let others = || (0..stations).filter(move |other| *other != station);
         Rtps {
-            writer: Writer::new(station, others(), payload, addressing, qos),
-            reader: Reader::new(station, others(), qos),
+            writer: RtpsWriter::new(station, others(), payload, addressing, qos),
+            reader: RtpsReader::new(station, others(), qos),
             others: others().collect(),
             announcement,
         }
     }
 }
 
-impl Endpoint for Rtps {
+impl StationProtocol for Rtps {
     type Packet = Packet;
 
     fn publish(&mut self, now: Time, sequence: u32, out: &mut Vec<Output<Packet>>) {

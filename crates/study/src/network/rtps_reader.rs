@@ -39,7 +39,7 @@ impl WriterProxy {
 
 /// RTPS reader of a station.
 #[derive(Clone, Debug)]
-pub struct Reader {
+pub struct RtpsReader {
     station: u16,
     reliability: ReliabilityMode,
     history: History,
@@ -48,15 +48,15 @@ pub struct Reader {
     waiting: BTreeSet<(Time, u16, u32)>,
 }
 
-impl Reader {
+impl RtpsReader {
     /// Returns the reader of the station with the index `station`, for the writers of the stations `writers`.
     pub fn new(
         station: u16,
         writers: impl Iterator<Item = u16>,
         (reliability, history): (ReliabilityMode, History),
-    ) -> Reader {
+    ) -> RtpsReader {
         let writers = writers.map(|writer| (writer, WriterProxy::default())).collect();
-        Reader { station, reliability, history, writers, waiting: BTreeSet::new() }
+        RtpsReader { station, reliability, history, writers, waiting: BTreeSet::new() }
     }
 
     /// Returns the time of the reader's next ACKNACK.

@@ -31,7 +31,7 @@ struct ReaderProxy {
 
 /// RTPS writer of a station.
 #[derive(Clone, Debug)]
-pub struct Writer {
+pub struct RtpsWriter {
     station: u16,
     payload: usize,
     addressing: Addressing,
@@ -46,7 +46,7 @@ pub struct Writer {
     since_heartbeat: usize,
 }
 
-impl Writer {
+impl RtpsWriter {
     /// Returns the writer of the station with the index `station`, for the readers of the stations `readers` and
     /// samples of `payload` bytes.
     pub fn new(
@@ -55,8 +55,8 @@ impl Writer {
         payload: usize,
         addressing: Addressing,
         (reliability, history): (ReliabilityMode, History),
-    ) -> Writer {
-        Writer {
+    ) -> RtpsWriter {
+        RtpsWriter {
             station,
             payload,
             addressing,

@@ -141,7 +141,7 @@ impl Log {
 }
 
 /// Properties of a team that are needed, beside its records, to reconstruct its run.
-pub struct Team<'a> {
+pub struct ObservedTeam<'a> {
     /// Routes of the team's messages: the hosts that receive each kind.
     pub routes: &'a Routes,
     /// Number of the team's hosts.
@@ -178,7 +178,7 @@ pub struct Run {
 impl Run {
     /// Joins the records of a team's hosts to one run. `alignment` has the offsets of the hosts' clocks; records
     /// without an offset are left out.
-    pub fn of(logs: &[Log], alignment: &Alignment, team: &Team) -> Run {
+    pub fn of(logs: &[Log], alignment: &Alignment, team: &ObservedTeam) -> Run {
         let clocks: Vec<Option<&ClockDifference>> = alignment.clocks.iter().map(Option::as_ref).collect();
         let common = |at: usize, ns: i64| clocks[at].map(|clock| ns - clock.ahead_ns(ns));
         let mut ends: BTreeMap<u32, (i64, Episode)> = BTreeMap::new();
@@ -216,7 +216,7 @@ impl Run {
         logs: &[Log],
         common: &impl Fn(usize, i64) -> Option<i64>,
         episode_at: &impl Fn(i64) -> u32,
-        team: &Team,
+        team: &ObservedTeam,
     ) {
         // Ticks of one instant come before arrivals, as on a host.
         let mut events: Vec<(i64, bool, usize, usize)> = Vec::new();
@@ -251,7 +251,7 @@ impl Run {
         logs: &[Log],
         common: &impl Fn(usize, i64) -> Option<i64>,
         episode_at: &impl Fn(i64) -> u32,
-        team: &Team,
+        team: &ObservedTeam,
     ) {
         let gap_ns = (GAP * team.period_ns as f64) as i64;
         // By robot: episode and time of its last step, and its series.
@@ -293,7 +293,7 @@ impl Run {
         logs: &[Log],
         common: &impl Fn(usize, i64) -> Option<i64>,
         episode_at: &impl Fn(i64) -> u32,
-        team: &Team,
+        team: &ObservedTeam,
     ) {
         let gap_ns = (GAP * team.period_ns as f64) as i64;
         for (at, log) in logs.iter().enumerate() {
@@ -333,7 +333,7 @@ fn crossings(
     logs: &[Log],
     common: &impl Fn(usize, i64) -> Option<i64>,
     episode_at: &impl Fn(i64) -> u32,
-    team: &Team,
+    team: &ObservedTeam,
 ) -> Vec<Crossing> {
     let arrivals = |at: usize| -> BTreeMap<DatagramKey, i64> {
         let mut first = BTreeMap::new();

@@ -7,7 +7,7 @@ use murmurate::config::shown::counted;
 use murmurate::report::listening::Listening;
 use murmurate::time::Span;
 use murmurate_figures::page::{self, Part};
-use murmurate_figures::{Figure, FigureError, Heard, Makespans};
+use murmurate_figures::{DelayColumn, Figure, FigureError, Makespans};
 
 /// Texts and numbers for the report page of a twin.
 #[derive(Clone, Debug)]
@@ -64,7 +64,7 @@ pub fn figures(run: &Run, first: usize, predicted: &[Predicted]) -> Result<Vec<F
     let both = [ages(&mut { simulated }), ages(&mut { measured })];
     if both.iter().all(|listening| listening.due > 0) {
         let heard = [("predicted", &both[0]), ("measured", &both[1])];
-        let heard = heard.map(|(name, listening)| Heard { name, listening });
+        let heard = heard.map(|(name, listening)| DelayColumn { name, listening });
         let caption = "From the publication of a message to a control step that uses it, over all messages in use.";
         all.push(Figure {
             name: "ages".to_owned(),

@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::network::Network;
+use super::network::TrainableHops;
 use murmurate::config::{self, ConfigError};
 use murmurate::policy::Draw;
 use murmurate::policy::hops::action::Action;
@@ -168,7 +168,7 @@ impl Config {
             None => ConfigError::field("policy", text),
         };
         manifest.check().map_err(wrong)?;
-        Network::new(&manifest).map(|_| ()).map_err(wrong)
+        TrainableHops::new(&manifest).map(|_| ()).map_err(wrong)
     }
 
     /// Returns the manifest of the policy for a scenario.
@@ -248,6 +248,6 @@ mod tests {
         }
         let mut manifest = Config::preset().manifest("flocking");
         manifest.action = Action::Velocity;
-        assert!(Network::new(&manifest).expect_err("it is not supported").starts_with("action"));
+        assert!(TrainableHops::new(&manifest).expect_err("it is not supported").starts_with("action"));
     }
 }

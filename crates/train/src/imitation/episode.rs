@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 use rand::RngExt;
 
 use super::graph::Graph;
-use super::network::{Network, Space};
+use super::network::{Space, TrainableHops};
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::local::Contacts;
 use murmurate::policy::flock::MAX_ACCELERATION_M_S2;
@@ -17,7 +17,7 @@ use murmurate::policy::hops::hop::write_edge;
 use murmurate::policy::hops::manifest::Manifest;
 use murmurate::policy::{Model, Neighbour, Policy};
 use murmurate::random::Stream;
-use murmurate::scenario::judge::{Finding, Judge, JudgedRobot};
+use murmurate::scenario::judge::{Judge, JudgedRobot, Judgement};
 use murmurate::scenario::{Observation, Scenario};
 use murmurate::time::Span;
 use murmurate::world::Physics;
@@ -33,7 +33,7 @@ pub struct Setting<'a> {
     /// Metadata of the trained policy.
     pub manifest: &'a Manifest,
     /// Network of the trained policy.
-    pub network: &'a Network,
+    pub network: &'a TrainableHops,
     /// Weights and biases of the trained policy.
     pub parameters: &'a [f32],
 }
@@ -71,11 +71,11 @@ pub struct Step {
 
 /// Episode of one team.
 #[derive(Clone, Debug)]
-pub struct Episode {
+pub struct TaughtEpisode {
     /// Steps of the episode in their order; empty if they were not to be learnt.
     pub steps: Vec<Step>,
     /// Verdict, cost and smallest distance of robots.
-    pub finding: Finding,
+    pub finding: Judgement,
 }
 
 /// Messages of all robots at one step: their states, and their inputs of every hop.
@@ -86,7 +86,7 @@ struct Sent {
 }
 
 /// Team in an episode.
-struct Team<'a> {
+struct TaughtTeam<'a> {
     setting: Setting<'a>,
     tasks: Vec<Task>,
     motion: Vec<Motion>,
@@ -104,7 +104,7 @@ pub fn most_age(manifest: &Manifest) -> u8 {
     (manifest.hold_s / PERIOD.as_secs() + 1e-6).floor().clamp(1.0, 100.0) as u8
 }
 
-impl Team<'_> {
+impl TaughtTeam<'_> {
     fn observation(&self, robot: usize) -> Observation {
         self.setting.scenario.observe(&self.tasks[robot], &self.motion[robot])
     }
@@ -216,7 +216,7 @@ pub fn run(
     (driver, messages): (Driver, Messages),
     mut expert: Option<Box<dyn Policy>>,
     stream: &mut Stream,
-) -> Episode {
+) -> TaughtEpisode {
     let scenario = setting.scenario;
     let tasks = scenario.tasks(layout.0, layout.1);
     let robots = tasks.len();
@@ -230,7 +230,7 @@ pub fn run(
     let (mut graph, silence) = (Graph::default(), vec![u8::MAX; robots * robots]);
     graph.clear();
     let (sent, space) = (VecDeque::new(), Space::default());
-    let mut team = Team { setting, tasks, motion, messages, silence, sent, graph, space };
+    let mut team = TaughtTeam { setting, tasks, motion, messages, silence, sent, graph, space };
     let (mut steps, mut after) = (Vec::new(), Span::ZERO);
     loop {
         team.sent.truncate(most);
@@ -251,7 +251,7 @@ pub fn run(
         world.step(scenario, &physics, &commands, &mut team.motion);
         after = after + PERIOD;
         if let Some(finding) = judge.update(after, &world.judged(&team.motion)) {
-            return Episode { steps, finding };
+            return TaughtEpisode { steps, finding };
         }
     }
 }
@@ -272,7 +272,7 @@ impl World {
     }
 
     fn step(&mut self, scenario: &dyn Scenario, physics: &Physics, commands: &[Vec2], motion: &mut [Motion]) {
-        let mut team = kinematic::Team {
+        let mut team = kinematic::TeamMotion {
             position: &mut self.position,
             velocity: &mut self.velocity,
             wheels: &mut [],

@@ -1,7 +1,7 @@
 //! Gradient of the difference between a policy's actions and the expert's, over recorded steps.
 
 use super::config::Imitation;
-use super::episode::{Episode, Setting, limited, write_features};
+use super::episode::{Setting, TaughtEpisode, limited, write_features};
 use super::graph::Graph;
 use super::network::Space;
 use murmurate::messages::geometry::Vec2;
@@ -34,7 +34,7 @@ pub struct Shard {
 
 impl Shard {
     /// Computes the gradient of the loss of some windows.
-    pub fn learn(&mut self, setting: &Setting, imitation: &Imitation, episodes: &[Episode], windows: &[Window]) {
+    pub fn learn(&mut self, setting: &Setting, imitation: &Imitation, episodes: &[TaughtEpisode], windows: &[Window]) {
         self.gather(setting, imitation, episodes, windows);
         let Setting { network, parameters, .. } = *setting;
         let Shard { graph, space, expert, d_outputs, gradient, loss, learnt } = self;
@@ -62,7 +62,7 @@ impl Shard {
     }
 
     /// Makes the graph of some windows.
-    fn gather(&mut self, setting: &Setting, imitation: &Imitation, episodes: &[Episode], windows: &[Window]) {
+    fn gather(&mut self, setting: &Setting, imitation: &Imitation, episodes: &[TaughtEpisode], windows: &[Window]) {
         let Shard { graph, expert, .. } = self;
         let (manifest, robots) = (setting.manifest, setting.scenario.robots());
         graph.clear();

@@ -1,8 +1,8 @@
 //! A policy of several hops that is trained: forward and backward passes over graphs of robots at successive steps.
 //!
 //! It is the part of policy format 2 whose derivatives are written here: hops with a message network and an update
-//! network, sums and means, and the activations relu and tanh. [`Network::new`] refuses the rest by name. The test
-//! `tests/learning/imitation.rs` compares the derivatives with central differences.
+//! network, sums and means, and the activations relu and tanh. [`TrainableHops::new`] refuses the rest by name. The
+//! test `tests/learning/imitation.rs` compares the derivatives with central differences.
 
 use super::graph::Graph;
 use super::perceptron::{self, Perceptron};
@@ -27,7 +27,7 @@ struct Hop {
 
 /// Architecture of a policy of several hops; its parameters are a slice of numbers.
 #[derive(Clone, Debug)]
-pub struct Network {
+pub struct TrainableHops {
     encoder: Perceptron,
     hops: Vec<Hop>,
     decoder: Perceptron,
@@ -72,9 +72,9 @@ fn input_of<'a, T>(encoder: &'a perceptron::Space<T>, before: &'a [HopSpace<T>])
     before.last().map_or_else(|| encoder.outputs(), |hop| hop.update.outputs())
 }
 
-impl Network {
+impl TrainableHops {
     /// Makes the network of a checked manifest. An error names the field that training does not support.
-    pub fn new(manifest: &Manifest) -> Result<Network, String> {
+    pub fn new(manifest: &Manifest) -> Result<TrainableHops, String> {
         if manifest.distribution != Distribution::DiagonalNormal {
             return Err("distribution: training by imitation supports 'diagonal-normal' only".to_owned());
         }
@@ -108,7 +108,7 @@ impl Network {
             hops.push(hop);
         }
         let decoder = Perceptron::new(&manifest.decoder, &mut at).map_err(|why| within("decoder", why))?;
-        Ok(Network { encoder, hops, decoder, edge, parameters: at })
+        Ok(TrainableHops { encoder, hops, decoder, edge, parameters: at })
     }
 
     /// Returns the number of weights and biases.

@@ -8,9 +8,9 @@ use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 
 use super::config::Config;
-use super::episode::{self, Driver, Episode, Messages, Setting};
+use super::episode::{self, Driver, Messages, Setting, TaughtEpisode};
 use super::learn::{Shard, Window};
-use super::network::Network;
+use super::network::TrainableHops;
 use crate::adam::{Adam, clip};
 use crate::checkpoint::vector_instructions;
 use crate::parallel::in_parallel;
@@ -25,7 +25,7 @@ use murmurate::registry::Registry;
 use murmurate::report::outcomes::CostOutcomes;
 use murmurate::report::statistics::mean_95;
 use murmurate::scenario::judge::Verdict;
-use murmurate::scenario::{Frame, Scenario, ScenarioError, Settings};
+use murmurate::scenario::{PolicyFrame, Scenario, ScenarioError, Settings};
 
 /// Number of parts of a minibatch whose gradients are added in order, so that the number of threads changes no result.
 const SHARDS: usize = 4;
@@ -124,7 +124,7 @@ pub struct Trainer {
     scenario: Arc<dyn Scenario>,
     expert: Model,
     manifest: Manifest,
-    network: Network,
+    network: TrainableHops,
     parameters: Vec<f32>,
     adam: Adam,
     iteration: u64,
@@ -156,7 +156,7 @@ impl Trainer {
         if scenario.cost().is_none() {
             return Err(unsupported("its robots have goals; training by imitation is for scenarios with a cost"));
         }
-        if scenario.tasks(0, 0).iter().any(|task| scenario.frame(task) != Frame::World) {
+        if scenario.tasks(0, 0).iter().any(|task| scenario.frame(task) != PolicyFrame::World) {
             return Err(unsupported("its policy frame is not the world frame"));
         }
         let name = plan.config.expert.clone();
@@ -167,7 +167,7 @@ impl Trainer {
             return Err(wrong("a policy of several hops is no expert".to_owned()));
         }
         let manifest = plan.config.manifest(&plan.scenario);
-        let network = Network::new(&manifest).expect("a checked configuration has a supported network");
+        let network = TrainableHops::new(&manifest).expect("a checked configuration has a supported network");
         let mut stream = Seed::of_run(plan.seed).stream("train/imitation/initial");
         let parameters = initial(&network, &mut stream);
         let adam = Adam::new(parameters.len());
@@ -240,11 +240,11 @@ impl Trainer {
     }
 
     /// Runs the episodes of an iteration; returns them with who drove each.
-    fn rollouts(&self, progress: f32, threads: usize) -> (Vec<Episode>, Vec<Driver>) {
+    fn rollouts(&self, progress: f32, threads: usize) -> (Vec<TaughtEpisode>, Vec<Driver>) {
         let (settings, conditions) = (&self.plan.config.imitation, &self.plan.config.conditions);
         let left = (1.0 - progress / settings.expert_until.max(1e-6)).max(0.0);
         let expert_share = settings.expert_share * left;
-        let mut recorded: Vec<Option<(Episode, Driver)>> = vec![None; settings.episodes];
+        let mut recorded: Vec<Option<(TaughtEpisode, Driver)>> = vec![None; settings.episodes];
         in_parallel(threads, recorded.iter_mut().enumerate(), |(index, recorded)| {
             let mut stream = self.stream(&format!("rollout/{}/{index}", self.iteration));
             let layout = (stream.next_u64(), 0);
@@ -272,7 +272,7 @@ impl Trainer {
         ];
         all.into_iter()
             .map(|(conditions, driver, messages)| {
-                let mut found: Vec<Option<Episode>> = vec![None; episodes as usize];
+                let mut found: Vec<Option<TaughtEpisode>> = vec![None; episodes as usize];
                 in_parallel(threads, found.iter_mut().enumerate(), |(index, found)| {
                     let mut stream = Seed::of_run(EVALUATION_SEED).stream(&format!("train/imitation/evaluate/{index}"));
                     let expert = (driver == Driver::Expert).then(|| self.expert.instance(self.scenario.arena()));
@@ -354,7 +354,7 @@ impl Trainer {
         }
         state.plan.config.check().map_err(|error| SetupError::Format(error.to_string()))?;
         // Before anything is made of the configuration, which could ask for any amount of memory.
-        let network = Network::new(&state.plan.config.manifest(&state.plan.scenario));
+        let network = TrainableHops::new(&state.plan.config.manifest(&state.plan.scenario));
         let length = network.map_err(|why| SetupError::Format(why.to_string()))?.parameters();
         if state.parameters.len() != length || !state.adam.fits(length) {
             return Err(SetupError::Format("its weights do not match its configuration".to_owned()));
@@ -368,7 +368,7 @@ impl Trainer {
 
 /// Returns random weights: uniform, scaled by the width of each layer's input, with biases of zero (He et al.,
 /// arXiv 1502.01852, for ReLU). The last layer is a tenth as large, so that the first actions are small.
-fn initial(network: &Network, stream: &mut Stream) -> Vec<f32> {
+fn initial(network: &TrainableHops, stream: &mut Stream) -> Vec<f32> {
     let mut parameters = vec![0.0; network.parameters()];
     let layers = network.layers();
     for (at, [inputs, begin, bias, _]) in layers.iter().enumerate() {

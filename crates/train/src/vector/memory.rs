@@ -3,7 +3,7 @@
 use std::mem::size_of;
 
 use super::{Content, Options};
-use crate::environments::Team;
+use crate::environments::TrainingTeam;
 use crate::message_buffer::HISTORY_STEPS;
 use murmurate::messages::geometry::{Task, Vec2};
 use murmurate::messages::local::Contacts;
@@ -29,7 +29,7 @@ impl Options {
             r * size(HISTORY_STEPS) * 4.0 * float + edges * size(size_of::<Option<u32>>() + size_of::<u32>());
         let episode = r * float + edges * 2.0 * float;
         let walls = size(self.scenario.arena().keep_outs.len() * size_of::<KeepOut>());
-        let team = size(2 * size_of::<Team>() + size_of::<Physics>() + size_of::<Stream>() + 8 * ALLOCATION)
+        let team = size(2 * size_of::<TrainingTeam>() + size_of::<Physics>() + size_of::<Stream>() + 8 * ALLOCATION)
             + messages
             + 2.0 * episode
             + walls;

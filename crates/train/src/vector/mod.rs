@@ -10,7 +10,7 @@ mod state;
 pub use options::{Autoreset, Content, Options};
 pub use state::{StateError, options_of};
 
-use super::conditions::Episode;
+use super::conditions::EpisodeConditions;
 use super::config::Conditions;
 use super::environments::Environments;
 use super::message_buffer::{HISTORY_STEPS, HeldMessage};
@@ -233,7 +233,7 @@ impl VectorEnvironment {
     }
 
     /// Returns the conditions of the current episode of the environment with index `environment`.
-    pub fn episode(&self, environment: usize) -> &Episode {
+    pub fn episode(&self, environment: usize) -> &EpisodeConditions {
         let (environments, row) = self.place(environment);
         &environments.teams[row].episode
     }

@@ -30,7 +30,7 @@ struct Identity {
 /// Stored result of a finished case of a network study, with the conditions under which it was found.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Record {
+pub struct CaseRecord {
     /// Origin of the record: study, program, seed and conditions.
     origin: Origin,
     case: Case,
@@ -78,9 +78,9 @@ impl Journal {
 
     /// Returns the stored result of each case, from emulation or measurement as `source` says; `None` for a result that
     /// is missing, damaged or found under other conditions.
-    pub fn kept(&self, source: Source, cases: &[Case]) -> Vec<Option<Record>> {
+    pub fn kept(&self, source: Source, cases: &[Case]) -> Vec<Option<CaseRecord>> {
         let one = |(at, case): (usize, &Case)| {
-            let record: Record = self.folder.as_ref()?.kept(&name(source, at))?;
+            let record: CaseRecord = self.folder.as_ref()?.kept(&name(source, at))?;
             (record.case == *case && record.origin == self.origin(source, case)).then_some(record)
         };
         cases.iter().enumerate().map(one).collect()
@@ -94,8 +94,8 @@ impl Journal {
         (at, case): (usize, &Case),
         outcome: Outcome,
         uncertainty_s: f64,
-    ) -> Result<Record> {
-        let record = Record { origin: self.origin(source, case), case: *case, outcome, uncertainty_s };
+    ) -> Result<CaseRecord> {
+        let record = CaseRecord { origin: self.origin(source, case), case: *case, outcome, uncertainty_s };
         self.folder.as_ref().map_or(Ok(()), |folder| folder.keep(&name(source, at), &record))?;
         Ok(record)
     }

@@ -31,7 +31,7 @@ use live_team::LiveTeam;
 use murmurate_robot::Ended;
 use murmurate_robot::output::{print, talk};
 use murmurate_robot::whole_file::WholeFile;
-use teams::Team;
+use teams::SizedTeam;
 
 /// Output of a network study with `--json`.
 #[derive(Serialize)]
@@ -55,7 +55,7 @@ struct Study<'a> {
     /// Team whose hosts measure the network; `None` without `--live`.
     live_team: Option<LiveTeam>,
     /// Teams of growing size that are simulated to find the cost per robot (airtime, processor time).
-    teams: Vec<Team>,
+    teams: Vec<SizedTeam>,
     stop: Arc<AtomicBool>,
 }
 
@@ -162,7 +162,7 @@ impl Study<'_> {
         let found = journal.kept(source, &cases);
         let open: Vec<usize> = (0..found.len()).filter(|at| found[*at].is_none()).collect();
         let bar = progress(open.len() as u64, args.run.quiet);
-        let work = |at: usize| -> Result<Option<cases::Record>> {
+        let work = |at: usize| -> Result<Option<cases::CaseRecord>> {
             let case = &cases[at];
             let Some(outcome) = emulate::run(sweep, case, &|| !stop.load(Ordering::Relaxed)) else { return Ok(None) };
             bar.inc(1);

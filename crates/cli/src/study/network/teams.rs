@@ -20,14 +20,14 @@ use crate::study::folder::Folder;
 use murmurate_robot::bad;
 
 /// Team of one size and mode, which is simulated to find its cost per robot.
-pub struct Team {
+pub struct SizedTeam {
     mode: &'static str,
     robots: usize,
     seed: u64,
     trial: Trial,
 }
 
-impl Team {
+impl SizedTeam {
     fn origin(&self) -> Origin {
         Origin::here(
             murmurate_robot::build::digest(),
@@ -42,7 +42,7 @@ impl Team {
 /// Stored result of a simulated team: its network load, and the processor time of the simulation.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Record {
+struct CostRecord {
     /// Origin of the record: study, program, seed and conditions.
     origin: Origin,
     mode: String,
@@ -52,12 +52,12 @@ struct Record {
 
 /// Returns a team of each of these sizes (numbers of robots) in each of two modes: one agent for all robots, and one
 /// host per robot. An error names the flag.
-pub fn of_sizes(sizes: &[usize], seed: u64) -> Result<Vec<Team>> {
+pub fn of_sizes(sizes: &[usize], seed: u64) -> Result<Vec<SizedTeam>> {
     let mut teams = Vec::new();
     for mode in growth::MODES {
         for &robots in sizes {
             match growth::trial(mode, robots, Span::from_secs(growth::DURATION_S)) {
-                Ok(trial) => teams.push(Team { mode, robots, seed, trial: trial.seed(seed) }),
+                Ok(trial) => teams.push(SizedTeam { mode, robots, seed, trial: trial.seed(seed) }),
                 Err(error) => return bad(format!("--teams: {error}")),
             }
         }
@@ -68,7 +68,7 @@ pub fn of_sizes(sizes: &[usize], seed: u64) -> Result<Vec<Team>> {
 /// Returns the cost per robot of each team: reads stored results from the folder, and simulates the other teams one at
 /// a time. If `stop` is set, the teams that were not simulated are missing.
 pub fn run(
-    teams: &[Team],
+    teams: &[SizedTeam],
     sweep: &Sweep,
     folder: Option<&Folder>,
     quiet: bool,
@@ -82,7 +82,7 @@ pub fn run(
     let mut grown = Vec::new();
     for team in teams {
         let name = cases::team(team.mode, team.robots);
-        let kept: Option<Record> = folder.and_then(|folder| folder.kept(&name));
+        let kept: Option<CostRecord> = folder.and_then(|folder| folder.kept(&name));
         let record = match kept.filter(|kept| kept.origin == team.origin()) {
             Some(kept) => kept,
             None if stop.load(Ordering::Relaxed) => continue,
@@ -101,15 +101,19 @@ pub fn run(
     Ok(grown)
 }
 
-fn measured(team: &Team, stop: &AtomicBool) -> Result<Option<Record>> {
+fn measured(team: &SizedTeam, stop: &AtomicBool) -> Result<Option<CostRecord>> {
     let began = cpu_s()?;
     let report = team.trial.run_while(|_| match stop.load(Ordering::Relaxed) {
         true => Proceed::Stop,
         false => Proceed::Continue,
     });
     let cpu_s = cpu_s()? - began;
-    let record =
-        || Record { origin: team.origin(), mode: team.mode.to_owned(), cost: Cost::of(team.robots, &report), cpu_s };
+    let record = || CostRecord {
+        origin: team.origin(),
+        mode: team.mode.to_owned(),
+        cost: Cost::of(team.robots, &report),
+        cpu_s,
+    };
     Ok((!stop.load(Ordering::Relaxed)).then(record))
 }
 

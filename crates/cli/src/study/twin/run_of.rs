@@ -16,7 +16,7 @@ use murmurate_record::clocks::{Traffic, align};
 use murmurate_record::identity::Identity;
 use murmurate_record::reader::{self, ReadError};
 use murmurate_robot::{BadInput, bad, team};
-use murmurate_study::twin::observed::{Log, Run, Team};
+use murmurate_study::twin::observed::{Log, ObservedTeam, Run};
 use murmurate_study::twin::predict;
 
 /// Recorded run of a team, as read from the records of its hosts, and a trial with the same settings.
@@ -91,7 +91,7 @@ pub fn read(named: &[PathBuf], registry: &Registry) -> Result<Recorded> {
         uncertainty as f64 / 1e6
     ));
     let routes = Routes::of(&trial.deployment);
-    let team = Team {
+    let team = ObservedTeam {
         routes: &routes,
         hosts: trial.deployment.hosts.len(),
         robots: trial.deployment.robots,
