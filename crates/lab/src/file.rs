@@ -288,7 +288,7 @@ mod tests {
         let text = "stations = 2\n[[station]]\nnumber = 1\ncommand = [\"iperf\", \"-s\"]\n";
         let lab = Laboratory::from_toml(text).unwrap();
         let own = (1, vec!["iperf".to_owned(), "-s".to_owned()]);
-        assert_eq!(lab.commands_or(&[]), [own.clone()]);
+        assert_eq!(lab.commands_or(&[]), std::slice::from_ref(&own));
         assert_eq!(lab.commands_or(&["ping".to_owned()]), [(0, vec!["ping".to_owned()]), own]);
     }
 
