@@ -79,7 +79,7 @@ full-robots python="python3":
     cargo build --release --features ros2
     bash tests/peers/ros2/full.sh {{python}} target/release/murmurate
 
-# Exactly what the gate runs (about 15 minutes on 2 cores)
+# Exactly what the gate runs (about 25 minutes on 2 cores)
 ci:
     bash .ci/run
 
