@@ -142,7 +142,7 @@ impl Body {
         }
         out.push(Out::Permit(permit));
         if permit == Permit::Withdrawn {
-            self.stand(now, out);
+            self.halt(now, out);
         }
     }
 
@@ -154,7 +154,7 @@ impl Body {
         }
     }
 
-    fn obey(&mut self, now: Time, command: &MotorCommand, out: &mut Vec<Out>) {
+    fn apply(&mut self, now: Time, command: &MotorCommand, out: &mut Vec<Out>) {
         self.warn_unknown(command);
         // Cap the speed at the robot's limit; the direction stays.
         let most = self.driver.limits().speed_m_s;
@@ -164,7 +164,7 @@ impl Body {
         self.drive(now, Drive { robot: self.robot, velocity, until }, out);
     }
 
-    fn stand(&mut self, now: Time, out: &mut Vec<Out>) {
+    fn halt(&mut self, now: Time, out: &mut Vec<Out>) {
         self.expires = None;
         self.drive(now, Drive { robot: self.robot, velocity: Vec2::zeros(), until: now }, out);
     }
@@ -218,7 +218,7 @@ impl Body {
 
     fn latched(&mut self, now: Time, changed: bool, out: &mut Vec<Out>) {
         if changed && !self.may_move() {
-            self.stand(now, out);
+            self.halt(now, out);
         }
     }
 
@@ -240,7 +240,7 @@ impl Core for Body {
 
     fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         match input {
-            In::MotorCommand(command) => self.obey(now, &command, out),
+            In::MotorCommand(command) => self.apply(now, &command, out),
             In::Reading(reading) => self.measured(now, &reading, out),
             In::WorkerEnded => {
                 tracing::error!("the driver of {} has ended: the robot cannot move; restart the host", self.robot);
@@ -266,7 +266,7 @@ impl Core for Body {
             }
             In::Leave => {
                 self.leaves = true;
-                self.stand(now, out);
+                self.halt(now, out);
             }
         }
     }
@@ -277,7 +277,7 @@ impl Core for Body {
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         if self.expires.is_some_and(|expires| expires <= now) {
-            self.stand(now, out);
+            self.halt(now, out);
         }
         match self.driven {
             // The driver is told that the heading is unknown.

@@ -120,11 +120,11 @@ impl Controller {
             _ => Phase::NeedReset,
         };
         if !matches!(self.team, Phase::Resetting | Phase::Running) {
-            self.stand(out);
+            self.halt(out);
         }
     }
 
-    fn obey(&mut self, now: Time, action: &Action, out: &mut Vec<Out>) {
+    fn apply(&mut self, now: Time, action: &Action, out: &mut Vec<Out>) {
         let moving = matches!(self.team, Phase::Resetting | Phase::Running) && self.own != Phase::AbortRunning;
         let meant = (action.round, action.phase) == (self.round.round(), self.team);
         let stands = self.leaves || !self.guard.latch().is_clear();
@@ -146,7 +146,7 @@ impl Controller {
                 };
                 self.command(granted, out);
             }
-            Decision::Stop => self.stand(out),
+            Decision::Stop => self.halt(out),
             Decision::Abort => self.give_up(out),
         }
     }
@@ -166,10 +166,10 @@ impl Controller {
         if matches!(self.own, Phase::Running | Phase::FinishedRunning) {
             self.own = Phase::AbortRunning;
         }
-        self.stand(out);
+        self.halt(out);
     }
 
-    fn stand(&mut self, out: &mut Vec<Out>) {
+    fn halt(&mut self, out: &mut Vec<Out>) {
         let granted = self.guard.stop();
         self.command(granted, out);
     }
@@ -187,7 +187,7 @@ impl Core for Controller {
     fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         match input {
             In::Mode(mode) => self.follow(now, &mode, out),
-            In::Action(action) => self.obey(now, &action, out),
+            In::Action(action) => self.apply(now, &action, out),
             In::Fresh => self.guard.own_state(now),
             In::Stop(stop) => {
                 let changed = self.guard.apply_stop(&stop);
@@ -221,7 +221,7 @@ impl Core for Controller {
         match self.guard.wake(now) {
             None => {}
             Some(Decision::Abort) => self.give_up(out),
-            Some(_) => self.stand(out),
+            Some(_) => self.halt(out),
         }
         if self.next_heartbeat <= now {
             let (robot, latch) = (self.config.robot, self.guard.latch());

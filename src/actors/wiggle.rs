@@ -261,7 +261,7 @@ impl Wiggle {
         out.push(Out::Command(MotorCommand { robot, velocity, valid_for: self.config.valid_for }));
     }
 
-    fn stand(&mut self, out: &mut Vec<Out>) {
+    fn halt(&mut self, out: &mut Vec<Out>) {
         if let Some(Driven { robot, .. }) = self.robot() {
             let granted = self.guard.stop();
             self.command(robot, granted.velocity(), out);
@@ -297,7 +297,7 @@ impl Wiggle {
                 self.stage = Stage::Back(-velocity, now + span);
             }
             Stage::Back(_, until) if now >= until => {
-                self.stand(out);
+                self.halt(out);
                 self.turn += 1;
                 self.stage = Stage::Rest(now + SETTLE);
             }
@@ -307,7 +307,7 @@ impl Wiggle {
 
     fn end(&mut self, out: &mut Vec<Out>) {
         if self.stage != Stage::Over {
-            self.stand(out);
+            self.halt(out);
             self.stage = Stage::Over;
             out.push(Out::Over);
         }
@@ -339,7 +339,7 @@ impl Core for Wiggle {
             Stage::Rest(_) => {
                 self.config.robots.iter().for_each(|driven| self.command(driven.robot, Vec2::zeros(), out))
             }
-            Stage::Settle(..) => self.stand(out),
+            Stage::Settle(..) => self.halt(out),
             Stage::Over => {}
         }
         self.next = now + PERIOD;

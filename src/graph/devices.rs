@@ -75,9 +75,9 @@ pub(crate) struct Observed {
 impl Observed {
     /// Passes a message that has reached this process at `now` to the observer, and what it makes of it to the worker.
     /// Never waits.
-    pub(crate) fn hear(&self, now: Time, message: &Wire) {
+    pub(crate) fn receive(&self, now: Time, message: &Wire) {
         let (mut packets, mut gate) = (Vec::new(), self.gate.borrow_mut());
-        self.observer.borrow_mut().hear(now, message, &mut packets);
+        self.observer.borrow_mut().receive(now, message, &mut packets);
         // To look for the worker's answers is a system call, which most messages are not worth.
         if packets.is_empty() {
             return;

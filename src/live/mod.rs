@@ -121,7 +121,7 @@ impl LiveHost {
         let observing = Rc::clone(&observer);
         let heard = move |host: HostId, event: ProcessEvent| {
             if let (Some(observer), ProcessEvent::Message(message)) = (&*observing.borrow(), event) {
-                observer.hear(Time::ZERO + Span::from_secs(origin.elapsed().as_secs_f64()), message);
+                observer.receive(Time::ZERO + Span::from_secs(origin.elapsed().as_secs_f64()), message);
             }
             heard(host, event);
         };

@@ -11,7 +11,7 @@ use crate::time::Time;
 pub trait Observer {
     /// Handles a message that has reached the host at `now`, and appends packets for the worker to `out`. Packets that
     /// do not fit into the worker's queue are dropped.
-    fn hear(&mut self, now: Time, message: &Wire, out: &mut Vec<Packet>);
+    fn receive(&mut self, now: Time, message: &Wire, out: &mut Vec<Packet>);
 }
 
 /// The two parts of an observer, made from its settings.

@@ -186,15 +186,15 @@ impl Triggers {
             Event::Keep => true,
             Event::Episode(episode) => episode.verdict == Verdict::Aborted,
             Event::Guard(robot, counts) => self.stops.insert(*robot, counts.stop).unwrap_or(0) < counts.stop,
-            Event::Delivered(message) => self.hears(message),
+            Event::Delivered(message) => self.engages_stop(message),
             Event::Published(_, frame) if codec::first(frame) == Ok(Content::Message(Kind::Mode)) => {
-                codec::decode(frame).is_ok_and(|(_, message)| self.hears(&message))
+                codec::decode(frame).is_ok_and(|(_, message)| self.engages_stop(&message))
             }
             _ => false,
         }
     }
 
-    fn hears(&mut self, message: &Wire) -> bool {
+    fn engages_stop(&mut self, message: &Wire) -> bool {
         let Wire::Mode(mode) = message else { return false };
         let before = std::mem::replace(&mut self.engaged, mode.latch.is_engaged());
         self.engaged && !before

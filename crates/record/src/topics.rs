@@ -138,14 +138,14 @@ impl Topics {
                     && matches!(codec::first(frame), Ok(Content::Message(Kind::Mode | Kind::Latent)))
                     && let Ok((_, message)) = codec::decode(frame)
                 {
-                    self.hear(now, at, &message, take);
+                    self.handle(now, at, &message, take);
                 }
             }
             Event::Delivered(message) => {
                 if self.scope == Scope::Operator {
                     self.received(at, message, take);
                 }
-                self.hear(now, at, message, take);
+                self.handle(now, at, message, take);
             }
             Event::Logged(Logged { severity, from, text }) => {
                 let mut out = Message::default();
@@ -166,7 +166,7 @@ impl Topics {
             }
             Event::Dropped(count) => {
                 json_to(Topic::Counts, at, &json!({ "host": "", "recording_dropped": count }), take);
-                self.say(
+                self.log_line(
                     at,
                     Severity::Warning,
                     "record",
@@ -194,7 +194,7 @@ impl Topics {
         }
     }
 
-    fn hear(&mut self, now: Time, at: u64, message: &Wire, take: Take) {
+    fn handle(&mut self, now: Time, at: u64, message: &Wire, take: Take) {
         match message {
             Wire::Mode(mode) => self.follow(now, at, mode, take),
             Wire::Reading(reading) => {
@@ -277,12 +277,18 @@ impl Topics {
         let (episode, phase) = (mode.round.episode, name_of(mode.phase));
         let said = json!({ "repeat": mode.repeat, "episode": episode, "phase": phase });
         json_to(Topic::Episode, at, &said, take);
-        self.say(at, Severity::Info, "state server", &format!("episode {}: {phase}", episode + 1), take);
+        self.log_line(at, Severity::Info, "state server", &format!("episode {}: {phase}", episode + 1), take);
     }
 
     fn episode(&self, at: u64, episode: &Episode, take: Take) {
         json_to(Topic::Episode, at, episode, take);
-        self.say(at, Severity::Info, "judge", &format!("episode {}: {}", episode.number(), episode.in_words()), take);
+        self.log_line(
+            at,
+            Severity::Info,
+            "judge",
+            &format!("episode {}: {}", episode.number(), episode.in_words()),
+            take,
+        );
     }
 
     fn guard(&mut self, at: u64, robot: RobotId, counts: SafetyCounts, take: Take) {
@@ -294,11 +300,11 @@ impl Topics {
         said["robot"] = robot.0.into();
         json_to(Topic::Guard, at, &said, take);
         for reason in counts.begun_since(&before) {
-            self.say(at, Severity::Warning, &format!("guard of robot {}", robot.0), reason.name(), take);
+            self.log_line(at, Severity::Warning, &format!("guard of robot {}", robot.0), reason.name(), take);
         }
     }
 
-    fn say(&self, at: u64, level: Severity, name: &str, text: &str, take: Take) {
+    fn log_line(&self, at: u64, level: Severity, name: &str, text: &str, take: Take) {
         let mut out = Message::default();
         foxglove::log(&mut out, at, level, name, text);
         take(Topic::Log, at, &out.0);

@@ -90,11 +90,11 @@ fn is_guarded(listen: SocketAddr) -> bool {
 
 impl HostMetrics {
     /// Updates the metrics with an event of the host `host`.
-    pub fn hear(&self, host: HostId, event: ProcessEvent) {
+    pub fn receive(&self, host: HostId, event: ProcessEvent) {
         self.metrics.borrow_mut().take(host, event);
         let mut view = self.view.borrow_mut();
         match event {
-            ProcessEvent::Message(message) => view.hear(self.now.get(), message),
+            ProcessEvent::Message(message) => view.receive(self.now.get(), message),
             ProcessEvent::Safety(robot, counts) => view.guarded(self.now.get(), robot, counts),
             _ => {}
         }

@@ -58,15 +58,15 @@ pub fn flush_log() {
 /// Prints a message on stderr as one line. A team key in it is replaced, and control characters are escaped: parts of
 /// the message may come from outside.
 pub fn talk(text: &str) {
-    say(printable(&redacted(text), Layout::Line).into_owned() + "\n");
+    write_stderr(printable(&redacted(text), Layout::Line).into_owned() + "\n");
 }
 
 /// Prints text of several lines on stderr, in which only the line ends are this program's own. Otherwise like [`talk`].
 pub fn talk_lines(text: &str) {
-    say(printable(&redacted(text), Layout::Lines).into_owned() + "\n");
+    write_stderr(printable(&redacted(text), Layout::Lines).into_owned() + "\n");
 }
 
-fn say(lines: String) {
+fn write_stderr(lines: String) {
     match LOG.get() {
         Some(writer) => {
             writer.push(lines.into_bytes());
@@ -107,7 +107,7 @@ pub struct LogLines;
 
 impl Write for LogLines {
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
-        say(log_line(&String::from_utf8_lossy(line)));
+        write_stderr(log_line(&String::from_utf8_lossy(line)));
         Ok(line.len())
     }
 

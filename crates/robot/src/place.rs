@@ -82,11 +82,11 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         |clock, readers| operator::place((clock, readers), operator, place, &heard),
         |(), now| answer.get().is_some() || now.since(Time::ZERO) >= WAIT,
     );
-    tell(args, &host, answer.get())
+    report(args, &host, answer.get())
 }
 
 /// Prints the answer of the host `host` about the robot. Fails with the reason if the statement has not taken effect.
-fn tell(args: &Args, host: &str, answer: Option<Placed>) -> Result<Ended> {
+fn report(args: &Args, host: &str, answer: Option<Placed>) -> Result<Ended> {
     let (robot, why) = (RobotId(args.robot), why(args.robot, host, answer));
     let taken = answer.filter(|answer| answer.verdict.is_taken());
     if args.json {

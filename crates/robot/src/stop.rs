@@ -127,7 +127,7 @@ impl Asked<'_> {
             },
         );
         let order = order.borrow();
-        self.tell(&order, robots)
+        self.report(&order, robots)
     }
 
     /// Joins the team as an operator. While no network interface is fit, it tries again for as long as the user would
@@ -152,7 +152,7 @@ impl Asked<'_> {
     }
 
     /// Prints how many robots have confirmed the order. Fails with the reason if not all have.
-    fn tell(&self, order: &Order, robots: usize) -> Result<Ended> {
+    fn report(&self, order: &Order, robots: usize) -> Result<Ended> {
         let unconfirmed = order.unconfirmed();
         let took_s = order.confirmed_at().map(Time::as_secs);
         let state = order.latch().map_or("unknown", |latch| latch.word());

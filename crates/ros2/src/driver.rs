@@ -241,7 +241,7 @@ impl Ros2 {
     }
 
     /// Reports the condition of the hardware if it has changed.
-    fn tell(&mut self, now: Time, out: &mut Vec<Out>) {
+    fn report(&mut self, now: Time, out: &mut Vec<Out>) {
         let (health, reason) = self.health(now);
         let hardware = Hardware { health, battery: self.battery, temperature: None, reason };
         if self.told.as_ref() != Some(&hardware) {
@@ -258,8 +258,8 @@ impl Ros2 {
         out.push(Out::Send(packet::encode(&ToNode::Drive(drive)).into()));
     }
 
-    /// Makes the robot stand: sends a zero velocity if one is due, and schedules the next.
-    fn stand(&mut self, now: Time, out: &mut Vec<Out>) {
+    /// Stops the robot: sends a zero velocity if one is due, and schedules the next.
+    fn halt(&mut self, now: Time, out: &mut Vec<Out>) {
         if self.standing.is_none() {
             self.stood = false;
         }
@@ -325,7 +325,7 @@ impl Driver for Ros2 {
                 self.standing = None;
                 self.send(body, for_ms, out);
             }
-            _ => self.stand(now, out),
+            _ => self.halt(now, out),
         }
     }
 
@@ -342,7 +342,7 @@ impl Driver for Ros2 {
             Ok(FromNode::Beat(_)) => {}
             Err(error) => out.push(Out::Refused(error.reason())),
         }
-        self.tell(now, out);
+        self.report(now, out);
     }
 
     fn wake_at(&self) -> Option<Time> {
@@ -363,11 +363,11 @@ impl Driver for Ros2 {
         if !self.silent && self.heard.is_some() && self.is_silent(now) {
             self.silent = true;
             tracing::warn!("{}: its odometry is silent, and it is told to stand; see the robot's base", self.robot);
-            self.stand(now, out);
+            self.halt(now, out);
         } else if self.standing.is_some() {
-            self.stand(now, out);
+            self.halt(now, out);
         }
-        self.tell(now, out);
+        self.report(now, out);
     }
 }
 

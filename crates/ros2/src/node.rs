@@ -59,12 +59,12 @@ pub fn run() -> ExitCode {
         report(panic);
         std::process::abort();
     }));
-    let say = Speaker::start();
+    let writer = HostWriter::start();
     let dds = networks(plan.interface.as_deref()).and_then(|networks| Dds::open(&plan, &networks));
     match dds {
-        Ok(dds) => Node::new(plan, dds, say).run(stdin),
+        Ok(dds) => Node::new(plan, dds, writer).run(stdin),
         Err(problem) => {
-            say.refuse(&plan, &problem);
+            writer.refuse(&plan, &problem);
             ExitCode::from(REFUSED)
         }
     }
@@ -124,13 +124,13 @@ fn networks(interface: Option<&str>) -> Result<Vec<IpAddr>, String> {
 }
 
 /// Sender of packets from a DDS process to its host, with a thread that writes them to stdout.
-struct Speaker {
+struct HostWriter {
     lines: SyncSender<Vec<u8>>,
     written: thread::JoinHandle<()>,
 }
 
-impl Speaker {
-    fn start() -> Speaker {
+impl HostWriter {
+    fn start() -> HostWriter {
         let (lines, queue) = mpsc::sync_channel::<Vec<u8>>(ROOM);
         let written = thread::spawn(move || {
             let mut stdout = io::stdout();
@@ -140,10 +140,10 @@ impl Speaker {
                 }
             }
         });
-        Speaker { lines, written }
+        HostWriter { lines, written }
     }
 
-    fn say(&self, packet: &FromNode) {
+    fn send(&self, packet: &FromNode) {
         // Without room the host is halted, and packets of now are old when it goes on.
         let _ = self.lines.try_send(packet::encode(packet));
     }
@@ -153,7 +153,7 @@ impl Speaker {
         let topics = plan.writers.iter().map(|writer| (&writer.topic, true));
         for (topic, written) in topics.chain(plan.readers.iter().map(|reader| (&reader.topic, false))) {
             let problem = Some(problem.chars().take(300).collect());
-            self.say(&FromNode::Topic(TopicState { topic: topic.clone(), written, peers: 0, problem }));
+            self.send(&FromNode::Topic(TopicState { topic: topic.clone(), written, peers: 0, problem }));
         }
         drop(self.lines);
         let _ = self.written.join();
@@ -199,7 +199,7 @@ impl Motor {
 /// State of a DDS process once its DDS participant is open.
 struct Node {
     dds: Dds,
-    say: Speaker,
+    writer: HostWriter,
     role: Role,
     motors: Vec<Motor>,
     /// For each published topic, whether it carries velocity commands.
@@ -213,11 +213,11 @@ struct Node {
 }
 
 impl Node {
-    fn new(plan: Plan, dds: Dds, say: Speaker) -> Node {
+    fn new(plan: Plan, dds: Dds, writer: HostWriter) -> Node {
         let now = Instant::now();
         Node {
             dds,
-            say,
+            writer,
             role: Role::Spare,
             motors: vec![Motor::default(); plan.writers.len()],
             commands: plan.writers.iter().map(|writer| writer.kind.is_command()).collect(),
@@ -233,11 +233,11 @@ impl Node {
         let mut ends: Option<Instant> = None;
         loop {
             let now = Instant::now();
-            if ends.is_none() && !self.obey(now, &packets) {
+            if ends.is_none() && !self.carry_out(now, &packets) {
                 ends = Some(now + FAREWELL);
             }
-            self.hear(now);
-            let moved = self.stand(now, ends.is_none() && now.duration_since(self.host) <= SILENCE);
+            self.report_received(now);
+            let moved = self.publish_zeros(now, ends.is_none() && now.duration_since(self.host) <= SILENCE);
             if ends.is_some_and(|end| now >= end || !moved) {
                 return self.close();
             }
@@ -275,7 +275,7 @@ impl Node {
 
     /// Carries out all waiting packets of the host; of several commands for a topic, only the newest. Returns false at
     /// the end of the host's input.
-    fn obey(&mut self, now: Instant, packets: &Receiver<ToNode>) -> bool {
+    fn carry_out(&mut self, now: Instant, packets: &Receiver<ToNode>) -> bool {
         let mut newest = vec![None; self.motors.len()];
         let open = loop {
             match packets.try_recv() {
@@ -310,20 +310,20 @@ impl Node {
     }
 
     /// Reports received ROS messages to the host. A spare reports at most one of each topic per `SPARE_REPORT`.
-    fn hear(&mut self, now: Instant) {
-        let Node { dds, say, role, report_at, .. } = self;
+    fn report_received(&mut self, now: Instant) {
+        let Node { dds, writer, role, report_at, .. } = self;
         dds.take(|topic, sample: Sample| {
             if *role == Role::Active || now >= report_at[topic] {
                 report_at[topic] = now + SPARE_REPORT;
                 let topic = u16::try_from(topic).expect("a plan has at most 256 topics");
-                say.say(&FromNode::Heard(ReceivedMessage { topic, sample }));
+                writer.send(&FromNode::Heard(ReceivedMessage { topic, sample }));
             }
         });
     }
 
     /// If this process is active, publishes the zero velocities that are due: to robots whose last command has expired
     /// and, if `trusted` is false, to all that had a command. Returns whether it is active and has published a command.
-    fn stand(&mut self, now: Instant, trusted: bool) -> bool {
+    fn publish_zeros(&mut self, now: Instant, trusted: bool) -> bool {
         for (topic, motor) in self.motors.iter_mut().enumerate() {
             if self.role == Role::Active && motor.zero_due(now, trusted) {
                 self.dds.drive(topic, [0.0; 3]);
@@ -340,10 +340,10 @@ impl Node {
                 Some(reported) => *reported = state.clone(),
                 None => self.reported.push(state.clone()),
             }
-            self.say.say(&FromNode::Topic(state.clone()));
+            self.writer.send(&FromNode::Topic(state.clone()));
         }
         let resident_mib = u32::try_from(resident).unwrap_or(u32::MAX);
-        self.say.say(&FromNode::Beat(Vitals { resident_mib, matched: self.dds.is_matched() }));
+        self.writer.send(&FromNode::Beat(Vitals { resident_mib, matched: self.dds.is_matched() }));
     }
 
     /// Leaves DDS, for which it waits at most `SIGN_OFF`, and returns the exit code.

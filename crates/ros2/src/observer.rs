@@ -43,7 +43,7 @@ impl Observer {
 }
 
 impl observers::Observer for Observer {
-    fn hear(&mut self, now: Time, message: &Wire, out: &mut Vec<Packet>) {
+    fn receive(&mut self, now: Time, message: &Wire, out: &mut Vec<Packet>) {
         match message {
             Wire::Reading(reading) => {
                 let motion = Motion { position: reading.pose.position, velocity: reading.twist.velocity };

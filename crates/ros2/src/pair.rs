@@ -115,7 +115,7 @@ impl Process {
         self.heard.is_some_and(|heard| now.since(heard) <= SILENCE)
     }
 
-    fn hears(&self, now: Time, topic: usize) -> bool {
+    fn receives(&self, now: Time, topic: usize) -> bool {
         self.topics[topic].is_some_and(|at| now.since(at) <= HEARD_NOW)
     }
 }
@@ -149,7 +149,7 @@ impl Pair {
     /// call [`Pair::tick`] afterwards.
     pub fn handle(&mut self, now: Time, event: Input, out: &mut Vec<Action>) {
         match event {
-            Input::Line(id, line) => self.heard(now, id, line, out),
+            Input::Line(id, line) => self.received(now, id, line, out),
             Input::Ended(id) => {
                 if let Some(index) = self.index(id) {
                     self.end(now, index, out);
@@ -209,7 +209,7 @@ impl Pair {
         self.slots.iter().position(|slot| slot.process.as_ref().is_some_and(|process| process.id == id))
     }
 
-    fn heard(&mut self, now: Time, id: Id, line: &[u8], out: &mut Vec<Action>) {
+    fn received(&mut self, now: Time, id: Id, line: &[u8], out: &mut Vec<Action>) {
         let Some(index) = self.index(id) else { return };
         let Some(process) = &mut self.slots[index].process else { return };
         process.heard = Some(now);
@@ -357,7 +357,7 @@ impl Pair {
     /// any, and each of its command topics, if it has any, has a subscriber.
     fn is_linked(&self, now: Time, process: &Process) -> bool {
         let commands = self.plan.writers.iter().any(|writer| writer.kind.is_command());
-        let hears = process.topics.is_empty() || (0..process.topics.len()).any(|topic| process.hears(now, topic));
+        let hears = process.topics.is_empty() || (0..process.topics.len()).any(|topic| process.receives(now, topic));
         hears && (!commands || process.vitals.matched)
     }
 
@@ -366,7 +366,7 @@ impl Pair {
     fn is_worse(&self, now: Time) -> bool {
         let Some(active) = &self.slots[self.active].process else { return false };
         let Some(spare) = self.other(self.active).filter(|spare| spare.is_live(now)) else { return false };
-        let deaf = |topic| !active.hears(now, topic) && spare.hears(now, topic);
+        let deaf = |topic| !active.receives(now, topic) && spare.receives(now, topic);
         (0..active.topics.len()).any(deaf) || (spare.vitals.matched && !active.vitals.matched)
     }
 }

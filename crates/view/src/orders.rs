@@ -56,7 +56,7 @@ impl Orders {
     }
 
     /// Handles the status of a host, by which it confirms the order in progress for its robots.
-    pub fn hear(&mut self, now: Time, status: &Status) {
+    pub fn receive(&mut self, now: Time, status: &Status) {
         let Some((order, kind, began)) = &mut self.running else { return };
         let before = order.confirmed_at();
         order.handle(now, status.clone(), &mut Vec::new());
@@ -130,7 +130,7 @@ mod tests {
         assert!(orders.turn(at(20)).is_some() && orders.give(at(21), OrderKind::Rearm).is_err());
         let latch = Some(Latch::engaged(1));
         let robots = vec![Following { robot: RobotId(0), controller: latch, body: latch }];
-        orders.hear(at(30), &Status { host: HostId(0), leaves: false, robots, leading: None });
+        orders.receive(at(30), &Status { host: HostId(0), leaves: false, robots, leading: None });
         assert_eq!(orders.take_result().as_deref(), Some("stop: confirmed by all 1 after 0.030 s"));
         assert!(orders.turn(at(499)).is_some() && orders.turn(at(501)).is_none() && !orders.is_running());
         orders.give(at(600), OrderKind::Rearm).unwrap();

@@ -66,7 +66,7 @@ impl Session {
                         client.send(Message::Binary(bytes))?;
                     }
                 }
-                Socket::Control(standing) => self.tell(client, standing.is_holder(), shared)?,
+                Socket::Control(standing) => self.send_changes(client, standing.is_holder(), shared)?,
             }
             if closing {
                 return Ok(());
@@ -82,7 +82,7 @@ impl Session {
     }
 
     /// Sends the refusals of the client's commands, and goals and status if they have changed.
-    fn tell(&mut self, client: &mut Client, holder: bool, shared: &Shared) -> tungstenite::Result<()> {
+    fn send_changes(&mut self, client: &mut Client, holder: bool, shared: &Shared) -> tungstenite::Result<()> {
         for answer in self.answers.drain(..) {
             client.send(Message::text(answer))?;
         }

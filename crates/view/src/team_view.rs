@@ -87,7 +87,7 @@ impl TeamView {
     }
 
     /// Updates the state with a message that a robot or another host has published.
-    pub fn hear(&mut self, now: Time, message: &Wire) {
+    pub fn receive(&mut self, now: Time, message: &Wire) {
         match message {
             Wire::Reading(m) => self.measured(now, m.robot, m.pose),
             Wire::Latent(m) if m.robot.index() < self.robots.len() => {
@@ -441,8 +441,8 @@ mod tests {
     #[test]
     fn what_was_not_heard_is_not_drawn() {
         let mut view = view();
-        view.hear(at(10), &latent(0, 0.5));
-        view.hear(at(10), &latent(77, 0.5));
+        view.receive(at(10), &latent(0, 0.5));
+        view.receive(at(10), &latent(77, 0.5));
         let snapshot = view.snapshot(at(40));
         assert_eq!(snapshot.robots[0].position, Some(Vec2::new(0.5, 0.0)));
         assert_eq!((snapshot.robots[0].heading, snapshot.robots[0].age), (None, Some(Span::from_millis(30))));
@@ -454,7 +454,7 @@ mod tests {
     fn links_join_robots_within_range_and_have_the_age_of_the_older_direction() {
         let mut view = view();
         for (robot, x) in [(0, 0.0), (1, 0.9), (2, 2.0)] {
-            view.hear(at(0), &latent(robot, x));
+            view.receive(at(0), &latent(robot, x));
         }
         assert_eq!(view.snapshot(at(0)).links, [LinkState { one: 0, other: 1, age: None, loss: None }]);
         view.arrived(at(5), HostId(0), RobotId(1));
@@ -470,12 +470,12 @@ mod tests {
         let heartbeat = |robot: u16, latch| {
             Wire::Heartbeat(Heartbeat { robot: RobotId(robot), round: Round::default(), phase: Phase::Running, latch })
         };
-        (0..3).for_each(|robot| view.hear(at(0), &heartbeat(robot, clear)));
+        (0..3).for_each(|robot| view.receive(at(0), &heartbeat(robot, clear)));
         assert_eq!((view.confirmed(), view.latch().word()), (3, "clear"));
-        view.hear(at(10), &heartbeat(1, stopped));
+        view.receive(at(10), &heartbeat(1, stopped));
         assert_eq!((view.confirmed(), view.latch().word()), (0, "stopped"), "its motors may turn");
         let robots = vec![Following { robot: RobotId(1), controller: Some(stopped), body: Some(stopped) }];
-        view.hear(at(20), &Wire::Status(wire::Status { host: HostId(1), leaves: false, robots, leading: None }));
+        view.receive(at(20), &Wire::Status(wire::Status { host: HostId(1), leaves: false, robots, leading: None }));
         assert_eq!(view.confirmed(), 1);
         assert!(view.snapshot(at(20)).robots[1].latched);
     }
@@ -483,7 +483,7 @@ mod tests {
     #[test]
     fn guards_and_silence_are_logged_once() {
         let mut view = view();
-        view.hear(at(0), &latent(2, 0.0));
+        view.receive(at(0), &latent(2, 0.0));
         view.guarded(at(0), RobotId(2), SafetyCounts { late_tick: 2, ..SafetyCounts::default() });
         view.guarded(at(0), RobotId(2), SafetyCounts { late_tick: 2, fence: 1, ..SafetyCounts::default() });
         let status = view.status(at(2000));
@@ -505,12 +505,12 @@ mod tests {
         };
         let counts = |stop| SafetyCounts { stop, ..SafetyCounts::default() };
         let report = || GuardReport { acted: 1, late_ticks: 0, last: Some(Trigger::Stop) };
-        view.hear(at(0), &heartbeat(Latch::engaged(1)));
+        view.receive(at(0), &heartbeat(Latch::engaged(1)));
         view.guarded(at(0), RobotId(0), counts(1));
         assert_eq!(view.status(at(100)).guard, [(0, "emergency stops", Some(0.1))]);
-        view.hear(at(200), &heartbeat(Latch::held(2)));
+        view.receive(at(200), &heartbeat(Latch::held(2)));
         assert_eq!(view.status(at(200)).guard.len(), 1, "it still stands");
-        view.hear(at(300), &heartbeat(Latch::clear(3)));
+        view.receive(at(300), &heartbeat(Latch::clear(3)));
         assert!(view.status(at(300)).guard.is_empty());
         // A page that joins later hears of the stop in telemetry, which repeats it for ever.
         for ms in [400, 700] {
@@ -527,14 +527,14 @@ mod tests {
             let (round, latch) = (Round::default(), Latch::default());
             Wire::Heartbeat(Heartbeat { robot: RobotId(1), round, phase: Phase::Running, latch })
         };
-        view.hear(at(0), &heartbeat());
+        view.receive(at(0), &heartbeat());
         for ms in (0..3000).step_by(50) {
-            view.hear(at(ms), &reading(0.1));
+            view.receive(at(ms), &reading(0.1));
         }
         let robot = view.snapshot(at(3000)).robots[1];
         assert_eq!((robot.age, robot.position), (Some(Span::from_millis(3000)), Some(Vec2::new(0.1, 0.0))));
         assert_eq!(lines(&view.status(at(3000))), ["robot 1: silent"]);
-        view.hear(at(3100), &heartbeat());
+        view.receive(at(3100), &heartbeat());
         assert_eq!(lines(&view.status(at(3100))), ["robot 1: silent", "robot 1: heard again"]);
     }
 
@@ -549,16 +549,16 @@ mod tests {
             let (round, latch) = (Round::default(), Latch::default());
             Wire::Mode(Mode { round, repeat: 0, phase, first: RobotId(0), tasks: Vec::new().into(), latch })
         };
-        view.hear(at(0), &mode(Phase::Running));
-        view.hear(at(0), &latent(0, 0.5));
+        view.receive(at(0), &mode(Phase::Running));
+        view.receive(at(0), &latent(0, 0.5));
         let age = |view: &mut TeamView, ms| {
-            view.hear(at(ms), &heartbeat());
+            view.receive(at(ms), &heartbeat());
             view.snapshot(at(ms)).robots[0].age
         };
         assert_eq!(age(&mut view, 2000), Some(Span::from_millis(2000)));
-        view.hear(at(2000), &mode(Phase::AbortRunning));
+        view.receive(at(2000), &mode(Phase::AbortRunning));
         assert_eq!(age(&mut view, 4000), Some(Span::ZERO), "between episodes agents need not speak");
-        view.hear(at(5000), &mode(Phase::Running));
+        view.receive(at(5000), &mode(Phase::Running));
         assert_eq!(age(&mut view, 5100), Some(Span::from_millis(100)), "it has just begun");
     }
 
@@ -579,8 +579,8 @@ mod tests {
         let (round, latch) = (Round::default(), Latch::default());
         let phase = Phase::EpisodesFinished;
         let mode = Mode { round, repeat: 0, phase, first: RobotId(0), tasks: Vec::new().into(), latch };
-        (0..3).for_each(|robot| view.hear(at(0), &latent(robot, 0.0)));
-        view.hear(at(10), &Wire::Mode(mode));
+        (0..3).for_each(|robot| view.receive(at(0), &latent(robot, 0.0)));
+        view.receive(at(10), &Wire::Mode(mode));
         assert!(view.status(at(5000)).log.is_empty());
     }
 

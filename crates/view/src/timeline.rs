@@ -48,7 +48,7 @@ impl TeamView {
     /// Updates the state of the team with an event of a record, which happened at the time `now`.
     pub fn take(&mut self, now: Time, sight: &Sight) {
         match sight {
-            Sight::Message(message) => self.hear(now, message),
+            Sight::Message(message) => self.receive(now, message),
             Sight::Arrived(host, robot) => self.arrived(now, *host, *robot),
             Sight::Truth(truth) => self.see(truth),
             Sight::Judged(episode) => self.judged(now, episode),

@@ -171,7 +171,7 @@ pub(super) struct News {
 
 impl News {
     /// Tells the control thread of a change; one that does not fit is left out.
-    fn tell(&self, change: Renewed) {
+    fn report(&self, change: Renewed) {
         let _ = self.queue.try_send(change);
         let _ = self.bell.write(1);
     }
@@ -252,7 +252,7 @@ impl Worker {
             self.refresh(&mut subscriptions, &session, &sender);
             self.shared.open.store(true, Ordering::Release);
             if opened.try_send(Ok(())).is_err() {
-                news.tell(Renewed::Open(format!("the Zenoh session of '{}'", self.config.key)));
+                news.report(Renewed::Open(format!("the Zenoh session of '{}'", self.config.key)));
             }
             let end = self.publish_all(&session, &mut subscriptions, &mut port);
             if end == End::Closed {
@@ -261,7 +261,7 @@ impl Worker {
                 return;
             }
             self.shared.open.store(false, Ordering::Release);
-            news.tell(Renewed::Closed("this machine's address or interface has changed".to_owned()));
+            news.report(Renewed::Closed("this machine's address or interface has changed".to_owned()));
             // A session that listens occupies its port. The end of any other may wait for a router that is not reached
             // any more, so nobody waits for it.
             if awaits(&self.zenoh) {

@@ -188,7 +188,7 @@ impl Player {
             before = present;
             let (playing, rate) = (self.playing, self.rate);
             let fill = |status: &mut PageStatus| status.playback = Some(Playback { playing, rate });
-            self.feed.tell(&self.publisher, self.now, if playing { "playing" } else { "paused" }, fill);
+            self.feed.publish(&self.publisher, self.now, if playing { "playing" } else { "paused" }, fill);
         }
     }
 

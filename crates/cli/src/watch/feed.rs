@@ -79,7 +79,7 @@ impl Feed {
     /// Publishes snapshot, metrics, goals and status of the team if they are due, without waiting. `now` is the time of
     /// the run. A change of `own`, the state of this process in a word, is published at once. `fill` sets the fields of
     /// the status that only this process knows.
-    pub fn tell(&mut self, publisher: &Publisher, now: Time, own: &'static str, fill: impl FnOnce(&mut PageStatus)) {
+    pub fn publish(&mut self, publisher: &Publisher, now: Time, own: &'static str, fill: impl FnOnce(&mut PageStatus)) {
         let present = Instant::now();
         if present < self.look_at {
             return;

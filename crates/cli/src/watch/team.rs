@@ -190,9 +190,9 @@ impl Page {
                     }
                     let ProcessEvent::Message(message) = event else { return };
                     if let Wire::Status(status) = message {
-                        given.borrow_mut().hear(time.now(), status);
+                        given.borrow_mut().receive(time.now(), status);
                     }
-                    seen.borrow_mut().hear(time.now(), message);
+                    seen.borrow_mut().receive(time.now(), message);
                 });
                 operator::observe(clock, &network, me.host);
                 let (pause_after, ending) = (None, None);
@@ -260,10 +260,10 @@ impl Desk {
     fn beat(mut self, clock: &Clock) {
         let now = clock.now();
         while let Some(command) = self.publisher.command() {
-            self.obey(now, command);
+            self.execute(now, command);
         }
         self.take_news(now);
-        self.tell_trouble(now);
+        self.log_trouble(now);
         self.take_pause(now);
         let mut message = self.orders.borrow_mut().turn(now);
         if let Some(result) = self.orders.borrow_mut().take_result() {
@@ -281,7 +281,7 @@ impl Desk {
             None => pause,
         };
         let (ending, trouble) = (self.ending.clone(), self.trouble.get());
-        self.feed.tell(&self.publisher, now, own, |status| {
+        self.feed.publish(&self.publisher, now, own, |status| {
             (status.ordering, status.pause, status.trouble) = (ordering, pause, trouble);
             (status.over, status.ending) = (ending.is_some(), ending);
         });
@@ -319,7 +319,7 @@ impl Desk {
     }
 
     /// Says once, on the terminal and in the log of the page, why nothing of the team is understood.
-    fn tell_trouble(&mut self, now: Time) {
+    fn log_trouble(&mut self, now: Time) {
         let trouble = self.trouble.get();
         if let Some(trouble) = trouble.filter(|_| trouble != self.known) {
             talk(&format!("warning: {trouble}"));
@@ -345,7 +345,7 @@ impl Desk {
         }
     }
 
-    fn obey(&mut self, now: Time, command: Command) {
+    fn execute(&mut self, now: Time, command: Command) {
         let kind = match command {
             Command::Stop => OrderKind::Stop,
             Command::Rearm => OrderKind::Rearm,

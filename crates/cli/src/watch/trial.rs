@@ -118,7 +118,7 @@ pub fn run(
         None => trial.run_observed(hear, turn),
     };
     desk.feed.at_once();
-    desk.tell(last, true);
+    desk.publish(last, true);
     server.close();
     Ok(report)
 }
@@ -147,9 +147,9 @@ fn heard(view: &mut TeamView, orders: &mut Orders, now: Time, host: HostId, even
         ProcessEvent::Published(frame) => {
             let Some(message) = wanted(frame) else { return };
             if let Wire::Status(status) = &message {
-                orders.hear(now, status);
+                orders.receive(now, status);
             }
-            view.hear(now, &message);
+            view.receive(now, &message);
         }
         ProcessEvent::Message(Wire::Latent(latent)) => view.arrived(now, host, latent.robot),
         ProcessEvent::Truth(truth) => view.see(truth),
@@ -235,7 +235,7 @@ impl Desk<'_> {
         let ended = episodes.len() > std::mem::replace(&mut self.finished, episodes.len());
         loop {
             while let Some(command) = self.publisher.command() {
-                self.obey(graph, now, command);
+                self.execute(graph, now, command);
             }
             self.take_pause(now, ended);
             let message = self.orders.borrow_mut().turn(now);
@@ -243,7 +243,7 @@ impl Desk<'_> {
             if let Some(result) = self.orders.borrow_mut().take_result() {
                 self.view.borrow_mut().note(now, &result);
             }
-            self.tell(now, false);
+            self.publish(now, false);
             if stop.load(Ordering::Relaxed) {
                 return Proceed::Stop;
             }
@@ -253,7 +253,7 @@ impl Desk<'_> {
             }
             let wait = if self.pause == Pause::Yes { TURN } else { ahead.min(TURN) };
             if let Some(command) = self.publisher.wait(wait) {
-                self.obey(graph, now, command);
+                self.execute(graph, now, command);
             }
         }
         if self.view.borrow().latch().is_clear() { Proceed::Continue } else { Proceed::Hold }
@@ -269,7 +269,7 @@ impl Desk<'_> {
         }
     }
 
-    fn tell(&mut self, now: Time, over: bool) {
+    fn publish(&mut self, now: Time, over: bool) {
         let Desk { killed, impaired, pace, orders, .. } = self;
         let pause = match self.pause {
             Pause::No => "no",
@@ -291,10 +291,10 @@ impl Desk<'_> {
             (_, true) => "ordering",
             _ => pause,
         };
-        self.feed.tell(&self.publisher, now, own, fill);
+        self.feed.publish(&self.publisher, now, own, fill);
     }
 
-    fn obey(&mut self, graph: &Graph, now: Time, command: Command) {
+    fn execute(&mut self, graph: &Graph, now: Time, command: Command) {
         let note = |line: &str| self.view.borrow_mut().note(now, line);
         match command {
             Command::Stop => {

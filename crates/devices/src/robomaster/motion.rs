@@ -83,7 +83,7 @@ impl Motion {
     }
 
     /// Stores that `line` was sent to the robot at `now`. Lines that do not move wheels have no effect.
-    pub fn tell(&mut self, now: Time, line: &Line) {
+    pub fn sent(&mut self, now: Time, line: &Line) {
         if matches!(line, Line::Speed(_) | Line::Stand) {
             self.told = now;
             self.standing = *line == Line::Stand;
@@ -104,7 +104,7 @@ mod tests {
     /// Tells the next line, and returns it.
     fn tell(motion: &mut Motion, ms: u64) -> (Line, Hold) {
         let next = motion.next(at(ms));
-        motion.tell(at(ms), &next.0);
+        motion.sent(at(ms), &next.0);
         next
     }
 

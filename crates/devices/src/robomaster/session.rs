@@ -152,11 +152,11 @@ impl Session {
         // A line that is overtaken by standing is still to be answered: its time counts on.
         let since = self.flight.map_or(now, |flight| flight.since);
         self.flight = Some(Flight { seq: self.seq, line, since });
-        self.motion.tell(now, &line);
+        self.motion.sent(now, &line);
     }
 
-    /// Makes the robot stand: sends a stand command at once, without waiting for an answer, if the robot moves.
-    fn stand(&mut self, now: Time, out: &mut Vec<Out>) {
+    /// Stops the robot: sends a stand command at once, without waiting for an answer, if the robot moves.
+    fn halt(&mut self, now: Time, out: &mut Vec<Out>) {
         if self.motion.stop() && self.state == State::Driving {
             self.send(now, Line::Stand, Hold::Standing, out);
         }
@@ -286,7 +286,7 @@ impl Session {
         self.battery.take(percent);
         if self.battery.low && !was_low {
             tracing::error!("{} has {percent} % of charge left and stands: charge its battery", self.robot);
-            self.stand(now, out);
+            self.halt(now, out);
         }
         // The condition is reported again, with this charge.
         self.reporter.repeat();
@@ -307,7 +307,7 @@ impl Session {
             self.rolled_over = rolled_over;
             if rolled_over {
                 tracing::error!("{} lies on its side: set it on its wheels", self.robot);
-                self.stand(now, out);
+                self.halt(now, out);
             }
         }
         match self.odometry.take(stamp_ns, &push) {
@@ -347,7 +347,7 @@ impl Driver for Session {
         let until = command.drive.until;
         let speed = command.body.as_ref().and_then(|twist| self.chassis.follow(twist)).filter(|_| until > now);
         let Some(speed) = speed.filter(|_| self.may_move() && !self.is_late(now)) else {
-            return self.stand(now, out);
+            return self.halt(now, out);
         };
         self.motion.want(speed, until);
         self.advance(now, out);
@@ -408,7 +408,7 @@ impl Driver for Session {
             State::SetUp(_) | State::Driving => {}
         }
         if self.is_late(now) || self.motion.expires().is_some_and(|until| until <= now) {
-            self.stand(now, out);
+            self.halt(now, out);
         }
         if self.state == State::Driving {
             self.report_condition(now, out);

@@ -134,7 +134,7 @@ impl Links {
             let _ = wake.read();
             loop {
                 match packets.try_recv() {
-                    Ok(packet) => self.obey(&packet),
+                    Ok(packet) => self.handle(&packet),
                     Err(TryRecvError::Empty) => break,
                     Err(TryRecvError::Disconnected) => return self.end(),
                 }
@@ -173,7 +173,7 @@ impl Links {
         let _ = poll(&mut fds, timeout);
     }
 
-    fn obey(&mut self, packet: &[u8]) {
+    fn handle(&mut self, packet: &[u8]) {
         match ToWorker::decode(packet) {
             Some(ToWorker::Open) => self.open(),
             Some(ToWorker::Write { connection, hold, line }) if connection == self.number => {

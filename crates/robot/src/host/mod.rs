@@ -156,7 +156,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let (heard, recorded) = (Rc::clone(&seen), Rc::clone(&seen));
     let graph = live.run(
         began,
-        move |host, event| heard.hear(host, event),
+        move |host, event| heard.receive(host, event),
         move |out| recorded.note(out),
         |readers, now| {
             seen.end_turn(now, None);

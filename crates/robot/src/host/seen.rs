@@ -85,11 +85,11 @@ impl Seen {
     }
 
     /// Updates the state with an event of the host `host`, and passes the event to the record and the metrics.
-    pub fn hear(&self, host: HostId, heard: ProcessEvent) {
+    pub fn receive(&self, host: HostId, heard: ProcessEvent) {
         self.record().into_iter().for_each(|record| record.push(host, heard));
         #[cfg(feature = "watch")]
         if let Some(Some(metrics)) = self.metrics.get() {
-            metrics.hear(host, heard);
+            metrics.receive(host, heard);
         }
         match heard {
             ProcessEvent::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => self.over.set(true),

@@ -56,10 +56,10 @@ impl StationProtocol for Rtps {
     fn receive(&mut self, now: Time, packet: &Packet, out: &mut Vec<Output<Packet>>) {
         match packet {
             Packet::Data(writer, samples) => {
-                samples.iter().for_each(|sample| self.reader.hear_sample(*writer, *sample, out));
+                samples.iter().for_each(|sample| self.reader.receive_sample(*writer, *sample, out));
             }
-            Packet::Heartbeat(writer, holds) => self.reader.hear_heartbeat(now, *writer, *holds, out),
-            Packet::AckNack { reader, base, missing } => self.writer.hear_acknack(now, *reader, (*base, missing)),
+            Packet::Heartbeat(writer, holds) => self.reader.receive_heartbeat(now, *writer, *holds, out),
+            Packet::AckNack { reader, base, missing } => self.writer.receive_acknack(now, *reader, (*base, missing)),
             Packet::Announcement => {}
         }
     }

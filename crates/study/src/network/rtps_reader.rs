@@ -65,7 +65,7 @@ impl RtpsReader {
     }
 
     /// Handles a sample of `writer`, and delivers what need not wait any more.
-    pub fn hear_sample(&mut self, writer: u16, (sequence, published): Sample, out: &mut Vec<Output<Packet>>) {
+    pub fn receive_sample(&mut self, writer: u16, (sequence, published): Sample, out: &mut Vec<Output<Packet>>) {
         let Some(proxy) = self.writers.get_mut(&writer) else { return };
         if sequence < proxy.next || proxy.received.contains(&sequence) {
             return;
@@ -94,7 +94,7 @@ impl RtpsReader {
     }
 
     /// Handles a heartbeat of `writer`: samples below the first number are lost, and those below the second exist.
-    pub fn hear_heartbeat(&mut self, now: Time, writer: u16, (first, end): Holds, out: &mut Vec<Output<Packet>>) {
+    pub fn receive_heartbeat(&mut self, now: Time, writer: u16, (first, end): Holds, out: &mut Vec<Output<Packet>>) {
         let positive = self.reliability == ReliabilityMode::Ack;
         let Some(proxy) = self.writers.get_mut(&writer) else { return };
         if first > proxy.next {

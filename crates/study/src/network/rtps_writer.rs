@@ -112,7 +112,7 @@ impl RtpsWriter {
     }
 
     /// Handles an ACKNACK of `reader`: it has all samples below `base` and requests those of `missing`.
-    pub fn hear_acknack(&mut self, now: Time, reader: u16, (base, missing): (u32, &[u32])) {
+    pub fn receive_acknack(&mut self, now: Time, reader: u16, (base, missing): (u32, &[u32])) {
         let holds = self.first..self.end();
         let Some(proxy) = self.readers.get_mut(&reader) else { return };
         proxy.low = proxy.low.max(base);
