@@ -5,7 +5,7 @@
 //! An actor is a pure [`actor::Core`]: a state machine that takes the time and a message and returns messages. One
 //! generic shell runs every core. A few kinds of [wire messages](messages::wire) may cross hosts, always through a
 //! Network, which routes each by a table. So a deployment mode is data ([`deploy`]), and the same graph runs
-//! everywhere.
+//! everywhere. "The paper" is Blumenkamp et al., ICRA 2022 (arXiv 2111.01777); docs/glossary.md has all other words.
 //!
 //! # Modules in their order
 //! Each module may use those before it in the table of ARCHITECTURE.md, never those after; `tests/tidy.rs` checks it.

@@ -31,9 +31,9 @@ pub enum In {
     MotorCommand(MotorCommand),
     /// Reading (measured state) of the Body's robot; sent only if the robot is not simulated.
     Reading(Reading),
-    /// Packet of bytes from the worker (I/O thread) of the robot's driver.
+    /// Packet of bytes from the worker of the robot's driver.
     Packet(Box<[u8]>),
-    /// The worker (I/O thread) of the robot's driver has ended, so the robot can no longer be commanded.
+    /// The worker of the robot's driver has ended, so the robot can no longer be commanded.
     WorkerEnded,
     /// Emergency stop message: engage, re-arm or resume.
     Stop(Stop),
@@ -48,7 +48,7 @@ pub enum In {
 pub enum Out {
     /// Command for the World that simulates the robot.
     Drive(Drive),
-    /// Packet of bytes for the worker (I/O thread) of the robot's driver.
+    /// Packet of bytes for the worker of the robot's driver.
     Send(Box<[u8]>),
     /// Pose and velocity from the robot's own sensors, for the Localizer of its host.
     Odometry(Reading),

@@ -21,7 +21,7 @@ use crate::time::Time;
 pub enum In {
     /// True state of a simulated robot, which the source turns into a reading.
     Sample(Sample),
-    /// Packet from the worker (I/O thread) of the source of readings, such as a tracker's datagram.
+    /// Packet from the worker of the source of readings, such as a tracker's datagram.
     Packet(Box<[u8]>),
     /// Pose and velocity from the own sensors of a robot whose Body runs on this host.
     Odometry(Reading),

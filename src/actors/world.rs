@@ -30,7 +30,7 @@ const MOVED_ON: Span = Span::from_millis(200);
 /// command. Its Agent needs a step of its own to command it.
 const COASTING: Span = Span::from_millis(200);
 
-/// Input message of a World, the actor that steps the plant (simulator) of simulated robots.
+/// Input message of a World, the actor that steps the plant of simulated robots.
 #[derive(Clone, Debug)]
 pub enum In {
     /// Command from the Body of a simulated robot.
@@ -41,7 +41,7 @@ pub enum In {
     Reading(Reading),
 }
 
-/// Output message of a World, the actor that steps the plant (simulator) of simulated robots.
+/// Output message of a World, the actor that steps the plant of simulated robots.
 #[derive(Clone, Debug)]
 pub enum Out {
     /// True state of a simulated robot, for the robot's Localizer, which makes readings of it.
@@ -50,8 +50,8 @@ pub enum Out {
     Truth(Truth),
 }
 
-/// State that survives a crash of the World actor: the plant (simulator), and the round for which each robot was last
-/// placed. Without a running World the plant does not advance.
+/// State that survives a crash of the World actor: the plant, and the round for which each robot was last placed.
+/// Without a running World the plant does not advance.
 pub struct PersistentPlant {
     plant: Box<dyn Plant>,
     placed: Vec<Round>,
@@ -69,7 +69,7 @@ impl PersistentPlant {
     }
 }
 
-/// World: the actor that steps the plant (simulator) of all or some robots of a team, and publishes their true states.
+/// World: the actor that steps the plant of all or some robots of a team, and publishes their true states.
 pub struct World {
     persistent: Rc<RefCell<PersistentPlant>>,
     scenario: Arc<dyn Scenario>,

@@ -57,8 +57,8 @@ impl Deployment {
         RobotId::team(self.robots).map(|robot| self.chassis(robot)).collect()
     }
 
-    /// Checks that the plant (simulator) supports the drive, holonomic or differential, of every simulated robot. An
-    /// error names the robot.
+    /// Checks that the plant supports the drive, holonomic or differential, of every simulated robot. An error names
+    /// the robot.
     pub fn check_drives(&self, plant: &world::Entry) -> Result<(), ConfigError> {
         let mut simulated = self.hosts.iter().flat_map(|host| &host.simulates);
         let other = |robot: &&u16| !plant.drives.contains(&self.chassis(RobotId(**robot)).drive);

@@ -14,7 +14,7 @@ use crate::world::Physics;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Conditions {
-    /// Name of the plant (simulator) that moves the simulated robots.
+    /// Name of the plant that moves the simulated robots.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plant: Option<String>,
     /// Time constant of the first-order lag from commanded to true velocity of the robots \[s\].

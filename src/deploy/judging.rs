@@ -6,8 +6,8 @@ use crate::messages::wire::Kind;
 use crate::report::episode::Judged;
 
 impl Deployment {
-    /// Returns the kind of data from which episodes are judged: true states if one World (simulator) has all robots of
-    /// the team, otherwise readings.
+    /// Returns the kind of data from which episodes are judged: true states if one World has all robots of the team,
+    /// otherwise readings.
     pub fn judged(&self) -> Judged {
         match self.hosts.iter().any(|host| host.simulates.len() == self.robots) {
             true => Judged::Truth,

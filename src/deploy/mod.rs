@@ -34,7 +34,7 @@ use crate::world::{self, Placement};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Stepping {
-    /// All Agents run at the same time, halfway between two steps of the World (simulator), as in training.
+    /// All Agents run at the same time, halfway between two steps of the World, as in training.
     Lockstep,
     /// Each Agent runs with an offset of its own within the period, which the deployment sets or which is drawn from
     /// the seed.
@@ -51,8 +51,8 @@ pub struct Host {
     /// Controllers of these robots also run on this host.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub agents: Vec<Vec<u16>>,
-    /// Ids of the robots that the World (simulator) of this host moves; empty for none. Their Bodies and Localizers
-    /// also run on this host.
+    /// Ids of the robots that the World of this host moves; empty for none. Their Bodies and Localizers also run on
+    /// this host.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub simulates: Vec<u16>,
     /// Ids of the real robots whose motors this host drives. Their Bodies run on this host.
@@ -151,7 +151,7 @@ pub struct Deployment {
     pub placement: Placement,
     /// Rule for the times, within the control period, at which the team's Agents run their policies.
     pub stepping: Stepping,
-    /// Name of the plant (simulator) that moves the simulated robots.
+    /// Name of the plant that moves the simulated robots.
     #[serde(default = "kinematic")]
     pub plant: String,
     /// Width of the bottleneck of the team's scenario \[m\]; `None` for the scenario's default.

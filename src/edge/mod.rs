@@ -21,7 +21,7 @@ use tokio::sync::mpsc::error::TryRecvError;
 
 use crate::config::ConfigError;
 
-/// One message between the control thread and a worker (I/O thread), as bytes.
+/// One message between the control thread and a worker, as bytes.
 pub type Packet = Box<[u8]>;
 
 /// Largest number of waiting packets in each direction of a channel between the control thread and a worker: those of
@@ -53,7 +53,7 @@ pub trait Worker: Send {
     }
 }
 
-/// Worker's end of the channel between the control thread and the worker (I/O thread).
+/// Worker's end of the channel between the control thread and the worker.
 #[derive(Debug)]
 pub struct Port {
     rx: mpsc::Receiver<Packet>,
@@ -72,7 +72,7 @@ impl Drop for SignalOnDrop {
     }
 }
 
-/// Sender of packets from a worker (I/O thread) to the control thread; a worker may have several.
+/// Sender of packets from a worker to the control thread; a worker may have several.
 #[derive(Clone, Debug)]
 pub struct PacketSender {
     tx: mpsc::Sender<Packet>,
@@ -80,7 +80,7 @@ pub struct PacketSender {
     dropped: Arc<AtomicU64>,
 }
 
-/// State of a worker (I/O thread), as seen by the control thread.
+/// State of a worker, as seen by the control thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WorkerState {
     /// The worker runs, or some of its packets have not been taken yet.
@@ -89,7 +89,7 @@ pub enum WorkerState {
     Ended,
 }
 
-/// Control thread's end of the channel between the control thread and a worker (I/O thread).
+/// Control thread's end of the channel between the control thread and a worker.
 #[derive(Debug)]
 pub struct Gate {
     /// Receiver of the worker's packets. Dropped first, so that the worker finds its sender closed.
@@ -101,7 +101,7 @@ pub struct Gate {
     dropped: Arc<AtomicU64>,
 }
 
-/// Makes a channel between the control thread and a worker (I/O thread), and returns both ends.
+/// Makes a channel between the control thread and a worker, and returns both ends.
 ///
 /// # Errors
 /// If the operating system has no file descriptor left.

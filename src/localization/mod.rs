@@ -1,7 +1,7 @@
 //! Localization: sources of readings (measured poses and velocities) of robots. A source is one module and one line in
 //! `REGISTRY`.
 //!
-//! A source does no I/O: it converts the packets of its worker (I/O thread), or the samples of a World, to readings.
+//! A source does no I/O: it converts the packets of its worker, or the samples of a World, to readings.
 
 pub mod alignment;
 pub mod check;
@@ -26,9 +26,9 @@ use plausibility::{Limits, Quality};
 /// Input of a source of readings, which localizes robots.
 #[derive(Clone, Debug)]
 pub enum In<'a> {
-    /// True state of a simulated robot, from the World (simulator).
+    /// True state of a simulated robot, from the World.
     Sample(&'a Sample),
-    /// Packet from the worker (I/O thread) of the source.
+    /// Packet from the worker of the source.
     Packet(&'a [u8]),
     /// Pose and velocity that a robot of this host has measured itself, in a frame of its own that drifts.
     Odometry(&'a Reading),

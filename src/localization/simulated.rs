@@ -1,5 +1,5 @@
 //! Source of readings of a simulated robot: a sensor with noise, rate and latency, which measures the true states of
-//! the robot that the World (simulator) sends.
+//! the robot that the World sends.
 
 use std::collections::VecDeque;
 

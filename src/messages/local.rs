@@ -118,8 +118,7 @@ pub struct Contacts {
     pub wall: bool,
 }
 
-/// True state of one simulated robot, sent from the World (simulator) to the robot's Localizer, which makes readings of
-/// it.
+/// True state of one simulated robot, sent from the World to the robot's Localizer, which makes readings of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
     /// Number of the robot.
@@ -139,7 +138,7 @@ pub struct Sample {
     pub contacts: Contacts,
 }
 
-/// True state of all robots of one World (simulator) after a step, sent to the Recorder.
+/// True state of all robots of one World after a step, sent to the Recorder.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Truth {
     /// Simulation time of the states.

@@ -1,5 +1,4 @@
-//! The message-passing network of the paper arXiv 2111.01777 (section III), evaluated for one robot, in its two
-//! architectures.
+//! The message-passing network of the paper (section III), evaluated for one robot, in its two architectures.
 //!
 //! Robot i encodes its observation x_i and broadcasts h_i = encoder(x_i). In the published architecture the action is
 //! update(sum over j of message(h_j - h_i)). The sum includes the robot's own term message(0), a constant that is not
@@ -105,8 +104,8 @@ impl GnnWeights {
         self.interface
     }
 
-    /// Returns the manifest (metadata) of the network's policy file. For a file without a manifest, it is that of the
-    /// policy published with the paper arXiv 2111.01777.
+    /// Returns the manifest of the network's policy file. For a file without a manifest, it is that of the policy
+    /// published with the paper.
     pub fn manifest(&self) -> &Manifest {
         &self.manifest
     }

@@ -1,8 +1,7 @@
 //! The manifest of a policy file of format 1: one JSON object in the safetensors metadata.
 //!
 //! The manifest holds all parameters that are needed to run the tensors in the same file. Only the policy published
-//! with the paper arXiv 2111.01777 has no manifest. Its file is recognised by its shapes, and its parameters are
-//! assumed.
+//! with the paper has no manifest. Its file is recognised by its shapes, and its parameters are assumed.
 
 use serde::{Deserialize, Serialize};
 
@@ -22,12 +21,12 @@ pub(crate) const FORMATS: [u32; 2] = [FORMAT, 2];
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Architecture {
-    /// Layers published with the paper arXiv 2111.01777: update(sum over neighbours j and the robot i itself of
-    /// message(h_j - h_i)). Here h_i is the encoded observation of robot i.
+    /// Layers published with the paper: update(sum over neighbours j and the robot i itself of message(h_j - h_i)).
+    /// Here h_i is the encoded observation of robot i.
     Published,
-    /// Equation (1) of the paper arXiv 2111.01777: update(\[h_i, sum over neighbours j of message(\[h_i, h_j,
-    /// e_ij\])\]). Here h_i is the encoded observation of robot i, and e_ij are the features of the edge from j to i.
-    /// The robot itself is not a term of the sum.
+    /// Equation (1) of the paper: update(\[h_i, sum over neighbours j of message(\[h_i, h_j, e_ij\])\]). Here h_i is
+    /// the encoded observation of robot i, and e_ij are the features of the edge from j to i. The robot itself is not a
+    /// term of the sum.
     Full,
 }
 
@@ -230,8 +229,8 @@ pub struct Manifest {
 }
 
 impl Manifest {
-    /// Returns the manifest that is assumed for the policy published with the paper arXiv 2111.01777, whose file has
-    /// none. The policy is for the scenario `passage`, and every value is from the data of that release.
+    /// Returns the manifest that is assumed for the policy published with the paper, whose file has none. The policy is
+    /// for the scenario `passage`, and every value is from the data of that release.
     pub fn published() -> Manifest {
         Manifest {
             format: FORMAT,
@@ -256,8 +255,8 @@ impl Manifest {
         }
     }
 
-    /// Returns the manifest of a network with the full architecture of equation (1) in the paper arXiv 2111.01777. Its
-    /// edge features are age and relative position; all other parameters are those of `published`.
+    /// Returns the manifest of a network with the full architecture of equation (1) in the paper. Its edge features are
+    /// age and relative position; all other parameters are those of `published`.
     pub(crate) fn full() -> Manifest {
         Manifest {
             architecture: Architecture::Full,

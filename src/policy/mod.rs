@@ -181,7 +181,7 @@ pub fn untrained(seed: u64) -> Model {
 }
 
 /// Returns a network with random weights, for tests and benchmarks. It has the full architecture of equation (1) in the
-/// paper arXiv 2111.01777, with edge features. The same `seed` gives the same weights.
+/// paper, with edge features. The same `seed` gives the same weights.
 pub fn untrained_full(seed: u64) -> Model {
     random_model(&Manifest::full(), seed)
 }

@@ -139,7 +139,7 @@ impl Model {
     }
 
     /// Makes the policy instance of one robot. `arena` has the ground, the walls and the robots' radius, in the policy
-    /// frame (the world frame, possibly rotated by half a turn).
+    /// frame.
     pub fn instance(&self, arena: &Arena) -> Box<dyn Policy> {
         match self {
             Model::Orca => Box::new(orca::Orca::new(arena)),

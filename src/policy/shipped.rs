@@ -2,8 +2,8 @@
 
 /// Names of the built-in trained policies, by which a user selects them: the default one of a scenario, the one that
 /// was the default of the scenario `passage` before (trained for delay, loss and lag in teams of five at the most), the
-/// one trained under the conditions of the paper arXiv 2111.01777 (robots act in lock step, and every message arrives),
-/// and a former name of the default one.
+/// one trained under the conditions of the paper (robots act in lock step, and every message arrives), and a former
+/// name of the default one.
 pub const NAMES: [&str; 4] = ["shipped", "robust", "published", "any-size"];
 
 const PASSAGE: &[u8] = include_bytes!("../../policies/passage-any-size.safetensors");

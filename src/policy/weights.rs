@@ -1,9 +1,9 @@
-//! Reading and writing of policy files: safetensors with a manifest (metadata), checked completely.
+//! Reading and writing of policy files: safetensors with a manifest, checked completely.
 //!
 //! The tensors of the encoder are `encoder.N.weight` \[out, in\] and `encoder.N.bias` \[out\]; those of the networks
 //! `message` and `update` are named likewise. N counts 0, 2, 4, ... as in a PyTorch `Sequential` with its ReLUs. The
-//! file published with the paper arXiv 2111.01777 calls these two networks `gnn` and `post` and has no manifest.
-//! Tensors `probe.*` are a [`Probe`]. No file is opened here: the caller passes the bytes of the file.
+//! file published with the paper calls these two networks `gnn` and `post` and has no manifest. Tensors `probe.*` are a
+//! [`Probe`]. No file is opened here: the caller passes the bytes of the file.
 
 use std::collections::BTreeMap;
 
@@ -17,8 +17,8 @@ use crate::config::objects;
 
 /// Tensor name prefixes of the three networks, in the order of use.
 const NAMES: [&str; 3] = ["encoder", "message", "update"];
-/// Tensor name prefixes of the three networks in the policy file published with the paper arXiv 2111.01777, in the
-/// order of use: encoder, message network, update network.
+/// Tensor name prefixes of the three networks in the policy file published with the paper, in the order of use:
+/// encoder, message network, update network.
 const PUBLISHED_NAMES: [&str; 3] = ["encoder", "gnn", "post"];
 
 /// Prefix of the names of the tensors in a policy file that hold its test data ([`Probe`]: inputs and correct outputs).
@@ -59,8 +59,7 @@ impl Probe {
 /// Content of a policy file of format 1 that has been checked: metadata, weights and test data.
 #[derive(Debug)]
 pub struct PolicyFile {
-    /// Manifest (metadata) of the policy file. For a file without a manifest, it is that of the policy published with
-    /// the paper arXiv 2111.01777.
+    /// Manifest of the policy file. For a file without a manifest, it is that of the policy published with the paper.
     pub manifest: Manifest,
     /// Assumptions made because the file has no manifest or an incomplete one, as text for the user; `None` if nothing
     /// was assumed.

@@ -129,8 +129,8 @@ impl Safety {
         }
     }
 
-    /// Returns the settings for emulation, in which only the triggers of the experiments in the paper arXiv 2111.01777
-    /// are monitored. Age of the own state, late ticks, geofence, minimum distance and walls are off.
+    /// Returns the settings for emulation, in which only the triggers of the experiments in the paper are monitored.
+    /// Age of the own state, late ticks, geofence, minimum distance and walls are off.
     pub const fn emulated() -> Safety {
         Safety {
             own_state: Switch::Off,

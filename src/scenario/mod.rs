@@ -51,13 +51,13 @@ impl PolicyFrame {
     }
 }
 
-/// Input of a policy about its own robot, in the policy frame (the world frame, possibly rotated by half a turn).
+/// Input of a policy about its own robot, in the policy frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
     /// Estimated position \[m\] and velocity \[m/s\] of the robot, in the policy frame (the world frame, possibly
     /// rotated by half a turn).
     pub motion: Motion,
-    /// Position of the robot's goal \[m\], in the policy frame (the world frame, possibly rotated by half a turn).
+    /// Position of the robot's goal \[m\], in the policy frame.
     pub goal: Vec2,
     /// How the robot follows the velocities that its policy commands.
     pub dynamics: Dynamics,

@@ -1,4 +1,4 @@
-//! Scenario `passage`, the case study of the paper arXiv 2111.01777 (section V): a team crosses a 1 m gap in a wall.
+//! Scenario `passage`, the case study of the paper (section V): a team crosses a 1 m gap in a wall.
 //!
 //! The x axis runs across the arena, the y axis through the gap. The wall lies on the x axis, and the gap is centred at
 //! the origin. The team starts on alternate sides of the wall from episode to episode; in the policy frame, the start
@@ -60,7 +60,7 @@ const STAGE_M: f32 = 0.1;
 /// The last stage of a robot's progress, which begins one step after that in which it was rewarded for its arrival.
 const LAST_STAGE: Progress = Progress(4);
 
-/// Scenario of the case study in the paper arXiv 2111.01777: a team crosses a narrow gap in a wall.
+/// Scenario of the case study in the paper: a team crosses a narrow gap in a wall.
 #[derive(Debug)]
 pub struct Passage {
     robots: usize,

@@ -12,7 +12,7 @@ pub enum Clamp {
     #[default]
     Training,
     /// Limits the speed along each axis and the difference from the measured velocity (0.25 m/s along each axis). The
-    /// real robots of the paper arXiv 2111.01777 had this limit, and no other limit of acceleration.
+    /// real robots of the paper had this limit, and no other limit of acceleration.
     Deployed,
 }
 

@@ -1,6 +1,5 @@
-//! The training world of the paper arXiv 2111.01777: holonomic discs with limited acceleration, which walls and other
-//! robots block. Arithmetic and order of operations are those of the environment published with the paper, in 32-bit
-//! floats.
+//! The training world of the paper: holonomic discs with limited acceleration, which walls and other robots block.
+//! Arithmetic and order of operations are those of the environment published with the paper, in 32-bit floats.
 //!
 //! A robot with another chassis is a disc about its centre. Its limits act on the velocity of the point that its policy
 //! commands, which [`Wheels`] turns into a motion of centre and heading. A robot that is blocked still turns, because
@@ -24,10 +23,10 @@ pub const PERIOD: Span = Span::from_millis(50);
 /// Duration of a step \[s\], as a number.
 const DT_S: f32 = 0.05;
 /// Largest speed of a simulated robot along each axis of the training world \[m/s\], as in the environment published
-/// with the paper arXiv 2111.01777.
+/// with the paper.
 pub const MAX_SPEED_M_S: f32 = 1.5;
 /// Default limit of a simulated robot's acceleration along each axis \[m/s^2\], as in the environment published with
-/// the paper arXiv 2111.01777.
+/// the paper.
 pub const MAX_ACCELERATION_M_S2: f32 = 1.0;
 
 /// State of all robots of one simulated world, which `step` updates in place. Each slice has one entry per robot,
@@ -177,8 +176,8 @@ fn any_within(offsets: impl Iterator<Item = Vec2>, own: usize, distance: f32) ->
     shortest <= 1.001 * distance * distance && shortest.sqrt() <= distance
 }
 
-/// Training world of the paper arXiv 2111.01777 as a plant (simulated world): discs that follow their commands within a
-/// limited acceleration.
+/// Training world of the paper as a plant (simulated world): discs that follow their commands within a limited
+/// acceleration.
 #[derive(Debug)]
 pub(crate) struct Kinematic {
     arena: Arena,
@@ -195,9 +194,9 @@ pub(crate) struct Kinematic {
     states: Vec<PlantState>,
 }
 
-/// Makes the training world of the paper arXiv 2111.01777, with one robot at rest at each of `positions` \[m\], world
-/// frame. `arena` gives the ground, and `physics` the parameters of the robots. The seed is ignored, because this world
-/// draws no random numbers.
+/// Makes the training world of the paper, with one robot at rest at each of `positions` \[m\], world frame. `arena`
+/// gives the ground, and `physics` the parameters of the robots. The seed is ignored, because this world draws no
+/// random numbers.
 pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], _: Seed) -> Box<dyn Plant> {
     let zeros = vec![Vec2::zeros(); positions.len()];
     let mut plant = Kinematic {

@@ -123,7 +123,7 @@ pub struct Entry {
     pub build: fn(&Arena, &Physics, &[Vec2], Seed) -> Box<dyn Plant>,
 }
 
-/// Name of the default plant: the kinematic world of the paper arXiv 2111.01777, in which policies are also trained.
+/// Name of the default plant: the kinematic world of the paper, in which policies are also trained.
 pub const KINEMATIC: &str = "kinematic";
 
 /// All plants (worlds in which robots move) of this crate, from which a user selects one by name. The plant `rigid` is

@@ -59,8 +59,8 @@ pub struct Physics {
 }
 
 impl Physics {
-    /// Returns the parameters of the training environment of the paper arXiv 2111.01777. Contacts block moves, there is
-    /// no lag, and the sensor is exact. `arena` gives the robots' radius.
+    /// Returns the parameters of the training environment of the paper. Contacts block moves, there is no lag, and the
+    /// sensor is exact. `arena` gives the robots' radius.
     pub fn published(arena: &Arena) -> Physics {
         Physics {
             contacts: ContactRule::Block,
@@ -72,8 +72,8 @@ impl Physics {
         }
     }
 
-    /// Returns the parameters of DJI RoboMaster robots, the real robots of the paper arXiv 2111.01777, from data sheets
-    /// or assumed; the sensor is a motion capture system. `arena` gives the robots' hull.
+    /// Returns the parameters of DJI RoboMaster robots, the real robots of the paper, from data sheets or assumed; the
+    /// sensor is a motion capture system. `arena` gives the robots' hull.
     pub fn robomaster(arena: &Arena) -> Physics {
         Physics {
             contacts: ContactRule::Judge,

@@ -25,7 +25,7 @@ impl Sensor {
     /// Ideal sensor without noise and latency, which measures at every step of the simulated world.
     pub const EXACT: Sensor = Sensor { position_m: 0.0, velocity_m_s: 0.0, period: Span::ZERO, latency: Span::ZERO };
 
-    /// Motion capture system such as OptiTrack, which the paper arXiv 2111.01777 used (section V), at 100 Hz.
+    /// Motion capture system such as OptiTrack, which the paper used (section V), at 100 Hz.
     ///
     /// Position: OptiTrack states +-0.2 mm for its PrimeX cameras. Rate: 100 Hz is a usual setting. Velocity: the noise
     /// of a difference of positions three frames apart, sqrt(2) * 0.2 mm / 30 ms. Latency: 6 to 7 ms were measured to

@@ -318,8 +318,8 @@ impl Config {
         self.curriculum.iter().position(|stage| progress < stage.until).unwrap_or(last)
     }
 
-    /// Returns the manifest (metadata) of a policy trained with this configuration for the scenario named `scenario`,
-    /// without the data of the training and the hash of the weights.
+    /// Returns the manifest of a policy trained with this configuration for the scenario named `scenario`, without the
+    /// data of the training and the hash of the weights.
     pub fn manifest(&self, scenario: &str) -> Manifest {
         let policy = &self.policy;
         let shape = self.actor();

@@ -24,7 +24,7 @@ const HEARD: &str = "probe.heard";
 /// Content of a policy file of format 2 that has been checked: metadata, weights and test data.
 #[derive(Debug)]
 pub struct PolicyFile {
-    /// Manifest (metadata) of the policy file.
+    /// Manifest of the policy file.
     pub manifest: Manifest,
     /// Digest of the whole file: the first 64 bits of its BLAKE3 hash, in hexadecimal.
     pub(crate) digest: String,

@@ -18,7 +18,7 @@ use crate::time::Span;
 /// Weights and parameters of a policy of several hops, which all robots of a team share.
 #[derive(Debug)]
 pub struct HopsWeights {
-    /// Manifest (metadata) of the policy file.
+    /// Manifest of the policy file.
     pub(super) manifest: Manifest,
     /// Digest of the policy file: the first 64 bits of its BLAKE3 hash, in hexadecimal.
     pub(super) digest: String,
@@ -51,7 +51,7 @@ impl HopsWeights {
         self.interface
     }
 
-    /// Returns the manifest (metadata) of the network's policy file.
+    /// Returns the manifest of the network's policy file.
     pub fn manifest(&self) -> &Manifest {
         &self.manifest
     }

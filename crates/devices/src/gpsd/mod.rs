@@ -1,9 +1,9 @@
 //! Source `gpsd`: localizes one robot by its own satellite receiver, read from gpsd.
 //!
-//! The worker (I/O thread) passes the lines from gpsd on unchanged. The source itself does no I/O: it judges the
-//! quality of each fix by mode and status, and its error by GST reports. The field `eph` is used for fixes with dead
-//! reckoning alone, whose status does not tell their quality: in a measurement it was 11.4 m where GST gave 0.01 m. A
-//! fix below `fix_least` gives no reading, so the guard stops the robot.
+//! The worker passes the lines from gpsd on unchanged. The source itself does no I/O: it judges the quality of each fix
+//! by mode and status, and its error by GST reports. The field `eph` is used for fixes with dead reckoning alone, whose
+//! status does not tell their quality: in a measurement it was 11.4 m where GST gave 0.01 m. A fix below `fix_least`
+//! gives no reading, so the guard stops the robot.
 //!
 //! For a receiver at 10 Hz, `own_state_s` must be at least 0.25 s, because gaps of up to 0.12 s were measured.
 

@@ -26,8 +26,7 @@ const UNSURE: u32 = 10;
 /// after each further failure.
 const PAUSES: [u32; 2] = [2, 32];
 
-/// Worker (I/O thread) of the source `gpsd`: a TCP client that receives the reports of gpsd and connects again after
-/// errors.
+/// Worker of the source `gpsd`: a TCP client that receives the reports of gpsd and connects again after errors.
 pub struct Subscriber {
     /// Address and TCP port of gpsd, or name of its host with the port. A name is resolved for each connection.
     pub address: String,

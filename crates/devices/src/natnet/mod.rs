@@ -1,7 +1,7 @@
 //! Source `natnet`: rigid bodies of a motion capture system that streams NatNet (OptiTrack), bitstreams 3.0 to 4.4.
 //!
-//! The worker (I/O thread) passes the server's datagrams on unchanged. The source itself does no I/O: it decodes them,
-//! finds each robot's body, transforms poses to the team's frame, and computes velocities from a short window of poses.
+//! The worker passes the server's datagrams on unchanged. The source itself does no I/O: it decodes them, finds each
+//! robot's body, transforms poses to the team's frame, and computes velocities from a short window of poses.
 
 mod body;
 mod client;

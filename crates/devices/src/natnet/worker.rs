@@ -30,7 +30,7 @@ const BURST: usize = 64;
 /// Size of the receive buffer \[bytes\], that of the largest datagram.
 const LARGEST: usize = 1 << 16;
 
-/// Worker (I/O thread) of the source `natnet`: requests the server's data and receives its datagrams.
+/// Worker of the source `natnet`: requests the server's data and receives its datagrams.
 pub(crate) struct Listener {
     /// Network addresses of the server and of its frames.
     pub config: Addresses,
