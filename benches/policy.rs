@@ -11,11 +11,11 @@ use murmurate::policy::gnn::Gnn;
 use murmurate::policy::mlp::Instructions;
 use murmurate::policy::{self, Draw, Model, Neighbour, Policy};
 use murmurate::random::Seed;
-use murmurate::safety::Safety;
-use murmurate::safety::guard::{Config, Guard};
+use murmurate::safety::filter::Settings;
+use murmurate::safety::guard::Guard;
+use murmurate::safety::{Clamp, Safety};
 use murmurate::scenario::{self, Observation};
 use murmurate::time::{Span, Time};
-use murmurate::world::Clamp;
 
 #[global_allocator]
 static ALLOCATIONS: AllocProfiler = AllocProfiler::system();
@@ -66,7 +66,7 @@ fn full_detected_instructions(bencher: Bencher) {
 #[divan::bench(sample_size = 1000)]
 fn guard_tick(bencher: Bencher) {
     let passage = scenario::build("passage", &scenario::Settings::default()).expect("the default is sound");
-    let mut guard = Guard::new(Config {
+    let mut guard = Guard::new(Settings {
         safety: Safety::deployed(),
         half_extent: passage.arena().half_extent,
         walls: passage.arena().keep_outs.as_slice().into(),

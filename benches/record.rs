@@ -23,7 +23,7 @@ fn main() {
     let measured = std::env::args().any(|argument| argument == "--bench");
     let count = RATE * if measured { 5 } else { 1 } / if measured { 1 } else { 10 };
     let folder = tempfile::TempDir::new().expect("a folder");
-    let stage = Stage::of(&Trial::preset("offboard", "passage").expect("a preset").plan());
+    let stage = Stage::of(&Trial::preset("offboard", "passage").expect("a preset"));
     let beginning = Beginning { identity: Identity::here("1f", Vec::new(), ""), attached: Vec::new() };
     let topics = Topics::new(stage, Scope::Host, 0);
     let path = folder.path().join("host.mcap");

@@ -5,7 +5,8 @@
 
 use murmurate::deploy::Impair;
 use murmurate::policy::Model;
-use murmurate::trial::{Trial, TrialReport};
+use murmurate::report::trial::TrialReport;
+use murmurate::trial::Trial;
 
 fn print_report(what: &str, report: &TrialReport) {
     println!("{what}: {} of {} episodes succeeded", report.successes(), report.episodes.len());

@@ -21,7 +21,8 @@ use std::time::{Duration, Instant};
 
 use murmurate::actor::Core;
 use murmurate::actors::network;
-use murmurate::graph::attachment::{self, Attachment};
+use murmurate::graph::end::HostEnd;
+use murmurate::graph::event;
 use murmurate::graph::sockets::Shared;
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::ids::{HostId, LinkId, RobotId};
@@ -421,14 +422,14 @@ impl Record {
     }
 
     /// Notes what the Network says, with what its host would record of it.
-    fn note(&self, said: &attachment::Out) {
+    fn note(&self, said: event::Event) {
         use murmurate::graph::inputs::Input;
         use murmurate_record::Event;
         let Some(inlet) = &self.0 else { return };
         match said {
-            attachment::Out::Tap(frame) => inlet.push(Event::Published(HostId(0), frame.clone())),
-            attachment::Out::Sent(link, frame) => inlet.push(Event::Sent(*link, frame.clone())),
-            attachment::Out::Deliver(message) => {
+            event::Event::Published(frame) => inlet.push(Event::Published(HostId(0), frame.clone())),
+            event::Event::Sent(link, frame) => inlet.push(Event::Sent(link, frame.clone())),
+            event::Event::Message(message) => {
                 // The datagram that has brought it: as many bytes.
                 inlet.push(Event::Input(Input::Frame(LINK, ARRIVED.with(Clone::clone), None)));
                 inlet.push(Event::Delivered(message.clone()));
@@ -476,21 +477,19 @@ fn wire(
     let mode = if variable("NP_REPEAT", 1) == 0 { Reliability::BestEffort } else { Reliability::Repeat };
     let reliability = Reliabilities::from([(Kind::Latent, mode)]);
     let setup = if is_unicast() { Setup::unicast(reliability) } else { Setup::multicast(reliability) };
-    let attachment = Attachment {
+    let end = HostEnd {
         me: network::Identity { host: HostId(id), team: 1, incarnation: 1 },
         key: Some(Key::new(KEY)),
-        links: vec![Some(setup)],
-        router,
         seed: Seed::of_run(u64::from(id)),
-        stream: "network".to_owned(),
-        span: info_span!("network"),
+        links: vec![Some(setup)],
+        transports: vec![(LINK, open)],
     };
     let inward = to_peer.clone();
     let record = record.clone();
-    let network = attachment.open((clock, readers), vec![(LINK, open)], move |said| {
-        record.note(&said);
-        if let attachment::Out::Deliver(Wire::Latent(latent)) = said {
-            inward.send(In::Arrived(latent));
+    let network = end.open((clock, readers), router, move |said| {
+        record.note(said);
+        if let event::Event::Message(Wire::Latent(latent)) = said {
+            inward.send(In::Arrived(latent.clone()));
         }
     });
     let peer = Rc::clone(peer);

@@ -11,7 +11,8 @@ use crate::messages::local::{Action, Progress};
 use crate::messages::place::Whereabouts;
 use crate::messages::round::RoundFollower;
 use crate::messages::wire::{Heartbeat, Mode, MotorCommand, Phase, Stop};
-use crate::safety::guard::{self, Decision, Granted, Guard, SafetyCounts};
+use crate::safety::filter;
+use crate::safety::guard::{Decision, Granted, Guard, SafetyCounts};
 use crate::safety::hardware::Permit;
 use crate::time::{Span, Time};
 
@@ -56,7 +57,7 @@ pub struct Config {
     /// Robot that the Controller is for.
     pub robot: RobotId,
     /// Configuration of the robot's guard, which limits its velocity for safety.
-    pub guard: guard::Config,
+    pub guard: filter::Settings,
     /// Time after its arrival at the Body for which a motor command is valid.
     pub valid_for: Span,
     /// Time of the heartbeat within each period of heartbeats.
@@ -243,8 +244,7 @@ mod tests {
     use crate::messages::geometry::{Motion, Task, Vec2};
     use crate::messages::ids::HostId;
     use crate::messages::wire::Round;
-    use crate::safety::Safety;
-    use crate::world::Clamp;
+    use crate::safety::{Clamp, Safety};
 
     /// Measured velocity of the robot in every action \[m/s\].
     const MEASURED: Vec2 = Vec2::new(0.5, 0.0);
@@ -256,7 +256,7 @@ mod tests {
     fn clamping(clamp: Clamp) -> Controller {
         Controller::new(Config {
             robot: RobotId(1),
-            guard: guard::Config {
+            guard: filter::Settings {
                 safety: Safety::emulated(),
                 half_extent: Vec2::new(2.0, 3.0),
                 walls: Default::default(),

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use crate::messages::ids::RobotId;
 use crate::messages::place::Whereabouts;
 use crate::messages::wire::Located;
-use crate::report::episode::AbortCause;
+use crate::results::episode::AbortCause;
 use crate::time::{Span, Time};
 
 /// Time without a message that a robot's pose is unknown after which it counts as known: five of their periods.

@@ -6,6 +6,7 @@ pub(crate) mod agent;
 pub(crate) mod body;
 pub mod cache;
 pub mod controller;
+pub(crate) mod listener;
 pub mod localizer;
 mod lost;
 mod neighbours;

@@ -13,6 +13,7 @@ use std::rc::Rc;
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::actor::Core;
+use crate::actors::listener::{Datagram, Listener};
 use crate::chassis::Chassis;
 use crate::messages::geometry::{Motion, Vec2};
 use crate::messages::ids::{HostId, LinkId, RobotId};
@@ -21,10 +22,8 @@ use crate::messages::wire::{KINDS, Kind, Phase, Reading, Round, Wire};
 use crate::net::media::radio::RadioCounts;
 use crate::net::protocol::codec::{self, Content, Flags, Frame, Header};
 use crate::net::protocol::link::LinkCounts;
-use crate::report::episode::{AbortReason, Episode, Judged};
-use crate::report::listening::{Datagram, Listener};
-pub use crate::report::trial::RecorderOutput as Out;
-use crate::report::trial::{Hearing, PublishedCount, Step, Totals};
+use crate::results::episode::{AbortReason, Episode, Judged};
+use crate::results::totals::{Hearing, Published, Step, Steps, Totals};
 use crate::safety::guard::SafetyCounts;
 use crate::scenario::judge::{Judge, JudgedRobot, Judgement, Verdict};
 use crate::scenario::layout::Layouts;
@@ -62,6 +61,19 @@ pub enum In {
     Reading(Reading),
 }
 
+/// Output of a Recorder.
+#[derive(Clone, Debug)]
+pub enum Out {
+    /// Result of an episode, and the totals so far.
+    Episode(Episode, Totals),
+    /// State of the whole team at one instant.
+    Step(Step),
+    /// All episodes of the trial have ended; with the totals of the trial.
+    Finished(Totals),
+    /// The run has ended, perhaps before all episodes have; with the totals so far.
+    Closed(Totals),
+}
+
 /// Configuration of a Recorder, the actor that judges episodes and collects the results of a trial.
 #[derive(Clone, Debug)]
 pub struct Config {
@@ -90,25 +102,6 @@ pub struct Config {
     pub(crate) chassis: Rc<[Chassis]>,
 }
 
-/// Whether the report of a trial contains its steps: the true states of all robots after each step of the World.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Steps {
-    /// The report contains the steps, but not the messages that robots use.
-    Reported,
-    /// The report contains the steps and, for each step, which robot uses the messages of which others, and their ages.
-    /// It takes several times the memory of `Reported`; it is for pictures.
-    WithHearing,
-    /// The report does not contain the steps; episodes are judged by them all the same.
-    Discarded,
-}
-
-impl Steps {
-    /// Whether the report contains the steps, with or without the neighbours' messages that robots use in them.
-    pub(crate) fn kept(self) -> bool {
-        self != Steps::Discarded
-    }
-}
-
 /// Time since a robot's last control step after which it counts as using no messages.
 const HEARING_TIMEOUT: Span = Span::from_millis(250);
 
@@ -118,7 +111,7 @@ pub(crate) struct Recorder {
     config: Config,
     digest: Xxh3,
     messages: u64,
-    published: [PublishedCount; KINDS.len()],
+    published: [Published; KINDS.len()],
     team: Vec<Option<Sample>>,
     /// For each robot: whether its true state has arrived since the last complete step of the team.
     seen: Vec<bool>,
@@ -153,7 +146,7 @@ impl Recorder {
             config,
             digest: Xxh3::new(),
             messages: 0,
-            published: [PublishedCount::default(); KINDS.len()],
+            published: [Published::default(); KINDS.len()],
             team: vec![None; robots],
             seen: vec![false; robots],
             commanded: vec![Time::ZERO; robots],
@@ -251,7 +244,7 @@ impl Recorder {
     fn totals(&self, now: Time) -> Totals {
         Totals {
             messages: self.messages,
-            said: self.published,
+            published: self.published,
             end: now,
             trace: self.digest.digest128(),
             oldest_command: self.team.iter().all(Option::is_some).then_some(self.oldest_command),

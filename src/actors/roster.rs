@@ -3,7 +3,7 @@
 use crate::messages::ids::RobotId;
 use crate::messages::latch::{self, Latch};
 use crate::messages::wire::{Heartbeat, Phase, Round};
-use crate::report::episode::AbortCause;
+use crate::results::episode::AbortCause;
 use crate::time::{Span, Time};
 
 /// Time without a heartbeat after which a robot counts as missing: five heartbeat periods.
@@ -106,7 +106,7 @@ pub(super) fn log_beyond_reach(beat: &Heartbeat, times: u64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::episode::AbortReason;
+    use crate::results::episode::AbortReason;
 
     const ROUND: Round = Round { term: 1, episode: 0 };
 

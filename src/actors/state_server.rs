@@ -16,7 +16,7 @@ use crate::messages::latch::Latch;
 use crate::messages::wire::{
     Heartbeat, Hindrance, Leading, Located, MAX_BLOCK, MAX_HINDRANCES, Mode, Phase, Round, Status, Stop,
 };
-use crate::report::episode::{AbortCause, AbortReason};
+use crate::results::episode::{AbortCause, AbortReason};
 use crate::scenario::cost::Ending;
 use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};

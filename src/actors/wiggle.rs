@@ -14,7 +14,8 @@ use crate::messages::geometry::{Motion, Vec2};
 use crate::messages::ids::RobotId;
 use crate::messages::local::{Action, OtherRobot, Progress};
 use crate::messages::wire::{Hardware, Health, MotorCommand, Phase, Reading, Round};
-use crate::safety::guard::{self, Decision, Guard};
+use crate::safety::filter;
+use crate::safety::guard::{Decision, Guard};
 use crate::safety::limits::distance_outside;
 use crate::scenario::arena::Arena;
 use crate::time::{Span, Time};
@@ -74,7 +75,7 @@ pub struct Config {
     /// Robots to be driven and judged, in this order.
     pub robots: Vec<Driven>,
     /// Configuration of the guard, which limits the velocities of every test drive for safety.
-    pub guard: guard::Config,
+    pub guard: filter::Settings,
     /// Ground with its walls; robots are not driven toward the walls or the edge.
     pub arena: Arena,
     /// Time after its arrival at the Body for which a motor command is valid.
@@ -350,8 +351,7 @@ impl Core for Wiggle {
 mod tests {
     use super::super::verdict::Axes;
     use super::*;
-    use crate::safety::Safety;
-    use crate::world::Clamp;
+    use crate::safety::{Clamp, Safety};
 
     /// Two robots that follow their commands exactly, seen by a tracker at 100 Hz.
     struct Bench {
@@ -371,7 +371,7 @@ mod tests {
     impl Bench {
         fn new(at: [Vec2; 2]) -> Bench {
             let safety = Safety::deployed();
-            let guard = guard::Config {
+            let guard = filter::Settings {
                 safety,
                 half_extent: Vec2::new(2.0, 2.0),
                 walls: Default::default(),

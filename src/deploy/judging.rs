@@ -3,7 +3,7 @@
 use super::{Deployment, Host};
 use crate::messages::ids::HostId;
 use crate::messages::wire::Kind;
-use crate::report::episode::Judged;
+use crate::results::episode::Judged;
 
 impl Deployment {
     /// Returns the kind of data from which episodes are judged: true states if one World has all robots of the team,

@@ -6,13 +6,13 @@ use std::sync::Arc;
 
 use tracing::info_span;
 
-use super::Plan;
 use super::devices::Device;
-use super::process::{Graph, Process, ProcessEvent};
+use super::event::Event;
+use super::process::{Graph, Process};
 use crate::actors::body::{self, Body};
 use crate::actors::localizer::{self, Localizer};
 use crate::actors::world::{self, PersistentPlant, World};
-use crate::actors::{controller, network, recorder, status};
+use crate::actors::{controller, network, status};
 use crate::chassis::Chassis;
 use crate::deploy::Deployment;
 use crate::drivers::Driver;
@@ -23,19 +23,20 @@ use crate::localization::{self, Source, plausibility};
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::Wire;
-use crate::net::transport;
+use crate::net::media::ether;
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::{Mailbox, start};
+use crate::trial::Trial;
 
 /// Starts the Body of one robot (the actor that drives its motors), and passes its output to the other actors. The
 /// driver is the robot's own in `process.devices`, or that of a simulated robot if there is none.
-pub(super) fn wire_body(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId, process: &Process) {
+pub(super) fn wire_body(clock: &Clock, trial: &Trial, graph: &Graph, robot: RobotId, process: &Process) {
     let host = graph.routes.actuator_host(robot);
     let (network, status) = (graph.network_of(host), graph.status_of(host));
     let (at, world) = (robot.index(), graph.worlds[robot.index()].clone());
     let source = process.devices.source.as_ref().map(|_| graph.source.clone());
     let controller = (graph.routes.agent_host(robot) == host).then(|| graph.controllers[at].clone());
-    let report = Rc::clone(&process.report);
+    let events = Rc::clone(&graph.events);
     let out = move |out| match out {
         body::Out::Drive(drive) => world.send(world::In::Drive(drive)),
         body::Out::Send(_) => {}
@@ -43,7 +44,7 @@ pub(super) fn wire_body(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotI
             source.iter().for_each(|source| source.send(localizer::In::Odometry(reading.clone())));
         }
         body::Out::Condition(hardware) => {
-            report(host, ProcessEvent::Hardware(robot, &hardware));
+            events.emit(host, Event::Hardware(robot, &hardware));
             status.send(status::In::Condition(robot, hardware));
         }
         body::Out::Permit(permit) => {
@@ -53,7 +54,7 @@ pub(super) fn wire_body(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotI
         body::Out::Stop(stop) => network.send(network::In::Publish(Wire::Stop(stop))),
     };
     match process.devices.drivers.get(&robot) {
-        Some(device) => start_body(clock, &graph.bodies[at], (host, robot), device, &plan.deployment, out),
+        Some(device) => start_body(clock, &graph.bodies[at], (host, robot), device, &trial.deployment, out),
         None => {
             let make = move |_| Body::new((host, robot), Box::new(Simulated), Chassis::default());
             start(clock, &graph.bodies[at], info_span!("body", robot = robot.0), make, out);
@@ -82,9 +83,9 @@ pub(super) fn start_body(
 
 /// Starts the Localizer of one simulated robot, the actor that makes its readings from the true states of the World.
 /// `chassis` holds the chassis of every robot of the team.
-pub(super) fn wire_sensor(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId, chassis: &Rc<[Chassis]>) {
+pub(super) fn wire_sensor(clock: &Clock, trial: &Trial, graph: &Graph, robot: RobotId, chassis: &Rc<[Chassis]>) {
     let network = graph.network_of(graph.routes.localizer_host(robot));
-    let (sensor, seed, chassis) = (plan.physics.sensor, plan.seed, Rc::clone(chassis));
+    let (sensor, seed, chassis) = (trial.physics.sensor, trial.streams(), Rc::clone(chassis));
     let make = move |incarnation| {
         let stream = seed.stream(&format!("body/{}/sensor/{incarnation}", robot.0));
         Localizer::new(Box::new(localization::simulated::Simulated::new(sensor, stream)), Rc::clone(&chassis))
@@ -105,11 +106,11 @@ fn published(out: localizer::Out) -> Wire {
 
 /// Starts the Localizer of a process, the actor that runs its source of readings of real robots, and publishes the
 /// readings. Does nothing if the process has no source.
-pub(super) fn wire_source(clock: &Clock, plan: &Plan, graph: &Graph, process: &Process) {
-    let (Some(host), Some(device)) = (process.only, &process.devices.source) else { return };
+pub(super) fn wire_source(clock: &Clock, trial: &Trial, graph: &Graph, process: &Process) {
+    let (Some(host), Some(device)) = (process.ends.keys().next().copied(), &process.devices.source) else { return };
     let network = graph.network_of(host);
-    let axis_m_s = Some(plan.run.interface().limit_m_s);
-    start_source(clock, &graph.source, device, (&plan.deployment, host, &plan.estimator, axis_m_s), move |out| {
+    let axis_m_s = Some(trial.model.interface().limit_m_s);
+    start_source(clock, &graph.source, device, (&trial.deployment, host, &trial.estimator, axis_m_s), move |out| {
         network.send(network::In::Publish(published(out)));
     });
 }
@@ -148,46 +149,45 @@ pub(super) fn start_source(
 /// ascending order; it must not be empty.
 pub(super) fn wire_world(
     clock: &Clock,
-    plan: &Plan,
+    trial: &Trial,
     graph: &Graph,
     host: HostId,
     process: &Process,
     simulated: Vec<RobotId>,
 ) {
-    let (sensors, record, report) = (graph.sensors.clone(), graph.record(), Rc::clone(&process.report));
-    let ranged = ranged_ethers(plan, graph, process);
+    let (sensors, events) = (graph.sensors.clone(), Rc::clone(&graph.events));
+    let ranged = ranged_media(trial, graph, process);
     let others: Vec<RobotId> =
-        RobotId::team(plan.deployment.robots).filter(|robot| simulated.binary_search(robot).is_err()).collect();
+        RobotId::team(trial.deployment.robots).filter(|robot| simulated.binary_search(robot).is_err()).collect();
     // Robots stand at their first starts before the run begins, as if people had placed them.
-    let task = |robot: &RobotId| plan.layouts.episode(0)[robot.index()];
+    let task = |robot: &RobotId| trial.layouts.episode(0)[robot.index()];
     let starts: Vec<Vec2> = simulated.iter().chain(&others).map(|robot| task(robot).start).collect();
     let others: Vec<(RobotId, Chassis)> =
-        others.into_iter().map(|robot| (robot, plan.deployment.chassis(robot))).collect();
-    let seed = plan.seed.child(&format!("world/{}", host.0));
-    let mut plant = (plan.plant.build)(plan.scenario.arena(), &plan.physics, &starts, seed);
+        others.into_iter().map(|robot| (robot, trial.deployment.chassis(robot))).collect();
+    let seed = trial.streams().child(&format!("world/{}", host.0));
+    let mut plant = (trial.plant_entry().build)(trial.scenario.arena(), &trial.physics, &starts, seed);
     for (index, robot) in simulated.iter().enumerate() {
-        let chassis = plan.deployment.chassis(*robot);
+        let chassis = trial.deployment.chassis(*robot);
         if chassis != Chassis::default() {
             plant.equip(index, chassis, task(robot).heading());
         }
     }
-    let (persistent, placement) = (Rc::new(RefCell::new(PersistentPlant::new(plant))), plan.deployment.placement);
+    let (persistent, placement) = (Rc::new(RefCell::new(PersistentPlant::new(plant))), trial.placement());
     let place = &graph.worlds[simulated[0].index()];
-    let scenario = Arc::clone(&plan.scenario);
+    let scenario = Arc::clone(&trial.scenario);
     let make = move |_| World::new(Rc::clone(&persistent), Arc::clone(&scenario), placement, &simulated, &others);
     start(clock, place, info_span!("world", host = host.0), make, move |out| match out {
         world::Out::Sample(sample) => sensors[sample.robot.index()].send(localizer::In::Sample(sample)),
         world::Out::Truth(truth) => {
-            ranged.iter().for_each(|ether| ether.send(transport::In::Truth(truth.clone())));
-            report(host, ProcessEvent::Truth(&truth));
-            record(recorder::In::Truth(truth));
+            ranged.iter().for_each(|medium| medium.send(ether::In::Truth(truth.clone())));
+            events.emit(host, Event::Truth(&truth));
         }
     });
 }
 
-/// Returns the mailboxes of the emulated links whose reception depends on the robots' positions.
-fn ranged_ethers(plan: &Plan, graph: &Graph, process: &Process) -> Vec<Mailbox<transport::In>> {
-    let links = plan.deployment.links.iter().zip(graph.transports.iter()).filter(|_| process.only.is_none());
+/// Returns the mailboxes of the emulated media whose reception depends on the robots' positions.
+fn ranged_media(trial: &Trial, graph: &Graph, process: &Process) -> Vec<Mailbox<ether::In>> {
+    let links = trial.deployment.links.iter().zip(graph.media.iter()).filter(|_| process.emulated);
     let ranged = links.filter(|(link, _)| link.range_m.or(link.radio.as_ref().and_then(|r| r.range_m)).is_some());
-    ranged.map(|(_, ether)| ether.clone()).collect()
+    ranged.map(|(_, medium)| medium.clone()).collect()
 }

@@ -2,20 +2,22 @@
 
 use std::cell::Cell;
 use std::collections::BTreeSet;
+use std::rc::Rc;
 
 use tracing::info_span;
 
-use super::process::{Graph, ProcessEvent};
+use super::event::Event;
+use super::process::Graph;
 use crate::actors::state_server::{self, StateServer};
 use crate::actors::status::{self, Status};
-use crate::actors::{agent, body, cache, controller, localizer, network, recorder, world};
-use crate::graph::Plan;
+use crate::actors::{agent, body, cache, controller, localizer, network, world};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::phase::Phase;
 use crate::messages::wire::{Mode, Stop, Wire};
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::{Mailbox, start};
 use crate::scenario::cost::Ending;
+use crate::trial::Trial;
 
 /// Mailboxes of the actors of one host that receive the state server's instructions ([`Mode`]) and emergency stop
 /// messages ([`Stop`]).
@@ -145,21 +147,23 @@ pub(super) fn wire_status(clock: &Clock, graph: &Graph, host: HostId, config: st
 
 /// Starts the state server, the actor that leads the episodes; its instructions are published by the Network of its
 /// host.
-pub(super) fn wire_server(clock: &Clock, plan: &Plan, graph: &Graph) {
+pub(super) fn wire_server(clock: &Clock, trial: &Trial, graph: &Graph) {
     let config = state_server::Config {
-        layouts: plan.layouts.clone(),
-        repeat: plan.repeat,
-        placement: plan.deployment.placement,
-        limit: plan.scenario.rules().limit,
-        ending: Ending::of(&*plan.scenario),
-        hosts: (0..plan.deployment.hosts.len()).map(|host| graph.routes.robots_of(host).to_vec()).collect(),
-        real: RobotId::team(plan.deployment.robots).filter(|robot| graph.routes.world_host(*robot).is_none()).collect(),
+        layouts: trial.layouts.clone(),
+        repeat: trial.repeat,
+        placement: trial.placement(),
+        limit: trial.scenario.rules().limit,
+        ending: Ending::of(&*trial.scenario),
+        hosts: (0..trial.deployment.hosts.len()).map(|host| graph.routes.robots_of(host).to_vec()).collect(),
+        real: RobotId::team(trial.deployment.robots)
+            .filter(|robot| graph.routes.world_host(*robot).is_none())
+            .collect(),
     };
-    let (host, robots) = (graph.routes.server_host(), plan.deployment.robots);
+    let (host, robots) = (graph.routes.server_host(), trial.deployment.robots);
     let (network, status) = (graph.network_of(host), graph.status_of(host));
     let make = move |incarnation| StateServer::new(config.clone(), robots, incarnation);
     let episodes = graph.episodes.clone();
-    let (record, report) = (graph.record(), std::rc::Rc::clone(&graph.report));
+    let events = Rc::clone(&graph.events);
     start(clock, &graph.server, info_span!("state server"), make, move |out| match out {
         state_server::Out::Mode(mode) => {
             if mode.phase == Phase::Running {
@@ -169,8 +173,7 @@ pub(super) fn wire_server(clock: &Clock, plan: &Plan, graph: &Graph) {
         }
         state_server::Out::Leading(leading) => status.send(status::In::Leading(leading)),
         state_server::Out::Aborted(episode, reason) => {
-            record(recorder::In::Aborted(episode, reason));
-            report(host, ProcessEvent::Aborted(episode, reason));
+            events.emit(host, Event::Aborted(episode, reason));
         }
     });
 }

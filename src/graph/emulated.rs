@@ -6,32 +6,30 @@ use std::rc::Rc;
 use tracing::info_span;
 
 use crate::actors::network;
-use crate::actors::recorder;
 use crate::deploy::Host;
-use crate::graph::Plan;
-use crate::graph::process::{Graph, ProcessEvent};
+use crate::graph::event::Event;
+use crate::graph::process::Graph;
 use crate::messages::ids::{HostId, LinkId};
-use crate::messages::wire::Kind;
 use crate::net::media::emulator::LinkEmulator;
 use crate::net::media::ether::{self, Ether};
 use crate::net::media::radio_link::RadioLink;
 use crate::net::media::reach::Reach;
-use crate::net::protocol::codec::Frame;
-use crate::net::transport::Arrive;
+use crate::net::transport;
 use crate::runtime::clock::Clock;
-use crate::runtime::shell::start;
+use crate::runtime::shell::{Mailbox, start};
+use crate::trial::Trial;
 
 /// Starts the emulated links. On one with `shared`, datagrams to all reach every host, whatever they contain, as on
 /// real links.
-pub(super) fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph, shared: bool) {
-    let everyone: Vec<HostId> = (0..).map(HostId).take(plan.deployment.hosts.len()).collect();
+pub(super) fn wire_links(clock: &Clock, trial: &Trial, graph: &Graph, shared: bool) {
+    let everyone: Vec<HostId> = (0..).map(HostId).take(trial.deployment.hosts.len()).collect();
     let first_robot = |host: &Host| host.agents.concat().into_iter().min();
-    let robots_of: Rc<[Option<u16>]> = plan.deployment.hosts.iter().map(first_robot).collect();
-    for (index, link) in plan.deployment.links.iter().enumerate() {
+    let robots_of: Rc<[Option<u16>]> = trial.deployment.hosts.iter().map(first_robot).collect();
+    for (index, link) in trial.deployment.links.iter().enumerate() {
         let id = LinkId(u16::try_from(index).expect("links are counted in u16"));
         let routes = graph.routes.clone();
-        let (impairment, faults) = (link.impairment(), plan.faults.of_link(&link.name));
-        let (seed, name) = (plan.seed, link.name.clone());
+        let (impairment, faults) = (link.impairment(), trial.faults.of_link(&link.name));
+        let (seed, name) = (trial.streams(), link.name.clone());
         let (radio, range_m, robots_of) = (link.radio.clone(), link.range_m, Rc::clone(&robots_of));
         let everyone = shared.then(|| everyone.clone());
         let make = move |incarnation| {
@@ -43,18 +41,25 @@ pub(super) fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph, shared: bool
             let listens = |kind| everyone.clone().unwrap_or_else(|| routes.listeners(kind));
             Ether::new(emulator, radio_link, reach, listens)
         };
-        let (networks, record, report) = (graph.networks.clone(), graph.record(), Rc::clone(&graph.report));
-        let observed = plan.steps.kept() && link.carries.contains(&Kind::Latent);
-        start(clock, &graph.transports[index], info_span!("ether", link = link.name), make, move |out| match out {
-            ether::Out::Arrive(Arrive { to, from, frame }) => {
-                if observed {
-                    record(recorder::In::Arrived(to, Frame::clone(&frame)));
-                }
-                report(to, ProcessEvent::Arrived(id, &frame));
-                networks[usize::from(to.0)].send(network::In::Frame(id, frame, from));
+        let (networks, events) = (graph.networks.clone(), Rc::clone(&graph.events));
+        // The counts of a medium are of no host; the one that judges reports them.
+        let judge = trial.deployment.judge();
+        start(clock, &graph.media[index], info_span!("ether", link = link.name), make, move |out| match out {
+            ether::Out::Arrive(to, frame) => {
+                events.emit(to, Event::Arrived(id, &frame));
+                networks[usize::from(to.0)].send(network::In::Frame(id, frame, None));
             }
-            ether::Out::Counts(counts) => record(recorder::In::Radio(id, counts)),
+            ether::Out::Counts(counts) => events.emit(judge, Event::Radio(id, &counts)),
         });
+    }
+}
+
+/// Returns a function that passes what a transport has to do to the emulated medium of its link.
+pub(super) fn to(media: Rc<[Mailbox<ether::In>]>) -> impl Fn(LinkId, transport::In) {
+    move |link, input| match input {
+        transport::In::Transmit(transmit) => media[usize::from(link.0)].send(ether::In::Transmit(transmit)),
+        // Hosts have no addresses there.
+        transport::In::Admit(_) => {}
     }
 }
 
@@ -71,8 +76,8 @@ mod tests {
     use crate::messages::wire::KINDS;
     use crate::net::protocol::key::Key;
     use crate::net::protocol::reliability::{Heartbeats, Reliabilities, Setup};
-    use crate::report::episode::Episode;
     use crate::report::trial::TrialReport;
+    use crate::results::episode::Episode;
     use crate::runtime::drive::run_virtual;
     use crate::scenario::judge::Verdict;
     use crate::time::{Span, Time};
@@ -92,18 +97,20 @@ mod tests {
     fn episodes(setup: &Setup, seed: u64) -> Vec<Episode> {
         let count = wanted();
         let trial = Trial::preset("onboard-infra", "passage").expect("they are there").seed(seed).episodes(count);
-        let mut plan = trial.plan();
-        for link in &mut plan.deployment.links {
+        let mut trial = trial;
+        for link in &mut trial.deployment.links {
             (link.loss, link.impairs) = (LOSS, KINDS.to_vec());
         }
-        let links = plan.deployment.links.iter().map(|_| Some(setup.clone())).collect();
-        let process =
-            Process { key: Some(Key::new([7; 32])), links: Some(links), ..Process::all_hosts(Rc::new(|_, _| {})) };
+        let mut process = Process::all_hosts(&trial, Rc::new(|_, _| {}));
+        for end in process.ends.values_mut() {
+            end.key = Some(Key::new([7; 32]));
+            end.links.fill(Some(setup.clone()));
+        }
         let report = Rc::new(RefCell::new(TrialReport::default()));
         let (noted, ended) = (Rc::clone(&report), Rc::clone(&report));
         let limit = Time::ZERO + Span::from_secs(LONGEST_S) * u64::from(count);
         run_virtual(
-            |clock| wire_all(clock, plan, process, move |out| noted.borrow_mut().note(out)),
+            |clock| wire_all(clock, &trial, (&process, true), move |out| noted.borrow_mut().note(out)),
             |_, now| ended.borrow().finished || now >= limit,
         );
         let episodes = report.borrow().episodes.clone();

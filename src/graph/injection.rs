@@ -2,30 +2,30 @@
 
 use std::rc::Rc;
 
-use super::Plan;
 use super::process::Graph;
 use crate::faults::ActorFault;
-use crate::net::transport;
+use crate::net::media::ether;
 use crate::runtime::clock::Clock;
 use crate::time::Time;
+use crate::trial::Trial;
 
-/// Schedules the planned faults in `plan.faults`. Faults of actors are injected at their times from the start of the
+/// Schedules the planned faults in `trial.faults`. Faults of actors are injected at their times from the start of the
 /// trial or of an episode. Emulated links inject link faults themselves, and get a notice when an episode with such
 /// faults begins.
-pub(super) fn schedule(clock: &Clock, plan: &Rc<Plan>, graph: &Rc<Graph>) {
-    for fault in plan.faults.actors.iter().filter(|fault| fault.episode.is_none()) {
+pub(super) fn schedule(clock: &Clock, trial: &Rc<Trial>, graph: &Rc<Graph>) {
+    for fault in trial.faults.actors.iter().filter(|fault| fault.episode.is_none()) {
         inject(clock, graph, fault, fault.at);
     }
     // A weak reference, because the graph holds this listener.
-    let (later, plan, weak) = (clock.clone(), Rc::clone(plan), Rc::downgrade(graph));
+    let (later, trial, weak) = (clock.clone(), Rc::clone(trial), Rc::downgrade(graph));
     let began = move |episode| {
         let Some(graph) = weak.upgrade() else { return };
-        for fault in plan.faults.actors.iter().filter(|fault| fault.episode == Some(episode)) {
+        for fault in trial.faults.actors.iter().filter(|fault| fault.episode == Some(episode)) {
             inject(&later, &graph, fault, later.now() + fault.at.since(Time::ZERO));
         }
-        for (link, transport) in plan.deployment.links.iter().zip(&*graph.transports) {
-            if plan.faults.of_link(&link.name).iter().any(|fault| fault.episode == Some(episode)) {
-                transport.send(transport::In::EpisodeBegins(episode));
+        for (link, medium) in trial.deployment.links.iter().zip(&*graph.media) {
+            if trial.faults.of_link(&link.name).iter().any(|fault| fault.episode == Some(episode)) {
+                medium.send(ether::In::EpisodeBegins(episode));
             }
         }
     };

@@ -8,39 +8,27 @@ use std::sync::Arc;
 
 use tracing::info_span;
 
-use super::attachment::{self, Attachment};
-use super::process::ProcessEvent;
+use super::end::HostEnd;
+use super::event::Event;
 use super::sockets::Shared;
-use crate::actors::network::{self, Identity};
+use crate::actors::network;
 use crate::actors::order::Order;
 use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Observe, Place, Placed, Status, Wire};
-use crate::net::protocol::key::Key;
-use crate::net::protocol::reliability::Setup;
 use crate::net::protocol::router::{Audience, Publishers, Route, Router};
-use crate::net::transport::Transport;
-use crate::random::Seed;
 use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
 use crate::runtime::shell::{Mailbox, start};
 use crate::time::Span;
 
-/// Identity and links of an operator, a process outside the deployment that gives orders to a team or observes it.
+/// Operator: a process outside the deployment that gives orders to a team or observes it.
 pub struct Operator {
-    /// Identity of the operator on its links: host number, team number and a random incarnation number.
-    pub me: Identity,
-    /// Seed of the operator's random streams, drawn from the operating system.
-    pub seed: Seed,
+    /// End of the operator on the team's links.
+    pub end: HostEnd,
     /// Number of robots in the team.
     pub robots: usize,
     /// Kinds of messages that each host of the team may publish; the operator refuses all others.
     pub publishers: Arc<Publishers>,
-    /// Key that authenticates the team's datagrams; `None` if the team has no key.
-    pub key: Option<Key>,
-    /// Setup of each link, in the order of the deployment; `None` for a link in which the operator does not take part.
-    pub links: Vec<Option<Setup>>,
-    /// Open transports, each with its link; a link that is used on several network interfaces has several.
-    pub transports: Vec<(LinkId, Box<dyn Transport>)>,
     /// Link that carries the emergency stop, if the operator gives orders on it; `None` for one that only receives.
     pub stop: Option<LinkId>,
 }
@@ -50,9 +38,9 @@ pub struct Operator {
 pub fn wire(
     (clock, readers): (&Clock, &mut Readers),
     operator: Operator,
-    report: impl Fn(ProcessEvent) + 'static,
+    report: impl Fn(Event) + 'static,
 ) -> Mailbox<network::In> {
-    let Operator { me, seed, robots, publishers, key, links, transports, stop } = operator;
+    let Operator { end, robots, publishers, stop } = operator;
     let router = Router::new(robots, |kind, _| match kind {
         // A wiggle ends when another host stops the team.
         Kind::Stop => Route { local: true, leaves: stop.map(|link| (link, Audience::All)) },
@@ -67,18 +55,7 @@ pub fn wire(
         | Kind::Reading => Route { local: true, leaves: None },
         _ => Route::default(),
     });
-    let router = router.with_publishers(publishers);
-    let (stream, span) = ("operator".to_owned(), info_span!("network"));
-    let attachment = Attachment { me, key, links, router, seed, stream, span };
-    attachment.open((clock, readers), transports, move |out| match out {
-        attachment::Out::Deliver(message) => report(ProcessEvent::Message(&message)),
-        attachment::Out::Counts(counts) => report(ProcessEvent::Counts(&counts)),
-        attachment::Out::Refused(..) => {}
-        attachment::Out::Peers(peers) => report(ProcessEvent::Peers(&peers)),
-        attachment::Out::Duplicate(duplicate) => report(ProcessEvent::Duplicate(duplicate)),
-        attachment::Out::Tap(frame) => report(ProcessEvent::Published(&frame)),
-        attachment::Out::Sent(link, frame) => report(ProcessEvent::Sent(link, &frame)),
-    })
+    end.open((clock, readers), router.with_publishers(publishers), report)
 }
 
 /// Period at which an observer asks all hosts for telemetry (an `Observe` message).
@@ -104,7 +81,7 @@ pub fn place(
 ) {
     let heard = Rc::clone(answer);
     let network = wire((clock, readers), operator, move |event| {
-        let ProcessEvent::Message(Wire::Located(located)) = event else { return };
+        let Event::Message(Wire::Located(located)) = event else { return };
         let own = located.answer.filter(|answer| (answer.by, answer.number) == (place.by, place.number));
         heard.set(own.or(heard.get()));
     });
@@ -123,8 +100,8 @@ pub fn command((clock, readers): (&Clock, &mut Readers), operator: Operator, ord
     let answers: Mailbox<Status> = Mailbox::new("order");
     let (to_order, counted) = (answers.clone(), Rc::clone(order));
     let network = wire((clock, readers), operator, move |event| match event {
-        ProcessEvent::Message(Wire::Status(status)) => to_order.send(status.clone()),
-        ProcessEvent::Counts(counts) => counted.borrow_mut().note_links(*counts),
+        Event::Message(Wire::Status(status)) => to_order.send(status.clone()),
+        Event::Counts(counts) => counted.borrow_mut().note_links(*counts),
         _ => {}
     });
     let order = Rc::clone(order);

@@ -6,124 +6,71 @@ use std::collections::BTreeMap;
 use std::rc::Rc;
 
 use crate::actors::{agent, body, cache, controller, localizer, network, recorder, state_server, status, world};
-use crate::deploy::{Deployment, Link, Routes};
+use crate::deploy::{Link, Routes};
 use crate::faults::{ActorFault, ManualLinkFault, Role};
-use crate::graph::Plan;
 use crate::graph::devices::Devices;
+use crate::graph::end::HostEnd;
+use crate::graph::event::{Event, Events, Report};
 use crate::graph::inputs::{DeviceId, Input};
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::latch::Latch;
-use crate::messages::local::Truth;
-use crate::messages::wire::{Hardware, Kind, Stop, Wire};
-use crate::net::protocol::codec::Frame;
-use crate::net::protocol::key::Key;
+use crate::messages::wire::{Kind, Stop, Wire};
+use crate::net::media::ether;
 use crate::net::protocol::limits::LOSS_TO_REPEAT;
-use crate::net::protocol::link::{DuplicateId, LinkCounts, Refusal};
+use crate::net::protocol::link::Identity;
 use crate::net::protocol::reliability::{Heartbeats, Setup};
-use crate::net::protocol::sender::Peer;
-use crate::net::transport::{self, Renewed};
-use crate::random::Seed;
-use crate::report::episode::AbortReason;
+use crate::net::transport;
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::Mailbox;
-use crate::safety::guard::SafetyCounts;
+use crate::trial::Trial;
 
 /// Probability of loss of an emulated link from which on heartbeats are sent twice: that of `LOSS_TO_REPEAT`.
 const MIN_LOSS: f64 = LOSS_TO_REPEAT as f64 / 64.0;
 /// Team number of runs in one process, where no other team can interfere.
 const TEAM: u16 = 0;
 
-/// Part of a deployment that runs in this process: one host or all, with their identity on the links and their devices.
-#[derive(Clone)]
+/// Part of a trial that runs in this process: one host, or all hosts over emulated links.
 pub(crate) struct Process {
-    /// The one host that runs in this process; `None` if all hosts do.
-    pub(crate) only: Option<HostId>,
-    /// Number of the team, which keeps teams on the same network apart.
-    pub(crate) team: u16,
-    /// Incarnation: random number that distinguishes successive processes of the same host.
-    pub(crate) incarnation: u32,
-    /// Secret seed from which the random numbers of the link layer are drawn; `None` to use the seed of the run.
-    pub(crate) secret: Option<Seed>,
-    /// Key that authenticates the team's datagrams; `None` if they are not authenticated.
-    pub(crate) key: Option<Key>,
-    /// Setup of each link, `None` for a link in which the host does not take part. The whole list is `None` if links
-    /// are emulated.
-    pub(crate) links: Option<Vec<Option<Setup>>>,
+    /// Ends of the hosts that run in this process, by id.
+    pub(crate) ends: BTreeMap<HostId, HostEnd>,
+    /// Whether this process runs all hosts, over emulated links.
+    pub(crate) emulated: bool,
     /// Drivers and source of readings of real robots; empty if all robots are simulated.
     pub(crate) devices: Devices,
-    /// Whether the Recorder, the actor that collects results, runs in this process.
-    pub(crate) records: bool,
     /// Function that is called with each event of this process, such as a received message.
     pub(crate) report: Report,
 }
 
-/// Function that is called with each event of a process, and with the host at which the event happened.
-pub type Report = Rc<dyn Fn(HostId, ProcessEvent)>;
+impl Process {
+    /// Returns the process that runs every host of a trial, with emulated links and simulated robots.
+    pub(super) fn all_hosts(trial: &Trial, report: Report) -> Process {
+        let (deployment, routes) = (&trial.deployment, Routes::of(&trial.deployment));
+        let seed = trial.streams();
+        let end = |host: HostId| HostEnd {
+            me: Identity { host, team: TEAM, incarnation: 0 },
+            key: None,
+            seed,
+            links: deployment.links.iter().map(|link| emulated(link, &routes, host)).collect(),
+            transports: Vec::new(),
+        };
+        let hosts = (0..=u16::MAX).map(HostId).take(deployment.hosts.len());
+        let ends = hosts.map(|host| (host, end(host))).collect();
+        Process { ends, emulated: true, devices: Devices::default(), report }
+    }
 
-/// Event in a process, reported to the code that started it.
-#[derive(Clone, Copy, Debug)]
-pub enum ProcessEvent<'a> {
-    /// An actor of this process has published a message: the datagram, without its authentication tag.
-    Published(&'a Frame),
-    /// A datagram is sent on a link, with its authentication tag if the team has a key.
-    Sent(LinkId, &'a Frame),
-    /// A datagram arrives over an emulated link.
-    Arrived(LinkId, &'a Frame),
-    /// Input from outside the actors, such as a datagram. Does not occur if all hosts run in one process with emulated
-    /// links.
-    Input(&'a Input),
-    /// A datagram that had arrived was refused for this cause, without any effect but its count.
-    Refused(LinkId, Refusal, &'a Frame),
-    /// True states of simulated robots after a step of their World.
-    Truth(&'a Truth),
-    /// Output of the Recorder: the result of an episode, a step, or the end of the run.
-    Recorded(&'a recorder::Out),
-    /// Message that was delivered to actors of this process.
-    Message(&'a Wire),
-    /// State of the other hosts on links with link reports, such as delay and loss.
-    Peers(&'a [Peer]),
-    /// Numbers of datagrams sent, received and refused on the links of a host since its Network was started.
-    Counts(&'a LinkCounts),
-    /// Another running host uses the id of this host and was started earlier.
-    Duplicate(DuplicateId),
-    /// The state server of this process has aborted the episode with this index, from 0, for this reason.
-    Aborted(u32, AbortReason),
-    /// Numbers of times that a robot's guard has stopped or slowed it since the robot's Controller was started.
-    Safety(RobotId, SafetyCounts),
-    /// Condition of the hardware of a real robot, as its driver reports it.
-    Hardware(RobotId, &'a Hardware),
-    /// The sockets of a link were closed or opened again, because a network interface or its address has changed.
-    Link(LinkId, &'a Renewed),
+    /// Returns whether this process runs the host.
+    pub(super) fn runs(&self, host: HostId) -> bool {
+        self.ends.contains_key(&host)
+    }
 }
 
-impl Process {
-    /// Returns the process that runs every host of a deployment, with emulated links and simulated robots.
-    pub(super) fn all_hosts(report: Report) -> Process {
-        Process {
-            only: None,
-            team: TEAM,
-            incarnation: 0,
-            secret: None,
-            key: None,
-            links: None,
-            devices: Devices::default(),
-            records: true,
-            report,
-        }
-    }
-
-    /// Returns the setup of each link for a host, in the order of the deployment; `None` for a link on which the host
-    /// neither sends nor receives.
-    pub(super) fn setups(&self, deployment: &Deployment, routes: &Routes, host: HostId) -> Vec<Option<Setup>> {
-        let emulated = |link: &Link| {
-            let partakes = link.carries.iter().any(|kind| routes.exchanges(host, *kind));
-            // A link of robots sends heartbeats twice while it loses 3 % or more, which this link is known to do.
-            let lossy = link.loss >= MIN_LOSS && link.impairs.contains(&Kind::Heartbeat);
-            let heartbeats = if lossy { Heartbeats::Twice } else { Heartbeats::Once };
-            partakes.then(|| Setup { heartbeats, ..Setup::emulated(link.reliability.clone()) })
-        };
-        self.links.clone().unwrap_or_else(|| deployment.links.iter().map(emulated).collect())
-    }
+/// Returns the setup of an emulated link for a host; `None` if the host neither sends nor receives on it.
+fn emulated(link: &Link, routes: &Routes, host: HostId) -> Option<Setup> {
+    // A link of robots sends heartbeats twice while it loses 3 % or more, which this link is known to do.
+    let lossy = link.loss >= MIN_LOSS && link.impairs.contains(&Kind::Heartbeat);
+    let heartbeats = if lossy { Heartbeats::Twice } else { Heartbeats::Once };
+    let partakes = link.carries.iter().any(|kind| routes.exchanges(host, *kind));
+    partakes.then(|| Setup { heartbeats, ..Setup::emulated(link.reliability.clone()) })
 }
 
 /// Actors of a run, held by their mailboxes, through which messages and faults reach them.
@@ -153,14 +100,16 @@ pub struct Graph {
     pub(super) statuses: Rc<[Mailbox<status::In>]>,
     /// Mailboxes of Networks, indexed by host.
     pub(super) networks: Rc<[Mailbox<network::In>]>,
-    /// Mailboxes of the transports or emulated links, indexed by link.
+    /// Mailboxes of the links' transports, indexed by link; without actors where links are emulated.
     pub(super) transports: Rc<[Mailbox<transport::In>]>,
+    /// Mailboxes of the emulated media, indexed by link; without actors where links are real.
+    pub(super) media: Rc<[Mailbox<ether::In>]>,
     /// Mailbox of the Recorder; `None` in a process without a Recorder.
     pub(super) recorder: Option<Mailbox<recorder::In>>,
     /// Notice of the start of each episode, for faults that are timed from it.
     pub(super) episodes: EpisodeNotice,
-    /// Function that is called with each event of this process.
-    pub(super) report: Report,
+    /// Sink of all events of this process.
+    pub(super) events: Rc<Events>,
 }
 
 /// Function that is called with the number of an episode when it begins.
@@ -190,10 +139,10 @@ impl EpisodeNotice {
 }
 
 impl Graph {
-    /// Makes the mailboxes of all actors of a deployment (`plan.deployment`), those of other processes included, before
-    /// any actor is started. `process` says which hosts run here, and whether they have a Recorder.
-    pub(super) fn new(plan: &Plan, process: &Process) -> Graph {
-        let deployment = &plan.deployment;
+    /// Makes the mailboxes of all actors of a trial, those of other processes included, before any actor is started.
+    /// `process` says which hosts run here. There is a Recorder where the host runs that judges episodes.
+    pub(super) fn new(trial: &Trial, process: &Process) -> Graph {
+        let deployment = &trial.deployment;
         let routes = Routes::of(deployment);
         let team = || RobotId::team(deployment.robots);
         let named = |what: &'static str| move |robot: RobotId| format!("{what} of {robot}");
@@ -208,7 +157,8 @@ impl Graph {
             let world = by_host.entry(host).or_insert_with(|| Mailbox::new(named("world")(robot)));
             worlds.push(world.clone());
         }
-        let links = deployment.links.iter().map(|link| format!("transport of {}", link.name));
+        let links = |what: &'static str| deployment.links.iter().map(move |link| format!("{what} of {}", link.name));
+        let recorder = process.runs(deployment.judge()).then(|| Mailbox::new("recorder"));
         Graph {
             clock: OnceCell::new(),
             caches: team().map(named("cache")).map(Mailbox::new).collect(),
@@ -221,10 +171,11 @@ impl Graph {
             server: Mailbox::new("state server"),
             statuses: deployment.hosts.iter().map(|host| Mailbox::new(format!("status of {}", host.name))).collect(),
             networks: deployment.hosts.iter().map(|host| Mailbox::new(format!("network of {}", host.name))).collect(),
-            transports: links.map(Mailbox::new).collect(),
-            recorder: process.records.then(|| Mailbox::new("recorder")),
+            transports: links("transport").map(Mailbox::new).collect(),
+            media: links("medium").map(Mailbox::new).collect(),
+            events: Rc::new(Events::new(trial, process.emulated, (&process.report, recorder.as_ref()))),
+            recorder,
             episodes: EpisodeNotice::default(),
-            report: Rc::clone(&process.report),
             routes,
         }
     }
@@ -237,16 +188,6 @@ impl Graph {
     /// Returns the mailbox of the Status of a host.
     pub(super) fn status_of(&self, host: HostId) -> Mailbox<status::In> {
         self.statuses[usize::from(host.0)].clone()
-    }
-
-    /// Returns a function that sends its argument to the Recorder, or does nothing in a process without a Recorder.
-    pub(super) fn record(&self) -> impl Fn(recorder::In) + use<> {
-        let recorder = self.recorder.clone();
-        move |input| {
-            if let Some(recorder) = &recorder {
-                recorder.send(input);
-            }
-        }
     }
 
     /// Returns two numbers of messages between actors since the start of the run: those refused because a mailbox was
@@ -265,6 +206,7 @@ impl Graph {
             .chain(of(&self.statuses))
             .chain(of(&self.networks))
             .chain(of(&self.transports))
+            .chain(of(&self.media))
             .chain(of(std::slice::from_ref(&self.source)))
             .chain(of(std::slice::from_ref(&self.server)))
             .chain(of(self.recorder.as_slice()))
@@ -295,7 +237,7 @@ impl Graph {
     /// Sets a fault on an emulated link during the run, in addition to planned ones. It replaces the fault of the link
     /// that an earlier call has set.
     pub fn impair(&self, link: LinkId, fault: ManualLinkFault) {
-        self.transports[usize::from(link.0)].send(transport::In::Manual(fault));
+        self.media[usize::from(link.0)].send(ether::In::Manual(fault));
     }
 
     /// Sends an emergency stop message (stop, re-arm or resume) to the team through the host `through` of this process.
@@ -337,7 +279,7 @@ impl Graph {
     /// Passes an input from outside the actors, such as a datagram, to the actors of `host`, a host of this process.
     /// The input is reported as an event first.
     pub(crate) fn take(&self, host: HostId, input: Input) {
-        (self.report)(host, ProcessEvent::Input(&input));
+        self.events.emit(host, Event::Input(&input));
         match input {
             Input::Frame(link, frame, from) => {
                 self.networks[usize::from(host.0)].send(network::In::Frame(link, frame, from));

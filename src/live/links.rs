@@ -54,6 +54,11 @@ impl ProcessIdentity {
         })
     }
 
+    /// Returns the identity of this process as the host that `team` describes.
+    pub(super) fn host_of(&self, team: &Team) -> Identity {
+        Identity { host: team.host, team: team.number, incarnation: self.incarnation }
+    }
+
     /// Returns the identity of this process as an operator of the team with the number `team`.
     pub fn operator_of(&self, team: u16) -> Identity {
         Identity { host: self.operator, team, incarnation: self.incarnation }

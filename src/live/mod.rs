@@ -11,10 +11,11 @@ use std::time::Instant;
 use self::links::{LinkError, ProcessIdentity};
 use crate::actors::recorder::Out;
 use crate::deploy::team::Team;
-use crate::graph::Plan;
-use crate::graph::devices::{self, DeviceError, Workers};
-use crate::graph::host::{self, Host};
-use crate::graph::process::{Graph, ProcessEvent};
+use crate::graph::devices::{self, DeviceError, Devices, Workers};
+use crate::graph::end::HostEnd;
+use crate::graph::event::Event;
+use crate::graph::host;
+use crate::graph::process::Graph;
 use crate::messages::ids::HostId;
 use crate::messages::wire::{Phase, Wire};
 use crate::net::protocol::key::Key;
@@ -57,9 +58,10 @@ impl OpenError {
 
 /// One host of a team with open sockets, drivers and sources, ready to run in real time.
 pub struct LiveHost {
-    host: Host,
+    end: HostEnd,
+    devices: Devices,
     workers: Workers,
-    plan: Plan,
+    trial: Trial,
     grace: Span,
     /// Seed of the link layer's random streams, as bytes for a record of the process.
     seed: [u8; 32],
@@ -84,23 +86,23 @@ impl LiveHost {
     ) -> Result<LiveHost, OpenError> {
         let links = links::setups(&team.deployment, team.links.iter().map(Option::as_ref));
         let transports = links::open(team, team.host, wait)?;
-        let ProcessIdentity { incarnation, seed: secret, bytes: seed, .. } = ProcessIdentity::draw()?;
+        let identity = ProcessIdentity::draw()?;
         let entry = &team.deployment.hosts[usize::from(team.host.0)];
         let (devices, workers) = devices::open(entry, team.deployment.robots, registry)?;
-        let host = Host { id: team.host, team: team.number, incarnation, secret, key, links, devices, transports };
-        Ok(LiveHost { host, workers, plan: trial.plan(), grace: grace(team), seed })
+        let end = HostEnd { me: identity.host_of(team), key, seed: identity.seed, links, transports };
+        Ok(LiveHost { end, devices, workers, trial: trial.clone(), grace: grace(team), seed: identity.bytes })
     }
 
     /// Returns the settings of the whole team's run. This host runs its own part of it.
-    pub fn plan(&self) -> &Plan {
-        &self.plan
+    pub fn trial(&self) -> &Trial {
+        &self.trial
     }
 
     /// Returns what a replay needs of this process: its incarnation, the 32 bytes of its link layer's random seed, and
     /// the number of transports of each link.
     pub fn process(&self) -> (u32, [u8; 32], Vec<usize>) {
-        let transports = |link: usize| self.host.transports.iter().filter(|(id, _)| usize::from(id.0) == link).count();
-        (self.host.incarnation, self.seed, (0..self.host.links.len()).map(transports).collect())
+        let transports = |link: usize| self.end.transports.iter().filter(|(id, _)| usize::from(id.0) == link).count();
+        (self.end.me.incarnation, self.seed, (0..self.end.links.len()).map(transports).collect())
     }
 
     /// Runs the host on this thread, and returns its actors at the end. Its time counts from `origin`. `heard` is
@@ -111,16 +113,16 @@ impl LiveHost {
     pub fn run(
         self,
         origin: Instant,
-        heard: impl Fn(HostId, ProcessEvent) + 'static,
+        heard: impl Fn(HostId, Event) + 'static,
         said: impl FnMut(Out) + 'static,
         begun: impl FnOnce(&mut Readers, Time),
         done: impl FnMut(&Rc<Graph>, Time) -> bool,
     ) -> Rc<Graph> {
-        let LiveHost { mut host, workers, plan, .. } = self;
-        let observer = Rc::new(RefCell::new(host.devices.observer.take()));
+        let LiveHost { end, mut devices, workers, trial, .. } = self;
+        let observer = Rc::new(RefCell::new(devices.observer.take()));
         let observing = Rc::clone(&observer);
-        let heard = move |host: HostId, event: ProcessEvent| {
-            if let (Some(observer), ProcessEvent::Message(message)) = (&*observing.borrow(), event) {
+        let heard = move |host: HostId, event: Event| {
+            if let (Some(observer), Event::Message(message)) = (&*observing.borrow(), event) {
                 observer.receive(Time::ZERO + Span::from_secs(origin.elapsed().as_secs_f64()), message);
             }
             heard(host, event);
@@ -128,7 +130,7 @@ impl LiveHost {
         let graph = run_real(
             origin,
             |clock, readers| {
-                let graph = host::wire((clock, readers), plan, host, heard, said);
+                let graph = host::wire((clock, readers), trial, (end, devices), heard, said);
                 begun(readers, clock.now());
                 graph
             },
@@ -145,8 +147,8 @@ impl LiveHost {
     pub fn run_to_the_end(self) -> TrialReport {
         let (report, news) = (Rc::new(RefCell::new(TrialReport::default())), Rc::new(Cell::new(false)));
         let (told, grace) = (Rc::clone(&news), self.grace);
-        let heard = move |_: HostId, heard: ProcessEvent| match heard {
-            ProcessEvent::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => told.set(true),
+        let heard = move |_: HostId, heard: Event| match heard {
+            Event::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => told.set(true),
             _ => {}
         };
         let noted = Rc::clone(&report);

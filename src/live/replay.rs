@@ -11,9 +11,11 @@ use super::{LiveHost, OpenError, grace};
 use crate::actors::recorder::Out;
 use crate::deploy::team::Team;
 use crate::graph::devices::{self, Workers};
-use crate::graph::host::{self, Host};
+use crate::graph::end::HostEnd;
+use crate::graph::event::Event;
+use crate::graph::host;
 use crate::graph::inputs::Input;
-use crate::graph::process::{Graph, ProcessEvent};
+use crate::graph::process::Graph;
 use crate::messages::ids::{HostId, LinkId};
 use crate::net::protocol::key::Key;
 use crate::net::transport::{Counts, In, Transport};
@@ -57,17 +59,10 @@ impl LiveHost {
             let never = EventFd::from_flags(EfdFlags::EFD_CLOEXEC).expect("a process may have a descriptor");
             (link, Box::new(Silent(Rc::new(never))) as Box<dyn Transport>)
         };
-        let host = Host {
-            id: team.host,
-            team: team.number,
-            incarnation: identity.incarnation,
-            secret: identity.seed,
-            key,
-            links,
-            devices,
-            transports: ids.map(silent).collect(),
-        };
-        Ok(LiveHost { host, workers: Workers::none(), plan: trial.plan(), grace: grace(team), seed: identity.bytes })
+        let me = identity.host_of(team);
+        let end = HostEnd { me, key, seed: identity.seed, links, transports: ids.map(silent).collect() };
+        let (workers, trial) = (Workers::none(), trial.clone());
+        Ok(LiveHost { end, devices, workers, trial, grace: grace(team), seed: identity.bytes })
     }
 
     /// Replays the host from the recorded turns of its event loop, and returns its actors. `begun` is the time at which
@@ -77,15 +72,15 @@ impl LiveHost {
         self,
         begun: Time,
         turns: impl Iterator<Item = (Time, Vec<Input>)>,
-        heard: impl Fn(HostId, ProcessEvent) + 'static,
+        heard: impl Fn(HostId, Event) + 'static,
         said: impl FnMut(Out) + 'static,
         mut ended: impl FnMut(Time),
     ) -> Rc<Graph> {
-        let LiveHost { host, plan, .. } = self;
-        let id = host.id;
+        let LiveHost { end, devices, trial, .. } = self;
+        let id = end.me.host;
         run_replayed(
             begun,
-            |clock, readers| host::wire((clock, readers), plan, host, heard, said),
+            |clock, readers| host::wire((clock, readers), trial, (end, devices), heard, said),
             turns,
             // Orders of the host's own process were recorded at the end of their turn.
             |graph, inputs| inputs.extract_if(.., |input| !input.is_order()).for_each(|input| graph.take(id, input)),

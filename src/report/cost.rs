@@ -2,8 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::trial::{PublishedCount, TrialReport};
+use super::trial::TrialReport;
 use crate::messages::wire::{KINDS, Kind};
+use crate::results::totals::Published;
 
 /// Messages of one kind that actors published, per robot and simulated second.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,18 +43,22 @@ impl Cost {
         let virtual_s = report.simulated.as_secs();
         let each = |count: u64| count as f64 / (robots as f64 * virtual_s);
         let totals = &report.totals;
-        let all = totals.said.iter().fold(PublishedCount::default(), |sum, said| PublishedCount {
-            messages: sum.messages + said.messages,
-            bytes: sum.bytes + said.bytes,
+        let all = totals.published.iter().fold(Published::default(), |sum, published| Published {
+            messages: sum.messages + published.messages,
+            bytes: sum.bytes + published.bytes,
         });
-        let kinds = KINDS.iter().zip(&totals.said);
+        let kinds = KINDS.iter().zip(&totals.published);
         Cost {
             robots,
             virtual_s,
             messages: each(all.messages),
             bytes: each(all.bytes),
             kinds: kinds
-                .map(|(&kind, said)| KindCost { kind, messages: each(said.messages), bytes: each(said.bytes) })
+                .map(|(&kind, published)| KindCost {
+                    kind,
+                    messages: each(published.messages),
+                    bytes: each(published.bytes),
+                })
                 .collect(),
             deliveries: each(totals.links.accepted),
             airtime: (totals.radio.channel_ns > 0).then(|| each(totals.radio.airtime_ns) * 1e-9),

@@ -4,10 +4,10 @@ use std::iter::Sum;
 
 use serde::{Deserialize, Serialize};
 
-use super::episode::{AbortReason, Episode};
 use super::hardware::RobotHardware;
 use crate::messages::ids::RobotId;
 use crate::net::protocol::link::LinkCounts;
+use crate::results::episode::{AbortReason, Episode};
 use crate::safety::guard::SafetyCounts;
 
 /// Event that a host prints as a line of JSON for the program that started it.
@@ -126,7 +126,7 @@ impl HostEvent {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::episode::{AbortCause, Judged};
+    use crate::results::episode::{AbortCause, Judged};
     use crate::scenario::judge::Verdict;
 
     #[test]

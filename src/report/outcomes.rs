@@ -2,8 +2,8 @@
 
 use serde::Serialize;
 
-use super::episode::Episode;
 use super::statistics::{mean_95, quantile, wilson_95};
+use crate::results::episode::Episode;
 use crate::scenario::judge::Verdict;
 
 /// Counts of verdicts, success rate and makespan of a set of episodes.

@@ -5,7 +5,6 @@ use std::fmt;
 use serde::Serialize;
 use xxhash_rust::xxh3::Xxh3;
 
-use super::episode::{AbortReason, Episode, Judged};
 use super::event::Unwritten;
 use super::hardware::RobotHardware;
 use super::outcomes::{CostOutcomes, Outcomes};
@@ -14,6 +13,7 @@ use crate::config::shown::{self, counted};
 use crate::net::media::radio::RadioCounts;
 use crate::net::protocol::link::LinkCounts;
 use crate::registry::Registry;
+use crate::results::episode::{AbortReason, Episode, Judged};
 use crate::safety::guard::SafetyCounts;
 use crate::scenario::judge::Verdict;
 use crate::scenario::{Cost, Scenario, Settings};

@@ -12,11 +12,11 @@ use super::stopping::Model;
 use super::yielding::{Close, Yielding};
 use super::{Safety, Switch};
 use crate::messages::geometry::{Motion, Vec2, is_finite};
+use crate::safety::Clamp;
 use crate::scenario::KeepOut;
 use crate::time::Span;
-use crate::world::Clamp;
 
-/// Settings of the safety filter of one robot: thresholds, ground, walls, and limits of the robot's commands.
+/// Settings of the guard of one robot and of its safety filter: thresholds, ground, walls, and limits of commands.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// Thresholds of the safety filter, and the switches of its limits.

@@ -5,13 +5,12 @@
 //! latched until a re-arm. It reads no clock: the time is an argument, and `wake_at` is its next deadline. The Body,
 //! the actor of the motors, expires the last command by itself, even if the guard has died.
 
-use std::sync::Arc;
-
 pub use super::counts::SafetyCounts;
 use super::filter::{Filter, Filtered, Settings};
 use super::hardware::Permit;
 use super::limits::distance_outside;
-use super::{Safety, Switch};
+
+use super::Switch;
 use crate::messages::geometry::{Motion, Vec2, is_finite};
 use crate::messages::ids::RobotId;
 use crate::messages::latch::{Latch, LatchFollower};
@@ -19,9 +18,7 @@ use crate::messages::local::Action;
 use crate::messages::place::Whereabouts;
 pub use crate::messages::trigger::Trigger;
 use crate::messages::wire::Stop;
-use crate::scenario::KeepOut;
 use crate::time::{Span, Time};
-use crate::world::Clamp;
 
 /// Number of neighbours for which there is room from the start.
 const MOST_NEIGHBOURS: usize = 64;
@@ -68,28 +65,10 @@ pub enum Decision {
     Abort,
 }
 
-/// Configuration of the guard of one robot.
-#[derive(Clone, Debug)]
-pub struct Config {
-    /// Thresholds of the triggers that stop or slow the robot.
-    pub safety: Safety,
-    /// Half the size of the robot's ground along x and y \[m\], world frame; the ground is centred at the origin.
-    pub half_extent: Vec2,
-    /// Solid blocks of the arena that the robot must not touch, world frame.
-    pub walls: Arc<[KeepOut]>,
-    /// Largest commanded speed along each axis \[m/s\].
-    pub limit_m_s: f32,
-    /// Limit of speed, and possibly of the difference from the measured velocity, that is applied to the policy's
-    /// velocity, in episodes and in resets.
-    pub clamp: Clamp,
-    /// Time between two control ticks, the steps of the policy.
-    pub period: Span,
-}
-
 /// Guard of one robot: the state machine that alone turns the policy's velocities into approved motor commands.
 #[derive(Debug)]
 pub struct Guard {
-    config: Config,
+    settings: Settings,
     latch: LatchFollower,
     /// Time of the state server's newest message; none before the first, and after a silence.
     server: Option<Time>,
@@ -116,13 +95,11 @@ pub struct Guard {
 }
 
 impl Guard {
-    /// Returns a guard with this configuration that has received nothing yet, and so stops the robot.
-    pub fn new(config: Config) -> Guard {
-        let Config { safety, half_extent, limit_m_s, clamp, period, .. } = config;
-        let walls = Arc::clone(&config.walls);
+    /// Returns a guard with these settings that has received nothing yet, and so stops the robot.
+    pub fn new(settings: Settings) -> Guard {
         Guard {
-            filter: Filter::new(Settings { safety, half_extent, walls, limit_m_s, clamp, period }),
-            config,
+            filter: Filter::new(settings.clone()),
+            settings,
             latch: LatchFollower::default(),
             server: None,
             own: None,
@@ -233,7 +210,7 @@ impl Guard {
     pub fn decide(&mut self, now: Time, action: &Action) -> Decision {
         self.now = now;
         self.remember(now, action);
-        let Config { clamp, limit_m_s, .. } = self.config;
+        let Settings { clamp, limit_m_s, .. } = self.settings;
         let wanted = clamp.limit(action.velocity, action.estimate.velocity, limit_m_s);
         self.invalid_output |= !is_finite(action.velocity) || !is_finite(wanted);
         if let Some(trigger) = self.blocking_trigger(now, action) {
@@ -249,7 +226,7 @@ impl Guard {
 
     /// Returns the first trigger that forbids any motion.
     fn blocking_trigger(&self, now: Time, action: &Action) -> Option<Trigger> {
-        let Config { safety, half_extent, .. } = self.config;
+        let Settings { safety, half_extent, .. } = self.settings;
         let late = now.since(action.due) > Span::from_secs(safety.late_tick_s);
         let old = self.own.is_none_or(|at| now.since(at) > Span::from_secs(safety.own_state_s));
         let beyond = distance_outside(half_extent, action.estimate.position) > safety.geofence_stop_m;
@@ -268,7 +245,7 @@ impl Guard {
     }
 
     fn remember(&mut self, now: Time, action: &Action) {
-        if self.config.safety.distance == Switch::Off {
+        if self.settings.safety.distance == Switch::Off {
             return;
         }
         for other in &action.others {
@@ -278,7 +255,7 @@ impl Guard {
                 Err(at) => self.neighbours.insert(at, known),
             }
         }
-        let longest = Span::from_secs(self.config.safety.distance_age_s);
+        let longest = Span::from_secs(self.settings.safety.distance_age_s);
         self.neighbours.retain(|(_, heard, age, _)| *age + now.since(*heard) <= longest);
     }
 
@@ -326,7 +303,7 @@ impl Guard {
 
     /// Returns the next time at which the robot is stopped if nothing arrives before, and the trigger.
     fn deadline(&self) -> Option<(Time, Trigger)> {
-        let Config { safety, period, .. } = self.config;
+        let Settings { safety, period, .. } = self.settings;
         // The limit itself is allowed: the deadline is one nanosecond past it.
         let past = |seconds: f64| Span::from_secs(seconds) + Span::from_nanos(1);
         let silence = self.server.map(|heard| (heard + Span::from_secs(safety.silence_s), Trigger::Silence));
@@ -378,10 +355,13 @@ fn log(trigger: Trigger, often: &str) {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
     use crate::messages::ids::HostId;
     use crate::messages::local::{OtherRobot, Progress};
     use crate::messages::wire::{Phase, Round};
+    use crate::safety::{Clamp, Safety};
 
     fn at_ms(ms: u64) -> Time {
         Time::ZERO + Span::from_millis(ms)
@@ -390,7 +370,7 @@ mod tests {
     /// Returns a guard that has just received a message of the state server and a reading.
     fn guard(safety: Safety) -> Guard {
         let (half_extent, period) = (Vec2::new(2.0, 3.0), Span::from_millis(50));
-        let mut guard = Guard::new(Config {
+        let mut guard = Guard::new(Settings {
             safety,
             half_extent,
             walls: Arc::default(),
@@ -421,7 +401,7 @@ mod tests {
 
     #[test]
     fn nothing_moves_before_the_state_server_is_heard_or_after_it_falls_silent() {
-        let mut guard = Guard::new(guard(Safety::emulated()).config.clone());
+        let mut guard = Guard::new(guard(Safety::emulated()).settings.clone());
         assert_eq!(guard.decide(at_ms(0), &action(0, EAST)), Decision::Abort);
         guard.server_heard(at_ms(10));
         assert_eq!(guard.decide(at_ms(50), &action(50, EAST)), DRIVE);

@@ -2,12 +2,14 @@
 //!
 //! `guard` is the state machine between policy and motors, and `filter` the safety filter, which limits its commands:
 //! `stopping` has where a robot can stop, `barrier` the limits that neighbours and walls set, `limits` the velocity
-//! nearest to the wanted one within them, `yielding` the way out of deadlocks. `counts` has how often the triggers have
-//! acted, `hardware` the limits of battery and temperature; this file has the configuration.
+//! nearest to the wanted one within them, `yielding` the way out of deadlocks. `clamp` is the limit on what a policy
+//! commands. `counts` has how often the triggers have acted, `hardware` the limits of battery and temperature; this
+//! file has the configuration.
 //! `docs/safety.md` has every trigger in one table. There is no actor and no clock here: the Controller, an actor, owns
 //! a guard.
 
 mod barrier;
+mod clamp;
 pub(crate) mod counts;
 pub mod filter;
 pub mod guard;
@@ -16,11 +18,12 @@ pub(crate) mod limits;
 mod stopping;
 pub mod yielding;
 
+pub use clamp::Clamp;
+
 use serde::{Deserialize, Serialize};
 
 use crate::config::{self, ConfigError};
 use crate::scenario::size::HULL_M;
-use crate::world::Physics;
 
 /// Largest lag of a robot's drive in the settings \[s\].
 const MOST_LAG_S: f32 = 5.0;
@@ -162,13 +165,12 @@ impl Safety {
         Safety { lag_s: lag_s.clamp(0.0, MOST_LAG_S), acceleration_m_s2, ..self }
     }
 
-    /// Returns these settings for simulated robots: lag and acceleration are those of `physics`, and the minimum
-    /// distances to walls and to other robots are at least 2 and 4 cm more than those of a contact.
-    pub fn simulated(self, physics: &Physics) -> Safety {
-        let safety = self.driving(physics.lag_s, physics.acceleration_m_s2.min(physics.traction_m_s2));
-        let walls_min_m = self.walls_min_m.max(physics.wall_radius_m + HULL_MARGIN_M);
-        let distance_min_m = self.distance_min_m.max(2.0 * (physics.wall_radius_m + HULL_MARGIN_M));
-        Safety { walls_min_m, distance_min_m, ..safety }
+    /// Returns these settings for robots that touch a wall at the distance `radius_m` \[m\] of their centres from it,
+    /// and each other at twice that: the minimum distances to walls and to other robots are at least 2 and 4 cm more.
+    pub fn clear_of_contacts(self, radius_m: f32) -> Safety {
+        let walls_min_m = self.walls_min_m.max(radius_m + HULL_MARGIN_M);
+        let distance_min_m = self.distance_min_m.max(2.0 * (radius_m + HULL_MARGIN_M));
+        Safety { walls_min_m, distance_min_m, ..self }
     }
 
     /// Returns these settings for a robot whose commanded point is `own_m` \[m\] ahead of its centre, among robots

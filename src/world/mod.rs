@@ -4,7 +4,6 @@
 //! file and one line in `REGISTRY`. In another crate it is one line where that crate makes its `Registry`. The code of
 //! this folder knows no task, policy or network.
 
-mod clamp;
 #[cfg(feature = "rigid")]
 mod drivetrain;
 pub mod kinematic;
@@ -14,7 +13,6 @@ mod rigid;
 mod sensor;
 mod wheels;
 
-pub use clamp::Clamp;
 pub use physics::{ContactRule, OverrideError, Overrides, Physics};
 pub use sensor::Sensor;
 pub use wheels::Wheels;

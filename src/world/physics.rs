@@ -4,6 +4,7 @@
 //! parameters.
 
 use super::{Entry, Sensor, kinematic};
+use crate::safety::Safety;
 use crate::scenario::Arena;
 use crate::time::Span;
 
@@ -59,8 +60,15 @@ pub struct Physics {
 }
 
 impl Physics {
-    /// Returns the parameters of the training environment of the paper. Contacts block moves, there is no lag, and the
-    /// sensor is exact. `arena` gives the robots' radius.
+    /// Returns the settings `safety` for these robots: with their lag and acceleration, and with minimum distances that
+    /// are at least 2 and 4 cm more than those of a contact.
+    pub fn fit(&self, safety: Safety) -> Safety {
+        let acceleration_m_s2 = self.acceleration_m_s2.min(self.traction_m_s2);
+        safety.driving(self.lag_s, acceleration_m_s2).clear_of_contacts(self.wall_radius_m)
+    }
+
+    /// Returns the parameters of the training environment of the paper arXiv 2111.01777. Contacts block moves, there is
+    /// no lag, and the sensor is exact. `arena` gives the robots' radius.
     pub fn published(arena: &Arena) -> Physics {
         Physics {
             contacts: ContactRule::Block,

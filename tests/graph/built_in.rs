@@ -1,10 +1,10 @@
 //! The built-in policies for teams of many sizes bring their teams to the goals, without contacts.
 
 use murmurate::policy::Model;
-use murmurate::safety::Safety;
+use murmurate::safety::{Clamp, Safety};
 use murmurate::scenario::judge::Verdict;
 use murmurate::trial::Trial;
-use murmurate::world::{Clamp, ContactRule};
+use murmurate::world::ContactRule;
 
 /// Runs twelve episodes of robots with a lag of 0.5 s, the policy `any-size` and the safety filter, and checks that at
 /// least `least` succeed and no robot touches anything.

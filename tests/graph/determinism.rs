@@ -7,8 +7,9 @@ use murmurate::deploy::Impair;
 use murmurate::hearing::CommRange;
 use murmurate::policy;
 use murmurate::report::trial::TrialReport;
+use murmurate::simulate::Proceed;
 use murmurate::time::Time;
-use murmurate::trial::{Proceed, Trial};
+use murmurate::trial::Trial;
 
 /// Returns a trial that uses every source of random numbers.
 fn busy(mode: &str) -> Trial {

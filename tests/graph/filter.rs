@@ -13,14 +13,15 @@ use murmurate::messages::local::{Action, Contacts, OtherRobot, Progress};
 use murmurate::messages::wire::{Phase, Round};
 use murmurate::policy::{Interface, Model, Neighbour, Policy};
 use murmurate::random::{Seed, Stream};
-use murmurate::safety::guard::{self, Decision, Guard};
-use murmurate::safety::{Safety, Switch};
+use murmurate::safety::filter;
+use murmurate::safety::guard::{Decision, Guard};
+use murmurate::safety::{Clamp, Safety, Switch};
 use murmurate::scenario::judge::Verdict;
 use murmurate::scenario::{self, Arena, Dynamics, Observation};
 use murmurate::time::{Span, Time};
 use murmurate::trial::Trial;
 use murmurate::world::kinematic::{self, PERIOD, TeamMotion};
-use murmurate::world::{Clamp, ContactRule, Physics, Wheels};
+use murmurate::world::{ContactRule, Physics, Wheels};
 use rand::RngExt;
 
 /// Radius of a hull \[m\].
@@ -73,7 +74,7 @@ impl Bench {
         let ahead = chassis.point_ahead_m;
         let safety = Safety { own_state: Switch::Off, late_tick: Switch::Off, ..Safety::deployed() };
         let safety = safety.driving(lag_s, acceleration_m_s2).about_point(ahead, ahead);
-        let config = guard::Config {
+        let config = filter::Settings {
             safety,
             half_extent: arena.half_extent.add_scalar(-ahead),
             walls: arena.keep_outs.as_slice().into(),
@@ -330,7 +331,7 @@ fn without_the_filter_the_same_policies_collide() {
     let (distance, walls) = (Switch::Off, Switch::Off);
     let arena = bench.arena.clone();
     for guard in &mut bench.guards {
-        *guard = Guard::new(guard::Config {
+        *guard = Guard::new(filter::Settings {
             safety: Safety { distance, walls, ..Safety::emulated() },
             half_extent: arena.half_extent,
             walls: arena.keep_outs.as_slice().into(),
@@ -356,7 +357,7 @@ fn robots_that_meet_head_on_get_past_each_other() {
         for guard in &mut bench.guards {
             let safety = Safety { own_state: Switch::Off, late_tick: Switch::Off, ..Safety::deployed() };
             let (half_extent, walls, period) = (Vec2::new(4.0, 4.0), Arc::default(), PERIOD);
-            *guard = Guard::new(guard::Config {
+            *guard = Guard::new(filter::Settings {
                 safety,
                 half_extent,
                 walls,

@@ -6,8 +6,9 @@ use murmurate::faults::{ActorFault, ActorFaultKind, FaultPlan, LinkFault, LinkFa
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::{Kind, Phase};
-use murmurate::report::episode::{Episode, Judged};
-use murmurate::report::trial::{Step, TrialReport};
+use murmurate::report::trial::TrialReport;
+use murmurate::results::episode::{Episode, Judged};
+use murmurate::results::totals::Step;
 use murmurate::scenario::judge::{Judge, JudgedRobot, Judgement, Verdict};
 use murmurate::scenario::sightings::SIGHT;
 use murmurate::time::Span;

@@ -3,9 +3,10 @@
 use murmurate::deploy::{Impair, MODES};
 use murmurate::hearing::Handling;
 use murmurate::report::trial::TrialReport;
+use murmurate::safety::Clamp;
 use murmurate::scenario::judge::Verdict;
 use murmurate::trial::Trial;
-use murmurate::world::{Clamp, ContactRule, Placement, Sensor};
+use murmurate::world::{ContactRule, Placement, Sensor};
 
 fn trial(mode: &str) -> Trial {
     Trial::preset(mode, "passage").expect("a preset").seed(3)

@@ -19,13 +19,15 @@ use murmurate::policy::manifest::Manifest;
 use murmurate::policy::shipped::built_in;
 use murmurate::policy::{Draw, Model, weights};
 use murmurate::random::Seed;
-use murmurate::report::trial::{Step, TrialReport};
-use murmurate::safety::guard::{self, SafetyCounts};
-use murmurate::safety::{Safety, Switch};
+use murmurate::report::trial::TrialReport;
+use murmurate::results::totals::Step;
+use murmurate::safety::filter;
+use murmurate::safety::guard::SafetyCounts;
+use murmurate::safety::{Clamp, Safety, Switch};
 use murmurate::scenario::judge::Verdict;
 use murmurate::time::{Span, Time};
 use murmurate::trial::Trial;
-use murmurate::world::{Clamp, ContactRule, kinematic};
+use murmurate::world::{ContactRule, kinematic};
 
 fn ms(ms: u64) -> Span {
     Span::from_millis(ms)
@@ -101,7 +103,7 @@ fn a_reading_that_is_repeated_for_ever_is_no_estimate() {
     let mut cache = Cache::new(config, Seed::of_run(0).stream("cache"));
     let (safety, half_extent, clamp) = (Safety::deployed(), Vec2::new(2.0, 3.0), Clamp::Training);
     let walls = Arc::default();
-    let guard = guard::Config { safety, half_extent, walls, limit_m_s: 1.5, clamp, period };
+    let guard = filter::Settings { safety, half_extent, walls, limit_m_s: 1.5, clamp, period };
     let mut controller = Controller::new(controller::Config { robot, guard, valid_for: ms(200), phase: Span::ZERO });
     let task = Task { start: Vec2::zeros(), goal: Vec2::x() };
     let (phase, tasks, latch) = (Phase::Running, [task].into(), Latch::default());

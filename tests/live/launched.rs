@@ -29,7 +29,7 @@ fn simulated(episodes: u32) -> BTreeMap<u32, (String, String)> {
     let draw = file.manifest.draw;
     let trial = Trial::new(deployment, scenario, Model::Gnn(Arc::new(GnnWeights::new(file)), draw));
     let report = Trial { safety: Safety::deployed(), ..trial }.seed(SEED).episodes(episodes).run();
-    let told = |episode: &murmurate::report::episode::Episode| {
+    let told = |episode: &murmurate::results::episode::Episode| {
         let verdict = serde_json::to_value(episode.verdict).expect("it is JSON");
         let verdict = verdict.as_str().expect("it is a word").to_owned();
         let makespan = episode.makespan_s.map_or_else(String::new, |makespan| format!(" in {makespan:.2} s"));

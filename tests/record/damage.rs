@@ -10,7 +10,8 @@ use std::rc::Rc;
 
 use murmurate::policy::Model;
 use murmurate::random::Seed;
-use murmurate::trial::{Proceed, Trial};
+use murmurate::simulate::Proceed;
+use murmurate::trial::Trial;
 use murmurate_record::file::{Attached, Beginning, RecordFile};
 use murmurate_record::identity::Identity;
 use murmurate_record::reader::{Item, Message, ReadError, Reader, Schema};
@@ -24,7 +25,7 @@ use crate::program::{run, text};
 /// Writes a simulated episode as hosts write theirs: flushed in between, so that it has many chunks.
 pub fn in_chunks(path: &Path) {
     let trial = Trial::preset("centralized", "passage").unwrap().model(Model::Orca).episodes(1);
-    let stage = Stage::of(&trial.plan());
+    let stage = Stage::of(&trial);
     let attached = ["team.toml", "faults.toml"].map(|name| Attached {
         name: name.to_owned(),
         media_type: "application/toml",
@@ -33,7 +34,7 @@ pub fn in_chunks(path: &Path) {
     let identity = Identity::here("1f", vec!["sim".to_owned()], "");
     let beginning = Beginning { identity, attached: attached.to_vec() };
     let file = RecordFile::create(path, &beginning, &stage).unwrap();
-    let topics = Topics::new(Stage::of(&trial.plan()), Scope::Simulation, 0);
+    let topics = Topics::new(Stage::of(&trial), Scope::Simulation, 0);
     let state = std::rc::Rc::new(std::cell::RefCell::new((file, topics, Vec::new(), 0)));
     let heard = std::rc::Rc::clone(&state);
     trial.run_observed(

@@ -6,7 +6,8 @@ use std::path::Path;
 use std::rc::Rc;
 
 use murmurate::policy::Model;
-use murmurate::trial::{Proceed, Trial};
+use murmurate::simulate::Proceed;
+use murmurate::trial::Trial;
 use murmurate_record::compare::{Compared, Comparison};
 use murmurate_record::topics::{Stage, Topics};
 use murmurate_record::{Event, Scope, reader};
@@ -51,7 +52,7 @@ fn equal_runs_have_equal_records_which_change_nothing_and_run_again() {
 /// Compares a trial with a record of `sim`.
 fn compare(trial: &Trial, record: &Path) -> Compared {
     let opened = reader::open(record).expect("it is a record");
-    let topics = Topics::new(Stage::of(&trial.plan()), Scope::Simulation, 0);
+    let topics = Topics::new(Stage::of(&trial), Scope::Simulation, 0);
     let comparison = Rc::new(RefCell::new(Comparison::new(opened.messages, topics, 0)));
     let heard = Rc::clone(&comparison);
     trial.run_observed(

@@ -8,13 +8,14 @@ use std::rc::Rc;
 
 use murmurate::deploy::Deployment;
 use murmurate::deploy::team::TeamFile;
+use murmurate::graph::event;
 use murmurate::graph::inputs::Input;
-use murmurate::graph::process::ProcessEvent;
 use murmurate::messages::ids::HostId;
 use murmurate::policy::Model;
 use murmurate::registry::Registry;
+use murmurate::simulate::Proceed;
 use murmurate::time::Time;
-use murmurate::trial::{Proceed, Trial};
+use murmurate::trial::Trial;
 use murmurate_record::file::{Attached, Beginning, RecordFile};
 use murmurate_record::identity::{HostIdentity, Identity};
 use murmurate_record::topics::{Stage, Topics};
@@ -68,7 +69,7 @@ impl Writer {
         let content = std::fs::read(team).unwrap();
         let attached =
             vec![Attached { name: team.to_str().unwrap().to_owned(), media_type: "application/toml", content }];
-        let stage = || Stage::of(&trial.plan());
+        let stage = || Stage::of(&trial);
         let topics = Topics::new(stage(), Scope::Host, identity.anchor_ns);
         let file = RecordFile::create(&path, &Beginning { identity, attached }, &stage()).unwrap();
         Writer { file, topics, stage: stage(), events: Vec::new() }
@@ -112,7 +113,7 @@ fn recorded(episodes: u32) -> (TempDir, PathBuf) {
     let report = trial.run_observed(
         move |_, host, event| {
             let event = match event {
-                ProcessEvent::Arrived(link, frame) => Some(Event::Input(Input::Frame(link, frame.clone(), None))),
+                event::Event::Arrived(link, frame) => Some(Event::Input(Input::Frame(link, frame.clone(), None))),
                 other => Event::of(Scope::Simulation, host, other),
             };
             heard.borrow_mut().get_mut(&host.0).unwrap().events.extend(event);

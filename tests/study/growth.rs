@@ -59,7 +59,7 @@ fn a_trial_of_a_given_length_counts_all_of_it_by_kind() {
     let (report, cost) = lasting(&team("onboard-adhoc", 5), 4.0);
     assert!(!report.finished && (cost.virtual_s - 4.0).abs() < 1e-6);
     let totals = &report.totals;
-    assert_eq!(totals.said.iter().map(|said| said.messages).sum::<u64>(), totals.messages);
+    assert_eq!(totals.published.iter().map(|kind| kind.messages).sum::<u64>(), totals.messages);
     let of = |kind: Kind| cost.kinds[kind as usize];
     assert_eq!(KINDS.map(|kind| of(kind).kind), KINDS);
     // Every step of the world is read; heartbeats come five times a second.

@@ -4,10 +4,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 
-use murmurate::actors::recorder::Steps;
-use murmurate::report::episode::Episode;
+use murmurate::report::trial::TrialReport;
+use murmurate::results::episode::Episode;
+use murmurate::results::totals::Steps;
 use murmurate::time::Span;
-use murmurate::trial::{Trial, TrialReport};
+use murmurate::trial::Trial;
 use murmurate_figures::picture::{Backdrop, Scene, film, moving, still};
 use murmurate_robot::bad;
 use murmurate_robot::output::talk;

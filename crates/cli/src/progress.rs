@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use murmurate::report::episode::Episode;
-use murmurate::trial::Proceed;
+use murmurate::results::episode::Episode;
+use murmurate::simulate::Proceed;
 
 /// Returns a callback for a trial, which is called with the episodes finished so far. It advances the progress bar by
 /// the new ones, and stops the trial once `stop` is set.

@@ -5,11 +5,14 @@ use std::sync::Mutex;
 
 use anyhow::Result;
 
-use murmurate::graph::process::{Graph, ProcessEvent};
+use murmurate::graph::event;
+use murmurate::graph::process::Graph;
 use murmurate::messages::ids::HostId;
-use murmurate::report::episode::Episode;
+use murmurate::report::trial::TrialReport;
+use murmurate::results::episode::Episode;
+use murmurate::simulate::Proceed;
 use murmurate::time::Time;
-use murmurate::trial::{Proceed, Trial, TrialReport};
+use murmurate::trial::Trial;
 use murmurate_record::file::Beginning;
 use murmurate_record::identity::{Identity, StudyJob};
 use murmurate_record::queue::WhenFull;
@@ -94,13 +97,13 @@ impl Simulated {
     pub fn run_observed(
         &self,
         (recorded, trial): (&Recorded, &Trial),
-        report: impl Fn(Time, HostId, ProcessEvent) + 'static,
+        report: impl Fn(Time, HostId, event::Event) + 'static,
         mut proceed: impl FnMut(&Graph, Time, &[Episode]) -> Proceed,
     ) -> TrialReport {
         let mut beginning = self.beginning.clone();
         let identity = &mut beginning.identity;
         (identity.repeat, identity.policy, identity.job) = (trial.repeat, recorded.policy.clone(), recorded.job);
-        let topics = Topics::new(Stage::of(&trial.plan()), Scope::Simulation, 0);
+        let topics = Topics::new(Stage::of(trial), Scope::Simulation, 0);
         let path = Simulated::path(&self.folder, &recorded.name);
         let recording = match Recording::start(&path, &beginning, topics, (WhenFull::Wait, self.retention)) {
             Ok(recording) => recording,

@@ -5,7 +5,7 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
 use super::{Area, Drawn, FigureError, GREY, TEXT, WIDTH, colour, dashes, style, svg};
-use murmurate::report::listening::Listening;
+use murmurate::results::listening::Listening;
 
 /// Deliveries and delays of messages in one column of a study, for a figure.
 #[derive(Clone, Debug)]

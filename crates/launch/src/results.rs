@@ -5,9 +5,9 @@ use std::time::Instant;
 
 use crate::outcome::Outcome;
 use crate::supervisor::{Output, Response};
-use murmurate::report::episode::{AbortReason, Episode};
 use murmurate::report::event::{Counted, HostEvent, Unwritten};
 use murmurate::report::trial::TrialReport;
+use murmurate::results::episode::{AbortReason, Episode};
 use murmurate::scenario::judge::Verdict;
 use murmurate::time::Span;
 
@@ -192,7 +192,7 @@ impl Results {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use murmurate::report::episode::{AbortCause, Judged};
+    use murmurate::results::episode::{AbortCause, Judged};
 
     fn episode(index: u32, verdict: Verdict) -> Episode {
         Episode {

@@ -127,7 +127,7 @@ mod tests {
     fn record(path: &Path, repeat: u32, ends: bool) {
         let mut identity = Identity::here("1f", vec!["sim".to_owned()], "");
         (identity.repeat, identity.anchor_ns) = (repeat, 7);
-        let stage = Stage::of(&Trial::preset("sim", "passage").unwrap().plan());
+        let stage = Stage::of(&Trial::preset("sim", "passage").unwrap());
         let mut file = RecordFile::create(path, &Beginning { identity, attached: Vec::new() }, &stage).unwrap();
         match ends {
             true => file.finish().unwrap(),

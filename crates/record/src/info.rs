@@ -111,7 +111,7 @@ mod tests {
         let path = folder.path().join("a.mcap");
         let mut identity = Identity::here("1f", vec!["sim".to_owned(), "--seed".to_owned(), "3".to_owned()], "");
         identity.repeat = 2;
-        let stage = Stage::of(&Trial::preset("sim", "passage").unwrap().plan());
+        let stage = Stage::of(&Trial::preset("sim", "passage").unwrap());
         let beginning = crate::file::Beginning { identity, attached: Vec::new() };
         let mut file = RecordFile::create(&path, &beginning, &stage).unwrap();
         file.flush().unwrap();

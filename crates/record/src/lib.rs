@@ -44,8 +44,8 @@ pub mod writer;
 
 pub use self::foxglove::Severity;
 use murmurate::actors::recorder;
+use murmurate::graph::event;
 use murmurate::graph::inputs::Input;
-use murmurate::graph::process::ProcessEvent;
 use murmurate::messages::hardware::Hardware;
 use murmurate::messages::ids::{HostId, LinkId, RobotId};
 use murmurate::messages::local::Truth;
@@ -53,7 +53,7 @@ use murmurate::messages::wire::Wire;
 use murmurate::net::protocol::codec::Frame;
 use murmurate::net::protocol::link::{LinkCounts, Refusal};
 use murmurate::net::protocol::sender::Peer;
-use murmurate::report::episode::Episode;
+use murmurate::results::episode::Episode;
 use murmurate::safety::guard::SafetyCounts;
 use murmurate::time::Time;
 
@@ -122,39 +122,41 @@ pub enum Scope {
 impl Event {
     /// Converts an event that the process of `host` has reported to an event of a record; `None` if records of the kind
     /// `scope` do not store it.
-    pub fn of(scope: Scope, host: HostId, event: ProcessEvent) -> Option<Event> {
+    pub fn of(scope: Scope, host: HostId, event: event::Event) -> Option<Event> {
         let of_host = scope == Scope::Host;
         if scope == Scope::Operator {
             return match event {
-                ProcessEvent::Message(message) => Some(Event::Delivered(message.clone())),
-                ProcessEvent::Peers(peers) => Some(Event::Peers(host, peers.to_vec())),
-                ProcessEvent::Counts(counts) => Some(Event::Counts(host, Box::new(*counts))),
+                event::Event::Message(message) => Some(Event::Delivered(message.clone())),
+                event::Event::Peers(peers) => Some(Event::Peers(host, peers.to_vec())),
+                event::Event::Counts(counts) => Some(Event::Counts(host, Box::new(*counts))),
                 _ => None,
             };
         }
         Some(match event {
-            ProcessEvent::Published(frame) => Event::Published(host, Frame::clone(frame)),
-            ProcessEvent::Sent(link, frame) if of_host => Event::Sent(link, Frame::clone(frame)),
-            ProcessEvent::Input(input) if of_host => Event::Input(input.clone()),
-            ProcessEvent::Refused(link, cause, frame) if of_host => Event::Refused(link, cause, Frame::clone(frame)),
-            ProcessEvent::Message(message @ (Wire::Reading(_) | Wire::Latent(_) | Wire::Mode(_))) if of_host => {
+            event::Event::Published(frame) => Event::Published(host, Frame::clone(frame)),
+            event::Event::Sent(link, frame) if of_host => Event::Sent(link, Frame::clone(frame)),
+            event::Event::Input(input) if of_host => Event::Input(input.clone()),
+            event::Event::Refused(link, cause, frame) if of_host => Event::Refused(link, cause, Frame::clone(frame)),
+            event::Event::Message(message @ (Wire::Reading(_) | Wire::Latent(_) | Wire::Mode(_))) if of_host => {
                 Event::Delivered(message.clone())
             }
-            ProcessEvent::Truth(truth) => Event::Truth(truth.clone()),
-            ProcessEvent::Recorded(recorder::Out::Episode(episode, _)) => Event::Episode(*episode),
-            ProcessEvent::Safety(robot, counts) => Event::Guard(robot, counts),
-            ProcessEvent::Hardware(robot, hardware) => Event::Hardware(robot, Box::new(hardware.clone())),
-            ProcessEvent::Counts(counts) => Event::Counts(host, Box::new(*counts)),
-            ProcessEvent::Peers(peers) => Event::Peers(host, peers.to_vec()),
-            ProcessEvent::Sent(..)
-            | ProcessEvent::Arrived(..)
-            | ProcessEvent::Input(_)
-            | ProcessEvent::Refused(..)
-            | ProcessEvent::Message(_)
-            | ProcessEvent::Recorded(_)
-            | ProcessEvent::Aborted(..)
-            | ProcessEvent::Link(..)
-            | ProcessEvent::Duplicate(_) => return None,
+            event::Event::Truth(truth) => Event::Truth(truth.clone()),
+            event::Event::Recorded(recorder::Out::Episode(episode, _)) => Event::Episode(*episode),
+            event::Event::Safety(robot, counts) => Event::Guard(robot, counts),
+            event::Event::Hardware(robot, hardware) => Event::Hardware(robot, Box::new(hardware.clone())),
+            event::Event::Counts(counts) => Event::Counts(host, Box::new(*counts)),
+            event::Event::Peers(peers) => Event::Peers(host, peers.to_vec()),
+            event::Event::Sent(..)
+            | event::Event::Arrived(..)
+            | event::Event::Input(_)
+            | event::Event::Refused(..)
+            | event::Event::Message(_)
+            | event::Event::Recorded(_)
+            | event::Event::Perceived(..)
+            | event::Event::Radio(..)
+            | event::Event::Aborted(..)
+            | event::Event::Link(..)
+            | event::Event::Duplicate(_) => return None,
         })
     }
 }

@@ -7,10 +7,10 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use murmurate::deploy::{Deployment, Routes};
-use murmurate::graph::Plan;
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::scenario::Scenario;
 use murmurate::scenario::arena::KeepOut;
+use murmurate::trial::Trial;
 
 /// Name of the MCAP metadata of a record that contains the [`Stage`].
 pub const METADATA: &str = "murmurate.stage";
@@ -42,9 +42,10 @@ pub struct Stage {
 }
 
 impl Stage {
-    /// Returns the stage of a run from its plan, which has deployment, scenario and physics.
-    pub fn of(plan: &Plan) -> Stage {
-        Stage::of_team((&plan.deployment, &*plan.scenario), plan.physics.wall_radius_m, plan.range.mean_m)
+    /// Returns the stage of a trial.
+    pub fn of(trial: &Trial) -> Stage {
+        let range_m = trial.comm_range().mean_m;
+        Stage::of_team((&trial.deployment, &*trial.scenario), trial.physics.wall_radius_m, range_m)
     }
 
     /// Returns the stage of a team with this deployment and scenario. `hull_m` is the radius of a robot's hull \[m\],

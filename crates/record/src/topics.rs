@@ -21,7 +21,7 @@ use murmurate::messages::phase::Phase;
 use murmurate::messages::round::Round;
 use murmurate::messages::wire::{Kind, Mode, Wire};
 use murmurate::net::protocol::codec::{self, Content, Flags, Header};
-use murmurate::report::episode::Episode;
+use murmurate::results::episode::Episode;
 use murmurate::safety::guard::SafetyCounts;
 use murmurate::time::{Span, Time};
 

@@ -12,7 +12,7 @@ use crate::output::talk;
 use crate::own_name;
 use murmurate::deploy::Routes;
 use murmurate::deploy::team::Team;
-use murmurate::graph::process::ProcessEvent;
+use murmurate::graph::event::Event;
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::time::{Span, Time};
 use murmurate_view::access::{Access, Control};
@@ -90,12 +90,12 @@ fn is_guarded(listen: SocketAddr) -> bool {
 
 impl HostMetrics {
     /// Updates the metrics with an event of the host `host`.
-    pub fn receive(&self, host: HostId, event: ProcessEvent) {
+    pub fn receive(&self, host: HostId, event: Event) {
         self.metrics.borrow_mut().take(host, event);
         let mut view = self.view.borrow_mut();
         match event {
-            ProcessEvent::Message(message) => view.receive(self.now.get(), message),
-            ProcessEvent::Safety(robot, counts) => view.guarded(self.now.get(), robot, counts),
+            Event::Message(message) => view.receive(self.now.get(), message),
+            Event::Safety(robot, counts) => view.guarded(self.now.get(), robot, counts),
             _ => {}
         }
     }

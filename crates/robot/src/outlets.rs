@@ -13,7 +13,7 @@ use std::rc::Rc;
 use anyhow::{Context, Result, anyhow};
 use murmurate::config::shown::{Layout, printable};
 use murmurate::report::event::{HostEvent, Unwritten};
-use murmurate::report::trial::Step;
+use murmurate::results::totals::Step;
 use sd_notify::NotifyState;
 
 use crate::BadInput;

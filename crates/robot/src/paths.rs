@@ -4,8 +4,8 @@ use std::io::Write;
 
 use anyhow::{Context, Result};
 use murmurate::messages::geometry::Vec2;
-use murmurate::report::trial::Step;
 use murmurate::report::trial::TrialReport;
+use murmurate::results::totals::Step;
 
 use crate::whole_file::WholeFile;
 

@@ -74,7 +74,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         return bad(why);
     };
     let operator = args.team.operator(&file)?;
-    let place = Place { by: operator.me.host, number: operator.me.incarnation, robot, pose };
+    let me = operator.end.me;
+    let place = Place { by: me.host, number: me.incarnation, robot, pose };
     let answer: Rc<Cell<Option<Placed>>> = Rc::default();
     let heard = Rc::clone(&answer);
     run_real(

@@ -111,7 +111,7 @@ impl Asked<'_> {
         let file = self.team.read(registry)?;
         let operator = self.operator(&file)?;
         let robots = operator.robots;
-        let order = Rc::new(RefCell::new(Order::new(operator.me.host, self.kind, robots)));
+        let order = Rc::new(RefCell::new(Order::new(operator.end.me.host, self.kind, robots)));
         run_real(
             Instant::now(),
             |clock, readers| {

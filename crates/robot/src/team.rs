@@ -7,6 +7,7 @@ use anyhow::Result;
 use murmurate::config::ConfigError;
 use murmurate::deploy::Routes;
 use murmurate::deploy::team::{Flag, Team, TeamFile};
+use murmurate::graph::end::HostEnd;
 use murmurate::graph::operator::Operator;
 use murmurate::live::links::{self, ProcessIdentity};
 use murmurate::messages::ids::{HostId, RobotId};
@@ -125,13 +126,15 @@ impl TeamArgs {
         let me = identity.operator_of(access.number);
         let link = &deployment.links[usize::from(access.link.0)];
         Ok(Operator {
-            me,
-            seed: identity.seed,
+            end: HostEnd {
+                me,
+                key,
+                seed: identity.seed,
+                links: links::of_operator(deployment, links::places_of(&access, deployment)),
+                transports: links::join(&access, link, me.host, self.interface.is_some())?,
+            },
             robots: deployment.robots,
             publishers: Routes::of(deployment).publishers(),
-            key,
-            links: links::of_operator(deployment, links::places_of(&access, deployment)),
-            transports: links::join(&access, link, me.host, self.interface.is_some())?,
             stop: Some(access.link),
         })
     }

@@ -7,7 +7,7 @@ use anyhow::Result;
 
 use crate::bad;
 use murmurate::deploy::team::Team;
-use murmurate::graph::process::ProcessEvent;
+use murmurate::graph::event::Event;
 use murmurate::live::LiveHost;
 use murmurate::messages::ids::HostId;
 use murmurate::time::Time;
@@ -36,7 +36,7 @@ impl LiveRecord {
     }
 
     /// Never called, because the type has no values.
-    pub fn push(&self, _: HostId, _: ProcessEvent) {
+    pub fn push(&self, _: HostId, _: Event) {
         match *self {}
     }
 

@@ -13,9 +13,10 @@ use murmurate::deploy::conditions::Conditions;
 use murmurate::deploy::{Deployment, Impair, Stepping};
 use murmurate::hearing::CommRange;
 use murmurate::net::media::radio::Radio;
+use murmurate::safety::Clamp;
 use murmurate::scenario::Scenario;
 use murmurate::trial::Trial;
-use murmurate::world::{Clamp, Placement};
+use murmurate::world::Placement;
 
 /// World and radio of a study's deployed columns: all columns but `sim`, which has the conditions of training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -3,8 +3,7 @@
 
 use murmurate::hearing::Handling;
 use murmurate::policy::Draw;
-use murmurate::safety::Safety;
-use murmurate::world::Clamp;
+use murmurate::safety::{Clamp, Safety};
 
 /// Named handling of a deployed policy in a study: use of messages, choice of actions, limit of commands, and
 /// safety.

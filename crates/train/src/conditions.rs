@@ -5,10 +5,11 @@ use serde::{Deserialize, Serialize};
 
 use super::config::{Conditions, Range};
 use murmurate::random::Stream;
+use murmurate::safety::Clamp;
 use murmurate::scenario::size::HULL_M;
 use murmurate::scenario::{Arena, Dynamics};
 use murmurate::world::kinematic::{MAX_ACCELERATION_M_S2, PERIOD};
-use murmurate::world::{Clamp, ContactRule, Physics};
+use murmurate::world::{ContactRule, Physics};
 
 /// Conditions of one training episode of one team: messages, sensor noise and physics.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

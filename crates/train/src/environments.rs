@@ -23,10 +23,11 @@ use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::local::Contacts;
 use murmurate::random;
 use murmurate::random::Stream;
+use murmurate::safety::Clamp;
 use murmurate::safety::filter::Filter;
 use murmurate::scenario::{Progress, Scenario, TeamAfterStep};
+use murmurate::world::Physics;
 use murmurate::world::kinematic::{self, PERIOD};
-use murmurate::world::{Clamp, Physics};
 
 /// One team in the training environments, with the state of its episode.
 #[derive(Clone, Debug, Serialize, Deserialize)]

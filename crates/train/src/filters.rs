@@ -13,7 +13,7 @@ use murmurate::world::kinematic::{MAX_SPEED_M_S, PERIOD};
 pub fn filter(episode: &EpisodeConditions, arena: &Arena, physics: &Physics, ahead_m: f32) -> Option<Filter> {
     episode.filtered.then(|| {
         Filter::new(Settings {
-            safety: Safety::filter().of_hull(arena.hull_m()).simulated(physics).about_point(ahead_m, ahead_m),
+            safety: physics.fit(Safety::filter().of_hull(arena.hull_m())).about_point(ahead_m, ahead_m),
             half_extent: arena.half_extent.add_scalar(-ahead_m),
             walls: arena.keep_outs.as_slice().into(),
             limit_m_s: MAX_SPEED_M_S,
@@ -43,8 +43,8 @@ mod tests {
     use crate::environments::Environments;
     use murmurate::messages::geometry::Vec2;
     use murmurate::random::Seed;
+    use murmurate::safety::Clamp;
     use murmurate::scenario::{self, Settings};
-    use murmurate::world::Clamp;
 
     /// Whether robots that drive at their nearest neighbour touch anything in ten seconds.
     fn touched(filtered: bool, lockstep: bool) -> bool {

@@ -6,7 +6,7 @@ use std::fmt::Write;
 
 use super::snapshot::Snapshot;
 use super::team_view::TeamView;
-use murmurate::graph::process::ProcessEvent;
+use murmurate::graph::event::Event;
 use murmurate::messages::ids::HostId;
 use murmurate::messages::wire::Kind;
 use murmurate::net::protocol::codec::{self, Content};
@@ -43,16 +43,16 @@ impl Metrics {
     }
 
     /// Updates the counts with an event of the host `host`.
-    pub fn take(&mut self, host: HostId, event: ProcessEvent) {
+    pub fn take(&mut self, host: HostId, event: Event) {
         match event {
-            ProcessEvent::Published(frame) => {
+            Event::Published(frame) => {
                 if let Ok(Content::Message(kind)) = codec::first(frame) {
                     *self.published.entry(kind).or_default() += 1;
                 }
             }
-            ProcessEvent::Message(message) => *self.received.entry(message.kind()).or_default() += 1,
-            ProcessEvent::Counts(counts) => drop(self.links.insert(host, *counts)),
-            ProcessEvent::Peers(peers) => drop(self.peers.insert(host, peers.to_vec())),
+            Event::Message(message) => *self.received.entry(message.kind()).or_default() += 1,
+            Event::Counts(counts) => drop(self.links.insert(host, *counts)),
+            Event::Peers(peers) => drop(self.peers.insert(host, peers.to_vec())),
             _ => {}
         }
     }
@@ -186,8 +186,8 @@ mod tests {
     fn every_metric_has_its_type_and_labels() {
         let mut metrics = Metrics::new(vec!["pc \"1\"".to_owned()]);
         let counts = LinkCounts { auth: 3, stale: 2, ..LinkCounts::default() };
-        metrics.take(HostId(0), ProcessEvent::Counts(&counts));
-        metrics.take(HostId(1), ProcessEvent::Counts(&LinkCounts { auth: 1, ..LinkCounts::default() }));
+        metrics.take(HostId(0), Event::Counts(&counts));
+        metrics.take(HostId(1), Event::Counts(&LinkCounts { auth: 1, ..LinkCounts::default() }));
         let link = |ms| LinkState { one: 0, other: 1, age: Some(Span::from_millis(ms)), loss: None };
         metrics.sample(&Snapshot { links: vec![link(20), link(21), link(9000)], ..Snapshot::default() });
         metrics.dropped(7);

@@ -6,7 +6,7 @@ use super::team_view::TeamView;
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::local::Truth;
 use murmurate::messages::wire::Wire;
-use murmurate::report::episode::Episode;
+use murmurate::results::episode::Episode;
 use murmurate::safety::guard::SafetyCounts;
 use murmurate::time::{Span, Time};
 

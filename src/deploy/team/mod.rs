@@ -32,10 +32,10 @@ use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{KINDS, Kind};
 use crate::net::transport::Place;
 use crate::registry::Registry;
-use crate::safety::Safety;
+use crate::safety::{Clamp, Safety};
 use crate::scenario::{Scenario, Settings};
 use crate::time::Span;
-use crate::world::{Clamp, ContactRule, Overrides, Physics, Sensor};
+use crate::world::{ContactRule, Overrides, Physics, Sensor};
 
 /// Configuration of one host of a team, with the values that apply to this host.
 #[derive(Clone, Debug)]
@@ -362,20 +362,8 @@ fn only_robot(agents: &[Vec<u16>]) -> Option<u16> {
 
 /// Returns the name of a kind of message as it is written in files.
 fn kebab(kind: Kind) -> String {
-    match kind {
-        Kind::Reading => "reading",
-        Kind::Latent => "latent",
-        Kind::MotorCommand => "motor-command",
-        Kind::Heartbeat => "heartbeat",
-        Kind::Mode => "mode",
-        Kind::Stop => "stop",
-        Kind::Status => "status",
-        Kind::Observe => "observe",
-        Kind::Telemetry => "telemetry",
-        Kind::Place => "place",
-        Kind::Located => "located",
-    }
-    .to_owned()
+    let name = serde_json::to_value(kind).expect("a kind has a name");
+    name.as_str().expect("it is a text").to_owned()
 }
 
 fn text(entry: &LayerValue) -> &str {

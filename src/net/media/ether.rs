@@ -8,21 +8,36 @@ use std::sync::Arc;
 
 use super::radio_link::RadioLink;
 use crate::actor::Core;
+use crate::faults::ManualLinkFault;
 use crate::messages::ids::HostId;
+use crate::messages::local::Truth;
 use crate::messages::wire::{KINDS, Kind};
 use crate::net::media::emulator::LinkEmulator;
 use crate::net::media::radio::RadioCounts;
 use crate::net::media::reach::Reach;
 use crate::net::protocol::codec::{Content, Frame, first};
 use crate::net::protocol::router::Audience;
-use crate::net::transport::{Arrive, In, Transmit};
+use crate::net::transport::Transmit;
 use crate::time::Time;
+
+/// Input message of an ether: a frame to carry, or what affects the emulation.
+#[derive(Clone, Debug)]
+pub enum In {
+    /// Frame to carry, with its receivers.
+    Transmit(Transmit),
+    /// True positions of the robots, from a World. Sent only if the range of the link is limited.
+    Truth(Truth),
+    /// Number of the episode that begins, for faults that are timed from it.
+    EpisodeBegins(u32),
+    /// Fault that a person sets during the run, such as a cut link.
+    Manual(ManualLinkFault),
+}
 
 /// Output message of an ether, the actor that emulates one link.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// A frame that arrives at the Network actor of a host.
-    Arrive(Arrive),
+    /// A frame that arrives at this host.
+    Arrive(HostId, Frame),
     /// Counters of frames and airtime of the link's emulated radio, for the Recorder, the actor that collects the
     /// results. Boxed because it is large and rare.
     Counts(Box<RadioCounts>),
@@ -41,7 +56,7 @@ pub struct Ether {
     listeners: Vec<Arc<[u16]>>,
     /// Frames that were sent and have not yet arrived. The key is the time of arrival, then the number of the
     /// departure, which orders frames that arrive at one instant.
-    in_flight: BTreeMap<(Time, u64), Arrive>,
+    in_flight: BTreeMap<(Time, u64), (HostId, Frame)>,
     departures: u64,
     copies: Vec<(Time, Frame)>,
     reached: Vec<HostId>,
@@ -94,11 +109,10 @@ impl Ether {
     fn carry(&mut self, now: Time, kind: Kind, (from, to): (HostId, HostId), frame: &Frame, out: &mut Vec<Out>) {
         self.emulator.carry(now, kind, (from, to), frame, &mut self.copies);
         for (at, frame) in self.copies.drain(..) {
-            let arrive = Arrive { to, from: None, frame };
             if at <= now {
-                out.push(Out::Arrive(arrive));
+                out.push(Out::Arrive(to, frame));
             } else {
-                self.in_flight.insert((at, self.departures), arrive);
+                self.in_flight.insert((at, self.departures), (to, frame));
                 self.departures += 1;
             }
         }
@@ -118,7 +132,6 @@ impl Core for Ether {
             }
             In::EpisodeBegins(episode) => self.emulator.begin(now, episode),
             In::Manual(fault) => self.emulator.set_manual(fault),
-            In::Admit(_) => unreachable!("an ether has no socket"),
         }
     }
 
@@ -138,7 +151,8 @@ impl Core for Ether {
             out.extend(counts.map(|counts| Out::Counts(Box::new(counts))));
         }
         while let Some(entry) = self.in_flight.first_entry().filter(|entry| entry.key().0 <= now) {
-            out.push(Out::Arrive(entry.remove()));
+            let (to, frame) = entry.remove();
+            out.push(Out::Arrive(to, frame));
         }
     }
 }

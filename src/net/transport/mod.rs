@@ -2,7 +2,7 @@
 //!
 //! An [`Entry`] reads its fields of a team file into an [`Endpoint`], which is opened for one host as a [`Transport`].
 //! Transports do not interpret frames, with one exception: a unicast link sends reports to more addresses than data.
-//! The emulated link of one-process runs (`net/media/ether.rs`) takes the same [`In`].
+//! Links of runs in one process have an emulated medium (`net/media/ether.rs`) in place of transports.
 
 mod endpoint;
 pub mod flood;
@@ -20,9 +20,7 @@ use std::rc::Rc;
 use std::sync::Arc;
 
 use crate::config::ConfigError;
-use crate::faults::ManualLinkFault;
 use crate::messages::ids::HostId;
-use crate::messages::local::Truth;
 use crate::net::protocol::codec::Frame;
 use crate::net::protocol::link::Guest;
 use crate::net::protocol::router::Audience;
@@ -106,18 +104,11 @@ pub const RESERVED: [&str; 2] = ["transport", "reliability"];
 /// Name of the transport that a link has if the team file names none.
 pub const USUAL: &str = "multicast";
 
-/// Input of a transport: a frame to send; on an emulated link, what affects the emulation; on a unicast link, a guest
-/// to which frames are sent.
+/// Input of a transport.
 #[derive(Clone, Debug)]
 pub enum In {
     /// Frame to send, with its receivers.
     Transmit(Transmit),
-    /// True positions of the robots, from a simulated World; used only by emulated links with a limited range.
-    Truth(Truth),
-    /// Number of the episode that begins; used only by emulated links, for faults that are timed from it.
-    EpisodeBegins(u32),
-    /// Fault that a person sets during the run, such as a cut link; used only by emulated links.
-    Manual(ManualLinkFault),
     /// Host that is not in the team file, such as an operator, to which frames are sent for a while; used only by
     /// unicast links.
     Admit(Guest),
@@ -130,17 +121,6 @@ pub struct Transmit {
     pub from: HostId,
     /// Receivers of the frame.
     pub audience: Audience,
-    /// Bytes of the frame.
-    pub frame: Frame,
-}
-
-/// Frame that an emulated link delivers to a host.
-#[derive(Clone, Debug)]
-pub struct Arrive {
-    /// Host that receives the frame.
-    pub to: HostId,
-    /// Source address of the frame; always `None`, since hosts have no addresses on an emulated link.
-    pub from: Option<SocketAddr>,
     /// Bytes of the frame.
     pub frame: Frame,
 }

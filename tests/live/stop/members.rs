@@ -12,8 +12,9 @@ use std::time::{Duration, Instant};
 
 use murmurate::actors::network::{self, Identity};
 use murmurate::deploy::{Deployment, Routes};
+use murmurate::graph::end::HostEnd;
+use murmurate::graph::event::Event;
 use murmurate::graph::operator::{Operator, wire};
-use murmurate::graph::process::ProcessEvent;
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::ids::{HostId, LinkId, RobotId};
 use murmurate::messages::latch::Latch;
@@ -103,22 +104,22 @@ fn speak(
     let setup = Setup { report_piggyback_age: Span::ZERO, ..Setup::multicast(Reliabilities::new()) };
     let mut bytes = [0; 32];
     getrandom::fill(&mut bytes).expect("there are random numbers");
-    let operator = Operator {
-        me: Identity { host, team: TEAM, incarnation: u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]) },
-        seed: Seed::of_bytes(bytes),
-        robots: deployment.robots,
-        publishers: Routes::of(&deployment).publishers(),
+    let incarnation = u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
+    let end = HostEnd {
+        me: Identity { host, team: TEAM, incarnation },
         key: Some(key),
+        seed: Seed::of_bytes(bytes),
         links: vec![Some(setup), None],
         transports: vec![(LinkId(0), open)],
-        stop: Some(LinkId(0)),
     };
+    let (robots, publishers) = (deployment.robots, Routes::of(&deployment).publishers());
+    let operator = Operator { end, robots, publishers, stop: Some(LinkId(0)) };
     let (mut turn, mut next) = (0, Time::ZERO);
     run_real(
         Instant::now(),
         |clock, readers| {
             let network = wire((clock, readers), operator, move |heard| {
-                if let ProcessEvent::Message(message) = heard {
+                if let Event::Message(message) = heard {
                     hears(message);
                 }
             });

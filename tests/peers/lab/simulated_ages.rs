@@ -7,7 +7,8 @@ use std::process::ExitCode;
 
 use murmurate::net::media::radio::Radio;
 use murmurate::policy::Model;
-use murmurate::trial::{Proceed, Trial};
+use murmurate::simulate::Proceed;
+use murmurate::trial::Trial;
 use murmurate_study::twin::estimate::smooth_quantile_of;
 use murmurate_study::twin::predict;
 

@@ -1,7 +1,7 @@
 //! What people see of a run under `launch`: lines on stderr, and the news of the live page.
 
 use murmurate::config::shown::counted;
-use murmurate::report::episode::Episode;
+use murmurate::results::episode::Episode;
 use murmurate_launch::results;
 use murmurate_robot::output::{colour, talk};
 

@@ -19,11 +19,11 @@ use crate::record::chosen;
 use crate::sim;
 use crate::study;
 use murmurate::config::shown::{self, counted};
-use murmurate::graph::process::ProcessEvent;
+use murmurate::graph::event;
 use murmurate::messages::ids::HostId;
 use murmurate::registry::Registry;
+use murmurate::simulate::Proceed;
 use murmurate::time::Time;
-use murmurate::trial::Proceed;
 use murmurate_record::chosen::Chosen;
 use murmurate_record::compare::{Compared, Comparison};
 use murmurate_record::reader::{self, Opened};
@@ -299,7 +299,7 @@ fn rerun_observed(
     opened: Opened,
     files: &Files,
     registry: &Registry,
-    observe: impl Fn(HostId, ProcessEvent) + 'static,
+    observe: impl Fn(HostId, event::Event) + 'static,
     mut turned: impl FnMut(Time),
 ) -> Result<Compared> {
     let Opened { identity, messages, .. } = opened;
@@ -310,7 +310,7 @@ fn rerun_observed(
         None => sim::of_record(&arguments, identity.repeat, registry)?,
     };
     drop(confined);
-    let topics = Topics::new(Stage::of(&trial.plan()), Scope::Simulation, 0);
+    let topics = Topics::new(Stage::of(&trial), Scope::Simulation, 0);
     let comparison = Rc::new(RefCell::new(Comparison::new(messages, topics, 0)));
     let heard = Rc::clone(&comparison);
     trial.run_observed(

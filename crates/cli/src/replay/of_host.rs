@@ -8,8 +8,8 @@ use anyhow::Result;
 
 use super::{Args, Files, finish};
 use murmurate::deploy::team::Team;
+use murmurate::graph::event;
 use murmurate::graph::inputs::Input;
-use murmurate::graph::process::ProcessEvent;
 use murmurate::live::LiveHost;
 use murmurate::live::links::ProcessIdentity;
 use murmurate::messages::ids::HostId;
@@ -109,7 +109,7 @@ pub fn compare(prepared: Prepared) -> Result<Compared> {
     let Some((begun, _)) = turns.next() else {
         return Ok(Compared { messages: 0, difference: None, cut: true, gap_s: None, damaged_s: None });
     };
-    let topics = Topics::new(Stage::of(live.plan()), Scope::Host, identity.anchor_ns);
+    let topics = Topics::new(Stage::of(live.trial()), Scope::Host, identity.anchor_ns);
     let comparison = Comparison::new(messages, topics, identity.anchor_ns);
     let comparison = Rc::new(RefCell::new(if trusts { comparison.without_tags() } else { comparison }));
     comparison.borrow_mut().push(Event::Turn(begun));
@@ -146,8 +146,8 @@ pub fn published(live: LiveHost, mut turns: Turns, take: impl FnMut(Time, &[u8])
         time.set(*at);
         output::stamp_as_recorded(Some(*at));
     });
-    let heard = move |_, event: ProcessEvent| {
-        if let ProcessEvent::Published(frame) = event {
+    let heard = move |_, event: event::Event| {
+        if let event::Event::Published(frame) = event {
             (take.borrow_mut())(now.get(), frame);
         }
     };

@@ -13,7 +13,7 @@ use crate::record::chosen::{self, first_files, tell};
 use crate::record::merge::into_file;
 use crate::watch::feed::Feed;
 use murmurate::config::shown::counted;
-use murmurate::graph::process::ProcessEvent;
+use murmurate::graph::event::Event;
 use murmurate::messages::wire::Wire;
 use murmurate::net::protocol::key::Key;
 use murmurate::registry::Registry;
@@ -109,7 +109,7 @@ fn read(args: &Args, registry: &Registry) -> Result<Shown> {
         &files,
         registry,
         move |host, event| {
-            if let ProcessEvent::Message(Wire::Latent(latent)) = event {
+            if let Event::Message(Wire::Latent(latent)) = event {
                 arrived.borrow_mut().push(Sight::Arrived(host, latent.robot));
             }
         },

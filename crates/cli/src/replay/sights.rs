@@ -13,7 +13,7 @@ use murmurate::messages::local::{Contacts, Sample, Truth};
 use murmurate::messages::wire::{Features, Wire};
 use murmurate::net::protocol::codec;
 use murmurate::net::protocol::key::Key;
-use murmurate::report::episode::Episode;
+use murmurate::results::episode::Episode;
 use murmurate::safety::guard::SafetyCounts;
 use murmurate::time::Time;
 use murmurate_record::identity::{self, Identity};
@@ -291,7 +291,7 @@ mod tests {
     /// A record of host 0 of a team with the key `key`, at which three latents of robot 1 have arrived, sent by host 1.
     fn recorded(folder: &Path, key: &Key) -> std::path::PathBuf {
         let trial = Trial::preset("offboard", "passage").unwrap();
-        let stage = Stage::of(&trial.plan());
+        let stage = Stage::of(&trial);
         let mut identity = Identity::here("1f", vec!["host".to_owned()], "");
         let name = stage.hosts[0].clone();
         let (seed, transports) = ("00".repeat(32), vec![1; 2]);
@@ -299,7 +299,7 @@ mod tests {
         identity.host = Some(host);
         let path = folder.join("host.mcap");
         let mut file = RecordFile::create(&path, &Beginning { identity, attached: Vec::new() }, &stage).unwrap();
-        let mut topics = Topics::new(Stage::of(&trial.plan()), Scope::Host, 0);
+        let mut topics = Topics::new(Stage::of(&trial), Scope::Host, 0);
         for sequence in 0..3u32 {
             let header = Header { flags: Flags::default(), team: 1, sender: HostId(1), incarnation: 9, sequence };
             let features = Features(vec![0.5; 4].into());

@@ -18,10 +18,11 @@ use murmurate::policy::Draw;
 use murmurate::registry::Registry;
 use murmurate::report::comparison::Comparison;
 use murmurate::report::summary::{CostName, Run, Summary};
-use murmurate::safety::Safety;
+use murmurate::report::trial::TrialReport;
+use murmurate::safety::{Clamp, Safety};
 use murmurate::scenario::layout::Layouts;
-use murmurate::trial::{Trial, TrialReport};
-use murmurate::world::{Clamp, ContactRule, Placement, Sensor};
+use murmurate::trial::Trial;
+use murmurate::world::{ContactRule, Placement, Sensor};
 use serde::Serialize;
 
 use crate::deployment;

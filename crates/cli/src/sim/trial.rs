@@ -7,10 +7,10 @@ use anyhow::Result;
 
 use super::Args;
 use crate::{conditions, deployment, size};
-use murmurate::actors::recorder::Steps;
 use murmurate::deploy::conditions::Conditions;
 use murmurate::deploy::{Deployment, Impair};
 use murmurate::registry::Registry;
+use murmurate::results::totals::Steps;
 use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{ScenarioError, Settings};
 use murmurate::trial::Trial;
@@ -24,7 +24,7 @@ fn given(args: &Args) -> Result<Conditions> {
 }
 
 /// Returns the deployment with the delay, loss, range and radio that the flags set for its links.
-fn network(args: &Args, mut deployment: Deployment) -> Result<Deployment> {
+fn network(args: &Args, fitted: &Conditions, mut deployment: Deployment) -> Result<Deployment> {
     if args.impair.is_some() && args.delay_ms == 0.0 && args.loss == 0.0 {
         return bad("--impair: there is neither delay nor loss; add --delay-ms or --loss".to_owned());
     }
@@ -41,7 +41,6 @@ fn network(args: &Args, mut deployment: Deployment) -> Result<Deployment> {
             .impaired(given(args.delay_ms / 1000.0), given(args.loss), impair)
             .map_err(|e| BadInput(format!("{flag}: {e}")))?;
     }
-    let fitted = given(args)?;
     if args.delay_ms == 0.0 && args.loss == 0.0 && fitted.impair() {
         deployment = fitted.links(deployment).map_err(|e| BadInput(format!("--conditions: {e}")))?;
     }
@@ -53,21 +52,21 @@ fn network(args: &Args, mut deployment: Deployment) -> Result<Deployment> {
 
 /// Returns the settings of the scenario: those of the flags, or else of the conditions, or else of the deployment
 /// `file`.
-fn settings(args: &Args, file: Option<&Deployment>) -> Result<Settings> {
+fn settings(args: &Args, fitted: &Conditions, file: Option<&Deployment>) -> Settings {
     let file = size::of_file(file);
-    let Settings { scale, hull_m, .. } = args.size.over(given(args)?.under(Settings::default()));
-    Ok(Settings {
+    let Settings { scale, hull_m, .. } = args.size.over(fitted.under(Settings::default()));
+    Settings {
         robots: args.robots.or(file.robots),
         gap_m: args.gap_m.or(file.gap_m),
         scale: scale.or(file.scale),
         hull_m: hull_m.or(file.hull_m),
-    })
+    }
 }
 
 /// Returns the error that the scenario cannot be made, which names the flag or the file of the wrong setting.
-fn refused(args: &Args, file: Option<&Deployment>, error: &ScenarioError) -> BadInput {
+fn refused(args: &Args, fitted: &Conditions, file: Option<&Deployment>, error: &ScenarioError) -> BadInput {
     let flags = args.size.over(Settings { robots: args.robots, gap_m: args.gap_m, ..Settings::default() });
-    let fitted = given(args).unwrap_or_default().under(Settings::default());
+    let fitted = fitted.under(Settings::default());
     let path = |path: Option<&Path>| path.unwrap_or(Path::new("")).display().to_string();
     let (named, conditions) = (path(args.deployment.as_deref()), path(args.conditions.as_deref()));
     let files = [
@@ -81,8 +80,10 @@ fn refused(args: &Args, file: Option<&Deployment>, error: &ScenarioError) -> Bad
 /// policy's name in reports. All other trials of the policy are repeats of it.
 pub fn of_flags(args: &Args, policy: Option<&Path>, registry: &Registry) -> Result<(Trial, String)> {
     let file = args.deployment.as_deref().map(conditions::deployment).transpose()?;
-    let settings = settings(args, file.as_ref())?;
-    let scenario = registry.scenario(&args.scenario, &settings).map_err(|e| refused(args, file.as_ref(), &e))?;
+    let fitted = &given(args)?;
+    let settings = settings(args, fitted, file.as_ref());
+    let scenario =
+        registry.scenario(&args.scenario, &settings).map_err(|e| refused(args, fitted, file.as_ref(), &e))?;
     let mut deployment = match file {
         Some(file) if file.robots != scenario.robots() => {
             return bad(format!("--robots: {} robots, but the deployment file has {}", scenario.robots(), file.robots));
@@ -91,9 +92,9 @@ pub fn of_flags(args: &Args, policy: Option<&Path>, registry: &Registry) -> Resu
         None => Deployment::preset(&args.mode, scenario.robots()).expect("the parser lets only modes through"),
     };
     deployment = deployment.sized(&settings);
-    deployment = network(args, deployment)?;
+    deployment = network(args, fitted, deployment)?;
     deployment.placement = args.placement.unwrap_or(deployment.placement);
-    if let Some(plant) = args.plant.clone().or(given(args)?.plant) {
+    if let Some(plant) = args.plant.clone().or_else(|| fitted.plant.clone()) {
         deployment.plant = plant;
     }
     deployment.body = args.drive.over(&deployment.body)?;
@@ -108,7 +109,7 @@ pub fn of_flags(args: &Args, policy: Option<&Path>, registry: &Registry) -> Resu
     trial.handling = args.handling;
     trial.estimator = *registry.estimator(&args.estimator).expect("the flag takes names of the registry alone");
     let safety = args.safety(trial.deployment.stepping);
-    trial = physics(args, trial)?.clamp(args.clamp).safety(safety);
+    trial = physics(args, fitted, trial)?.clamp(args.clamp).safety(safety);
     if let Some(path) = &args.episodes_file {
         let text = read_text(path, "episodes file")?;
         trial.layouts = Layouts::from_json(&text, &*scenario, args.episodes())
@@ -136,7 +137,7 @@ pub fn of_flags(args: &Args, policy: Option<&Path>, registry: &Registry) -> Resu
 }
 
 /// Returns the trial with the properties of simulated robots that the flags set.
-fn physics(args: &Args, mut trial: Trial) -> Result<Trial> {
+fn physics(args: &Args, fitted: &Conditions, mut trial: Trial) -> Result<Trial> {
     if let Some(lag_s) = args.lag_s.filter(|lag_s| !(0.0..=10.0).contains(lag_s)) {
         return bad(format!("--lag-s: {lag_s} is not 0 to 10"));
     }
@@ -151,7 +152,7 @@ fn physics(args: &Args, mut trial: Trial) -> Result<Trial> {
         trial.physics = overrides
             .physics(entry, trial.scenario.arena())
             .map_err(|error| BadInput(format!("{}: {error}", flag(error.field))))?;
-        trial.physics = given(args)?.physics(trial.physics, lag_s);
+        trial.physics = fitted.physics(trial.physics, lag_s);
     }
     Ok(trial)
 }

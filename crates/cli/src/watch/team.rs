@@ -17,13 +17,13 @@ use murmurate::actors::network;
 use murmurate::actors::order::OrderKind;
 use murmurate::deploy::Routes;
 use murmurate::deploy::team::TeamFile;
+use murmurate::graph::event::Event;
 use murmurate::graph::operator;
-use murmurate::graph::process::ProcessEvent;
 use murmurate::live::links::ProcessIdentity;
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::wire::{Phase, Stop, Wire};
 use murmurate::registry::Registry;
-use murmurate::report::episode::Episode;
+use murmurate::results::episode::Episode;
 use murmurate::runtime::clock::Clock;
 use murmurate::runtime::real::run_real;
 use murmurate::runtime::shell::Mailbox;
@@ -167,7 +167,7 @@ impl Page {
         let Page { view, server, publisher, news, identity, began, .. } = self;
         let file = team.read(registry)?;
         let operator = team.operator_as(&file, identity)?;
-        let me = operator.me;
+        let me = operator.end.me;
         let names = file.deployment().hosts.iter().map(|host| host.name.clone()).collect();
         let metrics = Rc::new(RefCell::new(Metrics::new(names)));
         let view = Rc::new(RefCell::new(view));
@@ -185,10 +185,10 @@ impl Page {
                 let network = operator::wire((clock, readers), operator, move |event| {
                     metrics.borrow_mut().take(me.host, event);
                     taken.iter().for_each(|record| record.push(me.host, event));
-                    if let ProcessEvent::Counts(counts) = event {
+                    if let Event::Counts(counts) = event {
                         counted.set(counts.key_trouble());
                     }
-                    let ProcessEvent::Message(message) = event else { return };
+                    let Event::Message(message) = event else { return };
                     if let Wire::Status(status) = message {
                         given.borrow_mut().receive(time.now(), status);
                     }

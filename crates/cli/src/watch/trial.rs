@@ -16,13 +16,16 @@ use murmurate::actors::order::OrderKind;
 use murmurate::actors::recorder;
 use murmurate::deploy::Routes;
 use murmurate::faults::{ActorFault, ActorFaultKind, ManualLinkFault, Role};
-use murmurate::graph::process::{Graph, ProcessEvent};
+use murmurate::graph::event::Event;
+use murmurate::graph::process::Graph;
 use murmurate::messages::ids::{HostId, LinkId, RobotId};
 use murmurate::messages::wire::{Kind, Phase, Wire};
 use murmurate::net::protocol::codec::{self, Content, Frame};
-use murmurate::report::episode::Episode;
+use murmurate::report::trial::TrialReport;
+use murmurate::results::episode::Episode;
+use murmurate::simulate::Proceed;
 use murmurate::time::{Span, Time};
-use murmurate::trial::{Proceed, Trial, TrialReport};
+use murmurate::trial::Trial;
 use murmurate_robot::bad;
 use murmurate_view::access::Control;
 use murmurate_view::command::Command;
@@ -105,7 +108,7 @@ pub fn run(
         pace: Pace::new(flags.speed),
     };
     let orders = Rc::clone(&desk.orders);
-    let hear = move |now: Time, host: HostId, event: ProcessEvent| {
+    let hear = move |now: Time, host: HostId, event: Event| {
         metrics.borrow_mut().take(host, event);
         heard(&mut view.borrow_mut(), &mut orders.borrow_mut(), now, host, event);
     };
@@ -142,20 +145,20 @@ fn scene(trial: &Trial, policy: &str) -> Scene {
 }
 
 /// Updates the page's view of the team, and the state of running orders, from an event of the trial.
-fn heard(view: &mut TeamView, orders: &mut Orders, now: Time, host: HostId, event: ProcessEvent) {
+fn heard(view: &mut TeamView, orders: &mut Orders, now: Time, host: HostId, event: Event) {
     match event {
-        ProcessEvent::Published(frame) => {
+        Event::Published(frame) => {
             let Some(message) = wanted(frame) else { return };
             if let Wire::Status(status) = &message {
                 orders.receive(now, status);
             }
             view.receive(now, &message);
         }
-        ProcessEvent::Message(Wire::Latent(latent)) => view.arrived(now, host, latent.robot),
-        ProcessEvent::Truth(truth) => view.see(truth),
-        ProcessEvent::Recorded(recorder::Out::Episode(episode, _)) => view.judged(now, episode),
-        ProcessEvent::Safety(robot, counts) => view.guarded(now, robot, counts),
-        ProcessEvent::Hardware(robot, hardware) => {
+        Event::Message(Wire::Latent(latent)) => view.arrived(now, host, latent.robot),
+        Event::Truth(truth) => view.see(truth),
+        Event::Recorded(recorder::Out::Episode(episode, _)) => view.judged(now, episode),
+        Event::Safety(robot, counts) => view.guarded(now, robot, counts),
+        Event::Hardware(robot, hardware) => {
             hardware.battery.into_iter().for_each(|percent| view.charged(robot, percent));
         }
         _ => {}

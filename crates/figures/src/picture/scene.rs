@@ -5,8 +5,8 @@ use murmurate::messages::geometry::{Task, Vec2};
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::local::Sample;
 use murmurate::messages::wire::Phase;
-use murmurate::report::episode::Episode;
-use murmurate::report::trial::{Hearing, Step};
+use murmurate::results::episode::Episode;
+use murmurate::results::totals::{Hearing, Step};
 use murmurate::scenario::judge::{Judge, JudgedRobot, Verdict};
 use murmurate::scenario::{Arena, Cost, Rules};
 use murmurate::time::{Span, Time};
@@ -312,7 +312,7 @@ mod tests {
     use super::*;
     use murmurate::messages::geometry::Motion;
     use murmurate::messages::local::{Contacts, Sample};
-    use murmurate::report::episode::{AbortCause, AbortReason, Judged};
+    use murmurate::results::episode::{AbortCause, AbortReason, Judged};
 
     fn step(ms: u64, phase: Phase, xs: [f32; 2]) -> Step {
         let sample = |(robot, x): (RobotId, f32)| Sample {

@@ -13,8 +13,8 @@ use murmurate::deploy::Host;
 use murmurate::deploy::team::Team;
 use murmurate::graph::bench::{self, Bench, Event};
 use murmurate::graph::devices::{self, DeviceError};
+use murmurate::graph::event;
 use murmurate::graph::operator::{self, Operator};
-use murmurate::graph::process::ProcessEvent;
 use murmurate::messages::wire::{Stop, Wire};
 use murmurate::registry::Registry;
 use murmurate::runtime::clock::Clock;
@@ -127,10 +127,10 @@ pub fn look(
 
 /// Returns the reason to end a wiggle that follows from an event of the operator that listens to the team: an emergency
 /// stop or an episode. `None` if the event is no reason.
-fn reason_to_end(said: &ProcessEvent) -> Option<String> {
+fn reason_to_end(said: &event::Event) -> Option<String> {
     match said {
-        ProcessEvent::Message(Wire::Mode(mode)) => hindrance(mode.phase, mode.latch),
-        ProcessEvent::Message(Wire::Stop(stop)) => hindrance_of_stop(stop),
+        event::Event::Message(Wire::Mode(mode)) => hindrance(mode.phase, mode.latch),
+        event::Event::Message(Wire::Stop(stop)) => hindrance_of_stop(stop),
         _ => None,
     }
 }

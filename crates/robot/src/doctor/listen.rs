@@ -9,8 +9,9 @@ use std::time::Instant;
 use anyhow::{Result, anyhow};
 use murmurate::deploy::Routes;
 use murmurate::deploy::team::Team;
+use murmurate::graph::end::HostEnd;
+use murmurate::graph::event::Event;
 use murmurate::graph::operator::{Operator, observe, wire};
-use murmurate::graph::process::ProcessEvent;
 use murmurate::messages::ids::{HostId, LinkId, RobotId};
 use murmurate::messages::latch::Latch;
 use murmurate::messages::wire::{Condition, Health, Kind, Phase, Wire};
@@ -157,21 +158,18 @@ fn open(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>]) -> Resu
         let open = place.endpoint.open(identity.operator, Filter::All).map_err(|e| anyhow!("link {at}: {e}"))?;
         transports.push((LinkId(u16::try_from(at).expect("links are counted in u16")), open));
     }
+    let me = identity.operator_of(team.number);
     Ok(Operator {
-        me: identity.operator_of(team.number),
-        seed: identity.seed,
+        end: HostEnd { me, key, seed: identity.seed, links: setups.to_vec(), transports },
         robots: team.deployment.robots,
         publishers: Routes::of(&team.deployment).publishers(),
-        key,
-        links: setups.to_vec(),
-        transports,
         stop: post,
     })
 }
 
 fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds: f64) -> Result<Received> {
     let (listener, echo) = (open(team, places, setups)?, open(team, places, setups)?);
-    let (answers, observer) = (echo.me.host.0, listener.me.host);
+    let (answers, observer) = (echo.end.me.host.0, listener.end.me.host);
     let received = Rc::new(RefCell::new(Received::default()));
     let until = Time::ZERO + Span::from_secs(seconds);
     run_real(
@@ -179,30 +177,32 @@ fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds
         |clock, readers| {
             let heard = Rc::clone(&received);
             let listener = wire((clock, readers), listener, move |said| match said {
-                ProcessEvent::Peers(peers) => {
+                Event::Peers(peers) => {
                     heard.borrow_mut().peers = peers.iter().map(|p| ((p.link, p.host), p.clone())).collect();
                 }
-                ProcessEvent::Counts(counts) => heard.borrow_mut().counts = *counts,
-                ProcessEvent::Message(Wire::Telemetry(telemetry)) => {
+                Event::Counts(counts) => heard.borrow_mut().counts = *counts,
+                Event::Message(Wire::Telemetry(telemetry)) => {
                     telemetry.robots.iter().for_each(|told| heard.borrow_mut().learn(told));
                 }
-                ProcessEvent::Message(Wire::Mode(mode)) => {
+                Event::Message(Wire::Mode(mode)) => {
                     let mut heard = heard.borrow_mut();
                     (heard.hindrance, heard.led) = (hindrance(mode.phase, mode.latch), true);
                 }
-                ProcessEvent::Message(_)
-                | ProcessEvent::Published(_)
-                | ProcessEvent::Arrived(..)
-                | ProcessEvent::Sent(..)
-                | ProcessEvent::Input(_)
-                | ProcessEvent::Refused(..)
-                | ProcessEvent::Truth(_)
-                | ProcessEvent::Recorded(_)
-                | ProcessEvent::Duplicate(_)
-                | ProcessEvent::Aborted(..)
-                | ProcessEvent::Safety(..)
-                | ProcessEvent::Hardware(..)
-                | ProcessEvent::Link(..) => {}
+                Event::Message(_)
+                | Event::Published(_)
+                | Event::Arrived(..)
+                | Event::Perceived(..)
+                | Event::Radio(..)
+                | Event::Sent(..)
+                | Event::Input(_)
+                | Event::Refused(..)
+                | Event::Truth(_)
+                | Event::Recorded(_)
+                | Event::Duplicate(_)
+                | Event::Aborted(..)
+                | Event::Safety(..)
+                | Event::Hardware(..)
+                | Event::Link(..) => {}
             });
             let echo = wire((clock, readers), echo, |_| {});
             observe(clock, &listener, observer);

@@ -10,7 +10,7 @@ use murmurate::deploy::team::Team;
 use murmurate::graph::COMMAND_VALIDITY;
 use murmurate::messages::ids::RobotId;
 use murmurate::registry::Registry;
-use murmurate::safety::guard;
+use murmurate::safety::filter;
 use murmurate::time::Span;
 
 use super::{Found, Status, Subject};
@@ -72,7 +72,7 @@ pub fn config(team: &Team, registry: &Registry) -> Result<Config> {
         // The walls are unknown in the frame of a robot's odometry.
         arena.keep_outs.clear();
     }
-    let guard = guard::Config {
+    let guard = filter::Settings {
         safety: team.safety,
         half_extent: arena.half_extent,
         walls: arena.keep_outs.as_slice().into(),

@@ -8,7 +8,8 @@ use crate::metrics::HostMetrics;
 use crate::outlets::Outlets;
 use crate::recording::LiveRecord;
 use murmurate::actors::recorder::Out;
-use murmurate::graph::process::{Graph, ProcessEvent};
+use murmurate::graph::event::Event;
+use murmurate::graph::process::Graph;
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::wire::{Phase, Wire};
 use murmurate::net::protocol::link::{DuplicateId, LinkCounts};
@@ -85,34 +86,36 @@ impl Seen {
     }
 
     /// Updates the state with an event of the host `host`, and passes the event to the record and the metrics.
-    pub fn receive(&self, host: HostId, heard: ProcessEvent) {
+    pub fn receive(&self, host: HostId, heard: Event) {
         self.record().into_iter().for_each(|record| record.push(host, heard));
         #[cfg(feature = "watch")]
         if let Some(Some(metrics)) = self.metrics.get() {
             metrics.receive(host, heard);
         }
         match heard {
-            ProcessEvent::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => self.over.set(true),
-            ProcessEvent::Message(_)
-            | ProcessEvent::Peers(_)
-            | ProcessEvent::Arrived(..)
-            | ProcessEvent::Sent(..)
-            | ProcessEvent::Input(_)
-            | ProcessEvent::Refused(..)
-            | ProcessEvent::Truth(_)
-            | ProcessEvent::Recorded(_) => {}
-            ProcessEvent::Counts(counts) => self.counts.set(*counts),
-            ProcessEvent::Safety(robot, counts) => drop(self.safety.borrow_mut().insert(robot, counts)),
-            ProcessEvent::Hardware(robot, hardware) => {
+            Event::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => self.over.set(true),
+            Event::Message(_)
+            | Event::Peers(_)
+            | Event::Arrived(..)
+            | Event::Perceived(..)
+            | Event::Radio(..)
+            | Event::Sent(..)
+            | Event::Input(_)
+            | Event::Refused(..)
+            | Event::Truth(_)
+            | Event::Recorded(_) => {}
+            Event::Counts(counts) => self.counts.set(*counts),
+            Event::Safety(robot, counts) => drop(self.safety.borrow_mut().insert(robot, counts)),
+            Event::Hardware(robot, hardware) => {
                 let mut all = self.hardware.borrow_mut();
                 all.entry(robot).or_insert_with(|| RobotHardware::new(robot)).note(hardware);
             }
-            ProcessEvent::Published(_) => self.messages.set(self.messages.get() + 1),
-            ProcessEvent::Duplicate(duplicate) => self.duplicate.set(Some(duplicate)),
-            ProcessEvent::Aborted(episode, reason) => {
+            Event::Published(_) => self.messages.set(self.messages.get() + 1),
+            Event::Duplicate(duplicate) => self.duplicate.set(Some(duplicate)),
+            Event::Aborted(episode, reason) => {
                 self.outlets.print_event(&HostEvent::Aborted { episode, reason });
             }
-            ProcessEvent::Link(link, renewed) => {
+            Event::Link(link, renewed) => {
                 let (open, what) = match renewed {
                     Renewed::Open(at) => (true, at.clone()),
                     Renewed::Closed(why) => (false, why.clone()),

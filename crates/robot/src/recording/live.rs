@@ -9,7 +9,7 @@ use anyhow::Result;
 
 use super::{RecordFlags, arguments, attach, log, make};
 use murmurate::deploy::team::Team;
-use murmurate::graph::process::ProcessEvent;
+use murmurate::graph::event;
 use murmurate::live::LiveHost;
 use murmurate::messages::ids::HostId;
 use murmurate::time::Time;
@@ -54,7 +54,7 @@ impl LiveRecord {
         let seed = seed.iter().map(|byte| format!("{byte:02x}")).collect();
         identity.host = Some(HostIdentity { name, id: team.host, incarnation, seed, transports, keyed });
         let beginning = Beginning { identity, attached: attach(files)? };
-        LiveRecord::start((folder, &file), Scope::Host, (beginning, Stage::of(live.plan())), retention).map(Some)
+        LiveRecord::start((folder, &file), Scope::Host, (beginning, Stage::of(live.trial())), retention).map(Some)
     }
 
     /// Starts the record `operator-INCARNATION.mcap` of an operator, in the folder of the flag `--record`; returns
@@ -92,7 +92,7 @@ impl LiveRecord {
     }
 
     /// Adds an event of the host `host` to the record. It belongs to the current turn of the event loop.
-    pub fn push(&self, host: HostId, event: ProcessEvent) {
+    pub fn push(&self, host: HostId, event: event::Event) {
         if let Some(event) = Event::of(self.scope, host, event) {
             self.inlet.push(event);
         }

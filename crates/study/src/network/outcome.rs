@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use super::case::{Addressing, Case, NetworkKind, ReliabilityMode, Source};
 use super::endpoint::NEVER;
-use murmurate::report::ages::Ages;
 use murmurate::report::statistics::quantile;
+use murmurate::results::ages::Ages;
 use murmurate::time::{Span, Time};
 
 /// Largest age of a message that a control step uses: 200 ms, the hold time of the policies.

@@ -6,7 +6,7 @@ use super::medium::Medium;
 use super::outcome::{Outcome, Row};
 use super::table::{self, SHOWN};
 use super::{saturation, scale};
-use murmurate::report::listening::Listening;
+use murmurate::results::listening::Listening;
 use murmurate_figures::page::{self, Part};
 use murmurate_figures::{DelayColumn, Figure, FigureError, Line, Panel, Point};
 

@@ -12,8 +12,8 @@ use super::model::Fitted;
 use super::observed::Run;
 use super::predict::Predicted;
 use murmurate::random::{Seed, Stream};
-use murmurate::report::episode::Episode;
 use murmurate::report::statistics::{quantile, wilson_95};
+use murmurate::results::episode::Episode;
 use murmurate::scenario::judge::Verdict;
 
 /// Bar of a compared quantity: the largest difference of measurement and prediction with which they agree.
@@ -256,7 +256,7 @@ pub fn text(rows: &[Row]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use murmurate::report::episode::Judged;
+    use murmurate::results::episode::Judged;
 
     fn episodes(makespan_s: f64, failures: usize) -> Vec<Episode> {
         let episode = |episode: u32| {

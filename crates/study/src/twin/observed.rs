@@ -13,7 +13,7 @@ use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::wire::{Kind, Latent, Wire};
 use murmurate::net::protocol::codec::{self, Content, Flags};
 use murmurate::net::protocol::router::Audience;
-use murmurate::report::episode::Episode;
+use murmurate::results::episode::Episode;
 use murmurate_record::clocks::{self, Alignment, ClockDifference, DatagramKey, Traffic};
 use murmurate_record::protobuf_reader::Fields;
 use murmurate_record::reader::{self, ReadError};

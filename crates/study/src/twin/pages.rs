@@ -4,7 +4,7 @@ use super::comparison::Row;
 use super::observed::Run;
 use super::predict::Predicted;
 use murmurate::config::shown::counted;
-use murmurate::report::listening::Listening;
+use murmurate::results::listening::Listening;
 use murmurate::time::Span;
 use murmurate_figures::page::{self, Part};
 use murmurate_figures::{DelayColumn, Figure, FigureError, Makespans};

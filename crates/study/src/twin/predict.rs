@@ -4,12 +4,13 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use super::ages::{Decisions, Follower, Rules};
-use murmurate::graph::process::ProcessEvent;
+use murmurate::graph::event::Event;
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::wire::{Kind, Wire};
 use murmurate::net::protocol::codec::{self, Content, Frame};
-use murmurate::report::episode::Episode;
-use murmurate::trial::{Proceed, Trial};
+use murmurate::results::episode::Episode;
+use murmurate::simulate::Proceed;
+use murmurate::trial::Trial;
 use murmurate_record::clocks;
 
 /// Results of one simulated repeat of a twin's prediction.
@@ -21,16 +22,16 @@ pub struct Predicted {
     pub decisions: Vec<Decisions>,
 }
 
-/// Event of a latent's datagram in the simulation: its publication, or its arrival at a host.
-enum Event {
+/// What becomes of a latent's datagram in the simulation.
+enum Passage {
     Published(Frame),
     Arrived(HostId, Frame),
 }
 
 /// Returns the rules by which the robots of a trial use neighbours' messages: range, hold time and handling.
 pub fn rules(trial: &Trial) -> Rules {
-    let plan = trial.plan();
-    Rules { range_m: plan.range.mean_m, hold_ns: plan.hold.as_nanos() as i64, handling: plan.handling }
+    let hold = trial.model.interface().hold;
+    Rules { range_m: trial.comm_range().mean_m, hold_ns: hold.as_nanos() as i64, handling: trial.handling }
 }
 
 /// Returns the host of each robot's agent in a trial, in the order of the robots.
@@ -43,16 +44,16 @@ pub fn hosts(trial: &Trial) -> Vec<HostId> {
 /// called with the results of the episodes so far, and says whether the trial goes on.
 pub fn run(trial: &Trial, mut proceed: impl FnMut(&[Episode]) -> Proceed) -> Option<Predicted> {
     let mut follower = Follower::new(rules(trial), hosts(trial));
-    let events: Rc<RefCell<Vec<Event>>> = Rc::default();
+    let events: Rc<RefCell<Vec<Passage>>> = Rc::default();
     let heard = Rc::clone(&events);
     let is_latent = |frame: &Frame| matches!(codec::first(frame), Ok(Content::Message(Kind::Latent)));
     let report = trial.run_observed(
         move |_, host, event| match event {
-            ProcessEvent::Published(frame) if is_latent(frame) => {
-                heard.borrow_mut().push(Event::Published(Frame::clone(frame)));
+            Event::Published(frame) if is_latent(frame) => {
+                heard.borrow_mut().push(Passage::Published(Frame::clone(frame)));
             }
-            ProcessEvent::Arrived(_, frame) if is_latent(frame) => {
-                heard.borrow_mut().push(Event::Arrived(host, Frame::clone(frame)));
+            Event::Arrived(_, frame) if is_latent(frame) => {
+                heard.borrow_mut().push(Passage::Arrived(host, Frame::clone(frame)));
             }
             _ => {}
         },
@@ -60,13 +61,13 @@ pub fn run(trial: &Trial, mut proceed: impl FnMut(&[Episode]) -> Proceed) -> Opt
             let now_ns = now.as_nanos() as i64;
             for event in events.borrow_mut().drain(..) {
                 match event {
-                    Event::Published(frame) => {
+                    Passage::Published(frame) => {
                         if let (Some(key), Ok((_, Wire::Latent(latent)))) = (clocks::key(&frame), codec::decode(&frame))
                         {
                             follower.publish(now_ns, key, &latent);
                         }
                     }
-                    Event::Arrived(host, frame) => {
+                    Passage::Arrived(host, frame) => {
                         clocks::key(&frame).iter().for_each(|key| follower.arrive(now_ns, host, key));
                     }
                 }

@@ -295,7 +295,6 @@ impl Transport for Udp {
         match input {
             In::Transmit(transmit) => self.transmit(now, &transmit),
             In::Admit(guest) => self.admit(now, guest),
-            In::Truth(_) | In::EpisodeBegins(_) | In::Manual(_) => {}
         }
     }
 

@@ -9,7 +9,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, anyhow};
 use murmurate::actors::network;
 use murmurate::deploy::team::Team;
-use murmurate::graph::attachment::{self, Attachment};
+use murmurate::graph::end::HostEnd;
+use murmurate::graph::event::Event;
 use murmurate::graph::sockets::Shared;
 use murmurate::messages::ids::{HostId, LinkId, RobotId};
 use murmurate::messages::wire::{Kind, Latent, Wire};
@@ -121,19 +122,17 @@ fn wire(
     });
     let host = participation.team.host;
     let identity = links::ProcessIdentity::draw().expect("the operating system gives random bytes");
-    let attachment = Attachment {
+    let end = HostEnd {
         me: network::Identity { host, team: participation.team.number, incarnation: identity.incarnation },
         key: participation.key.map(Key::new),
-        links: vec![Some(linked::setup(task.case.addressing, task.case.reliability))],
-        router,
         seed: identity.seed,
-        stream: format!("network/{}", host.0),
-        span: info_span!("network"),
+        links: vec![Some(linked::setup(task.case.addressing, task.case.reliability))],
+        transports: vec![(LINK, open)],
     };
     let inward = to_peer.clone();
-    let network = attachment.open((clock, readers), vec![(LINK, open)], move |out| {
-        if let attachment::Out::Deliver(Wire::Latent(latent)) = out {
-            inward.send(latent);
+    let network = end.open((clock, readers), router, move |event| {
+        if let Event::Message(Wire::Latent(latent)) = event {
+            inward.send(latent.clone());
         }
     });
     let peer = Rc::clone(peer);

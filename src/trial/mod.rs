@@ -1,4 +1,5 @@
-//! Trial: one deployment in one process under virtual time, from its first episode to its last.
+//! Trial: all settings of one run of a deployment, from its first episode to its last. `simulate` runs it in one
+//! process under virtual time, and `live` runs one host of it in real time.
 //!
 //! ```
 //! use murmurate::policy::Model;
@@ -15,35 +16,26 @@
 
 mod error;
 
-use std::cell::RefCell;
-use std::rc::Rc;
 use std::sync::Arc;
 
-use crate::actors::recorder::Steps;
-use crate::actors::state_server;
 use crate::config::ConfigError;
 use crate::deploy::Deployment;
 use crate::deploy::team::{SimulationSettings, Team};
 use crate::estimation;
 use crate::faults::FaultPlan;
-use crate::graph::process::{Graph, ProcessEvent};
-use crate::graph::{self, Plan};
 use crate::hearing::CommRange;
 use crate::hearing::Handling;
-use crate::messages::ids::HostId;
+use crate::messages::ids::RobotId;
 use crate::messages::wire::Stop;
 use crate::policy::{self, Model};
 use crate::random::Seed;
 use crate::registry::Registry;
-use crate::report::episode::Episode;
-pub use crate::report::trial::TrialReport;
-use crate::runtime::drive::{End, run_virtual};
-use crate::safety::Safety;
-use crate::scenario::judge::Verdict;
+use crate::results::totals::Steps;
+use crate::safety::{Clamp, Safety, Switch};
 use crate::scenario::layout::Layouts;
-use crate::scenario::{Arena, Scenario, Settings};
+use crate::scenario::{Arena, Dynamics, Scenario, Settings};
 use crate::time::{Span, Time};
-use crate::world::{Clamp, Physics, Placement, kinematic};
+use crate::world::{self, Physics, Placement, kinematic};
 
 pub use error::TrialError;
 
@@ -53,7 +45,7 @@ const EPISODE_S: f64 = 10.0;
 /// Shortest possible duration of an episode with its reset.
 const LEAST_EPISODE: Span = Span::from_millis(1000);
 
-/// All inputs of a trial, a series of simulated episodes in one process under virtual time.
+/// Trial: all settings of a run, from which its actors are made and connected.
 #[derive(Clone)]
 pub struct Trial {
     /// Hosts with the actors that they run, and the links between hosts.
@@ -95,18 +87,6 @@ pub struct Trial {
     pub until: Option<Time>,
     /// Whether the report contains the robots' true states after each step of the simulator, and the messages in use.
     pub steps: Steps,
-}
-
-/// Decision of a caller, after each event of a trial, whether the trial continues.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Proceed {
-    /// The trial continues with the next event.
-    Continue,
-    /// The trial continues. The time until its next event is not counted in its time limit, because a person has paused
-    /// the team.
-    Hold,
-    /// The trial stops; the report holds the results up to that time.
-    Stop,
 }
 
 /// Returns the properties of a plant's robots. `Trial::check` refuses a plant that is not in the registry.
@@ -238,7 +218,7 @@ impl Trial {
 
     /// Sets the stops and limits of the robots' motion, adapted to hull, lag and acceleration of the simulated robots.
     pub fn safety(mut self, safety: Safety) -> Trial {
-        self.safety = safety.of_hull(self.scenario.arena().hull_m()).simulated(&self.physics);
+        self.safety = self.physics.fit(safety.of_hull(self.scenario.arena().hull_m()));
         self
     }
 
@@ -270,91 +250,10 @@ impl Trial {
         self
     }
 
-    /// Runs the trial to its end on the calling thread and returns the report.
-    pub fn run(&self) -> TrialReport {
-        self.run_while(|_| Proceed::Continue)
-    }
-
-    /// Runs the trial on the calling thread until its end, or until `proceed` returns [`Proceed::Stop`]. The function
-    /// `proceed` is called after each event of the simulation with the results of the episodes so far.
-    pub fn run_while(&self, mut proceed: impl FnMut(&[Episode]) -> Proceed) -> TrialReport {
-        self.run_observed(|_, _, _| {}, |_, _, episodes| proceed(episodes))
-    }
-
-    /// Runs the trial on the calling thread until its end, or until `proceed` returns [`Proceed::Stop`], and reports
-    /// what happens in it. The function `report` is called with each event, its time, and the host where it happened.
-    /// `proceed` is called after the events of each instant, with the actors, the time, and the results so far.
-    pub fn run_observed(
-        &self,
-        report: impl Fn(Time, HostId, ProcessEvent) + 'static,
-        mut proceed: impl FnMut(&Graph, Time, &[Episode]) -> Proceed,
-    ) -> TrialReport {
-        let plan = self.plan();
-        let shared = Rc::new(RefCell::new(TrialReport::default()));
-        let sink = {
-            let shared = Rc::clone(&shared);
-            move |output| shared.borrow_mut().note(output)
-        };
-        let (mut deadline, mut held_since) = (self.deadline(), None);
-        let (graph, end) = run_virtual(
-            |clock| {
-                let time = clock.clone();
-                graph::wire(
-                    clock,
-                    plan,
-                    Rc::new(move |host, event: ProcessEvent| report(time.now(), host, event)),
-                    sink,
-                )
-            },
-            |graph, now| {
-                let mut report = shared.borrow_mut();
-                report.simulated = now.since(Time::ZERO);
-                let closed = self.until.is_some_and(|until| now >= until);
-                if let Some(since) = held_since.take() {
-                    deadline += now.since(since);
-                }
-                let proceed = proceed(graph, now, &report.episodes);
-                held_since = (proceed == Proceed::Hold).then_some(now);
-                report.finished || closed || now >= deadline || proceed == Proceed::Stop
-            },
-        );
-        assert_eq!(end, End::Done, "a team with heartbeats never falls idle");
-        let mut report = shared.borrow().clone();
-        (report.refused, report.lost) = graph.undelivered();
-        if !report.finished && Time::ZERO + report.simulated >= deadline {
-            self.give_up(&mut report);
-        }
-        report
-    }
-
-    /// Returns the time at which a trial is given up, whatever has crashed: every episode may take the longest times
-    /// that the state server allows.
-    fn deadline(&self) -> Time {
-        let each = state_server::MUSTER_LIMIT * 2 + state_server::RESET_LIMIT + self.scenario.rules().limit;
-        Time::ZERO + (each + state_server::GRACE) * (u64::from(self.layouts.len()) + 1)
-    }
-
-    /// Adds an aborted result for every episode without a result.
-    fn give_up(&self, report: &mut TrialReport) {
-        let open = u32::try_from(report.episodes.len()).expect("episodes were counted in u32");
-        report.episodes.extend((open..self.layouts.len()).map(|episode| Episode {
-            repeat: self.repeat,
-            episode,
-            verdict: Verdict::Aborted,
-            makespan_s: None,
-            reset_s: 0.0,
-            min_separation_m: f32::INFINITY,
-            judged: self.deployment.judged(),
-            cost: None,
-            reason: None,
-        }));
-        report.finished = true;
-    }
-
     /// Checks the deployment and the safety limits, and that stops and faults fit the hosts, links and episodes. An
     /// error names the wrong field.
     pub fn check(&self) -> Result<(), ConfigError> {
-        let deployment = self.placed();
+        let deployment = Deployment { placement: self.placement(), ..self.deployment.clone() };
         deployment.check()?;
         let plant = self.registry.plant(&deployment.plant);
         deployment.check_drives(plant.map_err(|error| ConfigError::field("plant", error.to_string()))?)?;
@@ -367,49 +266,45 @@ impl Trial {
         self.faults.check_episodes(self.layouts.len())
     }
 
-    /// Returns the deployment as used by the trial. Robots are placed at their starts if these are not the goals of the
-    /// episode before. So are all robots in a scenario without goals, with the velocities that they start with, if all
-    /// are simulated. Real robots drive to their starts and begin at rest.
-    fn placed(&self) -> Deployment {
-        let mut deployment = self.deployment.clone();
+    /// Returns whether robots are placed at their starts before an episode, or drive there. Robots are placed if the
+    /// starts are not the goals of the episode before. So are all robots in a scenario without goals, with the
+    /// velocities that they start with, if all are simulated. Real robots drive to their starts and begin at rest.
+    pub(crate) fn placement(&self) -> Placement {
         let place = match self.scenario.cost() {
-            Some(_) => deployment.check_simulated().is_ok(),
+            Some(_) => self.deployment.check_simulated().is_ok(),
             None => !self.layouts.chained(),
         };
-        if place {
-            deployment.placement = Placement::Exact;
-        }
-        deployment
+        if place { Placement::Exact } else { self.deployment.placement }
     }
 
-    /// Makes the settings from which the actors of this trial are made and connected.
+    /// Returns the range within which robots use each other's messages: the trial's own, or that of the policy.
+    pub fn comm_range(&self) -> CommRange {
+        self.range.unwrap_or(CommRange::fixed(self.model.interface().radius_m))
+    }
+
+    /// Returns the delay from a measurement to the arrival of its reading, for which the estimator can compensate.
+    pub(crate) fn reading_delay(&self) -> Span {
+        self.sensor_delay.unwrap_or(self.physics.sensor.latency)
+    }
+
+    /// Returns the seed from which all random streams of this repeat are derived, but the layouts of the episodes.
+    pub(crate) fn streams(&self) -> Seed {
+        Seed::of_repeat(self.seed, self.repeat)
+    }
+
+    /// Returns the registry entry of the plant.
     ///
     /// # Panics
-    /// If the deployment's plant (simulator) is not in the registry; the method `check` refuses such a trial.
-    pub fn plan(&self) -> Plan {
-        let deployment = self.placed();
-        let interface = self.model.interface();
-        Plan {
-            deployment,
-            scenario: Arc::clone(&self.scenario),
-            plant: *self.registry.plant(&self.deployment.plant).unwrap_or_else(|error| panic!("{error}")),
-            physics: self.physics,
-            run: self.model.clone(),
-            reset: Model::Orca,
-            range: self.range.unwrap_or(CommRange::fixed(interface.radius_m)),
-            hold: interface.hold,
-            handling: self.handling,
-            estimator: self.estimator,
-            sensor_delay: self.sensor_delay.unwrap_or(self.physics.sensor.latency),
-            clamp: self.clamp,
-            safety: self.safety,
-            stops: self.stops.clone(),
-            layouts: self.layouts.clone(),
-            repeat: self.repeat,
-            seed: Seed::of_repeat(self.seed, self.repeat),
-            faults: self.faults.clone(),
-            until: self.until,
-            steps: self.steps,
-        }
+    /// If the registry has no such plant; the method `check` refuses such a trial.
+    pub(crate) fn plant_entry(&self) -> world::Entry {
+        *self.registry.plant(&self.deployment.plant).unwrap_or_else(|error| panic!("{error}"))
+    }
+
+    /// Returns how a robot follows the velocities that its policy commands. The lag of a simulated robot is that of its
+    /// plant, and that of a real one is in `safety`.
+    pub(crate) fn dynamics(&self, robot: RobotId) -> Dynamics {
+        let real = self.deployment.hosts.iter().any(|host| host.actuates.contains(&robot.0));
+        let lag_s = if real { self.safety.lag_s } else { self.physics.lag_s };
+        Dynamics { filtered: self.safety.distance == Switch::On, lag_s }
     }
 }

@@ -1,0 +1,105 @@
+//! End of a host on its links: its identity, key, setups and open transports, from which its Network is started.
+
+use std::rc::Rc;
+
+use tracing::info_span;
+
+use super::event::Event;
+use super::inputs::Input;
+use super::sockets::{self, Take, Tell};
+use crate::actors::network::{self, Identity, Network};
+use crate::messages::ids::LinkId;
+use crate::messages::wire::Wire;
+use crate::net::protocol::key::Key;
+use crate::net::protocol::reliability::Setup;
+use crate::net::protocol::router::Router;
+use crate::net::transport::{self, Transmit, Transport};
+use crate::random::Seed;
+use crate::runtime::clock::Clock;
+use crate::runtime::real::Readers;
+use crate::runtime::shell::{Mailbox, start};
+
+/// End of a host on the links of its team. The host is one of the deployment, or an operator, which is outside of it.
+pub struct HostEnd {
+    /// Identity of the host on its links. At each start of the Network, the number of starts so far is added to the
+    /// incarnation in it.
+    pub me: Identity,
+    /// Key that authenticates the host's datagrams; `None` for datagrams without authentication.
+    pub key: Option<Key>,
+    /// Seed of the random streams of the Network. That of a real host is drawn from the operating system.
+    pub seed: Seed,
+    /// Setup of each link, in the order of the deployment; `None` for a link in which the host does not take part.
+    pub links: Vec<Option<Setup>>,
+    /// Open transports, each with its link; a link that is used on several network interfaces has several. Empty where
+    /// links are emulated.
+    pub transports: Vec<(LinkId, Box<dyn Transport>)>,
+}
+
+impl HostEnd {
+    /// Starts the Network of this host with the mailbox `network`, and with its routing table and the span of its log
+    /// lines. Messages for actors of the host are passed to `deliver`, what a transport has to do to `transmit`, and
+    /// all events to `report`, a message before it is delivered.
+    pub(crate) fn start(
+        &self,
+        clock: &Clock,
+        network: &Mailbox<network::In>,
+        (router, span): (Router, tracing::Span),
+        (mut deliver, mut transmit): (impl FnMut(Wire) + 'static, impl FnMut(LinkId, transport::In) + 'static),
+        report: impl Fn(Event) + 'static,
+    ) {
+        let HostEnd { me, seed, .. } = *self;
+        let config = network::Config { me, key: self.key.clone(), links: self.links.clone(), router };
+        let host = me.host;
+        let stream = if host.is_operator() { "operator".to_owned() } else { format!("network/{}", host.0) };
+        let make = move |restarts: u32| {
+            let me = Identity { incarnation: me.incarnation.wrapping_add(restarts), ..me };
+            Network::new(network::Config { me, ..config.clone() }, seed.stream(&format!("{stream}/{restarts}")))
+        };
+        start(clock, network, span, make, move |out| match out {
+            network::Out::Deliver(message) => {
+                report(Event::Message(&message));
+                deliver(message);
+            }
+            network::Out::Tap(frame) => report(Event::Published(&frame)),
+            network::Out::Counts(counts) => report(Event::Counts(&counts)),
+            network::Out::Peers(peers) => report(Event::Peers(&peers)),
+            network::Out::Duplicate(duplicate) => report(Event::Duplicate(duplicate)),
+            network::Out::Refused(link, cause, frame) => report(Event::Refused(link, cause, &frame)),
+            network::Out::Admit(link, guest) => transmit(link, transport::In::Admit(guest)),
+            network::Out::Transmit(link, audience, frame) => {
+                report(Event::Sent(link, &frame));
+                transmit(link, transport::In::Transmit(Transmit { from: host, audience, frame }));
+            }
+        });
+    }
+
+    /// Starts the Network and the open transports of this host in real time, without other actors, and returns the
+    /// Network's mailbox. `report` is called with each event, such as a message that `router` makes local.
+    pub fn open(
+        mut self,
+        (clock, readers): (&Clock, &mut Readers),
+        router: Router,
+        report: impl Fn(Event) + 'static,
+    ) -> Mailbox<network::In> {
+        let network = Mailbox::new("network");
+        let transports: Rc<[_]> = (0..self.links.len()).map(|link| Mailbox::new(format!("transport {link}"))).collect();
+        let arrived = network.clone();
+        let take: Take = Rc::new(move |input| match input {
+            Input::Frame(link, frame, from) => arrived.send(network::In::Frame(link, frame, from)),
+            Input::Dropped(link, count) => arrived.send(network::In::Dropped(link, count)),
+            Input::Refused(..) | Input::Packet(..) | Input::Ended(_) | Input::Leave | Input::Stop => {}
+        });
+        // An operator's log says it.
+        let tell: Tell = Rc::new(|_, _| {});
+        let open = std::mem::take(&mut self.transports);
+        sockets::wire_all((clock, readers), open, &transports, (&take, &tell));
+        let transmit = to(transports);
+        self.start(clock, &network, (router, info_span!("network")), (|_| {}, transmit), report);
+        network
+    }
+}
+
+/// Returns a function that passes what a transport has to do to the transport of its link, in the order of the links.
+pub(super) fn to(transports: Rc<[Mailbox<transport::In>]>) -> impl Fn(LinkId, transport::In) {
+    move |link, input| transports[usize::from(link.0)].send(input)
+}

@@ -1,0 +1,7 @@
+//! What a run yields, as data: the result of an episode, the state of the team at a step, counts and trace. The
+//! Recorder makes them, and reports summarise them.
+
+pub mod ages;
+pub mod episode;
+pub mod listening;
+pub mod totals;
