@@ -89,7 +89,6 @@ struct Fields {
     drifts: Option<bool>,
 }
 
-/// Names of the `Fields`.
 const FIELDS: [&str; 4] = ["speed_most_m_s", "yaw_rate_most_rad_s", "settle_s", "drifts"];
 
 fn is_field(key: &str) -> bool {
@@ -301,7 +300,6 @@ impl Fix {
 /// Poses in a row that are refused, because they are out of reach of the last accepted one.
 #[derive(Clone, Copy, Debug)]
 struct Held {
-    /// The first one.
     first: Fix,
     /// Arrival of the first one since which each is in reach of the one before it.
     agree_since: Time,

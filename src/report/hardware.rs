@@ -10,7 +10,6 @@ use crate::messages::wire::{Hardware, Health};
 /// Condition of one real robot's hardware, and its faults since its host was started.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RobotHardware {
-    /// Id of the robot.
     pub(crate) robot: RobotId,
     /// Whether the robot's driver last reported it as ready. A report after the run has the state in which the host
     /// ended.

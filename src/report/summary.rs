@@ -35,11 +35,8 @@ pub enum Counts {
 pub struct Summary {
     /// Name of the deployment's mode.
     pub(crate) mode: String,
-    /// Name of the scenario.
     pub(crate) scenario: String,
-    /// Name of the policy.
     pub(crate) policy: String,
-    /// Number of robots.
     pub(crate) robots: usize,
     /// Counts of verdicts, success rate and makespan of all episodes.
     #[serde(flatten)]
@@ -59,7 +56,6 @@ pub struct Summary {
     pub(crate) virtual_s: f64,
     /// Wall-clock time of the run \[s\].
     pub(crate) wall_s: f64,
-    /// Episodes that failed.
     pub(crate) failed: Vec<FailedEpisode>,
     /// Description of the emulated links: delay, loss and radio; null if they are ideal or not emulated.
     pub(crate) network: Option<String>,
@@ -117,7 +113,6 @@ impl CostName {
     }
 }
 
-/// Episode that failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub(crate) struct FailedEpisode {
     /// Index of the repeat, from 0.

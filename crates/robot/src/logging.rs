@@ -10,7 +10,7 @@ use crate::{doctor, output};
 /// Level and way of a command's log on stderr; `MURMURATE_LOG` overrides the level.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Logging {
-    /// Errors.
+    /// Errors alone; the command waits until they are written.
     Errors,
     /// Errors, by a command that must not wait for a terminal, such as an emergency stop.
     Urgent,

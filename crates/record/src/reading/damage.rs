@@ -10,7 +10,7 @@ use super::element::{Channel, Map, Schema};
 pub enum Loss {
     /// Nothing, as an index is damaged, or a copy is left.
     Nothing,
-    /// Messages.
+    /// Messages, which a replay and a picture then lack.
     Messages,
     /// Metadata or attached files, and no message.
     Other,

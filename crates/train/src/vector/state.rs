@@ -20,7 +20,6 @@ use murmurate::scenario::Settings;
 
 /// First bytes of every state.
 const MAGIC: &[u8; 16] = b"murmurate-state\n";
-/// Number of the format.
 const FORMAT: u32 = 1;
 /// Length of a digest \[bytes\].
 const DIGEST: usize = 32;
