@@ -91,7 +91,7 @@ pub struct Chassis {
     pub point_ahead_m: f32,
     /// Heading that a holonomic robot holds \[rad\], counter-clockwise from the x axis of the world frame. `None` if
     /// the heading is not controlled.
-    pub held_rad: Option<f32>,
+    pub(crate) held_rad: Option<f32>,
     /// Largest speed of the robot's centre \[m/s\]; infinite if not limited.
     pub speed_m_s: f32,
     /// Largest yaw rate of the robot \[rad/s\]; infinite if not limited.
@@ -100,7 +100,7 @@ pub struct Chassis {
     /// the decimal that was written. `None` if wheel speeds are not limited.
     pub wheels: Option<(f32, f32)>,
     /// Age of the last measured heading at which the robot has to stand still.
-    pub heading_age: Span,
+    pub(crate) heading_age: Span,
 }
 
 impl Default for Chassis {
@@ -346,7 +346,7 @@ impl Chassis {
 
 /// Chassis settings of single robots that differ from those for all robots. A key is the robot's number as text, as in
 /// a TOML table.
-pub type ByRobot = BTreeMap<String, Settings>;
+pub(crate) type ByRobot = BTreeMap<String, Settings>;
 
 #[cfg(test)]
 mod tests {

@@ -32,7 +32,7 @@ impl Seed {
 
     /// Makes the seed of one repeat of a run. `seed` is the number that the user gives, `repeat` the index of the
     /// repeat.
-    pub fn of_repeat(seed: u64, repeat: u32) -> Seed {
+    pub(crate) fn of_repeat(seed: u64, repeat: u32) -> Seed {
         Seed::of_run(seed).child(&format!("repeat/{repeat}"))
     }
 
@@ -57,7 +57,7 @@ pub fn normals(stream: &mut Stream) -> [f64; 2] {
 
 /// Draws a number of the standard normal distribution from `stream` and returns whether it is at least `limit`. The
 /// stream advances as in one call of [`normals`], whose first number is compared. Most calls need no logarithm.
-pub fn normal_reaches(limit: f64, stream: &mut Stream) -> bool {
+pub(crate) fn normal_reaches(limit: f64, stream: &mut Stream) -> bool {
     let pair = NormalPair::draw(stream);
     // Farther from zero than the number can be, with a margin for rounding, its sign or its bound decides.
     if limit * limit > 1.001 * pair.bound_of_square() {

@@ -46,7 +46,7 @@ impl Time {
     ///
     /// # Panics
     /// If `period` is zero.
-    pub const fn next_on_grid(self, phase: Span, period: Span) -> Time {
+    pub(crate) const fn next_on_grid(self, phase: Span, period: Span) -> Time {
         assert!(period.0 > 0, "a grid needs a period");
         if self.0 < phase.0 {
             return Time(phase.0);

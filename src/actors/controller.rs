@@ -240,10 +240,17 @@ impl Core for Controller {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
+    use crate::actors::cache::{self, Cache};
+    use crate::estimation;
+    use crate::hearing::{CommRange, Handling};
     use crate::messages::geometry::{Motion, Task, Vec2};
     use crate::messages::ids::HostId;
+    use crate::messages::wire::Reading;
     use crate::messages::wire::Round;
+    use crate::random::Seed;
     use crate::safety::{Clamp, Safety};
 
     /// Measured velocity of the robot in every action \[m/s\].
@@ -436,5 +443,69 @@ mod tests {
         commanded(&mut controller, action(0, Phase::Running, 1.0, Progress::Reached));
         commanded(&mut controller, action(0, Phase::Running, 1.0, Progress::Underway));
         assert_eq!(controller.own, Phase::FinishedRunning);
+    }
+
+    /// Runs the cores of one robot, tick by tick: the same stamp keeps arriving, and the robot stops in time.
+    #[test]
+    fn a_reading_that_is_repeated_for_ever_is_no_estimate() {
+        let (robot, round, period) = (RobotId(0), Round { term: 1, episode: 0 }, Span::from_millis(50));
+        let (range, hold, handling) = (CommRange::fixed(2.0), Span::from_millis(200), Handling::Hold);
+        let config = cache::Config {
+            robot,
+            period,
+            phase: Span::ZERO,
+            range,
+            hold,
+            handling,
+            estimator: estimation::REGISTRY[0],
+            sensor_delay: Span::ZERO,
+            own_age: Span::from_millis(100),
+        };
+        let mut cache = Cache::new(config, Seed::of_run(0).stream("cache"));
+        let (safety, half_extent, clamp) = (Safety::deployed(), Vec2::new(2.0, 3.0), Clamp::Training);
+        let walls = Arc::default();
+        let guard = filter::Settings { safety, half_extent, walls, limit_m_s: 1.5, clamp, period };
+        let mut controller =
+            Controller::new(Config { robot, guard, valid_for: Span::from_millis(200), phase: Span::ZERO });
+        let task = Task { start: Vec2::zeros(), goal: Vec2::x() };
+        let (phase, tasks, latch) = (Phase::Running, [task].into(), Latch::default());
+        let mode = Mode { round, repeat: 0, phase, first: robot, tasks, latch };
+        controller.handle(Time::ZERO, In::Mode(mode), &mut Vec::new());
+
+        let mut commands: Vec<(u64, f32)> = Vec::new();
+        for at in 0..400 {
+            let (now, mut known, mut said) = (Time::ZERO + Span::from_millis(at), Vec::new(), Vec::new());
+            if at.is_multiple_of(20) {
+                let reading = Reading::of_point(robot, 7, Motion::default());
+                cache.handle(now, cache::In::Reading(reading), &mut known);
+            }
+            if cache.wake_at().is_some_and(|due| due <= now) {
+                cache.wake(now, &mut known);
+            }
+            for known in known {
+                let input = match known {
+                    cache::Out::Fresh => In::Fresh,
+                    cache::Out::Percept(percept) => In::Action(Action {
+                        robot,
+                        round,
+                        phase,
+                        due: percept.due,
+                        velocity: Vec2::x(),
+                        estimate: percept.estimate,
+                        others: Vec::new(),
+                        progress: Progress::Underway,
+                    }),
+                };
+                controller.handle(now, input, &mut said);
+            }
+            if controller.wake_at().is_some_and(|due| due <= now) {
+                controller.wake(now, &mut said);
+            }
+            commands.extend(said.iter().filter_map(|said| match said {
+                Out::MotorCommand(command) => Some((at, command.velocity.x)),
+                _ => None,
+            }));
+        }
+        assert_eq!(commands, [(0, 1.0), (50, 1.0), (100, 1.0), (101, 0.0)]);
     }
 }

@@ -5,7 +5,7 @@
 pub(crate) mod agent;
 pub(crate) mod body;
 pub mod cache;
-pub mod controller;
+pub(crate) mod controller;
 pub(crate) mod listener;
 pub mod localizer;
 mod lost;
@@ -13,7 +13,7 @@ mod neighbours;
 pub mod network;
 pub mod order;
 pub mod recorder;
-pub mod roster;
+pub(crate) mod roster;
 pub(crate) mod state_server;
 pub(crate) mod status;
 pub mod verdict;

@@ -33,7 +33,7 @@ use crate::time::{Span, Time};
 
 /// Input message of a Recorder, the actor that judges episodes and collects the results of a trial.
 #[derive(Clone, Debug)]
-pub enum In {
+pub(crate) enum In {
     /// Datagram that a Network of this process has published.
     Tap(Frame),
     /// Message that another process has published and this process has received; sent where hosts run in processes of
@@ -76,7 +76,7 @@ pub enum Out {
 
 /// Configuration of a Recorder, the actor that judges episodes and collects the results of a trial.
 #[derive(Clone, Debug)]
-pub struct Config {
+pub(crate) struct Config {
     /// Starts and goals of all episodes of the trial, in order.
     pub(crate) layouts: Layouts,
     /// Index of this trial among the repeats of the experiment, from zero.

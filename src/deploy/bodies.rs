@@ -59,7 +59,7 @@ impl Deployment {
 
     /// Checks that the plant supports the drive, holonomic or differential, of every simulated robot. An error names
     /// the robot.
-    pub fn check_drives(&self, plant: &world::Entry) -> Result<(), ConfigError> {
+    pub(crate) fn check_drives(&self, plant: &world::Entry) -> Result<(), ConfigError> {
         let mut simulated = self.hosts.iter().flat_map(|host| &host.simulates);
         let other = |robot: &&u16| !plant.drives.contains(&self.chassis(RobotId(**robot)).drive);
         simulated.find(other).map_or(Ok(()), |robot| {

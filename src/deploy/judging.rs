@@ -28,7 +28,7 @@ impl Deployment {
 
     /// Returns the host that judges episodes from readings, and so receives those of all robots; `None` if true states
     /// are judged.
-    pub fn judge_of_readings(&self) -> Option<HostId> {
+    pub(crate) fn judge_of_readings(&self) -> Option<HostId> {
         (self.judged() == Judged::Readings).then(|| self.judge())
     }
 

@@ -163,7 +163,7 @@ impl Routes {
     }
 
     /// Returns the robots whose Agents or Bodies the host with this index runs, or which it measures.
-    pub fn robots_of(&self, host: usize) -> &[RobotId] {
+    pub(crate) fn robots_of(&self, host: usize) -> &[RobotId] {
         &self.robots_of[host]
     }
 
@@ -178,17 +178,17 @@ impl Routes {
     }
 
     /// Returns the host that drives the robot's motors.
-    pub fn actuator_host(&self, robot: RobotId) -> HostId {
+    pub(crate) fn actuator_host(&self, robot: RobotId) -> HostId {
         self.actuator_host[robot.index()]
     }
 
     /// Returns the host whose Localizer publishes the robot's readings.
-    pub fn localizer_host(&self, robot: RobotId) -> HostId {
+    pub(crate) fn localizer_host(&self, robot: RobotId) -> HostId {
         self.localizer_host[robot.index()]
     }
 
     /// Returns the host whose World simulates the robot; `None` for a real robot.
-    pub fn world_host(&self, robot: RobotId) -> Option<HostId> {
+    pub(crate) fn world_host(&self, robot: RobotId) -> Option<HostId> {
         self.world_host[robot.index()]
     }
 
@@ -198,7 +198,7 @@ impl Routes {
     }
 
     /// Returns all robots of the Agent that drives `robot`, including `robot`, in the order of their ids.
-    pub fn agent_robots(&self, robot: RobotId) -> &[RobotId] {
+    pub(crate) fn agent_robots(&self, robot: RobotId) -> &[RobotId] {
         &self.agent_robots[robot.index()]
     }
 

@@ -8,7 +8,7 @@ use crate::time::Span;
 impl Deployment {
     /// Returns the time of an Agent's control ticks within their period, as the deployment sets it; `None` if it sets
     /// none or agents step at the same time. `first` is the Agent's robot with the smallest id.
-    pub fn tick_offset(&self, first: RobotId) -> Option<Span> {
+    pub(crate) fn tick_offset(&self, first: RobotId) -> Option<Span> {
         let of = |host: &Host| {
             let agent = host.agents.iter().position(|robots| robots.iter().min() == Some(&first.0))?;
             host.tick_offsets_s.get(agent).copied()

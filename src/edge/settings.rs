@@ -24,7 +24,7 @@ impl Settings {
     /// Returns the settings for one robot: those in the sub-table `robot.N` (N is the robot's number), completed by the
     /// settings for all robots. Fails if `robot.N` is no table. A key `robot` whose keys are not all numbers is an
     /// ordinary setting.
-    pub fn for_robot(&self, robot: RobotId) -> Result<Settings, ConfigError> {
+    pub(crate) fn for_robot(&self, robot: RobotId) -> Result<Settings, ConfigError> {
         let by_number = |robots: &toml::Table| robots.keys().all(|number| number.parse::<u16>().is_ok());
         let Some(robots) = self.table.get(BY_ROBOT).and_then(toml::Value::as_table).filter(|robots| by_number(robots))
         else {

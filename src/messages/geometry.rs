@@ -317,7 +317,7 @@ impl Pose {
 
     /// Converts a velocity \[m/s\] from the world frame into the frame of a robot with this pose, in which x points
     /// ahead and y to the left. Returns `None` if the heading is unknown.
-    pub fn into_body(&self, velocity: Vec2) -> Option<Vec2> {
+    pub(crate) fn into_body(&self, velocity: Vec2) -> Option<Vec2> {
         let (sin, cos) = libm::sincosf(self.heading?);
         Some(Vec2::new(cos * velocity.x + sin * velocity.y, cos * velocity.y - sin * velocity.x))
     }
@@ -360,7 +360,7 @@ pub fn wrapped(angle: f64) -> f64 {
 
 /// Smallest and largest length of a quaternion that is taken for a rotation. Senders that round to f32 are within 1e-6
 /// of one, and some normalise seldom; a quaternion whose fields were confused is mostly further off.
-pub const QUATERNION_LENGTH: [f64; 2] = [0.9, 1.1];
+pub(crate) const QUATERNION_LENGTH: [f64; 2] = [0.9, 1.1];
 
 /// Reason why four numbers are no rotation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

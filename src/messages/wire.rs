@@ -22,7 +22,7 @@ pub use super::telemetry::{Condition, GuardReport, MAX_CONDITIONS, Observe, Seen
 use crate::time::Span;
 
 /// Largest absolute value of a number in the features that a policy sends. A policy that exceeds it counts as diverged.
-pub const MAX_FEATURE: f32 = 1e6;
+pub(crate) const MAX_FEATURE: f32 = 1e6;
 /// Largest number of robots in one [`Mode`] or [`Status`] message. The starts and goals of so many robots take 64 x 16
 /// bytes and fit into one datagram.
 pub const MAX_BLOCK: usize = 64;
@@ -246,7 +246,7 @@ pub enum Kind {
 impl Kind {
     /// Whether messages of this kind always travel on the link that carries the emergency stop, so that a deployment
     /// does not list them. True for `Status`, `Observe`, `Telemetry`, `Place` and `Located`.
-    pub fn follows_the_stop(self) -> bool {
+    pub(crate) fn follows_the_stop(self) -> bool {
         matches!(self, Kind::Status | Kind::Observe | Kind::Telemetry | Kind::Place | Kind::Located)
     }
 }
@@ -289,7 +289,7 @@ pub enum Unfit {
 
 /// Whether no number in `floats` is NaN, infinite or larger than [`MAX_FEATURE`] (1e6) in absolute value. There is no
 /// early return, so the function compiles to a few vector instructions.
-pub fn all_sound(floats: &[f32]) -> bool {
+pub(crate) fn all_sound(floats: &[f32]) -> bool {
     floats.iter().fold(true, |all, float| all & (float.abs() <= MAX_FEATURE))
 }
 

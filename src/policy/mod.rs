@@ -114,10 +114,10 @@ pub struct Entry {
 
 /// Name of the trained policy that is built into the program; it is the default in a scenario for which one was
 /// trained.
-pub const SHIPPED: &str = "shipped";
+pub(crate) const SHIPPED: &str = "shipped";
 /// Name of scripted navigation by optimal reciprocal collision avoidance (ORCA), a policy without training that works
 /// in every scenario with goals.
-pub const SCRIPTED: &str = "orca";
+pub(crate) const SCRIPTED: &str = "orca";
 
 /// The policies of this crate that a user selects by name; all other policies are loaded from files.
 pub const REGISTRY: &[Entry] = &[

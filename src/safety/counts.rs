@@ -55,7 +55,7 @@ impl SafetyCounts {
     }
 
     /// Returns a mutable reference to the number of times that `trigger` has become active.
-    pub fn of_mut(&mut self, trigger: Trigger) -> &mut u64 {
+    pub(crate) fn of_mut(&mut self, trigger: Trigger) -> &mut u64 {
         match trigger {
             Trigger::Stop => &mut self.stop,
             Trigger::Silence => &mut self.silence,

@@ -167,7 +167,7 @@ impl Safety {
 
     /// Returns these settings for robots that touch a wall at the distance `radius_m` \[m\] of their centres from it,
     /// and each other at twice that: the minimum distances to walls and to other robots are at least 2 and 4 cm more.
-    pub fn clear_of_contacts(self, radius_m: f32) -> Safety {
+    pub(crate) fn clear_of_contacts(self, radius_m: f32) -> Safety {
         let walls_min_m = self.walls_min_m.max(radius_m + HULL_MARGIN_M);
         let distance_min_m = self.distance_min_m.max(2.0 * (radius_m + HULL_MARGIN_M));
         Safety { walls_min_m, distance_min_m, ..self }

@@ -46,7 +46,7 @@ impl PolicyFrame {
     }
 
     /// Transforms position and velocity of a robot from the world frame to the policy frame, or back.
-    pub fn turn_motion(self, motion: &Motion) -> Motion {
+    pub(crate) fn turn_motion(self, motion: &Motion) -> Motion {
         Motion { position: self.turn(motion.position), velocity: self.turn(motion.velocity) }
     }
 }
@@ -227,7 +227,7 @@ pub struct TeamSizes {
     /// Largest supported number of robots.
     pub most: usize,
     /// Divisor of every supported number of robots: 1 if every number is supported, 2 for even numbers only.
-    pub multiple_of: usize,
+    pub(crate) multiple_of: usize,
 }
 
 impl TeamSizes {
@@ -377,7 +377,7 @@ pub fn build(name: &str, settings: &Settings) -> Result<Arc<dyn Scenario>, Scena
 
 /// Makes the scenario named `name` from the registry entries `all`, with a user's `settings`. An error says that the
 /// name is unknown or a setting not supported. A scenario whose author has given it one size refuses another one.
-pub fn build_of(all: &[Entry], name: &str, settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
+pub(crate) fn build_of(all: &[Entry], name: &str, settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let unknown = || ScenarioError::Unknown {
         name: name.to_owned(),
         known: all.iter().map(|entry| entry.name).collect::<Vec<_>>().join(", "),

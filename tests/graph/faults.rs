@@ -2,7 +2,6 @@
 //!
 //! The first test is an example to copy for a system of your own.
 
-use murmurate::actors::roster::MISSING_AFTER;
 use murmurate::faults::{ActorFault, ActorFaultKind, FaultPlan, LinkFault, LinkFaultKind, Role};
 use murmurate::graph::COMMAND_VALIDITY;
 use murmurate::messages::geometry::Vec2;
@@ -131,7 +130,7 @@ fn a_robot_whose_agent_was_away_for_a_moment_rejoins_the_running_episode() {
 fn a_stalled_or_mute_actor_is_missed_and_rejoins() {
     for kind in [ActorFaultKind::Stall, ActorFaultKind::Mute] {
         let at = midst("onboard-infra", 7);
-        let (role, robot, lasts) = (Role::Controller, RobotId(1), MISSING_AFTER + Span::from_millis(1500));
+        let (role, robot, lasts) = (Role::Controller, RobotId(1), Span::from_millis(2500));
         let fault = ActorFault { role, robot, kind, at, lasts, by: Span::ZERO, episode: None };
         let plan = FaultPlan { actors: vec![fault], links: Vec::new() };
         let report = trial("onboard-infra", 7).faults(plan).run();

@@ -2,28 +2,21 @@
 
 use std::sync::Arc;
 
-use murmurate::actor::Core;
-use murmurate::actors::cache::{self, Cache};
-use murmurate::actors::controller::{self, Controller};
 use murmurate::deploy::MODES;
-use murmurate::estimation::REGISTRY;
 use murmurate::faults::{ActorFault, ActorFaultKind, FaultPlan, LinkFault, Role};
-use murmurate::hearing::{CommRange, Handling};
-use murmurate::messages::geometry::{Motion, Task, Vec2};
+use murmurate::hearing::CommRange;
+use murmurate::messages::geometry::Vec2;
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::latch::Latch;
-use murmurate::messages::local::{Action, Progress};
-use murmurate::messages::wire::{Kind, Mode, Phase, Reading, Round, Stop};
+use murmurate::messages::wire::{Kind, Phase, Stop};
 use murmurate::policy::gnn::GnnWeights;
 use murmurate::policy::manifest::Manifest;
 use murmurate::policy::shipped::built_in;
 use murmurate::policy::{Draw, Model, weights};
-use murmurate::random::Seed;
 use murmurate::report::trial::TrialReport;
 use murmurate::results::totals::Step;
-use murmurate::safety::filter;
 use murmurate::safety::guard::SafetyCounts;
-use murmurate::safety::{Clamp, Safety, Switch};
+use murmurate::safety::{Safety, Switch};
 use murmurate::scenario::judge::Verdict;
 use murmurate::time::{Span, Time};
 use murmurate::trial::Trial;
@@ -82,69 +75,6 @@ fn without_own_readings_a_robot_stops_within_the_age_of_the_last() {
     let published = Trial { safety: Safety::emulated(), ..trial }.faults(plan).run();
     assert!(!driven(&published, from + ms(100) + kinematic::PERIOD, from + lasts).is_empty(), "commands lapse later");
     assert_eq!(published.totals.safety, SafetyCounts::default());
-}
-
-/// Runs the cores of one robot, tick by tick: the same stamp keeps arriving, and the robot stops in time.
-#[test]
-fn a_reading_that_is_repeated_for_ever_is_no_estimate() {
-    let (robot, round, period) = (RobotId(0), Round { term: 1, episode: 0 }, ms(50));
-    let (range, hold, handling) = (CommRange::fixed(2.0), ms(200), Handling::Hold);
-    let config = cache::Config {
-        robot,
-        period,
-        phase: Span::ZERO,
-        range,
-        hold,
-        handling,
-        estimator: REGISTRY[0],
-        sensor_delay: Span::ZERO,
-        own_age: ms(100),
-    };
-    let mut cache = Cache::new(config, Seed::of_run(0).stream("cache"));
-    let (safety, half_extent, clamp) = (Safety::deployed(), Vec2::new(2.0, 3.0), Clamp::Training);
-    let walls = Arc::default();
-    let guard = filter::Settings { safety, half_extent, walls, limit_m_s: 1.5, clamp, period };
-    let mut controller = Controller::new(controller::Config { robot, guard, valid_for: ms(200), phase: Span::ZERO });
-    let task = Task { start: Vec2::zeros(), goal: Vec2::x() };
-    let (phase, tasks, latch) = (Phase::Running, [task].into(), Latch::default());
-    let mode = Mode { round, repeat: 0, phase, first: robot, tasks, latch };
-    controller.handle(Time::ZERO, controller::In::Mode(mode), &mut Vec::new());
-
-    let mut commands: Vec<(u64, f32)> = Vec::new();
-    for at in 0..400 {
-        let (now, mut known, mut said) = (Time::ZERO + ms(at), Vec::new(), Vec::new());
-        if at.is_multiple_of(20) {
-            let reading = Reading::of_point(robot, 7, Motion::default());
-            cache.handle(now, cache::In::Reading(reading), &mut known);
-        }
-        if cache.wake_at().is_some_and(|due| due <= now) {
-            cache.wake(now, &mut known);
-        }
-        for known in known {
-            let input = match known {
-                cache::Out::Fresh => controller::In::Fresh,
-                cache::Out::Percept(percept) => controller::In::Action(Action {
-                    robot,
-                    round,
-                    phase,
-                    due: percept.due,
-                    velocity: Vec2::x(),
-                    estimate: percept.estimate,
-                    others: Vec::new(),
-                    progress: Progress::Underway,
-                }),
-            };
-            controller.handle(now, input, &mut said);
-        }
-        if controller.wake_at().is_some_and(|due| due <= now) {
-            controller.wake(now, &mut said);
-        }
-        commands.extend(said.iter().filter_map(|said| match said {
-            controller::Out::MotorCommand(command) => Some((at, command.velocity.x)),
-            _ => None,
-        }));
-    }
-    assert_eq!(commands, [(0, 1.0), (50, 1.0), (100, 1.0), (101, 0.0)]);
 }
 
 #[test]

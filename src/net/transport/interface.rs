@@ -7,9 +7,9 @@ use nix::ifaddrs::getifaddrs;
 use nix::net::if_::{InterfaceFlags, if_nametoindex};
 
 /// Name of the loopback interface.
-pub const LOOPBACK: &str = "lo";
+pub(crate) const LOOPBACK: &str = "lo";
 /// Value for a network interface in a team file that selects the only interface that is suitable.
-pub const AUTO: &str = "auto";
+pub(crate) const AUTO: &str = "auto";
 
 /// Groups that a user may take in place of one of the other family.
 const GROUP_V4: &str = "239.255.77.1:7700";
@@ -79,7 +79,7 @@ pub enum InterfaceError {
 impl InterfaceError {
     /// Whether the cause may be over in a moment, without a person: an interface that comes up, or its address. Several
     /// interfaces in place of one stay.
-    pub fn may_pass(&self) -> bool {
+    pub(crate) fn may_pass(&self) -> bool {
         !matches!(self, InterfaceError::Ambiguous { found: 1.., .. })
     }
 }

@@ -99,10 +99,10 @@ pub struct Entry {
 pub const REGISTRY: &[Entry] = &[udp::multicast::ENTRY, udp::unicast::ENTRY];
 
 /// Names of fields of a link that no transport may define, since every link has them.
-pub const RESERVED: [&str; 2] = ["transport", "reliability"];
+pub(crate) const RESERVED: [&str; 2] = ["transport", "reliability"];
 
 /// Name of the transport that a link has if the team file names none.
-pub const USUAL: &str = "multicast";
+pub(crate) const USUAL: &str = "multicast";
 
 /// Input of a transport.
 #[derive(Clone, Debug)]
