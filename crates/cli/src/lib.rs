@@ -107,6 +107,7 @@ const DIGESTS: &[&str] = &[
     murmurate_lab::DIGEST,
     murmurate_launch::DIGEST,
     murmurate_record::DIGEST,
+    murmurate_replay::DIGEST,
     murmurate_robot::DIGEST,
     murmurate_ros2::DIGEST,
     murmurate_study::DIGEST,

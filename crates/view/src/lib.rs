@@ -14,6 +14,7 @@ mod heard;
 pub mod metrics;
 pub mod orders;
 mod places;
+pub mod player;
 pub mod request;
 mod robot_view;
 pub mod server;

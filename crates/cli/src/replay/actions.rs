@@ -1,30 +1,23 @@
 //! `replay --policy`: gives the recorded inputs of a host to another policy, and compares its actions with the recorded
 //! actions.
 
-use std::cell::RefCell;
 use std::fmt::Write as _;
-use std::rc::Rc;
 
 use anyhow::{Context, Result};
 
-use super::Args;
-use super::of_host::{Prepared, published};
+use super::{Args, sorted, stamp};
 use murmurate::config::shown;
-use murmurate_record::actions::{Commands, RobotDifference, StepDifference};
-use murmurate_robot::output::print;
+use murmurate_record::actions::{RobotDifference, StepDifference};
+use murmurate_replay::host::{self, Prepared};
+use murmurate_robot::output::{print, stamp_as_recorded};
 use murmurate_robot::whole_file::WholeFile;
 
-/// Runs a host again with its recorded inputs and another policy, and prints by how much the actions of each robot
-/// differ from the recorded ones. Also writes the files of the flags `--steps` and `--svg`.
-pub fn show(args: &Args, prepared: Prepared) -> Result<()> {
-    let policy = prepared.policy.clone();
-    let (identity, messages, live, turns) = prepared.into_parts();
-    let name = identity.host.map_or(String::new(), |host| host.name);
-    let recorded = Commands::read(messages, identity.anchor_ns)?;
-    let replayed = Rc::new(RefCell::new(Commands::default()));
-    let taken = Rc::clone(&replayed);
-    published(live, turns, move |now, datagram| taken.borrow_mut().take(now.as_nanos(), datagram));
-    let (steps, robots) = recorded.beside(&replayed.borrow());
+/// Runs the host `name` again with its recorded inputs and another policy, and prints by how much the actions of each
+/// robot differ from the recorded ones. Also writes the files of the flags `--steps` and `--svg`.
+pub fn show(args: &Args, name: &str, (prepared, policy): (Prepared, String)) -> Result<()> {
+    let compared = host::actions(prepared, stamp);
+    stamp_as_recorded(None);
+    let (steps, robots) = compared.map_err(sorted)?;
     if let Some(path) = &args.steps {
         let mut file = WholeFile::create(path)?;
         file.writer().write_all(csv(&steps).as_bytes()).context("cannot write the steps")?;
@@ -46,7 +39,7 @@ pub fn show(args: &Args, prepared: Prepared) -> Result<()> {
         let said = serde_json::json!({ "host": name, "policy": policy, "robots": robots });
         return print(&said.to_string());
     }
-    print(&table(&name, &policy, &robots))
+    print(&table(name, &policy, &robots))
 }
 
 fn table(host: &str, policy: &str, robots: &[RobotDifference]) -> String {

@@ -3,14 +3,9 @@
 mod actions;
 pub mod of_host;
 mod page;
-mod sights;
 
-use std::cell::RefCell;
 use std::fmt;
-use std::fs::DirBuilder;
-use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
-use std::rc::Rc;
 
 use anyhow::{Context, Result};
 use serde::Serialize;
@@ -22,14 +17,13 @@ use murmurate::config::shown::{self, counted};
 use murmurate::graph::event;
 use murmurate::messages::ids::HostId;
 use murmurate::registry::Registry;
-use murmurate::simulate::Proceed;
 use murmurate::time::Time;
 use murmurate_record::chosen::Chosen;
-use murmurate_record::compare::{Compared, Comparison};
+use murmurate_record::compare::Compared;
 use murmurate_record::reader::{self, Opened};
-use murmurate_record::share::ACCEPTED;
-use murmurate_record::topics::{Stage, Topics};
-use murmurate_record::{Event, Scope};
+use murmurate_replay::files::Files;
+use murmurate_replay::fitness::{self, Unfit, Wanted};
+use murmurate_replay::{ReplayError, host, rerun};
 use murmurate_robot::output::{self, Confined, print, talk};
 use murmurate_robot::{BadInput, Ended, bad};
 
@@ -151,14 +145,20 @@ fn one(args: &Args, path: &Path, registry: &Registry) -> Result<Option<Line>> {
     let compared = match &opened.identity.host {
         Some(_) if args.policy.is_some() => {
             damaged.iter().for_each(|damage| talk(&format!("'{}' is damaged: {damage}", path.display())));
-            actions::show(args, of_host::prepare(args, (path, opened), &files, registry)?)?;
+            let name = opened.identity.host.as_ref().map_or(String::new(), |host| host.name.clone());
+            actions::show(args, &name, of_host::prepare(args, (path, opened), &files, registry)?)?;
             return Ok(None);
         }
-        Some(_) => of_host::compare(of_host::prepare(args, (path, opened), &files, registry)?)?,
+        Some(_) => {
+            let (prepared, _) = of_host::prepare(args, (path, opened), &files, registry)?;
+            let compared = host::compare(prepared, stamp);
+            output::stamp_as_recorded(None);
+            compared.map_err(sorted)?
+        }
         None if args.policy.is_some() => {
             return bad(format!("--policy: '{}' is the record of a simulation; use 'sim --policy'", path.display()));
         }
-        None => rerun(opened, &files, registry)?,
+        None => rerun(opened, &files, registry, |_, _| {}, |_| {})?,
     };
     let Compared { messages, difference, cut, gap_s, damaged_s } = compared;
     let equal = difference.is_none();
@@ -169,36 +169,29 @@ fn one(args: &Args, path: &Path, registry: &Registry) -> Result<Option<Line>> {
 /// Fails if a record cannot be replayed with these flags: if it is of an operator, of the other kind than the flags
 /// permit, not from the beginning of its run, or of another build without `--force`.
 fn check(args: &Args, path: &Path, Opened { identity, messages, .. }: &Opened) -> Result<()> {
-    let health = messages.health();
-    if health.loses_files {
-        let why = health.lines(identity.anchor_ns).join("; ");
-        return bad(format!("files that a replay of '{}' needs may be lost: {why}", path.display()));
-    }
-    let of_host = identity.host.is_some();
-    if identity.operator {
-        return bad(format!(
-            "'{}' has what an operator received, and nothing that could run again; look at it with --watch",
-            path.display()
-        ));
-    }
-    if args.rerun && of_host {
-        return bad(format!("--rerun: '{}' is the record of a host; use --host", path.display()));
-    }
-    if args.host && !of_host {
-        return bad(format!("--host: '{}' is the record of a simulation; use --rerun", path.display()));
-    }
-    if identity.excerpt {
-        return bad(format!(
-            "'{}' has only the seconds around what happened (--record-last), and a replay needs a run from its \
-             beginning; look at it with --watch",
-            path.display()
-        ));
-    }
-    if identity.part > 0 {
-        return bad(format!("'{}' goes on from another file of its record: name the first one", path.display()));
+    let at = path.display();
+    let wanted = match (args.rerun, args.host) {
+        (true, _) => Wanted::Simulations,
+        (_, true) => Wanted::Hosts,
+        _ => Wanted::All,
+    };
+    if let Err(unfit) = fitness::check(identity, messages.health(), wanted) {
+        return bad(match unfit {
+            Unfit::LosesFiles(why) => format!("files that a replay of '{at}' needs may be lost: {why}"),
+            Unfit::OfOperator => format!(
+                "'{at}' has what an operator received, and nothing that could run again; look at it with --watch"
+            ),
+            Unfit::OfHost => format!("--rerun: '{at}' is the record of a host; use --host"),
+            Unfit::OfSimulation => format!("--host: '{at}' is the record of a simulation; use --rerun"),
+            Unfit::Excerpt => format!(
+                "'{at}' has only the seconds around what happened (--record-last), and a replay needs a run from its \
+                 beginning; look at it with --watch"
+            ),
+            Unfit::FurtherPart => format!("'{at}' goes on from another file of its record: name the first one"),
+        });
     }
     if identity.build != murmurate_robot::build::digest() {
-        let (theirs, this, at) = (&identity.build, murmurate_robot::build::digest(), path.display());
+        let (theirs, this) = (&identity.build, murmurate_robot::build::digest());
         if !args.force {
             return bad(format!(
                 "'{at}' was made by another build of this program ({theirs}, version {}; this is {this}): replay it \
@@ -211,91 +204,25 @@ fn check(args: &Args, path: &Path, Opened { identity, messages, .. }: &Opened) -
     Ok(())
 }
 
-/// Files attached to a record, written into a temporary folder that is removed at the end.
-pub struct Files {
-    folder: PathBuf,
-    /// Name of each file in the record, with the path of the written file.
-    pub files: Vec<(String, PathBuf)>,
+/// Lets this thread read the files of a record and those that the user has named, and nothing else that the record
+/// names.
+pub fn confine(files: &Files, named: Option<&Path>) -> Confined {
+    Confined::to([Some(files.folder()), named].into_iter().flatten().map(Path::to_owned).collect())
 }
 
-impl Files {
-    /// Writes the files attached to a record into a new temporary folder.
-    pub fn extract(opened: &Opened) -> Result<Files> {
-        let mut number = [0; 8];
-        getrandom::fill(&mut number).map_err(|error| anyhow::anyhow!("no random bytes: {error}"))?;
-        let folder = std::env::temp_dir().join(format!("murmurate-replay-{:016x}", u64::from_le_bytes(number)));
-        // The files may not be for everybody, and the folder stays if this program is killed.
-        DirBuilder::new()
-            .mode(0o700)
-            .create(&folder)
-            .with_context(|| format!("cannot make the folder '{}'", folder.display()))?;
-        let mut files = Files { folder, files: Vec::new() };
-        let named = opened.attached.iter().filter(|(name, _)| name != ACCEPTED);
-        for (index, (name, content)) in named.enumerate() {
-            let last = Path::new(name).file_name().map_or("file".into(), |last| last.to_string_lossy().into_owned());
-            // Somebody else may have chosen the name.
-            let last: String = last.chars().filter(|c| c.is_ascii_alphanumeric() || "-_.".contains(*c)).collect();
-            let last = &last[last.len().saturating_sub(100)..];
-            let path = files.folder.join(format!("{index}-{last}"));
-            std::fs::write(&path, content).with_context(|| format!("cannot write '{}'", path.display()))?;
-            files.files.push((name.clone(), path));
-        }
-        Ok(files)
+/// Returns the error of a replay: one about what is in a record is a [`BadInput`].
+fn sorted(error: ReplayError) -> anyhow::Error {
+    match error {
+        ReplayError::Unusable(why) => BadInput(why).into(),
+        ReplayError::Trial(error) => BadInput(error.to_string()).into(),
+        ReplayError::Open(error) => error.into(),
+        other => other.into(),
     }
-
-    /// Lets this thread read these files and those that the user has named, and nothing else that the record names.
-    pub fn confine(&self, named: Option<&Path>) -> Confined {
-        Confined::to([Some(&*self.folder), named].into_iter().flatten().map(Path::to_owned).collect())
-    }
-
-    /// Returns the name of the team file of a host's record, as given on the command line; `None` if no file is
-    /// attached. It is the first file that `LiveRecord` attaches.
-    fn team_file(&self) -> Option<&str> {
-        self.files.first().map(|(name, _)| &**name)
-    }
-
-    /// Returns the path of the extracted policy file of a host's record, the second file that `LiveRecord` attaches;
-    /// `None` if the policy was given as a name in the registry.
-    fn policy(&self) -> Option<&Path> {
-        self.files.get(1).map(|(_, path)| &**path)
-    }
-
-    /// Returns the recorded command-line arguments, with the names of attached files replaced by the paths of the
-    /// extracted files.
-    fn in_place(&self, arguments: &[String]) -> Vec<String> {
-        let replaced = |argument: &String| {
-            for (name, path) in &self.files {
-                if argument == name {
-                    return path.to_string_lossy().into_owned();
-                }
-                if let Some(flag) = argument.strip_suffix(name).filter(|flag| flag.ends_with('=')) {
-                    return format!("{flag}{}", path.display());
-                }
-                // A policy file of a study may have a handling of its own.
-                if let Some(handling) = argument.strip_prefix(name).filter(|rest| rest.starts_with('@')) {
-                    return format!("{}{handling}", path.display());
-                }
-            }
-            argument.clone()
-        };
-        arguments.iter().map(replaced).collect()
-    }
-}
-
-impl Drop for Files {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.folder);
-    }
-}
-
-/// Runs a recorded simulation again from its seed, and compares it with its record.
-fn rerun(opened: Opened, files: &Files, registry: &Registry) -> Result<Compared> {
-    rerun_observed(opened, files, registry, |_, _| {}, |_| {})
 }
 
 /// Runs a recorded simulation again from its seed, and compares it with its record. Calls `observe` with each event of
 /// the run, and `turned` with the time of each instant after its events.
-fn rerun_observed(
+fn rerun(
     opened: Opened,
     files: &Files,
     registry: &Registry,
@@ -304,37 +231,23 @@ fn rerun_observed(
 ) -> Result<Compared> {
     let Opened { identity, messages, .. } = opened;
     let arguments = files.in_place(&identity.arguments);
-    let confined = files.confine(None);
+    let confined = confine(files, None);
     let trial = match identity.job {
         Some(job) => study::of_record(&arguments, (job, identity.repeat), registry)?,
         None => sim::of_record(&arguments, identity.repeat, registry)?,
     };
     drop(confined);
-    let topics = Topics::new(Stage::of(&trial), Scope::Simulation, 0);
-    let comparison = Rc::new(RefCell::new(Comparison::new(messages, topics, 0)));
-    let heard = Rc::clone(&comparison);
-    trial.run_observed(
-        move |_, host, event| {
-            observe(host, event);
-            if let Some(event) = Event::of(Scope::Simulation, host, event) {
-                heard.borrow_mut().push(event);
-            }
-        },
-        |_, now, _| {
-            output::stamp_as_recorded(Some(now));
-            turned(now);
-            let mut comparison = comparison.borrow_mut();
-            comparison.push(Event::Turn(now));
-            if comparison.is_over() { Proceed::Stop } else { Proceed::Continue }
-        },
-    );
+    let compared = rerun::rerun(&trial, messages, observe, |now| {
+        stamp(now);
+        turned(now);
+    });
     output::stamp_as_recorded(None);
-    finish(comparison)
+    compared.map_err(sorted)
 }
 
-fn finish(comparison: Rc<RefCell<Comparison>>) -> Result<Compared> {
-    let comparison = Rc::try_unwrap(comparison).ok().context("a run that has ended is still observed: a bug")?;
-    Ok(comparison.into_inner().finish()?)
+/// Marks the lines of the log from now on as of this time of a record.
+fn stamp(now: Time) {
+    output::stamp_as_recorded(Some(now));
 }
 
 impl fmt::Display for Table {

@@ -7,9 +7,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 
-use super::sights::{self, Keys, Shown};
-use super::{Args, Files, rerun_observed};
-use crate::record::chosen::{self, first_files, tell};
+use super::{Args, rerun};
+use crate::record::chosen::{self, first_files, tell, wrong};
 use crate::record::merge::into_file;
 use crate::watch::feed::Feed;
 use murmurate::config::shown::counted;
@@ -17,16 +16,17 @@ use murmurate::graph::event::Event;
 use murmurate::messages::wire::Wire;
 use murmurate::net::protocol::key::Key;
 use murmurate::registry::Registry;
-use murmurate::time::{Span, Time};
 use murmurate_record::reader::{self, Opened};
 use murmurate_record::share::trusted;
+use murmurate_replay::files::Files;
+use murmurate_replay::sights::{self, Keys, Shown};
 use murmurate_robot::output::talk;
 use murmurate_robot::temporary::Temporary;
 use murmurate_robot::{BadInput, Ended, bad, key, signals};
-use murmurate_view::command::Command;
+use murmurate_view::player::Player;
 use murmurate_view::server::Publisher;
 use murmurate_view::snapshot;
-use murmurate_view::status::{PageStatus, Playback, PlayedRecord, Scene};
+use murmurate_view::status::{PageStatus, PlayedRecord, Scene};
 use murmurate_view::team_view::TeamView;
 use murmurate_view::timeline::{Sight, Timeline};
 
@@ -59,11 +59,9 @@ pub fn watch(args: &Args, registry: &Registry) -> Result<Ended> {
         note: shown.note.clone(),
     };
     let (server, publisher) = args.page.open(Scene { record: Some(record), ..scene })?;
-    let (view, taken) = timeline.picture(Time::ZERO);
-    let view = Rc::new(RefCell::new(view));
-    let feed = Feed::new(Rc::clone(&view), None);
-    let player = Player { timeline, view, taken, feed, publisher, now: Time::ZERO, playing: true, rate: 1.0 };
-    player.run(&stop);
+    let player = Player::new(timeline);
+    let mut feed = Feed::new(player.view(), None);
+    play(player, &mut feed, &publisher, &stop);
     server.close();
     Ok(Ended::Done)
 }
@@ -82,11 +80,11 @@ fn read(args: &Args, registry: &Registry) -> Result<Shown> {
             note_shared(&mut keys, &reader::open(path)?);
         }
         if let [(only, _)] = &records[..] {
-            return sights::read(only, &keys);
+            return Ok(sights::read(only, &keys).map_err(wrong)?);
         }
         let mut merged = Temporary::new_in(&std::env::temp_dir(), 0o600).context("cannot write a temporary file")?;
         into_file(records, merged.seekable())?;
-        return sights::read(merged.path(), &keys);
+        return Ok(sights::read(merged.path(), &keys).map_err(wrong)?);
     }
     let path = paths.remove(0);
     let (identity, attached, messages) = reader::open_any(&path).map_err(|error| BadInput(error.to_string()))?;
@@ -94,7 +92,7 @@ fn read(args: &Args, registry: &Registry) -> Result<Shown> {
     tell(messages.health(), zero);
     let opened = identity.map(|identity| Opened { identity, attached, messages });
     opened.iter().for_each(|opened| note_shared(&mut keys, opened));
-    let mut shown = sights::read(&path, &keys)?;
+    let mut shown = sights::read(&path, &keys).map_err(wrong)?;
     let Some(opened) = opened.filter(|opened| opened.identity.is_of_simulation()) else { return Ok(shown) };
     let identity = &opened.identity;
     if identity.build != murmurate_robot::build::digest() {
@@ -104,7 +102,7 @@ fn read(args: &Args, registry: &Registry) -> Result<Shown> {
     let (files, mut arrivals) = (Files::extract(&opened)?, Vec::new());
     let instant = Rc::new(RefCell::new(Vec::new()));
     let arrived = Rc::clone(&instant);
-    let compared = rerun_observed(
+    let compared = rerun(
         opened,
         &files,
         registry,
@@ -154,67 +152,22 @@ fn scene(shown: &Shown, name: &str) -> Scene {
     }
 }
 
-/// Player of a record: the current time, and the state of the team at that time.
-struct Player {
-    timeline: Timeline,
-    view: Rc<RefCell<TeamView>>,
-    /// Number of events of the record that are included in the shown state.
-    taken: usize,
-    feed: Feed,
-    publisher: Publisher,
-    now: Time,
-    playing: bool,
-    /// Playback speed: seconds of the record for each second of real time.
-    rate: f64,
-}
-
-impl Player {
-    fn run(mut self, stop: &AtomicUsize) {
-        let mut before = Instant::now();
-        while stop.load(Ordering::Relaxed) == 0 {
-            let mut command = self.publisher.wait(TURN);
-            while let Some(given) = command {
-                self.obey(&given);
-                command = self.publisher.command();
+/// Plays the record for the pages until the user ends the command.
+fn play(mut player: Player, feed: &mut Feed, publisher: &Publisher, stop: &AtomicUsize) {
+    let mut before = Instant::now();
+    while stop.load(Ordering::Relaxed) == 0 {
+        let mut command = publisher.wait(TURN);
+        while let Some(given) = command {
+            if player.take(&given) {
+                feed.at_once();
             }
-            let present = Instant::now();
-            if self.playing {
-                let passed = (present - before).as_secs_f64() * self.rate;
-                let to = (self.now + Span::from_secs(passed)).min(self.timeline.end());
-                self.timeline.advance(&mut self.view.borrow_mut(), &mut self.taken, to);
-                self.playing = to < self.timeline.end();
-                self.now = to;
-            }
-            before = present;
-            let (playing, rate) = (self.playing, self.rate);
-            let fill = |status: &mut PageStatus| status.playback = Some(Playback { playing, rate });
-            self.feed.publish(&self.publisher, self.now, if playing { "playing" } else { "paused" }, fill);
+            command = publisher.command();
         }
-    }
-
-    fn obey(&mut self, command: &Command) {
-        match command {
-            Command::Play { on, rate } => {
-                if *on && !self.playing && self.now >= self.timeline.end() {
-                    self.show(Time::ZERO);
-                }
-                (self.playing, self.rate) = (*on, *rate);
-            }
-            Command::Seek { at_s } => self.show(Time::ZERO + Span::from_secs(*at_s)),
-            Command::Step { back } => {
-                self.playing = false;
-                self.show(self.timeline.step(self.now, *back));
-            }
-            // Not reached: these commands are refused before, because there is no team.
-            _ => {}
-        }
-    }
-
-    /// Jumps to a time of the record and shows the team's state at that time.
-    fn show(&mut self, at: Time) {
-        self.now = at.min(self.timeline.end());
-        let (view, taken) = self.timeline.picture(self.now);
-        (*self.view.borrow_mut(), self.taken) = (view, taken);
-        self.feed.at_once();
+        let present = Instant::now();
+        player.pass((present - before).as_secs_f64());
+        before = present;
+        let playback = player.playback();
+        let fill = |status: &mut PageStatus| status.playback = Some(playback);
+        feed.publish(publisher, player.now(), if playback.playing { "playing" } else { "paused" }, fill);
     }
 }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 
 use crate::record::chosen;
-use crate::replay::{Files, of_host};
+use crate::replay::{confine, of_host};
 use murmurate::config::regular;
 use murmurate::deploy::Routes;
 use murmurate::registry::Registry;
@@ -15,6 +15,7 @@ use murmurate::trial::Trial;
 use murmurate_record::clocks::{Traffic, align};
 use murmurate_record::identity::Identity;
 use murmurate_record::reader::{self, ReadError};
+use murmurate_replay::files::Files;
 use murmurate_robot::{BadInput, bad, team};
 use murmurate_study::twin::observed::{Log, ObservedTeam, Run};
 use murmurate_study::twin::predict;
@@ -126,7 +127,7 @@ fn trial(paths: &[PathBuf], identities: &[Identity], logs: &[Log], registry: &Re
     let (path, identity) = (&paths[judge], &identities[judge]);
     let files = Files::extract(&reader::open(path).map_err(wrong)?)?;
     let policy = files.files.get(1).map(|(_, policy)| policy);
-    let _confined = files.confine(None);
+    let _confined = confine(&files, None);
     let team = of_host::team_of(identity, &files, registry, |flags| {
         flags.set.extend(policy.map(|policy| format!("policy={}", policy.display())));
     })?;

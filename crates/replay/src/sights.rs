@@ -3,7 +3,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use anyhow::Result;
 use serde_json::Value as Json;
 
 use murmurate::graph::inputs::Input;
@@ -16,13 +15,13 @@ use murmurate::net::protocol::key::Key;
 use murmurate::results::episode::Episode;
 use murmurate::safety::guard::SafetyCounts;
 use murmurate::time::Time;
+use murmurate_record::chosen::Unusable;
 use murmurate_record::identity::{self, Identity};
 use murmurate_record::protobuf_reader::{Fields, Value};
-use murmurate_record::reader::{Item, Message, ReadError, Reader};
+use murmurate_record::reader::{Item, Message, Reader};
 use murmurate_record::stage::{self, Stage};
 use murmurate_record::tape;
 use murmurate_record::topics::RECEIVED;
-use murmurate_robot::BadInput;
 use murmurate_view::timeline::Sight;
 
 /// Content of a record that the live page can show: constant properties of the run, and events.
@@ -83,9 +82,8 @@ struct Reading<'a> {
 
 /// Reads from a record the content that the live page can show. Arrivals at hosts of a team with a key are checked with
 /// `keys`; without one they are left out, as they may be of anybody. An error says why the file cannot be read.
-pub fn read(path: &Path, keys: &Keys) -> Result<Shown> {
-    let wrong = |error: ReadError| BadInput(error.to_string());
-    let mut reader = Reader::open(path).map_err(wrong)?;
+pub fn read(path: &Path, keys: &Keys) -> Result<Shown, Unusable> {
+    let mut reader = Reader::open(path)?;
     let mut reading = Reading {
         stage: None,
         host: None,
@@ -99,11 +97,11 @@ pub fn read(path: &Path, keys: &Keys) -> Result<Shown> {
         newest: BTreeMap::new(),
         results: false,
     };
-    while let Some(item) = reader.next_item().map_err(wrong)? {
+    while let Some(item) = reader.next_item()? {
         match item {
             Item::Metadata(name, metadata) if name == identity::METADATA => {
                 let identity = Identity::of_metadata(&metadata)
-                    .map_err(|error| BadInput(format!("'{}' is no record of this program: {error}", path.display())))?;
+                    .map_err(|error| Unusable(format!("'{}' is no record of this program: {error}", path.display())))?;
                 reading.zero = Some(identity.anchor_ns);
                 reading.host = identity.host.as_ref().map(|host| host.id);
                 reading.note_key(&identity);
@@ -127,7 +125,7 @@ pub fn read(path: &Path, keys: &Keys) -> Result<Shown> {
             path.display(),
             stage::METADATA
         );
-        return Err(BadInput(why).into());
+        return Err(Unusable(why));
     };
     let note = match (reading.keyed.values().any(Option::is_none), reading.tags) {
         (true, _) => KEYLESS,
@@ -141,7 +139,7 @@ pub fn read(path: &Path, keys: &Keys) -> Result<Shown> {
 
 /// Returns the message as it is needed for the live page: a latent without its features, and any other message
 /// unchanged.
-pub fn slim(message: Wire) -> Wire {
+fn slim(message: Wire) -> Wire {
     match message {
         Wire::Latent(mut latent) => {
             latent.features = Features(Vec::new().into());

@@ -1,0 +1,126 @@
+//! Files that are attached to a record, in a temporary folder while the record is replayed.
+
+use std::fs::DirBuilder;
+use std::io;
+use std::os::unix::fs::DirBuilderExt;
+use std::path::{Path, PathBuf};
+
+use murmurate_record::reader::Opened;
+use murmurate_record::share::ACCEPTED;
+
+/// Files attached to a record, written into a temporary folder that is removed at the end.
+pub struct Files {
+    folder: PathBuf,
+    /// Name of each file in the record, with the path of the written file.
+    pub files: Vec<(String, PathBuf)>,
+}
+
+impl Files {
+    /// Writes the files attached to a record into a new temporary folder.
+    pub fn extract(opened: &Opened) -> io::Result<Files> {
+        let mut number = [0; 8];
+        getrandom::fill(&mut number).map_err(|error| io::Error::other(format!("no random bytes: {error}")))?;
+        let folder = std::env::temp_dir().join(format!("murmurate-replay-{:016x}", u64::from_le_bytes(number)));
+        // The files may not be for everybody, and the folder stays if this program is killed.
+        DirBuilder::new()
+            .mode(0o700)
+            .create(&folder)
+            .map_err(|error| failed(&error, &format!("cannot make the folder '{}'", folder.display())))?;
+        let mut files = Files { folder, files: Vec::new() };
+        let named = opened.attached.iter().filter(|(name, _)| name != ACCEPTED);
+        for (index, (name, content)) in named.enumerate() {
+            let last = Path::new(name).file_name().map_or("file".into(), |last| last.to_string_lossy().into_owned());
+            // Somebody else may have chosen the name.
+            let last: String = last.chars().filter(|c| c.is_ascii_alphanumeric() || "-_.".contains(*c)).collect();
+            let last = &last[last.len().saturating_sub(100)..];
+            let path = files.folder.join(format!("{index}-{last}"));
+            std::fs::write(&path, content)
+                .map_err(|error| failed(&error, &format!("cannot write '{}'", path.display())))?;
+            files.files.push((name.clone(), path));
+        }
+        Ok(files)
+    }
+
+    /// Returns the folder that holds the files.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Returns the name of the team file of a host's record, as given on the command line; `None` if no file is
+    /// attached. It is the first file that `LiveRecord` attaches.
+    pub fn team_file(&self) -> Option<&str> {
+        self.files.first().map(|(name, _)| &**name)
+    }
+
+    /// Returns the path of the extracted policy file of a host's record, the second file that `LiveRecord` attaches;
+    /// `None` if the policy was given as a name in the registry.
+    pub fn policy(&self) -> Option<&Path> {
+        self.files.get(1).map(|(_, path)| &**path)
+    }
+
+    /// Returns the recorded command-line arguments, with the names of attached files replaced by the paths of the
+    /// extracted files.
+    pub fn in_place(&self, arguments: &[String]) -> Vec<String> {
+        let replaced = |argument: &String| {
+            for (name, path) in &self.files {
+                if argument == name {
+                    return path.to_string_lossy().into_owned();
+                }
+                if let Some(flag) = argument.strip_suffix(name).filter(|flag| flag.ends_with('=')) {
+                    return format!("{flag}{}", path.display());
+                }
+                // A policy file of a study may have a handling of its own.
+                if let Some(handling) = argument.strip_prefix(name).filter(|rest| rest.starts_with('@')) {
+                    return format!("{}{handling}", path.display());
+                }
+            }
+            argument.clone()
+        };
+        arguments.iter().map(replaced).collect()
+    }
+}
+
+impl Drop for Files {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.folder);
+    }
+}
+
+/// Returns an error that begins with what was tried.
+fn failed(error: &io::Error, tried: &str) -> io::Error {
+    io::Error::new(error.kind(), format!("{tried}: {error}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use murmurate::trial::Trial;
+    use murmurate_record::file::{Beginning, RecordFile};
+    use murmurate_record::identity::Identity;
+    use murmurate_record::reader;
+    use murmurate_record::stage::Stage;
+
+    #[test]
+    fn arguments_name_the_extracted_files_which_vanish_at_the_end() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let path = folder.path().join("a.mcap");
+        let identity = Identity::here("1f", Vec::new(), "");
+        let attached = [("teams/a.toml", "team"), ("../../b c.toml", "policy")];
+        let attached = attached.map(|(name, text)| (name.to_owned(), text.as_bytes().to_vec()));
+        let stage = Stage::of(&Trial::preset("sim", "passage").unwrap());
+        RecordFile::create(&path, &Beginning { identity, attached: Vec::new() }, &stage).unwrap().finish().unwrap();
+        let opened = Opened { attached: attached.to_vec(), ..reader::open(&path).unwrap() };
+        let files = Files::extract(&opened).unwrap();
+        assert_eq!(files.team_file(), Some("teams/a.toml"));
+        let policy = files.policy().unwrap().to_owned();
+        assert_eq!(std::fs::read_to_string(&policy).unwrap(), "policy");
+        assert!(policy.starts_with(files.folder()) && policy.ends_with("1-bc.toml"), "{}", policy.display());
+        let given = ["--team=teams/a.toml", "../../b c.toml@held", "teams/a.toml.old"].map(str::to_owned);
+        let placed = files.in_place(&given);
+        assert_eq!(placed[0], format!("--team={}", files.folder().join("0-a.toml").display()));
+        assert_eq!(placed[1], format!("{}@held", policy.display()));
+        assert_eq!(placed[2], given[2]);
+        drop(files);
+        assert!(!policy.exists());
+    }
+}
