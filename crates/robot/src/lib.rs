@@ -11,6 +11,7 @@
 
 pub mod background_writer;
 pub mod build;
+mod checks;
 mod config;
 pub mod destination;
 mod doctor;

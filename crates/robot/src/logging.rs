@@ -5,7 +5,7 @@ use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
-use crate::{doctor, output};
+use crate::{checks, doctor, output};
 
 /// Level and way of a command's log on stderr; `MURMURATE_LOG` overrides the level.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,7 +53,7 @@ fn log(wanted: &str, notes: bool) -> Result<(), String> {
             .with_timer(output::Stamp)
             .with_writer(|| output::LogLines)
             .with_ansi(coloured);
-        let notes = doctor::Notes.with_filter(doctor::Warnings);
+        let notes = checks::Notes.with_filter(checks::Warnings);
         registry.with(lines.with_filter(targets)).with(notes).init();
     } else {
         // A single filter for all is the cheapest.

@@ -1,5 +1,5 @@
 //! Opens the drivers and the source of readings of one host for a while, collects all that they report, and runs a
-//! wiggle (a short drive of each robot) if requested. The command `doctor` uses it.
+//! wiggle (a short drive of each robot) if requested.
 
 use std::cell::{Cell, RefCell};
 use std::io::Read;
@@ -24,7 +24,6 @@ use murmurate::time::{Span, Time};
 use super::devices::Seen;
 use super::listen::hindrance;
 use super::notes;
-use crate::output::talk;
 use crate::{BadInput, signals};
 
 /// Time for which commands to stand are still sent to the robots, before the check of the devices ends.
@@ -49,12 +48,13 @@ pub enum End {
 /// and why the check ended.
 ///
 /// The operator in `wiggle` listens to the team; an emergency stop or an episode of the team ends the wiggle. It is
-/// `None` if the host has no link.
+/// `None` if the host has no link. `tell` is called with a line of text when a robot begins to drive.
 pub fn look(
     team: &Team,
     registry: &Registry,
     seconds: f64,
     wiggle: Option<(wiggle::Config, Option<Operator>)>,
+    tell: fn(&str),
 ) -> Result<(Seen, End)> {
     let host = &team.deployment.hosts[usize::from(team.host.0)];
     // The host publishes nothing for other programs here.
@@ -79,7 +79,7 @@ pub fn look(
             let time = clock.clone();
             let report = move |event: Event| {
                 if let Event::Begins(robot) = &event {
-                    talk(&format!("{robot} drives 10 cm, and back"));
+                    tell(&format!("{robot} drives 10 cm, and back"));
                 }
                 noted.borrow_mut().note(time.now(), event);
             };

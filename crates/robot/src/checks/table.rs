@@ -1,7 +1,7 @@
-//! The checks of `doctor` as a short table: one line for all checks of a link without defects, and one for all hosts
+//! The checks as a short table: one line for all checks of a link without defects, and one for all hosts
 //! that have the same problem. `--json` lists each check.
 
-use super::{Check, Status, Subject};
+use super::finding::{Check, Status, Subject};
 use murmurate::config::shown::{self, counted};
 
 /// Line of the table that `doctor` prints: one check, or several with the same result that differ in their host, their

@@ -1,11 +1,8 @@
-//! `doctor --wiggle`: drives each robot of one host 10 cm and back, and reports whether it moved correctly.
-
-use std::io::{BufRead, IsTerminal};
+//! Drive of each robot of one host 10 cm and back: its settings, and the findings about whether it moved correctly.
 
 use anyhow::Result;
 use murmurate::actors::verdict::{Axes, Verdict};
 use murmurate::actors::wiggle::{Config, Driven, SPEED_M_S};
-use murmurate::deploy::Host;
 use murmurate::deploy::team::Team;
 use murmurate::graph::COMMAND_VALIDITY;
 use murmurate::messages::ids::RobotId;
@@ -13,53 +10,12 @@ use murmurate::registry::Registry;
 use murmurate::safety::filter;
 use murmurate::time::Span;
 
-use super::{Found, Status, Subject};
+use super::finding::{Found, Status, Subject};
+use super::host_of;
 use crate::BadInput;
-use crate::output::talk;
 
 /// Period of motor commands: that of policies.
 const PERIOD: Span = Span::from_millis(50);
-
-/// Returns the deployment's entry of the host `team.host`.
-pub fn host_of(team: &Team) -> &Host {
-    &team.deployment.hosts[usize::from(team.host.0)]
-}
-
-/// Returns the only one of the hosts `teams` that drives real robots. It is an error if none or several do.
-pub fn only(teams: &[Team]) -> Result<&Team> {
-    let names: Vec<&str> = teams.iter().map(|team| host_of(team).name.as_str()).collect();
-    let real: Vec<&Team> = teams.iter().filter(|team| !host_of(team).actuates.is_empty()).collect();
-    let why = match real[..] {
-        [only] => return Ok(only),
-        [] => format!("{} drives no real robot, and a simulated one needs no wiggle", names.join(", ")),
-        _ => "several hosts drive robots; name one by --host, or --robot N".to_owned(),
-    };
-    Err(BadInput(format!("--wiggle: {why}")).into())
-}
-
-/// Checks that the flag `--yes` (`yes`) confirms the wiggle, which drives robots, or that a user can confirm it on a
-/// terminal; otherwise it is an error.
-pub fn check_confirmable(yes: bool) -> Result<()> {
-    if !yes && !std::io::stdin().is_terminal() {
-        let why = "--wiggle moves robots: confirm it by --yes, or on a terminal";
-        return Err(BadInput(why.to_owned()).into());
-    }
-    Ok(())
-}
-
-/// Asks on the terminal whether the robots of the host `team.host` may be driven 10 cm and back. Returns true if the
-/// answer is yes.
-pub fn confirm(team: &Team) -> Result<bool> {
-    let robots: Vec<String> = host_of(team).actuates.iter().map(u16::to_string).collect();
-    talk(&format!(
-        "robots {} of host '{}' will drive 10 cm and back, one after the other. Is there room? [y/N]",
-        robots.join(", "),
-        host_of(team).name
-    ));
-    let mut answer = String::new();
-    std::io::stdin().lock().read_line(&mut answer)?;
-    Ok(matches!(answer.trim(), "y" | "Y" | "yes"))
-}
 
 /// Returns the configuration of the wiggle (the short drive of each robot) for the host `team.host`: its robots, their
 /// guard, and the arena, which has no walls if the robots are measured by their odometry only.
@@ -165,5 +121,26 @@ fn mistake(axes: Axes) -> &'static str {
         Axes::Left => ", as if turned a quarter to the left",
         Axes::RightTurn => ", as if turned a quarter to the right",
         Axes::SwappedReversed => ", as with x and y swapped and both signs wrong",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_finding_says_what_moved_and_by_what_it_was_measured() {
+        let robot = RobotId(3);
+        let of = |verdict: &Verdict, localizes| finding(robot, verdict, localizes);
+        let (status, what, said, _) = of(&Verdict::Right(0.1, 0.0), true);
+        assert_eq!((status, what.to_string()), (Status::Ok, "robot 3, wiggle".to_owned()));
+        assert_eq!(said, "went 10.0 cm, 0 degrees off, and back");
+        assert!(of(&Verdict::Right(0.1, 0.0), false).2.ends_with(", by its own odometry"));
+        let (status, _, said, advice) = of(&Verdict::Still(vec![RobotId(4)]), true);
+        assert_eq!((status, &*said), (Status::Fail, "robot 3 was driven, robot 4 moved"));
+        assert!(advice.contains("swapped"), "{advice}");
+        let (_, _, said, advice) = of(&Verdict::Astray(Axes::Swapped, 1.57), true);
+        assert!(said.ends_with("to the left of where it should, as with x and y swapped"), "{said}");
+        assert!(advice.contains("axes"), "{advice}");
     }
 }

@@ -1,4 +1,4 @@
-//! Checks of `doctor` that need other hosts: loopback of own datagrams, and reception from each host. Two operators of
+//! Checks that need other hosts: loopback of own datagrams, and reception from each host. Two operators of
 //! this process, on every link of the host, exchange reports and receive those of all hosts.
 
 use std::cell::RefCell;
@@ -23,7 +23,7 @@ use murmurate::net::transport::{Filter, Place};
 use murmurate::runtime::real::run_real;
 use murmurate::time::{Span, Time};
 
-use super::{Found, Status, Subject};
+use super::finding::{Found, Status, Subject};
 use crate::key;
 use murmurate::live::links;
 
@@ -55,13 +55,13 @@ pub fn hindrance(phase: Phase, latch: Latch) -> Option<String> {
     }
 }
 
-/// Everything that `doctor` heard from the team while it listened: reception and delay of each host on each link,
+/// Everything that was heard from the team while it was listened to: reception and delay of each host on each link,
 /// counts of datagrams, the condition of each robot, and the reason, if any, why no robot may be driven.
 #[derive(Default)]
 struct Received {
     peers: BTreeMap<(u16, u16), Peer>,
     counts: LinkCounts,
-    /// Host id of the second of the two operators that `doctor` runs. If the first one receives its answers, then
+    /// Host id of the second of the two operators. If the first one receives its answers, then
     /// datagrams that this machine sends come back to it (loopback).
     echo: u16,
     /// Condition of each robot, merged from all hosts that report it.
@@ -342,5 +342,55 @@ mod tests {
             assert!(hindrance(phase, Latch::engaged(1)).is_some_and(|why| why.contains("stop is engaged")));
             assert!(hindrance(phase, Latch::held(2)).is_some_and(|why| why.contains("held")));
         }
+    }
+
+    #[test]
+    fn who_is_not_heard_is_a_warning_and_a_lost_loop_back_a_failure() {
+        let (status, what, said, advice) = about("infra", "world", None);
+        assert_eq!(
+            (status, what.to_string(), &*said),
+            (Status::Warn, "link infra, host world".to_owned(), "not heard")
+        );
+        assert!(advice.contains("is it started"), "{advice}");
+        let (status, what, _, advice) = loop_back("infra", None);
+        assert_eq!((status, what.to_string()), (Status::Fail, "link infra, loop-back".to_owned()));
+        assert!(advice.contains("firewall"), "{advice}");
+    }
+
+    #[test]
+    fn a_robot_is_as_its_hosts_report_it_together() {
+        let robot = RobotId(2);
+        assert_eq!(about_robot(robot, None).0, Status::Warn);
+        let mut received = Received::default();
+        let none = Condition {
+            robot,
+            phase: None,
+            seen: None,
+            health: None,
+            battery: None,
+            temperature: None,
+            reason: None,
+            guard: None,
+            link_age_ms: None,
+        };
+        received.learn(&Condition { phase: Some(Phase::Running), ..none.clone() });
+        received.learn(&Condition { health: Some(Health::Faulty), battery: Some(40), ..none.clone() });
+        let (status, _, said, _) = about_robot(robot, received.robots.get(&robot));
+        assert_eq!((status, &*said), (Status::Fail, "place unknown; runs; faulty, battery 40 %"));
+        received.learn(&Condition { health: Some(Health::Ready), ..none });
+        let (status, _, said, _) = about_robot(robot, received.robots.get(&robot));
+        assert_eq!((status, &*said), (Status::Ok, "place unknown; runs; ready, battery 40 %"));
+    }
+
+    #[test]
+    fn refused_datagrams_are_warnings_by_their_cause() {
+        let counts = LinkCounts { auth: 7, other_key: 2, untagged: 4, malformed: 1, ..LinkCounts::default() };
+        let said: Vec<String> = refusals(&counts).into_iter().map(|(_, _, said, _)| said).collect();
+        assert_eq!(said.len(), 4, "{said:?}");
+        assert!(said[0].starts_with("2 datagrams of this team with another key"), "{said:?}");
+        assert!(
+            said[2].starts_with("1 datagrams with another key or none"),
+            "the rest of those without a tag: {said:?}"
+        );
     }
 }

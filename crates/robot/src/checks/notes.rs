@@ -1,4 +1,4 @@
-//! Warnings of drivers and sources, collected for the findings of `doctor`.
+//! Warnings of drivers and sources, collected for the findings about devices.
 //!
 //! A worker logs what keeps it from its robot or its tracker, and what to do; a Localizer and a Body log what they
 //! refuse. `doctor` shows this in its finding about the robot or the source, and not in the log. The most frequent

@@ -12,7 +12,8 @@ use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::{Hardware, Health, Reading, Reason};
 use murmurate::time::{Span, Time};
 
-use super::{Found, Status, Subject, notes};
+use super::finding::{Found, Status, Subject};
+use super::notes;
 
 /// All that a host's source and drivers have reported during `doctor`: readings, odometry, hardware conditions, and
 /// results of the wiggle (a short drive of each robot).

@@ -1,0 +1,105 @@
+//! Checks that need neither other hosts nor devices: key, policy, and the links on this machine.
+
+use std::path::Path;
+
+use murmurate::deploy::team::Team;
+use murmurate::messages::ids::HostId;
+use murmurate::net::transport::{Finding, Fitness, Place};
+use murmurate::registry::Registry;
+
+use super::finding::{Found, Status, Subject};
+use crate::{key, own_name, team};
+
+/// Checks key, policy and links of the host `team.host`.
+pub fn check(team: &Team, registry: &Registry) -> Vec<Found> {
+    let mut found = vec![check_key(team), check_policy(team, registry)];
+    for (link, place) in team.deployment.links.iter().zip(&team.links) {
+        if let Some(place) = place {
+            found.extend(check_link(team.host, &link.name, place));
+        }
+    }
+    found
+}
+
+fn check_key(team: &Team) -> Found {
+    let found =
+        |status, found: String, advice: &str| (status, Subject::General("key".to_owned()), found, advice.to_owned());
+    match &team.key_file {
+        None => found(
+            Status::Warn,
+            "none: every program on this machine can command these robots".to_owned(),
+            &format!("make one with '{} key new' and name it as key_file", own_name()),
+        ),
+        Some(path) => match key::read(path) {
+            Ok(key) => found(
+                Status::Ok,
+                format!("fingerprint {}, which every host of the team must have", key::fingerprint(&key)),
+                "",
+            ),
+            // The error also says what to do.
+            Err(error) => found(Status::Fail, error.to_string(), ""),
+        },
+    }
+}
+
+fn check_policy(team: &Team, registry: &Registry) -> Found {
+    let found = |status, found: String| (status, Subject::General("policy".to_owned()), found, String::new());
+    match team::policy(team, registry) {
+        Ok(policy) if policy.warnings.is_empty() => found(Status::Ok, policy.name),
+        Ok(policy) => found(Status::Warn, policy.warnings.join("; ")),
+        Err(error) => found(Status::Fail, error.to_string()),
+    }
+}
+
+fn check_link(host: HostId, link: &str, place: &Place) -> Vec<Found> {
+    let found = |Finding { fitness, what, found, advice }: Finding| {
+        let status = match fitness {
+            Fitness::Ok => Status::Ok,
+            Fitness::Warn => Status::Warn,
+            Fitness::Fail => Status::Fail,
+        };
+        (status, Subject::Link { link: link.to_owned(), item: what.to_owned() }, found, advice)
+    };
+    place.endpoint.check(host, link, &mtu).into_iter().map(found).collect()
+}
+
+/// Returns the largest packet of an interface \[bytes\]; `None` if it is unknown.
+fn mtu(interface: &str) -> Option<usize> {
+    let text = std::fs::read_to_string(Path::new("/sys/class/net").join(interface).join("mtu")).ok()?;
+    text.trim().parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use murmurate::deploy::team::TeamFile;
+
+    /// Returns the settings of host 0 of a team on this machine.
+    fn team() -> Team {
+        let link =
+            |name: &str, port: u16| format!("[link.{name}]\ninterface = \"lo\"\ngroup = \"239.255.77.1:{port}\"\n");
+        let text = format!("team = 1\nmode = \"centralized\"\n{}{}", link("infra", 7700), link("wires", 7701));
+        let file = TeamFile::read(&crate::registry(), &text, Path::new(""), &[], &[]).unwrap();
+        file.for_host(HostId(0)).unwrap()
+    }
+
+    #[test]
+    fn a_missing_key_is_a_warning_and_one_that_cannot_be_read_a_failure() {
+        let mut team = team();
+        let (status, what, found, advice) = check_key(&team);
+        assert_eq!((status, what.to_string()), (Status::Warn, "key".to_owned()));
+        assert!(found.starts_with("none: ") && advice.contains("key new"), "{found}; {advice}");
+        team.key_file = Some("/nowhere/team.key".into());
+        let (status, _, found, _) = check_key(&team);
+        assert!(status == Status::Fail && found.contains("/nowhere/team.key"), "{found}");
+    }
+
+    #[test]
+    fn a_policy_that_is_not_there_is_a_failure() {
+        let mut team = team();
+        assert_eq!(check_policy(&team, &crate::registry()).0, Status::Ok);
+        team.policy = Some("/nowhere/policy.toml".into());
+        let (status, _, found, _) = check_policy(&team, &crate::registry());
+        assert!(status == Status::Fail && found.contains("/nowhere/policy.toml"), "{found}");
+    }
+}
