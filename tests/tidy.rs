@@ -426,6 +426,29 @@ fn no_code_sleeps_or_is_left_undone() {
     }
 }
 
+/// Shortest limit of a wait that only what hangs can reach \[s\].
+const HANGS_S: u64 = 20;
+
+#[test]
+fn no_test_judges_the_wall_clock() {
+    let mut seen = 0;
+    for source in library().into_iter().chain(["tests", "benches"].into_iter().flat_map(sources)) {
+        for line in source.text.lines().filter(|line| line.contains("assert")) {
+            // The limit of a time that has passed. Constants with names say what they are.
+            let Some((_, limit)) = line.split_once("elapsed()").and_then(|(_, rest)| rest.split_once(" < ")) else {
+                continue;
+            };
+            seen += 1;
+            let limit = limit.trim_start_matches("Duration::from_secs(");
+            let digits = limit.len() - limit.trim_start_matches(|c: char| c.is_ascii_digit()).len();
+            let seconds = limit[..digits].parse().unwrap_or(HANGS_S);
+            let hangs = !limit.starts_with("Duration::") && (seconds >= HANGS_S || limit[digits..].starts_with(" * "));
+            assert!(hangs, "{}: {}: see tests/program/lateness.rs", source.path, line.trim());
+        }
+    }
+    assert!(seen > 3, "the test has seen {seen} limits");
+}
+
 #[test]
 fn files_have_a_description_and_a_readable_size() {
     for source in library().into_iter().chain(["tests", "benches", "examples"].into_iter().flat_map(sources)) {

@@ -1,6 +1,7 @@
 //! The network study between five network namespaces on one bridge. With each sender shaped by `tc tbf` and each
 //! receiver losing by nftables it is compared with the emulation of the same; without, it is interrupted, continued,
 //! and a radio is fitted to it. Needs root, `ip`, `tc` and `nft`; skips with a notice where it cannot run.
+use crate::program::lateness::Lateness;
 use crate::program::skip::skip;
 use crate::{alone, beside};
 use std::fs;
@@ -218,7 +219,9 @@ fn a_measurement_continues_after_an_interruption_and_a_radio_is_fitted_to_it() {
     assert!(fs::metadata(&fitted).is_err(), "nothing is fitted to a part");
 
     let _hosts = team.participants(&lab);
+    let machine = Lateness::watch();
     let output = team.coordinator(&lab, &args).output().unwrap();
+    let machine_s = machine.end().as_secs_f64();
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{said}");
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -230,7 +233,7 @@ fn a_measurement_continues_after_an_interruption_and_a_radio_is_fitted_to_it() {
     // A bridge is not a radio, but the result of the fit is a valid one.
     let fit = &report["fit"];
     assert!(fit["rows"] == 3 && fit["rate"].is_string() && fit["residual_shares"].is_number(), "{fit}");
-    assert!(report["uncertainty_s"].as_f64().is_some_and(|off| off > 0.0 && off < 0.01), "{report}");
+    assert!(report["uncertainty_s"].as_f64().is_some_and(|off| off > 0.0 && off < 0.01 + machine_s), "{report}");
     let radio = fs::read_to_string(&fitted).unwrap();
     assert!(radio.starts_with('#') && radio.contains("noise_loss"), "{radio}");
     let sim = ["sim", "--mode", "onboard-adhoc", "--radio", &fitted, "--episodes", "1", "--repeats", "1", "--json"];
