@@ -35,7 +35,7 @@ impl Roster {
     }
 
     /// Returns the last heartbeat of each robot, in the order of their ids; `None` for a missing robot.
-    fn heard(&self, now: Time) -> impl Iterator<Item = Option<&Heartbeat>> + Clone {
+    fn by_robot(&self, now: Time) -> impl Iterator<Item = Option<&Heartbeat>> + Clone {
         self.0.iter().map(move |last| {
             let (at, beat) = last.as_ref()?;
             (now.since(*at) < MISSING_AFTER).then_some(beat)
@@ -44,22 +44,22 @@ impl Roster {
 
     /// Returns each robot with its last heartbeat; `None` for a missing robot.
     pub(super) fn all(&self, now: Time) -> impl Iterator<Item = (RobotId, Option<&Heartbeat>)> {
-        RobotId::team(self.0.len()).zip(self.heard(now))
+        RobotId::team(self.0.len()).zip(self.by_robot(now))
     }
 
     /// Returns the last heartbeats of the robots that are not missing.
     pub(super) fn present(&self, now: Time) -> impl Iterator<Item = &Heartbeat> + Clone {
-        self.heard(now).flatten()
+        self.by_robot(now).flatten()
     }
 
     /// Returns whether no robot is missing.
     pub(super) fn is_complete(&self, now: Time) -> bool {
-        self.heard(now).all(|beat| beat.is_some())
+        self.by_robot(now).all(|beat| beat.is_some())
     }
 
     /// Returns whether no robot is missing and all are in `phase` of `round`.
     pub(super) fn all_are(&self, now: Time, round: Round, phase: Phase) -> bool {
-        self.heard(now).all(|beat| beat.is_some_and(|beat| beat.round == round && beat.phase == phase))
+        self.by_robot(now).all(|beat| beat.is_some_and(|beat| beat.round == round && beat.phase == phase))
     }
 
     /// Returns the latest of `round` and those of the present robots, ignoring rounds too far ahead.

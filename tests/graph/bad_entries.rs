@@ -194,15 +194,16 @@ fn of_ros2(ms: u64, mistake: impl Fn(u16) -> Option<u32>) -> Vec<Vec<u8>> {
             let [x, y] = place(robot, ms);
             let stamp_ns = (ms + 1000) * 1_000_000;
             let pose = PoseSample { stamp_ns, x, y, yaw: Some(0.5), ..PoseSample::default() };
-            let heard =
-                |topic, pose| packet::encode(&FromNode::Heard(ReceivedMessage { topic, sample: Sample::Pose(pose) }));
+            let heard = |topic, pose| {
+                packet::encode(&FromNode::Received(ReceivedMessage { topic, sample: Sample::Pose(pose) }))
+            };
             match mistake(robot) {
                 None => heard(robot, pose),
                 Some(0 | 1) => heard(robot, PoseSample { x: 1e9, ..pose }),
                 Some(2) => heard(200, pose),
                 Some(3) => heard(robot, PoseSample { position_m: Some(-1.0), ..pose }),
                 Some(4) => {
-                    packet::encode(&FromNode::Heard(ReceivedMessage { topic: robot, sample: Sample::Battery(None) }))
+                    packet::encode(&FromNode::Received(ReceivedMessage { topic: robot, sample: Sample::Battery(None) }))
                 }
                 Some(5) => vec![b'x'; 20_000],
                 Some(6) => b"{}".to_vec(),

@@ -320,7 +320,7 @@ impl World {
             heading_rad: Some(self.sigma_rad),
             twist: (self.kind == Kind::RosOdometry).then_some(twist),
         };
-        let heard = FromNode::Heard(ReceivedMessage { topic: at as u16, sample: Sample::Pose(sample) });
+        let heard = FromNode::Received(ReceivedMessage { topic: at as u16, sample: Sample::Pose(sample) });
         localizer::In::Packet(packet::encode(&heard).into())
     }
 

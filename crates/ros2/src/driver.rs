@@ -334,7 +334,7 @@ impl Driver for Ros2 {
             self.waits = Some(now);
         }
         match packet::decode_from_node(packet) {
-            Ok(FromNode::Heard(heard)) => match heard.sample {
+            Ok(FromNode::Received(heard)) => match heard.sample {
                 Sample::Pose(pose) => self.odometry(now, pose, out),
                 Sample::Battery(charge) => self.battery = charge.map(|charge| (charge * 100.0).round() as u8),
             },
@@ -407,7 +407,7 @@ mod tests {
         fn odometry(&mut self, ms: u64, x: f64) {
             let twist = Some(TwistSample { x, ..TwistSample::default() });
             let pose = PoseSample { stamp_ns: ms + 1, yaw: Some(0.0), twist, ..PoseSample::default() };
-            let heard = FromNode::Heard(ReceivedMessage { topic: 0, sample: Sample::Pose(pose) });
+            let heard = FromNode::Received(ReceivedMessage { topic: 0, sample: Sample::Pose(pose) });
             self.driver.receive(at_ms(ms), &packet::encode(&heard), &mut self.out);
         }
 
@@ -518,7 +518,7 @@ mod tests {
         let mut bench = Bench::new("");
         let zero = |ms: u64| {
             let pose = PoseSample { stamp_ns: ms + 1, twist: Some(TwistSample::default()), ..PoseSample::default() };
-            packet::encode(&FromNode::Heard(ReceivedMessage { topic: 0, sample: Sample::Pose(pose) }))
+            packet::encode(&FromNode::Received(ReceivedMessage { topic: 0, sample: Sample::Pose(pose) }))
         };
         bench.driver.receive(at_ms(20), &zero(20), &mut bench.out);
         let why = "/r1/odom: its orientation is all zero; correct its sender".to_owned();
@@ -588,7 +588,7 @@ mod tests {
         let again = bench.driver.heard;
         let pose =
             PoseSample { stamp_ns: 1, yaw: Some(0.0), twist: Some(TwistSample::default()), ..Default::default() };
-        let heard = FromNode::Heard(ReceivedMessage { topic: 0, sample: Sample::Pose(pose) });
+        let heard = FromNode::Received(ReceivedMessage { topic: 0, sample: Sample::Pose(pose) });
         bench.driver.receive(at_ms(200), &packet::encode(&heard), &mut bench.out);
         assert_eq!((readings(&bench), bench.driver.heard), (1, again));
     }
@@ -602,7 +602,7 @@ mod tests {
         assert_eq!(bench.condition(), Some((Health::Faulty, None)));
         bench.topic(20, "/r1/cmd_vel", 1, Some("QoS policy Durability"));
         assert_eq!(bench.condition(), Some((Health::Ready, None)), "an observer is refused, the robot is not");
-        let heard = FromNode::Heard(ReceivedMessage { topic: 1, sample: Sample::Battery(Some(0.875)) });
+        let heard = FromNode::Received(ReceivedMessage { topic: 1, sample: Sample::Battery(Some(0.875)) });
         bench.driver.receive(at_ms(30), &packet::encode(&heard), &mut bench.out);
         assert_eq!(bench.condition(), Some((Health::Ready, Some(88))));
         bench.driver.receive(at_ms(40), b"{}", &mut bench.out);

@@ -316,7 +316,7 @@ impl Node {
             if *role == Role::Active || now >= report_at[topic] {
                 report_at[topic] = now + SPARE_REPORT;
                 let topic = u16::try_from(topic).expect("a plan has at most 256 topics");
-                writer.send(&FromNode::Heard(ReceivedMessage { topic, sample }));
+                writer.send(&FromNode::Received(ReceivedMessage { topic, sample }));
             }
         });
     }

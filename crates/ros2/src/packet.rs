@@ -62,8 +62,9 @@ pub enum ToNode {
 pub enum FromNode {
     /// Heartbeat of the DDS process, every 50 ms, with its memory use and whether its command topics have subscribers.
     Beat(Vitals),
-    /// ROS message that the DDS process has received on a subscribed topic.
-    Heard(ReceivedMessage),
+    /// ROS message that the DDS process has received on a subscribed topic. Records have it by this word.
+    #[serde(rename = "heard")]
+    Received(ReceivedMessage),
     /// State of a topic (number of remote endpoints, newest problem), sent after each change of the state.
     Topic(TopicState),
 }
@@ -238,7 +239,7 @@ pub fn decode_from_node(line: &[u8]) -> Result<FromNode, PacketError> {
     let packet: FromNode = decode(line)?;
     let sound = match &packet {
         FromNode::Beat(_) => true,
-        FromNode::Heard(heard) => usize::from(heard.topic) < MAX_TOPICS && heard.sample.is_sound(),
+        FromNode::Received(heard) => usize::from(heard.topic) < MAX_TOPICS && heard.sample.is_sound(),
         FromNode::Topic(state) => state.topic.len() <= 200 && state.problem.as_ref().is_none_or(|p| p.len() <= 400),
     };
     if sound { Ok(packet) } else { Err(PacketError::Range) }
@@ -279,8 +280,8 @@ mod tests {
         let problem = Some("a \"policy\"\n".to_owned());
         let from = vec![
             FromNode::Beat(Vitals { resident_mib: 12, matched: true }),
-            FromNode::Heard(ReceivedMessage { topic: 0, sample }),
-            FromNode::Heard(ReceivedMessage { topic: 1, sample: Sample::Battery(None) }),
+            FromNode::Received(ReceivedMessage { topic: 0, sample }),
+            FromNode::Received(ReceivedMessage { topic: 1, sample: Sample::Battery(None) }),
             FromNode::Topic(TopicState { topic: "/r1/odom".to_owned(), written: false, peers: 2, problem }),
         ];
         let plan = Plan {
@@ -338,7 +339,7 @@ mod tests {
                 line[at] =
                     if draw(2) == 0 { b"0123456789eE.-+\"{}[],:"[draw(22)] } else { u8::try_from(draw(256)).unwrap() };
             }
-            if let Ok(FromNode::Heard(heard)) = decode_from_node(&line) {
+            if let Ok(FromNode::Received(heard)) = decode_from_node(&line) {
                 assert!(heard.sample.is_sound());
                 taken += 1;
             }
@@ -348,7 +349,7 @@ mod tests {
 
     #[test]
     fn numbers_out_of_range_are_refused() {
-        let pose = FromNode::Heard(ReceivedMessage { topic: 0, sample: Sample::Pose(PoseSample::default()) });
+        let pose = FromNode::Received(ReceivedMessage { topic: 0, sample: Sample::Pose(PoseSample::default()) });
         let far = String::from_utf8(encode(&pose)).unwrap().replace(r#""x":0.0"#, r#""x":1e999"#);
         assert!(decode_from_node(far.as_bytes()).is_err());
         assert_eq!(decode_from_node(br#"{"heard":{"topic":0,"sample":{"battery":1.5}}}"#), Err(PacketError::Range));

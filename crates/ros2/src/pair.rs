@@ -218,7 +218,7 @@ impl Pair {
                 process.vitals = vitals;
                 false
             }
-            Ok(FromNode::Heard(heard)) => {
+            Ok(FromNode::Received(heard)) => {
                 if let Some(topic) = process.topics.get_mut(usize::from(heard.topic)) {
                     *topic = Some(now);
                 }
@@ -443,7 +443,7 @@ mod tests {
                     self.event(Input::Line(id, &packet::encode(&beat)));
                     if hears {
                         let heard =
-                            FromNode::Heard(ReceivedMessage { topic: 0, sample: Sample::Pose(Default::default()) });
+                            FromNode::Received(ReceivedMessage { topic: 0, sample: Sample::Pose(Default::default()) });
                         self.event(Input::Line(id, &packet::encode(&heard)));
                     }
                 }
@@ -549,7 +549,7 @@ mod tests {
         bench.run(1000);
         let spare = 1 - bench.pair.active().unwrap();
         let before = bench.passed;
-        let heard = FromNode::Heard(ReceivedMessage { topic: 0, sample: Sample::Pose(Default::default()) });
+        let heard = FromNode::Received(ReceivedMessage { topic: 0, sample: Sample::Pose(Default::default()) });
         bench.event(Input::Line(spare, &packet::encode(&heard)));
         bench.event(Input::Line(99, &packet::encode(&heard)));
         bench.event(Input::Line(1 - spare, b"not a packet"));

@@ -260,7 +260,7 @@ impl Source for Poses {
     fn take(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         let In::Packet(packet) = input else { return };
         match packet::decode_from_node(packet) {
-            Ok(FromNode::Heard(heard)) => match heard.sample {
+            Ok(FromNode::Received(heard)) => match heard.sample {
                 Sample::Pose(pose) => self.pose(now, usize::from(heard.topic), pose, out),
                 Sample::Battery(_) => out.push(Out::Refused("a source takes poses, not batteries")),
             },
@@ -297,7 +297,7 @@ mod tests {
     }
 
     fn take(source: &mut Poses, ms: u64, topic: u16, pose: PoseSample) -> Vec<Out> {
-        let line = packet::encode(&FromNode::Heard(ReceivedMessage { topic, sample: Sample::Pose(pose) }));
+        let line = packet::encode(&FromNode::Received(ReceivedMessage { topic, sample: Sample::Pose(pose) }));
         let mut out = Vec::new();
         source.take(Time::ZERO + Span::from_millis(ms), In::Packet(&line), &mut out);
         out

@@ -10,11 +10,11 @@
 
 pub mod access;
 pub mod command;
-mod heard;
 pub mod metrics;
 pub mod orders;
 mod places;
 pub mod player;
+mod receptions;
 pub mod request;
 mod robot_view;
 pub mod server;

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::heard::Receptions;
+use super::receptions::Receptions;
 use super::robot_view::{RobotView, SILENT};
 use super::snapshot::{LinkState, MAX_LINKS, RobotState, Snapshot};
 use super::status::{Goals, Log, PageStatus, Scene, Success};

@@ -110,7 +110,7 @@ pub fn run(
     let orders = Rc::clone(&desk.orders);
     let hear = move |now: Time, host: HostId, event: Event| {
         metrics.borrow_mut().take(host, event);
-        heard(&mut view.borrow_mut(), &mut orders.borrow_mut(), now, host, event);
+        update(&mut view.borrow_mut(), &mut orders.borrow_mut(), now, host, event);
     };
     let turn = |graph: &Graph, now: Time, episodes: &[Episode]| {
         last = now;
@@ -145,7 +145,7 @@ fn scene(trial: &Trial, policy: &str) -> Scene {
 }
 
 /// Updates the page's view of the team, and the state of running orders, from an event of the trial.
-fn heard(view: &mut TeamView, orders: &mut Orders, now: Time, host: HostId, event: Event) {
+fn update(view: &mut TeamView, orders: &mut Orders, now: Time, host: HostId, event: Event) {
     match event {
         Event::Published(frame) => {
             let Some(message) = wanted(frame) else { return };
