@@ -12,7 +12,7 @@ use murmurate::live::LiveHost;
 use murmurate::messages::ids::HostId;
 use murmurate::policy::Model;
 use murmurate::registry::Registry;
-use murmurate::report::trial::TrialReport;
+use murmurate::report::TrialReport;
 use murmurate::trial::Trial;
 
 /// Team file, the same for all hosts. docs/teams.md has every field; a team of more than one machine has a key.

@@ -5,7 +5,7 @@
 
 use murmurate::deploy::Impair;
 use murmurate::policy::Model;
-use murmurate::report::trial::TrialReport;
+use murmurate::report::TrialReport;
 use murmurate::trial::Trial;
 
 fn print_report(what: &str, report: &TrialReport) {

@@ -8,7 +8,7 @@ use crate::graph;
 use crate::graph::event::Event;
 use crate::graph::process::Graph;
 use crate::messages::ids::HostId;
-use crate::report::trial::TrialReport;
+use crate::report::TrialReport;
 use crate::results::episode::Episode;
 use crate::runtime::drive::{End, run_virtual};
 use crate::scenario::judge::Verdict;

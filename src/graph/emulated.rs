@@ -76,7 +76,7 @@ mod tests {
     use crate::messages::wire::KINDS;
     use crate::net::protocol::key::Key;
     use crate::net::protocol::reliability::{Heartbeats, Reliabilities, Setup};
-    use crate::report::trial::TrialReport;
+    use crate::report::TrialReport;
     use crate::results::episode::Episode;
     use crate::runtime::drive::run_virtual;
     use crate::scenario::judge::Verdict;

@@ -20,7 +20,7 @@ use crate::messages::ids::HostId;
 use crate::messages::wire::{Phase, Wire};
 use crate::net::protocol::key::Key;
 use crate::registry::Registry;
-use crate::report::trial::TrialReport;
+use crate::report::TrialReport;
 use crate::runtime::real::{Readers, run_real};
 use crate::time::{Span, Time};
 use crate::trial::Trial;

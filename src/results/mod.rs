@@ -3,5 +3,6 @@
 
 pub mod ages;
 pub mod episode;
+pub mod hardware;
 pub mod listening;
 pub mod totals;

@@ -85,5 +85,5 @@ pub struct Published {
     pub messages: u64,
     /// Total size of the messages \[bytes\]: that of their datagrams without authentication tags, as if each message
     /// had a datagram of its own.
-    pub(crate) bytes: u64,
+    pub bytes: u64,
 }

@@ -6,7 +6,7 @@ use std::rc::Rc;
 use murmurate::deploy::Impair;
 use murmurate::hearing::CommRange;
 use murmurate::policy;
-use murmurate::report::trial::TrialReport;
+use murmurate::report::TrialReport;
 use murmurate::simulate::Proceed;
 use murmurate::time::Time;
 use murmurate::trial::Trial;

@@ -6,7 +6,7 @@ use murmurate::deploy::Host;
 use murmurate::messages::geometry::wrapped;
 use murmurate::policy::Model;
 use murmurate::registry::Registry;
-use murmurate::report::trial::TrialReport;
+use murmurate::report::TrialReport;
 use murmurate::results::episode::{Episode, Judged};
 use murmurate::safety::Safety;
 use murmurate::trial::Trial;

@@ -7,7 +7,7 @@ use murmurate::graph::COMMAND_VALIDITY;
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::{MAX_VALIDITY, Phase};
-use murmurate::report::trial::TrialReport;
+use murmurate::report::TrialReport;
 use murmurate::safety::Safety;
 use murmurate::scenario::judge::Verdict;
 use murmurate::time::{Span, Time};

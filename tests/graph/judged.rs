@@ -6,7 +6,7 @@ use murmurate::faults::{ActorFault, ActorFaultKind, FaultPlan, LinkFault, LinkFa
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::{Kind, Phase};
-use murmurate::report::trial::TrialReport;
+use murmurate::report::TrialReport;
 use murmurate::results::episode::{Episode, Judged};
 use murmurate::results::totals::Step;
 use murmurate::scenario::judge::{Judge, JudgedRobot, Judgement, Verdict};

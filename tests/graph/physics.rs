@@ -2,7 +2,7 @@
 
 use murmurate::deploy::{Impair, MODES};
 use murmurate::hearing::Handling;
-use murmurate::report::trial::TrialReport;
+use murmurate::report::TrialReport;
 use murmurate::safety::Clamp;
 use murmurate::scenario::judge::Verdict;
 use murmurate::trial::Trial;

@@ -10,13 +10,13 @@ use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::local::Contacts;
 use murmurate::policy::gnn::{Gnn, GnnWeights};
 use murmurate::policy::{Draw, Model, Neighbour, Policy, weights};
-use murmurate::report::outcomes::Outcomes;
 use murmurate::results::episode::Episode;
 use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{self, Observation, Progress, Scenario, Settings};
 use murmurate::time::Span;
 use murmurate::trial::Trial;
 use murmurate::world::{Physics, kinematic};
+use murmurate_report::outcomes::Outcomes;
 use safetensors::SafeTensors;
 
 fn passage() -> Arc<dyn Scenario> {

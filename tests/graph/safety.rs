@@ -13,7 +13,7 @@ use murmurate::policy::gnn::GnnWeights;
 use murmurate::policy::manifest::Manifest;
 use murmurate::policy::shipped::built_in;
 use murmurate::policy::{Draw, Model, weights};
-use murmurate::report::trial::TrialReport;
+use murmurate::report::TrialReport;
 use murmurate::results::totals::Step;
 use murmurate::safety::guard::SafetyCounts;
 use murmurate::safety::{Safety, Switch};

@@ -14,8 +14,8 @@ use crate::junk;
 use crate::program::lateness::Lateness;
 use crate::program::skip::skip;
 use crate::program::{murmurate, text};
-use murmurate::report::event::HostEvent;
 use murmurate::scenario::judge::Verdict;
+use murmurate_report::event::HostEvent;
 
 const HOSTS: [&str; 4] = ["agent-0", "agent-1", "agent-2", "world"];
 const ROBOTS: [u16; 3] = [0, 1, 2];

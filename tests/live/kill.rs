@@ -12,7 +12,7 @@ use crate::beside;
 use crate::crew::{Crew, Said, folder, report};
 use crate::program::lateness::Lateness;
 use crate::program::murmurate;
-use murmurate::report::event::HostEvent;
+use murmurate_report::event::HostEvent;
 use nix::fcntl::{FcntlArg, FdFlag, fcntl};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::signal::Signal;

@@ -14,7 +14,7 @@ use crate::crew::{folder, report};
 use crate::program::lateness::Lateness;
 use crate::program::skip::skip;
 use crate::program::{murmurate, run, text};
-use murmurate::report::event::{Counted, HostEvent};
+use murmurate_report::event::{Counted, HostEvent};
 use nix::fcntl::{FcntlArg, OFlag, fcntl};
 use nix::sys::signal::{Signal, kill};
 use nix::sys::stat::Mode;

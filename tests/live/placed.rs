@@ -7,8 +7,8 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use murmurate::random::{RngExt, Seed};
-use murmurate::report::event::HostEvent;
 use murmurate::scenario::judge::Verdict;
+use murmurate_report::event::HostEvent;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 

@@ -1,10 +1,10 @@
 //! Cost of a growing team, as counts, which are the same on every machine. `benches/growth.rs` has the times.
 
 use murmurate::messages::wire::{KINDS, Kind};
-use murmurate::report::cost::Cost;
-use murmurate::report::trial::TrialReport;
+use murmurate::report::TrialReport;
 use murmurate::time::Span;
 use murmurate::trial::Trial;
+use murmurate_report::cost::Cost;
 use murmurate_study::network::growth;
 
 fn team(mode: &str, robots: usize) -> Trial {

@@ -102,7 +102,7 @@ impl Commands for Command {
 const DIGESTS: &[&str] = &[
     murmurate::DIGEST,
     murmurate_devices::DIGEST,
-    murmurate_figures::DIGEST,
+    murmurate_report::DIGEST,
     #[cfg(feature = "lab")]
     murmurate_lab::DIGEST,
     murmurate_launch::DIGEST,

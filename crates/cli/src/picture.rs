@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 
-use murmurate::report::trial::TrialReport;
+use murmurate::report::TrialReport;
 use murmurate::results::episode::Episode;
 use murmurate::results::totals::Steps;
 use murmurate::time::Span;
 use murmurate::trial::Trial;
-use murmurate_figures::picture::{Backdrop, Scene, film, moving, still};
+use murmurate_report::figures::picture::{Backdrop, Scene, film, moving, still};
 use murmurate_robot::bad;
 use murmurate_robot::output::talk;
 use murmurate_robot::whole_file::WholeFile;

@@ -8,7 +8,7 @@ use anyhow::Result;
 use murmurate::graph::event;
 use murmurate::graph::process::Graph;
 use murmurate::messages::ids::HostId;
-use murmurate::report::trial::TrialReport;
+use murmurate::report::TrialReport;
 use murmurate::results::episode::Episode;
 use murmurate::simulate::Proceed;
 use murmurate::time::Time;

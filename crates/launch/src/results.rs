@@ -5,11 +5,11 @@ use std::time::Instant;
 
 use crate::outcome::Outcome;
 use crate::supervisor::{Output, Response};
-use murmurate::report::event::{Counted, HostEvent, Unwritten};
-use murmurate::report::trial::TrialReport;
+use murmurate::report::TrialReport;
 use murmurate::results::episode::{AbortReason, Episode};
 use murmurate::scenario::judge::Verdict;
 use murmurate::time::Span;
+use murmurate_report::event::{self, Counted, HostEvent, Unwritten};
 
 /// What an output of a process says to whoever follows the run.
 #[derive(Clone, Debug, PartialEq)]
@@ -185,7 +185,7 @@ impl Results {
             finished: self.are_all(),
             ..TrialReport::default()
         };
-        report.counted(self.incarnations())
+        event::counted(report, self.incarnations())
     }
 }
 

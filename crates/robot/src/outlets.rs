@@ -12,8 +12,8 @@ use std::rc::Rc;
 
 use anyhow::{Context, Result, anyhow};
 use murmurate::config::shown::{Layout, printable};
-use murmurate::report::event::{HostEvent, Unwritten};
 use murmurate::results::totals::Step;
+use murmurate_report::event::{HostEvent, Unwritten};
 use sd_notify::NotifyState;
 
 use crate::BadInput;

@@ -4,7 +4,7 @@ use std::io::Write;
 
 use anyhow::{Context, Result};
 use murmurate::messages::geometry::Vec2;
-use murmurate::report::trial::TrialReport;
+use murmurate::report::TrialReport;
 use murmurate::results::totals::Step;
 
 use crate::whole_file::WholeFile;

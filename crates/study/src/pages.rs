@@ -6,9 +6,9 @@ use super::handling::PRESETS;
 use super::results::{Cell, Results};
 use super::{Study, published, table};
 use murmurate::config::shown::counted;
-use murmurate_figures::page::{self, Part};
-use murmurate_figures::{
-    self, DelayColumn, Figure, FigureError, Group, Line, Makespans, Panel, Point, Positions, Share,
+use murmurate_report::figures::page::{self, Part};
+use murmurate_report::figures::{
+    DelayColumn, Figure, FigureError, Group, Line, Makespans, Panel, Point, Positions, Share,
 };
 
 /// Returns all figures of a study: first those of all policies, then those of each policy.
@@ -52,7 +52,8 @@ fn costs(study: &Study, results: &Results) -> Result<Figure, FigureError> {
     let title = "Cost by column";
     let caption =
         "Marks: the mean cost over all layouts and repeats; bars: its 95 % interval by Student's t.".to_owned();
-    let (name, svg) = (format!("cost-{}", study.name), murmurate_figures::sweep(title, "column", &places, &[panel])?);
+    let (name, svg) =
+        (format!("cost-{}", study.name), murmurate_report::figures::sweep(title, "column", &places, &[panel])?);
     Ok(Figure { name, title: "Cost".to_owned(), caption, svg })
 }
 
@@ -99,7 +100,7 @@ fn modes(study: &Study, results: &Results) -> Result<String, FigureError> {
         shares: cells.into_iter().map(|cell| cell.map(share)).collect(),
         paper: published::of(&column.name).success.filter(|_| compared),
     });
-    murmurate_figures::success("Success by mode", &names(study), &groups.collect::<Vec<_>>())
+    murmurate_report::figures::success("Success by mode", &names(study), &groups.collect::<Vec<_>>())
 }
 
 fn success_of(cell: &Cell) -> Point {
@@ -141,7 +142,7 @@ fn delay_sweep(study: &Study, results: &Results) -> Result<String, FigureError> 
     });
     let places: Vec<String> = delays.iter().map(|delay| format!("{delay:.0}")).collect();
     let title = "Success over delay and loss of messages between robots";
-    murmurate_figures::sweep(title, "delay [ms]", &places, &panels.collect::<Vec<_>>())
+    murmurate_report::figures::sweep(title, "delay [ms]", &places, &panels.collect::<Vec<_>>())
 }
 
 /// Draws success and makespan against the communication range, one line per policy.
@@ -164,7 +165,7 @@ fn range_sweep(study: &Study, results: &Results) -> Result<String, FigureError> 
     let place = |column: &super::columns::Column| column.name.trim_end_matches('m').replace("everyone", "all");
     let places: Vec<String> = study.columns.iter().map(place).collect();
     let title = "Success and makespan over the communication radius";
-    murmurate_figures::sweep(title, "communication radius [m]", &places, &panels)
+    murmurate_report::figures::sweep(title, "communication radius [m]", &places, &panels)
 }
 
 fn makespans(number: usize, name: &str, cells: &[&Cell]) -> Result<Figure, FigureError> {
@@ -180,13 +181,13 @@ fn makespans(number: usize, name: &str, cells: &[&Cell]) -> Result<Figure, Figur
         caption: "Makespans of the successes, smoothed with a Gaussian kernel; the area under a curve is the share \
                   of successes. Dashed in a row's colour: its median; dashed in black: the median of 'sim'."
             .to_owned(),
-        svg: murmurate_figures::makespans(&format!("Makespan: {name}"), &rows, BASELINE)?,
+        svg: murmurate_report::figures::makespans(&format!("Makespan: {name}"), &rows, BASELINE)?,
     })
 }
 
 fn positions(study: &Study, number: usize, name: &str, cells: &[&Cell]) -> Result<Figure, FigureError> {
     let column = |cell: &&'_ Cell| (cell.row.name.clone(), cell.traces.position.clone());
-    let columns: Vec<(String, murmurate::report::grid::Grid)> = cells.iter().map(column).collect();
+    let columns: Vec<(String, murmurate_report::grid::Grid)> = cells.iter().map(column).collect();
     let columns: Vec<Positions> = columns.iter().map(|(name, grid)| Positions { name, grid }).collect();
     Ok(Figure {
         name: format!("position-{number}"),
@@ -195,7 +196,7 @@ fn positions(study: &Study, number: usize, name: &str, cells: &[&Cell]) -> Resul
                   share of their time for each square metre, all columns on one scale, which is linear in its square \
                   root. Grey: the wall; between its parts, the passage."
             .to_owned(),
-        svg: murmurate_figures::positions(&format!("Position: {name}"), &columns, study.scenario.arena())?,
+        svg: murmurate_report::figures::positions(&format!("Position: {name}"), &columns, study.scenario.arena())?,
     })
 }
 
@@ -210,7 +211,11 @@ fn separation(study: &Study, number: usize, name: &str, cells: &[&Cell]) -> Resu
                   the passage. Bins of 0.1 m with at least 40 counts; distances of 2 m and more count as 2 m. \
                   Dashed: two robots nearer than this have collided."
             .to_owned(),
-        svg: murmurate_figures::separation(&format!("Distance to the nearest robot: {name}"), &columns, limit_m)?,
+        svg: murmurate_report::figures::separation(
+            &format!("Distance to the nearest robot: {name}"),
+            &columns,
+            limit_m,
+        )?,
     })
 }
 
@@ -225,7 +230,7 @@ fn delays(number: usize, name: &str, cells: &[&Cell]) -> Result<Figure, FigureEr
                   publication to each control step that had the message, within range and not yet dropped. Dashed: \
                   20 and 50 ms. Columns in which no message crosses a link (sim, centralized) have no curve."
             .to_owned(),
-        svg: murmurate_figures::delays(&format!("Delays of messages: {name}"), &columns)?,
+        svg: murmurate_report::figures::delays(&format!("Delays of messages: {name}"), &columns)?,
     })
 }
 

@@ -6,12 +6,12 @@ use super::origin::Origin;
 use super::{Job, Study};
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::wire::Phase;
-use murmurate::report::grid::{Axis, Grid};
-use murmurate::report::trial::TrialReport;
+use murmurate::report::TrialReport;
 use murmurate::results::episode::Episode;
 use murmurate::results::listening::Listening;
 use murmurate::results::totals::Step;
 use murmurate::scenario::Arena;
+use murmurate_report::grid::{Axis, Grid};
 
 /// Bin width of the position histogram \[m\]. Bins are wider if an axis would have more than its largest number of
 /// bins.

@@ -5,10 +5,10 @@ use serde::Serialize;
 use super::columns::{BASELINE, Range};
 use super::record::{Traces, TrialRecord};
 use super::{Job, Study, published};
-use murmurate::report::outcomes::Outcomes;
 use murmurate::results::episode::Episode;
 use murmurate::results::listening::Listening;
 use murmurate::time::Span;
+use murmurate_report::outcomes::Outcomes;
 
 /// Results of one policy in one column, as `--json` prints them. Later versions may add fields and remove none.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -11,11 +11,11 @@ use super::rollout::{CHUNK, Chunk, RolloutSettings};
 use super::trainer::Trainer;
 use murmurate::policy::Draw;
 use murmurate::random::Seed;
-use murmurate::report::statistics::quantile;
 use murmurate::scenario::Scenario;
 use murmurate::scenario::judge::{Judge, JudgedRobot, Judgement, Verdict};
 use murmurate::time::Span;
 use murmurate::world::kinematic::PERIOD;
+use murmurate_report::statistics::quantile;
 
 /// Seed of the layouts of a quick evaluation.
 const QUICK_SEED: u64 = 0x9a11_e7a1;

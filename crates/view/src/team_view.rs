@@ -14,11 +14,11 @@ use murmurate::messages::local::Truth;
 use murmurate::messages::telemetry::GuardReport;
 use murmurate::messages::trigger::Trigger;
 use murmurate::messages::wire::{Located, Mode, Phase, Wire};
-use murmurate::report::statistics::wilson_95;
 use murmurate::results::episode::Episode;
 use murmurate::safety::guard::SafetyCounts;
 use murmurate::scenario::judge::Verdict;
 use murmurate::time::{Span, Time};
+use murmurate_report::statistics::wilson_95;
 
 /// Age from which a heading is no longer drawn, because the robot may have turned since.
 const HEADING_AGE: Span = Span::from_millis(1000);

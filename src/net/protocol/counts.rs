@@ -193,7 +193,7 @@ impl LinkCounts {
     /// have lost a message: (number, cause in words), without zeros. Left out is what costs nothing: own datagrams,
     /// second copies, messages that a newer one has replaced, and datagrams of hosts that have just started or
     /// restarted.
-    pub(crate) fn losses(&self) -> impl Iterator<Item = (u64, &'static str)> {
+    pub fn losses(&self) -> impl Iterator<Item = (u64, &'static str)> {
         let all = [
             (self.auth, "with a wrong tag or none"),
             (self.replay, "of former runs"),

@@ -26,9 +26,9 @@ use murmurate::net::protocol::reliability::{Reliabilities, Setup};
 use murmurate::net::transport::Filter;
 use murmurate::net::transport::udp::multicast;
 use murmurate::random::Seed;
-use murmurate::report::event::HostEvent;
 use murmurate::runtime::real::run_real;
 use murmurate::time::{Span, Time};
+use murmurate_report::event::HostEvent;
 use nix::sched::{CloneFlags, setns};
 use nix::sys::signal::Signal;
 

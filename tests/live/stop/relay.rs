@@ -5,7 +5,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Stdio};
 use std::time::Duration;
 
 use murmurate::net::protocol::codec::VERSION;
-use murmurate::report::event::HostEvent;
+use murmurate_report::event::HostEvent;
 
 use crate::beside;
 use crate::crew::{Said, report};

@@ -16,8 +16,8 @@ use anyhow::{Context, Result, anyhow};
 use murmurate::config::shown::counted;
 use murmurate::deploy::team::{Team, TeamFile};
 use murmurate::registry::Registry;
-use murmurate::report::event::Unwritten;
-use murmurate::report::summary::{CostName, Counts, Run, Summary};
+use murmurate_report::event::Unwritten;
+use murmurate_report::summary::{CostName, Counts, Run, Summary};
 
 use crate::watch::{self, team::News};
 use murmurate_launch::outcome::Outcome;

@@ -31,7 +31,7 @@ pub fn show(args: &Args, name: &str, (prepared, policy): (Prepared, String)) -> 
         let lines: Vec<(u16, Vec<(f64, f64)>)> = robots.iter().map(|robot| of(robot.robot)).collect();
         let title = format!("Actions of {policy} beside those of the record, {name}");
         let mut file = WholeFile::create(path)?;
-        let svg = murmurate_figures::actions(&title, &lines)?;
+        let svg = murmurate_report::figures::actions(&title, &lines)?;
         file.writer().write_all(svg.as_bytes()).context("cannot write the figure")?;
         file.keep()?;
     }

@@ -16,13 +16,13 @@ use murmurate::deploy::Stepping;
 use murmurate::hearing::Handling;
 use murmurate::policy::Draw;
 use murmurate::registry::Registry;
-use murmurate::report::comparison::Comparison;
-use murmurate::report::summary::{CostName, Run, Summary};
-use murmurate::report::trial::TrialReport;
+use murmurate::report::TrialReport;
 use murmurate::safety::{Clamp, Safety};
 use murmurate::scenario::layout::Layouts;
 use murmurate::trial::Trial;
 use murmurate::world::{ContactRule, Placement, Sensor};
+use murmurate_report::comparison::Comparison;
+use murmurate_report::summary::{CostName, Run, Summary};
 use serde::Serialize;
 
 use crate::deployment;

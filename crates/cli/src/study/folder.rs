@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use murmurate::config;
-use murmurate_figures::Figure;
+use murmurate_report::figures::Figure;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -84,7 +84,7 @@ impl Folder {
         for figure in figures {
             self.write(&format!("figures/{}.svg", figure.name), figure.svg.as_bytes())?;
             #[cfg(feature = "png")]
-            self.write(&format!("figures/{}.png", figure.name), &murmurate_figures::png::render(&figure.svg)?)?;
+            self.write(&format!("figures/{}.png", figure.name), &murmurate_report::figures::png::render(&figure.svg)?)?;
         }
         self.write("report.html", page.as_bytes())
     }

@@ -21,7 +21,7 @@ use murmurate::graph::process::Graph;
 use murmurate::messages::ids::{HostId, LinkId, RobotId};
 use murmurate::messages::wire::{Kind, Phase, Wire};
 use murmurate::net::protocol::codec::{self, Content, Frame};
-use murmurate::report::trial::TrialReport;
+use murmurate::report::TrialReport;
 use murmurate::results::episode::Episode;
 use murmurate::simulate::Proceed;
 use murmurate::time::{Span, Time};

@@ -20,11 +20,11 @@ use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::key::Key;
 use murmurate::net::protocol::link::DuplicateId;
 use murmurate::registry::Registry;
-use murmurate::report::event::HostEvent;
-use murmurate::report::summary::{CostName, Counts, Run, Summary};
 use murmurate::results::totals::Steps;
 use murmurate::time::{Span, Time};
 use murmurate::trial::Trial;
+use murmurate_report::event::{self, HostEvent};
+use murmurate_report::summary::{CostName, Counts, Run, Summary};
 use sd_notify::NotifyState;
 use signal_hook::consts::SIGINT;
 
@@ -175,7 +175,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let counted = seen.counted(&graph);
     drop(graph);
     watch.failure(&name)?;
-    let report = seen.report.borrow().clone().counted([&counted].into_iter());
+    let report = event::counted(seen.report.borrow().clone(), [&counted].into_iter());
     let (interrupted, unwritten) = (watch.over.is_none(), counted.unwritten);
     outlets.print_event(&if interrupted { HostEvent::Counted(counted) } else { HostEvent::Finished(counted) });
     if !args.json && !report.episodes.is_empty() {

@@ -14,11 +14,11 @@ use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::wire::{Phase, Wire};
 use murmurate::net::protocol::link::{DuplicateId, LinkCounts};
 use murmurate::net::transport::Renewed;
-use murmurate::report::event::{Counted, HostEvent, RobotSafety, Unwritten};
-use murmurate::report::hardware::RobotHardware;
-use murmurate::report::trial::TrialReport;
+use murmurate::report::TrialReport;
+use murmurate::results::hardware::RobotHardware;
 use murmurate::safety::guard::SafetyCounts;
 use murmurate::time::{Span, Time};
+use murmurate_report::event::{Counted, HostEvent, RobotSafety, Unwritten};
 
 /// State of a running host, which is collected for its outputs: results, counts, record and metrics.
 pub struct Seen {

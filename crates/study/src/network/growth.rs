@@ -7,9 +7,9 @@ use murmurate::messages::wire::Kind;
 use murmurate::net::media::radio::Radio;
 use murmurate::net::protocol::codec::TAG_BYTES;
 use murmurate::policy::orca;
-use murmurate::report::cost::Cost;
 use murmurate::time::Span;
 use murmurate::trial::{Trial, TrialError};
+use murmurate_report::cost::Cost;
 
 /// Modes in which the cost of growing teams is computed: `sim`, with one agent for all robots, and `onboard-adhoc`,
 /// with one host per robot.

@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 
 use super::case::{Addressing, Case, NetworkKind, ReliabilityMode, Source};
 use super::endpoint::NEVER;
-use murmurate::report::statistics::quantile;
 use murmurate::results::ages::Ages;
 use murmurate::time::{Span, Time};
+use murmurate_report::statistics::quantile;
 
 /// Largest age of a message that a control step uses: 200 ms, the hold time of the policies.
 pub const USABLE: Span = Span::from_millis(200);

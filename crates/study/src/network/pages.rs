@@ -7,8 +7,8 @@ use super::outcome::{Outcome, Row};
 use super::table::{self, SHOWN};
 use super::{saturation, scale};
 use murmurate::results::listening::Listening;
-use murmurate_figures::page::{self, Part};
-use murmurate_figures::{DelayColumn, Figure, FigureError, Line, Panel, Point};
+use murmurate_report::figures::page::{self, Part};
+use murmurate_report::figures::{DelayColumn, Figure, FigureError, Line, Panel, Point};
 
 /// Result of a case of a network study: its source (emulated or measured), its parameters and its outcome.
 pub type Found = (Source, Case, Outcome);
@@ -151,7 +151,7 @@ impl Findings<'_> {
                  arrived within 20 ms, and at all. Below: share of time in which the medium was busy; age of the \
                  newest message of another station at the control steps, every 50 ms."
                     .to_owned(),
-            svg: murmurate_figures::sweep(&group.title, "messages/s", &places, &panels)?,
+            svg: murmurate_report::figures::sweep(&group.title, "messages/s", &places, &panels)?,
         })
     }
 
@@ -181,7 +181,7 @@ impl Findings<'_> {
                       at what was delivered. Right: from publication of the newest message of another station to each \
                       control step. Dashed: 20 and 50 ms."
                 .to_owned(),
-            svg: murmurate_figures::delays(&title, &heard)?,
+            svg: murmurate_report::figures::delays(&title, &heard)?,
         })
     }
 

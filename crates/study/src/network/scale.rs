@@ -4,7 +4,7 @@
 use super::case::Addressing;
 use super::growth::{self, Growth};
 use super::saturation::{self, Load};
-use murmurate_figures::{Figure, FigureError, Line, Panel, Point};
+use murmurate_report::figures::{Figure, FigureError, Line, Panel, Point};
 
 /// Draws the figure of growing teams' cost per robot (messages, datagrams, processor time and others) against the
 /// number of robots.
@@ -48,7 +48,7 @@ pub fn costs(grown: &[Growth]) -> Result<Figure, FigureError> {
             growth::DURATION_S,
             growth::GROUND_M2
         ),
-        svg: murmurate_figures::sweep(title, "robots", &places, &panels)?,
+        svg: murmurate_report::figures::sweep(title, "robots", &places, &panels)?,
     })
 }
 
@@ -139,7 +139,7 @@ pub fn loads(loads: &[Load]) -> Result<Figure, FigureError> {
                   saturated. A multicast frame that collides is not retransmitted, so the contention window never \
                   grows, and most frames of a large team collide."
             .to_owned(),
-        svg: murmurate_figures::sweep(title, "robots", &places, &panels)?,
+        svg: murmurate_report::figures::sweep(title, "robots", &places, &panels)?,
     })
 }
 

@@ -12,9 +12,9 @@ use super::model::Fitted;
 use super::observed::Run;
 use super::predict::Predicted;
 use murmurate::random::{Seed, Stream};
-use murmurate::report::statistics::{quantile, wilson_95};
 use murmurate::results::episode::Episode;
 use murmurate::scenario::judge::Verdict;
+use murmurate_report::statistics::{quantile, wilson_95};
 
 /// Bar of a compared quantity: the largest difference of measurement and prediction with which they agree.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

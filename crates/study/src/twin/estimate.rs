@@ -4,7 +4,7 @@ use rand::RngExt;
 use serde::Serialize;
 
 use murmurate::random::Stream;
-use murmurate::report::statistics::quantile;
+use murmurate_report::statistics::quantile;
 
 /// Number of resamples of a bootstrap.
 const RESAMPLES: usize = 200;

@@ -6,8 +6,8 @@ use super::predict::Predicted;
 use murmurate::config::shown::counted;
 use murmurate::results::listening::Listening;
 use murmurate::time::Span;
-use murmurate_figures::page::{self, Part};
-use murmurate_figures::{DelayColumn, Figure, FigureError, Makespans};
+use murmurate_report::figures::page::{self, Part};
+use murmurate_report::figures::{DelayColumn, Figure, FigureError, Makespans};
 
 /// Texts and numbers for the report page of a twin.
 #[derive(Clone, Debug)]
@@ -49,7 +49,7 @@ pub fn figures(run: &Run, first: usize, predicted: &[Predicted]) -> Result<Vec<F
         name: "makespans".to_owned(),
         title: "Makespan".to_owned(),
         caption: caption.to_owned(),
-        svg: murmurate_figures::makespans("Makespan", &rows, "predicted")?,
+        svg: murmurate_report::figures::makespans("Makespan", &rows, "predicted")?,
     }];
     let ages = |ages_s: &mut dyn Iterator<Item = f64>| {
         let mut listening = Listening::default();
@@ -70,7 +70,7 @@ pub fn figures(run: &Run, first: usize, predicted: &[Predicted]) -> Result<Vec<F
             name: "ages".to_owned(),
             title: "Ages of messages at decisions".to_owned(),
             caption: caption.to_owned(),
-            svg: murmurate_figures::ages("Ages of messages at decisions", &heard)?,
+            svg: murmurate_report::figures::ages("Ages of messages at decisions", &heard)?,
         });
     }
     Ok(all)

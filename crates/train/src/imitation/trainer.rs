@@ -22,10 +22,10 @@ use murmurate::policy::manifest::Training;
 use murmurate::policy::{Model, ModelError};
 use murmurate::random::{Seed, Stream};
 use murmurate::registry::Registry;
-use murmurate::report::outcomes::CostOutcomes;
-use murmurate::report::statistics::mean_95;
 use murmurate::scenario::judge::Verdict;
 use murmurate::scenario::{PolicyFrame, Scenario, ScenarioError, Settings};
+use murmurate_report::outcomes::CostOutcomes;
+use murmurate_report::statistics::mean_95;
 
 /// Number of parts of a minibatch whose gradients are added in order, so that the number of threads changes no result.
 const SHARDS: usize = 4;

@@ -82,7 +82,7 @@ pub struct StationCounts {
 
 impl RadioCounts {
     /// Returns the number of lost deliveries for each cause, with a text for the cause; numbers may be zero.
-    pub(crate) fn causes(&self) -> impl Iterator<Item = (u64, &'static str)> {
+    pub fn causes(&self) -> impl Iterator<Item = (u64, &'static str)> {
         let multicast =
             [(self.lost_collision, "to collisions"), (self.lost_noise, "to noise"), (self.lost_range, "out of range")];
         [(self.lost_queue, "to full queues"), (self.lost_retries, "after all retries")].into_iter().chain(multicast)

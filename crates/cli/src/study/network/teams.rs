@@ -5,10 +5,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result};
 use murmurate::net::media::radio::Radio;
-use murmurate::report::cost::Cost;
 use murmurate::simulate::Proceed;
 use murmurate::time::Span;
 use murmurate::trial::Trial;
+use murmurate_report::cost::Cost;
 use murmurate_study::network::growth::{self, Growth};
 use murmurate_study::network::{Medium, Sweep};
 use murmurate_study::origin::Origin;

@@ -2,9 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::trial::TrialReport;
-use crate::messages::wire::{KINDS, Kind};
-use crate::results::totals::Published;
+use murmurate::messages::wire::{KINDS, Kind};
+use murmurate::report::TrialReport;
+use murmurate::results::totals::Published;
 
 /// Messages of one kind that actors published, per robot and simulated second.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

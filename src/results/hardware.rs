@@ -10,7 +10,8 @@ use crate::messages::wire::{Hardware, Health};
 /// Condition of one real robot's hardware, and its faults since its host was started.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RobotHardware {
-    pub(crate) robot: RobotId,
+    /// Id of the robot.
+    pub robot: RobotId,
     /// Whether the robot's driver last reported it as ready. A report after the run has the state in which the host
     /// ended.
     pub(crate) ready: bool,
@@ -58,7 +59,7 @@ impl RobotHardware {
 
     /// Merges the conditions that several processes reported: for each robot the last known values and the sum of its
     /// faults. `all` is in the order in which the processes were started.
-    pub(crate) fn joined<'a>(all: impl Iterator<Item = &'a RobotHardware>) -> Vec<RobotHardware> {
+    pub fn joined<'a>(all: impl Iterator<Item = &'a RobotHardware>) -> Vec<RobotHardware> {
         let mut robots: BTreeMap<RobotId, RobotHardware> = BTreeMap::new();
         for later in all {
             let known = robots.entry(later.robot).or_insert_with(|| RobotHardware::new(later.robot));
@@ -75,7 +76,7 @@ impl RobotHardware {
     }
 
     /// Describes the hardware as text, such as `battery 87 %, 41 °C, 1 fault: bumper pressed`.
-    pub(crate) fn words(&self) -> String {
+    pub fn words(&self) -> String {
         let battery = self.battery.map(|battery| format!("battery {battery} %"));
         let temperature = self.temperature_c.map(|degrees| format!("{degrees} \u{b0}C"));
         let faults = match (self.faults, &self.last_fault) {

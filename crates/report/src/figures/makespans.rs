@@ -4,7 +4,7 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
 use super::{Drawn, FigureError, GREY, TEXT, colour, dashes, style, svg};
-use murmurate::report::statistics::quantile;
+use crate::statistics::quantile;
 
 /// Makespans of the episodes in one column (set of conditions) of a study, for a figure.
 #[derive(Clone, Debug)]

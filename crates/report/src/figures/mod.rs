@@ -1,8 +1,6 @@
 //! Figures as SVG. They have axes with units, are readable at half their size, and use colours that colour-blind
 //! readers can distinguish. Callers pass plain data.
 
-#![deny(clippy::print_stdout, clippy::print_stderr)]
-
 mod actions;
 mod delays;
 mod makespans;
@@ -27,9 +25,6 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::TextStyle;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
-
-/// Digest of this package's sources. Packages with equal digests behave equally.
-pub const DIGEST: &str = env!("SOURCE_DIGEST");
 
 /// Figure of a report.
 #[derive(Clone, Debug, PartialEq)]

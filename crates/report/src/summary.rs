@@ -5,19 +5,19 @@ use std::fmt;
 use serde::Serialize;
 use xxhash_rust::xxh3::Xxh3;
 
-use super::event::Unwritten;
-use super::hardware::RobotHardware;
-use super::outcomes::{CostOutcomes, Outcomes};
-use super::trial::TrialReport;
-use crate::config::shown::{self, counted};
-use crate::net::media::radio::RadioCounts;
-use crate::net::protocol::link::LinkCounts;
-use crate::registry::Registry;
-use crate::results::episode::{AbortReason, Episode, Judged};
-use crate::safety::guard::SafetyCounts;
-use crate::scenario::judge::Verdict;
-use crate::scenario::{Cost, Scenario, Settings};
-use crate::time::Span;
+use crate::event::Unwritten;
+use crate::outcomes::{CostOutcomes, Outcomes};
+use murmurate::config::shown::{self, counted};
+use murmurate::net::media::radio::RadioCounts;
+use murmurate::net::protocol::link::LinkCounts;
+use murmurate::registry::Registry;
+use murmurate::report::TrialReport;
+use murmurate::results::episode::{AbortReason, Episode, Judged};
+use murmurate::results::hardware::RobotHardware;
+use murmurate::safety::guard::SafetyCounts;
+use murmurate::scenario::judge::Verdict;
+use murmurate::scenario::{Cost, Scenario, Settings};
+use murmurate::time::Span;
 
 /// Hosts that the counts in a summary of a run cover.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]

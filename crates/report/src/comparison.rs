@@ -5,11 +5,11 @@ use std::fmt;
 
 use serde::Serialize;
 
-use super::outcomes::CostOutcomes;
-use super::summary::Summary;
-use super::trial::TrialReport;
-use crate::config::shown;
-use crate::scenario::judge::Verdict;
+use crate::outcomes::CostOutcomes;
+use crate::summary::Summary;
+use murmurate::config::shown;
+use murmurate::report::TrialReport;
+use murmurate::scenario::judge::Verdict;
 
 /// Results of several policies on the same episodes with the same seeds.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -1,10 +1,9 @@
 //! Report of one trial: results of its episodes, totals, and, if kept, the states of the team at each step. It is built
-//! from the outputs of a Recorder and the counts of a team's processes.
+//! from the outputs of a Recorder.
 
-use super::event::Counted;
-use super::hardware::RobotHardware;
 use crate::actors::recorder::Out;
 use crate::results::episode::Episode;
+use crate::results::hardware::RobotHardware;
 use crate::results::totals::{Step, Totals};
 use crate::scenario::judge::Verdict;
 use crate::time::Span;
@@ -41,26 +40,6 @@ impl TrialReport {
             Out::Step(step) => self.steps.push(step),
             Out::Finished(totals) => (self.totals, self.finished) = (totals, true),
             Out::Closed(totals) => self.totals = totals,
-        }
-    }
-
-    /// Returns the report with its counts, which cover only the host whose Recorder made it, replaced by the sums over
-    /// all processes of the team. `incarnations` has the counts of each process; a restarted host has several.
-    pub fn counted<'a>(self, incarnations: impl Iterator<Item = &'a Counted> + Clone) -> TrialReport {
-        let sum = |of: fn(&Counted) -> u64| incarnations.clone().map(of).sum();
-        let oldest = incarnations.clone().filter_map(|counted| counted.oldest_command_s).reduce(f64::max);
-        TrialReport {
-            totals: Totals {
-                messages: sum(|counted| counted.messages),
-                oldest_command: oldest.map(Span::from_secs),
-                links: incarnations.clone().map(|counted| *counted.links).sum(),
-                safety: incarnations.clone().flat_map(|counted| &counted.safety).map(|robot| robot.counts).sum(),
-                ..self.totals
-            },
-            refused: sum(|counted| counted.refused),
-            lost: sum(|counted| counted.lost),
-            hardware: RobotHardware::joined(incarnations.flat_map(|counted| &counted.hardware)),
-            ..self
         }
     }
 

@@ -3,7 +3,7 @@
 
 use std::fmt::Write as _;
 
-use crate::Figure;
+use crate::figures::Figure;
 
 /// Part of a report page.
 #[derive(Clone, Debug)]

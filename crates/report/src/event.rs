@@ -4,11 +4,14 @@ use std::iter::Sum;
 
 use serde::{Deserialize, Serialize};
 
-use super::hardware::RobotHardware;
-use crate::messages::ids::RobotId;
-use crate::net::protocol::link::LinkCounts;
-use crate::results::episode::{AbortReason, Episode};
-use crate::safety::guard::SafetyCounts;
+use murmurate::messages::ids::RobotId;
+use murmurate::net::protocol::link::LinkCounts;
+use murmurate::report::TrialReport;
+use murmurate::results::episode::{AbortReason, Episode};
+use murmurate::results::hardware::RobotHardware;
+use murmurate::results::totals::Totals;
+use murmurate::safety::guard::SafetyCounts;
+use murmurate::time::Span;
 
 /// Event that a host prints as a line of JSON for the program that started it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -123,11 +126,31 @@ impl HostEvent {
     }
 }
 
+/// Returns the report `report`, whose counts cover only the host whose Recorder made it, with the sums over all
+/// processes of the team in their place. `incarnations` has the counts of each process; a restarted host has several.
+pub fn counted<'a>(report: TrialReport, incarnations: impl Iterator<Item = &'a Counted> + Clone) -> TrialReport {
+    let sum = |of: fn(&Counted) -> u64| incarnations.clone().map(of).sum();
+    let oldest = incarnations.clone().filter_map(|counted| counted.oldest_command_s).reduce(f64::max);
+    TrialReport {
+        totals: Totals {
+            messages: sum(|counted| counted.messages),
+            oldest_command: oldest.map(Span::from_secs),
+            links: incarnations.clone().map(|counted| *counted.links).sum(),
+            safety: incarnations.clone().flat_map(|counted| &counted.safety).map(|robot| robot.counts).sum(),
+            ..report.totals
+        },
+        refused: sum(|counted| counted.refused),
+        lost: sum(|counted| counted.lost),
+        hardware: RobotHardware::joined(incarnations.flat_map(|counted| &counted.hardware)),
+        ..report
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::results::episode::{AbortCause, Judged};
-    use crate::scenario::judge::Verdict;
+    use murmurate::results::episode::{AbortCause, Judged};
+    use murmurate::scenario::judge::Verdict;
 
     #[test]
     fn an_event_is_read_from_its_line_unchanged() {
@@ -155,7 +178,10 @@ mod tests {
             HostEvent::Link { link: "infra".to_owned(), open: true, what: "10.0.0.1 on 'wlan0'".to_owned() },
             HostEvent::Episode(episode(0.25)),
             HostEvent::Episode(episode(f32::INFINITY)),
-            HostEvent::Aborted { episode: 3, reason: AbortReason::of_team(AbortCause::Stopped) },
+            HostEvent::Aborted {
+                episode: 3,
+                reason: AbortReason { cause: AbortCause::Stopped, robot: None, others: 0 },
+            },
             HostEvent::Counted(counted.clone()),
             HostEvent::Finished(counted),
         ];

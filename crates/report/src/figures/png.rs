@@ -7,7 +7,7 @@ use resvg::tiny_skia::{Pixmap, Transform};
 use resvg::usvg::{Options, Tree, fontdb};
 
 /// Font Roboto Regular (Apache License 2.0, see `assets/fonts`).
-static FONT: &[u8] = include_bytes!("../assets/fonts/Roboto-Regular.ttf");
+static FONT: &[u8] = include_bytes!("../../assets/fonts/Roboto-Regular.ttf");
 /// Scale from an SVG figure to its PNG: pixels of the PNG for each pixel of the figure, in width and in height.
 const SCALE: f32 = 2.0;
 

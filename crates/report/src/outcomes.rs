@@ -2,9 +2,9 @@
 
 use serde::Serialize;
 
-use super::statistics::{mean_95, quantile, wilson_95};
-use crate::results::episode::Episode;
-use crate::scenario::judge::Verdict;
+use crate::statistics::{mean_95, quantile, wilson_95};
+use murmurate::results::episode::Episode;
+use murmurate::scenario::judge::Verdict;
 
 /// Counts of verdicts, success rate and makespan of a set of episodes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

@@ -4,7 +4,7 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
 use super::{Area, COLOURS, Drawn, FigureError, TEXT, dashes, panels, rows, style, svg};
-use murmurate::report::grid::Grid;
+use crate::grid::Grid;
 
 /// Heights of the figure's title and of a panel \[pixels\].
 const HEAD: u32 = 52;

@@ -4,7 +4,7 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
 use super::{Area, Drawn, FigureError, GREY, PANELS, TEXT, WIDTH, panels, rows, style, svg};
-use murmurate::report::grid::Grid;
+use crate::grid::Grid;
 use murmurate::scenario::Arena;
 
 /// Robots' positions in one column of a study, for a figure.
