@@ -220,4 +220,18 @@ mod tests {
         assert_eq!(painter(&parts).unwrap(), 1);
         assert_eq!(painter(&parts[..1]).unwrap(), 0, "without true states the first one draws");
     }
+
+    #[test]
+    fn what_is_not_of_a_host_is_refused_alone_and_left_out_beside_others() {
+        let simulation = || (PathBuf::from("a.mcap"), Identity::here("1f", Vec::new(), ""));
+        let mut told = Vec::new();
+        let mut of = |records| {
+            let merged = merge(records, std::io::Cursor::new(Vec::new()), |line| told.push(line.to_owned()));
+            merged.err().map(|error| error.to_string())
+        };
+        let alone = "'a.mcap' is the record of a simulation, which has one time already";
+        assert_eq!(of(vec![simulation()]).as_deref(), Some(alone));
+        assert_eq!(of(vec![simulation(), simulation()]).as_deref(), Some("none of these records is of a host"));
+        assert_eq!(told, vec![format!("left out: {alone}"); 2]);
+    }
 }
