@@ -243,6 +243,12 @@ fn is_plausible(own: &Observation, neighbour: &Neighbour) -> bool {
         && Vec2::new(broadcast[1], broadcast[2]).norm() <= MAX_SPEED_M_S
 }
 
+/// Returns whether a vector is too short to have a direction.
+fn is_undirected(v: Vec2) -> bool {
+    let inverse = v.norm().recip();
+    !(inverse.is_finite() && inverse > 0.0)
+}
+
 fn to_glam(v: Vec2) -> dodgy_2d::Vec2 {
     dodgy_2d::Vec2::new(v.x, v.y)
 }
@@ -276,19 +282,20 @@ impl Policy for Orca {
             radius: radius_m + self.share * NEIGHBOUR_MARGIN_M,
             avoidance_responsibility: share,
         };
+        let period_s = INTERFACE.period.as_secs() as f32;
         let others = neighbours.iter().map(|neighbour| {
             let Motion { position, velocity } = neighbour.motion;
             let (assumed_velocity, share) = assumed_motion(broadcast, neighbour, self.share);
             let mut now = position + velocity * neighbour.age.as_secs() as f32;
-            if now == at {
-                // For two robots at one position the library would draw from an unseeded generator.
+            let closing = own.motion.velocity - assumed_velocity;
+            if now == at || is_undirected(closing - (now - at) / period_s) {
+                // The library would draw the direction in which to avoid from an unseeded generator.
                 now.x += NEIGHBOUR_MARGIN_M;
             }
             Cow::Owned(agent(now, assumed_velocity, neighbour.features[0], share))
         });
         let others: Vec<Cow<Agent>> = others.collect();
         let obstacles: Vec<Cow<Obstacle>> = self.obstacles.iter().map(Cow::Borrowed).collect();
-        let period_s = INTERFACE.period.as_secs() as f32;
         let velocity = agent(at, own.motion.velocity, self.arena.robot_radius_m, 1.0).compute_avoiding_velocity(
             &others,
             &obstacles,
@@ -307,7 +314,10 @@ impl Policy for Orca {
 
 #[cfg(test)]
 mod tests {
+    use rand::RngExt;
+
     use super::*;
+    use crate::random::Seed;
     use crate::scenario::{Settings, build};
 
     fn passage() -> Arena {
@@ -343,5 +353,22 @@ mod tests {
         let own = Observation::new(Motion::at_rest(Vec2::new(-0.2, -0.4)), Vec2::new(-0.05, -0.46));
         let away = orca.clear_mouth(&own, crossing).expect("it stands in the mouth");
         assert!(away.x < 0.0 && away.y <= 0.0);
+    }
+
+    #[test]
+    fn robots_that_would_be_at_one_place_a_step_later_avoid_each_other_equally_each_time() {
+        let period_s = INTERFACE.period.as_secs() as f32;
+        let underway = approach(Vec2::new(2.0, 0.0));
+        let features = [0.16, underway.x, underway.y];
+        let mut random = Seed::of_run(7).stream("meetings");
+        for _ in 0..1000 {
+            // They overlap, and their relative velocity is just their distance in a step.
+            let at = Vec2::new(0.5, -1.5);
+            let other = at + Vec2::new(random.random_range(-0.05..0.05), random.random_range(-0.05..0.05));
+            let own = Observation::new(Motion { position: at, velocity: (other - at) / period_s }, Vec2::new(1.0, 1.5));
+            let neighbour = Neighbour { motion: Motion::at_rest(other), age: Span::ZERO, features: &features };
+            let act = || Orca::new(&passage()).act(&own, &features, &[neighbour], &mut Seed::of_run(1).stream("none"));
+            assert_eq!(act(), act(), "{other:?}");
+        }
     }
 }
