@@ -372,7 +372,7 @@ fn nothing_asks_for_a_mode_or_a_link_by_name() {
                 // Default of a flag.
                 "crates/cli/src/sim/mod.rs",
                 // A command has the name of a mode.
-                "crates/robot/src/features.rs",
+                "crates/cli/src/lib.rs",
             ],
         ),
         (&["\"wires\"", "\"infra\"", "\"loopback\"", "\"ad-hoc\""], &[presets]),

@@ -1,17 +1,32 @@
-//! The commands of the whole program, and its error for those that it was built without.
+//! What holds for every command that the help lists, and the program's error for those that it was built without.
 
-use crate::program::{commands, refuses};
-use murmurate_robot::features::WHOLE;
-
-/// Commands that a robot's program has, too.
-const OF_ROBOT: [&str; 8] = ["policy", "host", "doctor", "stop", "resume", "place", "key", "config"];
+use crate::pages::pages;
+use crate::program::{commands, refuses, run, text};
 
 #[test]
-fn a_program_has_the_commands_of_a_robot_and_those_that_a_robot_s_program_says_it_lacks() {
-    let built = |name: &&&str| **name != "lab" || cfg!(feature = "lab");
-    let mut wanted: Vec<&str> = OF_ROBOT.iter().chain(WHOLE.iter().filter(built)).copied().collect();
-    wanted.sort_unstable();
-    assert_eq!(commands(), wanted);
+fn every_command_has_help_in_one_sentence_and_is_on_a_page() {
+    let (all, pages) = (commands(), pages());
+    assert!(all.len() > 15, "{all:?}");
+    for name in &all {
+        let output = run(&[name, "--help"]);
+        assert_eq!((output.status.code(), text(&output.stderr)), (Some(0), String::new()), "{name}");
+        let help = text(&output.stdout);
+        let (about, _) = help.split_once("\n\nUsage: ").unwrap_or_else(|| panic!("{name} has no help: {help}"));
+        let sentence = about.starts_with(char::is_uppercase) && !about.contains(". ") && !about.contains("\n\n");
+        assert!(sentence, "{name}: one sentence, not '{about}'");
+        let shown = format!("murmurate {name}");
+        let named = |text: &str| {
+            text.match_indices(&shown).any(|(at, _)| text[at + shown.len()..].starts_with([' ', '`', '\n']))
+        };
+        assert!(pages.iter().any(|page| named(&page.text)), "no page has '{shown}'");
+    }
+}
+
+#[test]
+fn every_command_refuses_a_flag_that_it_does_not_have() {
+    for name in commands() {
+        refuses(&[&name, "--no-such-flag"], &["'--no-such-flag'"]);
+    }
 }
 
 #[test]

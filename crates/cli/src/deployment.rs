@@ -10,6 +10,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::error::ErrorKind;
 use murmurate::deploy::{Deployment, MODES};
 use murmurate::net::media::radio::{PRESETS, Radio};
+use murmurate::registry::Registry;
 
 use murmurate_robot::BadInput;
 use murmurate_robot::Ended;
@@ -37,7 +38,7 @@ impl TypedValueParser for ModeParser {
     }
 }
 
-/// Flags of `murmurate deployment`.
+/// Prints a preset mode as a deployment file, to be changed and run with `sim --deployment`.
 #[derive(clap::Args)]
 pub struct Args {
     /// Preset mode to print
@@ -52,7 +53,7 @@ pub struct Args {
 }
 
 /// Runs `deployment`: prints the preset mode that the arguments select, as a deployment file (TOML).
-pub fn run(args: &Args) -> Result<Ended> {
+pub fn run(args: &Args, _: &Registry) -> Result<Ended> {
     let deployment =
         Deployment::preset(&args.mode, usize::from(args.robots)).expect("the parser lets only modes through");
     let deployment = with_radio(deployment, &args.radio)?;

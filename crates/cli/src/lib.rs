@@ -1,5 +1,5 @@
 //! The program `murmurate`: simulations, teams on one machine, records, studies, training, the lab and the live page,
-//! beside the commands of a robot (`crates/robot`). A command is a file here, and a line in `Command`.
+//! beside the commands of a robot (`crates/robot`). A command is a file here, and a line in `program`.
 
 // Doc comments of flags are help texts for a terminal, where [m] is a unit and <FILE> a name.
 #![allow(rustdoc::broken_intra_doc_links, rustdoc::invalid_html_tags)]
@@ -29,73 +29,32 @@ use std::ffi::OsString;
 use std::process::ExitCode;
 use std::sync::atomic::AtomicBool;
 
-use clap::Subcommand;
 use murmurate::registry::Registry;
-use murmurate_robot::{Commands, Logging, build};
+use murmurate_robot::command::Command;
+use murmurate_robot::{Logging, Program, build};
 
 pub use murmurate_robot::{BadInput, Ended, registry};
 
-/// Commands of the program.
-#[derive(Subcommand)]
-enum Command {
-    /// Runs episodes in one process, faster than real time, and prints success rate and makespan.
-    Sim(Box<sim::Args>),
-    /// Prints a preset mode as a deployment file, to be changed and run with `sim --deployment`.
-    Deployment(deployment::Args),
-    /// Runs a whole study: the same policies in several columns of conditions, with a report.
-    #[command(subcommand)]
-    Study(study::Args),
-    /// Trains a policy.
-    Train(Box<train::Args>),
-    #[command(flatten)]
-    Robot(murmurate_robot::Command),
-    /// Runs every process of a team on this machine, in real time, and prints the same table as `sim`.
-    Launch(Box<launch::Args>),
-    #[cfg(feature = "lab")]
-    /// Runs any program in stations whose frames travel over the emulated radio channel, in real time.
-    #[command(subcommand)]
-    Lab(lab::Args),
-    /// Looks at records, repairs, merges and exports them.
-    #[command(subcommand)]
-    Record(record::Args),
-    /// Replays records of simulations and of hosts, and checks that every bit is the same.
-    Replay(replay::Args),
-    /// Shows a running team on a page in the browser, with its emergency stop.
-    Watch(watch::team::Args),
-    /// Prints what a shell needs to complete commands and flags.
-    Completions(shells::Completions),
-    /// Prints the program's man page, or writes one for every command.
-    Man(shells::Manual),
-}
-
-impl Commands for Command {
-    const PARTS: &'static [murmurate_robot::features::Part] = features::PARTS;
-
-    fn logging(&self) -> Logging {
-        match self {
-            Command::Robot(command) => command.logging(),
-            Command::Launch(_) => Logging::RealTime,
-            _ => Logging::Errors,
-        }
-    }
-
-    fn run(self, registry: &Registry) -> anyhow::Result<Ended> {
-        match self {
-            Command::Sim(args) => sim::run(&args, registry),
-            Command::Deployment(args) => deployment::run(&args),
-            Command::Study(args) => study::run(&args, registry),
-            Command::Train(args) => train::run(&args, registry),
-            Command::Robot(command) => command.run(registry),
-            Command::Launch(args) => launch::run(&args, registry),
-            #[cfg(feature = "lab")]
-            Command::Lab(args) => lab::run(&args),
-            Command::Record(args) => record::run(&args),
-            Command::Replay(args) => replay::run(&args, registry),
-            Command::Watch(args) => watch::team::run(&args, registry),
-            Command::Completions(args) => shells::complete(&args, registry),
-            Command::Man(args) => shells::manual(&args, registry),
-        }
-    }
+/// The program. Its help lists the commands in this order.
+fn program() -> Program {
+    let policies = [
+        Command::of("sim", sim::run),
+        Command::of("deployment", deployment::run),
+        Command::with_subcommands("study", study::run),
+        Command::of("train", train::run),
+    ];
+    let teams = [
+        Command::of("launch", launch::run).logging(Logging::RealTime),
+        #[cfg(feature = "lab")]
+        Command::with_subcommands("lab", lab::run),
+        Command::with_subcommands("record", record::run),
+        Command::of("replay", replay::run),
+        Command::of("watch", watch::team::run),
+        Command::of("completions", shells::complete),
+        Command::of("man", shells::manual),
+    ];
+    let commands = policies.into_iter().chain(murmurate_robot::program().commands).chain(teams);
+    Program { commands: commands.collect(), parts: features::PARTS, unknown: None }
 }
 
 /// Digests of the sources of all packages of this program.
@@ -140,7 +99,7 @@ pub fn with_radio(
 /// registry. Returns the exit code.
 pub fn main(registry: &Registry) -> ExitCode {
     build::set(DIGESTS);
-    murmurate_robot::main::<Command>(registry)
+    murmurate_robot::main(&program(), registry)
 }
 
 /// Runs the command in `arguments` (without the program's name) with the parts of the registry, and returns the exit
@@ -148,5 +107,5 @@ pub fn main(registry: &Registry) -> ExitCode {
 /// the command that starts this program. It must be called at most once in a process.
 pub fn main_within(registry: &Registry, started_by: Vec<OsString>, arguments: Vec<OsString>) -> ExitCode {
     build::set(DIGESTS);
-    murmurate_robot::main_within::<Command>(registry, started_by, arguments)
+    murmurate_robot::main_within(&program(), registry, started_by, arguments)
 }

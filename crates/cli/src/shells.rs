@@ -7,7 +7,6 @@ use clap::Command;
 use clap_complete::Shell;
 use clap_mangen::Man;
 
-use crate::Command as Program;
 use murmurate::config::shown::counted;
 use murmurate::registry::Registry;
 use murmurate_robot::destination::check_folder;
@@ -15,7 +14,7 @@ use murmurate_robot::output::{print, talk};
 use murmurate_robot::whole_file::WholeFile;
 use murmurate_robot::{BadInput, Ended};
 
-/// Flags of `murmurate completions`.
+/// Prints what a shell needs to complete commands and flags.
 #[derive(clap::Args)]
 #[command(
     after_help = "For example: murmurate completions bash > ~/.local/share/bash-completion/completions/murmurate"
@@ -25,7 +24,7 @@ pub struct Completions {
     shell: Shell,
 }
 
-/// Flags of `murmurate man`.
+/// Prints the program's man page, or writes one for every command.
 #[derive(clap::Args)]
 #[command(after_help = "For example: murmurate man --out ~/.local/share/man/man1")]
 pub struct Manual {
@@ -36,7 +35,7 @@ pub struct Manual {
 
 /// Runs `completions`: prints the completion script of a shell.
 pub fn complete(args: &Completions, registry: &Registry) -> Result<Ended> {
-    let (mut command, mut script) = (murmurate_robot::command::<Program>(registry), Vec::new());
+    let (mut command, mut script) = (crate::program().definition(registry), Vec::new());
     let name = command.get_name().to_owned();
     clap_complete::generate(args.shell, &mut command, name, &mut script);
     print(String::from_utf8_lossy(&script).trim_end())?;
@@ -45,7 +44,7 @@ pub fn complete(args: &Completions, registry: &Registry) -> Result<Ended> {
 
 /// Runs `man`: prints the program's man page, or writes the pages of all its commands into a folder.
 pub fn manual(args: &Manual, registry: &Registry) -> Result<Ended> {
-    let mut command = murmurate_robot::command::<Program>(registry).disable_help_subcommand(true);
+    let mut command = crate::program().definition(registry).disable_help_subcommand(true);
     command.build();
     let Some(folder) = &args.out else {
         print(String::from_utf8_lossy(&page(&command)?).trim_end())?;

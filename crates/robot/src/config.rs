@@ -17,7 +17,7 @@ use crate::key;
 use crate::output::{print, talk};
 use crate::team;
 
-/// Subcommands of `murmurate config`.
+/// Checks a team file, or shows every value of it with its origin.
 #[derive(Subcommand)]
 pub enum Args {
     /// Checks a team file with its key and its policy, for every host or for one

@@ -11,7 +11,7 @@ use crate::checks::{Examination, examine, host_of};
 use crate::output::{print, talk};
 use crate::{BadInput, Ended, team};
 
-/// Flags of `murmurate doctor`.
+/// Checks that this machine is fit to be one host of a team, and says what to do where it is not.
 #[derive(clap::Args)]
 #[command(after_help = "Exit codes: 0 nothing has failed; 1 a check has failed; 2 a flag or the team file is wrong; \
     130 a wiggle was interrupted: the robots stand.")]

@@ -1,7 +1,11 @@
 //! Commands and flags of optional parts: the error of a program without them when they are used.
 
+use std::ffi::OsStr;
+
 use clap::Error;
 use clap::error::{ContextKind, ContextValue};
+
+use crate::Program;
 
 /// Commands and flags that a program can be built without.
 #[derive(Clone, Copy, Debug)]
@@ -16,18 +20,12 @@ pub struct Part {
     pub there: bool,
 }
 
-/// Commands of the whole program that a robot's lacks.
-pub const WHOLE: &[&str] =
-    &["sim", "deployment", "launch", "record", "replay", "study", "train", "watch", "lab", "completions", "man"];
+/// What a robot's program says of a command that it does not know.
+pub const WHOLE: &str =
+    "which has the commands of a robot alone: 'cargo build --release' builds the program that has all";
 
 /// Parts of the program of a robot.
 pub const OF_ROBOT: &[Part] = &[
-    Part {
-        words: WHOLE,
-        lack: "which has the commands of a robot alone",
-        build: "cargo build --release",
-        there: false,
-    },
     Part {
         words: &["--record", "--record-last", "--record-size"],
         lack: "which was built without the feature 'record'",
@@ -55,4 +53,14 @@ pub fn missing(error: &Error, parts: &[Part]) -> Option<String> {
              (docs/run-a-team.md)"
         ))
     })
+}
+
+/// Returns what is wrong with a command line whose first word is no command of the program, if another program may have
+/// it; `None` for every other error.
+pub fn unknown(error: &Error, first: &OsStr, program: &Program) -> Option<String> {
+    let Some(ContextValue::String(word)) = error.get(ContextKind::InvalidSubcommand) else { return None };
+    // A command that the program has may have no such subcommand.
+    let known = first != word.as_str() || program.commands.iter().any(|command| command.name() == word);
+    let why = program.unknown.filter(|_| !known)?;
+    Some(format!("error: '{word}' is no command of this program, {why} (docs/run-a-team.md)"))
 }

@@ -18,11 +18,12 @@ use crate::output;
 use crate::own_name;
 use crate::temporary::Temporary;
 use murmurate::config::shown;
+use murmurate::registry::Registry;
 
 /// Length of a key \[bytes\].
 const BYTES: usize = 32;
 
-/// Subcommands of `murmurate key`.
+/// Makes the key that a team's messages are authenticated with.
 #[derive(Subcommand)]
 pub enum Args {
     /// Makes a new key file that only you can read
@@ -41,7 +42,7 @@ pub struct New {
 }
 
 /// Runs `key new`: creates a key file. Fails if the file exists and `--force` is missing, or if it cannot be written.
-pub fn run(args: &Args) -> Result<Ended> {
+pub fn run(args: &Args, _: &Registry) -> Result<Ended> {
     let Args::New(New { out, force }) = args;
     let shown = shown::value(out.display());
     let refuse = |why: String| BadInput(format!("cannot write the key file '{shown}': {why}"));

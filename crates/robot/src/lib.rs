@@ -12,6 +12,7 @@
 pub mod background_writer;
 pub mod build;
 mod checks;
+pub mod command;
 mod config;
 pub mod destination;
 mod doctor;
@@ -41,11 +42,11 @@ use std::process::ExitCode;
 use std::sync::OnceLock;
 
 use anyhow::Context;
-use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use murmurate::live;
 use murmurate::live::links::LinkError;
 use murmurate::registry::Registry;
 
+use self::command::{Command, Run};
 pub use self::logging::Logging;
 
 /// Digest of this package's sources. Packages with equal digests behave equally.
@@ -54,81 +55,60 @@ pub const DIGEST: &str = env!("SOURCE_DIGEST");
 /// Name of this project's own program.
 const MURMURATE: &str = "murmurate";
 
-/// Runs message-passing policies on teams of robots.
-#[derive(Parser)]
-#[command(
-    name = MURMURATE,
-    version,
-    after_help = "Exit codes: 0 done; 1 the run, its output or a check failed; 2 a flag or a file is wrong, nothing \
-                  was run; 101 a bug; 130 interrupted, results until then printed.\n\
-                  Logs go to stderr; MURMURATE_LOG sets their level (error, warn, info, debug; by default warn for \
-                  'host' and 'launch', else error)."
-)]
-struct Cli<C: Subcommand> {
-    #[command(subcommand)]
-    command: C,
-}
+/// What the help says below the commands.
+const AFTER_HELP: &str = "Exit codes: 0 done; 1 the run, its output or a check failed; 2 a flag or a file is wrong, \
+    nothing was run; 101 a bug; 130 interrupted, results until then printed.\n\
+    Logs go to stderr; MURMURATE_LOG sets their level (error, warn, info, debug; by default warn for 'host' and \
+    'launch', else error).";
 
-/// Commands of a program.
-pub trait Commands: Subcommand {
+/// A program: its commands, and what it may lack.
+pub struct Program {
+    /// All commands, in the order of the help.
+    pub commands: Vec<Command>,
     /// Parts that the program can be built without.
-    const PARTS: &'static [features::Part];
-
-    /// Returns the level and the way of the command's log.
-    fn logging(&self) -> Logging;
-
-    /// Runs the command with the parts (scenarios, policies and so on) of the registry.
-    fn run(self, registry: &Registry) -> anyhow::Result<Ended>;
+    pub parts: &'static [features::Part],
+    /// What to do about a command that the program does not know, if another program may have it.
+    pub unknown: Option<&'static str>,
 }
 
-/// Commands of a robot.
-#[derive(Subcommand)]
-pub enum Command {
-    /// Examines policy files.
-    #[command(subcommand)]
-    Policy(policy::Args),
-    /// Runs one host of a team in real time: what is started on a robot.
-    Host(Box<host::Args>),
-    /// Checks that this machine is fit to be one host of a team, and says what to do where it is not.
-    Doctor(Box<doctor::Args>),
-    /// Engages a team's emergency stop, or takes it back with --rearm.
-    Stop(stop::Args),
-    /// Lets a team go on that was stopped and re-armed: the next episode begins.
-    Resume(stop::ResumeArgs),
-    /// Says where a robot stands whose pose has jumped, or whose odometry has begun anew.
-    Place(place::Args),
-    /// Makes the key that a team's messages are authenticated with.
-    #[command(subcommand)]
-    Key(key::Args),
-    /// Checks a team file, or shows every value of it with its origin.
-    #[command(subcommand)]
-    Config(config::Args),
+impl Program {
+    /// Returns the definition of its command line: all commands and flags, with the names of the registry's entries as
+    /// values.
+    pub fn definition(&self, registry: &Registry) -> clap::Command {
+        let all = clap::Command::new(MURMURATE)
+            .version(env!("CARGO_PKG_VERSION"))
+            .about("Runs message-passing policies on teams of robots")
+            .after_help(AFTER_HELP)
+            .subcommand_required(true)
+            .arg_required_else_help(true)
+            .subcommands(self.commands.iter().map(Command::definition));
+        names::rename(names::add(all, registry), own_name())
+    }
+
+    /// Finds the command that the arguments name and reads its flags. Returns what then runs, and the level and the way
+    /// of its log.
+    fn read(&self, arguments: &[OsString], registry: &Registry) -> Result<(Run, Logging), clap::Error> {
+        let mut definition = self.definition(registry);
+        let found = definition.try_get_matches_from_mut(arguments)?;
+        let (name, found) = found.subcommand().expect("the parser asks for a command");
+        let command = self.commands.iter().find(|command| command.name() == name);
+        command.expect("the parser knows these alone").read(found).map_err(|error| error.format(&mut definition))
+    }
 }
 
-impl Commands for Command {
-    const PARTS: &'static [features::Part] = features::OF_ROBOT;
-
-    fn logging(&self) -> Logging {
-        match self {
-            Command::Host(_) => Logging::RealTime,
-            Command::Stop(_) => Logging::Urgent,
-            Command::Doctor(_) => Logging::Findings,
-            _ => Logging::Errors,
-        }
-    }
-
-    fn run(self, registry: &Registry) -> anyhow::Result<Ended> {
-        match self {
-            Command::Policy(args) => policy::run(&args, registry),
-            Command::Host(args) => host::run(&args, registry),
-            Command::Doctor(args) => doctor::run(&args, registry),
-            Command::Stop(args) => stop::run(&args, registry),
-            Command::Resume(args) => stop::resume(&args, registry),
-            Command::Place(args) => place::run(&args, registry),
-            Command::Key(args) => key::run(&args),
-            Command::Config(args) => config::run(&args, registry),
-        }
-    }
+/// The program with the commands of a robot alone.
+pub fn program() -> Program {
+    let commands = vec![
+        Command::with_subcommands("policy", policy::run),
+        Command::of("host", host::run).logging(Logging::RealTime),
+        Command::of("doctor", doctor::run).logging(Logging::Findings),
+        Command::of("stop", stop::run).logging(Logging::Urgent),
+        Command::of("resume", stop::resume),
+        Command::of("place", place::run),
+        Command::with_subcommands("key", key::run),
+        Command::with_subcommands("config", config::run),
+    ];
+    Program { commands, parts: features::OF_ROBOT, unknown: Some(features::WHOLE) }
 }
 
 /// End of a command that was not refused: done, done with a failed check, or interrupted. It sets the exit code 0, 1 or
@@ -177,23 +157,28 @@ pub fn registry() -> Registry {
     registry.with_transport(murmurate_zenoh::ENTRY).of_program()
 }
 
-/// Runs the command among `C` that the arguments of this process name, with the parts (scenarios, policies and so on)
-/// of the registry. Returns the exit code.
-pub fn main<C: Commands>(registry: &Registry) -> ExitCode {
-    run_command::<C>(registry, &std::env::args_os().collect::<Vec<_>>())
+/// Runs the command of the program that the arguments of this process name, with the parts (scenarios, policies and so
+/// on) of the registry. Returns the exit code.
+pub fn main(program: &Program, registry: &Registry) -> ExitCode {
+    run_command(program, registry, &std::env::args_os().collect::<Vec<_>>())
 }
 
 /// Runs the command in `arguments` (without the program's name) with the parts of the registry, and returns the exit
 /// code. It is for a program that runs within another one, such as a Python interpreter; `started_by` are the words of
 /// the command that starts this program. It must be called at most once in a process.
-pub fn main_within<C: Commands>(registry: &Registry, started_by: Vec<OsString>, arguments: Vec<OsString>) -> ExitCode {
+pub fn main_within(
+    program: &Program,
+    registry: &Registry,
+    started_by: Vec<OsString>,
+    arguments: Vec<OsString>,
+) -> ExitCode {
     // A second call would be an error of its caller; the words are the same then.
     let _ = STARTED_BY.set(started_by);
     let name = OsString::from(MURMURATE);
-    run_command::<C>(registry, &[vec![name], arguments].concat())
+    run_command(program, registry, &[vec![name], arguments].concat())
 }
 
-fn run_command<C: Commands>(registry: &Registry, arguments: &[OsString]) -> ExitCode {
+fn run_command(program: &Program, registry: &Registry, arguments: &[OsString]) -> ExitCode {
     let started = arguments.first().map(Path::new).and_then(Path::file_name).and_then(OsStr::to_str);
     // A second call, which is an error of its caller, has the same name.
     let _ = NAME.set(started.unwrap_or(MURMURATE).to_owned());
@@ -202,14 +187,10 @@ fn run_command<C: Commands>(registry: &Registry, arguments: &[OsString]) -> Exit
     if arguments.get(1).is_some_and(|word| word == murmurate_ros2::SUBCOMMAND) {
         return murmurate_ros2::node::run();
     }
-    let mut definition = command::<C>(registry);
-    let found = definition.try_get_matches_from_mut(arguments);
-    let found = found.and_then(|found| Cli::from_arg_matches(&found).map_err(|error| error.format(&mut definition)));
-    let Cli { command }: Cli<C> = match found {
-        Ok(cli) => cli,
-        Err(error) => return refuse(&error, C::PARTS),
+    let (run, logging) = match program.read(arguments, registry) {
+        Ok(read) => read,
+        Err(error) => return refuse(&error, program, arguments),
     };
-    let logging = command.logging();
     if logging.is_asynchronous()
         && let Err(why) = output::open_log_lane()
     {
@@ -221,15 +202,9 @@ fn run_command<C: Commands>(registry: &Registry, arguments: &[OsString]) -> Exit
         output::flush_log();
         return ExitCode::from(2);
     }
-    let status = exit_code(command.run(registry));
+    let status = exit_code(run(registry));
     output::flush_log();
     status
-}
-
-/// Returns the definition of a command line: all commands and flags of `C`, with the names of the registry's entries as
-/// values.
-pub fn command<C: Commands>(registry: &Registry) -> clap::Command {
-    names::rename(names::add(Cli::<C>::command(), registry), own_name())
 }
 
 /// Prints the error of a command, and returns its exit code.
@@ -255,13 +230,14 @@ pub fn own_name() -> &'static str {
 
 /// Handles an error of the command-line parser: prints help and version as they are, and other errors as one line.
 /// Returns the exit code.
-fn refuse(error: &clap::Error, parts: &[features::Part]) -> ExitCode {
+fn refuse(error: &clap::Error, program: &Program, arguments: &[OsString]) -> ExitCode {
     if !error.use_stderr() {
         // Help was requested, so it is output; a pipe closed by its reader is not an error.
         let _ = error.print();
         return ExitCode::SUCCESS;
     }
-    if let Some(why) = features::missing(error, parts) {
+    let unknown = || features::unknown(error, arguments.get(1)?, program);
+    if let Some(why) = features::missing(error, program.parts).or_else(unknown) {
         output::talk(&why);
         return ExitCode::from(2);
     }

@@ -3,5 +3,5 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    murmurate_robot::main::<murmurate_robot::Command>(&murmurate_robot::registry())
+    murmurate_robot::main(&murmurate_robot::program(), &murmurate_robot::registry())
 }

@@ -22,7 +22,7 @@ const WAIT: Span = Span::from_millis(3000);
 /// Largest heading that a user may give \[rad\]: a full turn, with room for rounding.
 const TURN_RAD: f64 = 7.0;
 
-/// Flags of `murmurate place`.
+/// Says where a robot stands whose pose has jumped, or whose odometry has begun anew.
 #[derive(clap::Args)]
 #[command(after_help = "Runs on any machine that reaches the link which carries 'stop'; no other link is opened.\n\
     Exit codes: 0 the robot's host has taken it over; 1 it has refused it, or has not answered, and why; 2 a flag, the \

@@ -33,7 +33,7 @@ const LONGEST_WAIT_S: f64 = 60.0;
 /// Time between two attempts to join the team.
 const RETRY: Duration = Duration::from_millis(100);
 
-/// Flags of `murmurate stop`.
+/// Engages a team's emergency stop, or takes it back with --rearm.
 #[derive(clap::Args)]
 #[command(after_help = "Runs on any machine that reaches the link which carries 'stop'; no other link is opened.\n\
     Exit codes: 0 every robot has confirmed it; 1 some have not, and are named; 2 a flag, the team file or the key is \
@@ -70,7 +70,7 @@ impl Wait {
     }
 }
 
-/// Flags of `murmurate resume`.
+/// Lets a team go on that was stopped and re-armed: the next episode begins.
 #[derive(clap::Args)]
 #[command(
     after_help = "Exit codes: 0 the team goes on; 1 it does not, and why; 2 a flag, the team file or the key is \

@@ -14,6 +14,7 @@ use std::path::Path;
 use anyhow::{Context, Result, anyhow};
 use clap::Subcommand;
 use murmurate::config::shown::counted;
+use murmurate::registry::Registry;
 use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
@@ -24,7 +25,7 @@ use murmurate_lab::report::LabReport;
 use murmurate_robot::output::{print, read_text, talk};
 use murmurate_robot::{BadInput, Ended};
 
-/// Subcommands of `murmurate lab`.
+/// Runs any program in stations whose frames travel over the emulated radio channel, in real time.
 #[derive(Subcommand)]
 pub enum Args {
     /// Makes the stations of a laboratory file and carries their frames, in the background until 'lab down'
@@ -77,7 +78,7 @@ pub struct Status {
 }
 
 /// Runs a subcommand of `lab`.
-pub fn run(args: &Args) -> Result<Ended> {
+pub fn run(args: &Args, _: &Registry) -> Result<Ended> {
     let ended = match args {
         Args::Up(args) => up::run(args),
         Args::Exec(args) => exec(args),

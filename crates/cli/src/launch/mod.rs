@@ -32,7 +32,7 @@ use murmurate_robot::this_program;
 use murmurate_view::status::Ending;
 use told::Told;
 
-/// Flags of `murmurate launch`.
+/// Runs every process of a team on this machine, in real time, and prints the same table as `sim`.
 #[derive(clap::Args)]
 #[command(after_help = "Exit codes: 0 every episode has a result and every process has ended well; 1 a process has \
     failed (more than 3 restarts in 60 s, or it would not end), or could not write all of its output, such as a record \

@@ -9,9 +9,10 @@ mod share;
 
 use anyhow::Result;
 
+use murmurate::registry::Registry;
 use murmurate_robot::Ended;
 
-/// Commands of `murmurate record`.
+/// Looks at records, repairs, merges and exports them.
 #[derive(clap::Subcommand)]
 #[command(after_help = "Exit codes: 0 done; 1 a record is damaged or lacks events; 2 a flag or a file is wrong, and \
     nothing was written.")]
@@ -29,7 +30,7 @@ pub enum Args {
 }
 
 /// Runs a subcommand of `record`.
-pub fn run(args: &Args) -> Result<Ended> {
+pub fn run(args: &Args, _: &Registry) -> Result<Ended> {
     match args {
         Args::Info(args) => info::run(args),
         Args::Repair(args) => repair::run(args),

@@ -27,7 +27,7 @@ use murmurate_replay::{ReplayError, host, rerun};
 use murmurate_robot::output::{self, Confined, print, talk};
 use murmurate_robot::{BadInput, Ended, bad};
 
-/// Flags of `murmurate replay`.
+/// Replays records of simulations and of hosts, and checks that every bit is the same.
 #[derive(clap::Args)]
 #[command(
     after_help = "Exit codes: 0 everything is equal, to the bit; 1 there is a difference: the first is named; 2 a \

@@ -43,7 +43,7 @@ use murmurate_robot::paths;
 use murmurate_robot::recording::RecordFlags;
 use murmurate_robot::whole_file::WholeFile;
 
-/// Flags of `murmurate sim`.
+/// Runs episodes in one process, faster than real time, and prints success rate and makespan.
 #[derive(clap::Args)]
 pub struct Args {
     /// Mode of the paper, which sets what each host runs

@@ -35,7 +35,7 @@ use murmurate_robot::output::{print, talk};
 pub use network::medium;
 use shard::Shard;
 
-/// Subcommands of `murmurate study`.
+/// Runs a whole study: the same policies in several columns of conditions, with a report.
 #[derive(clap::Subcommand)]
 pub enum Args {
     /// The paper's Table I: four modes and two variations, against the conditions of training

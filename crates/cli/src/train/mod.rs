@@ -45,7 +45,7 @@ const EVALUATION_PART: u32 = 16;
 /// Name of the preset of the training's configuration that is used without `--preset` and `--config`.
 const PRESET: &str = "robust";
 
-/// Flags of `murmurate train`.
+/// Trains a policy.
 #[derive(clap::Args)]
 #[command(group = clap::ArgGroup::new("budget").args(["minutes", "steps"]))]
 pub struct Args {

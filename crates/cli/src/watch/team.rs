@@ -61,7 +61,7 @@ pub enum News {
 /// State of this process, in a word, in its last message to the page.
 const OVER: &str = "over";
 
-/// Flags of `murmurate watch`.
+/// Shows a running team on a page in the browser, with its emergency stop.
 #[derive(clap::Args)]
 #[command(after_help = "Runs on any machine that reaches the link which carries 'stop'. Ctrl-C ends the page and \
     changes nothing for the team.\nExit codes: 0 ended by Ctrl-C; 1 the link or the page cannot be opened; 2 a flag, \

@@ -53,7 +53,7 @@ enum Role {
     StateServer,
 }
 
-/// Flags of `murmurate host`.
+/// Runs one host of a team in real time: what is started on a robot.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]

@@ -17,7 +17,7 @@ use murmurate::scenario::Scenario;
 use crate::output::read_bytes;
 use crate::{BadInput, Ended};
 
-/// Subcommands of `murmurate policy`.
+/// Examines policy files.
 #[derive(Subcommand)]
 pub enum Args {
     /// Says what a policy file is and whether this program can run it; exits with 2 if it cannot
