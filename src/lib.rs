@@ -27,6 +27,7 @@ pub mod drivers;
 pub mod edge;
 pub mod estimation;
 pub mod faults;
+pub mod fitness;
 pub mod graph;
 pub mod hearing;
 pub mod live;

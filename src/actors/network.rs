@@ -14,7 +14,7 @@ use crate::messages::wire::{Kind, Wire};
 use crate::net::protocol::codec::{self, Content, Flags, Frame, Header};
 use crate::net::protocol::key::Key;
 pub use crate::net::protocol::link::Identity;
-use crate::net::protocol::link::{DuplicateId, Guest, Heard, LinkCounts, LinkState, Refusal, Standing};
+use crate::net::protocol::link::{Arrival, DuplicateId, Guest, LinkCounts, LinkState, Refusal, Standing};
 use crate::net::protocol::outgoing::Outbound;
 use crate::net::protocol::reliability::{Piggyback, Setup};
 use crate::net::protocol::router::{Audience, Router};
@@ -118,8 +118,8 @@ struct Addresses(BTreeMap<(LinkId, HostId), (SocketAddr, Time)>);
 impl Addresses {
     /// Notes that a datagram of `heard` has arrived from `at`. Returns what the link's transport has to know. A new
     /// address counts once a datagram from there proves its sender's liveness: a recording may come from anywhere.
-    fn note(&mut self, now: Time, (link, at): (LinkId, SocketAddr), heard: Heard) -> Option<Guest> {
-        let Heard { host, standing, proves } = heard;
+    fn note(&mut self, now: Time, (link, at): (LinkId, SocketAddr), heard: Arrival) -> Option<Guest> {
+        let Arrival { host, standing, proves } = heard;
         let guest = |standing| Some(Guest { host, at, standing });
         if host.is_operator() || standing == Standing::Candidate {
             return guest(standing);

@@ -7,7 +7,7 @@
 
 use std::collections::BTreeMap;
 
-use super::verdict::{self, DISTANCE_M, NOISE_M, Verdict};
+use super::drive_check::{self, DISTANCE_M, DriveCheck, NOISE_M};
 use crate::actor::Core;
 use crate::chassis::Chassis;
 use crate::messages::geometry::{Motion, Vec2};
@@ -53,7 +53,7 @@ pub enum Out {
     /// Notice that the test drive of the robot begins.
     Begins(RobotId),
     /// Result of the test drive of this robot.
-    Result(RobotId, Verdict),
+    Result(RobotId, DriveCheck),
     /// Notice that all robots have a result, or that the wiggle was ended.
     Over,
 }
@@ -210,17 +210,17 @@ impl Wiggle {
     }
 
     /// Returns the velocity of a robot's test drive and its duration; the verdict if it cannot be driven.
-    fn ready(&mut self, now: Time, driven: Driven) -> Result<(Vec2, Span), Verdict> {
+    fn ready(&mut self, now: Time, driven: Driven) -> Result<(Vec2, Span), DriveCheck> {
         let Driven { robot, chassis, limit_m_s } = driven;
         if let Some(hardware) = self.hardware.get(&robot).filter(|hardware| hardware.health != Health::Ready) {
-            return Err(Verdict::Unfit(hardware.reason.as_ref().map(|reason| reason.text().to_owned())));
+            return Err(DriveCheck::Unfit(hardware.reason.as_ref().map(|reason| reason.text().to_owned())));
         }
-        let track = self.seen(now, robot).ok_or(Verdict::Unseen)?;
+        let track = self.seen(now, robot).ok_or(DriveCheck::Unseen)?;
         if track.noise_m > NOISE_M {
-            return Err(Verdict::Noisy(track.noise_m));
+            return Err(DriveCheck::Noisy(track.noise_m));
         }
         let pose = track.last.pose;
-        let along = self.direction(robot, pose.position).ok_or(Verdict::NoRoom)?;
+        let along = self.direction(robot, pose.position).ok_or(DriveCheck::NoRoom)?;
         let most = SPEED_M_S.min(limit_m_s).min(chassis.speed_m_s).min(self.config.guard.limit_m_s);
         // A differential drive at its limits moves its commanded point more slowly.
         let twist = pose.heading.and_then(|_| chassis.twist(along * most, pose.heading));
@@ -270,16 +270,16 @@ impl Wiggle {
     }
 
     /// Returns the verdict on the test drive of `robot` in the direction `along` (world frame).
-    fn judge(&self, now: Time, robot: RobotId, along: Vec2) -> Verdict {
+    fn judge(&self, now: Time, robot: RobotId, along: Vec2) -> DriveCheck {
         let way = |robot: &RobotId, track: &Track| {
             let way = track.last.pose.position - *self.before.get(robot)?;
-            verdict::has_moved(way, track.noise_m).then_some(way)
+            drive_check::has_moved(way, track.noise_m).then_some(way)
         };
         let others = self.tracks.iter().filter(|(other, track)| **other != robot && way(other, track).is_some());
         let others: Vec<RobotId> = others.map(|(other, _)| *other).collect();
         match self.seen(now, robot) {
-            Some(track) => verdict::judge(along, way(&robot, track), others, &self.guard.counts()),
-            None => Verdict::Unseen,
+            Some(track) => drive_check::judge(along, way(&robot, track), others, &self.guard.counts()),
+            None => DriveCheck::Unseen,
         }
     }
 
@@ -349,7 +349,7 @@ impl Core for Wiggle {
 
 #[cfg(test)]
 mod tests {
-    use super::super::verdict::Axes;
+    use super::super::drive_check::Axes;
     use super::*;
     use crate::safety::{Clamp, Safety};
 
@@ -362,7 +362,7 @@ mod tests {
         axes: Axes,
         names: [u16; 2],
         silent_from: Option<Time>,
-        results: Vec<(u16, Verdict)>,
+        results: Vec<(u16, DriveCheck)>,
         order: Vec<u16>,
         fastest: f32,
         now_ms: u64,
@@ -413,7 +413,7 @@ mod tests {
         }
 
         /// Runs until a time; returns the results.
-        fn run(&mut self, until_ms: u64) -> Vec<(u16, Verdict)> {
+        fn run(&mut self, until_ms: u64) -> Vec<(u16, DriveCheck)> {
             for ms in (self.now_ms..until_ms).step_by(10) {
                 let now = Time::ZERO + Span::from_millis(ms);
                 let mut out = Vec::new();
@@ -446,7 +446,7 @@ mod tests {
         let mut bench = Bench::new(APART);
         let results = bench.run(6000);
         for (robot, verdict) in &results {
-            let Verdict::Right(distance, off) = *verdict else { panic!("{robot}: {verdict:?}") };
+            let DriveCheck::Right(distance, off) = *verdict else { panic!("{robot}: {verdict:?}") };
             assert!((distance - 0.1).abs() < 0.011 && off.abs() < 0.01, "{distance} m, {off} rad");
         }
         assert_eq!((results.len(), bench.order.as_slice(), bench.wiggle.wake_at()), (2, &[0, 1][..], None));
@@ -461,7 +461,8 @@ mod tests {
             let mut bench = Bench::new(APART);
             bench.axes = axes;
             let results = bench.run(6000);
-            let named = |(_, verdict): &(u16, Verdict)| matches!(verdict, Verdict::Astray(found, _) if *found == axes);
+            let named =
+                |(_, verdict): &(u16, DriveCheck)| matches!(verdict, DriveCheck::Astray(found, _) if *found == axes);
             assert!(results.len() == 2 && results.iter().all(named), "{axes:?}: {results:?}");
         }
     }
@@ -471,13 +472,13 @@ mod tests {
         let mut bench = Bench::new(APART);
         bench.names = [1, 0];
         let results = bench.run(6000);
-        assert_eq!(results, [(0, Verdict::Still(vec![RobotId(1)])), (1, Verdict::Still(vec![RobotId(0)]))]);
+        assert_eq!(results, [(0, DriveCheck::Still(vec![RobotId(1)])), (1, DriveCheck::Still(vec![RobotId(0)]))]);
         let mut unfit = Bench::new(APART);
         let flat = Hardware::of(Health::Faulty).because("battery 3 %");
         unfit.wiggle.handle(Time::ZERO, In::Hardware(RobotId(0), flat), &mut Vec::new());
         let results = unfit.run(6000);
-        assert_eq!(results[0], (0, Verdict::Unfit(Some("battery 3 %".to_owned()))));
-        assert!(matches!(results[1], (1, Verdict::Right(..))) && unfit.order == [1], "{results:?}");
+        assert_eq!(results[0], (0, DriveCheck::Unfit(Some("battery 3 %".to_owned()))));
+        assert!(matches!(results[1], (1, DriveCheck::Right(..))) && unfit.order == [1], "{results:?}");
     }
 
     #[test]
@@ -488,17 +489,17 @@ mod tests {
         assert_eq!(bench.velocity[0], Vec2::zeros(), "its own state is too old");
         assert!((bench.at[0] - APART[0]).norm() < 0.05);
         let results = bench.run(6000);
-        assert!(matches!(results[0], (0, Verdict::Unseen)), "{results:?}");
+        assert!(matches!(results[0], (0, DriveCheck::Unseen)), "{results:?}");
     }
 
     #[test]
     fn a_robot_is_driven_where_there_is_room_and_stays_where_there_is_none() {
         let mut corner = Bench::new([Vec2::new(1.95, 1.95), Vec2::new(-1.0, 0.0)]);
         let results = corner.run(6000);
-        assert!(matches!(results[0], (0, Verdict::Right(..))), "away from the edge: {results:?}");
+        assert!(matches!(results[0], (0, DriveCheck::Right(..))), "away from the edge: {results:?}");
         let mut crowded = Bench::new([Vec2::zeros(), Vec2::new(0.2, 0.0)]);
         let results = crowded.run(6000);
-        assert_eq!(results, [(0, Verdict::NoRoom), (1, Verdict::NoRoom)]);
+        assert_eq!(results, [(0, DriveCheck::NoRoom), (1, DriveCheck::NoRoom)]);
         assert_eq!(crowded.fastest, 0.0);
     }
 

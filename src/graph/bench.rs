@@ -8,7 +8,7 @@ use tracing::info_span;
 
 use super::bodies::{start_body, start_source};
 use super::devices::Devices;
-use crate::actors::verdict::Verdict;
+use crate::actors::drive_check::DriveCheck;
 use crate::actors::wiggle::{self, Wiggle};
 use crate::actors::{body, localizer};
 use crate::deploy::Deployment;
@@ -39,7 +39,7 @@ pub enum Event {
     /// The Wiggle, a check that drives each robot a short way, now drives this robot.
     Begins(RobotId),
     /// The Wiggle, a check that drives each robot a short way, has judged a robot.
-    Result(RobotId, Verdict),
+    Result(RobotId, DriveCheck),
     /// The Wiggle, a check that drives each robot a short way, has ended.
     Over,
 }

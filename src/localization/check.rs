@@ -3,6 +3,7 @@
 //! The judgement says what the host of the robot would do with the same readings: where they are too old, its Cache
 //! gives no percept and the robot stands. Does no I/O, and reads no clock.
 
+use crate::fitness::{Finding, Fitness};
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::RobotId;
 use crate::messages::wire::Reading;
@@ -26,34 +27,14 @@ const MOSTLY: f64 = 0.5;
 /// Rates of readings beyond which they are more than a policy needs, and more than a team can share \[Hz\]. Each is a
 /// message to other hosts, and policies act at 20 Hz.
 const RATES_HZ: (f64, f64) = (250.0, 1000.0);
+/// Subject of the findings.
+const READINGS: &str = "readings";
 /// Factor by which a place is further out than the edge of the ground, for its numbers to have another unit.
 const FAR: f32 = 10.0;
 /// Distance from the edge of the ground to which a robot is not yet noticed off it \[m\]: robots are put there by hand.
 const BESIDE_M: f32 = 0.5;
 /// Smallest distance of two robots' centres \[m\]. Hulls have a larger radius.
 const APART_M: f32 = 0.05;
-
-/// Severity of a judgement, in rising order.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Grade {
-    /// The robot would drive.
-    Ok,
-    /// The robot would drive, and something is to be looked after.
-    Warn,
-    /// The robot would stand, or be somewhere else than its readings say.
-    Fail,
-}
-
-/// Judgement of the readings of one robot.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Judgement {
-    /// Severity of what was found.
-    pub grade: Grade,
-    /// What was found, with the rate, the place and the longest gap.
-    pub found: String,
-    /// What to do; empty if there is nothing to do.
-    pub advice: String,
-}
 
 /// What a robot's readings have to be for its host.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -144,16 +125,21 @@ impl Track {
     }
 
     /// Judges the readings until `end`, the time at which the check ends.
-    pub fn judge(&self, end: Time, needs: &Needs) -> Judgement {
+    pub fn judge(&self, end: Time, needs: &Needs) -> Finding {
         let tail = end.since(self.at);
         let (rate, gap_ms) = (self.rate_hz(), self.gap.max(tail).as_secs() * 1e3);
         let said = format!("{rate:.0} Hz, {}, longest gap {gap_ms:.0} ms", self.pose());
-        let of = |grade, found: String, advice: &str| Judgement { grade, found, advice: advice.to_owned() };
+        let of = |fitness, found: String, advice: &str| Finding {
+            fitness,
+            what: READINGS,
+            found,
+            advice: advice.to_owned(),
+        };
         let own_state_ms = needs.own_state.as_secs() * 1e3;
         if self.count > 1 && self.repeated.0 + 1 == self.count {
             let advice = "is the tracker frozen, or does it not stamp? readings of one stamp count once";
             return of(
-                Grade::Fail,
+                Fitness::Fail,
                 format!("one reading, repeated {} times, {}", self.repeated.0, self.pose()),
                 advice,
             );
@@ -162,13 +148,13 @@ impl Track {
             let what = if self.repeated.1 > 0 { "the same reading again and again" } else { "no reading" };
             let found = format!("{what} for the last {:.1} s; before: {said}", tail.as_secs());
             return of(
-                Grade::Fail,
+                Fitness::Fail,
                 found,
                 "the robot would stand: does its tracker run, and does it still see the robot?",
             );
         }
         if self.count == 1 {
-            return of(Grade::Warn, format!("one reading, {}", self.pose()), "listen longer");
+            return of(Fitness::Warn, format!("one reading, {}", self.pose()), "listen longer");
         }
         if let Some(judgement) = self.judge_place(&said, needs) {
             return judgement;
@@ -176,50 +162,50 @@ impl Track {
         let share = self.stale_share(end);
         match self.pace() {
             _ if rate > RATES_HZ.1 => {
-                of(Grade::Fail, said, "each reading is a message to the team: send at most 100 a second")
+                of(Fitness::Fail, said, "each reading is a message to the team: send at most 100 a second")
             }
             _ if share > MOSTLY => {
                 let found = format!("{said}; {:.0} % of the time older than own_state_s", share * 100.0);
                 let advice =
                     format!("the robot would mostly stand: raise own_state_s ({own_state_ms:.0} ms), or the rate");
-                of(Grade::Fail, found, &advice)
+                of(Fitness::Fail, found, &advice)
             }
             _ if self.step_s.abs() > CLOCK_SET_S => {
                 let found = format!("{said}; the clock of its stamps was set by {:+.1} s", self.step_s);
-                of(Grade::Warn, found, "see what sets it; the robot goes on, and may stand for a moment each time")
+                of(Fitness::Warn, found, "see what sets it; the robot goes on, and may stand for a moment each time")
             }
             Some(pace) if (pace - 1.0).abs() > SKEW => {
                 let found = format!("{said}; its stamps advance by {pace:.2} s in a second");
-                of(Grade::Warn, found, "are its stamps seconds of one clock? velocities come from their differences")
+                of(Fitness::Warn, found, "are its stamps seconds of one clock? velocities come from their differences")
             }
             _ if gap_ms > own_state_ms => {
                 let advice =
                     format!("beyond own_state_s ({own_state_ms:.0} ms) the robot stops: raise it, or the rate");
-                of(Grade::Warn, said, &advice)
+                of(Fitness::Warn, said, &advice)
             }
-            _ if rate > RATES_HZ.0 => of(Grade::Warn, said, "policies act 20 times a second: fewer readings do"),
-            _ => of(Grade::Ok, said, ""),
+            _ if rate > RATES_HZ.0 => of(Fitness::Warn, said, "policies act 20 times a second: fewer readings do"),
+            _ => of(Fitness::Ok, said, ""),
         }
     }
 
     /// Judges the robot's place by the ground; `None` if it is on the ground.
-    fn judge_place(&self, said: &str, needs: &Needs) -> Option<Judgement> {
+    fn judge_place(&self, said: &str, needs: &Needs) -> Option<Finding> {
         let (place, half) = (self.place(), needs.half_extent);
         let within = |half: Vec2| place.x.abs() <= half.x && place.y.abs() <= half.y;
         if within(half.add_scalar(BESIDE_M)) {
             return None;
         }
         let found = format!("{said}; the ground reaches to \u{b1}{:.1} m, \u{b1}{:.1} m", half.x, half.y);
-        let (grade, advice) = match () {
+        let (fitness, advice) = match () {
             () if within(half * FAR) => {
-                (Grade::Warn, "off the ground the guard stops it: is it there, and is the frame right?")
+                (Fitness::Warn, "off the ground the guard stops it: is it there, and is the frame right?")
             }
             () => (
-                Grade::Fail,
+                Fitness::Fail,
                 "are its positions millimetres, which have to be metres? else see the origin of its frame",
             ),
         };
-        Some(Judgement { grade, found, advice: advice.to_owned() })
+        Some(Finding { fitness, what: READINGS, found, advice: advice.to_owned() })
     }
 
     /// Returns the share of the time until `end` in which the newest reading was older than `own_state`.
@@ -264,7 +250,7 @@ mod tests {
     }
 
     /// Readings at times [ms] with stamps [ms], judged at `end_ms`.
-    fn judged(all: impl IntoIterator<Item = (u64, u64)>, position: Vec2, end_ms: u64) -> Judgement {
+    fn judged(all: impl IntoIterator<Item = (u64, u64)>, position: Vec2, end_ms: u64) -> Finding {
         let mut all = all.into_iter().map(|(ms, stamp_ms)| (at_ms(ms), reading(stamp_ms * 1_000_000, position)));
         let (now, first) = all.next().expect("a reading");
         let mut track = Track::new(NEEDS.own_state, now, first);
@@ -280,46 +266,46 @@ mod tests {
     fn sound_readings_are_fit_with_their_rate_place_and_gap() {
         let sound = judged(regular(3000), Vec2::new(1.0, -1.0), 3000);
         let found = "50 Hz, at (1.00, -1.00) m, no heading, longest gap 20 ms";
-        assert_eq!((sound.grade, sound.found.as_str(), sound.advice.as_str()), (Grade::Ok, found, ""));
+        assert_eq!((sound.fitness, sound.found.as_str(), sound.advice.as_str()), (Fitness::Ok, found, ""));
     }
 
     #[test]
     fn silence_until_the_end_of_the_check_is_no_fitness() {
         let silent = judged(regular(2500), Vec2::zeros(), 5000);
-        assert_eq!(silent.grade, Grade::Fail);
+        assert_eq!(silent.fitness, Fitness::Fail);
         assert!(silent.found.starts_with("no reading for the last 2.5 s; before: 50 Hz"), "{}", silent.found);
         assert!(silent.found.ends_with("longest gap 2520 ms"), "{}", silent.found);
         let frozen = judged((0..250).map(|k| (20 * k, 20 * k.min(100))), Vec2::zeros(), 5000);
         assert!(frozen.found.starts_with("the same reading again and again for the last 3.0 s"), "{}", frozen.found);
-        assert_eq!(frozen.grade, Grade::Fail);
+        assert_eq!(frozen.fitness, Fitness::Fail);
         let slow = judged((0..5).map(|k| (1000 * k, 1000 * k)), Vec2::zeros(), 4900);
-        assert!(slow.grade == Grade::Fail && slow.advice.contains("mostly stand"), "one a second: {slow:?}");
-        assert_eq!(judged([(0, 0)], Vec2::zeros(), 3000).grade, Grade::Fail);
+        assert!(slow.fitness == Fitness::Fail && slow.advice.contains("mostly stand"), "one a second: {slow:?}");
+        assert_eq!(judged([(0, 0)], Vec2::zeros(), 3000).fitness, Fitness::Fail);
         let burst = judged((0..24).map(|k| (k, k)), Vec2::zeros(), 3000);
-        assert_eq!(burst.grade, Grade::Fail, "{burst:?}");
+        assert_eq!(burst.fitness, Fitness::Fail, "{burst:?}");
         let gap = judged(regular(1000).chain(regular(3000).skip(60)), Vec2::zeros(), 3000);
-        assert!(gap.grade == Grade::Warn && gap.advice.contains("own_state_s"), "{gap:?}");
+        assert!(gap.fitness == Fitness::Warn && gap.advice.contains("own_state_s"), "{gap:?}");
     }
 
     #[test]
     fn places_in_millimetres_and_floods_are_no_fitness() {
         let millimetres = judged(regular(3000), Vec2::new(-1000.0, 1000.0), 3000);
-        assert!(millimetres.grade == Grade::Fail && millimetres.advice.contains("millimetres"), "{millimetres:?}");
+        assert!(millimetres.fitness == Fitness::Fail && millimetres.advice.contains("millimetres"), "{millimetres:?}");
         let elsewhere = judged(regular(3000), Vec2::new(6_000.0, 0.0), 3000);
-        assert!(elsewhere.grade == Grade::Fail && elsewhere.advice.contains("origin"), "{elsewhere:?}");
-        assert_eq!(judged(regular(3000), Vec2::new(3.0, 0.0), 3000).grade, Grade::Warn);
+        assert!(elsewhere.fitness == Fitness::Fail && elsewhere.advice.contains("origin"), "{elsewhere:?}");
+        assert_eq!(judged(regular(3000), Vec2::new(3.0, 0.0), 3000).fitness, Fitness::Warn);
         let flood = |per_ms: u64| (0..3000 * per_ms).map(move |k| (k / per_ms, k));
         let flooded = judged(flood(2), Vec2::zeros(), 3000);
-        assert!(flooded.grade == Grade::Fail && flooded.found.starts_with("2000 Hz"), "{flooded:?}");
-        assert_eq!(judged((0..1500).map(|k| (2 * k, 2 * k)), Vec2::zeros(), 3000).grade, Grade::Warn, "500 Hz");
+        assert!(flooded.fitness == Fitness::Fail && flooded.found.starts_with("2000 Hz"), "{flooded:?}");
+        assert_eq!(judged((0..1500).map(|k| (2 * k, 2 * k)), Vec2::zeros(), 3000).fitness, Fitness::Warn, "500 Hz");
     }
 
     #[test]
     fn clocks_that_are_set_or_count_otherwise_are_a_warning() {
         let set = judged((0..150).map(|k| (20 * k, 20 * k + if k < 75 { 0 } else { 3_600_000 })), Vec2::zeros(), 3000);
-        assert!(set.grade == Grade::Warn && set.found.contains("was set by +3600.0 s"), "{set:?}");
+        assert!(set.fitness == Fitness::Warn && set.found.contains("was set by +3600.0 s"), "{set:?}");
         let slow = judged((0..150).map(|k| (20 * k, 10 * k)), Vec2::zeros(), 3000);
-        assert!(slow.grade == Grade::Warn && slow.found.contains("advance by 0.50 s in a second"), "{slow:?}");
+        assert!(slow.fitness == Fitness::Warn && slow.found.contains("advance by 0.50 s in a second"), "{slow:?}");
     }
 
     #[test]

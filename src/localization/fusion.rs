@@ -15,7 +15,7 @@ use std::collections::{BTreeMap, VecDeque};
 use serde::Deserialize;
 
 use super::fused_state::State;
-use super::plausibility::{Fix, Judgement, Limits, Quality, Track};
+use super::plausibility::{Fix, Limits, Plausibility, Quality, Track};
 use super::{In, Out, Parts, Source, odometry};
 use crate::config::ConfigError;
 use crate::edge::Settings;
@@ -318,9 +318,11 @@ impl Filter {
         // The increments count, whatever frame they are in: a restart is over once the new poses agree.
         let quality = Quality { reckoned: true, ..odometry::quality(&odometry.pose) };
         match self.track.reckon(Fix::of(now, odometry, quality), &self.limits, RESTART) {
-            Judgement::Accepted => {}
-            Judgement::Refused => return Err(Refusal::Input("odometry has jumped further than its robot can drive")),
-            Judgement::Settled => {
+            Plausibility::Accepted => {}
+            Plausibility::Refused => {
+                return Err(Refusal::Input("odometry has jumped further than its robot can drive"));
+            }
+            Plausibility::Settled => {
                 self.last = Some((now, odometry.stamp_ns, pose));
                 let Some((since, ..)) = last.filter(|_| self.state.is_some()) else { return Ok(None) };
                 self.restart(now, since);

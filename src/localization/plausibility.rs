@@ -308,7 +308,7 @@ struct Held {
 
 /// What becomes of a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Judgement {
+pub(super) enum Plausibility {
     /// It is accepted: the robot can have driven there.
     Accepted,
     /// It is accepted after a jump: poses have agreed with each other for long enough.
@@ -342,15 +342,15 @@ impl Track {
     }
 
     /// Judges a new pose of the robot.
-    pub(crate) fn take(&mut self, fix: Fix, limits: &Limits) -> Judgement {
+    pub(crate) fn take(&mut self, fix: Fix, limits: &Limits) -> Plausibility {
         let Some(accepted) = self.accepted else {
             self.accept(fix);
-            return Judgement::Accepted;
+            return Plausibility::Accepted;
         };
         let is_nearer = |held: Held| accepted.apart(&fix) <= held.newest.apart(&fix);
         if self.lost.is_none() && self.held.is_none_or(is_nearer) && accepted.reaches(&fix, limits) {
             self.accept(fix);
-            return Judgement::Accepted;
+            return Plausibility::Accepted;
         }
         let held = match self.held {
             Some(held) if held.newest.agrees_with(&fix, limits) => Held { newest: fix, ..held },
@@ -366,9 +366,9 @@ impl Track {
         let person = matches!(self.lost, Some(Whereabouts::Shifted | Whereabouts::Exchanged));
         if self.lost.is_some() && settled && (!person || accepted.has_stopped_at(&fix)) {
             self.accept(fix);
-            return Judgement::Settled;
+            return Plausibility::Settled;
         }
-        Judgement::Refused
+        Plausibility::Refused
     }
 
     fn accept(&mut self, fix: Fix) {
@@ -379,12 +379,12 @@ impl Track {
 
     /// Judges a new pose of dead reckoning of which only the increments count. After a jump its poses are accepted
     /// again once they have agreed with each other for the time `settle`.
-    pub(crate) fn reckon(&mut self, fix: Fix, limits: &Limits, settle: Span) -> Judgement {
+    pub(crate) fn reckon(&mut self, fix: Fix, limits: &Limits, settle: Span) -> Plausibility {
         let judgement = self.take(fix, limits);
         let settled = self.held.is_some_and(|held| fix.at.since(held.agree_since) >= settle);
-        if judgement == Judgement::Refused && settled {
+        if judgement == Plausibility::Refused && settled {
             self.place(fix);
-            return Judgement::Settled;
+            return Plausibility::Settled;
         }
         judgement
     }

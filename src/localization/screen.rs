@@ -7,11 +7,11 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use super::alignment::Alignment;
-use super::plausibility::{Fix, Judgement, Limits, Quality, Track};
+use super::plausibility::{Fix, Limits, Plausibility, Quality, Track};
 use super::{Out, Source, odometry};
 use crate::messages::geometry::Pose;
 use crate::messages::ids::{HostId, RobotId};
-use crate::messages::place::{Located, Place, Placed, Verdict, Whereabouts};
+use crate::messages::place::{Located, Place, PlaceAnswer, Placed, Whereabouts};
 use crate::messages::wire::{MAX_BLOCK, Reading};
 use crate::time::{Span, Time};
 
@@ -154,8 +154,8 @@ impl Screen {
         }
         let limits = watched.limits;
         match watched.track.take(Fix::of(now, &reading, quality), &limits) {
-            Judgement::Accepted | Judgement::Settled => Out::Reading(reading),
-            Judgement::Refused => {
+            Plausibility::Accepted | Plausibility::Settled => Out::Reading(reading),
+            Plausibility::Refused => {
                 self.find_cause(robot);
                 Out::RefusedOf(robot, OUT_OF_REACH)
             }
@@ -258,35 +258,35 @@ impl Screen {
 }
 
 impl Watched {
-    fn place(&mut self, now: Time, place: &Place, source: &mut dyn Source) -> Verdict {
+    fn place(&mut self, now: Time, place: &Place, source: &mut dyn Source) -> PlaceAnswer {
         let newest = self.by_source.newest.max(self.by_odometry.newest);
         if self.by_source.from.is_none() && self.by_odometry.from.is_none() || now.since(newest) > SILENT {
-            return Verdict::Unmeasured;
+            return PlaceAnswer::Unmeasured;
         }
         if self.by_source.moves(now) || self.by_odometry.moves(now) {
-            return Verdict::Moves;
+            return PlaceAnswer::Moves;
         }
         if source.place(now, place.robot, &place.pose) {
             let odometry = self.by_odometry.from.or(self.by_source.from).expect("one of them was measured");
             self.track.place(odometry.placed(now, &place.pose));
-            return Verdict::Aligned;
+            return PlaceAnswer::Aligned;
         }
         let Some(measured) = self.measured.filter(|fix| now.since(fix.at) <= SILENT) else {
-            return Verdict::Unmeasured;
+            return PlaceAnswer::Unmeasured;
         };
         let placed = measured.placed(now, &place.pose);
         if measured.is_reckoned() {
-            let Some(frame) = self.frame_for(&measured.pose(), &place.pose) else { return Verdict::Differs };
+            let Some(frame) = self.frame_for(&measured.pose(), &place.pose) else { return PlaceAnswer::Differs };
             self.frame = Some(frame);
             self.track.place(placed);
-            return Verdict::Aligned;
+            return PlaceAnswer::Aligned;
         }
         let near = measured.distance(&placed) <= BY_EYE.0 && measured.turn(&placed).is_none_or(|turn| turn <= BY_EYE.1);
         if near {
             self.track.place(measured);
-            return Verdict::Agrees;
+            return PlaceAnswer::Agrees;
         }
-        Verdict::Differs
+        PlaceAnswer::Differs
     }
 
     /// Returns the pose of the source's frame in which a robot that is measured at `measured` is at `placed`; `None` if

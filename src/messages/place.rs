@@ -74,7 +74,7 @@ impl Whereabouts {
 /// Answer of the host that measures a robot to the [`Place`] of an operator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(into = "u8", try_from = "u8")]
-pub enum Verdict {
+pub enum PlaceAnswer {
     /// Taken over: readings of the robot continue from this pose.
     Aligned,
     /// Taken over: the source measures the robot there, within half a metre and half a radian.
@@ -87,25 +87,25 @@ pub enum Verdict {
     Unmeasured,
 }
 
-impl Verdict {
+impl PlaceAnswer {
     /// All values, in the order of their numbers.
-    pub(crate) const ALL: [Verdict; 5] =
-        [Verdict::Aligned, Verdict::Agrees, Verdict::Differs, Verdict::Moves, Verdict::Unmeasured];
+    pub(crate) const ALL: [PlaceAnswer; 5] =
+        [PlaceAnswer::Aligned, PlaceAnswer::Agrees, PlaceAnswer::Differs, PlaceAnswer::Moves, PlaceAnswer::Unmeasured];
 
     /// Returns the value in a word, as in JSON.
     pub fn word(self) -> &'static str {
         match self {
-            Verdict::Aligned => "aligned",
-            Verdict::Agrees => "agrees",
-            Verdict::Differs => "differs",
-            Verdict::Moves => "moves",
-            Verdict::Unmeasured => "unmeasured",
+            PlaceAnswer::Aligned => "aligned",
+            PlaceAnswer::Agrees => "agrees",
+            PlaceAnswer::Differs => "differs",
+            PlaceAnswer::Moves => "moves",
+            PlaceAnswer::Unmeasured => "unmeasured",
         }
     }
 
     /// Whether the statement has taken effect.
     pub fn is_taken(self) -> bool {
-        matches!(self, Verdict::Aligned | Verdict::Agrees)
+        matches!(self, PlaceAnswer::Aligned | PlaceAnswer::Agrees)
     }
 }
 
@@ -119,7 +119,7 @@ pub struct Placed {
     /// Robot of the statement.
     pub robot: RobotId,
     /// What has become of the statement.
-    pub verdict: Verdict,
+    pub verdict: PlaceAnswer,
     /// Pose at which the source measures the robot, in the world frame; `None` if it measures none.
     pub measured: Option<Pose>,
 }
@@ -157,7 +157,7 @@ macro_rules! numbered {
 
 numbered! {
     Whereabouts, "whereabouts";
-    Verdict, "verdict of a placement";
+    PlaceAnswer, "verdict of a placement";
 }
 
 #[cfg(test)]
@@ -167,7 +167,7 @@ mod tests {
     #[test]
     fn a_number_means_what_was_converted_to_it() {
         assert!(Whereabouts::ALL.into_iter().all(|value| Whereabouts::try_from(u8::from(value)) == Ok(value)));
-        assert!(Verdict::ALL.into_iter().all(|value| Verdict::try_from(u8::from(value)) == Ok(value)));
-        assert!(Whereabouts::try_from(5).is_err() && Verdict::try_from(5).is_err());
+        assert!(PlaceAnswer::ALL.into_iter().all(|value| PlaceAnswer::try_from(u8::from(value)) == Ok(value)));
+        assert!(Whereabouts::try_from(5).is_err() && PlaceAnswer::try_from(5).is_err());
     }
 }

@@ -7,8 +7,9 @@ use murmurate::actor::Core;
 use murmurate::actors::cache::{self, Cache};
 use murmurate::edge::Settings;
 use murmurate::estimation;
+use murmurate::fitness::Fitness;
 use murmurate::hearing::{CommRange, Handling};
-use murmurate::localization::check::{Grade, Needs, Track};
+use murmurate::localization::check::{Needs, Track};
 use murmurate::localization::{In, Out, Source};
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::ids::RobotId;
@@ -304,7 +305,7 @@ fn a_bad_entry_costs_itself_alone_in_every_source() {
 #[test]
 fn what_doctor_says_of_readings_is_what_the_host_does_with_them() {
     let mut random = Seed::of_run(45).stream("entries");
-    let mut grades = BTreeMap::<Grade, u32>::new();
+    let mut found = BTreeMap::<Fitness, u32>::new();
     for number in 0..SITUATIONS {
         let situation = situation(&mut random);
         let kind = situation.kind;
@@ -314,20 +315,20 @@ fn what_doctor_says_of_readings_is_what_the_host_does_with_them() {
             let mut track = Track::new(kind.own_state, at(readings[0].0), readings[0].1.clone());
             readings[1..].iter().for_each(|(ms, reading)| track.note(at(*ms), reading));
             let judgement = track.judge(at(LENGTH_MS), &needs);
-            *grades.entry(judgement.grade).or_default() += 1;
+            *found.entry(judgement.fitness).or_default() += 1;
             let knows: Vec<(u64, bool)> =
                 ticks(kind, robot, &readings).into_iter().filter(|(ms, _)| *ms >= readings[0].0).collect();
             let stands = knows.iter().filter(|(_, knows)| !knows).count();
             let last = knows.iter().rev().take_while(|(_, knows)| !knows).count() as u64 * TICK_MS;
             let context = format!("{} {number}, {robot}: {judgement:?}; stands {stands}, {last} ms", kind.name);
-            match judgement.grade {
-                Grade::Ok => assert_eq!(stands, 0, "{context}"),
-                Grade::Warn => assert!(stands * 2 <= knows.len() + 2 && last <= 500, "{context}"),
-                Grade::Fail => assert!(last >= 200 || stands * 2 + 2 >= knows.len(), "{context}"),
+            match judgement.fitness {
+                Fitness::Ok => assert_eq!(stands, 0, "{context}"),
+                Fitness::Warn => assert!(stands * 2 <= knows.len() + 2 && last <= 500, "{context}"),
+                Fitness::Fail => assert!(last >= 200 || stands * 2 + 2 >= knows.len(), "{context}"),
             }
             // A robot that stands at the end for longer than half a second is never called fit.
-            assert!(last <= 550 || judgement.grade == Grade::Fail, "{context}");
+            assert!(last <= 550 || judgement.fitness == Fitness::Fail, "{context}");
         }
     }
-    assert!(grades.values().all(|count| *count > 100) && grades.len() == 3, "{grades:?}");
+    assert!(found.values().all(|count| *count > 100) && found.len() == 3, "{found:?}");
 }

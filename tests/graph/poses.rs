@@ -11,7 +11,7 @@ use murmurate::localization::plausibility;
 use murmurate::localization::screen::Screen;
 use murmurate::messages::geometry::{Motion, Pose, Vec2, rotated, wrapped};
 use murmurate::messages::ids::{HostId, RobotId};
-use murmurate::messages::place::{Place, Placed, Verdict, Whereabouts};
+use murmurate::messages::place::{Place, PlaceAnswer, Placed, Whereabouts};
 use murmurate::messages::wire::{Located, Reading};
 use murmurate::random::{RngExt, Seed, Stream, normals};
 use murmurate::registry::Registry;
@@ -360,7 +360,7 @@ impl World {
         found
     }
 
-    fn place(&mut self, robot: usize, [x, y, heading]: Place3) -> Verdict {
+    fn place(&mut self, robot: usize, [x, y, heading]: Place3) -> PlaceAnswer {
         let pose = Pose { position: Vec2::new(x as f32, y as f32), heading: Some(heading as f32) };
         self.number += 1;
         let number = self.number as u32;
@@ -461,13 +461,13 @@ fn after_a_jump(world: &mut World) {
 /// A person says where robot 0 is, and it goes on from there.
 fn be_placed(world: &mut World) {
     let truth = world.robots[0].truth;
-    assert_eq!(world.place(0, truth), Verdict::Aligned, "{:?}", world.kind);
+    assert_eq!(world.place(0, truth), PlaceAnswer::Aligned, "{:?}", world.kind);
     assert_eq!(world.robots[0].lost, Whereabouts::Known);
     let count = run(world, 1.0, never, nobody);
     assert!(count > 40, "{:?}: {count}", world.kind);
     let (mut refused, truth) = (false, world.robots[0].truth);
     for _ in 0..50 {
-        refused |= world.velocity(0)[0].abs() > 0.2 && world.place(0, truth) == Verdict::Moves;
+        refused |= world.velocity(0)[0].abs() > 0.2 && world.place(0, truth) == PlaceAnswer::Moves;
         run(world, 0.1, never, nobody);
     }
     assert!(refused, "{:?}: a robot that moves is not placed", world.kind);
@@ -549,10 +549,10 @@ fn shift(world: &mut World) {
     let lost: Vec<Whereabouts> = world.robots.iter().map(|robot| robot.lost).collect();
     assert_eq!(lost, [Whereabouts::Shifted; 2], "{:?}", world.kind);
     // The source says otherwise than the person until it is put right.
-    assert_eq!(world.place(0, world.robots[0].truth), Verdict::Differs);
+    assert_eq!(world.place(0, world.robots[0].truth), PlaceAnswer::Differs);
     world.robots.iter_mut().for_each(|robot| robot.offset = [0.0; 3]);
     run(world, 0.6, never, nobody);
-    assert_eq!(world.place(0, world.robots[0].truth), Verdict::Agrees);
+    assert_eq!(world.place(0, world.robots[0].truth), PlaceAnswer::Agrees);
     let count = run(world, 2.0, never, nobody);
     assert!(count > 60 && world.robots.iter().all(|robot| robot.lost == Whereabouts::Known), "{:?}", world.kind);
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use murmurate::messages::geometry::{Deviation, Motion, Pose, Task, Twist, Vec2};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::latch::Latch;
-use murmurate::messages::place::{Located, Place, Placed, Verdict, Whereabouts};
+use murmurate::messages::place::{Located, Place, PlaceAnswer, Placed, Whereabouts};
 use murmurate::messages::trigger::Trigger;
 use murmurate::messages::wire::{
     Celsius, Condition, Features, Following, GuardReport, Health, Heartbeat, Hindrance, Latent, Leading, MAX_BLOCK,
@@ -60,7 +60,7 @@ fn placements() -> (impl Strategy<Value = Wire>, impl Strategy<Value = Wire>) {
         .prop_map(|((by, number, robot), pose)| Wire::Place(Place { by: HostId(by), number, robot, pose }));
     let whereabouts =
         (robot(), 0u8..5).prop_map(|(robot, n)| (robot, Whereabouts::try_from(n).expect("there are five")));
-    let verdict = (0u8..5).prop_map(|n| Verdict::try_from(n).expect("there are five"));
+    let verdict = (0u8..5).prop_map(|n| PlaceAnswer::try_from(n).expect("there are five"));
     let answer = ((any::<u16>(), any::<u32>(), robot()), verdict, prop::option::of(pose()));
     let answer = answer.prop_map(|((by, number, robot), verdict, measured)| Placed {
         by: HostId(by),

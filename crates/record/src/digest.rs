@@ -26,7 +26,7 @@ pub fn of_all(all: &[(&str, &Map)]) -> Map {
 
 /// Whether metadata are as they were written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub enum Match {
     /// They agree with their digest.
     Right,
     /// They have no digest.
@@ -41,8 +41,8 @@ pub enum Verdict {
 /// Which metadata of a file are as they were written.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Judged {
-    /// Verdict on each of the metadata, in their order.
-    pub of: Vec<Verdict>,
+    /// Match on each of the metadata, in their order.
+    pub of: Vec<Match>,
     /// Names of metadata with a digest that are not in the file.
     pub absent: Vec<String>,
 }
@@ -66,7 +66,7 @@ pub fn judge(all: &[(&str, &Map)]) -> Judged {
     };
     let verdict = |(name, values): &(&str, &Map)| {
         if *name == METADATA && !is_list(values) {
-            return Verdict::Wrong { copied: all.iter().any(|(name, other)| *name == METADATA && is_list(other)) };
+            return Match::Wrong { copied: all.iter().any(|(name, other)| *name == METADATA && is_list(other)) };
         }
         if *name == METADATA {
             // One of two lists that contradicts what the other one confirms is itself damaged.
@@ -75,19 +75,19 @@ pub fn judge(all: &[(&str, &Map)]) -> Judged {
             };
             let whole = lists.iter().all(|list| list.keys().all(|name| values.contains_key(name) || !confirmed(name)));
             return match whole && values.iter().all(agrees) {
-                true => Verdict::Right,
-                false => Verdict::Wrong { copied: true },
+                true => Match::Right,
+                false => Match::Wrong { copied: true },
             };
         }
         if listed(name, &of(name, values)) {
-            Verdict::Right
+            Match::Right
         } else if lists.iter().any(|list| list.contains_key(*name)) {
-            Verdict::Wrong { copied: confirmed(name) }
+            Match::Wrong { copied: confirmed(name) }
         } else if !lists.is_empty() && !broken && name.starts_with("murmurate.") {
             // The name itself is damaged.
-            Verdict::Wrong { copied: false }
+            Match::Wrong { copied: false }
         } else {
-            Verdict::Unknown
+            Match::Unknown
         }
     };
     let verdicts = all.iter().map(verdict).collect();
@@ -114,30 +114,30 @@ mod tests {
         let list = of_all(&[("murmurate.run", &run), ("murmurate.stage", &stage)]);
         let other = map(&[("seed", "6"), ("format", "2")]);
         let [r, s, l] = ["murmurate.run", "murmurate.stage", METADATA];
-        let right = Verdict::Right;
+        let right = Match::Right;
         let whole = judge(&[(r, &run), (s, &stage), (l, &list)]);
         assert_eq!((whole.of, whole.absent), (vec![right; 3], vec![]));
         let changed = judge(&[(r, &other), (s, &stage), (l, &list)]);
-        assert_eq!(changed.of, [Verdict::Wrong { copied: false }, right, right]);
+        assert_eq!(changed.of, [Match::Wrong { copied: false }, right, right]);
         let copied = judge(&[(r, &other), (s, &stage), (l, &list), (r, &run), (l, &list)]);
-        assert_eq!(copied.of, [Verdict::Wrong { copied: true }, right, right, right, right]);
+        assert_eq!(copied.of, [Match::Wrong { copied: true }, right, right, right, right]);
         let mut wrong = list.clone();
         wrong.insert(r.to_owned(), "0".repeat(32));
         let listed = judge(&[(r, &run), (s, &stage), (l, &wrong), (r, &run), (l, &list)]);
-        assert_eq!(listed.of, [right, right, Verdict::Wrong { copied: true }, right, right]);
+        assert_eq!(listed.of, [right, right, Match::Wrong { copied: true }, right, right]);
         assert_eq!(judge(&[(r, &run), (l, &list)]).absent, [s]);
-        assert_eq!(judge(&[(r, &run), ("theirs", &stage)]).of, [Verdict::Unknown; 2]);
+        assert_eq!(judge(&[(r, &run), ("theirs", &stage)]).of, [Match::Unknown; 2]);
         // Zeros from the middle of the list on, as after a power cut: nothing is known of what it no longer lists.
         for (name, digest) in [(s, format!("{:\0<32}", "2b41")), ("murmurate.st\0\0\0", String::new())] {
             let mut zeros = list.clone();
             zeros.remove(s);
             zeros.insert(name.to_owned(), digest);
             let cut = judge(&[(r, &run), (s, &stage), (l, &zeros)]);
-            assert_eq!(cut.of, [right, Verdict::Unknown, Verdict::Wrong { copied: false }]);
+            assert_eq!(cut.of, [right, Match::Unknown, Match::Wrong { copied: false }]);
             assert!(cut.absent.is_empty(), "{:?}", cut.absent);
             let copied = judge(&[(r, &run), (s, &stage), (l, &zeros), (l, &list)]);
-            assert_eq!(copied.of, [right, right, Verdict::Wrong { copied: true }, right]);
+            assert_eq!(copied.of, [right, right, Match::Wrong { copied: true }, right]);
         }
-        assert_eq!(judge(&[("murmurate.ruN", &run), (s, &stage), (l, &list)]).of[0], Verdict::Wrong { copied: false });
+        assert_eq!(judge(&[("murmurate.ruN", &run), (s, &stage), (l, &list)]).of[0], Match::Wrong { copied: false });
     }
 }

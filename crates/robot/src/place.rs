@@ -8,7 +8,7 @@ use anyhow::{Result, anyhow};
 use murmurate::graph::operator;
 use murmurate::messages::geometry::{MAX_HEADING, MAX_SIZE, Pose, Vec2, wrapped};
 use murmurate::messages::ids::RobotId;
-use murmurate::messages::place::{Place, Placed, Verdict};
+use murmurate::messages::place::{Place, PlaceAnswer, Placed};
 use murmurate::registry::Registry;
 use murmurate::runtime::real::run_real;
 use murmurate::time::{Span, Time};
@@ -102,7 +102,7 @@ fn report(args: &Args, host: &str, answer: Option<Placed>) -> Result<Ended> {
     } else if let Some(answer) = taken {
         let at = format!("{} {}, heading {}", args.at[0], args.at[1], args.heading);
         print(&match answer.verdict {
-            Verdict::Aligned => format!("{robot} is at {at}: host '{host}' counts from there until it ends"),
+            PlaceAnswer::Aligned => format!("{robot} is at {at}: host '{host}' counts from there until it ends"),
             _ => format!("{robot} is at {at}: the source of host '{host}' agrees"),
         })?;
     }
@@ -121,12 +121,14 @@ fn why(robot: u16, host: &str, answer: Option<Placed>) -> Option<String> {
         format!(" at {:.2} {:.2}{heading}", pose.position.x, pose.position.y)
     });
     match verdict {
-        Verdict::Aligned | Verdict::Agrees => None,
-        Verdict::Moves => Some(format!("refused: robot {robot} moves; stop it, wait half a second, then look again")),
-        Verdict::Unmeasured => Some(format!(
+        PlaceAnswer::Aligned | PlaceAnswer::Agrees => None,
+        PlaceAnswer::Moves => {
+            Some(format!("refused: robot {robot} moves; stop it, wait half a second, then look again"))
+        }
+        PlaceAnswer::Unmeasured => Some(format!(
             "refused: host '{host}' has measured nothing of robot {robot} for a second: see its source and its driver"
         )),
-        Verdict::Differs => Some(format!(
+        PlaceAnswer::Differs => Some(format!(
             "refused: the source of host '{host}' measures robot {robot}{seen}; correct the source, or look again"
         )),
     }

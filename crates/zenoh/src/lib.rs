@@ -20,10 +20,10 @@ use std::sync::Arc;
 
 use murmurate::config::ConfigError;
 use murmurate::config::fields::FieldType;
+#[cfg(feature = "zenoh")]
+use murmurate::fitness::Finding;
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::reliability::{Reliabilities, Setup};
-#[cfg(feature = "zenoh")]
-use murmurate::net::transport::Finding;
 use murmurate::net::transport::{Claim, Endpoint, Entry, Field, Filter, LinkSettings, OpenError, Transport};
 
 /// Digest of this package's sources. Packages with equal digests behave equally.

@@ -15,10 +15,11 @@ use nix::sys::eventfd::{EfdFlags, EventFd};
 use super::session::{News, Role, Shared, TO_ALL, Worker, awaits, configuration, endpoints, reach, role};
 use super::{SessionConfig, Streams, route};
 use murmurate::edge::{self, Gate};
+use murmurate::fitness::{Finding, Fitness};
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::router::Audience;
 use murmurate::net::transport::flood::{Flood, REST};
-use murmurate::net::transport::{Counts, Finding, Fitness, In, OpenError, Renewed, Transmit, Transport};
+use murmurate::net::transport::{Counts, In, OpenError, Renewed, Transmit, Transport};
 use murmurate::time::Time;
 
 /// Longest wait for a session when a link is opened. Without a router, the host starts all the same.

@@ -41,7 +41,7 @@ pub enum Urgency {
 
 /// Decision on a received datagram: whether it is accepted, and how soon its sender needs a link report of this host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub enum Admission {
     /// The datagram is accepted: it is new. The urgency is that of this host's next link report.
     New(Urgency),
     /// The datagram has arrived before. If its sender asks for acknowledgements, the one for it was lost and is sent
@@ -113,7 +113,7 @@ impl Incoming {
 
     /// Decides whether to accept a datagram of this team whose tag was valid. `report` is the link report in the
     /// datagram, if any; a refusal is counted in `counts` by its cause.
-    pub fn admit(&mut self, now: Time, header: &Header, report: Option<&Report>, counts: &mut LinkCounts) -> Verdict {
+    pub fn admit(&mut self, now: Time, header: &Header, report: Option<&Report>, counts: &mut LinkCounts) -> Admission {
         let proof = report.and_then(|report| self.liveness_proof(now, report));
         self.proved = proof.is_some();
         let known = match self.local.authenticated {
@@ -129,17 +129,17 @@ impl Incoming {
         let late = self.local.authenticated && sender.lateness.is_late(now, space, header.sequence);
         if late && window.misses(header.sequence) && !self.gaps.awaits(header) {
             counts.late += 1;
-            return Verdict::Refused;
+            return Admission::Refused;
         }
         match window.record(header.sequence, header.flags.has(Flags::COPY)) {
             Position::New => {}
             Position::Seen => {
                 counts.duplicate += 1;
-                return Verdict::Duplicate;
+                return Admission::Duplicate;
             }
             Position::Behind if self.local.authenticated => {
                 counts.replay += 1;
-                return Verdict::Refused;
+                return Admission::Refused;
             }
             // Without a key replays are not detected; only the newest message of each stream is accepted anyway.
             Position::Behind => {}
@@ -148,10 +148,10 @@ impl Incoming {
             && !sender.bucket.take(now, rate)
         {
             counts.rate += 1;
-            return Verdict::Refused;
+            return Admission::Refused;
         }
         sender.heard(now);
-        let Some(report) = report else { return Verdict::New(Urgency::Regular) };
+        let Some(report) = report else { return Admission::New(Urgency::Regular) };
         let challenged = sender.challenged || (sender.listed.is_none() && sender.stamp.is_some());
         sender.stamped(now, report.stamp);
         if space == 0 {
@@ -171,7 +171,7 @@ impl Incoming {
             sender.note_reported_loss(now, entry.lost);
         }
         let report_due = !challenged && (sender.challenged || sender.listed.is_none());
-        Verdict::New(match report_due {
+        Admission::New(match report_due {
             true if header.sender.is_operator() => Urgency::Immediate,
             true => Urgency::NextDatagram,
             false => Urgency::Regular,
@@ -198,7 +198,7 @@ impl Incoming {
         report: Option<&Report>,
         proof: Option<LivenessProof>,
         counts: &mut LinkCounts,
-    ) -> Result<(), Verdict> {
+    ) -> Result<(), Admission> {
         let id = (header.sender, header.incarnation);
         // A unicast datagram does not tell the sequence number of datagrams to all hosts.
         let proof = proof.filter(|_| !header.flags.has(Flags::DIRECT));
@@ -208,7 +208,7 @@ impl Incoming {
                 let off = sender.offsets.is_off(now, self.local.stamps.of(now), report.stamp, FRESH);
                 if off && proof.is_none() {
                     counts.late += 1;
-                    return Err(Verdict::Refused);
+                    return Err(Admission::Refused);
                 } else if off {
                     // The echo shows that the report is recent although its stamp is old: the sender's clock has
                     // paused.
@@ -233,12 +233,12 @@ impl Incoming {
         header: &Header,
         report: Option<&Report>,
         counts: &mut LinkCounts,
-    ) -> Verdict {
+    ) -> Admission {
         let current =
             self.senders.other_incarnation((header.sender, header.incarnation)).and_then(|id| self.senders.get(id));
         if current.is_some_and(|current| current.predecessor == Some(header.incarnation)) {
             counts.replay += 1;
-            return Verdict::Refused;
+            return Admission::Refused;
         }
         counts.unproven += 1;
         // Without a report there is no stamp to echo, and a known stamp needs no further echo. So a repeated recording
@@ -246,12 +246,12 @@ impl Incoming {
         let novelty = report.map(|report| self.candidates.note(now, header.sender, header.incarnation, report.stamp));
         match novelty {
             Some(Novelty::New | Novelty::Unanswered) if header.sender.is_operator() => {
-                Verdict::Candidate(Urgency::Immediate)
+                Admission::Candidate(Urgency::Immediate)
             }
-            Some(Novelty::New) => Verdict::Candidate(Urgency::NextDatagram),
-            Some(Novelty::Unanswered) => Verdict::Candidate(Urgency::OwnDatagram),
-            Some(Novelty::Repeated) => Verdict::Candidate(Urgency::Regular),
-            Some(Novelty::Expired) | None => Verdict::Refused,
+            Some(Novelty::New) => Admission::Candidate(Urgency::NextDatagram),
+            Some(Novelty::Unanswered) => Admission::Candidate(Urgency::OwnDatagram),
+            Some(Novelty::Repeated) => Admission::Candidate(Urgency::Regular),
+            Some(Novelty::Expired) | None => Admission::Refused,
         }
     }
 
@@ -264,7 +264,7 @@ impl Incoming {
         report: &Report,
         proof: LivenessProof,
         counts: &mut LinkCounts,
-    ) -> Result<(), Verdict> {
+    ) -> Result<(), Admission> {
         let id = (header.sender, header.incarnation);
         let mut sender = Sender::new(now, self.rate.as_ref());
         if let Some(current_id) = self.senders.other_incarnation((header.sender, header.incarnation)) {
@@ -272,13 +272,13 @@ impl Incoming {
             if proof.age >= now.since(current.since) {
                 // The echoed stamp is older than the accepted incarnation, so the datagram is a recording.
                 counts.replay += 1;
-                return Err(Verdict::Refused);
+                return Err(Admission::Refused);
             }
             if now.since(current.reported) < SILENT {
                 let duplicated = current.contest(now, header.incarnation);
                 refuse_another(header.sender, duplicated.then_some(current.duplicate_ids), counts);
                 self.candidates.note(now, header.sender, header.incarnation, report.stamp);
-                return Err(Verdict::Refused);
+                return Err(Admission::Refused);
             }
             (sender.duplicate_ids, sender.predecessor) = (current.duplicate_ids, Some(current_id.1));
             self.senders.remove(current_id);
@@ -286,7 +286,7 @@ impl Incoming {
             (sender.duplicate_ids, sender.predecessor) = (before.duplicate_ids, before.predecessor);
         } else if !self.senders.make_room(now, header.sender) {
             counts.crowd += 1;
-            return Err(Verdict::Refused);
+            return Err(Admission::Refused);
         }
         sender.spaces[0].window = Window::starting(header.sequence);
         if let Some(direct) = proof.entry.direct {
@@ -300,7 +300,7 @@ impl Incoming {
     }
 
     /// Checks a sender on a link without a key: all are accepted, but only one incarnation of a host at a time.
-    fn check_without_key(&mut self, now: Time, header: &Header, counts: &mut LinkCounts) -> Result<(), Verdict> {
+    fn check_without_key(&mut self, now: Time, header: &Header, counts: &mut LinkCounts) -> Result<(), Admission> {
         let id = (header.sender, header.incarnation);
         if self.senders.get(id).is_some() {
             return Ok(());
@@ -311,13 +311,13 @@ impl Incoming {
             if current.age(now).is_some_and(|age| age < SILENT_WITHOUT_KEY) {
                 let duplicated = current.contest_without_key(now, header.incarnation);
                 refuse_another(header.sender, duplicated.then_some(current.duplicate_ids), counts);
-                return Err(Verdict::Refused);
+                return Err(Admission::Refused);
             }
             sender.duplicate_ids = current.duplicate_ids;
             self.senders.remove(current_id);
         } else if !self.senders.make_room(now, header.sender) {
             counts.crowd += 1;
-            return Err(Verdict::Refused);
+            return Err(Admission::Refused);
         }
         self.senders.insert(id, sender);
         Ok(())

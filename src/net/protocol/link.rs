@@ -11,7 +11,7 @@ use super::codec::{self, Content, DecodeError, EncodeError, Flags, Frame, HEADER
 pub use super::counts::{LinkCounts, Refusal};
 pub use super::duplicate_id::DuplicateId;
 use super::gaps::BACKOFF;
-use super::incoming::{Incoming, LocalEnd, Urgency, Verdict};
+use super::incoming::{Admission, Incoming, LocalEnd, Urgency};
 use super::key::Key;
 use super::outgoing::{Outbound, Outgoing, REPORT_PERIOD};
 use super::reliability::{Reports, Setup};
@@ -45,7 +45,7 @@ pub enum Standing {
 
 /// Sender of the last datagram on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Heard {
+pub(crate) struct Arrival {
     /// Id of the host.
     pub(crate) host: HostId,
     /// Whether the host is accepted, or has to prove its liveness first.
@@ -81,7 +81,7 @@ pub struct LinkState {
     /// Time at which the next action is due; cached, since it is read far more often than it changes.
     due: Option<Time>,
     /// Sender of the last datagram; `None` if it was neither new nor of a candidate.
-    heard: Option<Heard>,
+    heard: Option<Arrival>,
     /// Cause for which the last datagram was refused without any effect but its count; `None` for others.
     refusal: Option<Refusal>,
     /// Limit of the acknowledgements that are sent again for copies of datagrams.
@@ -216,7 +216,7 @@ impl LinkState {
         if let Some(refusal) = refusal.filter(|refusal| !self.acknowledges_again(now, &header, *refusal)) {
             let waits = refusal == Refusal::Unproven && self.incoming.is_of_waiting(now, &header, report);
             if waits {
-                self.heard = Some(Heard { host: header.sender, standing: Standing::Candidate, proves: false });
+                self.heard = Some(Arrival { host: header.sender, standing: Standing::Candidate, proves: false });
             }
             return Err(refusal);
         }
@@ -227,23 +227,23 @@ impl LinkState {
         }
         let verdict = self.incoming.admit(now, &header, blocks.report.as_ref(), &mut self.counts);
         match verdict {
-            Verdict::New(urgency) | Verdict::Candidate(urgency) => self.outgoing.request_report(now, urgency),
-            Verdict::Duplicate | Verdict::Refused => {}
+            Admission::New(urgency) | Admission::Candidate(urgency) => self.outgoing.request_report(now, urgency),
+            Admission::Duplicate | Admission::Refused => {}
         }
         let standing = match verdict {
-            Verdict::New(_) => Some(Standing::Accepted),
-            Verdict::Candidate(_) => Some(Standing::Candidate),
-            Verdict::Duplicate | Verdict::Refused => None,
+            Admission::New(_) => Some(Standing::Accepted),
+            Admission::Candidate(_) => Some(Standing::Candidate),
+            Admission::Duplicate | Admission::Refused => None,
         };
         let proves = self.key.is_none() || self.incoming.has_proved();
-        self.heard = standing.map(|standing| Heard { host: header.sender, standing, proves });
-        if matches!(verdict, Verdict::Candidate(_) | Verdict::Refused) {
+        self.heard = standing.map(|standing| Arrival { host: header.sender, standing, proves });
+        if matches!(verdict, Admission::Candidate(_) | Admission::Refused) {
             return Ok(None);
         }
         if header.flags.has(Flags::ACK) {
             self.outgoing.acknowledge(now, DatagramId::of(&header));
         }
-        if verdict == Verdict::Duplicate {
+        if verdict == Admission::Duplicate {
             return Ok(None);
         }
         self.incoming.note_gaps(now, &header, &blocks.held, || backoff(stream));
@@ -316,7 +316,7 @@ impl LinkState {
 
     /// Returns the sender of the last datagram, and whether it is accepted or has to prove its liveness first. `None`
     /// if the datagram was a duplicate, or refused for another reason.
-    pub(crate) fn heard(&self) -> Option<Heard> {
+    pub(crate) fn heard(&self) -> Option<Arrival> {
         self.heard
     }
 

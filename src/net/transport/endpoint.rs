@@ -4,6 +4,7 @@ use std::fmt::Debug;
 use std::sync::Arc;
 
 use super::Transport;
+use crate::fitness::{Finding, Fitness};
 use crate::messages::ids::HostId;
 use crate::net::protocol::reliability::{Reliabilities, Setup};
 
@@ -122,35 +123,4 @@ pub enum OpenError {
     /// Opening may succeed later, for example when an interface is up; the text says why it failed now.
     #[error("{0}")]
     NotNow(String),
-}
-
-/// Result of a check whether a machine is fit to be a host: no defect, a limiting one or a preventing one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Fitness {
-    /// The check has found no defect.
-    Ok,
-    /// The check has found a defect that limits operation.
-    Warn,
-    /// The check has found a defect that prevents operation.
-    Fail,
-}
-
-/// Result of one check of an endpoint on this machine.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Finding {
-    /// Whether the check has found a defect, and how severe it is.
-    pub fitness: Fitness,
-    /// Subject of the check, such as "MTU".
-    pub what: &'static str,
-    /// Observation on this machine, such as `1500 bytes`.
-    pub found: String,
-    /// Advice on how to remove the defect; empty if there is none.
-    pub advice: String,
-}
-
-impl Finding {
-    /// Returns a finding without defect: `what` is the subject of the check, `found` the text that says what was found.
-    pub fn ok(what: &'static str, found: String) -> Finding {
-        Finding { fitness: Fitness::Ok, what, found, advice: String::new() }
-    }
 }

@@ -11,7 +11,7 @@ pub mod link_watch;
 pub mod settings;
 pub mod udp;
 
-pub use endpoint::{Claim, Endpoint, Filter, Finding, Fitness, OpenError, Place};
+pub use endpoint::{Claim, Endpoint, Filter, OpenError, Place};
 pub use settings::{Field, LinkSettings};
 
 use std::net::SocketAddr;

@@ -107,20 +107,20 @@ impl Surveyor<'_> {
             let (range, what) = (0..self.out.length, format!("the metadata '{name}' are absent"));
             self.out.damage.push(Damage { range, what, times: (None, None), loss: Loss::Other });
         }
-        let unknown = judged.of.contains(&digest::Verdict::Unknown);
+        let unknown = judged.of.contains(&digest::Match::Unknown);
         self.bare |= unknown;
         let all = std::mem::take(&mut self.metadata).into_iter().zip(judged.of).zip(reached);
         for (((range, name, values), verdict), reached) in all {
             match verdict {
-                digest::Verdict::Unknown if reached => {
+                digest::Match::Unknown if reached => {
                     let what =
                         format!("the metadata '{name}' have no digest, and damage begins in them or behind them");
                     self.out.damage.push(Damage { range, what, times: (None, None), loss: Loss::Other });
                     continue;
                 }
-                digest::Verdict::Unknown if unexplained => continue,
-                digest::Verdict::Right | digest::Verdict::Unknown => {}
-                digest::Verdict::Wrong { copied } => {
+                digest::Match::Unknown if unexplained => continue,
+                digest::Match::Right | digest::Match::Unknown => {}
+                digest::Match::Wrong { copied } => {
                     let (said, loss) = if copied { ("; a copy is right", Loss::Nothing) } else { ("", Loss::Other) };
                     let what = format!("the metadata '{name}' are damaged{said}");
                     self.out.damage.push(Damage { range, what, times: (None, None), loss });

@@ -3,17 +3,18 @@
 
 use std::collections::BTreeMap;
 
-use murmurate::actors::verdict::Verdict;
+use murmurate::actors::drive_check::DriveCheck;
 use murmurate::deploy::team::Team;
 use murmurate::graph::bench::Event;
-use murmurate::localization::check::{self, Grade, Judgement, Needs, Track};
+use murmurate::localization::check::{self, Needs, Track};
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::{Hardware, Health, Reading, Reason};
 use murmurate::time::{Span, Time};
 
-use super::finding::{Found, Status, Subject};
+use super::finding::{Found, Subject};
 use super::notes;
+use murmurate::fitness::{Finding, Fitness};
 
 /// All that a host's source and drivers have reported during `doctor`: readings, odometry, hardware conditions, and
 /// results of the wiggle (a short drive of each robot).
@@ -37,7 +38,7 @@ pub struct Seen {
     pub began: Option<Time>,
     /// Results of the wiggle (a short drive of each robot): the judgement of each driven robot's motion, in the order
     /// of the drives.
-    pub results: Vec<(RobotId, Verdict)>,
+    pub results: Vec<(RobotId, DriveCheck)>,
     /// True if the wiggle (a short drive of each robot) has ended.
     pub over: bool,
 }
@@ -146,14 +147,14 @@ impl Seen {
             let why = if why.is_empty() { why } else { format!(": {why}") };
             let names = group.iter().map(RobotId::to_string).collect::<Vec<_>>().join(", ");
             let said = format!("no reading of {names} in {seconds} s{end}{why}");
-            found.push((Status::Fail, subject(&format!("source {name}")), said, advice.to_owned()));
+            found.push((Fitness::Fail, subject(&format!("source {name}")), said, advice.to_owned()));
         }
         if missing.is_empty() && self.source_ended {
             let advice = "see why it ended; without it all its robots stand";
-            found.push((Status::Fail, subject(&format!("source {name}")), end[2..].to_owned(), advice.to_owned()));
+            found.push((Fitness::Fail, subject(&format!("source {name}")), end[2..].to_owned(), advice.to_owned()));
         }
         if missing.is_empty() && !whole.is_empty() {
-            found.push((Status::Warn, subject(&format!("source {name}")), whole.join("; "), String::new()));
+            found.push((Fitness::Warn, subject(&format!("source {name}")), whole.join("; "), String::new()));
         }
         let end = self.ended.unwrap_or_default();
         let heard = robots.iter().filter_map(|robot| Some((*robot, self.readings.get(robot)?)));
@@ -176,7 +177,7 @@ impl Seen {
             let temperature = known.and_then(|known| known.temperature).map(|degrees| format!(", {degrees}"));
             battery.into_iter().chain(temperature).collect::<String>()
         };
-        let fail = |said: String, advice: &str| (Status::Fail, what.clone(), said, advice.to_owned());
+        let fail = |said: String, advice: &str| (Fitness::Fail, what.clone(), said, advice.to_owned());
         match known {
             Some(hardware) if hardware.health != Health::Ready => {
                 let state = if hardware.health == Health::Silent { "does not answer" } else { "faulty" };
@@ -195,7 +196,7 @@ impl Seen {
                     known.map_or("runs, and reports no condition".to_owned(), |_| format!("ready{}", values()));
                 let fault = self.faults.get(&robot).map(|why| format!("it was not ready in between: {why}"));
                 let warnings: Vec<String> = notes::of_driver(robot).into_iter().chain(fault).collect();
-                let status = if warnings.is_empty() { Status::Ok } else { Status::Warn };
+                let status = if warnings.is_empty() { Fitness::Ok } else { Fitness::Warn };
                 let said = std::iter::once(condition).chain(warnings).collect::<Vec<_>>().join("; ");
                 (status, what, said, String::new())
             }
@@ -228,15 +229,10 @@ fn subject(what: &str) -> Subject {
 /// Returns the finding about the readings of a robot, by its `track` and by `notes`, the reasons for which some were
 /// refused.
 fn about_track(what: &str, track: &Track, end: Time, needs: &Needs, notes: &[String]) -> Found {
-    let Judgement { grade, mut found, advice } = track.judge(end, needs);
-    let mut status = match grade {
-        Grade::Ok => Status::Ok,
-        Grade::Warn => Status::Warn,
-        Grade::Fail => Status::Fail,
-    };
+    let Finding { fitness: mut status, mut found, advice, .. } = track.judge(end, needs);
     if !notes.is_empty() {
         found += &format!("; {}", notes.join("; "));
-        status = status.max(Status::Warn);
+        status = status.max(Fitness::Warn);
     }
     (status, subject(what), found, advice)
 }
@@ -246,7 +242,7 @@ pub fn at_one_place(places: &[(RobotId, Vec2)]) -> Vec<Found> {
     let found = |(robot, other, place): (RobotId, RobotId, Vec2)| {
         let said = format!("both are measured at ({:.2}, {:.2}) m, where two robots cannot be", place.x, place.y);
         let advice = "do they share a body, a topic, a receiver or an origin? give each its own";
-        (Status::Fail, subject(&format!("{robot} and {other}")), said, advice.to_owned())
+        (Fitness::Fail, subject(&format!("{robot} and {other}")), said, advice.to_owned())
     };
     check::at_one_place(places).into_iter().map(found).collect()
 }
@@ -278,7 +274,7 @@ mod tests {
         seen.note(at(2010), reading(3));
         let needs = Needs { own_state: Span::from_millis(100), half_extent: Vec2::repeat(2.0) };
         let judgement = seen.readings[&RobotId(0)].judge(seen.ended.unwrap(), &needs);
-        assert!(judgement.grade == Grade::Fail && judgement.found.starts_with("no reading for the last 2.0 s"));
+        assert!(judgement.fitness == Fitness::Fail && judgement.found.starts_with("no reading for the last 2.0 s"));
         let mut seen = Seen::new(false, Span::from_millis(100));
         for (ms, hardware) in [
             (0, Hardware::of(Health::Silent)),

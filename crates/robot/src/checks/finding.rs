@@ -2,25 +2,14 @@
 
 use std::fmt;
 
+use murmurate::fitness::Fitness;
 use serde::{Serialize, Serializer};
-
-/// Severity of a check's result, in rising order; `Fail` means that this machine is not fit.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Status {
-    /// Nothing is wrong.
-    Ok,
-    /// The machine is fit, and something should be looked at.
-    Warn,
-    /// The machine is not fit.
-    Fail,
-}
 
 /// Result of one check.
 #[derive(Debug, Serialize)]
 pub struct Check {
     /// Severity of the result.
-    pub status: Status,
+    pub status: Fitness,
     /// Name of the host to which the check belongs; "here" for a check of the machine.
     pub host: String,
     /// Thing that was checked, such as the key, a link or a robot.
@@ -69,7 +58,7 @@ impl Serialize for Subject {
 }
 
 /// Result of a check, before it is known for which host it was made: severity, subject, observation, advice.
-pub(super) type Found = (Status, Subject, String, String);
+pub(super) type Found = (Fitness, Subject, String, String);
 
 impl Check {
     /// Returns a result as one of the host with this name.

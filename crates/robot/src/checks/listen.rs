@@ -23,8 +23,9 @@ use murmurate::net::transport::{Filter, Place};
 use murmurate::runtime::real::run_real;
 use murmurate::time::{Span, Time};
 
-use super::finding::{Found, Status, Subject};
+use super::finding::{Found, Subject};
 use crate::key;
+use murmurate::fitness::Fitness;
 use murmurate::live::links;
 
 /// Age of a host's last datagram below which the host is running \[s\]. Reports are sent four times a second.
@@ -35,7 +36,7 @@ const LOSSY: f64 = 2.0 / 64.0;
 
 /// Results of listening to the team: findings, running hosts, and whether robots may be driven.
 #[derive(Default)]
-pub struct Heard {
+pub struct Reception {
     /// Findings about reception from each host on each link, refused datagrams, and the condition of each robot.
     pub found: Vec<Found>,
     /// Hosts of the team from which a datagram arrived within the last two seconds.
@@ -89,13 +90,13 @@ impl Received {
 /// Listens to the team for `seconds` \[s\], and returns findings, running hosts and any reason why no robot may be
 /// driven. `teams` has the configuration of each host of this machine, whose links are used; `all` has that of each
 /// host of the team.
-pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Heard> {
+pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Reception> {
     let first = &teams[0];
     let place = |at: usize| teams.iter().find_map(|team| Some(team.links[at].as_ref()?.for_guest(team.host)));
     let places: Vec<Option<Place>> = (0..first.links.len()).map(place).collect();
     let names: Vec<&str> = first.deployment.links.iter().map(|link| &*link.name).collect();
     if places.iter().all(Option::is_none) {
-        return Ok(Heard::default());
+        return Ok(Reception::default());
     }
     let setups = links::of_operator(&first.deployment, places.iter().map(Option::as_ref));
     let mut found = Vec::new();
@@ -115,7 +116,7 @@ pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Heard> {
     }
     found.extend(received.counts.key_trouble().map(|trouble| {
         let what = Subject::General("key".to_owned());
-        (Status::Fail, what, trouble.to_owned(), "give this machine and all hosts the same key".to_owned())
+        (Fitness::Fail, what, trouble.to_owned(), "give this machine and all hosts the same key".to_owned())
     }));
     found.extend(refusals(&received.counts));
     // If no robot is reported, the findings about hosts say enough.
@@ -130,7 +131,7 @@ pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Heard> {
     let begins = !received.led && hosts.contains(&Routes::of(&first.deployment).server_host());
     let begins =
         begins.then(|| "the host of the state server is running, and will begin an episode: end it".to_owned());
-    Ok(Heard { found, hosts, hindrance: received.hindrance.or(begins) })
+    Ok(Reception { found, hosts, hindrance: received.hindrance.or(begins) })
 }
 
 /// Opens the sockets of an operator (a host outside the deployment) on all links of the host `team.host`, so that it
@@ -218,14 +219,14 @@ fn loop_back(link: &str, echo: Option<&Peer>) -> Found {
     let what = Subject::Link { link: link.to_owned(), item: "loop-back".to_owned() };
     match echo.map(|peer| (peer.round_trip_s, peer.age_s)) {
         Some((Some(round_trip_s), _)) => {
-            (Status::Ok, what, format!("there and back in {:.2} ms", round_trip_s * 1e3), String::new())
+            (Fitness::Ok, what, format!("there and back in {:.2} ms", round_trip_s * 1e3), String::new())
         }
         Some((None, Some(_))) => {
-            (Status::Warn, what, "heard, but no answer has come back yet".to_owned(), "listen longer".to_owned())
+            (Fitness::Warn, what, "heard, but no answer has come back yet".to_owned(), "listen longer".to_owned())
         }
         _ => {
             let advice = "does a firewall drop UDP to the group? see 'nft list ruleset' or 'iptables -L'";
-            (Status::Fail, what, "what this machine sends does not come back to it".to_owned(), advice.to_owned())
+            (Fitness::Fail, what, "what this machine sends does not come back to it".to_owned(), advice.to_owned())
         }
     }
 }
@@ -234,7 +235,7 @@ fn about(link: &str, host: &str, peer: Option<&Peer>) -> Found {
     let what = Subject::Peer { link: link.to_owned(), host: host.to_owned() };
     let Some((peer, age_s)) = peer.and_then(|peer| Some((peer, peer.age_s?))) else {
         let advice = "is it started, on this network, with this group and this key? run doctor there, too";
-        return (Status::Warn, what, "not heard".to_owned(), advice.to_owned());
+        return (Fitness::Warn, what, "not heard".to_owned(), advice.to_owned());
     };
     let clock = match (peer.round_trip_s, peer.uncertainty_s) {
         (Some(round_trip_s), Some(uncertainty_s)) => {
@@ -246,17 +247,17 @@ fn about(link: &str, host: &str, peer: Option<&Peer>) -> Found {
     let said = format!("heard {age_ms:.0} ms ago, loss {loss:.0} % of its, {told:.0} % of ours; {clock}");
     if peer.duplicate_ids > 0 {
         let advice = "two hosts have its name: stop one of them".to_owned();
-        return (Status::Fail, what, format!("a second live host speaks as it; {said}"), advice);
+        return (Fitness::Fail, what, format!("a second live host speaks as it; {said}"), advice);
     }
     if !peer.accepted {
         let advice = "does it hear this machine? run doctor there, too".to_owned();
-        return (Status::Warn, what, format!("heard, but it has not shown that it has received us; {said}"), advice);
+        return (Fitness::Warn, what, format!("heard, but it has not shown that it has received us; {said}"), advice);
     }
     if peer.loss >= LOSSY {
         let advice = "look at the radio, or choose reliability = { latent = \"repeat\" }".to_owned();
-        return (Status::Warn, what, said, advice);
+        return (Fitness::Warn, what, said, advice);
     }
-    (Status::Ok, what, said, String::new())
+    (Fitness::Ok, what, said, String::new())
 }
 
 /// Returns the finding about a robot from what its hosts report; fields without a report are unknown.
@@ -264,7 +265,7 @@ fn about_robot(robot: RobotId, known: Option<&Condition>) -> Found {
     let what = Subject::General(format!("robot {}", robot.0));
     let Some(known) = known else {
         let advice = "are the hosts of its agent and of its motors running?".to_owned();
-        return (Status::Warn, what, "nothing is known of it".to_owned(), advice);
+        return (Fitness::Warn, what, "nothing is known of it".to_owned(), advice);
     };
     let place = known.seen.map_or("place unknown".to_owned(), |seen| {
         let heading = seen.pose.heading.map_or("unknown".to_owned(), |heading| format!("{heading:.2} rad"));
@@ -284,9 +285,9 @@ fn about_robot(robot: RobotId, known: Option<&Condition>) -> Found {
     let said = format!("{place}; {phase}; {health}{reason}{battery}{temperature}");
     match known.health {
         Some(Health::Faulty | Health::Silent) => {
-            (Status::Fail, what, said, "look at the robot: its driver says that something is wrong".to_owned())
+            (Fitness::Fail, what, said, "look at the robot: its driver says that something is wrong".to_owned())
         }
-        _ => (Status::Ok, what, said, String::new()),
+        _ => (Fitness::Ok, what, said, String::new()),
     }
 }
 
@@ -322,7 +323,7 @@ fn refusals(counts: &LinkCounts) -> Vec<Found> {
     ];
     let found = |(count, what, advice): (u64, &str, &str)| {
         let said = format!("{count} datagrams {what}");
-        (Status::Warn, Subject::General("refused".to_owned()), said, advice.to_owned())
+        (Fitness::Warn, Subject::General("refused".to_owned()), said, advice.to_owned())
     };
     all.into_iter().filter(|(count, ..)| *count > 0).map(found).collect()
 }
@@ -349,18 +350,18 @@ mod tests {
         let (status, what, said, advice) = about("infra", "world", None);
         assert_eq!(
             (status, what.to_string(), &*said),
-            (Status::Warn, "link infra, host world".to_owned(), "not heard")
+            (Fitness::Warn, "link infra, host world".to_owned(), "not heard")
         );
         assert!(advice.contains("is it started"), "{advice}");
         let (status, what, _, advice) = loop_back("infra", None);
-        assert_eq!((status, what.to_string()), (Status::Fail, "link infra, loop-back".to_owned()));
+        assert_eq!((status, what.to_string()), (Fitness::Fail, "link infra, loop-back".to_owned()));
         assert!(advice.contains("firewall"), "{advice}");
     }
 
     #[test]
     fn a_robot_is_as_its_hosts_report_it_together() {
         let robot = RobotId(2);
-        assert_eq!(about_robot(robot, None).0, Status::Warn);
+        assert_eq!(about_robot(robot, None).0, Fitness::Warn);
         let mut received = Received::default();
         let none = Condition {
             robot,
@@ -376,10 +377,10 @@ mod tests {
         received.learn(&Condition { phase: Some(Phase::Running), ..none.clone() });
         received.learn(&Condition { health: Some(Health::Faulty), battery: Some(40), ..none.clone() });
         let (status, _, said, _) = about_robot(robot, received.robots.get(&robot));
-        assert_eq!((status, &*said), (Status::Fail, "place unknown; runs; faulty, battery 40 %"));
+        assert_eq!((status, &*said), (Fitness::Fail, "place unknown; runs; faulty, battery 40 %"));
         received.learn(&Condition { health: Some(Health::Ready), ..none });
         let (status, _, said, _) = about_robot(robot, received.robots.get(&robot));
-        assert_eq!((status, &*said), (Status::Ok, "place unknown; runs; ready, battery 40 %"));
+        assert_eq!((status, &*said), (Fitness::Ok, "place unknown; runs; ready, battery 40 %"));
     }
 
     #[test]

@@ -3,11 +3,12 @@
 use std::path::Path;
 
 use murmurate::deploy::team::Team;
+use murmurate::fitness::{Finding, Fitness};
 use murmurate::messages::ids::HostId;
-use murmurate::net::transport::{Finding, Fitness, Place};
+use murmurate::net::transport::Place;
 use murmurate::registry::Registry;
 
-use super::finding::{Found, Status, Subject};
+use super::finding::{Found, Subject};
 use crate::{key, own_name, team};
 
 /// Checks key, policy and links of the host `team.host`.
@@ -26,18 +27,18 @@ fn check_key(team: &Team) -> Found {
         |status, found: String, advice: &str| (status, Subject::General("key".to_owned()), found, advice.to_owned());
     match &team.key_file {
         None => found(
-            Status::Warn,
+            Fitness::Warn,
             "none: every program on this machine can command these robots".to_owned(),
             &format!("make one with '{} key new' and name it as key_file", own_name()),
         ),
         Some(path) => match key::read(path) {
             Ok(key) => found(
-                Status::Ok,
+                Fitness::Ok,
                 format!("fingerprint {}, which every host of the team must have", key::fingerprint(&key)),
                 "",
             ),
             // The error also says what to do.
-            Err(error) => found(Status::Fail, error.to_string(), ""),
+            Err(error) => found(Fitness::Fail, error.to_string(), ""),
         },
     }
 }
@@ -45,20 +46,15 @@ fn check_key(team: &Team) -> Found {
 fn check_policy(team: &Team, registry: &Registry) -> Found {
     let found = |status, found: String| (status, Subject::General("policy".to_owned()), found, String::new());
     match team::policy(team, registry) {
-        Ok(policy) if policy.warnings.is_empty() => found(Status::Ok, policy.name),
-        Ok(policy) => found(Status::Warn, policy.warnings.join("; ")),
-        Err(error) => found(Status::Fail, error.to_string()),
+        Ok(policy) if policy.warnings.is_empty() => found(Fitness::Ok, policy.name),
+        Ok(policy) => found(Fitness::Warn, policy.warnings.join("; ")),
+        Err(error) => found(Fitness::Fail, error.to_string()),
     }
 }
 
 fn check_link(host: HostId, link: &str, place: &Place) -> Vec<Found> {
     let found = |Finding { fitness, what, found, advice }: Finding| {
-        let status = match fitness {
-            Fitness::Ok => Status::Ok,
-            Fitness::Warn => Status::Warn,
-            Fitness::Fail => Status::Fail,
-        };
-        (status, Subject::Link { link: link.to_owned(), item: what.to_owned() }, found, advice)
+        (fitness, Subject::Link { link: link.to_owned(), item: what.to_owned() }, found, advice)
     };
     place.endpoint.check(host, link, &mtu).into_iter().map(found).collect()
 }
@@ -87,19 +83,19 @@ mod tests {
     fn a_missing_key_is_a_warning_and_one_that_cannot_be_read_a_failure() {
         let mut team = team();
         let (status, what, found, advice) = check_key(&team);
-        assert_eq!((status, what.to_string()), (Status::Warn, "key".to_owned()));
+        assert_eq!((status, what.to_string()), (Fitness::Warn, "key".to_owned()));
         assert!(found.starts_with("none: ") && advice.contains("key new"), "{found}; {advice}");
         team.key_file = Some("/nowhere/team.key".into());
         let (status, _, found, _) = check_key(&team);
-        assert!(status == Status::Fail && found.contains("/nowhere/team.key"), "{found}");
+        assert!(status == Fitness::Fail && found.contains("/nowhere/team.key"), "{found}");
     }
 
     #[test]
     fn a_policy_that_is_not_there_is_a_failure() {
         let mut team = team();
-        assert_eq!(check_policy(&team, &crate::registry()).0, Status::Ok);
+        assert_eq!(check_policy(&team, &crate::registry()).0, Fitness::Ok);
         team.policy = Some("/nowhere/policy.toml".into());
         let (status, _, found, _) = check_policy(&team, &crate::registry());
-        assert!(status == Status::Fail && found.contains("/nowhere/policy.toml"), "{found}");
+        assert!(status == Fitness::Fail && found.contains("/nowhere/policy.toml"), "{found}");
     }
 }

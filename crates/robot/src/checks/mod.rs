@@ -14,12 +14,13 @@ mod notes;
 mod table;
 mod wiggle;
 
-pub use finding::{Check, Status, Subject};
+pub use finding::{Check, Subject};
 pub use notes::{Notes, Warnings};
 
 use anyhow::Result;
 use murmurate::deploy::Host;
 use murmurate::deploy::team::Team;
+use murmurate::fitness::Fitness;
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::ids::RobotId;
 use murmurate::registry::Registry;
@@ -27,7 +28,7 @@ use murmurate::scenario::Settings;
 
 use crate::BadInput;
 use finding::Found;
-use listen::Heard;
+use listen::Reception;
 
 /// Question whether the robots of a host may be driven.
 pub type Confirm<'a> = dyn Fn(&Team) -> Result<bool> + 'a;
@@ -60,7 +61,7 @@ pub struct Report {
 impl Report {
     /// Returns whether no check has failed.
     pub fn is_fit(&self) -> bool {
-        self.checks.iter().all(|check| check.status != Status::Fail)
+        self.checks.iter().all(|check| check.status != Fitness::Fail)
     }
 
     /// Returns the lines of the table of the results for the hosts with these names, with the verdict at the end.
@@ -117,7 +118,7 @@ pub fn examine(examination: &Examination) -> Result<Report> {
 fn look(
     examination: &Examination,
     team: &Team,
-    heard: &Heard,
+    heard: &Reception,
     places: &mut Vec<(RobotId, Vec2)>,
 ) -> Result<(Vec<Found>, bench::End)> {
     let (host, registry) = (host_of(team), examination.registry);
@@ -128,7 +129,7 @@ fn look(
     }
     if heard.hosts.contains(&team.host) {
         let said = format!("host '{}' is running, and its devices are its own", host.name);
-        let status = if wiggles { Status::Fail } else { Status::Warn };
+        let status = if wiggles { Fitness::Fail } else { Fitness::Warn };
         let what = if wiggles { "wiggle" } else { "devices" };
         let advice = "end it to check them here".to_owned();
         return done(vec![(status, Subject::General(what.to_owned()), said, advice)]);
@@ -167,13 +168,13 @@ mod tests {
             Check { status, host: "here".to_owned(), what, found: "x".to_owned(), advice: String::new() }
         };
         let report = |checks| Report { checks, interrupted: false };
-        let fit = report(vec![check(Status::Ok), check(Status::Warn)]);
+        let fit = report(vec![check(Fitness::Ok), check(Fitness::Warn)]);
         assert!(fit.is_fit());
         assert_eq!(
             fit.lines(&["a"]),
             ["ok   key: x", "warn key: x", "fit: this machine can be host 'a'; 1 warning above"]
         );
-        let unfit = report(vec![check(Status::Fail)]);
+        let unfit = report(vec![check(Fitness::Fail)]);
         assert!(!unfit.is_fit());
         assert_eq!(unfit.lines(&["a"])[1], "not fit to be host 'a': 1 check failed, 0 warnings");
     }

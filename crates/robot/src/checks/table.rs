@@ -1,13 +1,14 @@
 //! The checks as a short table: one line for all checks of a link without defects, and one for all hosts
 //! that have the same problem. `--json` lists each check.
 
-use super::finding::{Check, Status, Subject};
+use super::finding::{Check, Subject};
 use murmurate::config::shown::{self, counted};
+use murmurate::fitness::Fitness;
 
 /// Line of the table that `doctor` prints: one check, or several with the same result that differ in their host, their
 /// link or the property that was checked.
 pub struct Line<'a> {
-    status: Status,
+    status: Fitness,
     /// Hosts that were checked.
     hosts: Vec<&'a str>,
     links: Vec<&'a str>,
@@ -36,7 +37,7 @@ impl<'a> Line<'a> {
             Subject::Link { link, item } => (vec![&**link], item, false),
             Subject::Peer { link, host } => (vec![&**link], host, true),
         };
-        let fine = *status == Status::Ok && matches!(what, Subject::Link { .. });
+        let fine = *status == Fitness::Ok && matches!(what, Subject::Link { .. });
         let found = (!fine).then_some(&**found);
         Line { status: *status, hosts: vec![host], links, items: vec![item], peers, found, advice }
     }
@@ -57,9 +58,9 @@ impl<'a> Line<'a> {
     /// machine, names no host.
     pub fn text(&self, hosts: usize) -> String {
         let status = match self.status {
-            Status::Ok => "ok  ",
-            Status::Warn => "warn",
-            Status::Fail => "fail",
+            Fitness::Ok => "ok  ",
+            Fitness::Warn => "warn",
+            Fitness::Fail => "fail",
         };
         // Findings about every host, or about the machine, name no host.
         let host = match &self.hosts[..] {
@@ -107,7 +108,7 @@ fn gather<'a>(all: impl Iterator<Item = Line<'a>>, joins: impl Fn(&Line, &Line) 
 /// or all of a team, and how many checks failed or gave a warning.
 pub fn verdict(lines: &[Line], hosts: &[&str]) -> String {
     let count = |status| lines.iter().filter(|line| line.status == status).count();
-    let (failed, warned) = (count(Status::Fail), count(Status::Warn));
+    let (failed, warned) = (count(Fitness::Fail), count(Fitness::Warn));
     let role = match hosts {
         [host] => format!("host '{host}'"),
         hosts => format!("all {} hosts of the team", hosts.len()),
@@ -123,7 +124,7 @@ pub fn verdict(lines: &[Line], hosts: &[&str]) -> String {
 mod tests {
     use super::*;
 
-    fn check(status: Status, host: &str, what: Subject, found: &str) -> Check {
+    fn check(status: Fitness, host: &str, what: Subject, found: &str) -> Check {
         Check { status, host: host.to_owned(), what, found: found.to_owned(), advice: String::new() }
     }
 
@@ -135,23 +136,23 @@ mod tests {
     fn what_is_fine_takes_a_line_and_so_do_hosts_with_one_problem() {
         let mut checks = Vec::new();
         for host in ["a", "b"] {
-            checks.push(check(Status::Warn, host, Subject::General("key".to_owned()), "none"));
+            checks.push(check(Fitness::Warn, host, Subject::General("key".to_owned()), "none"));
             for link in ["one", "two"] {
-                checks.push(check(Status::Ok, host, item(link, "MTU"), host));
-                checks.push(check(Status::Ok, host, item(link, "group"), "joined"));
+                checks.push(check(Fitness::Ok, host, item(link, "MTU"), host));
+                checks.push(check(Fitness::Ok, host, item(link, "group"), "joined"));
             }
         }
         for link in ["one", "two"] {
             for host in ["a", "b"] {
                 checks.push(check(
-                    Status::Warn,
+                    Fitness::Warn,
                     "here",
                     Subject::Peer { link: link.to_owned(), host: host.to_owned() },
                     "not heard",
                 ));
             }
         }
-        checks.push(check(Status::Fail, "b", Subject::General("policy".to_owned()), "there is none"));
+        checks.push(check(Fitness::Fail, "b", Subject::General("policy".to_owned()), "there is none"));
         let lines = lines(&checks);
         assert_eq!(
             lines.iter().map(|line| line.text(2)).collect::<Vec<_>>(),

@@ -1,7 +1,7 @@
 //! Drive of each robot of one host 10 cm and back: its settings, and the findings about whether it moved correctly.
 
 use anyhow::Result;
-use murmurate::actors::verdict::{Axes, Verdict};
+use murmurate::actors::drive_check::{Axes, DriveCheck};
 use murmurate::actors::wiggle::{Config, Driven, SPEED_M_S};
 use murmurate::deploy::team::Team;
 use murmurate::graph::COMMAND_VALIDITY;
@@ -10,9 +10,10 @@ use murmurate::registry::Registry;
 use murmurate::safety::filter;
 use murmurate::time::Span;
 
-use super::finding::{Found, Status, Subject};
+use super::finding::{Found, Subject};
 use super::host_of;
 use crate::BadInput;
+use murmurate::fitness::Fitness;
 
 /// Period of motor commands: that of policies.
 const PERIOD: Span = Span::from_millis(50);
@@ -48,14 +49,14 @@ pub fn config(team: &Team, registry: &Registry) -> Result<Config> {
 
 /// Returns the finding that the whole wiggle has failed, or was not run, for the reason `why`.
 pub fn failed(why: &str, advice: &str) -> Found {
-    (Status::Fail, Subject::General("wiggle".to_owned()), why.to_owned(), advice.to_owned())
+    (Fitness::Fail, Subject::General("wiggle".to_owned()), why.to_owned(), advice.to_owned())
 }
 
 /// Returns the finding about a robot that was to be driven, from the judgement `verdict` of its motion. `localizes` is
 /// true if a source measured the motion, and not the robot's odometry.
-pub fn finding(robot: RobotId, verdict: &Verdict, localizes: bool) -> Found {
+pub fn finding(robot: RobotId, verdict: &DriveCheck, localizes: bool) -> Found {
     let (status, said, advice) = words(robot, verdict);
-    let frame = if localizes || status != Status::Ok { "" } else { ", by its own odometry" };
+    let frame = if localizes || status != Fitness::Ok { "" } else { ", by its own odometry" };
     (status, Subject::General(format!("{robot}, wiggle")), format!("{said}{frame}"), advice)
 }
 
@@ -63,49 +64,49 @@ fn names(robots: &[RobotId]) -> String {
     robots.iter().map(RobotId::to_string).collect::<Vec<_>>().join(", ")
 }
 
-fn words(robot: RobotId, verdict: &Verdict) -> (Status, String, String) {
-    let fail = |said: String, advice: &str| (Status::Fail, said, advice.to_owned());
+fn words(robot: RobotId, verdict: &DriveCheck) -> (Fitness, String, String) {
+    let fail = |said: String, advice: &str| (Fitness::Fail, said, advice.to_owned());
     match verdict {
-        Verdict::Right(distance, off) => {
+        DriveCheck::Right(distance, off) => {
             let (cm, degrees) = (distance * 100.0, off.abs().to_degrees());
-            (Status::Ok, format!("went {cm:.1} cm, {degrees:.0} degrees off, and back"), String::new())
+            (Fitness::Ok, format!("went {cm:.1} cm, {degrees:.0} degrees off, and back"), String::new())
         }
-        Verdict::Unseen => fail("no reading of it: it stands".to_owned(), "see its source above"),
-        Verdict::Unfit(why) => {
+        DriveCheck::Unseen => fail("no reading of it: it stands".to_owned(), "see its source above"),
+        DriveCheck::Unfit(why) => {
             let why = why.as_deref().map_or(String::new(), |why| format!(": {why}"));
             fail(format!("was not driven{why}"), "see its driver above")
         }
-        Verdict::Noisy(noise) => {
+        DriveCheck::Noisy(noise) => {
             let cm = noise * 100.0;
             let said =
                 format!("was not driven: it seems to move by {cm:.0} cm while it stands, too much to judge 10 cm");
             fail(said, "does it stand? else look at the tracker")
         }
-        Verdict::NoRoom => fail(
+        DriveCheck::NoRoom => fail(
             "was not driven: there is no room in any direction".to_owned(),
             "put it inside the scenario's ground, away from walls and other robots",
         ),
-        Verdict::Still(others) if others.is_empty() => fail(
+        DriveCheck::Still(others) if others.is_empty() => fail(
             "was driven, and no robot moved".to_owned(),
             "are its motors on, and is its heading measured? without one, it stands",
         ),
-        Verdict::Still(others) => fail(
+        DriveCheck::Still(others) => fail(
             format!("{robot} was driven, {} moved", names(others)),
             "are their addresses swapped, or their names in the tracker?",
         ),
-        Verdict::Together(others) => {
+        DriveCheck::Together(others) => {
             fail(format!("{robot} was driven, and {} moved, too", names(others)), "do they listen to one address?")
         }
-        Verdict::Astray(axes, off) => {
+        DriveCheck::Astray(axes, off) => {
             let (degrees, side) = (off.abs().to_degrees(), if *off > 0.0 { "left" } else { "right" });
             let said = format!("went {degrees:.0} degrees to the {side} of where it should{}", mistake(*axes));
             fail(said, "correct the axes of its driver, or of its source")
         }
-        Verdict::Distance(distance) => {
+        DriveCheck::Distance(distance) => {
             let cm = distance * 100.0;
             fail(format!("went {cm:.1} cm instead of 10 cm"), "are its speeds in m/s, and positions in m?")
         }
-        Verdict::Held(why) => {
+        DriveCheck::Held(why) => {
             fail(format!("its guard has stopped or slowed it: {why}"), "docs/safety.md has each cause")
         }
     }
@@ -131,15 +132,15 @@ mod tests {
     #[test]
     fn a_finding_says_what_moved_and_by_what_it_was_measured() {
         let robot = RobotId(3);
-        let of = |verdict: &Verdict, localizes| finding(robot, verdict, localizes);
-        let (status, what, said, _) = of(&Verdict::Right(0.1, 0.0), true);
-        assert_eq!((status, what.to_string()), (Status::Ok, "robot 3, wiggle".to_owned()));
+        let of = |verdict: &DriveCheck, localizes| finding(robot, verdict, localizes);
+        let (status, what, said, _) = of(&DriveCheck::Right(0.1, 0.0), true);
+        assert_eq!((status, what.to_string()), (Fitness::Ok, "robot 3, wiggle".to_owned()));
         assert_eq!(said, "went 10.0 cm, 0 degrees off, and back");
-        assert!(of(&Verdict::Right(0.1, 0.0), false).2.ends_with(", by its own odometry"));
-        let (status, _, said, advice) = of(&Verdict::Still(vec![RobotId(4)]), true);
-        assert_eq!((status, &*said), (Status::Fail, "robot 3 was driven, robot 4 moved"));
+        assert!(of(&DriveCheck::Right(0.1, 0.0), false).2.ends_with(", by its own odometry"));
+        let (status, _, said, advice) = of(&DriveCheck::Still(vec![RobotId(4)]), true);
+        assert_eq!((status, &*said), (Fitness::Fail, "robot 3 was driven, robot 4 moved"));
         assert!(advice.contains("swapped"), "{advice}");
-        let (_, _, said, advice) = of(&Verdict::Astray(Axes::Swapped, 1.57), true);
+        let (_, _, said, advice) = of(&DriveCheck::Astray(Axes::Swapped, 1.57), true);
         assert!(said.ends_with("to the left of where it should, as with x and y swapped"), "{said}");
         assert!(advice.contains("axes"), "{advice}");
     }

@@ -6,10 +6,11 @@ use std::sync::Arc;
 use super::peers::PeerAddress;
 use super::socket::{Addressing, SocketConfig};
 use super::{Udp, fitness};
+use crate::fitness::Finding;
 use crate::messages::ids::HostId;
 use crate::net::protocol::reliability::{Reliabilities, Setup};
 use crate::net::transport::interface::{self, LOOPBACK};
-use crate::net::transport::{Claim, Endpoint, Filter, Finding, OpenError, Transport};
+use crate::net::transport::{Claim, Endpoint, Filter, OpenError, Transport};
 
 impl SocketConfig {
     fn with(&self, addressing: Addressing) -> Arc<dyn Endpoint> {

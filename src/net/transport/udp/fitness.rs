@@ -6,10 +6,10 @@ use super::open::OpenError;
 use super::peers::PeerAddress;
 use super::socket::{Addressing, SocketConfig};
 use super::{Filter, Udp};
+use crate::fitness::{Finding, Fitness};
 use crate::messages::ids::HostId;
 use crate::net::protocol::codec::MAX_FRAME_BYTES;
 use crate::net::transport::interface;
-use crate::net::transport::{Finding, Fitness};
 
 /// Opens the sockets of `host` on the link named `link` for a check, and returns the findings. `mtu` returns the
 /// largest packet of the interface with the given name \[bytes\]; `None` if that is unknown.

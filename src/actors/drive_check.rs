@@ -1,4 +1,4 @@
-//! Verdicts on a short test drive of one robot: its measured displacement compared with the commanded one.
+//! Check of a short test drive of one robot: its measured displacement compared with the commanded one.
 
 use crate::messages::geometry::{Vec2, wrapped};
 use crate::messages::ids::RobotId;
@@ -21,7 +21,7 @@ const MOVED_NOISES: f32 = 1.2;
 
 /// Result of the short test drive of one robot: whether it moved as commanded, or why not.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Verdict {
+pub enum DriveCheck {
     /// The robot moved correctly: measured distance \[m\], and deviation from the commanded direction \[rad\], positive
     /// to the left.
     Right(f32, f32),
@@ -112,23 +112,23 @@ pub(crate) fn has_moved(way: Vec2, noise_m: f32) -> bool {
 /// length does not matter. `way` is the robot's measured displacement \[m\], `None` if it has not moved (see
 /// [`has_moved`]); both are in the world frame. `others` are the other robots that moved during the drive, and `counts`
 /// says how often the guard stopped or slowed the driven robot.
-pub(crate) fn judge(along: Vec2, way: Option<Vec2>, others: Vec<RobotId>, counts: &SafetyCounts) -> Verdict {
+pub(crate) fn judge(along: Vec2, way: Option<Vec2>, others: Vec<RobotId>, counts: &SafetyCounts) -> DriveCheck {
     let held: Vec<&str> = counts.reasons().map(|(_, reason)| reason).collect();
     // The guard is the cause if it held the robot.
-    let or_held = |verdict| if held.is_empty() { verdict } else { Verdict::Held(held.join(", ")) };
+    let or_held = |verdict| if held.is_empty() { verdict } else { DriveCheck::Held(held.join(", ")) };
     let Some(way) = way else {
-        return if others.is_empty() { or_held(Verdict::Still(others)) } else { Verdict::Still(others) };
+        return if others.is_empty() { or_held(DriveCheck::Still(others)) } else { DriveCheck::Still(others) };
     };
     if !others.is_empty() {
-        return Verdict::Together(others);
+        return DriveCheck::Together(others);
     }
     let off = wrapped(f64::from(libm::atan2f(way.y, way.x) - libm::atan2f(along.y, along.x))) as f32;
     let distance = way.norm();
     if off.abs() > DIRECTION_RAD {
-        Verdict::Astray(Axes::of(along, way), off)
+        DriveCheck::Astray(Axes::of(along, way), off)
     } else if (distance - DISTANCE_M).abs() > SHARE * DISTANCE_M {
-        or_held(Verdict::Distance(distance))
+        or_held(DriveCheck::Distance(distance))
     } else {
-        Verdict::Right(distance, off)
+        DriveCheck::Right(distance, off)
     }
 }
