@@ -219,7 +219,7 @@ impl Chassis {
             return Some(BodyTwist::default());
         }
         let heading = heading?;
-        let own = Pose { position: Vec2::zeros(), heading: Some(heading) }.into_body(velocity)?;
+        let own = Pose { position: Vec2::zeros(), heading: Some(heading) }.in_body_frame(velocity)?;
         Some(self.limit(match self.drive {
             DriveKind::Holonomic => {
                 let turn = |held: f32| HEADING_GAIN * wrapped(f64::from(held - heading)) as f32;

@@ -317,7 +317,7 @@ impl Pose {
 
     /// Converts a velocity \[m/s\] from the world frame into the frame of a robot with this pose, in which x points
     /// ahead and y to the left. Returns `None` if the heading is unknown.
-    pub(crate) fn into_body(&self, velocity: Vec2) -> Option<Vec2> {
+    pub(crate) fn in_body_frame(&self, velocity: Vec2) -> Option<Vec2> {
         let (sin, cos) = libm::sincosf(self.heading?);
         Some(Vec2::new(cos * velocity.x + sin * velocity.y, cos * velocity.y - sin * velocity.x))
     }
@@ -367,12 +367,11 @@ pub(crate) const QUATERNION_LENGTH: [f64; 2] = [0.9, 1.1];
 pub enum NoRotation {
     /// All four are zero, as in a message whose orientation nobody has set.
     Zero,
-    /// Their length as a quaternion is out of [`QUATERNION_LENGTH`], or not finite.
+    /// Their length as a quaternion is not within 0.9 to 1.1, or not finite.
     Length,
 }
 
-/// Returns the unit quaternion in the direction of `quaternion`, whose length has to be within
-/// [`QUATERNION_LENGTH`].
+/// Returns the unit quaternion in the direction of `quaternion`, whose length has to be within 0.9 to 1.1.
 pub fn unit_quaternion(quaternion: [f64; 4]) -> Result<[f64; 4], NoRotation> {
     if quaternion == [0.0; 4] {
         return Err(NoRotation::Zero);
@@ -456,11 +455,11 @@ mod tests {
     #[test]
     fn a_robot_that_points_north_goes_north_by_going_ahead() {
         let north = Pose { position: Vec2::zeros(), heading: Some(FRAC_PI_2) };
-        let ahead = north.into_body(Vec2::new(0.0, 1.0)).unwrap();
+        let ahead = north.in_body_frame(Vec2::new(0.0, 1.0)).unwrap();
         assert!((ahead - Vec2::new(1.0, 0.0)).norm() < 1e-6, "{ahead}");
-        let left = north.into_body(Vec2::new(-2.0, 0.0)).unwrap();
+        let left = north.in_body_frame(Vec2::new(-2.0, 0.0)).unwrap();
         assert!((left - Vec2::new(0.0, 2.0)).norm() < 1e-6, "{left}");
-        assert_eq!(Pose { heading: None, ..north }.into_body(Vec2::zeros()), None);
+        assert_eq!(Pose { heading: None, ..north }.in_body_frame(Vec2::zeros()), None);
     }
 
     #[test]

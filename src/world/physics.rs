@@ -67,8 +67,8 @@ impl Physics {
         safety.driving(self.lag_s, acceleration_m_s2).clear_of_contacts(self.wall_radius_m)
     }
 
-    /// Returns the parameters of the training environment of the paper arXiv 2111.01777. Contacts block moves, there is
-    /// no lag, and the sensor is exact. `arena` gives the robots' radius.
+    /// Returns the parameters of the training environment of the paper. Contacts block moves, there is no lag, and the
+    /// sensor is exact. `arena` gives the robots' radius.
     pub fn published(arena: &Arena) -> Physics {
         Physics {
             contacts: ContactRule::Block,

@@ -52,7 +52,7 @@ fn equal_runs_have_equal_records_which_change_nothing_and_run_again() {
 /// Compares a trial with a record of `sim`.
 fn compare(trial: &Trial, record: &Path) -> Compared {
     let opened = reader::open(record).expect("it is a record");
-    let topics = Topics::new(Stage::of(&trial), Scope::Simulation, 0);
+    let topics = Topics::new(Stage::of(trial), Scope::Simulation, 0);
     let comparison = Rc::new(RefCell::new(Comparison::new(opened.messages, topics, 0)));
     let heard = Rc::clone(&comparison);
     trial.run_observed(

@@ -69,7 +69,7 @@ impl Writer {
         let content = std::fs::read(team).unwrap();
         let attached =
             vec![Attached { name: team.to_str().unwrap().to_owned(), media_type: "application/toml", content }];
-        let stage = || Stage::of(&trial);
+        let stage = || Stage::of(trial);
         let topics = Topics::new(stage(), Scope::Host, identity.anchor_ns);
         let file = RecordFile::create(&path, &Beginning { identity, attached }, &stage()).unwrap();
         Writer { file, topics, stage: stage(), events: Vec::new() }
