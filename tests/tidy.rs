@@ -9,6 +9,9 @@ const WIDTH: usize = 120;
 /// Maximum length of a source file without its unit tests \[lines\].
 const LENGTH: usize = 420;
 
+/// Maximum length of a function, from the line with its name to its last one \[lines\].
+const FUNCTION: usize = 70;
+
 struct Source {
     /// Path relative to the repository, with forward slashes.
     path: String,
@@ -460,6 +463,54 @@ fn files_have_a_description_and_a_readable_size() {
         let length = source.code().lines().count();
         assert!(length <= LENGTH || source.path.starts_with("tests/"), "{}: {length} lines", source.path);
     }
+}
+
+/// Returns the name and the length \[lines\] of every function in formatted code: its end is the next line with the
+/// indentation of its beginning that closes a block or a declaration.
+fn functions(code: &str) -> Vec<(&str, usize)> {
+    let lines: Vec<&str> = code.lines().collect();
+    let mut found = Vec::new();
+    for (at, line) in lines.iter().enumerate() {
+        let Some((front, rest)) = line.split_once("fn ") else { continue };
+        let qualifier = |word: &str| word.starts_with("pub") || ["const", "async", "unsafe", "extern"].contains(&word);
+        let named = rest.starts_with(|c: char| c.is_ascii_lowercase() || c == '_');
+        if !(named && front.split_whitespace().all(qualifier)) {
+            continue;
+        }
+        let name = rest.split(|c: char| !c.is_alphanumeric() && c != '_').next().unwrap_or_default();
+        let indent = line.len() - line.trim_start().len();
+        let closes = |line: &&str| {
+            let (front, rest) = line.split_at_checked(indent).unwrap_or((line, ""));
+            let outer = front.trim().is_empty() && !rest.starts_with(' ');
+            outer && (rest.starts_with('}') || rest.ends_with(';'))
+        };
+        let short = line.ends_with('}') || line.ends_with(';');
+        let more = if short { 0 } else { lines[at + 1..].iter().take_while(|line| !closes(line)).count() + 1 };
+        found.push((name, 1 + more));
+    }
+    found
+}
+
+#[test]
+fn functions_are_counted_from_their_name_to_their_closing_brace() {
+    let code = "pub fn a() {}\n    const fn b(\n        c: fn(u8),\n    ) -> u8 {\n        {\n        }\n    }\n\
+        fn d();\nfn e(\n);\n// a fn f() {\n";
+    assert_eq!(functions(code), [("a", 1), ("b", 6), ("d", 1), ("e", 2)]);
+}
+
+#[test]
+fn functions_have_a_readable_size() {
+    let (mut seen, mut long) = (0, Vec::new());
+    for source in library().into_iter().chain(["python/src", "benches", "examples"].into_iter().flat_map(sources)) {
+        for (name, length) in functions(source.code()) {
+            seen += 1;
+            if length > FUNCTION {
+                long.push(format!("{}: {name} has {length} lines", source.path));
+            }
+        }
+    }
+    assert!(long.is_empty(), "functions of more than {FUNCTION} lines:\n{}", long.join("\n"));
+    assert!(seen > 2000, "the test has seen {seen} functions");
 }
 
 #[test]

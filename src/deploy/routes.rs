@@ -67,26 +67,33 @@ fn readers(agent: HostId, driver: HostId, own_world: Option<HostId>, worlds: &[H
     [agent].into_iter().chain(driver).chain(worlds).collect()
 }
 
-impl Routes {
-    /// Computes the routes of a deployment. Panics if a robot has no Agent, Body or source of readings, which
-    /// `Deployment::check` excludes.
-    pub fn of(deployment: &Deployment) -> Routes {
+/// Hosts on which the actors of each robot run, and robots of each host: the fields of [`Routes`] of these names.
+struct Places {
+    agent_host: Vec<HostId>,
+    agent_robots: Vec<Arc<[RobotId]>>,
+    actuator_host: Vec<HostId>,
+    localizer_host: Vec<HostId>,
+    world_host: Vec<Option<HostId>>,
+    robots_of: Vec<Vec<RobotId>>,
+}
+
+impl Places {
+    fn of(deployment: &Deployment) -> Places {
         let robots = deployment.robots;
-        let number = |index: usize| u16::try_from(index).expect("a checked deployment has few hosts and links");
         let [mut agent_host, mut actuator_host, mut localizer_host, mut world_host] =
             [(); 4].map(|()| vec![None; robots]);
         let mut agent_robots: Vec<Arc<[RobotId]>> = vec![Arc::default(); robots];
         let mut robots_of = Vec::new();
         for (index, host) in deployment.hosts.iter().enumerate() {
+            let me = Some(HostId(number(index)));
             for agent in &host.agents {
                 let ids: BTreeSet<RobotId> = agent.iter().copied().map(RobotId).collect();
                 let ids: Arc<[RobotId]> = ids.into_iter().collect();
                 for robot in ids.iter() {
-                    agent_host[robot.index()] = Some(HostId(number(index)));
+                    agent_host[robot.index()] = me;
                     agent_robots[robot.index()] = Arc::clone(&ids);
                 }
             }
-            let me = Some(HostId(number(index)));
             let mark = |hosts: &mut [Option<HostId>], robots: &[u16]| {
                 robots.iter().for_each(|robot| hosts[usize::from(*robot)] = me);
             };
@@ -103,11 +110,26 @@ impl Routes {
         let found = |hosts: Vec<Option<HostId>>| -> Vec<HostId> {
             hosts.into_iter().map(|host| host.expect("a checked deployment has a host for everything")).collect()
         };
+        let [agent_host, actuator_host, localizer_host] = [agent_host, actuator_host, localizer_host].map(found);
+        Places { agent_host, agent_robots, actuator_host, localizer_host, world_host, robots_of }
+    }
+}
+
+/// Returns the number of a host or a link as it is in ids.
+fn number(index: usize) -> u16 {
+    u16::try_from(index).expect("a checked deployment has few hosts and links")
+}
+
+impl Routes {
+    /// Computes the routes of a deployment. Panics if a robot has no Agent, Body or source of readings, which
+    /// `Deployment::check` excludes.
+    pub fn of(deployment: &Deployment) -> Routes {
+        let Places { agent_host, agent_robots, actuator_host, localizer_host, world_host, robots_of } =
+            Places::of(deployment);
         let server = deployment.hosts.iter().position(|host| host.state_server);
         let server_host = HostId(number(server.expect("a checked deployment has a state server")));
         let carried = |kind: Kind| if kind.follows_the_stop() { Kind::Stop } else { kind };
         let link_of = |kind: Kind| deployment.links.iter().position(|link| link.carries.contains(&carried(kind)));
-        let [agent_host, actuator_host, localizer_host] = [agent_host, actuator_host, localizer_host].map(found);
         let hosts = |some: &[HostId], more: &[HostId]| -> Vec<HostId> {
             some.iter().chain(more).copied().collect::<BTreeSet<HostId>>().into_iter().collect()
         };
@@ -115,7 +137,7 @@ impl Routes {
         let simulates = |host: &usize| !deployment.hosts[*host].simulates.is_empty();
         let worlds: Vec<HostId> = (0..deployment.hosts.len()).filter(simulates).map(|at| HostId(number(at))).collect();
         Routes {
-            robots,
+            robots: deployment.robots,
             agent_robots,
             server_host,
             robots_of,
@@ -133,7 +155,7 @@ impl Routes {
                 server: server_host,
             }),
             links: KINDS.iter().map(|&kind| link_of(kind).map(|index| LinkId(number(index)))).collect(),
-            reading_hosts: (0..robots)
+            reading_hosts: (0..deployment.robots)
                 .map(|at| hosts(&readers(agent_host[at], actuator_host[at], world_host[at], &worlds), judge.as_slice()))
                 .collect(),
             agent_host,

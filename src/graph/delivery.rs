@@ -13,7 +13,7 @@ use crate::actors::status::{self, Status};
 use crate::actors::{agent, body, cache, controller, localizer, network, world};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::phase::Phase;
-use crate::messages::wire::{Mode, Stop, Wire};
+use crate::messages::wire::{Latent, Located, Mode, Reading, Stop, Wire};
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::{Mailbox, start};
 use crate::scenario::cost::Ending;
@@ -48,6 +48,91 @@ impl Followers {
     }
 }
 
+/// What the actors of one host receive: which robots are theirs, and their mailboxes.
+struct Delivery {
+    /// Robots whose Agents the host runs.
+    decided: BTreeSet<RobotId>,
+    /// Robots that the host's World simulates.
+    simulated: BTreeSet<RobotId>,
+    /// Real robots whose Bodies the host runs.
+    real: BTreeSet<RobotId>,
+    /// One entry per agent: its robots, and their caches.
+    hearers: Vec<(Vec<RobotId>, Vec<Mailbox<cache::In>>)>,
+    /// Mailboxes of all robots' actors, indexed by robot.
+    caches: Rc<[Mailbox<cache::In>]>,
+    controllers: Rc<[Mailbox<controller::In>]>,
+    bodies: Rc<[Mailbox<body::In>]>,
+    server: Mailbox<state_server::In>,
+    /// Whether the host runs the state server.
+    leads: bool,
+    /// Localizer of this process's source of readings of real robots, if it has one.
+    source: Option<Mailbox<localizer::In>>,
+    team: Followers,
+    /// Whether an observer has been heard. Readings and latents are many, so the Status gets them only then.
+    observed: Cell<bool>,
+}
+
+impl Delivery {
+    /// Delivers a received message to the actors that use it.
+    fn deliver(&self, message: Wire) {
+        match message {
+            Wire::Reading(m) => self.reading(&m),
+            Wire::MotorCommand(m) => self.bodies[m.robot.index()].send(body::In::MotorCommand(m)),
+            Wire::Heartbeat(m) => self.server.send(state_server::In::Heartbeat(m)),
+            Wire::Latent(m) => self.latent(&m),
+            Wire::Mode(m) => self.team.follow(&m),
+            Wire::Stop(m) => {
+                self.team.stop(m);
+                if self.leads {
+                    self.server.send(state_server::In::Stop(m));
+                }
+            }
+            Wire::Status(m) => self.server.send(state_server::In::Status(m)),
+            Wire::Observe(_) => {
+                self.observed.set(true);
+                self.team.status.send(status::In::Observe);
+            }
+            Wire::Place(m) => self.source.iter().for_each(|source| source.send(localizer::In::Place(m))),
+            Wire::Located(m) => self.located(m),
+            // Telemetry is for observers, which are outside the deployment.
+            Wire::Telemetry(_) => {}
+        }
+    }
+
+    fn reading(&self, m: &Reading) {
+        if self.real.contains(&m.robot) {
+            self.bodies[m.robot.index()].send(body::In::Reading(m.clone()));
+        }
+        if self.decided.contains(&m.robot) {
+            if self.observed.get() {
+                self.team.status.send(status::In::Seen(m.robot, m.pose));
+            }
+            self.caches[m.robot.index()].send(cache::In::Reading(m.clone()));
+        }
+        if !self.simulated.contains(&m.robot) {
+            self.team.world.iter().for_each(|world| world.send(world::In::Reading(m.clone())));
+        }
+    }
+
+    fn latent(&self, m: &Latent) {
+        if self.observed.get() && !self.decided.is_empty() {
+            self.team.status.send(status::In::Latent(m.robot));
+        }
+        for (_, caches) in self.hearers.iter().filter(|(robots, _)| robots.binary_search(&m.robot).is_err()) {
+            caches.iter().for_each(|cache| cache.send(cache::In::Latent(m.clone())));
+        }
+    }
+
+    fn located(&self, m: Located) {
+        for (robot, whereabouts) in m.robots.iter().filter(|(robot, _)| self.decided.contains(robot)) {
+            self.controllers[robot.index()].send(controller::In::Located(*whereabouts));
+        }
+        if self.leads {
+            self.server.send(state_server::In::Located(m));
+        }
+    }
+}
+
 /// Returns a function that delivers each received message to the actors of a host that use it. `agents` and `bodies`
 /// are the robots whose Agents and Bodies the host runs, `simulated` those that the host's World simulates. `measures`
 /// says whether this process runs a source of readings of real robots.
@@ -59,77 +144,30 @@ pub(super) fn deliveries(
     measures: bool,
 ) -> impl Fn(Wire) + use<> {
     let firsts: BTreeSet<RobotId> = agents.iter().map(|robot| graph.routes.agent_robots(*robot)[0]).collect();
-    // One entry per agent: its robots, and their caches.
     let team_of = |first: &RobotId| graph.routes.agent_robots(*first).to_vec();
     let caches_of = |robots: &[RobotId]| robots.iter().map(|robot| graph.caches[robot.index()].clone()).collect();
-    let caches: Vec<(Vec<RobotId>, Vec<Mailbox<cache::In>>)> =
-        firsts.iter().map(team_of).map(|robots| (robots.clone(), caches_of(&robots))).collect();
-    let by_robot = (graph.caches.clone(), graph.bodies.clone(), graph.server.clone(), graph.controllers.clone());
-    let leads = graph.routes.server_host() == host;
     let driven: BTreeSet<RobotId> = bodies.iter().copied().collect();
-    let source = measures.then(|| graph.source.clone());
-    let real: BTreeSet<RobotId> = driven.iter().copied().filter(|robot| !simulated.contains(robot)).collect();
-    // Robots that this host's World simulates.
-    let own: BTreeSet<RobotId> = simulated.iter().copied().collect();
-    let decided: BTreeSet<RobotId> = agents.iter().copied().collect();
-    let team = Followers {
-        agents: firsts.iter().map(|robot| graph.agents[robot.index()].clone()).collect(),
-        controllers: agents.iter().map(|robot| graph.controllers[robot.index()].clone()).collect(),
-        bodies: driven.iter().map(|robot| graph.bodies[robot.index()].clone()).collect(),
-        world: simulated.first().map(|robot| graph.worlds[robot.index()].clone()),
-        status: graph.status_of(host),
+    let delivery = Delivery {
+        decided: agents.iter().copied().collect(),
+        simulated: simulated.iter().copied().collect(),
+        real: driven.iter().copied().filter(|robot| !simulated.contains(robot)).collect(),
+        hearers: firsts.iter().map(team_of).map(|robots| (robots.clone(), caches_of(&robots))).collect(),
+        caches: graph.caches.clone(),
+        controllers: graph.controllers.clone(),
+        bodies: graph.bodies.clone(),
+        server: graph.server.clone(),
+        leads: graph.routes.server_host() == host,
+        source: measures.then(|| graph.source.clone()),
+        team: Followers {
+            agents: firsts.iter().map(|robot| graph.agents[robot.index()].clone()).collect(),
+            controllers: agents.iter().map(|robot| graph.controllers[robot.index()].clone()).collect(),
+            bodies: driven.iter().map(|robot| graph.bodies[robot.index()].clone()).collect(),
+            world: simulated.first().map(|robot| graph.worlds[robot.index()].clone()),
+            status: graph.status_of(host),
+        },
+        observed: Cell::new(false),
     };
-    // Readings and latents are many, so the Status gets them only after an observer's first message.
-    let observed = Cell::new(false);
-    move |message| match message {
-        Wire::Reading(m) => {
-            if real.contains(&m.robot) {
-                by_robot.1[m.robot.index()].send(body::In::Reading(m.clone()));
-            }
-            if decided.contains(&m.robot) {
-                if observed.get() {
-                    team.status.send(status::In::Seen(m.robot, m.pose));
-                }
-                by_robot.0[m.robot.index()].send(cache::In::Reading(m.clone()));
-            }
-            if !own.contains(&m.robot) {
-                team.world.iter().for_each(|world| world.send(world::In::Reading(m.clone())));
-            }
-        }
-        Wire::MotorCommand(m) => by_robot.1[m.robot.index()].send(body::In::MotorCommand(m)),
-        Wire::Heartbeat(m) => by_robot.2.send(state_server::In::Heartbeat(m)),
-        Wire::Latent(m) => {
-            if observed.get() && !decided.is_empty() {
-                team.status.send(status::In::Latent(m.robot));
-            }
-            for (_, caches) in caches.iter().filter(|(robots, _)| robots.binary_search(&m.robot).is_err()) {
-                caches.iter().for_each(|cache| cache.send(cache::In::Latent(m.clone())));
-            }
-        }
-        Wire::Mode(m) => team.follow(&m),
-        Wire::Stop(m) => {
-            team.stop(m);
-            if leads {
-                by_robot.2.send(state_server::In::Stop(m));
-            }
-        }
-        Wire::Status(m) => by_robot.2.send(state_server::In::Status(m)),
-        Wire::Observe(_) => {
-            observed.set(true);
-            team.status.send(status::In::Observe);
-        }
-        Wire::Place(m) => source.iter().for_each(|source| source.send(localizer::In::Place(m))),
-        Wire::Located(m) => {
-            for (robot, whereabouts) in m.robots.iter().filter(|(robot, _)| decided.contains(robot)) {
-                by_robot.3[robot.index()].send(controller::In::Located(*whereabouts));
-            }
-            if leads {
-                by_robot.2.send(state_server::In::Located(m));
-            }
-        }
-        // Telemetry is for observers, which are outside the deployment.
-        Wire::Telemetry(_) => {}
-    }
+    move |message| delivery.deliver(message)
 }
 
 /// Starts the Status of one host, the actor that answers operators and sends telemetry; its messages are published by

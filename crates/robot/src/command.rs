@@ -9,14 +9,16 @@ use super::{Ended, Logging};
 /// What a command does once its arguments are read.
 pub type Run = Box<dyn FnOnce(&Registry) -> anyhow::Result<Ended>>;
 
+/// Reads the arguments that the parser has found. Returns what then runs.
+type Reader = Box<dyn Fn(&ArgMatches) -> Result<Run, clap::Error>>;
+
 /// One command.
 pub struct Command {
     /// Word that selects it.
     name: &'static str,
     /// Adds its help and its flags to a definition.
     define: fn(clap::Command) -> clap::Command,
-    /// Reads the arguments that the parser has found.
-    read: Box<dyn Fn(&ArgMatches) -> Result<Run, clap::Error>>,
+    read: Reader,
     logging: Logging,
 }
 
@@ -56,9 +58,7 @@ impl Command {
     }
 }
 
-fn reader<A: FromArgMatches + 'static>(
-    run: fn(&A, &Registry) -> anyhow::Result<Ended>,
-) -> Box<dyn Fn(&ArgMatches) -> Result<Run, clap::Error>> {
+fn reader<A: FromArgMatches + 'static>(run: fn(&A, &Registry) -> anyhow::Result<Ended>) -> Reader {
     Box::new(move |found| {
         let args = A::from_arg_matches(found)?;
         Ok(Box::new(move |registry: &Registry| run(&args, registry)) as Run)

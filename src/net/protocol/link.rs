@@ -7,7 +7,8 @@ use rand::RngExt;
 
 use super::bucket::{Bucket, Rate};
 use super::codec::TAG_BYTES;
-use super::codec::{self, Content, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES};
+use super::codec::{self, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES};
+use super::control_blocks::ControlBlocks;
 pub use super::counts::{LinkCounts, Refusal};
 pub use super::duplicate_id::DuplicateId;
 use super::gaps::BACKOFF;
@@ -15,7 +16,7 @@ use super::incoming::{Admission, Incoming, LocalEnd, Urgency};
 use super::key::Key;
 use super::outgoing::{Outbound, Outgoing, REPORT_PERIOD};
 use super::reliability::{Reports, Setup};
-use super::report::{DatagramId, ENTRY_BYTES, MAX_IDS, NUMBERED_ENTRY_BYTES, Report, Stamps, read_held, read_ids};
+use super::report::{DatagramId, ENTRY_BYTES, MAX_IDS, NUMBERED_ENTRY_BYTES, Stamps};
 use super::router::Audience;
 use super::sender::Peer;
 use crate::messages::ids::{HostId, LinkId, RobotId};
@@ -188,23 +189,7 @@ impl LinkState {
         stream: &mut Stream,
         out: &mut Vec<Outbound>,
     ) -> Result<Option<(Header, &'a [u8])>, Refusal> {
-        let tagged = frame.get(codec::FLAGS_AT).is_some_and(|flags| flags & Flags::TAGGED != 0);
-        let shortest = HEADER_BYTES + if self.key.is_some() { TAG_BYTES } else { 0 };
-        if frame.len() < shortest || frame.len() > MAX_FRAME_BYTES {
-            return Err(Refusal::Malformed);
-        }
-        let plain = match &self.key {
-            Some(key) => key.open(frame, self.id, self.me.host),
-            None => (!tagged).then_some(frame),
-        };
-        let plain = plain.ok_or_else(|| self.key_trouble(frame).unwrap_or(Refusal::Auth))?;
-        let header = codec::peek(plain).map_err(|error| cause(&error))?;
-        if header.team != self.me.team {
-            return Err(Refusal::Team);
-        }
-        if (header.sender, header.incarnation) == (self.me.host, self.me.incarnation) {
-            return Err(Refusal::Own);
-        }
+        let (header, plain) = self.open(frame)?;
         let blocks = ControlBlocks::read(plain).map_err(|error| cause(&error))?;
         let report = blocks.report.as_ref();
         // Operators draw their ids at random, so two of them may have the same.
@@ -251,6 +236,29 @@ impl LinkState {
             self.answer(now, header.sender, blocks, out);
         }
         Ok(Some((header, plain)))
+    }
+
+    /// Checks the length and the tag of a datagram, and that another process of this team has sent it. Returns its
+    /// header and its bytes without the tag.
+    fn open<'a>(&self, frame: &'a [u8]) -> Result<(Header, &'a [u8]), Refusal> {
+        let tagged = frame.get(codec::FLAGS_AT).is_some_and(|flags| flags & Flags::TAGGED != 0);
+        let shortest = HEADER_BYTES + if self.key.is_some() { TAG_BYTES } else { 0 };
+        if frame.len() < shortest || frame.len() > MAX_FRAME_BYTES {
+            return Err(Refusal::Malformed);
+        }
+        let plain = match &self.key {
+            Some(key) => key.open(frame, self.id, self.me.host),
+            None => (!tagged).then_some(frame),
+        };
+        let plain = plain.ok_or_else(|| self.key_trouble(frame).unwrap_or(Refusal::Auth))?;
+        let header = codec::peek(plain).map_err(|error| cause(&error))?;
+        if header.team != self.me.team {
+            return Err(Refusal::Team);
+        }
+        if (header.sender, header.incarnation) == (self.me.host, self.me.incarnation) {
+            return Err(Refusal::Own);
+        }
+        Ok((header, plain))
     }
 
     /// Returns whether a datagram that is refused for this cause is a copy whose acknowledgement is sent again.
@@ -377,34 +385,6 @@ fn cause(error: &DecodeError) -> Refusal {
         DecodeError::Version(_) => Refusal::Version,
         DecodeError::Unfit(..) => Refusal::Range,
         _ => Refusal::Malformed,
-    }
-}
-
-/// Control blocks found in a received datagram: its link report, acknowledgements, requests and offers to retransmit.
-#[derive(Default)]
-struct ControlBlocks {
-    report: Option<Report>,
-    held: Vec<u32>,
-    acks: Vec<DatagramId>,
-    requests: Vec<DatagramId>,
-}
-
-impl ControlBlocks {
-    fn read(plain: &[u8]) -> Result<ControlBlocks, DecodeError> {
-        let (mut blocks, mut empty) = (ControlBlocks::default(), true);
-        for block in codec::blocks(plain) {
-            empty = false;
-            match block? {
-                (Content::Message(_), _) => {}
-                (content @ (Content::Report | Content::NumberedReport), body) => {
-                    blocks.report = Some(Report::read(content, body)?);
-                }
-                (Content::Held, body) => blocks.held.extend(read_held(body)?),
-                (content @ Content::Ack, body) => blocks.acks.extend(read_ids(content, body)?),
-                (content @ Content::Nack, body) => blocks.requests.extend(read_ids(content, body)?),
-            }
-        }
-        if empty { Err(DecodeError::Blocks) } else { Ok(blocks) }
     }
 }
 

@@ -5,6 +5,7 @@ mod bucket;
 mod candidates;
 pub mod codec;
 mod congestion;
+mod control_blocks;
 pub mod counts;
 mod duplicate_id;
 mod gaps;

@@ -161,18 +161,14 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
 
     tracing::info!("training; Ctrl-C saves everything");
-    if !args.quiet && !trainer.uses_scenario_reward() && has_reward(&**trainer.scenario()) {
-        let name = &trainer.plan().scenario;
-        talk(&format!("note: the reward of scenario '{name}' itself has weight 0 (reward.scenario) and is not used"));
+    if !args.quiet {
+        note_unused_reward(&trainer);
     }
     let spent_s = curve.elapsed_s();
     let elapsed_s = || spent_s + began.elapsed().as_secs_f64();
     let mut clock = Clock::new(budget);
     if clock.counts_minutes() {
-        // A part of an evaluation says how long a whole one takes: a short training may have only the one at its end.
-        let part = Instant::now();
-        quick_evaluation(&trainer, EPISODES / EVALUATION_PART, threads);
-        clock.took(Timed::Evaluation, f64::from(EVALUATION_PART) * part.elapsed().as_secs_f64());
+        estimate_evaluation(&mut clock, &trainer, threads);
     }
     let mut last = None;
     let bar = bar(args.quiet);
@@ -216,6 +212,21 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     bar.finish_and_clear();
     let report = report(&folder, &trainer, (elapsed_s(), scores.as_ref(), interrupted));
     finish(args, &report, table, interrupted)
+}
+
+/// Says that the scenario has a reward of its own which the training does not use.
+fn note_unused_reward(trainer: &Trainer) {
+    if !trainer.uses_scenario_reward() && has_reward(&**trainer.scenario()) {
+        let name = &trainer.plan().scenario;
+        talk(&format!("note: the reward of scenario '{name}' itself has weight 0 (reward.scenario) and is not used"));
+    }
+}
+
+/// Notes how long an evaluation takes, from a part of one: a short training may have only the one at its end.
+fn estimate_evaluation(clock: &mut Clock, trainer: &Trainer, threads: usize) {
+    let part = Instant::now();
+    quick_evaluation(trainer, EPISODES / EVALUATION_PART, threads);
+    clock.took(Timed::Evaluation, f64::from(EVALUATION_PART) * part.elapsed().as_secs_f64());
 }
 
 /// Opens the output folder `out`, and returns it with the trainer and the learning curve: those of the training in the

@@ -12,7 +12,7 @@ use murmurate::actors::wiggle;
 use murmurate::deploy::Host;
 use murmurate::deploy::team::Team;
 use murmurate::graph::bench::{self, Bench, Event};
-use murmurate::graph::devices::{self, DeviceError};
+use murmurate::graph::devices::{self, DeviceError, Devices, Workers};
 use murmurate::graph::event;
 use murmurate::graph::operator::{self, Operator};
 use murmurate::messages::wire::{Stop, Wire};
@@ -57,13 +57,7 @@ pub fn look(
     tell: fn(&str),
 ) -> Result<(Seen, End)> {
     let host = &team.deployment.hosts[usize::from(team.host.0)];
-    // The host publishes nothing for other programs here.
-    let quiet = Host { observe: None, ..host.clone() };
-    let opened = devices::open(&quiet, team.deployment.robots, registry);
-    let (devices, workers) = opened.map_err(|error| match error {
-        DeviceError::Config(error) => anyhow::Error::from(BadInput(error.to_string())),
-        DeviceError::Machine(_) | DeviceError::InUse(_) => error.into(),
-    })?;
+    let (devices, workers) = open(host, team.deployment.robots, registry)?;
     let (signal, wake_reader) = signals::listen()?;
     notes::take(true);
     let seen = Rc::new(RefCell::new(Seen::new(!host.localizes.is_empty(), Span::from_secs(team.safety.own_state_s))));
@@ -123,6 +117,15 @@ pub fn look(
         (None, _) => End::Interrupted,
     };
     Ok((seen.take(), end))
+}
+
+/// Opens the drivers and the source of a host, and starts their workers. It publishes nothing for other programs.
+fn open(host: &Host, robots: usize, registry: &Registry) -> Result<(Devices, Workers)> {
+    let quiet = Host { observe: None, ..host.clone() };
+    devices::open(&quiet, robots, registry).map_err(|error| match error {
+        DeviceError::Config(error) => BadInput(error.to_string()).into(),
+        DeviceError::Machine(_) | DeviceError::InUse(_) => error.into(),
+    })
 }
 
 /// Returns the reason to end a wiggle that follows from an event of the operator that listens to the team: an emergency

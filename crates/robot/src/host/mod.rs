@@ -19,11 +19,12 @@ use murmurate::graph::process::Graph;
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::key::Key;
 use murmurate::net::protocol::link::DuplicateId;
+use murmurate::policy::Model;
 use murmurate::registry::Registry;
 use murmurate::results::totals::Steps;
 use murmurate::time::{Span, Time};
 use murmurate::trial::Trial;
-use murmurate_report::event::{self, HostEvent};
+use murmurate_report::event::{self, Counted, HostEvent};
 use murmurate_report::summary::{CostName, Counts, Run, Summary};
 use sd_notify::NotifyState;
 use signal_hook::consts::SIGINT;
@@ -128,11 +129,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let key = team::key(&team)?.map(Key::new);
     let policy = team::policy(&team, registry)?;
     let digest = policy.model.digest().to_owned();
-    let mut trial = Trial::of_host(registry, &team, policy.model).map_err(|e| BadInput(e.to_string()))?;
-    if args.trajectories.is_some() {
-        trial.steps = Steps::Reported;
-        sees_whole_team(&team)?;
-    }
+    let trial = args.trial(registry, &team, policy.model)?;
     let links = team.deployment.links.iter().map(|link| link.name.clone()).collect();
     let seen = Rc::new(Seen::new(Outlets::open(args.json, args.trajectories.as_deref())?, links));
     let outlets = &seen.outlets;
@@ -175,17 +172,25 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let counted = seen.counted(&graph);
     drop(graph);
     watch.failure(&name)?;
-    let report = event::counted(seen.report.borrow().clone(), [&counted].into_iter());
-    let (interrupted, unwritten) = (watch.over.is_none(), counted.unwritten);
-    outlets.print_event(&if interrupted { HostEvent::Counted(counted) } else { HostEvent::Finished(counted) });
-    if !args.json && !report.episodes.is_empty() {
-        let counts = if team.deployment.hosts.len() == 1 { Counts::Team } else { Counts::Host };
-        let run = results_of(&team, CostName::of(&*trial.scenario), policy.name, began, interrupted);
-        outlets.print(&Summary::of_team(run, report, counts, unwritten).to_string());
-    }
+    let interrupted = watch.over.is_none();
+    let run = results_of(&team, CostName::of(&*trial.scenario), policy.name, began, interrupted);
+    print_results(&seen, counted, run, args.json, team.deployment.hosts.len() == 1);
     outlets.close()?;
     written?;
     if interrupted { ended(&signal) } else { Ok(Ended::Done) }
+}
+
+/// Prints the last event, with the counts of the host, and the table of results unless events are printed as JSON.
+/// `alone` says that no other host is in the team, so that the counts are those of the team.
+fn print_results(seen: &Seen, counted: Counted, run: Run, json: bool, alone: bool) {
+    let report = event::counted(seen.report.borrow().clone(), [&counted].into_iter());
+    let unwritten = counted.unwritten;
+    let last = if run.interrupted { HostEvent::Counted(counted) } else { HostEvent::Finished(counted) };
+    seen.outlets.print_event(&last);
+    if !json && !report.episodes.is_empty() {
+        let counts = if alone { Counts::Team } else { Counts::Host };
+        seen.outlets.print(&Summary::of_team(run, report, counts, unwritten).to_string());
+    }
 }
 
 /// Returns the end of a host that was asked to end by the signal of this number, if any: SIGTERM asks for a regular
@@ -304,6 +309,16 @@ impl Watch {
 }
 
 impl Args {
+    /// Returns the trial that the host runs, which reports every step if trajectories are written.
+    fn trial(&self, registry: &Registry, team: &Team, model: Model) -> Result<Trial> {
+        let mut trial = Trial::of_host(registry, team, model).map_err(|e| BadInput(e.to_string()))?;
+        if self.trajectories.is_some() {
+            trial.steps = Steps::Reported;
+            sees_whole_team(team)?;
+        }
+        Ok(trial)
+    }
+
     fn host(&self, file: &TeamFile) -> Result<HostId> {
         if let Some(host) = self.which.find(file)? {
             return Ok(host);

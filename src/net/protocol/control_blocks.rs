@@ -1,0 +1,33 @@
+//! Control blocks of a received datagram: what its sender tells a link, beside messages.
+
+use super::codec::{self, Content, DecodeError};
+use super::report::{DatagramId, Report, read_held, read_ids};
+
+/// Control blocks found in a received datagram: its link report, acknowledgements, requests and offers to retransmit.
+#[derive(Default)]
+pub(super) struct ControlBlocks {
+    pub(super) report: Option<Report>,
+    pub(super) held: Vec<u32>,
+    pub(super) acks: Vec<DatagramId>,
+    pub(super) requests: Vec<DatagramId>,
+}
+
+impl ControlBlocks {
+    /// Reads those of a datagram without its tag. A datagram without any block is malformed.
+    pub(super) fn read(plain: &[u8]) -> Result<ControlBlocks, DecodeError> {
+        let (mut blocks, mut empty) = (ControlBlocks::default(), true);
+        for block in codec::blocks(plain) {
+            empty = false;
+            match block? {
+                (Content::Message(_), _) => {}
+                (content @ (Content::Report | Content::NumberedReport), body) => {
+                    blocks.report = Some(Report::read(content, body)?);
+                }
+                (Content::Held, body) => blocks.held.extend(read_held(body)?),
+                (content @ Content::Ack, body) => blocks.acks.extend(read_ids(content, body)?),
+                (content @ Content::Nack, body) => blocks.requests.extend(read_ids(content, body)?),
+            }
+        }
+        if empty { Err(DecodeError::Blocks) } else { Ok(blocks) }
+    }
+}
