@@ -524,6 +524,16 @@ fn the_digest_of_the_program_has_that_of_every_package() {
 }
 
 #[test]
+fn the_map_has_every_package() {
+    let map = files(&["ARCHITECTURE.md"], &["md"]).remove(0).text;
+    let rows: Vec<&str> = map.lines().filter_map(|line| line.split('|').nth(1)).collect();
+    for package in packages().iter().filter_map(|folder| folder.strip_suffix("/src")) {
+        let named = format!("`{package}`");
+        assert!(rows.iter().any(|row| row.contains(&named)), "the table of packages lacks {package}");
+    }
+}
+
+#[test]
 fn programs_have_names_of_their_own() {
     let mut names: Vec<String> = Vec::new();
     for manifest in files(&["Cargo.toml", "crates"], &["toml"]) {
