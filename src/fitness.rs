@@ -1,8 +1,8 @@
-//! Fitness of a machine, or of a device, for its task: what a check has found, and what to do about it.
+//! Results of checks of a machine or a device: severity, subject, observation and advice.
 
 use serde::Serialize;
 
-/// Severity of what a check has found, in rising order.
+/// Severity of a result, in rising order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Fitness {
@@ -14,10 +14,10 @@ pub enum Fitness {
     Fail,
 }
 
-/// What one check has found.
+/// Result of one check.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finding {
-    /// Severity of what was found.
+    /// Severity of the result.
     pub fitness: Fitness,
     /// Subject of the check, such as "MTU".
     pub what: &'static str,

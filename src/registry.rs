@@ -26,7 +26,7 @@ use crate::policy::{self, shipped};
 use crate::scenario::{self, Scenario, ScenarioError};
 use crate::world;
 
-/// Registry of the named parts that a run can use: scenarios, plants (simulators), policies, drivers, sources of
+/// Registry of the named parts that a run can use: scenarios, plants, policies, drivers, sources of
 /// readings, estimators, transports and observers.
 #[derive(Clone, Debug)]
 pub struct Registry {

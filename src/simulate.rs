@@ -1,4 +1,4 @@
-//! Runs a trial in one process under virtual time, faster than real time and bit for bit.
+//! Driver of a trial in one process under virtual time: faster than real time, and equal bit for bit each time.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -40,7 +40,7 @@ impl Trial {
     }
 
     /// Runs the trial on the calling thread until its end, or until `proceed` returns [`Proceed::Stop`], and reports
-    /// what happens in it. The function `report` is called with each event, its time, and the host where it happened.
+    /// its events. The function `report` is called with each event, its time, and the host where it happened.
     /// `proceed` is called after the events of each instant, with the actors, the time, and the results so far.
     pub fn run_observed(
         &self,

@@ -34,7 +34,7 @@ pub enum Event {
     Odometry(Reading),
     /// Condition of a robot's hardware, as reported by the Body, the actor that drives the motors.
     Hardware(RobotId, Hardware),
-    /// The worker (I/O thread) of the source of readings has ended.
+    /// The worker of the source of readings has ended.
     SourceEnded,
     /// The Wiggle, a check that drives each robot a short way, now drives this robot.
     Begins(RobotId),

@@ -63,7 +63,7 @@ pub(super) fn wire_body(clock: &Clock, trial: &Trial, graph: &Graph, robot: Robo
 }
 
 /// Starts the Body of a real robot (the actor that drives its motors) with the driver in `device`. Packets from the
-/// driver go to the driver's worker (I/O thread); `out` receives all other output of the Body.
+/// driver go to the driver's worker; `out` receives all other output of the Body.
 pub(super) fn start_body(
     clock: &Clock,
     mailbox: &Mailbox<body::In>,
@@ -115,7 +115,7 @@ pub(super) fn wire_source(clock: &Clock, trial: &Trial, graph: &Graph, process: 
     });
 }
 
-/// Starts the Localizer (actor) that runs the source of readings in `device` on a host, for the team's deployment and
+/// Starts the Localizer that runs the source of readings in `device` on a host, for the team's deployment and
 /// the estimator that uses the readings; `out` receives its output. `axis_m_s` is the largest speed along each axis
 /// that the policy commands \[m/s\], if it is known.
 pub(super) fn start_source(

@@ -1,4 +1,4 @@
-//! Wiring of the state server, of message delivery within a host, and of the host's Status. Contains no logic.
+//! Wiring of the state server, of message delivery within a host, and of the host's Status.
 
 use std::cell::Cell;
 use std::collections::BTreeSet;
@@ -48,7 +48,7 @@ impl Followers {
     }
 }
 
-/// What the actors of one host receive: which robots are theirs, and their mailboxes.
+/// Receivers of messages on one host: its robots, by what it runs of them, and the mailboxes of their actors.
 struct Delivery {
     /// Robots whose Agents the host runs.
     decided: BTreeSet<RobotId>,

@@ -29,7 +29,7 @@ const PATIENCE: Duration = Duration::from_secs(1);
 pub(crate) struct Device<T: ?Sized> {
     /// Function that makes a new driver or source; it is called at each start of the actor that uses it.
     pub(crate) make: Rc<dyn Fn() -> Box<T>>,
-    /// Channel to the worker (I/O thread) of the driver or source; `None` if there is no worker.
+    /// Channel to the worker of the driver or source; `None` if there is no worker.
     pub(crate) gate: Option<Rc<RefCell<Gate>>>,
 }
 
@@ -159,7 +159,7 @@ pub fn programs(host: &Host, registry: &Registry) -> Result<Vec<RunBy>, DeviceEr
     Ok(programs)
 }
 
-/// Creates the drivers and the source of one host of a checked deployment, and starts their workers (I/O threads).
+/// Creates the drivers and the source of one host of a checked deployment, and starts their workers.
 /// `robots` is the number of robots of the team. An error names the wrong setting, or says that a worker cannot be
 /// started.
 pub fn open(host: &Host, robots: usize, registry: &Registry) -> Result<(Devices, Workers), DeviceError> {

@@ -54,7 +54,7 @@ pub(super) fn wire_links(clock: &Clock, trial: &Trial, graph: &Graph, shared: bo
     }
 }
 
-/// Returns a function that passes what a transport has to do to the emulated medium of its link.
+/// Returns a function that passes an input for a transport to the emulated medium of its link.
 pub(super) fn to(media: Rc<[Mailbox<ether::In>]>) -> impl Fn(LinkId, transport::In) {
     move |link, input| match input {
         transport::In::Transmit(transmit) => media[usize::from(link.0)].send(ether::In::Transmit(transmit)),
@@ -71,6 +71,7 @@ mod tests {
     use std::cell::RefCell;
 
     use super::*;
+    use crate::deploy::Routes;
     use crate::graph::process::Process;
     use crate::graph::wire_all;
     use crate::messages::wire::KINDS;
@@ -101,7 +102,8 @@ mod tests {
         for link in &mut trial.deployment.links {
             (link.loss, link.impairs) = (LOSS, KINDS.to_vec());
         }
-        let mut process = Process::all_hosts(&trial, Rc::new(|_, _| {}));
+        let routes = Routes::of(&trial.deployment);
+        let mut process = Process::all_hosts(&trial, &routes, Rc::new(|_, _| {}));
         for end in process.ends.values_mut() {
             end.key = Some(Key::new([7; 32]));
             end.links.fill(Some(setup.clone()));
@@ -110,7 +112,7 @@ mod tests {
         let (noted, ended) = (Rc::clone(&report), Rc::clone(&report));
         let limit = Time::ZERO + Span::from_secs(LONGEST_S) * u64::from(count);
         run_virtual(
-            |clock| wire_all(clock, &trial, (&process, true), move |out| noted.borrow_mut().note(out)),
+            |clock| wire_all(clock, &trial, (&process, routes, true), move |out| noted.borrow_mut().note(out)),
             |_, now| ended.borrow().finished || now >= limit,
         );
         let episodes = report.borrow().episodes.clone();

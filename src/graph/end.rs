@@ -37,8 +37,8 @@ pub struct HostEnd {
 
 impl HostEnd {
     /// Starts the Network of this host with the mailbox `network`, and with its routing table and the span of its log
-    /// lines. Messages for actors of the host are passed to `deliver`, what a transport has to do to `transmit`, and
-    /// all events to `report`, a message before it is delivered.
+    /// lines. Messages for actors of the host are passed to `deliver`, inputs for transports to `transmit`, and all
+    /// events to `report`, a message before it is delivered.
     pub(crate) fn start(
         &self,
         clock: &Clock,
@@ -89,7 +89,7 @@ impl HostEnd {
             Input::Dropped(link, count) => arrived.send(network::In::Dropped(link, count)),
             Input::Refused(..) | Input::Packet(..) | Input::Ended(_) | Input::Leave | Input::Stop => {}
         });
-        // An operator's log says it.
+        // The transport logs the change; nobody else needs it here.
         let tell: Tell = Rc::new(|_, _| {});
         let open = std::mem::take(&mut self.transports);
         sockets::wire_all((clock, readers), open, &transports, (&take, &tell));
@@ -99,7 +99,7 @@ impl HostEnd {
     }
 }
 
-/// Returns a function that passes what a transport has to do to the transport of its link, in the order of the links.
+/// Returns a function that passes an input to the transport of its link. `transports` are in the order of the links.
 pub(super) fn to(transports: Rc<[Mailbox<transport::In>]>) -> impl Fn(LinkId, transport::In) {
     move |link, input| transports[usize::from(link.0)].send(input)
 }

@@ -18,7 +18,7 @@ use crate::safety::guard::SafetyCounts;
 use crate::time::Span;
 use crate::trial::Trial;
 
-/// Event in a process: what its Recorder and the code that started it learn.
+/// Event in a process, for its Recorder and for the code that has started it.
 #[derive(Clone, Copy, Debug)]
 pub enum Event<'a> {
     /// An actor of this process has published a message: the datagram, without its authentication tag.
@@ -76,20 +76,19 @@ pub(super) struct Events {
 
 impl Events {
     /// Makes the sink of the events of a process: the caller's function `report`, and the mailbox of the Recorder.
-    /// `emulated` says whether the process runs all hosts of the trial, over emulated links.
+    /// `emulated` is whether the process runs all hosts of the trial, over emulated links.
     pub(super) fn new(
         trial: &Trial,
         emulated: bool,
         (report, recorder): (&Report, Option<&Mailbox<recorder::In>>),
     ) -> Events {
-        let follows = trial.steps.kept() && emulated;
         let links = trial.deployment.links.iter();
         Events {
             report: Rc::clone(report),
             recorder: recorder.cloned(),
             alone: !emulated,
             judge_of_readings: trial.deployment.judge_of_readings(),
-            followed: links.map(|link| follows && link.carries.contains(&Kind::Latent)).collect(),
+            followed: links.map(|link| trial.steps.kept() && link.carries.contains(&Kind::Latent)).collect(),
         }
     }
 
@@ -103,7 +102,7 @@ impl Events {
         }
     }
 
-    /// Returns what the Recorder gets of an event; `None` if it needs nothing.
+    /// Returns the input of the Recorder that an event makes; `None` if it makes none.
     fn recorded(&self, host: HostId, event: Event) -> Option<recorder::In> {
         Some(match event {
             Event::Published(frame) => recorder::In::Tap(Frame::clone(frame)),

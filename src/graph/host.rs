@@ -1,5 +1,4 @@
-//! One host of a deployment as a process: its part of the actor graph, in real time, on sockets. Contains no logic of
-//! actors and no output for people.
+//! One host of a deployment as a process: its part of the actor graph, in real time, on sockets.
 
 use std::collections::BTreeMap;
 use std::rc::Rc;
@@ -12,6 +11,7 @@ use super::inputs::{DeviceId, Input};
 use super::process::{Graph, Process};
 use super::sockets::{self, Take, Tell};
 use crate::actors::recorder;
+use crate::deploy::Routes;
 use crate::graph::{wire_hosts, wire_recorder};
 use crate::messages::ids::HostId;
 use crate::runtime::clock::Clock;
@@ -35,14 +35,14 @@ pub fn wire(
     let transports = std::mem::take(&mut end.transports);
     let ends = BTreeMap::from([(id, end)]);
     let process = Process { ends, emulated: false, devices, report: Rc::new(report) };
-    let graph = Rc::new(Graph::new(trial, &process));
+    let graph = Rc::new(Graph::new(trial, Routes::of(&trial.deployment), &process));
     let _ = graph.clock.set(clock.clone());
     wire_hosts(clock, trial, &graph, &process);
     let inside = Rc::clone(&graph);
     let take: Take = Rc::new(move |input| inside.take(id, input));
     wire_gates((clock, readers), trial, &graph, &process, &take);
-    let report = Rc::clone(&process.report);
-    let tell: Tell = Rc::new(move |link, renewed| report(id, Event::Link(link, renewed)));
+    let events = Rc::clone(&graph.events);
+    let tell: Tell = Rc::new(move |link, renewed| events.emit(id, Event::Link(link, renewed)));
     sockets::wire_all((clock, readers), transports, &graph.transports, (&take, &tell));
     if graph.recorder.is_some() {
         wire_recorder(clock, trial, &graph, output);
@@ -50,7 +50,7 @@ pub fn wire(
     graph
 }
 
-/// Passes the packets of the workers (I/O threads) of drivers and source to `take`, and starts the Localizer of the
+/// Passes the packets of the workers of drivers and source to `take`, and starts the Localizer of the
 /// source. The event loop that watches `readers` then reads the packets.
 fn wire_gates((clock, readers): (&Clock, &mut Readers), trial: &Trial, graph: &Graph, process: &Process, take: &Take) {
     for (robot, device) in &process.devices.drivers {

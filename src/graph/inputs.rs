@@ -28,9 +28,9 @@ pub enum Input {
     /// Number of datagrams that have arrived on the link and were refused for this cause, without any other effect on
     /// the host. Only in records and replays, in place of their bytes.
     Refused(LinkId, Refusal, u64),
-    /// Packet that the worker (I/O thread) of a driver or source has passed on, such as data from the hardware.
+    /// Packet that the worker of a driver or source has passed on, such as data from the hardware.
     Packet(DeviceId, Packet),
-    /// Notice that the worker (I/O thread) of a driver or of the source has ended; no more packets arrive from it.
+    /// Notice that the worker of a driver or of the source has ended; no more packets arrive from it.
     Ended(DeviceId),
     /// Order of the host's own process to shut down: its robots stop, and it tells the team that it leaves.
     Leave,

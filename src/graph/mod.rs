@@ -1,4 +1,5 @@
-//! Wiring of the whole actor graph. Only this module connects actors. Contains no logic.
+//! Wiring of the whole actor graph: which actors run, with which settings and phases, and what each output becomes.
+//! Only this module connects actors.
 
 pub mod bench;
 mod bodies;
@@ -27,7 +28,7 @@ use crate::actors::network;
 use crate::actors::recorder::{self, Recorder};
 use crate::actors::status;
 use crate::chassis::Chassis;
-use crate::deploy::Stepping;
+use crate::deploy::{Routes, Stepping};
 use crate::graph::delivery::{deliveries, wire_server, wire_status};
 use crate::graph::emulated::wire_links;
 use crate::graph::event::{Event, Report};
@@ -57,19 +58,21 @@ pub(crate) fn wire(
     report: Report,
     output: impl FnMut(recorder::Out) + 'static,
 ) -> Rc<Graph> {
-    wire_all(clock, trial, (&Process::all_hosts(trial, report), false), output)
+    let routes = Routes::of(&trial.deployment);
+    let process = Process::all_hosts(trial, &routes, report);
+    wire_all(clock, trial, (&process, routes, false), output)
 }
 
-/// Starts all hosts of a trial in one process, as `process` says. If `shared`, datagrams to all reach every host on the
-/// emulated links, whatever they contain, as on real ones.
+/// Starts all hosts of a trial in one process, as `process` describes, with the routes of its deployment. If `shared`,
+/// datagrams to all reach every host on the emulated links, whatever they contain, as on real ones.
 fn wire_all(
     clock: &Clock,
     trial: &Trial,
-    (process, shared): (&Process, bool),
+    (process, routes, shared): (&Process, Routes, bool),
     output: impl FnMut(recorder::Out) + 'static,
 ) -> Rc<Graph> {
     let trial = &Rc::new(trial.clone());
-    let graph = Rc::new(Graph::new(trial, process));
+    let graph = Rc::new(Graph::new(trial, routes, process));
     wire_hosts(clock, trial, &graph, process);
     wire_links(clock, trial, &graph, shared);
     wire_recorder(clock, trial, &graph, output);

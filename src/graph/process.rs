@@ -43,14 +43,13 @@ pub(crate) struct Process {
 
 impl Process {
     /// Returns the process that runs every host of a trial, with emulated links and simulated robots.
-    pub(super) fn all_hosts(trial: &Trial, report: Report) -> Process {
-        let (deployment, routes) = (&trial.deployment, Routes::of(&trial.deployment));
-        let seed = trial.streams();
+    pub(super) fn all_hosts(trial: &Trial, routes: &Routes, report: Report) -> Process {
+        let (deployment, seed) = (&trial.deployment, trial.streams());
         let end = |host: HostId| HostEnd {
             me: Identity { host, team: TEAM, incarnation: 0 },
             key: None,
             seed,
-            links: deployment.links.iter().map(|link| emulated(link, &routes, host)).collect(),
+            links: deployment.links.iter().map(|link| emulated(link, routes, host)).collect(),
             transports: Vec::new(),
         };
         let hosts = (0..=u16::MAX).map(HostId).take(deployment.hosts.len());
@@ -140,10 +139,10 @@ impl EpisodeNotice {
 
 impl Graph {
     /// Makes the mailboxes of all actors of a trial, those of other processes included, before any actor is started.
-    /// `process` says which hosts run here. There is a Recorder where the host runs that judges episodes.
-    pub(super) fn new(trial: &Trial, process: &Process) -> Graph {
+    /// `routes` are those of its deployment; `process` has the hosts that run here. There is a Recorder where the host
+    /// runs that judges episodes.
+    pub(super) fn new(trial: &Trial, routes: Routes, process: &Process) -> Graph {
         let deployment = &trial.deployment;
-        let routes = Routes::of(deployment);
         let team = || RobotId::team(deployment.robots);
         let named = |what: &'static str| move |robot: RobotId| format!("{what} of {robot}");
         let mut agents: Vec<Mailbox<agent::In>> = Vec::new();

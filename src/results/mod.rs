@@ -1,5 +1,5 @@
-//! What a run yields, as data: the result of an episode, the state of the team at a step, counts and trace. The
-//! Recorder makes them, and reports summarise them.
+//! Results of a run, as data: the result of an episode, the state of the team at a step, counts and trace. The Recorder
+//! makes them, and reports summarise them.
 
 pub mod ages;
 pub mod episode;

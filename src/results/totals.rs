@@ -1,4 +1,4 @@
-//! What a run yields beside its episodes: states of the team at each step, counts, and the trace.
+//! Results of a run beside its episodes: states of the team at each step, counts, and the trace.
 
 use super::listening::Listening;
 use crate::messages::ids::RobotId;

@@ -50,7 +50,7 @@ const LEAST_EPISODE: Span = Span::from_millis(1000);
 pub struct Trial {
     /// Hosts with the actors that they run, and the links between hosts.
     pub deployment: Deployment,
-    /// Registry in which the deployment's plant (simulator) is looked up.
+    /// Registry in which the deployment's plant is looked up.
     pub registry: Registry,
     /// Task of the team, such as driving through a passage.
     pub scenario: Arc<dyn Scenario>,
@@ -110,7 +110,7 @@ impl Trial {
         Trial::from_registry(&Registry::builtin(), mode, scenario, robots)
     }
 
-    /// Makes a trial of one episode, with scenario and plant (simulator) looked up in `registry`. `mode` names a preset
+    /// Makes a trial of one episode, with scenario and plant looked up in `registry`. `mode` names a preset
     /// deployment; `robots` is the team size, or `None` for the scenario's default. The policy is the scripted one, the
     /// seed 0. An error names what is unknown, or says that the size does not fit.
     pub fn from_registry(
@@ -127,13 +127,13 @@ impl Trial {
         Ok(Trial::with_registry(registry, deployment, scenario, model))
     }
 
-    /// Makes a trial of one episode with seed 0, with a plant (simulator) of this crate. The deployment must have
+    /// Makes a trial of one episode with seed 0, with a plant of this crate. The deployment must have
     /// passed `Deployment::check` and be made for the scenario's team size; another size panics.
     pub fn new(deployment: Deployment, scenario: Arc<dyn Scenario>, model: Model) -> Trial {
         Trial::with_registry(&Registry::builtin(), deployment, scenario, model)
     }
 
-    /// Makes a trial of one episode with seed 0, with the plant (simulator) looked up in `registry`. The deployment
+    /// Makes a trial of one episode with seed 0, with the plant looked up in `registry`. The deployment
     /// must have passed `Deployment::check` and be made for the scenario's team size; another size panics.
     pub fn with_registry(
         registry: &Registry,
@@ -178,7 +178,7 @@ impl Trial {
         Ok(trial)
     }
 
-    /// Sets the plant (simulator) by name, with its default properties of robots. `check` refuses an unknown name.
+    /// Sets the plant by name, with its default properties of robots. `check` refuses an unknown name.
     pub fn plant(mut self, name: &str) -> Trial {
         (self.physics, self.deployment.plant) = (physics(&self.registry, name, &*self.scenario), name.to_owned());
         let clamp = self.clamp;

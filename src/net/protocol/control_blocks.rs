@@ -1,4 +1,4 @@
-//! Control blocks of a received datagram: what its sender tells a link, beside messages.
+//! Control blocks of a received datagram: reports, acknowledgements and requests of its sender, beside messages.
 
 use super::codec::{self, Content, DecodeError};
 use super::report::{DatagramId, Report, read_held, read_ids};
