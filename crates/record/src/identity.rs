@@ -78,6 +78,13 @@ pub struct HostIdentity {
     pub keyed: bool,
 }
 
+impl HostIdentity {
+    /// Returns the name of the process: name and incarnation of the host, such as `pc-0000002a`.
+    pub fn process_name(&self) -> String {
+        format!("{}-{:08x}", self.name, self.incarnation)
+    }
+}
+
 /// Error: the identity in a file's metadata cannot be used; its text says why.
 #[derive(Debug, thiserror::Error)]
 #[error("its metadata '{METADATA}' cannot be used: {0}")]

@@ -56,6 +56,21 @@ impl<'a> Iterator for Fields<'a> {
     }
 }
 
+/// Returns the true states of the robots in a message of the topic `/truth`: for each robot, the numbers of its fields
+/// by field number. Fields that are absent are 0.
+pub fn truth(message: &[u8]) -> impl Iterator<Item = [f64; 12]> {
+    let robots = Fields(message).filter(|(field, _)| *field == 2);
+    robots.filter_map(|(_, robot)| robot.bytes()).map(|robot| {
+        let mut numbers = [0.0; 12];
+        for (field, value) in Fields(robot) {
+            if let (Some(place), Some(number)) = (numbers.get_mut(field as usize), value.number()) {
+                *place = number;
+            }
+        }
+        numbers
+    })
+}
+
 impl<'a> Fields<'a> {
     fn take(&mut self, length: usize) -> Option<&'a [u8]> {
         let (taken, rest) = self.0.split_at_checked(length)?;

@@ -3,7 +3,7 @@
 use serde_json::Value as Json;
 
 use super::identity::Identity;
-use super::protobuf_reader::{Fields, Value};
+use super::protobuf_reader;
 use super::reader::{Message, Messages, ReadError};
 use super::tape;
 use super::topics::name_of;
@@ -16,7 +16,7 @@ use murmurate::net::protocol::codec::{self, Content};
 pub enum Table {
     /// True states of simulated robots, over time.
     Trajectories,
-    /// What a host measured of each other host, once a second.
+    /// Measurements of each other host by a host, once a second.
     Links,
     /// Each datagram that was published, and in a host's record each that arrived.
     Messages,
@@ -32,7 +32,7 @@ impl Table {
         }
     }
 
-    /// Returns what the rows of the table are of, in words.
+    /// Returns the subject of the table's rows, such as `links`.
     pub fn subject(self) -> &'static str {
         match self {
             Table::Trajectories => "true states",
@@ -104,13 +104,7 @@ fn followed(datagram: &[u8]) -> Option<(Json, String)> {
 
 fn truth(row: &mut Rows, at_s: f64, phase: Option<&(Json, String)>, data: &[u8]) {
     let (episode, phase) = phase.map_or((&Json::Null, ""), |(episode, phase)| (episode, &**phase));
-    for (_, robot) in Fields(data).filter(|(field, _)| *field == 2) {
-        let mut fields = [0.0; 12];
-        for (field, value) in Fields(robot.bytes().unwrap_or_default()) {
-            if let (Some(place), Some(number)) = (fields.get_mut(field as usize), Value::number(value)) {
-                *place = number;
-            }
-        }
+    for fields in protobuf_reader::truth(data) {
         let [_, robot, x, y, vx, vy, heading, yaw_rate, command_x, command_y, robots, walls] = fields;
         let episode = episode.as_u64().map_or(String::new(), |episode| episode.to_string());
         row(&format!(

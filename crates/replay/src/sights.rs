@@ -17,7 +17,7 @@ use murmurate::safety::guard::SafetyCounts;
 use murmurate::time::Time;
 use murmurate_record::chosen::Unusable;
 use murmurate_record::identity::{self, Identity};
-use murmurate_record::protobuf_reader::{Fields, Value};
+use murmurate_record::protobuf_reader;
 use murmurate_record::reader::{Item, Message, Reader};
 use murmurate_record::stage::{self, Stage};
 use murmurate_record::tape;
@@ -36,7 +36,7 @@ pub struct Shown {
     pub hears_links: bool,
     /// Whether the record contains the results of episodes.
     pub hears_results: bool,
-    /// What is not known of the run, and why, in words; empty if all is.
+    /// Note about what the record cannot show, and why; empty if there is nothing to note.
     pub note: String,
 }
 
@@ -50,10 +50,10 @@ pub struct Keys {
     pub of_records: BTreeMap<String, Key>,
 }
 
-/// What is said if there is no key.
+/// Note if no key was given.
 const KEYLESS: &str = "what arrived is not known: the record is of a team with a key, which is in no record; give it \
     with --key-file";
-/// What is said if the key is another one.
+/// Note if the key is that of another team.
 const OTHER_KEY: &str = "what arrived is not known: no datagram in the record has a tag of this key";
 
 /// Collects the events for a page while a record is read.
@@ -74,8 +74,8 @@ struct Reading<'a> {
     keyed: BTreeMap<HostId, Option<Key>>,
     /// Numbers of datagrams of hosts with a key that had a valid tag, and that had not.
     tags: [u64; 2],
-    /// Incarnation and sequence number of the newest datagram, by receiving host and sending host. Tells repeated
-    /// datagrams.
+    /// Incarnation and sequence number of the newest datagram, by receiving host and sending host, by which repeated
+    /// datagrams are recognized.
     newest: BTreeMap<(HostId, HostId), (u32, u32)>,
     results: bool,
 }
@@ -154,7 +154,7 @@ impl Reading<'_> {
         let zero = *self.zero.get_or_insert(message.at);
         let now = Time::from_nanos(message.at.saturating_sub(zero));
         match &*message.channel.topic {
-            "/truth" => self.sights.extend(truth(now, &message.data).map(|truth| (now, Sight::Truth(truth)))),
+            "/truth" => self.sights.push((now, Sight::Truth(truth(now, &message.data)))),
             "/episode" => {
                 if let Ok(episode) = serde_json::from_slice::<Episode>(&message.data) {
                     self.results = true;
@@ -174,12 +174,10 @@ impl Reading<'_> {
             }
             topic => {
                 if topic == RECEIVED {
-                    let decoded = codec::decode(&message.data).ok();
-                    self.sights.extend(decoded.map(|(_, message)| (now, Sight::Message(slim(message)))));
+                    self.message(now, &message.data);
                 } else if let Some(host) = topic.strip_prefix("/wire/").and_then(|name| self.host_named(name)) {
                     self.published.insert(host);
-                    let decoded = codec::decode(&message.data).ok();
-                    self.sights.extend(decoded.map(|(_, message)| (now, Sight::Message(slim(message)))));
+                    self.message(now, &message.data);
                 } else if let Some(host) = topic.strip_prefix("/tape/").and_then(|name| self.taped_host(name)) {
                     self.taped.insert(host);
                     self.turn(now, host, &message.data);
@@ -188,10 +186,16 @@ impl Reading<'_> {
         }
     }
 
-    /// Notes that the recorded host has a key, and by which key its arrivals are checked.
+    /// Adds an event for the message in a datagram.
+    fn message(&mut self, now: Time, datagram: &[u8]) {
+        let decoded = codec::decode(datagram).ok();
+        self.sights.extend(decoded.map(|(_, message)| (now, Sight::Message(slim(message)))));
+    }
+
+    /// Stores that the recorded host has a key, and the key by which its arrivals are checked.
     fn note_key(&mut self, identity: &Identity) {
         if let Some(host) = identity.host.as_ref().filter(|host| host.keyed) {
-            let of_record = self.keys.of_records.get(&format!("{}-{:08x}", host.name, host.incarnation));
+            let of_record = self.keys.of_records.get(&host.process_name());
             let key = self.keys.of_team.as_ref().or(of_record).cloned();
             self.keyed.entry(host.id).or_insert(None).clone_from(&key);
         }
@@ -228,11 +232,11 @@ impl Reading<'_> {
             };
             let Ok((header, message)) = codec::decode(plain) else { continue };
             let number = (header.incarnation, header.sequence);
-            let newest = self.newest.insert((host, header.sender), number);
-            if newest.is_some_and(|(incarnation, sequence)| incarnation == number.0 && sequence >= number.1) {
-                self.newest.extend(newest.map(|newest| ((host, header.sender), newest)));
+            let newest = self.newest.get(&(host, header.sender));
+            if newest.is_some_and(|(incarnation, sequence)| *incarnation == number.0 && *sequence >= number.1) {
                 continue;
             }
+            self.newest.insert((host, header.sender), number);
             let latent_of = if let Wire::Latent(latent) = &message { Some(latent.robot) } else { None };
             if !self.published.contains(&header.sender) {
                 self.sights.push((now, Sight::Message(slim(message))));
@@ -248,17 +252,12 @@ fn robot_of(data: &[u8]) -> Option<RobotId> {
     u16::try_from(said["robot"].as_u64()?).ok().map(RobotId)
 }
 
-/// Decodes a recorded message with the true states of all simulated robots at a time; `None` if it is damaged.
-fn truth(time: Time, data: &[u8]) -> Option<Truth> {
+/// Decodes a recorded message with the true states of all simulated robots at a time.
+fn truth(time: Time, data: &[u8]) -> Truth {
     let mut samples = Vec::new();
-    for (_, robot) in Fields(data).filter(|(field, _)| *field == 2) {
-        let mut fields = [0.0; 12];
-        for (field, value) in Fields(robot.bytes()?) {
-            if let (Some(place), Some(number)) = (fields.get_mut(field as usize), Value::number(value)) {
-                *place = number as f32;
-            }
-        }
-        let [_, robot, x, y, vx, vy, heading, yaw_rate, command_x, command_y, robots, walls] = fields;
+    for fields in protobuf_reader::truth(data) {
+        let [_, robot, x, y, vx, vy, heading, yaw_rate, command_x, command_y, robots, walls] =
+            fields.map(|number| number as f32);
         samples.push(Sample {
             robot: RobotId(robot as u16),
             time,
@@ -269,7 +268,7 @@ fn truth(time: Time, data: &[u8]) -> Option<Truth> {
             contacts: Contacts { robot: robots != 0.0, wall: walls != 0.0 },
         });
     }
-    Some(Truth { time, samples: samples.into() })
+    Truth { time, samples: samples.into() }
 }
 
 #[cfg(test)]

@@ -15,7 +15,7 @@ use murmurate::net::protocol::codec::{self, Content, Flags};
 use murmurate::net::protocol::router::Audience;
 use murmurate::results::episode::Episode;
 use murmurate_record::clocks::{self, Alignment, ClockDifference, DatagramKey, Traffic};
-use murmurate_record::protobuf_reader::Fields;
+use murmurate_record::protobuf_reader;
 use murmurate_record::reader::{self, ReadError};
 use murmurate_record::tape;
 
@@ -125,13 +125,7 @@ impl Log {
     }
 
     fn truth(&mut self, at_ns: i64, bytes: &[u8]) {
-        for (_, robot) in Fields(bytes).filter(|(field, _)| *field == 2) {
-            let mut numbers = [0.0; 12];
-            for (field, value) in Fields(robot.bytes().unwrap_or_default()) {
-                if let (Some(place), Some(number)) = (numbers.get_mut(field as usize), value.number()) {
-                    *place = number;
-                }
-            }
+        for numbers in protobuf_reader::truth(bytes) {
             let [_, robot, _, _, vx, vy, _, _, command_x, command_y, by_robot, by_wall] = numbers;
             let moved = Moved { velocity: [vx, vy], command: [command_x, command_y] };
             let touches = by_robot + by_wall > 0.0;
