@@ -7,7 +7,7 @@
 //! fastest 2 % are left out of the estimate; where they contradict it, the uncertainty grows.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use xxhash_rust::xxh3::xxh3_64;
 
@@ -140,6 +140,12 @@ impl ClockDifference {
         }
     }
 
+    /// Returns the time by which the host's clock is ahead at the last estimate, and the largest uncertainty of all
+    /// estimates \[ns\]; 0 without an estimate.
+    pub fn latest_ns(&self) -> (i64, i64) {
+        (self.ahead_ns(i64::MAX / 2), self.uncertainty_ns().unwrap_or(0))
+    }
+
     /// Returns the same offsets with all uncertainties increased by `by_ns` \[ns\].
     fn widened(mut self, by_ns: i64) -> ClockDifference {
         self.0.iter_mut().for_each(|estimate| estimate.uncertainty += by_ns);
@@ -218,16 +224,6 @@ fn best(all: &[Traffic], clocks: &[Option<ClockDifference>]) -> Option<(usize, C
         }
     }
     found.map(|(_, there, clock)| (there, clock))
-}
-
-/// Record of one host that is to be merged with the records of other hosts.
-pub struct Part {
-    /// Path of the record's file.
-    pub path: PathBuf,
-    /// Name of the host that made the record.
-    pub host: String,
-    /// Offset of the host's clock from the clock of the first record.
-    pub clock: ClockDifference,
 }
 
 #[cfg(test)]

@@ -9,12 +9,12 @@ use mcap::records::{MessageHeader, Metadata};
 use mcap::{WriteOptions, Writer};
 
 use super::chosen::Unusable;
-use super::clocks::{Alignment, Part, Traffic, align};
+use super::clocks::{Alignment, ClockDifference, Traffic, align};
 use super::identity::{Identity, MERGED, METADATA};
 use super::reader::{self, Item, ReadError, Reader};
 use super::stage;
 
-/// Why records cannot be merged.
+/// Error of a merge of records.
 #[derive(Debug, thiserror::Error)]
 pub enum MergeError {
     /// The records are of the wrong kind, or cannot be opened.
@@ -23,13 +23,23 @@ pub enum MergeError {
     /// A record that was opened cannot be read to its end.
     #[error(transparent)]
     Read(#[from] ReadError),
-    /// The merged file cannot be made.
+    /// The merged file cannot be written.
     #[error("cannot write the merged record")]
     Write(#[source] Box<dyn Error + Send + Sync>),
 }
 
 /// Topics of drawings that the records of all hosts contain; the merged record has them from one host only.
 const DRAWN: [&str; 4] = ["/scene", "/robots", "/tf", "/episode"];
+
+/// Record of one host among merged records.
+pub struct Part {
+    /// Path of the record's file.
+    pub path: PathBuf,
+    /// Name of the host's process: name and incarnation of the host.
+    pub host: String,
+    /// Offset of the host's clock from the clock of the first record.
+    pub clock: ClockDifference,
+}
 
 /// Records that were merged.
 pub struct Merge {
@@ -42,12 +52,12 @@ pub struct Merge {
 }
 
 /// Merges the records of the hosts of one run into the file `output`, in the order of a common clock. A host whose
-/// clock offset cannot be found is left out, and so are records that are not of hosts. Calls `tell` with a line of text
+/// clock offset cannot be found is left out, and so are records that are not of hosts. Calls `warn` with a line of text
 /// for each of these, and for each damaged place.
 pub fn merge(
     records: Vec<(PathBuf, Identity)>,
     output: impl Write + Seek,
-    mut tell: impl FnMut(&str),
+    mut warn: impl FnMut(&str),
 ) -> Result<Merge, MergeError> {
     let (only, mut whole) = (records.len() == 1, true);
     let (mut paths, mut hosts, mut traffic) = (Vec::new(), Vec::new(), Vec::new());
@@ -57,9 +67,9 @@ pub fn merge(
             _ if identity.operator => format!("'{at}' is what an operator has received"),
             None => format!("'{at}' is the record of a simulation, which has one time already"),
             Some(host) => {
-                hosts.push(format!("{}-{:08x}", host.name, host.incarnation));
+                hosts.push(host.process_name());
                 let (_, messages) = reader::messages(&path).map_err(Unusable::from)?;
-                messages.health().lines(identity.anchor_ns).iter().for_each(|line| tell(line));
+                messages.health().lines(identity.anchor_ns).iter().for_each(|line| warn(line));
                 whole &= messages.health().is_whole();
                 traffic.push(Traffic::read(&path)?);
                 paths.push(path);
@@ -69,7 +79,7 @@ pub fn merge(
         if only {
             return Err(Unusable(why).into());
         }
-        tell(&format!("left out: {why}"));
+        warn(&format!("left out: {why}"));
         whole &= identity.operator;
     }
     if paths.is_empty() {
@@ -82,7 +92,7 @@ pub fn merge(
         match clock {
             Some(clock) => parts.push(Part { path, host, clock }),
             None => {
-                tell(&format!("warning: '{host}' is left out: no datagrams join it with the others in both directions"))
+                warn(&format!("warning: '{host}' is left out: no datagrams join it with the others in both directions"))
             }
         }
     }
@@ -111,7 +121,7 @@ type Written<T> = Result<T, Box<dyn Error + Send + Sync>>;
 fn write(parts: &[Part], output: impl Write + Seek) -> Written<()> {
     let mut writer = Writer::with_options(BufWriter::new(output), options())?;
     let clocks = parts.iter().map(|part| {
-        let (ahead, uncertainty) = (part.clock.ahead_ns(i64::MAX / 2), part.clock.uncertainty_ns().unwrap_or(0));
+        let (ahead, uncertainty) = part.clock.latest_ns();
         (part.host.clone(), format!("{{\"ahead_ns\":{ahead},\"uncertainty_ns\":{uncertainty}}}"))
     });
     writer.write_metadata(&Metadata { name: MERGED.to_owned(), metadata: clocks.collect() })?;
@@ -198,7 +208,6 @@ impl Source<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::clocks::ClockDifference;
     use std::fs::File;
 
     #[test]
@@ -224,14 +233,14 @@ mod tests {
     #[test]
     fn what_is_not_of_a_host_is_refused_alone_and_left_out_beside_others() {
         let simulation = || (PathBuf::from("a.mcap"), Identity::here("1f", Vec::new(), ""));
-        let mut told = Vec::new();
+        let mut warnings = Vec::new();
         let mut of = |records| {
-            let merged = merge(records, std::io::Cursor::new(Vec::new()), |line| told.push(line.to_owned()));
+            let merged = merge(records, std::io::Cursor::new(Vec::new()), |line| warnings.push(line.to_owned()));
             merged.err().map(|error| error.to_string())
         };
         let alone = "'a.mcap' is the record of a simulation, which has one time already";
         assert_eq!(of(vec![simulation()]).as_deref(), Some(alone));
         assert_eq!(of(vec![simulation(), simulation()]).as_deref(), Some("none of these records is of a host"));
-        assert_eq!(told, vec![format!("left out: {alone}"); 2]);
+        assert_eq!(warnings, vec![format!("left out: {alone}"); 2]);
     }
 }

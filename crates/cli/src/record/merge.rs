@@ -41,7 +41,7 @@ pub fn run(args: &Args) -> Result<Ended> {
     fresh.sync().with_context(no_room)?;
     fresh.replace(&args.output).with_context(no_room)?;
     for part in &parts {
-        let (ahead, uncertainty) = (part.clock.ahead_ns(i64::MAX / 2), part.clock.uncertainty_ns().unwrap_or(0));
+        let (ahead, uncertainty) = part.clock.latest_ns();
         print(&format!(
             "{}: {:+.3} ms, within {:.3} ms",
             shown::value(&part.host),
@@ -58,7 +58,8 @@ pub fn run(args: &Args) -> Result<Ended> {
     Ok(if whole && !left_out { Ended::Done } else { Ended::Unfit })
 }
 
-/// Merges the records of the hosts of one run into the file `output`, and tells on stderr what is left out or damaged.
+/// Merges the records of the hosts of one run into the file `output`, and prints on stderr which are left out or
+/// damaged.
 pub fn into_file(records: Vec<(PathBuf, Identity)>, output: &mut File) -> Result<Merge> {
     merge::merge(records, output, talk).map_err(|error| match error {
         MergeError::Unusable(error) => chosen::wrong(error).into(),
