@@ -1,14 +1,14 @@
-//! Choice of records among files and folders that somebody has named: each run once, and one bad file among good ones
-//! is left out.
+//! Selection of the records among named files and folders: each run once, and without files that cannot be used.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::identity::{Identity, MERGED};
 use super::reader::{self, ReadError, Reader};
+use super::reading::element::Map;
 use super::series;
 
-/// Why what was named cannot be used as records, in words.
+/// Error: the named files and folders are no usable records. The text says why.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct Unusable(pub String);
@@ -19,7 +19,7 @@ impl From<ReadError> for Unusable {
     }
 }
 
-/// Records that were chosen.
+/// Selected records.
 #[derive(Debug)]
 pub struct Chosen {
     /// Path and identity of each record.
@@ -57,21 +57,22 @@ pub fn first_files(named: &[PathBuf]) -> Result<Vec<PathBuf>, Unusable> {
     Ok(all)
 }
 
-/// One copy of a record: its path, what it is of, and what it lacks (whether it is damaged, fewer bytes first).
+/// One copy of a record: its path, its identity, and a measure of what it lacks (damaged ones last, then those with
+/// fewer bytes).
 type Copied = (PathBuf, Identity, (bool, u64));
 
 /// Returns the records among the `named` files and folders. Files that are no records, such as an empty one, are left
-/// out. Of several copies of a record the one that lacks least is taken. Calls `tell` with a line of text for each file
+/// out. Of several copies of a record the one that lacks least is taken. Calls `warn` with a line of text for each file
 /// that is not taken. Fails if no record is left.
-pub fn records(named: &[PathBuf], mut tell: impl FnMut(&str)) -> Result<Chosen, Unusable> {
+pub fn records(named: &[PathBuf], mut warn: impl FnMut(&str)) -> Result<Chosen, Unusable> {
     let paths = first_files(named)?;
     let only = paths.len() == 1;
-    let mut copies: BTreeMap<String, Vec<Copied>> = BTreeMap::new();
+    let mut copies: BTreeMap<Map, Vec<Copied>> = BTreeMap::new();
     let (mut order, mut left_out) = (Vec::new(), false);
     for path in paths {
         match reader::messages(&path) {
             Ok((identity, messages)) => {
-                let key = format!("{:?}", identity.to_metadata());
+                let key = identity.to_metadata();
                 let health = messages.health();
                 let lacks = (!health.is_whole(), u64::MAX - health.bytes);
                 let known = copies.entry(key.clone()).or_default();
@@ -82,19 +83,19 @@ pub fn records(named: &[PathBuf], mut tell: impl FnMut(&str)) -> Result<Chosen, 
             }
             Err(error) if only => return Err(Unusable(reason(&path, error))),
             Err(error) => {
-                tell(&format!("left out: {}", reason(&path, error)));
+                warn(&format!("left out: {}", reason(&path, error)));
                 left_out = true;
             }
         }
     }
     let mut records = Vec::new();
     for key in order {
-        let mut same = copies.remove(&key).expect("it was noted");
+        let mut same = copies.remove(&key).expect("each key in the order has copies");
         same.sort_by(|(a, _, lacks), (b, _, other)| (lacks, a).cmp(&(other, b)));
         let mut same = same.into_iter();
-        let (path, identity, _) = same.next().expect("it has one at least");
+        let (path, identity, _) = same.next().expect("a key has at least one copy");
         for (other, ..) in same {
-            tell(&format!("'{}' is the same record as '{}' and counts once", other.display(), path.display()));
+            warn(&format!("'{}' is the same record as '{}' and counts once", other.display(), path.display()));
         }
         records.push((path, identity));
     }
@@ -144,13 +145,13 @@ mod tests {
         record(&path("other.mcap"), 1, true);
         std::fs::write(path("empty.mcap"), "").unwrap();
         std::fs::write(path("notes.txt"), "no record").unwrap();
-        let mut told = Vec::new();
-        let chosen = records(&[folder.path().to_owned()], |line| told.push(line.to_owned())).unwrap();
+        let mut warnings = Vec::new();
+        let chosen = records(&[folder.path().to_owned()], |line| warnings.push(line.to_owned())).unwrap();
         let names: Vec<PathBuf> = chosen.records.into_iter().map(|(path, _)| path).collect();
         assert_eq!(names, [path("other.mcap"), path("whole.mcap")]);
         assert!(chosen.left_out);
-        assert!(told[0].starts_with("left out: ") && told[0].contains("empty.mcap' is empty"), "{told:?}");
-        assert!(told[1].contains("cut.mcap' is the same record as") && told.len() == 2, "{told:?}");
+        assert!(warnings[0].starts_with("left out: ") && warnings[0].contains("empty.mcap' is empty"), "{warnings:?}");
+        assert!(warnings[1].contains("cut.mcap' is the same record as") && warnings.len() == 2, "{warnings:?}");
     }
 
     #[test]

@@ -24,7 +24,7 @@ pub fn of_all(all: &[(&str, &Map)]) -> Map {
     all.iter().map(|(name, values)| ((*name).to_owned(), of(name, values))).collect()
 }
 
-/// Whether metadata are as they were written.
+/// Result of the comparison of metadata with their digest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Match {
     /// They agree with their digest.
@@ -38,19 +38,19 @@ pub enum Match {
     },
 }
 
-/// Which metadata of a file are as they were written.
+/// Results of the comparison of a file's metadata with their digests.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Judged {
-    /// Match on each of the metadata, in their order.
+    /// Result for each of the metadata, in their order.
     pub of: Vec<Match>,
     /// Names of metadata with a digest that are not in the file.
     pub absent: Vec<String>,
 }
 
 /// Decides which of the metadata `all`, in the order of the file, are as they were written. A file may have digests
-/// twice, so that damage to them is told from damage to what they are of.
+/// twice, so that damage to them can be distinguished from damage to the metadata.
 pub fn judge(all: &[(&str, &Map)]) -> Judged {
-    // What is no digest has been damaged, and says nothing of what it was of.
+    // A damaged digest says nothing about its metadata.
     let is_digest = |text: &str| text.len() == 32 && text.bytes().all(|byte| byte.is_ascii_hexdigit());
     let is_list = |values: &Map| values.values().all(|text| is_digest(text));
     let lists = all.iter().filter(|(name, _)| *name == METADATA);

@@ -14,7 +14,7 @@ use super::reader::{Beginning, ReadError};
 pub struct Info {
     /// Path of the record.
     pub record: PathBuf,
-    /// What it is a record of, in words; empty if the file cannot be read.
+    /// Process that made it, such as `simulation, repeat 2`; empty if the file cannot be read.
     pub of: String,
     /// Version of the program that made it; empty if it is not known.
     pub version: String,

@@ -1,4 +1,4 @@
-//! Why a record is not replayed, or its replay not compared.
+//! Errors of replays.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -8,7 +8,7 @@ use murmurate::trial::TrialError;
 use murmurate_record::compare::{Compared, Comparison};
 use murmurate_record::reader::ReadError;
 
-/// Why a record is not replayed, or its replay not compared.
+/// Error of a replay, or of its comparison with the record.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplayError {
     /// The record has a value that cannot be used; the text names the record.
@@ -23,7 +23,7 @@ pub enum ReplayError {
     /// The record cannot be read to its end.
     #[error(transparent)]
     Read(#[from] ReadError),
-    /// The run goes on although it has ended.
+    /// The comparison is still in use by a run that has ended: a bug.
     #[error("a run that has ended is still observed: a bug")]
     Observed,
 }

@@ -21,7 +21,7 @@ impl Files {
         let mut number = [0; 8];
         getrandom::fill(&mut number).map_err(|error| io::Error::other(format!("no random bytes: {error}")))?;
         let folder = std::env::temp_dir().join(format!("murmurate-replay-{:016x}", u64::from_le_bytes(number)));
-        // The files may not be for everybody, and the folder stays if this program is killed.
+        // The files may be confidential, and the folder stays if this program is killed.
         DirBuilder::new()
             .mode(0o700)
             .create(&folder)
@@ -30,7 +30,7 @@ impl Files {
         let named = opened.attached.iter().filter(|(name, _)| name != ACCEPTED);
         for (index, (name, content)) in named.enumerate() {
             let last = Path::new(name).file_name().map_or("file".into(), |last| last.to_string_lossy().into_owned());
-            // Somebody else may have chosen the name.
+            // The name comes from the record, which may be from an untrusted source.
             let last: String = last.chars().filter(|c| c.is_ascii_alphanumeric() || "-_.".contains(*c)).collect();
             let last = &last[last.len().saturating_sub(100)..];
             let path = files.folder.join(format!("{index}-{last}"));
@@ -86,7 +86,7 @@ impl Drop for Files {
     }
 }
 
-/// Returns an error that begins with what was tried.
+/// Returns an error that begins with the attempted operation.
 fn failed(error: &io::Error, tried: &str) -> io::Error {
     io::Error::new(error.kind(), format!("{tried}: {error}"))
 }

@@ -1,9 +1,9 @@
-//! Which records can be replayed: by what is intact in them, by what they are of, and by the program that made them.
+//! Check whether a record can be replayed: by its state, by the process that made it, and by its completeness.
 
 use murmurate_record::health::Health;
 use murmurate_record::identity::Identity;
 
-/// Records that are to be replayed.
+/// Kind of records that are to be replayed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Wanted {
     /// Records of hosts and of simulations.
@@ -15,18 +15,18 @@ pub enum Wanted {
     Simulations,
 }
 
-/// Why a record cannot be replayed.
+/// Reason why a record cannot be replayed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Unfit {
     /// Attached files that the replay needs may be lost to damage; the text says where it is.
     LosesFiles(String),
-    /// It has what an operator received, and nothing that could run again.
+    /// It has the messages that an operator received, and nothing that could run again.
     OfOperator,
     /// It is of a host, and only simulations are wanted.
     OfHost,
     /// It is of a simulation, and only hosts are wanted.
     OfSimulation,
-    /// It has only the seconds around what happened, and a replay needs a run from its beginning.
+    /// It has only the seconds around triggers, and a replay needs a run from its beginning.
     Excerpt,
     /// It goes on from another file of its record.
     FurtherPart,

@@ -27,7 +27,7 @@ use murmurate_record::{Event, Scope, tape};
 use crate::ReplayError;
 use crate::error::finish;
 
-/// What decides in a replay which datagrams the host accepts.
+/// Access of a host to its team in a replay: how it checks the tags of datagrams.
 pub struct Access {
     /// Key of the team, or a list of accepted datagrams in its place; `None` for a team without a key.
     key: Option<Key>,
@@ -37,8 +37,8 @@ pub struct Access {
 }
 
 impl Access {
-    /// Returns what a replay of the host `of` checks datagrams by: `key` if it is given, or else the list among the
-    /// files `attached` to its record. `None` if the team has a key, and there is neither.
+    /// Returns the access of the host `of`: with `key` if it is given, or else with the list among the files `attached`
+    /// to its record. `None` if the team has a key, and there is neither.
     pub fn of(of: &HostIdentity, attached: &[(String, Vec<u8>)], key: Option<Key>) -> Option<Access> {
         if !of.keyed {
             return Some(Access { key: None, trusts: false });

@@ -1,5 +1,5 @@
-//! The records that a command takes: what is left out or damaged is told on stderr, and what cannot be used is a wrong
-//! argument.
+//! Records that a command takes as arguments: prints on stderr which files are left out or damaged, and reports
+//! unusable ones as wrong arguments.
 
 use std::path::PathBuf;
 
@@ -23,13 +23,13 @@ pub fn records(named: &[PathBuf]) -> Result<Chosen, BadInput> {
     chosen::records(named, talk).map_err(wrong)
 }
 
-/// Returns what cannot be used as a wrong argument.
+/// Converts the error of unusable files to that of a wrong argument.
 pub fn wrong(error: Unusable) -> BadInput {
     BadInput(error.0)
 }
 
-/// Prints on stderr what is damaged in a record, with times since `zero` \[ns\]. Returns whether it is whole.
-pub fn tell(health: &Health, zero: u64) -> bool {
+/// Prints the damaged places of a record on stderr, with times since `zero` \[ns\]. Returns whether it is whole.
+pub fn print_damage(health: &Health, zero: u64) -> bool {
     health.lines(zero).iter().for_each(|line| talk(line));
     health.is_whole()
 }

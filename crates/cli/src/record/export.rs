@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 
-use crate::record::chosen::tell;
+use crate::record::chosen::print_damage;
 use murmurate_record::reader;
 use murmurate_record::tables::{self, Table};
 use murmurate_robot::output::talk;
@@ -84,7 +84,7 @@ pub fn run(args: &Args) -> Result<Ended> {
     }
     let opened = reader::messages(&args.record).map_err(|error| BadInput(error.to_string()))?;
     let (identity, messages) = opened;
-    let whole = tell(messages.health(), identity.anchor_ns);
+    let whole = print_damage(messages.health(), identity.anchor_ns);
     let files = named.into_iter().filter_map(|(path, table)| Some(TableFile::open(path.as_deref()?, table)));
     let mut files: Vec<TableFile> = files.collect::<Result<_>>()?;
     let wanted: Vec<Table> = files.iter().map(|file| file.table).collect();

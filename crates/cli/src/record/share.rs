@@ -5,7 +5,7 @@ use std::path::{Component, Path, PathBuf};
 
 use anyhow::{Context, Result};
 
-use crate::record::chosen::{self, tell};
+use crate::record::chosen::{self, print_damage};
 use murmurate::config::shown;
 use murmurate::net::protocol::key::Key;
 use murmurate_record::chosen::Chosen;
@@ -91,7 +91,7 @@ fn real(path: &Path) -> PathBuf {
 fn one((path, identity): (&Path, &Identity), key: &Key, output: &Path, as_it_is: bool) -> Result<bool> {
     let wrong = |error: reader::ReadError| BadInput(error.to_string());
     let (_, messages) = reader::messages(path).map_err(wrong)?;
-    let whole = tell(messages.health(), identity.anchor_ns);
+    let whole = print_damage(messages.health(), identity.anchor_ns);
     let folder = output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let no_room = || format!("cannot write '{}'", output.display());
     let Some(host) = identity.host.as_ref().filter(|host| host.keyed) else {

@@ -70,7 +70,7 @@ pub struct Args {
 #[derive(Serialize)]
 struct Line {
     record: PathBuf,
-    /// What the record is of: a host's name, a simulation's repeat, or the name of a study's trial.
+    /// Name of the recorded run: a host's name, a simulation's repeat, or the name of a study's trial.
     of: String,
     equal: bool,
     messages: u64,
@@ -82,7 +82,7 @@ struct Line {
     /// Time since the start of the run behind which messages are lost, as the file is damaged \[s\]. Nothing after it
     /// is compared. `None` if none are.
     damaged_s: Option<f64>,
-    /// Damaged places of the file, in words.
+    /// Descriptions of the damaged places of the file.
     damaged: Vec<String>,
     difference: Option<String>,
 }
@@ -143,9 +143,9 @@ fn one(args: &Args, path: &Path, registry: &Registry) -> Result<Option<Line>> {
     };
     let files = Files::extract(&opened)?;
     let compared = match &opened.identity.host {
-        Some(_) if args.policy.is_some() => {
+        Some(host) if args.policy.is_some() => {
             damaged.iter().for_each(|damage| talk(&format!("'{}' is damaged: {damage}", path.display())));
-            let name = opened.identity.host.as_ref().map_or(String::new(), |host| host.name.clone());
+            let name = host.name.clone();
             actions::show(args, &name, of_host::prepare(args, (path, opened), &files, registry)?)?;
             return Ok(None);
         }
@@ -210,7 +210,7 @@ pub fn confine(files: &Files, named: Option<&Path>) -> Confined {
     Confined::to([Some(files.folder()), named].into_iter().flatten().map(Path::to_owned).collect())
 }
 
-/// Returns the error of a replay: one about what is in a record is a [`BadInput`].
+/// Converts the error of a replay: one about the content of a record becomes a [`BadInput`].
 fn sorted(error: ReplayError) -> anyhow::Error {
     match error {
         ReplayError::Unusable(why) => BadInput(why).into(),

@@ -1,4 +1,4 @@
-//! Hosts of records, made ready for a replay: team, policy and key from the record's files and from flags.
+//! Preparation of a recorded host for its replay: team, policy and key from the record's files and from flags.
 
 use std::path::Path;
 
@@ -31,7 +31,7 @@ pub fn prepare(
         team_args.set.extend(policy.map(|policy| format!("policy={}", policy.display())));
     })?;
     let of = identity.host.as_ref().expect("the caller has seen a host");
-    // Not where the record says: it may be of somebody else.
+    // The path of the key file in the record is not used: the record may be from an untrusted source.
     let given = args.key_file.as_deref().filter(|_| of.keyed).map(key::read).transpose()?.map(Key::new);
     let Some(access) = Access::of(of, &attached, given) else {
         let path = path.display();

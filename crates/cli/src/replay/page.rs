@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result};
 
 use super::{Args, rerun};
-use crate::record::chosen::{self, first_files, tell, wrong};
+use crate::record::chosen::{self, first_files, print_damage, wrong};
 use crate::record::merge::into_file;
 use crate::watch::feed::Feed;
 use murmurate::config::shown::counted;
@@ -77,7 +77,7 @@ fn read(args: &Args, registry: &Registry) -> Result<Shown> {
         let records = chosen::records(named)?.records;
         talk(&format!("reads the records of {} as one", counted(records.len(), "host")));
         for (path, _) in &records {
-            note_shared(&mut keys, &reader::open(path)?);
+            add_shared(&mut keys, &reader::open(path)?);
         }
         if let [(only, _)] = &records[..] {
             return Ok(sights::read(only, &keys).map_err(wrong)?);
@@ -89,9 +89,9 @@ fn read(args: &Args, registry: &Registry) -> Result<Shown> {
     let path = paths.remove(0);
     let (identity, attached, messages) = reader::open_any(&path).map_err(|error| BadInput(error.to_string()))?;
     let zero = identity.as_ref().map_or(0, |identity| identity.anchor_ns);
-    tell(messages.health(), zero);
+    print_damage(messages.health(), zero);
     let opened = identity.map(|identity| Opened { identity, attached, messages });
-    opened.iter().for_each(|opened| note_shared(&mut keys, opened));
+    opened.iter().for_each(|opened| add_shared(&mut keys, opened));
     let mut shown = sights::read(&path, &keys).map_err(wrong)?;
     let Some(opened) = opened.filter(|opened| opened.identity.is_of_simulation()) else { return Ok(shown) };
     let identity = &opened.identity;
@@ -126,10 +126,10 @@ fn read(args: &Args, registry: &Registry) -> Result<Shown> {
     Ok(shown)
 }
 
-/// Notes the list of valid tags in a copy of a record that was shared without the key.
-fn note_shared(keys: &mut Keys, opened: &Opened) {
+/// Adds the list of valid tags in a copy of a record that was shared without the key.
+fn add_shared(keys: &mut Keys, opened: &Opened) {
     if let (Some(host), Some(key)) = (&opened.identity.host, trusted(&opened.attached)) {
-        keys.of_records.insert(format!("{}-{:08x}", host.name, host.incarnation), key);
+        keys.of_records.insert(host.process_name(), key);
     }
 }
 

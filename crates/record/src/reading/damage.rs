@@ -1,11 +1,11 @@
-//! What is known of a file after all of it was read: its intact ranges, and what is damaged where.
+//! Survey of a file: its intact ranges and its damaged places.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
 
 use super::element::{Channel, Map, Schema};
 
-/// What of a record is lost by damage.
+/// Part of a record that is lost by damage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Loss {
     /// Nothing, as an index is damaged, or a copy is left.
@@ -21,15 +21,15 @@ pub enum Loss {
 pub struct Damage {
     /// Place of the damage \[bytes\] from the beginning of the file.
     pub range: Range<u64>,
-    /// What is wrong there.
+    /// Description of the damage.
     pub what: String,
     /// Time of the last intact message before the damage and of the first after it \[ns\].
     pub times: (Option<u64>, Option<u64>),
-    /// What is lost by it.
+    /// Part of the record that is lost by it.
     pub loss: Loss,
 }
 
-/// How a file ends.
+/// End of a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum End {
     /// With the mark of its end.
@@ -47,7 +47,7 @@ pub enum End {
     Zeros,
 }
 
-/// What is known of a file after all of it was read.
+/// Survey of a file after all of it was read: its intact ranges and its damaged places.
 #[derive(Clone, Debug)]
 pub struct Survey {
     /// Length of the file \[bytes\].
@@ -56,7 +56,7 @@ pub struct Survey {
     pub intact: Vec<Range<u64>>,
     /// Damaged places, in order.
     pub damage: Vec<Damage>,
-    /// How the file ends.
+    /// End of the file.
     pub end: End,
     /// Whether a part of the file has no checksum.
     pub unchecked: bool,
@@ -78,7 +78,7 @@ pub struct Survey {
 }
 
 impl Survey {
-    /// Returns what is known of a file of `length` bytes before any was read.
+    /// Returns the survey of a file of `length` bytes before any was read.
     pub fn unread(length: u64) -> Survey {
         Survey {
             length,
