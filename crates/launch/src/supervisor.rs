@@ -59,8 +59,8 @@ impl Default for Limits {
 pub struct Process {
     /// Name of the process.
     pub name: String,
-    /// Function that returns the command of the process. It is called for the first start and for each restart.
-    pub command: Box<dyn Fn() -> Command>,
+    /// Command of the process, for its first start and for each restart.
+    pub command: Command,
 }
 
 /// Line of output of a supervised process, or a note of the supervisor about the process.
@@ -69,7 +69,7 @@ pub enum Output<'a> {
     Data(&'a str),
     /// Line that a process has printed on stderr.
     Log(&'a str),
-    /// Note about what has happened to a process: it did not stop, and was killed.
+    /// Note that the supervisor has stopped or killed a process, and why.
     Note(&'a str),
     /// Note that a process has died before its work was done, and whether it is started again.
     Died(&'a str),
@@ -214,7 +214,7 @@ impl Supervisor {
 
     fn start(&mut self, at: usize) {
         let slot = &mut self.slots[at];
-        let mut command = (slot.process.command)();
+        let command = &mut slot.process.command;
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         // Each process gets its own process group, so that Ctrl-C on the terminal reaches only this program, which then
         // stops the others.
@@ -423,13 +423,9 @@ mod tests {
     use super::*;
 
     fn shell(name: &str, script: &str) -> Process {
-        let script = script.to_owned();
-        let command = move || {
-            let mut command = Command::new("sh");
-            command.args(["-c", &script]);
-            command
-        };
-        Process { name: name.to_owned(), command: Box::new(command) }
+        let mut command = Command::new("sh");
+        command.args(["-c", script]);
+        Process { name: name.to_owned(), command }
     }
 
     /// Shell script that waits for SIGTERM and then exits with code 0.
@@ -559,7 +555,7 @@ mod tests {
 
     #[test]
     fn a_missing_program_stops_the_other_processes() {
-        let missing = Process { name: "b".to_owned(), command: Box::new(|| Command::new("/nowhere/at/all")) };
+        let missing = Process { name: "b".to_owned(), command: Command::new("/nowhere/at/all") };
         let (outcome, _) = run(vec![shell("a", PATIENT), missing], short(), "");
         let Outcome::Failed(why) = outcome else { panic!("{outcome:?}") };
         assert!(why.starts_with("the process 'b' cannot be started"), "{why}");

@@ -154,13 +154,10 @@ fn processes(
         flags.extend(["--host".into(), host.name.clone().into(), "--json".into(), "--launched".into()]);
         flags.extend(args.record.arguments());
         let before = before(&host.name, number);
-        let command = move || {
-            let mut words = before.iter().map(OsString::from).chain(program.clone());
-            let mut command = Command::new(words.next().expect("the program is one of them"));
-            command.args(words).arg("host").args(&flags);
-            command
-        };
-        Process { name: host.name.clone(), command: Box::new(command) }
+        let mut words = before.into_iter().map(OsString::from).chain(program);
+        let mut command = Command::new(words.next().expect("the program is one of them"));
+        command.args(words).arg("host").args(flags);
+        Process { name: host.name.clone(), command }
     };
     Ok(file.deployment().hosts.iter().enumerate().map(of).collect())
 }
