@@ -1,5 +1,5 @@
-//! The processes of a team on one machine: `supervisor` starts, restarts and ends them together, `results` takes what
-//! they report. The caller provides their commands, and prints what is told.
+//! The processes of a team on one machine: `supervisor` starts, restarts and ends them together, and `results` collects
+//! the events that they report. The caller provides their commands, and shows the events of the run.
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 

@@ -1,4 +1,4 @@
-//! What the processes of a team report of its run: episodes, counts, deaths and returns.
+//! Results of a team's run, from the output of its processes: episodes, counts, and events for the user.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
@@ -11,10 +11,10 @@ use murmurate::scenario::judge::Verdict;
 use murmurate::time::Span;
 use murmurate_report::event::{self, Counted, HostEvent, Unwritten};
 
-/// What an output of a process says to whoever follows the run.
+/// Event of a run that the caller shows to the user.
 #[derive(Clone, Debug, PartialEq)]
-pub enum News {
-    /// A line that is for people: of a process's log, or one on stdout that is no event.
+pub enum RunEvent {
+    /// A line of a process's log, or one on stdout that is no event.
     Line(String),
     /// The supervisor has stopped or killed the process; the text names it and says why.
     Note(String),
@@ -67,35 +67,35 @@ impl Results {
         }
     }
 
-    /// Takes an output of the process with the index `at` in. Returns the response to the supervisor, and calls `tell`
-    /// with what the output says to people.
-    pub fn take(&mut self, at: usize, output: &Output<'_>, mut tell: impl FnMut(News)) -> Response {
+    /// Handles an output of the process with the index `at`. Returns the response to the supervisor, and calls
+    /// `observe` with each event of the run that follows from the output.
+    pub fn take(&mut self, at: usize, output: &Output<'_>, mut observe: impl FnMut(RunEvent)) -> Response {
         match *output {
-            Output::Log(line) => tell(News::Line(line.to_owned())),
-            Output::Note(note) => tell(News::Note(self.about(at, note))),
+            Output::Log(line) => observe(RunEvent::Line(line.to_owned())),
+            Output::Note(note) => observe(RunEvent::Note(self.about(at, note))),
             Output::Died(note) => {
                 self.down.insert(at, Instant::now());
-                tell(News::Died(self.about(at, note)));
+                observe(RunEvent::Died(self.about(at, note)));
             }
             Output::Data(line) => match HostEvent::from_line(line) {
                 Some(HostEvent::Ready { .. }) => {
                     self.past.push(std::mem::take(&mut self.counted[at]));
-                    self.ready(at, tell);
+                    self.ready(at, observe);
                 }
                 Some(HostEvent::Aborted { episode, reason }) => {
-                    self.aborted(episode, reason).map(News::Reason).into_iter().for_each(tell);
+                    self.aborted(episode, reason).map(RunEvent::Reason).into_iter().for_each(observe);
                 }
                 Some(HostEvent::Episode(episode)) => {
-                    self.episode(episode).map(News::Episode).into_iter().for_each(tell);
+                    self.episode(episode).map(RunEvent::Episode).into_iter().for_each(observe);
                 }
-                // The log of the host says it.
+                // The host's log has a line about it.
                 Some(HostEvent::Link { .. }) => {}
                 Some(HostEvent::Counted(counted)) => self.counted[at] = counted,
                 Some(HostEvent::Finished(counted)) => {
                     self.counted[at] = counted;
                     return Response::Done;
                 }
-                None => tell(News::Line(line.to_owned())),
+                None => observe(RunEvent::Line(line.to_owned())),
             },
         }
         Response::Continue
@@ -115,14 +115,14 @@ impl Results {
         Some(*known)
     }
 
-    /// Counts a process as ready, and says so if it had died. The run's clock starts when all are ready.
-    fn ready(&mut self, at: usize, mut tell: impl FnMut(News)) {
+    /// Counts a process as ready, with an event if it had died. The run's clock starts when all are ready.
+    fn ready(&mut self, at: usize, mut observe: impl FnMut(RunEvent)) {
         if let Some(died) = self.down.remove(&at) {
-            tell(News::Back(self.about(at, &format!("is back, after {:.2} s", died.elapsed().as_secs_f64()))));
+            observe(RunEvent::Back(self.about(at, &format!("is back, after {:.2} s", died.elapsed().as_secs_f64()))));
         }
         if self.ready.insert(at) && self.ready.len() == self.names.len() {
             self.began = Instant::now();
-            tell(News::AllRun);
+            observe(RunEvent::AllRun);
         }
     }
 
@@ -154,7 +154,7 @@ impl Results {
         self.began.elapsed().as_secs_f64()
     }
 
-    /// Returns what a person is told of the end of the run, and whether that end is a regular one.
+    /// Returns whether the run has ended regularly, and a sentence about its end for the user.
     pub fn ending(&self, outcome: &Outcome) -> (bool, String) {
         let (got, all) = (self.episodes.len(), self.wanted);
         let successes = self.episodes.values().filter(|episode| !episode.verdict.is_failure()).count();
@@ -212,11 +212,11 @@ mod tests {
         Results::new(&["a".to_owned(), "b".to_owned()], 2)
     }
 
-    /// Takes an event of a process in. Returns the response, and what is told.
-    fn event(results: &mut Results, at: usize, event: &HostEvent) -> (Response, Vec<News>) {
-        let mut told = Vec::new();
-        let response = results.take(at, &Output::Data(&event.to_line()), |news| told.push(news));
-        (response, told)
+    /// Handles an event of a process. Returns the response, and the events of the run.
+    fn event(results: &mut Results, at: usize, event: &HostEvent) -> (Response, Vec<RunEvent>) {
+        let mut events = Vec::new();
+        let response = results.take(at, &Output::Data(&event.to_line()), |event| events.push(event));
+        (response, events)
     }
 
     fn ready(host: &str) -> HostEvent {
@@ -227,7 +227,7 @@ mod tests {
     fn an_episode_counts_once_and_the_last_one_completes_the_results() {
         let mut results = results();
         let first = episode(0, Verdict::Success);
-        assert_eq!(event(&mut results, 0, &HostEvent::Episode(first)).1, [News::Episode(first)]);
+        assert_eq!(event(&mut results, 0, &HostEvent::Episode(first)).1, [RunEvent::Episode(first)]);
         let again = HostEvent::Episode(episode(0, Verdict::Timeout));
         assert_eq!(event(&mut results, 1, &again).1, [], "a restarted host reports it again");
         assert!(!results.are_all() && results.received() == 1);
@@ -247,38 +247,38 @@ mod tests {
         let result = |index| HostEvent::Episode(episode(index, Verdict::Aborted));
         let mut results = results();
         assert_eq!(event(&mut results, 0, &said(0)).1, []);
-        assert_eq!(event(&mut results, 1, &result(0)).1, [News::Episode(known(0))]);
-        assert_eq!(event(&mut results, 1, &result(1)).1, [News::Episode(episode(1, Verdict::Aborted))]);
-        assert_eq!(event(&mut results, 0, &said(1)).1, [News::Reason(known(1))]);
+        assert_eq!(event(&mut results, 1, &result(0)).1, [RunEvent::Episode(known(0))]);
+        assert_eq!(event(&mut results, 1, &result(1)).1, [RunEvent::Episode(episode(1, Verdict::Aborted))]);
+        assert_eq!(event(&mut results, 0, &said(1)).1, [RunEvent::Reason(known(1))]);
         assert_eq!(event(&mut results, 0, &said(1)).1, [], "it is known");
     }
 
     #[test]
-    fn counts_of_all_incarnations_are_added_and_a_return_after_a_death_is_told() {
+    fn counts_of_all_incarnations_are_added_and_a_return_after_a_death_is_an_event() {
         let mut results = results();
         let counted = |messages| Counted { messages, ..Counted::default() };
         assert_eq!(event(&mut results, 0, &ready("a")).1, []);
-        assert_eq!(event(&mut results, 1, &ready("b")).1, [News::AllRun]);
+        assert_eq!(event(&mut results, 1, &ready("b")).1, [RunEvent::AllRun]);
         event(&mut results, 1, &HostEvent::Counted(counted(3)));
-        let mut told = Vec::new();
-        results.take(1, &Output::Died("has failed"), |news| told.push(news));
-        assert_eq!(told, [News::Died("the process 'b' has failed".to_owned())]);
-        let (_, told) = event(&mut results, 1, &ready("b"));
-        assert!(matches!(&told[..], [News::Back(text)] if text.starts_with("the process 'b' is back, after ")));
-        let (response, told) = event(&mut results, 1, &HostEvent::Finished(counted(4)));
-        assert_eq!((response, told), (Response::Done, Vec::new()));
+        let mut events = Vec::new();
+        results.take(1, &Output::Died("has failed"), |event| events.push(event));
+        assert_eq!(events, [RunEvent::Died("the process 'b' has failed".to_owned())]);
+        let (_, events) = event(&mut results, 1, &ready("b"));
+        assert!(matches!(&events[..], [RunEvent::Back(text)] if text.starts_with("the process 'b' is back, after ")));
+        let (response, events) = event(&mut results, 1, &HostEvent::Finished(counted(4)));
+        assert_eq!((response, events), (Response::Done, Vec::new()));
         event(&mut results, 0, &HostEvent::Counted(counted(10)));
         assert_eq!(results.report(1.0).totals.messages, 17);
     }
 
     #[test]
     fn lines_that_are_no_events_are_passed_on() {
-        let mut told = Vec::new();
+        let mut events = Vec::new();
         let mut results = results();
         for output in [Output::Log("log"), Output::Data("text"), Output::Note("has not stopped")] {
-            assert_eq!(results.take(0, &output, |news| told.push(news)), Response::Continue);
+            assert_eq!(results.take(0, &output, |event| events.push(event)), Response::Continue);
         }
-        let note = News::Note("the process 'a' has not stopped".to_owned());
-        assert_eq!(told, [News::Line("log".to_owned()), News::Line("text".to_owned()), note]);
+        let note = RunEvent::Note("the process 'a' has not stopped".to_owned());
+        assert_eq!(events, [RunEvent::Line("log".to_owned()), RunEvent::Line("text".to_owned()), note]);
     }
 }

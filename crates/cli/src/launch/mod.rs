@@ -3,9 +3,9 @@
 //! Each process is `host` of this program. It prints events as JSON lines on stdout (`report::event`). Its stderr is
 //! passed on with the host's name before each line.
 
+mod progress;
 #[cfg(feature = "lab")]
 mod stations;
-mod told;
 
 use std::ffi::OsString;
 use std::process::Command;
@@ -19,7 +19,7 @@ use murmurate::registry::Registry;
 use murmurate_report::event::Unwritten;
 use murmurate_report::summary::{CostName, Counts, Run, Summary};
 
-use crate::watch::{self, team::News};
+use crate::watch::{self, team::TeamEvent};
 use murmurate_launch::outcome::Outcome;
 use murmurate_launch::results::Results;
 use murmurate_launch::supervisor::{Limits, Process, Supervisor};
@@ -30,7 +30,7 @@ use murmurate_robot::recording;
 use murmurate_robot::team;
 use murmurate_robot::this_program;
 use murmurate_view::status::Ending;
-use told::Told;
+use progress::Progress;
 
 /// Runs every process of a team on this machine, in real time, and prints the same table as `sim`.
 #[derive(clap::Args)]
@@ -66,13 +66,13 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     args.page.check()?;
     #[cfg(feature = "lab")]
     if let Some(file) = &args.lab {
-        return stations::run(args, file, registry);
+        return stations::run(args, file, registry).map_err(crate::lab::sorted);
     }
     let place = Place { before: &|host, _| through(args, host), page: None };
     run_team(args, &args.team, &place, registry)
 }
 
-/// Where the processes of a team and the live page run on this machine.
+/// Place on this machine of the processes of a team and of the live page.
 struct Place<'a> {
     /// Returns the words that precede the command of a process, by the name and the number of its host.
     before: &'a dyn Fn(&str, usize) -> Vec<String>,
@@ -97,8 +97,8 @@ fn run_team(args: &Args, team: &team::TeamArgs, place: &Place, registry: &Regist
 
     let names: Vec<String> = file.deployment().hosts.iter().map(|host| host.name.clone()).collect();
     let mut results = Results::new(&names, teams[0].episodes);
-    let told = Told::new(&names, teams[0].episodes, args.quiet);
-    let outcome = supervise(args, (team, &file, place), registry, supervisor, (&mut results, told))?;
+    let progress = Progress::new(&names, teams[0].episodes, args.quiet);
+    let outcome = supervise(args, (team, &file, place), registry, supervisor, (&mut results, progress))?;
     if let Outcome::Refused(why) = outcome {
         return Err(BadInput(why).into());
     }
@@ -172,23 +172,23 @@ fn through(args: &Args, host: &str) -> Vec<String> {
         .collect()
 }
 
-/// Runs the processes of all hosts until they end, and collects their results in `results`; `told` prints
-/// what happens, and the live page shows it if `--watch` is given. Returns how the run ended.
+/// Runs the processes of all hosts until they end, and collects their results in `results`; `progress`
+/// prints their events, and the live page shows them if `--watch` is given. Returns how the run ended.
 fn supervise(
     args: &Args,
     (team, file, place): (&team::TeamArgs, &TeamFile, &Place),
     registry: &Registry,
     supervisor: Supervisor,
-    (results, mut told): (&mut Results, Told),
+    (results, mut progress): (&mut Results, Progress),
 ) -> Result<Outcome> {
     if args.page.watch {
         let (sender, receiver) = std::sync::mpsc::channel();
-        told.page = Some(sender);
+        progress.page = Some(sender);
         let page = watch::team::Page::open(file, team, &args.page.page, registry, Some(receiver))?;
         let space = place.page;
         return Ok(std::thread::scope(|scope| {
             scope.spawn(|| {
-                // The news of the end end the page.
+                // The event of the run's end ends the page.
                 let run = || page.run(team, registry, None, || false);
                 let ended = match space {
                     #[cfg(feature = "lab")]
@@ -199,13 +199,13 @@ fn supervise(
                     talk(&format!("warning: the page has ended: {error:#}"));
                 }
             });
-            let outcome = supervisor.run(|at, output| results.take(at, &output, |news| told.tell(at, news)));
+            let outcome = supervisor.run(|at, output| results.take(at, &output, |event| progress.show(at, event)));
             let (regular, text) = results.ending(&outcome);
-            told.tell_page(News::Over(Ending { regular, text }));
+            progress.send(TeamEvent::Over(Ending { regular, text }));
             outcome
         }));
     }
-    Ok(supervisor.run(|at, output| results.take(at, &output, |news| told.tell(at, news))))
+    Ok(supervisor.run(|at, output| results.take(at, &output, |event| progress.show(at, event))))
 }
 
 /// Returns the team file and the flags `--set`, `--interface` and `--key-file` as command-line arguments for another

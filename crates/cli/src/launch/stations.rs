@@ -26,7 +26,7 @@ pub fn run(args: &Args, file: &Path, registry: &Registry) -> Result<Ended> {
             format!("the team has {}, and the lab {}", counted(hosts, "host"), counted(laboratory.stations, "station"));
         return Err(BadInput(why).into());
     }
-    if page(args) && hosts == usize::from(laboratory.stations) {
+    if args.page.watch && hosts == usize::from(laboratory.stations) {
         let (file, more) = (file.display(), hosts + 1);
         let why = format!(
             "--watch needs a station of its own beside the {}: set 'stations = {more}' in '{file}'",
@@ -44,27 +44,22 @@ pub fn run(args: &Args, file: &Path, registry: &Registry) -> Result<Ended> {
         })?;
         team.set_interface(&link.name, interface);
     }
-    needs::check().map_err(|error| lab::sorted(error.into()))?;
+    needs::check()?;
     // The team is checked before anything is made.
     let checked = team.read(registry)?;
     for host in checked.hosts() {
         team.for_host(&checked, host)?;
     }
-    let running = Running::start(&laboratory, None, talk).map_err(|error| lab::sorted(error.into()))?;
+    let running = Running::start(&laboratory, None, talk)?;
     let names: Vec<String> = (0..laboratory.stations).map(|station| laboratory.namespace(station)).collect();
     let before = |_: &str, number: usize| ["ip", "netns", "exec", &names[number]].map(str::to_owned).to_vec();
-    let place = Place { before: &before, page: page(args).then(|| names[hosts].as_str()) };
+    let place = Place { before: &before, page: args.page.watch.then(|| names[hosts].as_str()) };
     let ended = run_team(args, &team, &place, registry);
     let report = running.end()?;
     if !args.quiet || report.lateness.late > 0 {
         talk_lines(&report.to_string());
     }
     ended
-}
-
-/// Returns whether a live page of the team is served.
-fn page(args: &Args) -> bool {
-    args.page.watch
 }
 
 /// Returns the interface of a link in every station: the radio's, or the cable's if there is one.

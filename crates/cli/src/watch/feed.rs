@@ -37,8 +37,8 @@ pub struct Feed {
     snapshot_at: Instant,
     status_at: Instant,
     look_at: Instant,
-    told: Option<Change>,
-    goals_told: u64,
+    published: Option<Change>,
+    goals_published: u64,
 }
 
 impl Feed {
@@ -55,25 +55,25 @@ impl Feed {
             snapshot_at: now,
             status_at: now,
             look_at: now,
-            told: None,
-            goals_told: 0,
+            published: None,
+            goals_published: 0,
         }
     }
 
-    /// Makes the next call of [`Feed::tell`] publish a snapshot of the robots without waiting for its period.
+    /// Makes the next call of [`Feed::publish`] publish a snapshot of the robots without waiting for its period.
     pub fn at_once(&mut self) {
         (self.look_at, self.snapshot_at) = (Instant::now(), Instant::now());
     }
 
-    /// Makes the next call of [`Feed::tell`] publish the status without waiting for its period, as something has
+    /// Makes the next call of [`Feed::publish`] publish the status without waiting for its period, as something has
     /// happened.
     pub fn status_at_once(&mut self) {
         (self.look_at, self.status_at) = (Instant::now(), Instant::now());
     }
 
     /// Returns whether a status with this state of the process has been published.
-    pub fn has_told(&self, own: &str) -> bool {
-        self.told.is_some_and(|(.., told)| told == own)
+    pub fn has_published(&self, own: &str) -> bool {
+        self.published.is_some_and(|(.., published)| published == own)
     }
 
     /// Publishes snapshot, metrics, goals and status of the team if they are due, without waiting. `now` is the time of
@@ -99,20 +99,20 @@ impl Feed {
         {
             self.metrics_at = present + METRICS;
         }
-        if view.goals_changed() != self.goals_told {
+        if view.goals_changed() != self.goals_published {
             let (number, goals) = view.goals();
             if publisher.goals(goals.to_json()) {
-                self.goals_told = number;
+                self.goals_published = number;
             }
         }
         let change = (view.latch().word(), view.confirmed(), view.phase().map(|(_, episode)| episode), own);
-        if present < self.status_at && self.told == Some(change) {
+        if present < self.status_at && self.published == Some(change) {
             return;
         }
         let mut status = view.status(now);
         fill(&mut status);
         if publisher.status(status.to_json()) {
-            (self.status_at, self.told) = (present + STATUS, Some(change));
+            (self.status_at, self.published) = (present + STATUS, Some(change));
         }
     }
 }

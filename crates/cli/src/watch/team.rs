@@ -46,8 +46,8 @@ const BEAT: Span = Span::from_millis(10);
 /// Period at which this operator asks all hosts for the state of the emergency stop latch at their robots.
 const ASK: Span = Span::from_millis(1000);
 
-/// What the program that runs a team tells the page of it.
-pub enum News {
+/// Event of a run, from the program that runs the team to its live page.
+pub enum TeamEvent {
     /// Result of an episode.
     Episode(Episode),
     /// The process of the host with this index has died; the text names it and says how.
@@ -95,7 +95,7 @@ pub struct Page {
     view: TeamView,
     server: Server,
     publisher: Publisher,
-    news: Option<Receiver<News>>,
+    events: Option<Receiver<TeamEvent>>,
     /// Identity (incarnation and seed) of this process as an operator of the team.
     identity: ProcessIdentity,
     /// Time zero of this process's clock.
@@ -104,14 +104,14 @@ pub struct Page {
 }
 
 impl Page {
-    /// Opens the live page of a team, and prints its address. `news` receives the results of episodes and what happens
-    /// to processes; `None` if this process does not get them.
+    /// Opens the live page of a team, and prints its address. `events` receives the results of episodes, and the deaths
+    /// and returns of processes; `None` if this process does not get them.
     pub fn open(
         file: &TeamFile,
         team: &team::TeamArgs,
         flags: &PageFlags,
         registry: &Registry,
-        news: Option<Receiver<News>>,
+        events: Option<Receiver<TeamEvent>>,
     ) -> Result<Page> {
         let deployment = file.deployment();
         let some = team.for_host(file, HostId(0))?;
@@ -129,7 +129,7 @@ impl Page {
             episodes: some.episodes,
             range_m: range_m.filter(|range_m| range_m.is_finite()),
             hears_links: false,
-            hears_results: news.is_some(),
+            hears_results: events.is_some(),
             ..Scene::of_arena(scenario.arena())
         };
         let homes = RobotId::team(deployment.robots).map(|robot| routes.agent_host(robot)).collect();
@@ -138,7 +138,7 @@ impl Page {
             view: TeamView::new(scene, homes, deployment.hosts.len()),
             server,
             publisher,
-            news,
+            events,
             identity: ProcessIdentity::draw()?,
             began: Instant::now(),
             stage: {
@@ -155,8 +155,8 @@ impl Page {
     }
 
     /// Joins the team's network as an operator, and updates the page on this thread until `over` returns `true`, or
-    /// until the news say that the run is over. The page is told of the end. What the operator receives is also written
-    /// to `record`, if given.
+    /// until an event says that the run is over. The page receives a last status. The messages that the operator
+    /// receives are also written to `record`, if given.
     pub fn run(
         self,
         team: &team::TeamArgs,
@@ -164,7 +164,7 @@ impl Page {
         record: Option<LiveRecord>,
         over: impl Fn() -> bool,
     ) -> Result<()> {
-        let Page { view, server, publisher, news, identity, began, .. } = self;
+        let Page { view, server, publisher, events, identity, began, .. } = self;
         let file = team.read(registry)?;
         let operator = team.operator_as(&file, identity)?;
         let me = operator.end.me;
@@ -203,7 +203,7 @@ impl Page {
                     view,
                     orders,
                     publisher,
-                    news,
+                    events,
                     feed,
                     pause_after,
                     ask_at,
@@ -217,7 +217,7 @@ impl Page {
             |(), now| {
                 turned.iter().for_each(|record| record.turn(now, None));
                 ended.asked.set(ended.asked.get() || over());
-                ended.told.get()
+                ended.published.get()
             },
         );
         server.close();
@@ -225,13 +225,13 @@ impl Page {
     }
 }
 
-/// How the end of the page is agreed on between the event loop and the desk.
+/// State of the end of the page, which the event loop and the desk share.
 #[derive(Default)]
 struct End {
     /// Whether the user has ended this command.
     asked: Cell<bool>,
-    /// Whether the page has been told of the end.
-    told: Cell<bool>,
+    /// Whether the last status has been published.
+    published: Cell<bool>,
 }
 
 /// Does the periodic work of the page: executes commands, repeats orders, and publishes the team's state.
@@ -241,7 +241,7 @@ struct Desk {
     view: Rc<RefCell<TeamView>>,
     orders: Rc<RefCell<Orders>>,
     publisher: Publisher,
-    news: Option<Receiver<News>>,
+    events: Option<Receiver<TeamEvent>>,
     feed: Feed,
     /// Episode after which the team is to be held, because a page has asked for a pause; `None` without such a request.
     pause_after: Option<u32>,
@@ -262,7 +262,7 @@ impl Desk {
         while let Some(command) = self.publisher.command() {
             self.execute(now, command);
         }
-        self.take_news(now);
+        self.take_events(now);
         self.log_trouble(now);
         self.take_pause(now);
         let mut message = self.orders.borrow_mut().turn(now);
@@ -285,25 +285,25 @@ impl Desk {
             (status.ordering, status.pause, status.trouble) = (ordering, pause, trouble);
             (status.over, status.ending) = (ending.is_some(), ending);
         });
-        self.end.told.set(self.feed.has_told(OVER));
+        self.end.published.set(self.feed.has_published(OVER));
         let again = clock.clone();
         clock.call(now + BEAT, Box::new(move || self.beat(&again)));
     }
 
-    /// Takes the news of the program that runs the team, and the request to end the page.
-    fn take_news(&mut self, now: Time) {
+    /// Handles the events of the program that runs the team, and the request to end the page.
+    fn take_events(&mut self, now: Time) {
         loop {
-            match self.news.as_ref().map(Receiver::try_recv) {
-                Some(Ok(News::Episode(episode))) => self.view.borrow_mut().judged(now, &episode),
-                Some(Ok(News::Died(host, text))) => {
+            match self.events.as_ref().map(Receiver::try_recv) {
+                Some(Ok(TeamEvent::Episode(episode))) => self.view.borrow_mut().judged(now, &episode),
+                Some(Ok(TeamEvent::Died(host, text))) => {
                     self.view.borrow_mut().process_died(now, id(host), &text);
                     self.feed.status_at_once();
                 }
-                Some(Ok(News::Back(host, text))) => {
+                Some(Ok(TeamEvent::Back(host, text))) => {
                     self.view.borrow_mut().process_back(now, id(host), &text);
                     self.feed.status_at_once();
                 }
-                Some(Ok(News::Over(ending))) => self.ending = Some(ending),
+                Some(Ok(TeamEvent::Over(ending))) => self.ending = Some(ending),
                 Some(Err(TryRecvError::Disconnected)) if self.ending.is_none() => {
                     let text = "The program that ran the team has ended.".to_owned();
                     self.ending = Some(Ending { regular: false, text });
@@ -318,7 +318,7 @@ impl Desk {
         }
     }
 
-    /// Says once, on the terminal and in the log of the page, why nothing of the team is understood.
+    /// Logs once, on the terminal and on the page, why nothing of the team is understood.
     fn log_trouble(&mut self, now: Time) {
         let trouble = self.trouble.get();
         if let Some(trouble) = trouble.filter(|_| trouble != self.known) {

@@ -108,7 +108,7 @@ pub fn run(
         pace: Pace::new(flags.speed),
     };
     let orders = Rc::clone(&desk.orders);
-    let hear = move |now: Time, host: HostId, event: Event| {
+    let observe = move |now: Time, host: HostId, event: Event| {
         metrics.borrow_mut().take(host, event);
         update(&mut view.borrow_mut(), &mut orders.borrow_mut(), now, host, event);
     };
@@ -117,8 +117,8 @@ pub fn run(
         desk.turn(graph, now, episodes, stop)
     };
     let report = match records {
-        Some(records) => records.run_observed((&Recorded::repeat(trial), trial), hear, turn),
-        None => trial.run_observed(hear, turn),
+        Some(records) => records.run_observed((&Recorded::repeat(trial), trial), observe, turn),
+        None => trial.run_observed(observe, turn),
     };
     desk.feed.at_once();
     desk.publish(last, true);

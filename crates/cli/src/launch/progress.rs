@@ -1,64 +1,64 @@
-//! What people see of a run under `launch`: lines on stderr, and the news of the live page.
+//! Progress of a run under `launch`: log lines on stderr, and events for the live page.
 
 use murmurate::config::shown::counted;
 use murmurate::results::episode::Episode;
-use murmurate_launch::results;
+use murmurate_launch::results::RunEvent;
 use murmurate_robot::output::{colour, talk};
 
-use crate::watch::team::News;
+use crate::watch::team::TeamEvent;
 
 /// ANSI colour codes of the host names before log lines. Red is left out, because it looks like an error.
 const COLOURS: [u8; 10] = [36, 32, 33, 35, 34, 96, 92, 93, 95, 94];
 
-/// Output of a run while it goes on.
-pub struct Told {
+/// Progress of a run, for the user: log lines on stderr, and events for the live page.
+pub struct Progress {
     names: Vec<String>,
     width: usize,
     wanted: u32,
     quiet: bool,
     coloured: bool,
-    /// Sender of results and of what happens to processes to the live page; `None` without a page.
-    pub page: Option<std::sync::mpsc::Sender<News>>,
+    /// Sender of events to the live page; `None` without a page.
+    pub page: Option<std::sync::mpsc::Sender<TeamEvent>>,
 }
 
-impl Told {
-    /// Returns the output of a run with the processes `names` and `wanted` episodes; with `quiet` only warnings.
-    pub fn new(names: &[String], wanted: u32, quiet: bool) -> Told {
+impl Progress {
+    /// Returns the progress of a run with the processes `names` and `wanted` episodes; with `quiet` only warnings.
+    pub fn new(names: &[String], wanted: u32, quiet: bool) -> Progress {
         let width = names.iter().map(|name| name.chars().count()).max().unwrap_or(0);
-        Told { names: names.to_vec(), width, wanted, quiet, coloured: colour(), page: None }
+        Progress { names: names.to_vec(), width, wanted, quiet, coloured: colour(), page: None }
     }
 
-    /// Prints news of the process with the index `at`, and passes them on to the live page.
-    pub fn tell(&self, at: usize, news: results::News) {
-        match news {
-            results::News::Line(line) => self.pass_on(at, &line),
-            results::News::Note(text) => talk(&format!("warning: {text}")),
-            results::News::Died(text) => {
+    /// Shows an event of the process with the index `at`.
+    pub fn show(&self, at: usize, event: RunEvent) {
+        match event {
+            RunEvent::Line(line) => self.pass_on(at, &line),
+            RunEvent::Note(text) => talk(&format!("warning: {text}")),
+            RunEvent::Died(text) => {
                 talk(&format!("warning: {text}"));
-                self.tell_page(News::Died(at, text));
+                self.send(TeamEvent::Died(at, text));
             }
-            results::News::Back(text) => {
+            RunEvent::Back(text) => {
                 talk(&text);
-                self.tell_page(News::Back(at, text));
+                self.send(TeamEvent::Back(at, text));
             }
-            results::News::AllRun => {
+            RunEvent::AllRun => {
                 let run = if self.names.len() == 1 { "runs" } else { "run" };
                 let processes = counted(self.names.len(), "process");
                 self.info(&format!("{processes} {run}; Ctrl-C stops them and prints the results so far"));
             }
-            results::News::Episode(episode) => {
-                self.tell_page(News::Episode(episode));
+            RunEvent::Episode(episode) => {
+                self.send(TeamEvent::Episode(episode));
                 self.episode(&episode);
             }
-            results::News::Reason(episode) => self.episode(&episode),
+            RunEvent::Reason(episode) => self.episode(&episode),
         }
     }
 
-    /// Passes news on to the live page, if there is one.
-    pub fn tell_page(&self, news: News) {
+    /// Sends an event to the live page, if there is one.
+    pub fn send(&self, event: TeamEvent) {
         if let Some(page) = &self.page {
             // Sending fails if the page has ended, which does not matter.
-            let _ = page.send(news);
+            let _ = page.send(event);
         }
     }
 
