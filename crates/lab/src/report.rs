@@ -54,7 +54,7 @@ pub struct LabReport {
     pub access_point: Option<StationCounts>,
     /// Counters of the radio channel.
     pub radio: RadioCounts,
-    /// How late frames were written to interfaces.
+    /// Lateness of the frames written to interfaces.
     pub lateness: LatenessSummary,
     /// Longest turn of the event loop \[us\]: for so long a frame may have waited for being read.
     pub longest_turn_us: u64,
@@ -63,7 +63,7 @@ pub struct LabReport {
 }
 
 impl LabReport {
-    /// Returns the variables of the environment by which a command knows its station.
+    /// Returns the environment variables of a command in a station: names and addresses of its laboratory.
     pub fn variables(&self, station: u16) -> Vec<(&'static str, String)> {
         let addresses: Vec<&str> = self.stations.iter().map(|station| station.address.as_str()).collect();
         vec![

@@ -1,5 +1,5 @@
-//! `murmurate lab check`: how true a laboratory is on this machine. The same datagrams go over the channel in real time
-//! and in virtual time, and at saturation the throughput is held against Bianchi's model.
+//! `murmurate lab check`: measures the accuracy of a laboratory on this machine. The same datagrams go over the channel
+//! in real time and in virtual time, and at saturation the throughput is compared with Bianchi's model.
 
 use anyhow::Result;
 

@@ -1,7 +1,7 @@
 //! The command `murmurate lab`: stations in network namespaces, whose frames travel over the emulated radio channel in
 //! real time. Any program runs in a station.
 //!
-//! The channel and the stations are of `murmurate_lab`.
+//! `murmurate_lab` has the channel and the stations.
 
 mod check;
 mod run;
@@ -90,10 +90,10 @@ pub fn run(args: &Args, _: &Registry) -> Result<Ended> {
     ended.map_err(sorted)
 }
 
-/// Returns the error of a command: one of a laboratory about what was asked for is a [`BadInput`].
+/// Converts the error of a command: an invalid request to a laboratory becomes a [`BadInput`].
 pub fn sorted(error: anyhow::Error) -> anyhow::Error {
     match error.downcast::<LabError>() {
-        Ok(LabError::Wrong(why)) => BadInput(why).into(),
+        Ok(LabError::Invalid(why)) => BadInput(why).into(),
         Ok(failed) => failed.into(),
         Err(other) => other,
     }
@@ -141,7 +141,7 @@ fn readable(source: impl AsFd, ms: u64) -> Result<bool> {
     }
 }
 
-/// Ends a laboratory, and says what was removed.
+/// Ends a laboratory, and prints what was removed.
 fn down(name: &str) -> Result<Ended> {
     talk(&match control::down(name, talk)? {
         Removed::Running => format!("the lab '{name}' is removed"),

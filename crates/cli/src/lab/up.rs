@@ -78,8 +78,8 @@ pub fn run(args: &Args) -> Result<Ended> {
     if args.foreground || args.behind { here(args, &lab) } else { behind(args, &lab) }
 }
 
-/// Returns what a user is told about a laboratory that is up.
-fn told(lab: &Laboratory) -> String {
+/// Returns the line that describes a laboratory that is up.
+fn described(lab: &Laboratory) -> String {
     let last = lab.stations - 1;
     format!(
         "lab '{}' is up: stations 0 to {last}, {} to {}, on {} in the namespaces {} to {}",
@@ -108,7 +108,7 @@ fn here(args: &Args, lab: &Laboratory) -> Result<Ended> {
     if args.behind {
         print("up")?;
     } else {
-        talk(&format!("{}; Ctrl-C removes it", told(lab)));
+        talk(&format!("{}; Ctrl-C removes it", described(lab)));
     }
     let report = carrier.carry(&Outside { control: Some(control), stop: &*stop })?;
     drop(claim);
@@ -143,7 +143,7 @@ fn behind(args: &Args, lab: &Laboratory) -> Result<Ended> {
     let mut line = String::new();
     let mut output = BufReader::new(child.stdout.take().expect("it is piped"));
     if output.read_line(&mut line).is_ok_and(|length| length > 0) {
-        talk(&told(lab));
+        talk(&described(lab));
         talk(&format!(
             "'murmurate lab exec 0 --name {} -- COMMAND' runs a command in station 0, 'murmurate lab down \
              --name {}' removes all; its warnings are in {}",

@@ -1,12 +1,12 @@
-//! How true a laboratory is on this machine: a load over the channel in real time beside the same in virtual time, and
-//! at saturation beside Bianchi's model.
+//! Accuracy of a laboratory on this machine: compares a load in real time with the same load in virtual time, and at
+//! saturation with Bianchi's model.
 
 use std::fmt;
 use std::thread;
 
 use serde::Serialize;
 
-use super::carrier::Tell;
+use super::carrier::Warn;
 use super::error::Result;
 use super::running::Running;
 use super::traffic::Sockets;
@@ -17,14 +17,14 @@ use crate::report::LabReport;
 /// Priority of the thread that sends and receives; the lab's own is higher.
 const TRAFFIC_PRIORITY: u8 = 10;
 
-/// One measurement beside the same in virtual time.
+/// Measurement of one load, with the same in virtual time.
 #[derive(Serialize)]
 pub struct Accuracy {
     /// Number of stations.
     pub stations: u16,
     /// Whether datagrams go to one station or to all, in a word.
     pub cast: &'static str,
-    /// Load in percent of what the saturated channel delivers, or above 100 takes from the queues.
+    /// Load in percent of the throughput of the saturated channel; above 100 the channel is saturated.
     pub load_percent: u32,
     /// Number of datagrams that were sent per second.
     pub offered_per_s: f64,
@@ -50,14 +50,13 @@ pub struct Accuracy {
     pub late_p99_us: u64,
     /// Largest lateness \[us\].
     pub late_max_us: u64,
-    /// Whether all bars are met.
+    /// Whether the measurement is within all tolerances.
     pub met: bool,
 }
 
-/// Measures a load on a laboratory, which is made for it, and returns it beside the same in virtual time. `tell` is
-/// called with warnings.
-pub fn measure(lab: &Laboratory, load: &Load, tell: Tell) -> Result<Accuracy> {
-    let running = Running::start(lab, None, tell)?;
+/// Makes a laboratory, and measures a load on it in real and in virtual time. `warn` is called with warnings.
+pub fn measure(lab: &Laboratory, load: &Load, warn: Warn) -> Result<Accuracy> {
+    let running = Running::start(lab, None, warn)?;
     let sockets = Sockets::open(lab)?;
     // On a thread of its own, which alone has the priority.
     let (offers, real) = thread::scope(|scope| {
@@ -66,7 +65,7 @@ pub fn measure(lab: &Laboratory, load: &Load, tell: Tell) -> Result<Accuracy> {
     })?;
     let after = running.end()?;
     if real.delivered == 0.0 {
-        tell("warning: no datagram has arrived at all");
+        warn("warning: no datagram has arrived at all");
     }
     Ok(Accuracy::of(lab, load, &real, &load.in_virtual_time(lab, &offers), &after))
 }

@@ -77,7 +77,8 @@ impl Alarm {
     }
 }
 
-/// Gives the calling thread a priority above all ordinary threads of the machine (SCHED_FIFO). Returns why it has none.
+/// Gives the calling thread a priority above all ordinary threads of the machine (SCHED_FIFO). An error says why it
+/// cannot.
 pub fn prioritize(priority: u8) -> Result<(), String> {
     if priority == 0 {
         return Ok(());
@@ -93,7 +94,7 @@ pub fn prioritize(priority: u8) -> Result<(), String> {
 }
 
 /// Function that is called with each warning for the user, as one line of text.
-pub type Tell = fn(&str);
+pub type Warn = fn(&str);
 
 /// Destination of a capture. It never waits for a disk.
 pub trait CaptureWriter: Send {
@@ -118,7 +119,7 @@ pub struct Carrier {
     origin_ns: u64,
     longest_turn_ns: u64,
     capture: Option<Recording>,
-    tell: Tell,
+    warn: Warn,
 }
 
 /// A capture file that is being written.
@@ -140,8 +141,8 @@ impl Recording {
     }
 }
 
-/// What a laboratory watches beside its stations: a socket on which to answer with its counters, if there is one, and a
-/// descriptor that becomes readable when it is to end.
+/// Descriptors that a laboratory watches beside its stations: a socket on which it answers with its counters, if there
+/// is one, and a descriptor that becomes readable when it is to end.
 pub struct Outside<'a, S> {
     /// Socket for commands.
     pub control: Option<UnixListener>,
@@ -150,9 +151,9 @@ pub struct Outside<'a, S> {
 }
 
 impl Carrier {
-    /// Returns a laboratory whose time begins now. Transmissions are captured by `writer`, if there is one, and `tell`
+    /// Returns a laboratory whose time begins now. Transmissions are captured by `writer`, if there is one, and `warn`
     /// is called with warnings.
-    pub fn new(lab: &Laboratory, taps: Vec<Tap>, writer: Option<Box<dyn CaptureWriter>>, tell: Tell) -> Carrier {
+    pub fn new(lab: &Laboratory, taps: Vec<Tap>, writer: Option<Box<dyn CaptureWriter>>, warn: Warn) -> Carrier {
         let mut medium = Medium::new(lab);
         let began = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let capture = writer.map(|writer| {
@@ -172,7 +173,7 @@ impl Carrier {
             origin_ns: monotonic_ns(),
             longest_turn_ns: 0,
             capture,
-            tell,
+            warn,
         }
     }
 
@@ -196,7 +197,7 @@ impl Carrier {
     /// Carries frames until the laboratory is to end. Returns the final counters.
     pub fn carry<S: AsFd>(mut self, outside: &Outside<'_, S>) -> Result<LabReport> {
         if let Err(why) = prioritize(self.lab.priority) {
-            (self.tell)(&format!("warning: the lab has no real-time priority, so frames may be late: {why}"));
+            (self.warn)(&format!("warning: the lab has no real-time priority, so frames may be late: {why}"));
         }
         let epoll = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).context("cannot watch interfaces")?;
         let watch = |source: &dyn AsFd, key| epoll.add(source.as_fd(), EpollEvent::new(EpollFlags::EPOLLIN, key));
@@ -292,7 +293,7 @@ impl Carrier {
         let Some(tap) = self.taps[station].take() else { return };
         // An error means that it is not watched any more, which is the aim.
         let _ = epoll.delete(tap.as_fd());
-        (self.tell)(&format!(
+        (self.warn)(&format!(
             "warning: the interface of station {station} is gone ({error}); the other stations go on without it"
         ));
     }

@@ -13,7 +13,7 @@ use nix::unistd::Pid;
 use serde::{Deserialize, Serialize};
 use tappers::Tap;
 
-use super::carrier::Tell;
+use super::carrier::Warn;
 use super::error::{Context, LabError, Result, failed};
 use super::namespace;
 use crate::file::Laboratory;
@@ -50,21 +50,21 @@ struct Made {
 /// Ownership of a laboratory's name. Dropping it removes everything that was made under the name.
 pub struct Claim {
     name: String,
-    /// Is told if not everything can be removed.
-    tell: Tell,
+    /// Called with a warning if not everything can be removed.
+    warn: Warn,
     _lock: File,
 }
 
 impl Claim {
     /// Takes the name, and removes what an earlier laboratory of that name has left behind after a crash. Fails if such
-    /// a laboratory runs. `tell` is called with a warning if not everything can be removed at the end.
-    pub fn take(name: &str, tell: Tell) -> Result<Claim> {
-        match Claim::try_take(name, tell)? {
+    /// a laboratory runs. `warn` is called with a warning if not everything can be removed at the end.
+    pub fn take(name: &str, warn: Warn) -> Result<Claim> {
+        match Claim::try_take(name, warn)? {
             Some(claim) => {
                 claim.clean()?;
                 Ok(claim)
             }
-            None => Err(LabError::Wrong(format!(
+            None => Err(LabError::Invalid(format!(
                 "the lab '{name}' is up already; remove it with 'murmurate lab down --name {name}', or give the file \
                  another 'name'"
             ))),
@@ -72,7 +72,7 @@ impl Claim {
     }
 
     /// Takes the name; `None` if a running laboratory has it. A claim cleans up when it is dropped.
-    pub fn try_take(name: &str, tell: Tell) -> Result<Option<Claim>> {
+    pub fn try_take(name: &str, warn: Warn) -> Result<Option<Claim>> {
         fs::create_dir_all(FOLDER).with_context(|| format!("cannot make the folder {FOLDER}"))?;
         let lock = path(name, "lock");
         let began = Instant::now();
@@ -96,7 +96,7 @@ impl Claim {
             if fs::metadata(&lock).is_ok_and(|named| named.ino() == own) {
                 let written = file.set_len(0).and_then(|()| write!(&file, "{}", Pid::this()));
                 written.with_context(|| format!("cannot write '{}'", lock.display()))?;
-                return Ok(Some(Claim { name: name.to_owned(), tell, _lock: file }));
+                return Ok(Some(Claim { name: name.to_owned(), warn, _lock: file }));
             }
         }
     }
@@ -112,7 +112,7 @@ impl Claim {
             ));
         }
         let made = Made { namespaces };
-        // It gets its name once it is complete. The name's owner alone writes it.
+        // The file is renamed once it is complete. Only the owner of the laboratory's name writes it.
         let incomplete = path(&self.name, "made.incomplete");
         fs::write(&incomplete, serde_json::to_vec(&made).context("a list is JSON")?)
             .and_then(|()| fs::rename(&incomplete, path(&self.name, "made")))
@@ -158,7 +158,7 @@ fn owner_has_ended(lock: &Path) -> bool {
 impl Drop for Claim {
     fn drop(&mut self) {
         if let Err(error) = self.clean() {
-            (self.tell)(&format!("warning: not everything of the lab '{}' is removed: {error}", self.name));
+            (self.warn)(&format!("warning: not everything of the lab '{}' is removed: {error}", self.name));
             return;
         }
         // The lock itself goes last; whether that works changes nothing for the next start.

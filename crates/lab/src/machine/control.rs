@@ -8,7 +8,7 @@ use nix::poll::{PollTimeout, poll};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
-use super::carrier::Tell;
+use super::carrier::Warn;
 use super::claim::{Claim, path};
 use super::error::{Context, LabError, Result, failed};
 use super::needs;
@@ -22,8 +22,8 @@ const END: Duration = Duration::from_secs(10);
 /// Returns the counters of a running laboratory.
 pub fn report(name: &str) -> Result<LabReport> {
     let down = || match &running()[..] {
-        [] => LabError::Wrong(format!("no lab '{name}' is up; start it with 'murmurate lab up FILE'")),
-        others => LabError::Wrong(format!(
+        [] => LabError::Invalid(format!("no lab '{name}' is up; start it with 'murmurate lab up FILE'")),
+        others => LabError::Invalid(format!(
             "no lab '{name}' is up; start it with 'murmurate lab up FILE', or name one that is up: {}",
             others.join(", ")
         )),
@@ -42,39 +42,39 @@ fn running() -> Vec<String> {
     names.iter().map(|name| format!("'{name}'")).collect()
 }
 
-/// What the end of a laboratory has removed.
+/// Result of [`down`]: what was removed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Removed {
     /// A laboratory that ran, with all that it had made.
     Running,
-    /// This number of stations that one had left behind; none if there was nothing of that name.
+    /// This number of stations that a crashed laboratory had left behind; 0 if there was nothing of that name.
     Left(usize),
 }
 
-/// Ends a laboratory, and removes what one that has crashed has left. `tell` is called with a warning if not everything
+/// Ends a laboratory, or removes what a crashed one has left behind. `warn` is called with a warning if not everything
 /// can be removed.
-pub fn down(name: &str, tell: Tell) -> Result<Removed> {
+pub fn down(name: &str, warn: Warn) -> Result<Removed> {
     needs::capabilities()?;
-    let Some(claim) = Claim::try_take(name, tell)? else { return end(name, tell).map(|()| Removed::Running) };
+    let Some(claim) = Claim::try_take(name, warn)? else { return end(name, warn).map(|()| Removed::Running) };
     let left = claim.left();
     drop(claim);
     let others = running();
     if left == 0 && !others.is_empty() {
         let why =
             format!("no lab '{name}' is up: nothing was removed; with --name remove one of {}", others.join(", "));
-        return Err(LabError::Wrong(why));
+        return Err(LabError::Invalid(why));
     }
     Ok(Removed::Left(left))
 }
 
 /// Asks a laboratory that runs to end, kills it if it does not, and removes what it has made.
-fn end(name: &str, tell: Tell) -> Result<()> {
+fn end(name: &str, warn: Warn) -> Result<()> {
     let pid = Pid::from_raw(i32::try_from(report(name)?.pid).context("a process has a number")?);
     kill(pid, Signal::SIGTERM).context("cannot ask the lab to end")?;
     let began = Instant::now();
     let mut killed = false;
     loop {
-        if let Some(claim) = Claim::try_take(name, tell)? {
+        if let Some(claim) = Claim::try_take(name, warn)? {
             drop(claim);
             return Ok(());
         }

@@ -17,16 +17,16 @@ const STOP: Duration = Duration::from_secs(5);
 /// Interval at which ended processes are looked for.
 const TICK: Duration = Duration::from_millis(50);
 
-/// How the commands have ended.
+/// Outcome of the commands.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct CrewEnd {
-    /// Stations whose command has failed by itself, each with how.
+    /// Stations whose command has failed by itself, each with its exit status.
     pub failed: Vec<(u16, String)>,
-    /// Whether a person has ended them.
+    /// Whether the user has ended them.
     pub interrupted: bool,
 }
 
-/// Processes of stations.
+/// Group of processes, each in a station.
 pub struct Crew {
     children: Vec<(u16, Child)>,
     events: Receiver<Event>,
@@ -85,15 +85,15 @@ impl Crew {
     }
 
     /// Waits until all commands have ended, at most `limit`; then they are asked to end, and killed if they do not.
-    /// Calls `tell` with each line of output.
-    pub fn wait(mut self, limit: Option<Duration>, mut tell: impl FnMut(u16, &str)) -> CrewEnd {
+    /// Calls `take` with each line of output and its station.
+    pub fn wait(mut self, limit: Option<Duration>, mut take: impl FnMut(u16, &str)) -> CrewEnd {
         let began = Instant::now();
         let mut end = CrewEnd::default();
         let mut stopping: Option<Instant> = None;
         while !self.children.is_empty() {
             match self.events.recv_timeout(TICK) {
                 Ok(Event::Line(station, line)) => {
-                    tell(station, &line);
+                    take(station, &line);
                     continue;
                 }
                 Ok(Event::Stop) => {
@@ -127,7 +127,7 @@ impl Crew {
             });
         }
         while let Ok(Event::Line(station, line)) = self.events.recv_timeout(TICK) {
-            tell(station, &line);
+            take(station, &line);
         }
         end
     }
@@ -167,10 +167,10 @@ mod tests {
     #[test]
     fn output_and_failures_are_those_of_their_stations() {
         let crew = Crew::start(vec![shell(0, "echo one; echo two >&2"), shell(3, "echo three; exit 4")]).unwrap();
-        let mut told = Vec::new();
-        let end = crew.wait(None, |station, line| told.push(format!("{station} {line}")));
-        told.sort();
-        assert_eq!(told, ["0 one", "0 two", "3 three"]);
+        let mut lines = Vec::new();
+        let end = crew.wait(None, |station, line| lines.push(format!("{station} {line}")));
+        lines.sort();
+        assert_eq!(lines, ["0 one", "0 two", "3 three"]);
         assert_eq!(end, CrewEnd { failed: vec![(3, "exit status: 4".to_owned())], interrupted: false });
     }
 

@@ -1,32 +1,32 @@
-//! Why a laboratory cannot be had, and how an error of the machine becomes such a reason.
+//! Errors of laboratories, and the context that is put before errors of the machine.
 
 use std::fmt::Display;
 
-/// Why something about a laboratory cannot be done.
+/// Error of an operation on a laboratory.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LabError {
-    /// What was asked for is wrong: the text says what to ask for instead.
+    /// The request is invalid; the text says how to correct it.
     #[error("{0}")]
-    Wrong(String),
-    /// The machine lacks something, or something on it has failed; the text says what.
+    Invalid(String),
+    /// The machine lacks something, or an operation on it has failed; the text says which.
     #[error("{0}")]
     Failed(String),
 }
 
-/// Result of work on a laboratory.
+/// Result of an operation on a laboratory.
 pub type Result<T, E = LabError> = std::result::Result<T, E>;
 
-/// Returns an error that something on this machine has failed.
+/// Returns a [`LabError::Failed`] with this text.
 pub(super) fn failed<T>(why: String) -> Result<T> {
     Err(LabError::Failed(why))
 }
 
-/// Puts what was tried before the reason of an error.
+/// Adds the attempted operation to an error.
 pub(super) trait Context<T> {
     /// Returns the value, or an error that begins with `tried`.
     fn context(self, tried: &str) -> Result<T>;
 
-    /// Like [`Context::context`], with a text that is made only for an error.
+    /// Like [`Context::context`], with a text that is only made in case of an error.
     fn with_context<S: Display>(self, tried: impl FnOnce() -> S) -> Result<T>;
 }
 

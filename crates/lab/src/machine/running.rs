@@ -3,7 +3,7 @@
 use std::os::unix::net::UnixStream;
 use std::thread::{self, JoinHandle};
 
-use super::carrier::{CaptureWriter, Carrier, Outside, Tell};
+use super::carrier::{CaptureWriter, Carrier, Outside, Warn};
 use super::claim::Claim;
 use super::error::{Context, Result};
 use crate::file::Laboratory;
@@ -20,10 +20,10 @@ pub struct Running {
 
 impl Running {
     /// Makes the stations of a laboratory, and carries their frames from now on. Transmissions are captured by
-    /// `capture`, if there is one, and `tell` is called with warnings.
-    pub fn start(lab: &Laboratory, capture: Option<Box<dyn CaptureWriter>>, tell: Tell) -> Result<Running> {
-        let claim = Claim::take(&lab.name, tell)?;
-        let carrier = Carrier::new(lab, claim.make(lab)?, capture, tell);
+    /// `capture`, if there is one, and `warn` is called with warnings.
+    pub fn start(lab: &Laboratory, capture: Option<Box<dyn CaptureWriter>>, warn: Warn) -> Result<Running> {
+        let claim = Claim::take(&lab.name, warn)?;
+        let carrier = Carrier::new(lab, claim.make(lab)?, capture, warn);
         let about = carrier.report();
         let (stop, stopped) = UnixStream::pair().context("cannot make a pipe")?;
         let thread = thread::Builder::new().name("lab".to_owned());
