@@ -29,7 +29,7 @@ pub enum Admission {
 struct Place {
     number: u64,
     address: IpAddr,
-    stage: Admission,
+    admission: Admission,
     /// Handle by which another thread can end the connection; `None` in tests.
     stream: Option<TcpStream>,
 }
@@ -46,7 +46,7 @@ impl Places {
     /// oldest of the same address is ended, or else the oldest of the address that has most.
     pub fn enter(&mut self, address: IpAddr, stream: Option<TcpStream>) -> u64 {
         let address = address.to_canonical();
-        let waiting = |place: &&Place| place.stage == Admission::Waiting;
+        let waiting = |place: &&Place| place.admission == Admission::Waiting;
         let of = |address: IpAddr| self.all.iter().filter(waiting).filter(|place| place.address == address).count();
         let crowd = if of(address) >= MAX_WAITING_OF_ONE {
             Some(address)
@@ -55,24 +55,24 @@ impl Places {
         } else {
             None
         };
-        let leaves = |place: &Place| place.stage == Admission::Waiting && Some(place.address) == crowd;
+        let leaves = |place: &Place| place.admission == Admission::Waiting && Some(place.address) == crowd;
         if let Some(at) = self.all.iter().position(leaves) {
             let place = self.all.remove(at);
             // An error means that the client has ended it already.
             place.stream.iter().for_each(|stream| drop(stream.shutdown(Shutdown::Both)));
         }
         self.count += 1;
-        self.all.push(Place { number: self.count, address, stage: Admission::Waiting, stream });
+        self.all.push(Place { number: self.count, address, admission: Admission::Waiting, stream });
         self.count
     }
 
     /// Makes the connection a WebSocket of this kind. Returns whether there is a place for it.
-    pub fn upgrade(&mut self, number: u64, stage: Admission) -> bool {
+    pub fn upgrade(&mut self, number: u64, admission: Admission) -> bool {
         let Some(at) = self.all.iter().position(|place| place.number == number) else { return false };
         let address = self.all[at].address;
-        let like = || self.all.iter().filter(|place| place.stage == stage);
+        let like = || self.all.iter().filter(|place| place.admission == admission);
         let [others, own] = OTHERS;
-        let free = match stage {
+        let free = match admission {
             Admission::Waiting => true,
             Admission::Holder => like().count() < HOLDERS,
             Admission::Other => {
@@ -82,7 +82,7 @@ impl Places {
         };
         if free {
             // A WebSocket is never ended for another connection.
-            (self.all[at].stage, self.all[at].stream) = (stage, None);
+            (self.all[at].admission, self.all[at].stream) = (admission, None);
         }
         free
     }
@@ -106,8 +106,8 @@ mod tests {
         IpAddr::from([192, 168, 1, last])
     }
 
-    fn number_of(places: &Places, address: IpAddr, stage: Admission) -> usize {
-        places.all.iter().filter(|place| (place.address, place.stage) == (address, stage)).count()
+    fn number_of(places: &Places, address: IpAddr, admission: Admission) -> usize {
+        places.all.iter().filter(|place| (place.address, place.admission) == (address, admission)).count()
     }
 
     #[test]
@@ -130,9 +130,9 @@ mod tests {
     #[test]
     fn those_without_the_token_take_no_place_of_those_with_it() {
         let mut places = Places::default();
-        let mut socket = |address: IpAddr, stage| {
+        let mut socket = |address: IpAddr, admission| {
             let number = places.enter(address, None);
-            let taken = places.upgrade(number, stage);
+            let taken = places.upgrade(number, admission);
             if !taken {
                 places.leave(number);
             }

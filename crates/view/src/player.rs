@@ -1,5 +1,5 @@
-//! Player of a record: the time that is shown, the state of the team at that time, and what commands of the page change
-//! of them. The code is pure.
+//! Player of a record: keeps the shown time and the state of the team at that time, and executes the page's commands.
+//! The code is pure.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -39,13 +39,12 @@ impl Player {
         self.now
     }
 
-    /// Returns whether the player runs, and how fast.
+    /// Returns the state of the playback: whether the player runs, and its rate.
     pub fn playback(&self) -> Playback {
         Playback { playing: self.playing, rate: self.rate }
     }
 
-    /// Goes on, unless the player is halted, after `seconds` of real time \[s\] have passed. It halts at the end of the
-    /// record.
+    /// Advances a running player by `seconds` of real time \[s\]. It halts at the end of the record.
     pub fn pass(&mut self, seconds: f64) {
         if self.playing {
             let to = (self.now + Span::from_secs(seconds * self.rate)).min(self.timeline.end());
@@ -55,7 +54,7 @@ impl Player {
         }
     }
 
-    /// Takes a command of a page. Returns whether the player has jumped to another time.
+    /// Executes a command of a page. Returns whether the player has jumped to another time.
     pub fn take(&mut self, command: &Command) -> bool {
         match command {
             Command::Play { on, rate } => {

@@ -73,18 +73,18 @@ mod tests {
 
     #[test]
     fn age_and_loss_follow_from_what_was_published_and_what_arrived() {
-        let (mut heard, host, robot) = (Receptions::new(1, 2), HostId(1), RobotId(0));
+        let (mut receptions, host, robot) = (Receptions::new(1, 2), HostId(1), RobotId(0));
         let at = |ms| Time::ZERO + Span::from_millis(ms);
-        assert_eq!(heard.link(at(0), host, robot), None);
+        assert_eq!(receptions.link(at(0), host, robot), None);
         for number in 0..200 {
-            heard.published(robot);
+            receptions.published(robot);
             if number % 4 != 3 {
-                heard.arrived(at(50 * number), host, robot);
+                receptions.arrived(at(50 * number), host, robot);
             }
         }
-        let (age, loss) = heard.link(at(50 * 199), host, robot).unwrap();
+        let (age, loss) = receptions.link(at(50 * 199), host, robot).unwrap();
         assert_eq!((age, loss), (Span::from_millis(50), 25), "one in four, and the newest may be on its way");
-        (0..500).for_each(|_| heard.published(robot));
-        assert_eq!(heard.link(at(50 * 199), host, robot).unwrap().1, 100, "all of the last 64");
+        (0..500).for_each(|_| receptions.published(robot));
+        assert_eq!(receptions.link(at(50 * 199), host, robot).unwrap().1, 100, "all of the last 64");
     }
 }

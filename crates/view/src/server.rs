@@ -58,7 +58,7 @@ impl Server {
             goals: Slot::new(Utf8Bytes::default()),
             status: Slot::new(Utf8Bytes::default()),
             metrics: Slot::new(String::new()),
-            news_ms: AtomicU64::new(0),
+            alive_ms: AtomicU64::new(0),
             began: Instant::now(),
             stop: AtomicBool::new(false),
             commands: sender,
@@ -113,14 +113,14 @@ impl Publisher {
     /// Publishes the team's newest status as JSON. Returns `false`, without waiting, if it was not stored because
     /// another thread is reading the previous one.
     pub fn status(&self, json: String) -> bool {
-        self.shared.note_news();
+        self.shared.note_alive();
         self.shared.status.offer(json.into())
     }
 
     /// Publishes the newest metrics as text. Returns `false`, without waiting, if they were not stored because another
     /// thread is reading the previous ones.
     pub fn metrics(&self, text: String) -> bool {
-        self.shared.note_news();
+        self.shared.note_alive();
         self.shared.metrics.offer(text)
     }
 
@@ -210,8 +210,8 @@ fn serve(mut stream: TcpStream, peer: IpAddr, taken: &Taken) {
         Response::Metrics => finish(&mut stream, &request::metrics(&shared.metrics.get())),
         Response::Health => finish(&mut stream, &request::health(shared.silent_for())),
         Response::Upgrade(socket, bytes) => {
-            let stage = if socket.is_holder() { Admission::Holder } else { Admission::Other };
-            if !places(shared).upgrade(taken.1, stage) {
+            let admission = if socket.is_holder() { Admission::Holder } else { Admission::Other };
+            if !places(shared).upgrade(taken.1, admission) {
                 shared.refuse();
                 finish(&mut stream, &request::too_many());
                 return;

@@ -69,7 +69,7 @@ pub(super) struct Shared {
     /// Metrics in the text format of Prometheus; empty if there are none.
     pub metrics: Slot<String>,
     /// Time of the last sign of life of the thread that drives the team \[ms\], since `began`.
-    pub news_ms: AtomicU64,
+    pub alive_ms: AtomicU64,
     /// Time at which the server was opened.
     pub began: Instant,
     /// Whether a browser has requested an emergency stop. It is a flag and not in the queue, because the queue can be
@@ -89,13 +89,13 @@ pub(super) struct Shared {
 
 impl Shared {
     /// Records a sign of life of the thread that drives the team, at the present time.
-    pub fn note_news(&self) {
-        self.news_ms.store(self.began.elapsed().as_millis() as u64, Ordering::Relaxed);
+    pub fn note_alive(&self) {
+        self.alive_ms.store(self.began.elapsed().as_millis() as u64, Ordering::Relaxed);
     }
 
     /// Returns the time since the last sign of life of the thread that drives the team.
     pub fn silent_for(&self) -> Duration {
-        self.began.elapsed().saturating_sub(Duration::from_millis(self.news_ms.load(Ordering::Relaxed)))
+        self.began.elapsed().saturating_sub(Duration::from_millis(self.alive_ms.load(Ordering::Relaxed)))
     }
 
     /// Counts a refused request or command.

@@ -34,7 +34,7 @@ pub struct TeamView {
     /// Host of each robot's agent, by robot id.
     homes: Vec<HostId>,
     robots: Vec<RobotView>,
-    heard: Receptions,
+    receptions: Receptions,
     goals: Vec<Option<[f32; 2]>>,
     /// Number of changes of the goals so far.
     goals_changed: u64,
@@ -58,7 +58,7 @@ impl TeamView {
             scene,
             homes,
             robots: vec![RobotView::default(); robots],
-            heard: Receptions::new(robots, hosts),
+            receptions: Receptions::new(robots, hosts),
             goals: vec![None; robots],
             goals_changed: 0,
             leader: None,
@@ -91,7 +91,7 @@ impl TeamView {
         match message {
             Wire::Reading(m) => self.measured(now, m.robot, m.pose),
             Wire::Latent(m) if m.robot.index() < self.robots.len() => {
-                self.heard.published(m.robot);
+                self.receptions.published(m.robot);
                 let robot = &mut self.robots[m.robot.index()];
                 (robot.heard, robot.latent) = (Some(now), Some(now));
                 if !robot.is_true {
@@ -139,7 +139,7 @@ impl TeamView {
     /// Updates the state with the arrival of a robot's newest latent at the host `at`.
     pub fn arrived(&mut self, now: Time, at: HostId, robot: RobotId) {
         if robot.index() < self.robots.len() {
-            self.heard.arrived(now, at, robot);
+            self.receptions.arrived(now, at, robot);
         }
     }
 
@@ -356,7 +356,7 @@ impl TeamView {
         }
         let link = |&(_, one, other): &(f32, usize, usize)| {
             let (one, other) = (known[one].0, known[other].0);
-            let way = |from: usize, to: usize| self.heard.link(now, self.homes[to], RobotId(from as u16));
+            let way = |from: usize, to: usize| self.receptions.link(now, self.homes[to], RobotId(from as u16));
             let both = [way(one, other), way(other, one)];
             LinkState {
                 one: one as u16,
