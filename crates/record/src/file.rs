@@ -80,8 +80,8 @@ impl RecordFile {
     /// ground and walls. Fails if the file exists.
     pub fn create(path: &Path, beginning: &Beginning, stage: &Stage) -> Result<RecordFile, RecordError> {
         let failed = |error| RecordError::Create { path: path.to_owned(), error };
-        // Not for everybody on the machine: it has the team's files, and where its robots were. Readable, as a write
-        // that fails is followed by a look at what was written.
+        // Other users of the machine may not read it: it contains the team's files and the positions of its robots. It
+        // is opened for reading, too, because after a failed write its content is checked.
         let mut options = OpenOptions::new();
         let file = options.read(true).write(true).create_new(true).mode(0o640).open(path).map_err(failed)?;
         let wrong = |error: McapError| RecordError::Write { path: path.to_owned(), reason: error.to_string() };

@@ -16,7 +16,7 @@ pub struct Fault {
     pub from: u64,
     /// Place behind the last damaged byte.
     pub to: u64,
-    /// What is wrong there.
+    /// Description of the damage.
     pub what: String,
     /// Time of the last intact message before the damage \[ns\]; `None` if it is the first or does not concern
     /// messages.
@@ -52,7 +52,7 @@ pub struct Health {
     pub bytes: u64,
     /// Damaged places in the files, in order, without the end of a file that was cut.
     pub faults: Vec<Fault>,
-    /// Where the first file without the mark of its end was cut; `None` if all have it.
+    /// Place at which the first file without the mark of its end was cut; `None` if all have it.
     pub cut: Option<Fault>,
     /// Whether nothing was written: no bytes, or only zeros.
     pub nothing: bool,

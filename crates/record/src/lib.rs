@@ -6,8 +6,8 @@
 //! to files ([`series`], [`mod@file`]). A replay makes the same messages and compares them with the file ([`compare`]).
 //! docs/record.md lists the topics.
 //!
-//! Of records that are there, [`chosen`] takes those that can be used, [`info`] describes one, [`tables`] makes rows of
-//! it, [`repair`] and [`share`] copy it, and [`mod@merge`] joins those of a team's hosts by their [`clocks`].
+//! [`chosen`] selects the usable ones of existing records, [`info`] describes a record, [`tables`] converts it to rows,
+//! [`repair`] and [`share`] copy it, and [`mod@merge`] merges those of a team's hosts on a common clock ([`clocks`]).
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 

@@ -41,7 +41,7 @@ pub struct Inlet {
     when_full: WhenFull,
     shared: Arc<Shared>,
     events: RefCell<Vec<Event>>,
-    /// What has happened in the current turn of the event loop.
+    /// Events of the current turn of the event loop.
     current: RefCell<Current>,
     /// Numbers of refused datagrams of turns in which nothing else has happened, and the time of the last of these
     /// turns.

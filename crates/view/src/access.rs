@@ -58,7 +58,7 @@ fn same(one: &[u8], other: &[u8]) -> bool {
     one.len() == other.len() && std::hint::black_box(differences) == 0
 }
 
-/// What a browser has shown of its right to give commands.
+/// Permission of a browser to give commands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Standing {
     /// It has sent the token.

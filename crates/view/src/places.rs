@@ -1,7 +1,7 @@
-//! Limits on the connections of the live page's server, so that nobody takes the places of those who hold the token.
+//! Limits on the connections of the live page's server, with reserved places for browsers that hold the token.
 //!
-//! A connection first sends its header. Whoever opens many and sends nothing loses the oldest of his own, as a browser
-//! sends its header at once. WebSockets stay for long: those with the token have places that nobody else can take.
+//! A connection first sends its header. A client that opens many and sends nothing loses its oldest connection, as a
+//! browser sends its header at once. WebSockets stay open for long: those with the token have reserved places.
 
 use std::net::{IpAddr, Shutdown, TcpStream};
 

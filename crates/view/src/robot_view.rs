@@ -1,4 +1,4 @@
-//! What a process knows of one robot of a team, from the messages that it receives.
+//! State of one robot of a team as a process knows it from the messages that it receives.
 
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::latch::Latch;
@@ -87,7 +87,7 @@ impl RobotView {
         (before != whereabouts).then_some(said)
     }
 
-    /// Returns the last action of the robot's guard with its age \[s\], as far as it still tells something.
+    /// Returns the last action of the robot's guard with its age \[s\], as long as it is relevant.
     pub fn last_guard(&self, now: Time) -> Option<(&'static str, Option<f64>)> {
         let (trigger, at) = self.guard?;
         let age = at.map(|at| now.since(at));

@@ -61,7 +61,7 @@ pub struct PlayedRecord {
     pub duration_s: f64,
     /// Marks on the timeline of the record (such as ends of episodes), in the order of time.
     pub marks: Vec<Mark>,
-    /// What the record cannot show, and why, in words; empty if there is nothing to say.
+    /// Note about what the record cannot show, and why; empty if there is nothing to note.
     pub note: String,
 }
 
@@ -217,7 +217,7 @@ pub struct PageStatus {
     pub log: Vec<LogLine>,
     /// Whether the run is over, or this process has ended the page.
     pub over: bool,
-    /// How the run has ended; null before its end.
+    /// End of the run; null before it.
     pub ending: Option<Ending>,
     /// Reason why this process understands nothing of the team that it hears, such as another key; null if there is
     /// none. Then a stop of the page has no effect, either.

@@ -8,7 +8,7 @@ use super::element::{self, ChunkHead, MessageView, Rest, op};
 /// other programs a few MB, or one message.
 pub const MAX_CHUNK: u64 = 1 << 25;
 
-/// Why a chunk cannot be used.
+/// Reason why a chunk cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum BadChunk {
     /// The lengths in its beginning contradict each other.

@@ -5,7 +5,7 @@ use std::io::{self, BufReader, Read, Seek, SeekFrom};
 /// Size of the buffer \[bytes\].
 const BUFFER: usize = 1 << 16;
 
-/// What a record can be read from: a file, or bytes in memory.
+/// Source from which a record can be read: a file, or bytes in memory.
 pub trait Seekable: Read + Seek {}
 
 impl<T: Read + Seek> Seekable for T {}

@@ -21,7 +21,7 @@ const MAX_KEPT: usize = 1 << 24;
 pub const ATTACHMENT_HEAD: u64 = 1 << 14;
 /// Beginning of the name by which this program calls itself in the header of a file.
 const LIBRARY: &str = "murmurate ";
-/// How many times its own length of a file may be read in the search for intact elements.
+/// Limit on the search for intact elements: number of times that the length of the file may be read.
 const SEARCHES: u64 = 8;
 
 /// Reads all of a file. Returns `None` if it is no MCAP file: it has neither the beginning of one nor anything intact.
@@ -31,7 +31,7 @@ pub fn survey(source: &mut Source) -> io::Result<Option<Survey>> {
     known.then(|| surveyor.finish()).transpose()
 }
 
-/// What comes at a place of the file.
+/// Content of the file from a place on.
 enum Step {
     /// An intact element, up to this place.
     Intact(u64),
@@ -283,7 +283,7 @@ impl Surveyor<'_> {
     /// one of any element, and what is in it would be left out without a word.
     fn private(&mut self, end: u64) -> io::Result<Step> {
         let (at, from, length) = (self.at, self.at + HEAD, end - self.at - HEAD);
-        // These are told for certain: by their checksums, or as the last element before the index and the footer.
+        // These are recognized reliably: by their checksums, or as the last element before the index and the footer.
         if self.is_intact_as(op::CHUNK, at, end)? {
             return Ok(Step::Damaged(end, "the first byte of a chunk is wrong".to_owned(), Loss::Messages));
         }
@@ -402,7 +402,7 @@ impl Surveyor<'_> {
 }
 
 /// Returns what an element of `length` bytes that begins with the bytes `begins` may have been, and what is lost then.
-/// Of metadata and a header the form alone tells, and an element of another program may have it, too.
+/// Metadata and a header are recognized by their form alone, which an element of another program may have, too.
 fn form(begins: &[u8], length: u64) -> Option<(&'static str, Loss)> {
     let all = Some(begins).filter(|bytes| bytes.len() as u64 == length)?;
     if element::metadata(all).is_some() {
