@@ -67,6 +67,11 @@ fn files(places: &[&str], endings: &[&str]) -> Vec<Source> {
     found
 }
 
+/// Sources of all packages, and of further folders.
+fn library_and(folders: &[&str]) -> Vec<Source> {
+    library().into_iter().chain(folders.iter().flat_map(|folder| sources(folder))).collect()
+}
+
 fn sources(folder: &str) -> Vec<Source> {
     let found = files(&[folder], &["rs"]);
     assert!(!found.is_empty(), "there is source in {folder}");
@@ -411,11 +416,7 @@ const RETRIES: [&str; 8] = [
 #[test]
 fn no_code_sleeps_or_is_left_undone() {
     let here = "tests/tidy.rs";
-    let all = library()
-        .into_iter()
-        .chain(["tests", "benches", "examples"].into_iter().flat_map(sources))
-        .filter(|source| source.path != here);
-    for source in all {
+    for source in library_and(&["tests", "benches", "examples"]).iter().filter(|source| source.path != here) {
         for word in ["thread::sleep", "todo!", "unimplemented!", "#[ignore"] {
             assert_eq!(source.lines_with(word), Vec::<String>::new(), "'{word}'");
         }
@@ -435,7 +436,7 @@ const HANGS_S: u64 = 20;
 #[test]
 fn no_test_judges_the_wall_clock() {
     let mut seen = 0;
-    for source in library().into_iter().chain(["tests", "benches"].into_iter().flat_map(sources)) {
+    for source in library_and(&["tests", "benches"]) {
         for line in source.text.lines().filter(|line| line.contains("assert")) {
             // The limit of a time that has passed. Constants with names say what they are.
             let Some((_, limit)) = line.split_once("elapsed()").and_then(|(_, rest)| rest.split_once(" < ")) else {
@@ -454,7 +455,7 @@ fn no_test_judges_the_wall_clock() {
 
 #[test]
 fn files_have_a_description_and_a_readable_size() {
-    for source in library().into_iter().chain(["tests", "benches", "examples"].into_iter().flat_map(sources)) {
+    for source in library_and(&["tests", "benches", "examples"]) {
         assert!(source.text.starts_with("//!"), "{}: the first line describes the file", source.path);
         for (index, line) in source.text.lines().enumerate() {
             let width = line.chars().count();
@@ -501,7 +502,7 @@ fn functions_are_counted_from_their_name_to_their_closing_brace() {
 #[test]
 fn functions_have_a_readable_size() {
     let (mut seen, mut long) = (0, Vec::new());
-    for source in library().into_iter().chain(["python/src", "benches", "examples"].into_iter().flat_map(sources)) {
+    for source in library_and(&["python/src", "benches", "examples"]) {
         for (name, length) in functions(source.code()) {
             seen += 1;
             if length > FUNCTION {

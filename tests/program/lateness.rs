@@ -1,21 +1,22 @@
-//! How late this machine is while a test runs, so that promises on times are not judged by how busy it is.
+//! Measurement of the delay that a busy machine adds to a test, so that promises on times are not judged by it.
 
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// Period at which the machine is tried.
+/// Period of the measurement.
 const PERIOD: Duration = Duration::from_millis(10);
-/// Waits, one after another, that a promise spans at most: of two processes, the network between them, and the reader.
+/// Largest number of waits, one after another, in a promised time: of two processes, their network, and the reader.
 const WAITS: u32 = 4;
 
-/// Thread that measures how late threads are woken, until it is asked.
+/// Running measurement of how late threads are woken.
 pub struct Lateness {
     over: Sender<()>,
     thread: JoinHandle<Duration>,
 }
 
 impl Lateness {
+    /// Starts the measurement, in a thread of its own.
     pub fn watch() -> Lateness {
         let (over, ended) = channel::<()>();
         let thread = thread::spawn(move || {
@@ -30,7 +31,8 @@ impl Lateness {
         Lateness { over, thread }
     }
 
-    /// Returns what this machine has added to a promise on times at most: some milliseconds if it was idle.
+    /// Ends the measurement. Returns the most that this machine can have added to a promised time: some milliseconds if
+    /// it was idle.
     pub fn end(self) -> Duration {
         drop(self.over);
         WAITS * self.thread.join().expect("it only counts")

@@ -54,7 +54,7 @@ fn listener(group: SocketAddrV4) -> UdpSocket {
     socket.into()
 }
 
-/// Sends until it is told to stop. Returns the datagrams a second that have left.
+/// Sends `noise` at the rate `per_s` \[1/s\] until the sender of `stop` is dropped. Returns the achieved rate \[1/s\].
 fn disturb(noise: Noise, number: u16, groups: [SocketAddrV4; 2], per_s: u64, stop: &Receiver<()>) -> f64 {
     let sender = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP)).unwrap();
     sender.set_multicast_if_v4(&Ipv4Addr::LOCALHOST).unwrap();

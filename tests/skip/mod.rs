@@ -1,4 +1,4 @@
-//! What a test does that cannot run on this machine: it adds a line to the summary that `.ci/skipped` prints, or fails
+//! Skipping of tests that cannot run on this machine: it adds a line to the summary that `.ci/skipped` prints, or fails
 //! if what it needs was promised.
 //!
 //! The variable `TESTS_MUST` has the words of what is promised, with spaces between. The gate sets it to what it has
@@ -8,7 +8,7 @@ use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::Path;
 
-/// Says that the present test is not run, or only in part, because `need` is not there.
+/// Reports that the calling test is not run, or only in part, because `need` is absent. Panics if `need` was promised.
 pub fn skip(need: &str, why: &str) {
     let promised = std::env::var("TESTS_MUST").unwrap_or_default();
     assert!(!promised.split_whitespace().any(|word| word == need), "TESTS_MUST promises '{need}': {why}");
