@@ -151,6 +151,21 @@ fn each_broken_device_is_named_in_a_line() {
 }
 
 #[test]
+fn a_robot_is_judged_by_the_ground_of_the_team_s_scale() {
+    if !has_python() {
+        return;
+    }
+    let bench = Bench::new(2, "none", "");
+    let file = read_to_string(bench.file())
+        .expect("it is there")
+        .replace("robots = 2\n", "robots = 2\nscale = 0.25\nhull_m = 0.08\n");
+    write(bench.file(), file).expect("it can be written");
+    let output = bench.doctor(&[]);
+    let out = text(&output.stdout);
+    assert!(out.contains("at (-1.00, -1.00) m; the ground reaches to"), "{out}{}", text(&output.stderr));
+}
+
+#[test]
 fn sound_robots_pass_the_wiggle_one_after_the_other() {
     if !has_python() {
         return;

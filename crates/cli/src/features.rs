@@ -5,7 +5,7 @@ use murmurate_robot::features::Part;
 /// Parts that features of the build add.
 pub const PARTS: &[Part] = &[Part {
     words: &["lab", "--lab"],
-    lack: "which was built without the feature 'lab'",
+    feature: "lab",
     build: "cargo build --release --features lab",
     there: cfg!(feature = "lab"),
 }];

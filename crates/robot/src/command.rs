@@ -6,10 +6,10 @@ use murmurate::registry::Registry;
 
 use super::{Ended, Logging};
 
-/// What a command does once its arguments are read.
+/// Function that runs a command with arguments that were parsed before.
 pub type Run = Box<dyn FnOnce(&Registry) -> anyhow::Result<Ended>>;
 
-/// Reads the arguments that the parser has found. Returns what then runs.
+/// Function that reads the arguments that the parser has found, and returns the one that runs the command with them.
 type Reader = Box<dyn Fn(&ArgMatches) -> Result<Run, clap::Error>>;
 
 /// One command.
@@ -25,7 +25,7 @@ pub struct Command {
 impl Command {
     /// Returns a command with the flags `A`, whose doc comment is its help. It logs errors alone.
     pub fn of<A: Args + 'static>(name: &'static str, run: fn(&A, &Registry) -> anyhow::Result<Ended>) -> Command {
-        Command { name, define: A::augment_args, read: reader(run), logging: Logging::Errors }
+        Command::new(name, A::augment_args, run)
     }
 
     /// Returns a command with the subcommands `A`, whose doc comment is its help. It logs errors alone.
@@ -34,7 +34,19 @@ impl Command {
         run: fn(&A, &Registry) -> anyhow::Result<Ended>,
     ) -> Command {
         let define = |command| A::augment_subcommands(command).subcommand_required(true).arg_required_else_help(true);
-        Command { name, define, read: reader(run), logging: Logging::Errors }
+        Command::new(name, define, run)
+    }
+
+    fn new<A: FromArgMatches + 'static>(
+        name: &'static str,
+        define: fn(clap::Command) -> clap::Command,
+        run: fn(&A, &Registry) -> anyhow::Result<Ended>,
+    ) -> Command {
+        let read: Reader = Box::new(move |found| {
+            let args = A::from_arg_matches(found)?;
+            Ok(Box::new(move |registry| run(&args, registry)))
+        });
+        Command { name, define, read, logging: Logging::Errors }
     }
 
     /// Returns the command with this level and way of its log.
@@ -52,15 +64,9 @@ impl Command {
         (self.define)(clap::Command::new(self.name))
     }
 
-    /// Reads the arguments that the parser has found. Returns what then runs, and the level and the way of its log.
+    /// Reads the arguments that the parser has found. Returns the function that runs the command with them, and the
+    /// level and the way of the command's log.
     pub(crate) fn read(&self, found: &ArgMatches) -> Result<(Run, Logging), clap::Error> {
         Ok(((self.read)(found)?, self.logging))
     }
-}
-
-fn reader<A: FromArgMatches + 'static>(run: fn(&A, &Registry) -> anyhow::Result<Ended>) -> Reader {
-    Box::new(move |found| {
-        let args = A::from_arg_matches(found)?;
-        Ok(Box::new(move |registry: &Registry| run(&args, registry)) as Run)
-    })
 }

@@ -47,7 +47,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     }
     let teams = teams(args, &file)?;
     if args.wiggle {
-        only(&teams)?;
+        check_drivable(&teams)?;
         check_confirmable(args.yes)?;
         if args.listen == 0.0 {
             return Err(BadInput("--wiggle listens to the team first: leave out --listen 0".to_owned()).into());
@@ -77,13 +77,12 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     })
 }
 
-/// Returns the only one of the hosts `teams` that drives real robots. It is an error if none or several do.
-fn only(teams: &[Team]) -> Result<&Team> {
+/// Checks that one of the hosts `teams` drives real robots. It is an error if none or several do.
+fn check_drivable(teams: &[Team]) -> Result<()> {
     let names: Vec<&str> = teams.iter().map(|team| host_of(team).name.as_str()).collect();
-    let real: Vec<&Team> = teams.iter().filter(|team| !host_of(team).actuates.is_empty()).collect();
-    let why = match real[..] {
-        [only] => return Ok(only),
-        [] => format!("{} drives no real robot, and a simulated one needs no wiggle", names.join(", ")),
+    let why = match teams.iter().filter(|team| !host_of(team).actuates.is_empty()).count() {
+        1 => return Ok(()),
+        0 => format!("{} drives no real robot, and a simulated one needs no wiggle", names.join(", ")),
         _ => "several hosts drive robots; name one by --host, or --robot N".to_owned(),
     };
     Err(BadInput(format!("--wiggle: {why}")).into())

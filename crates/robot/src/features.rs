@@ -12,15 +12,15 @@ use crate::Program;
 pub struct Part {
     /// Names of commands, and of flags with their dashes.
     pub words: &'static [&'static str],
-    /// What the program is without the part, as the end of a sentence about it.
-    pub lack: &'static str,
+    /// Feature of the build that has the part.
+    pub feature: &'static str,
     /// Command that builds a program with the part.
     pub build: &'static str,
     /// Whether this program has the part.
     pub there: bool,
 }
 
-/// What a robot's program says of a command that it does not know.
+/// Advice of a robot's program on a command that it does not know, as the end of a sentence about the program.
 pub const WHOLE: &str =
     "which has the commands of a robot alone: 'cargo build --release' builds the program that has all";
 
@@ -28,35 +28,35 @@ pub const WHOLE: &str =
 pub const OF_ROBOT: &[Part] = &[
     Part {
         words: &["--record", "--record-last", "--record-size"],
-        lack: "which was built without the feature 'record'",
+        feature: "record",
         build: "cargo build --package murmurate-robot --features program,record --profile robot",
         there: cfg!(feature = "record"),
     },
     Part {
         words: &["--metrics", "--metrics-token-file"],
-        lack: "which was built without the feature 'watch'",
+        feature: "watch",
         build: "cargo build --package murmurate-robot --features program,watch --profile robot",
         there: cfg!(feature = "watch"),
     },
 ];
 
-/// Returns what is wrong with a command line that asks for a command or a flag of a part that this program was built
-/// without, and how to build it; `None` for every other error.
+/// Returns the text of the error that a command or a flag is of a part that this program was built without, with the
+/// command that builds it; `None` for every other error.
 pub fn missing(error: &Error, parts: &[Part]) -> Option<String> {
     [ContextKind::InvalidSubcommand, ContextKind::InvalidArg].into_iter().find_map(|kind| {
         let Some(ContextValue::String(word)) = error.get(kind) else { return None };
         // A flag is named with its value.
         let name = word.split(['=', ' ']).next().unwrap_or(word);
-        let Part { lack, build, .. } = parts.iter().find(|part| !part.there && part.words.contains(&name))?;
+        let Part { feature, build, .. } = parts.iter().find(|part| !part.there && part.words.contains(&name))?;
         Some(format!(
-            "error: '{name}' is not in this program, {lack}: build one that has it with '{build}' \
-             (docs/run-a-team.md)"
+            "error: '{name}' is not in this program, which was built without the feature '{feature}': build one that \
+             has it with '{build}' (docs/run-a-team.md)"
         ))
     })
 }
 
-/// Returns what is wrong with a command line whose first word is no command of the program, if another program may have
-/// it; `None` for every other error.
+/// Returns the text of the error that the first word of a command line is no command of the program, if another program
+/// may have it; `None` for every other error.
 pub fn unknown(error: &Error, first: &OsStr, program: &Program) -> Option<String> {
     let Some(ContextValue::String(word)) = error.get(ContextKind::InvalidSubcommand) else { return None };
     // A command that the program has may have no such subcommand.

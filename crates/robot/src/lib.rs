@@ -61,13 +61,13 @@ const AFTER_HELP: &str = "Exit codes: 0 done; 1 the run, its output or a check f
     Logs go to stderr; MURMURATE_LOG sets their level (error, warn, info, debug; by default warn for 'host' and \
     'launch', else error).";
 
-/// A program: its commands, and what it may lack.
+/// A program: its commands, and the optional parts of its build.
 pub struct Program {
     /// All commands, in the order of the help.
     pub commands: Vec<Command>,
     /// Parts that the program can be built without.
     pub parts: &'static [features::Part],
-    /// What to do about a command that the program does not know, if another program may have it.
+    /// Advice on a command that the program does not know, if another program may have it.
     pub unknown: Option<&'static str>,
 }
 
@@ -85,8 +85,8 @@ impl Program {
         names::rename(names::add(all, registry), own_name())
     }
 
-    /// Finds the command that the arguments name and reads its flags. Returns what then runs, and the level and the way
-    /// of its log.
+    /// Finds the command that the arguments name and reads its flags. Returns the function that runs it, and the level
+    /// and the way of its log.
     fn read(&self, arguments: &[OsString], registry: &Registry) -> Result<(Run, Logging), clap::Error> {
         let mut definition = self.definition(registry);
         let found = definition.try_get_matches_from_mut(arguments)?;

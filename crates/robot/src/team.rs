@@ -1,6 +1,7 @@
 //! Flags of commands that take a team file, and loading of the file, its key and its policy.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Result;
@@ -13,6 +14,7 @@ use murmurate::live::links::{self, ProcessIdentity};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::net::protocol::key::Key;
 use murmurate::registry::Registry;
+use murmurate::scenario::Scenario;
 
 use crate::BadInput;
 use crate::bad;
@@ -185,11 +187,15 @@ pub fn key_of(file: Option<&Path>) -> Result<Option<[u8; 32]>> {
     file.map(key::read).transpose()
 }
 
+/// Returns the team's scenario, with the number of robots and the sizes of its deployment.
+pub fn scenario(team: &Team, registry: &Registry) -> Result<Arc<dyn Scenario>> {
+    Ok(registry.scenario(&team.scenario, &team.deployment.settings()).map_err(|e| BadInput(e.to_string()))?)
+}
+
 /// Loads the policy that the team file names, or otherwise the scenario's default policy, with warnings about its use
 /// by this team.
 pub fn policy(team: &Team, registry: &Registry) -> Result<policy::Loaded> {
-    let scenario =
-        registry.scenario(&team.scenario, &team.deployment.settings()).map_err(|e| BadInput(e.to_string()))?;
+    let scenario = scenario(team, registry)?;
     let loaded = policy::load(registry, team.policy.as_deref(), None, &*scenario)?;
     Ok(loaded.for_team(&team.deployment.team_chassis()))
 }

@@ -23,7 +23,7 @@ use murmurate::time::{Span, Time};
 
 use super::devices::Seen;
 use super::listen::hindrance;
-use super::notes;
+use super::{host_of, notes};
 use crate::{BadInput, signals};
 
 /// Time for which commands to stand are still sent to the robots, before the check of the devices ends.
@@ -56,7 +56,7 @@ pub fn look(
     wiggle: Option<(wiggle::Config, Option<Operator>)>,
     tell: fn(&str),
 ) -> Result<(Seen, End)> {
-    let host = &team.deployment.hosts[usize::from(team.host.0)];
+    let host = host_of(team);
     let (devices, workers) = open(host, team.deployment.robots, registry)?;
     let (signal, wake_reader) = signals::listen()?;
     notes::take(true);

@@ -13,7 +13,7 @@ use murmurate::messages::wire::{Hardware, Health, Reading, Reason};
 use murmurate::time::{Span, Time};
 
 use super::finding::{Found, Subject};
-use super::notes;
+use super::{host_of, notes};
 use murmurate::fitness::{Finding, Fitness};
 
 /// All that a host's source and drivers have reported during `doctor`: readings, odometry, hardware conditions, and
@@ -105,7 +105,7 @@ impl Seen {
     /// more about its source, and for each robot that it drives those about the driver and the odometry. The team's
     /// ground reaches to `half_extent` \[m\].
     pub fn findings(&self, team: &Team, seconds: f64, half_extent: Vec2) -> Vec<Found> {
-        let host = &team.deployment.hosts[usize::from(team.host.0)];
+        let host = host_of(team);
         let ids = |robots: &[u16]| robots.iter().copied().map(RobotId).collect::<Vec<_>>();
         let needs = Needs { own_state: self.own_state, half_extent };
         let mut found = self.tracker(team, &ids(&host.localizes), seconds, &needs);
@@ -123,7 +123,7 @@ impl Seen {
     /// Returns the findings about the host's source of readings, which was observed for `seconds` \[s\]: failures that
     /// name those of `robots` without a reading, and a finding about the readings of each other robot.
     fn tracker(&self, team: &Team, robots: &[RobotId], seconds: f64, needs: &Needs) -> Vec<Found> {
-        let host = &team.deployment.hosts[usize::from(team.host.0)];
+        let host = host_of(team);
         let name = host.source.as_ref().map_or("", |source| &source.name);
         let end = if self.source_ended { ", its worker has ended" } else { "" };
         let whole = notes::of_whole_source();
@@ -166,7 +166,7 @@ impl Seen {
 
     /// Returns the finding about the driver of `robot`: ready or not, battery charge and temperature.
     fn robot(&self, team: &Team, robot: RobotId) -> Found {
-        let host = &team.deployment.hosts[usize::from(team.host.0)];
+        let host = host_of(team);
         let name = host.driver.as_ref().map_or("", |driver| &driver.name);
         let what = subject(&format!("{robot}, driver {name}"));
         let limits = team.deployment.hardware_limits(robot);

@@ -56,7 +56,7 @@ pub fn hindrance(phase: Phase, latch: Latch) -> Option<String> {
     }
 }
 
-/// Everything that was heard from the team while it was listened to: reception and delay of each host on each link,
+/// Messages and statistics of the team received while listening: reception and delay of each host on each link,
 /// counts of datagrams, the condition of each robot, and the reason, if any, why no robot may be driven.
 #[derive(Default)]
 struct Received {
@@ -189,21 +189,8 @@ fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds
                     let mut heard = heard.borrow_mut();
                     (heard.hindrance, heard.led) = (hindrance(mode.phase, mode.latch), true);
                 }
-                Event::Message(_)
-                | Event::Published(_)
-                | Event::Arrived(..)
-                | Event::Perceived(..)
-                | Event::Radio(..)
-                | Event::Sent(..)
-                | Event::Input(_)
-                | Event::Refused(..)
-                | Event::Truth(_)
-                | Event::Recorded(_)
-                | Event::Duplicate(_)
-                | Event::Aborted(..)
-                | Event::Safety(..)
-                | Event::Hardware(..)
-                | Event::Link(..) => {}
+                // All others are of this process itself, or do not show how the team is.
+                _ => {}
             });
             let echo = wire((clock, readers), echo, |_| {});
             observe(clock, &listener, observer);

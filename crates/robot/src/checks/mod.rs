@@ -24,16 +24,15 @@ use murmurate::fitness::Fitness;
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::ids::RobotId;
 use murmurate::registry::Registry;
-use murmurate::scenario::Settings;
 
-use crate::BadInput;
+use crate::team;
 use finding::Found;
 use listen::Reception;
 
-/// Question whether the robots of a host may be driven.
+/// Function that asks whether the robots of a host may be driven.
 pub type Confirm<'a> = dyn Fn(&Team) -> Result<bool> + 'a;
 
-/// What is to be checked, and what the checks need of the one who asked for them.
+/// Parameters of the checks: hosts, times, and functions for questions and progress.
 pub struct Examination<'a> {
     /// Settings of each host that this machine is to be.
     pub teams: &'a [Team],
@@ -145,8 +144,7 @@ fn look(
         plan = Some((wiggle::config(team, registry)?, listen::operator(team)?));
     }
     let (seen, end) = bench::look(team, registry, examination.listen_s, plan, examination.tell)?;
-    let scenario = registry.scenario(&team.scenario, &Settings::of(team.deployment.robots));
-    let scenario = scenario.map_err(|error| BadInput(error.to_string()))?;
+    let scenario = team::scenario(team, registry)?;
     let mut found = seen.findings(team, examination.listen_s, scenario.arena().half_extent);
     places.extend(seen.places());
     let localizes = !host.localizes.is_empty();

@@ -12,7 +12,7 @@ use murmurate::time::Span;
 
 use super::finding::{Found, Subject};
 use super::host_of;
-use crate::BadInput;
+use crate::{BadInput, team};
 use murmurate::fitness::Fitness;
 
 /// Period of motor commands: that of policies.
@@ -21,8 +21,7 @@ const PERIOD: Span = Span::from_millis(50);
 /// Returns the configuration of the wiggle (the short drive of each robot) for the host `team.host`: its robots, their
 /// guard, and the arena, which has no walls if the robots are measured by their odometry only.
 pub fn config(team: &Team, registry: &Registry) -> Result<Config> {
-    let scenario =
-        registry.scenario(&team.scenario, &team.deployment.settings()).map_err(|e| BadInput(e.to_string()))?;
+    let scenario = team::scenario(team, registry)?;
     let host = host_of(team);
     let mut arena = scenario.arena().clone();
     if host.source.is_none() {
