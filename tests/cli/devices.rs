@@ -162,7 +162,7 @@ fn a_robot_is_judged_by_the_ground_of_the_team_s_scale() {
     write(bench.file(), file).expect("it can be written");
     let output = bench.doctor(&[]);
     let out = text(&output.stdout);
-    assert!(out.contains("at (-1.00, -1.00) m; the ground reaches to"), "{out}{}", text(&output.stderr));
+    assert!(out.contains("the ground reaches to ±0.5 m, ±0.2 m"), "{out}{}", text(&output.stderr));
 }
 
 #[test]
