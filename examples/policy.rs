@@ -3,7 +3,7 @@
 //!
 //!     cargo run --release --example policy
 
-use murmurate::messages::geometry::Vec2;
+use murmurate::messages::geometry::{Planar, Vec2};
 use murmurate::policy::{Interface, Model, Neighbour, Policy};
 use murmurate::random::Stream;
 use murmurate::scenario::Observation;
@@ -34,7 +34,7 @@ impl Policy for NearestFirst {
 
     /// Returns the velocity, from the neighbours' messages.
     fn act(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour], _: &mut Stream) -> Vec2 {
-        let mut wanted = (own.goal - own.motion.position).cap_magnitude(INTERFACE.limit_m_s);
+        let mut wanted = (own.goal - own.motion.position).capped(INTERFACE.limit_m_s);
         for other in neighbours {
             let apart = own.motion.position - other.motion.position;
             let near = (1.2 - apart.norm()).max(0.0);
@@ -42,7 +42,7 @@ impl Policy for NearestFirst {
             let yields = if other.features[0] < features[0] { 3.0 } else { 1.5 };
             wanted += (apart + Vec2::new(-apart.y, apart.x)).normalize() * near * yields;
         }
-        wanted.cap_magnitude(INTERFACE.limit_m_s)
+        wanted.capped(INTERFACE.limit_m_s)
     }
 }
 

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::config::ConfigError;
-use crate::messages::geometry::{Motion, Pose, Vec2, limit_below, toward_zero, wrapped};
+use crate::messages::geometry::{Motion, Planar, Pose, Vec2, limit_below, toward_zero, wrapped};
 use crate::messages::local::{BodyTwist, Sample};
 use crate::messages::wire::Reading;
 use crate::time::Span;
@@ -236,7 +236,7 @@ impl Chassis {
         let BodyTwist { forward, left, yaw_rate } = twist;
         match self.drive {
             DriveKind::Holonomic => {
-                let speed = Vec2::new(forward, left).cap_magnitude(self.speed_m_s);
+                let speed = Vec2::new(forward, left).capped(self.speed_m_s);
                 let yaw_rate = yaw_rate.clamp(-self.yaw_rate_rad_s, self.yaw_rate_rad_s);
                 BodyTwist { forward: speed.x, left: speed.y, yaw_rate }
             }
@@ -288,7 +288,7 @@ impl Chassis {
     /// the direction of the wanted `velocity` and is reduced to the limits; both are in the world frame.
     pub fn limited(&self, velocity: Vec2, heading: f32) -> Vec2 {
         match self.drive {
-            DriveKind::Holonomic => velocity.cap_magnitude(self.speed_m_s),
+            DriveKind::Holonomic => velocity.capped(self.speed_m_s),
             DriveKind::Differential => {
                 let (sin, cos) = libm::sincosf(heading);
                 let (forward, left) = (cos * velocity.x + sin * velocity.y, cos * velocity.y - sin * velocity.x);
@@ -387,7 +387,7 @@ mod tests {
                 pose = moved(pose, chassis.twist(wanted, pose.heading).unwrap());
                 let after = chassis.point(reading(pose)).unwrap();
                 let velocity = (after.pose.position - before.pose.position) / 1e-3;
-                assert!((velocity - wanted).norm() < 2e-3, "{velocity} for {wanted}");
+                assert!((velocity - wanted).norm() < 2e-3, "{velocity:?} for {wanted:?}");
                 assert!((chassis.centre(&after) - pose.position).norm() < 1e-6);
             }
         }
@@ -451,12 +451,12 @@ mod tests {
             let BodyTwist { forward, yaw_rate, .. } = chassis.twist(velocity, Some(heading)).unwrap();
             let (forward, yaw_rate) = (f64::from(forward).abs(), f64::from(yaw_rate).abs());
             let outer = forward + yaw_rate * track / 2.0;
-            assert!(forward <= speed && yaw_rate <= yaw && outer <= wheel, "case {case}: {settings:?}, {velocity}");
+            assert!(forward <= speed && yaw_rate <= yaw && outer <= wheel, "case {case}: {settings:?}, {velocity:?}");
             let holonomic = Settings { speed_m_s: Some(speed as f32), ..Settings::default() }.chassis().unwrap();
             let BodyTwist { forward, left, .. } = holonomic.twist(velocity, Some(heading)).unwrap();
-            assert!(libm::hypot(forward.into(), left.into()) <= speed, "case {case}: {velocity}");
+            assert!(libm::hypot(forward.into(), left.into()) <= speed, "case {case}: {velocity:?}");
             let limited = holonomic.limited(velocity, heading);
-            assert!(libm::hypot(limited.x.into(), limited.y.into()) <= speed, "case {case}: {velocity}");
+            assert!(libm::hypot(limited.x.into(), limited.y.into()) <= speed, "case {case}: {velocity:?}");
         }
     }
 }

@@ -8,7 +8,7 @@
 use crate::actor::Core;
 use crate::chassis::Chassis;
 use crate::drivers::{self, Command, Driver};
-use crate::messages::geometry::Vec2;
+use crate::messages::geometry::{Planar, Vec2};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::{Latch, LatchFollower};
 use crate::messages::local::Drive;
@@ -158,7 +158,7 @@ impl Body {
         self.warn_unknown(command);
         // Cap the speed at the robot's limit; the direction stays.
         let most = self.driver.limits().speed_m_s;
-        let velocity = if self.may_move() { command.velocity.cap_magnitude(most) } else { Vec2::zeros() };
+        let velocity = if self.may_move() { command.velocity.capped(most) } else { Vec2::zeros() };
         let until = now + command.valid_for;
         self.expires = Some(until);
         self.drive(now, Drive { robot: self.robot, velocity, until }, out);

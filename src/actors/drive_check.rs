@@ -1,6 +1,6 @@
 //! Check of a short test drive of one robot: its measured displacement compared with the commanded one.
 
-use crate::messages::geometry::{Vec2, wrapped};
+use crate::messages::geometry::{Planar, Vec2, wrapped};
 use crate::messages::ids::RobotId;
 use crate::safety::guard::SafetyCounts;
 
@@ -81,8 +81,9 @@ impl Axes {
         Axes::SwappedReversed,
     ];
 
-    /// Returns the displacement that is measured for the commanded displacement (`x`, `y`) if axes have this mistake.
-    pub(crate) fn apply(self, Vec2 { x, y }: Vec2) -> Vec2 {
+    /// Returns the displacement that is measured for the commanded displacement if axes have this mistake.
+    pub(crate) fn apply(self, commanded: Vec2) -> Vec2 {
+        let [x, y] = commanded.to_array();
         match self {
             Axes::Right => Vec2::new(x, y),
             Axes::MirroredX => Vec2::new(-x, y),

@@ -13,7 +13,7 @@ use super::{Command, Driver, Limits, Out, Parts};
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::edge::child::Program;
-use crate::messages::geometry::{Vec2, limit_below};
+use crate::messages::geometry::{Planar, Vec2, limit_below};
 use crate::messages::ids::RobotId;
 use crate::messages::wire::{Celsius, Hardware, Health, Reason};
 use crate::time::Time;
@@ -95,7 +95,7 @@ impl Driver for Lines {
     fn drive(&mut self, now: Time, command: &Command, out: &mut Vec<Out>) {
         let Command { drive, body } = command;
         // Within the limit of the velocity, it is beyond it by no more than the rounding of the turn.
-        let planar = body.map(|body| Vec2::new(body.forward, body.left).cap_magnitude(self.limits.speed_m_s));
+        let planar = body.map(|body| Vec2::new(body.forward, body.left).capped(self.limits.speed_m_s));
         let line = Line {
             robot: self.robot.0,
             vx: drive.velocity.x,

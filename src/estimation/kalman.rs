@@ -271,7 +271,7 @@ mod tests {
         }
         assert!((x_at(&*kalman, 5050) - 0.0005 * 5050.0).abs() < 2e-3, "{}", x_at(&*kalman, 5050));
         let velocity = kalman.at(at_ms(5050)).unwrap().velocity;
-        assert!((velocity - Vec2::new(0.5, 0.0)).norm() < 5e-3, "{velocity}");
+        assert!((velocity - Vec2::new(0.5, 0.0)).norm() < 5e-3, "{velocity:?}");
         let halted = x_at(&*kalman, 60_000);
         assert!(halted < 0.0005 * 4900.0 + 0.5 * 0.61, "a silent source moves it no further: {halted}");
     }

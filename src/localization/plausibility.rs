@@ -9,7 +9,7 @@
 use crate::chassis::Chassis;
 use crate::config::ConfigError;
 use crate::edge::Settings;
-use crate::messages::geometry::{Deviation, Pose, Vec2, wrapped};
+use crate::messages::geometry::{Deviation, Planar, Pose, Vec2, wrapped};
 use crate::messages::ids::RobotId;
 use crate::messages::place::Whereabouts;
 use crate::messages::wire::Reading;
@@ -189,7 +189,7 @@ impl Fix {
         let most = if quality.reckoned { MOST_RECKONED } else { (f64::INFINITY, f64::INFINITY) };
         let position_m = position_m.map_or(quality.position_m, f64::from).max(LEAST.0).min(most.0);
         let heading_rad = heading_rad.map_or(quality.heading_rad, f64::from).max(LEAST.1).min(most.1);
-        let Vec2 { x, y } = reading.pose.position;
+        let [x, y] = reading.pose.position.to_array();
         Fix {
             at: now,
             stamp_ns: reading.stamp_ns,

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::geometry::{Deviation, Motion, Pose, Task, Twist, Vec2};
+use super::geometry::{Deviation, Motion, Planar, Pose, Task, Twist, Vec2};
 
 /// Largest number of floats in the features of a latent, a robot's broadcast to its neighbours. The encoded message
 /// still fits into one datagram.

@@ -1,241 +1,67 @@
 //! Points, velocities and types made of them. SI units; x and y right-handed (REP-103).
 
 use std::fmt;
-use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
-/// A point \[m\] or a velocity \[m/s\] in the plane.
-#[derive(Clone, Copy, Debug, PartialEq, Default)]
-pub struct Vec2 {
-    /// Component along the x axis of the frame: \[m\] for a point, \[m/s\] for a velocity.
-    pub x: f32,
-    /// Component along the y axis of the frame: \[m\] for a point, \[m/s\] for a velocity.
-    pub y: f32,
+/// A point \[m\] or a velocity \[m/s\] in the plane: the vector of nalgebra, with its operators and methods.
+pub type Vec2 = nalgebra::Vector2<f32>;
+
+/// What vectors of the plane have here beyond the methods of nalgebra.
+pub trait Planar {
+    /// Returns the components as the array `[x, y]`.
+    fn to_array(&self) -> [f32; 2];
+
+    /// Returns the vector with the same direction and a Euclidean length of at most `most`, in the unit of the vector.
+    /// The limit holds for the exact length, since what is rounded is rounded toward zero (`cap_magnitude` of nalgebra
+    /// may exceed it by a rounding).
+    fn capped(&self, most: f32) -> Vec2;
+
+    /// Returns a view that writes the vector in one line, as `[x, y]`; both components are formatted by the options of
+    /// the format string. (nalgebra itself draws a box over several lines.)
+    fn shown(&self) -> Shown;
 }
 
-impl Vec2 {
-    /// Returns the vector with the coordinates `x` and `y`.
+impl Planar for Vec2 {
     #[inline(always)]
-    pub const fn new(x: f32, y: f32) -> Vec2 {
-        Vec2 { x, y }
-    }
-
-    /// Returns the zero vector: the origin of a frame, or the velocity of a robot that stands still.
-    #[inline(always)]
-    pub const fn zeros() -> Vec2 {
-        Vec2::new(0.0, 0.0)
-    }
-
-    /// Returns the vector whose x and y components are both `both`.
-    #[inline(always)]
-    pub const fn repeat(both: f32) -> Vec2 {
-        Vec2::new(both, both)
-    }
-
-    /// Returns the unit vector along the x axis, (1, 0).
-    #[inline(always)]
-    pub const fn x() -> Vec2 {
-        Vec2::new(1.0, 0.0)
-    }
-
-    /// Returns the unit vector along the y axis, (0, 1).
-    #[inline(always)]
-    pub const fn y() -> Vec2 {
-        Vec2::new(0.0, 1.0)
-    }
-
-    /// Returns the components as the array `[x, y]`.
-    #[inline(always)]
-    pub const fn to_array(self) -> [f32; 2] {
+    fn to_array(&self) -> [f32; 2] {
         [self.x, self.y]
     }
 
-    /// Returns the vector that results when the function `of` is applied to the x component, then to the y component.
-    #[inline(always)]
-    pub fn map(self, mut of: impl FnMut(f32) -> f32) -> Vec2 {
-        Vec2::new(of(self.x), of(self.y))
-    }
-
-    /// Returns the component-wise minimum of this vector and `other`.
-    #[inline(always)]
-    pub fn inf(&self, other: &Vec2) -> Vec2 {
-        Vec2::new(self.x.min(other.x), self.y.min(other.y))
-    }
-
-    /// Returns the component-wise maximum of this vector and `other`.
-    #[inline(always)]
-    pub fn sup(&self, other: &Vec2) -> Vec2 {
-        Vec2::new(self.x.max(other.x), self.y.max(other.y))
-    }
-
-    /// Returns the component-wise product of this vector and `other`.
-    #[inline(always)]
-    pub fn component_mul(&self, other: &Vec2) -> Vec2 {
-        Vec2::new(self.x * other.x, self.y * other.y)
-    }
-
-    /// Returns the scalar (dot) product of this vector and `other`.
-    #[inline(always)]
-    pub fn dot(&self, other: &Vec2) -> f32 {
-        self.x * other.x + self.y * other.y
-    }
-
-    /// Returns the square of the Euclidean length of this vector.
-    #[inline(always)]
-    pub fn norm_squared(&self) -> f32 {
-        self.dot(self)
-    }
-
-    /// Returns the Euclidean length of this vector.
-    #[inline(always)]
-    pub fn norm(&self) -> f32 {
-        self.norm_squared().sqrt()
-    }
-
-    /// Returns the vector with the same direction and a Euclidean length of at most `most`, in the unit of the vector.
-    /// The limit holds for the exact length, since what is rounded is rounded toward zero.
-    pub fn cap_magnitude(self, most: f32) -> Vec2 {
-        if !self.exceeds(most) {
-            return self;
+    fn capped(&self, most: f32) -> Vec2 {
+        if !exceeds(self, most) {
+            return *self;
         }
         let length = self.norm();
-        let mut capped = if length > most { self * (most / length) } else { self };
-        while capped.exceeds(most) {
+        let mut capped = if length > most { self * (most / length) } else { *self };
+        while exceeds(&capped, most) {
             capped = capped.map(toward_zero);
         }
         capped
     }
 
-    /// Returns whether the exact length of the vector is above `most`; false if it is not a number.
-    fn exceeds(self, most: f32) -> bool {
-        let [x, y, most] = [self.x, self.y, most].map(f64::from);
-        // Products of two f32 are exact in f64. Beyond its relative error of 1e-16 nothing is lost in the sum.
-        x * x + y * y > most * most
-    }
-
-    /// Returns the unit vector in the direction of this vector; both components are NaN for a zero vector.
-    #[inline(always)]
-    pub fn normalize(&self) -> Vec2 {
-        *self / self.norm()
-    }
-
-    /// Returns the unit vector in the direction of this vector; `None` if the Euclidean length is `least` or below.
-    #[inline(always)]
-    pub fn try_normalize(&self, least: f32) -> Option<Vec2> {
-        let norm = self.norm();
-        if norm <= least { None } else { Some(*self / norm) }
-    }
-
-    /// Returns the vector of the absolute values of both components.
-    #[inline(always)]
-    pub fn abs(&self) -> Vec2 {
-        Vec2::new(self.x.abs(), self.y.abs())
-    }
-
-    /// Returns the larger of the x and y components, with their signs.
-    #[inline(always)]
-    pub fn max(&self) -> f32 {
-        self.x.max(self.y)
-    }
-
-    /// Returns the vector with the number `both` added to each component.
-    #[inline(always)]
-    pub fn add_scalar(&self, both: f32) -> Vec2 {
-        *self + Vec2::repeat(both)
+    fn shown(&self) -> Shown {
+        Shown(self.to_array())
     }
 }
 
-/// Writes the vector as `[x, y]`; both components are formatted by the options of the format string.
-impl fmt::Display for Vec2 {
+/// Returns whether the exact length of `vector` is above `most`; false if it is not a number.
+fn exceeds(vector: &Vec2, most: f32) -> bool {
+    let [x, y, most] = [vector.x, vector.y, most].map(f64::from);
+    // Products of two f32 are exact in f64. Beyond its relative error of 1e-16 nothing is lost in the sum.
+    x * x + y * y > most * most
+}
+
+/// View of a vector that is written as `[x, y]`.
+#[derive(Clone, Copy, Debug)]
+pub struct Shown([f32; 2]);
+
+impl fmt::Display for Shown {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Shown([x, y]) = self;
         f.write_str("[")?;
-        self.x.fmt(f)?;
+        x.fmt(f)?;
         f.write_str(", ")?;
-        self.y.fmt(f)?;
+        y.fmt(f)?;
         f.write_str("]")
-    }
-}
-
-impl From<[f32; 2]> for Vec2 {
-    #[inline(always)]
-    fn from([x, y]: [f32; 2]) -> Vec2 {
-        Vec2::new(x, y)
-    }
-}
-
-impl Add for Vec2 {
-    type Output = Vec2;
-
-    #[inline(always)]
-    fn add(self, other: Vec2) -> Vec2 {
-        Vec2::new(self.x + other.x, self.y + other.y)
-    }
-}
-
-impl Sub for Vec2 {
-    type Output = Vec2;
-
-    #[inline(always)]
-    fn sub(self, other: Vec2) -> Vec2 {
-        Vec2::new(self.x - other.x, self.y - other.y)
-    }
-}
-
-impl Sub<&Vec2> for Vec2 {
-    type Output = Vec2;
-
-    #[inline(always)]
-    fn sub(self, other: &Vec2) -> Vec2 {
-        self - *other
-    }
-}
-
-impl Sub<Vec2> for &Vec2 {
-    type Output = Vec2;
-
-    #[inline(always)]
-    fn sub(self, other: Vec2) -> Vec2 {
-        *self - other
-    }
-}
-
-impl Mul<f32> for Vec2 {
-    type Output = Vec2;
-
-    #[inline(always)]
-    fn mul(self, factor: f32) -> Vec2 {
-        Vec2::new(self.x * factor, self.y * factor)
-    }
-}
-
-impl Div<f32> for Vec2 {
-    type Output = Vec2;
-
-    #[inline(always)]
-    fn div(self, divisor: f32) -> Vec2 {
-        Vec2::new(self.x / divisor, self.y / divisor)
-    }
-}
-
-impl Neg for Vec2 {
-    type Output = Vec2;
-
-    #[inline(always)]
-    fn neg(self) -> Vec2 {
-        Vec2::new(-self.x, -self.y)
-    }
-}
-
-impl AddAssign for Vec2 {
-    #[inline(always)]
-    fn add_assign(&mut self, other: Vec2) {
-        *self = *self + other;
-    }
-}
-
-impl SubAssign for Vec2 {
-    #[inline(always)]
-    fn sub_assign(&mut self, other: Vec2) {
-        *self = *self - other;
     }
 }
 
@@ -427,19 +253,19 @@ mod tests {
         for _ in 0..100_000 {
             let mut axis = || stream.random_range(-3.0..3.0f32);
             let (vector, most) = (Vec2::new(axis(), axis()), axis().abs());
-            let capped = vector.cap_magnitude(most);
+            let capped = vector.capped(most);
             let exact = |v: Vec2| libm::hypot(f64::from(v.x), f64::from(v.y));
-            assert!(exact(capped) <= f64::from(most), "{vector} to {most}: {capped}");
+            assert!(exact(capped) <= f64::from(most), "{vector:?} to {most}: {capped:?}");
             assert!(
                 exact(capped) >= f64::from(most) * (1.0 - 1e-6) || capped == vector,
-                "{vector} to {most}: {capped}"
+                "{vector:?} to {most}: {capped:?}"
             );
-            assert!((capped.x * vector.y - capped.y * vector.x).abs() < 1e-5, "{vector} to {most}: {capped}");
+            assert!((capped.x * vector.y - capped.y * vector.x).abs() < 1e-5, "{vector:?} to {most}: {capped:?}");
         }
-        let far = Vec2::new(f32::INFINITY, 1.0).cap_magnitude(1.0);
-        assert!(far.x.is_nan() && Vec2::new(f32::NAN, 1.0).cap_magnitude(1.0).x.is_nan());
-        assert_eq!(Vec2::new(3.0, -4.0).cap_magnitude(5.0), Vec2::new(3.0, -4.0));
-        assert_eq!(Vec2::new(1e30, 1e30).cap_magnitude(f32::INFINITY), Vec2::new(1e30, 1e30));
+        let far = Vec2::new(f32::INFINITY, 1.0).capped(1.0);
+        assert!(far.x.is_nan() && Vec2::new(f32::NAN, 1.0).capped(1.0).x.is_nan());
+        assert_eq!(Vec2::new(3.0, -4.0).capped(5.0), Vec2::new(3.0, -4.0));
+        assert_eq!(Vec2::new(1e30, 1e30).capped(f32::INFINITY), Vec2::new(1e30, 1e30));
     }
 
     #[test]
@@ -456,9 +282,9 @@ mod tests {
     fn a_robot_that_points_north_goes_north_by_going_ahead() {
         let north = Pose { position: Vec2::zeros(), heading: Some(FRAC_PI_2) };
         let ahead = north.in_body_frame(Vec2::new(0.0, 1.0)).unwrap();
-        assert!((ahead - Vec2::new(1.0, 0.0)).norm() < 1e-6, "{ahead}");
+        assert!((ahead - Vec2::new(1.0, 0.0)).norm() < 1e-6, "{ahead:?}");
         let left = north.in_body_frame(Vec2::new(-2.0, 0.0)).unwrap();
-        assert!((left - Vec2::new(0.0, 2.0)).norm() < 1e-6, "{left}");
+        assert!((left - Vec2::new(0.0, 2.0)).norm() < 1e-6, "{left:?}");
         assert_eq!(Pose { heading: None, ..north }.in_body_frame(Vec2::zeros()), None);
     }
 

@@ -2,16 +2,15 @@
 //!
 //! `wire` holds messages that may cross hosts and therefore always pass through a Network. `local` holds messages
 //! between the actors of one host. `ids`, `geometry`, `floats`, `hardware`, `latch`, `phase`, `place`, `round`,
-//! `status` and `telemetry` are their parts. `nalgebra` converts points and poses to that crate's types and back.
+//! `status` and `telemetry` are their parts. `isometry` converts poses to those of nalgebra and back.
 
 mod floats;
 pub mod geometry;
 pub mod hardware;
 pub mod ids;
+mod isometry;
 pub mod latch;
 pub mod local;
-#[cfg(feature = "nalgebra")]
-mod nalgebra;
 pub mod phase;
 pub mod place;
 pub mod round;

@@ -112,7 +112,7 @@ pub(crate) fn accelerated(velocity: Vec2, wanted: Vec2, period: Span) -> Vec2 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::messages::geometry::Motion;
+    use crate::messages::geometry::{Motion, Planar};
     use crate::random::Seed;
 
     fn act(own: Motion, others: &[Motion]) -> Vec2 {
@@ -130,7 +130,7 @@ mod tests {
         let [x, y] = (act(own, &[at(1.5, 0.5, 0.0), at(-1.8, 0.9, 0.4)]) - own.velocity).to_array();
         assert!((x - 0.05 * 5.0 * 0.2).abs() < 1e-6 && y.abs() < 1e-6, "{x} {y}");
         let fast = act(own, &[at(1.5, -0.5, 0.2)]) - own.velocity;
-        assert!((fast.x + 0.05).abs() < 1e-6, "limited: {fast}");
+        assert!((fast.x + 0.05).abs() < 1e-6, "limited: {fast:?}");
     }
 
     #[test]
@@ -141,7 +141,7 @@ mod tests {
         for r in [0.3, 0.6, 0.9] {
             let slope = (potential(r + 1e-6) - potential(r - 1e-6)) / 2e-6;
             let pushed = repulsion(Vec2::new(0.0, r as f32));
-            assert!(pushed.x == 0.0 && (f64::from(pushed.y) + slope).abs() < 1e-3 * slope.abs(), "{r}: {pushed}");
+            assert!(pushed.x == 0.0 && (f64::from(pushed.y) + slope).abs() < 1e-3 * slope.abs(), "{r}: {pushed:?}");
         }
     }
 }

@@ -15,7 +15,7 @@ use super::manifest::{Architecture, EdgeField, Manifest};
 use super::mlp::{Instructions, Layer, Mlp, Relu, Scratch};
 use super::weights::PolicyFile;
 use super::{Draw, Interface, Neighbour, Policy};
-use crate::messages::geometry::Vec2;
+use crate::messages::geometry::{Planar, Vec2};
 use crate::random;
 use crate::random::Stream;
 use crate::scenario::Observation;

@@ -154,7 +154,7 @@ mod tests {
         assert!((limit.along - Vec2::x()).norm() < 1e-6 && (limit.most_m_s - 2.0).abs() < 1e-4, "{limit:?}");
         let past = Motion { position: Vec2::new(0.2, -0.45), velocity: Vec2::new(0.0, 0.1) };
         let corner = barrier().wall(&past, &block).along;
-        assert!(corner.x > 0.7 && corner.y > 0.6, "{corner}");
+        assert!(corner.x > 0.7 && corner.y > 0.6, "{corner:?}");
         let through = Motion { position: Vec2::new(0.4, 0.0), velocity: Vec2::new(1.0, 0.0) };
         assert_eq!(barrier().wall(&through, &block).most_m_s, 0.0);
     }

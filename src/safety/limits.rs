@@ -152,13 +152,13 @@ mod tests {
             let all: Vec<Limit> = (0..1 + case % 7).map(|k| towards(number(k) * 6.3, number(k + 50) * 0.6)).collect();
             let wanted = Vec2::new(number(101) * 3.0 - 1.5, number(102) * 3.0 - 1.5);
             let result = limits(all.iter().copied()).nearest(wanted);
-            assert!(all.iter().all(|limit| limit.excess(result) <= 2.0 * TOLERANCE_M_S), "{case}: {result}");
+            assert!(all.iter().all(|limit| limit.excess(result) <= 2.0 * TOLERANCE_M_S), "{case}: {result:?}");
             let away = (result - wanted).norm();
             for x in -40..=40 {
                 for y in -40..=40 {
                     let other = Vec2::new(x as f32, y as f32) * 0.04;
                     let allowed = all.iter().all(|limit| limit.excess(other) <= 0.0);
-                    assert!(!allowed || (other - wanted).norm() >= away - 1e-3, "{case}: {other} is nearer");
+                    assert!(!allowed || (other - wanted).norm() >= away - 1e-3, "{case}: {other:?} is nearer");
                 }
             }
         }

@@ -142,9 +142,9 @@ mod tests {
         let within = |x, y| model.stopping_within(Vec2::new(x, y), 0.05, 0.65);
         assert_eq!(within(0.95, 0.0), Vec2::new(0.95, 0.0), "it stops after 0.0475 + 0.57625 m");
         let (along, across) = (within(1.5, 0.0), within(-1.5, 1.5));
-        assert!(along.x > 0.97 && model.travel(along).norm() + 0.05 * along.x <= 0.65, "{along}");
-        assert!(across.x == -across.y && across.y > 0.76, "{across}");
-        assert!(model.travel(across).norm() + 0.05 * across.norm() <= 0.65, "{across}");
+        assert!(along.x > 0.97 && model.travel(along).norm() + 0.05 * along.x <= 0.65, "{along:?}");
+        assert!(across.x == -across.y && across.y > 0.76, "{across:?}");
+        assert!(model.travel(across).norm() + 0.05 * across.norm() <= 0.65, "{across:?}");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The arena of a scenario: ground, solid blocks (walls) and the bottlenecks between them. All points of an arena are
 //! in the same frame, usually the world frame.
 
-use crate::messages::geometry::Vec2;
+use crate::messages::geometry::{Planar, Vec2};
 
 /// Radius of a robot's hull, as a share of the radius that is kept free about its centre.
 const HULL_PER_ROOM: f32 = 0.64;

@@ -6,7 +6,7 @@
 use std::fmt::Display;
 
 use super::{Entry, Progress, Scenario, Settings, build_of};
-use crate::messages::geometry::{Motion, Task, Vec2, is_finite};
+use crate::messages::geometry::{Motion, Planar, Task, Vec2, is_finite};
 use crate::messages::local::Contacts;
 use crate::time::Span;
 
@@ -104,7 +104,7 @@ fn tasks(scenario: &dyn Scenario) -> Result<(), String> {
         let chained = places == starts || scenario.cost().is_some();
         require(chained, || format!("the next episode does not start at the goals, {at}"))?;
         for (robot, place) in places.iter().enumerate() {
-            require(arena.admits(*place), || format!("robot {robot} has no room at {place}, {at}"))?;
+            require(arena.admits(*place), || format!("robot {robot} has no room at {}, {at}", place.shown()))?;
             let near = |other: &Vec2| (*other - *place).norm() <= 2.0 * arena.robot_radius_m;
             require(!places[..robot].iter().any(near), || format!("robot {robot} overlaps another, {at}"))?;
             let arrived = scenario.reached(&tasks[robot], tasks[robot].start);
@@ -131,7 +131,7 @@ fn distance(scenario: &dyn Scenario, task: &Task) -> Result<(), String> {
         let position = task.start + (task.goal - task.start) * (k as f32 / 100.0);
         let to_go = scenario.distance_to_go(task, position);
         require(to_go >= (task.goal - position).norm() - 1e-4, || {
-            format!("{to_go} m to go from {position} to {} are less than a straight line", task.goal)
+            format!("{to_go} m to go from {} to {} are less than a straight line", position.shown(), task.goal.shown())
         })
     })
 }
@@ -144,11 +144,11 @@ fn no_goal(scenario: &dyn Scenario, task: &Task) -> Result<(), String> {
         require(left == 0.0, || format!("there are {left} m to go, but the scenario has no goals"))?;
     }
     let velocity = scenario.start_velocity(task);
-    require(is_finite(velocity), || format!("an initial velocity of {velocity}"))?;
+    require(is_finite(velocity), || format!("an initial velocity of {}", velocity.shown()))?;
     let (sin, cos) = libm::sincosf(task.heading());
     let across = cos * velocity.y - sin * velocity.x;
     let along = across.abs() < 1e-3 && cos * velocity.x + sin * velocity.y > -1e-3;
-    require(along, || format!("an initial velocity of {velocity}, not along the way to the task's goal"))
+    require(along, || format!("an initial velocity of {}, not along the way to the task's goal", velocity.shown()))
 }
 
 /// Checks the cost of a scenario without goals, for its initial states and for a team at rest.
@@ -178,8 +178,8 @@ fn reward(scenario: &dyn Scenario, task: &Task) -> Result<(), String> {
         let contacts = Contacts { robot: k == 10, wall: k == 20 };
         let before = stage;
         let Some(earned) = scenario.reward(task, &motion, contacts, &mut stage) else { break };
-        require(earned.is_finite(), || format!("a reward of {earned} at {position}"))?;
-        require(stage >= before, || format!("{stage:?} after {before:?} at {position}"))?;
+        require(earned.is_finite(), || format!("a reward of {earned} at {}", position.shown()))?;
+        require(stage >= before, || format!("{stage:?} after {before:?} at {}", position.shown()))?;
     }
     require(
         scenario.reached(task, task.goal) || scenario.cost().is_some(),

@@ -1,7 +1,7 @@
 //! Cost of a team over time, by which an episode of a scenario without goals is judged.
 
 use super::Scenario;
-use crate::messages::geometry::Motion;
+use crate::messages::geometry::{Motion, Planar};
 
 /// Cost of a scenario without goals: what a team keeps low for the whole time of an episode.
 #[derive(Clone, Copy, Debug)]

@@ -102,6 +102,7 @@ pub(super) fn up(number: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::messages::geometry::Planar;
     use crate::scenario::build;
 
     #[test]

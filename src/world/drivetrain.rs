@@ -103,7 +103,7 @@ mod tests {
         for step in 1..=60 {
             velocity += wheels.velocity_change(&parameters, velocity);
             let share = 1.0 - (-(step as f32) * 0.05 / physics.lag_s).exp();
-            assert!((velocity - wheels.command * share).norm() < 1e-5, "after {step} steps: {velocity}");
+            assert!((velocity - wheels.command * share).norm() < 1e-5, "after {step} steps: {velocity:?}");
         }
     }
 
@@ -131,7 +131,7 @@ mod tests {
             (0..20_000).map(|_| (wheels.velocity_change(&parameters, Vec2::zeros()) - wheels.command) / 2.0).collect();
         let squares = slips.iter().fold(Vec2::zeros(), |sum, slip| sum + slip.component_mul(slip)) / 20_000.0;
         let together: f32 = slips.windows(2).map(|pair| pair[0].x * pair[1].x).sum::<f32>() / 20_000.0;
-        assert!((squares.map(f32::sqrt) / physics.slip).add_scalar(-1.0).abs().max() < 0.15, "{squares}");
+        assert!((squares.map(f32::sqrt) / physics.slip).add_scalar(-1.0).abs().max() < 0.15, "{squares:?}");
         assert!((together / squares.x - (-0.05f32 / physics.slip_s).exp()).abs() < 0.03, "{together}");
         wheels.command = Vec2::zeros();
         assert_eq!(wheels.velocity_change(&parameters, Vec2::zeros()), Vec2::zeros());

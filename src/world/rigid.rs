@@ -292,7 +292,7 @@ mod tests {
                 assert_eq!(states[0].contacts.robot, apart <= 2.0 * HULL_M);
                 assert_eq!(states[0].contacts, states[1].contacts);
                 let momentum = states[0].motion.velocity + states[1].motion.velocity;
-                assert!(momentum.norm() < 1e-3, "equal and opposite: {momentum}");
+                assert!(momentum.norm() < 1e-3, "equal and opposite: {momentum:?}");
             });
             assert!(flagged && least < 0.32, "the contact is flagged: {least}");
             assert!(least > 0.30, "{speed} m/s: {least} m apart");
@@ -320,7 +320,7 @@ mod tests {
                     assert!(outside <= 0.0, "{outside} m off the ground");
                 }
             });
-            assert!(least > HULL_M - 0.01, "{start}: {least} m from a wall");
+            assert!(least > HULL_M - 0.01, "{start:?}: {least} m from a wall");
         }
     }
 

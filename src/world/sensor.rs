@@ -100,7 +100,7 @@ mod tests {
         let position = deviation(&|seen| seen.position - truth.position);
         let velocity = deviation(&|seen| seen.velocity - truth.velocity);
         let near = |deviation: Vec2, wanted: f32| (deviation / wanted).add_scalar(-1.0).abs().max() < 0.05;
-        assert!(near(position, sensor.position_m), "{position}");
-        assert!(near(velocity, sensor.velocity_m_s), "{velocity}");
+        assert!(near(position, sensor.position_m), "{position:?}");
+        assert!(near(velocity, sensor.velocity_m_s), "{velocity:?}");
     }
 }

@@ -218,7 +218,7 @@ mod tests {
             let before = (wheels.point(&centre).position, wheels.heading());
             centre = driven(&mut wheels, centre, Vec2::new(-0.3, 0.8));
             let moved = wheels.point(&centre).position - before.0;
-            assert!((moved.x / moved.y + 0.375).abs() < 1e-3, "along the command: {moved}");
+            assert!((moved.x / moved.y + 0.375).abs() < 1e-3, "along the command: {moved:?}");
             assert!(centre.velocity.norm() <= 0.22 + 1e-5 && wheels.yaw_rate().abs() <= 2.8 + 1e-4);
         }
         assert!((centre.velocity.norm() - 0.22).abs() < 1e-3, "at its top speed");

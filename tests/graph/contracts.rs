@@ -137,7 +137,7 @@ fn a_policy_is_a_function_of_its_inputs_and_random_numbers() {
             let heard: Vec<Neighbour> = heard.collect();
             let velocity = policy.act(&situation.0, &features, &heard, &mut Seed::of_run(seed).stream("draw"));
             assert!(features.iter().all(|float| float.is_finite()), "{name}: it writes all features");
-            assert!(is_finite(velocity), "{name}: {velocity}");
+            assert!(is_finite(velocity), "{name}: {velocity:?}");
             (features, velocity)
         };
         for situation in situations(&model) {
@@ -230,6 +230,6 @@ fn a_plant_holds_a_robot_that_is_carried_and_lets_the_others_touch_it() {
         }
         assert!(touched, "{}: the contact is told", entry.name);
         let reached = plant.states()[0].motion.position;
-        assert!(reached.y > own.y + 0.3 || (reached - own).norm() > 0.3, "{}: it has driven: {reached}", entry.name);
+        assert!(reached.y > own.y + 0.3 || (reached - own).norm() > 0.3, "{}: it has driven: {reached:?}", entry.name);
     }
 }

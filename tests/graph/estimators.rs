@@ -3,7 +3,7 @@
 use murmurate::estimation::{self, Settings};
 use murmurate::localization::simulated::Simulated;
 use murmurate::localization::{In, Out, Source};
-use murmurate::messages::geometry::{Motion, Vec2};
+use murmurate::messages::geometry::{Motion, Planar, Vec2};
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::local::{Contacts, Sample};
 use murmurate::random::{RngExt, Seed};
@@ -30,7 +30,7 @@ fn error_m(estimator: &str, sensor: Sensor) -> f64 {
         if step % 200 == 0 {
             wish = Vec2::new(wishes.random_range(-0.9..0.9), wishes.random_range(-0.9..0.9));
         }
-        motion.velocity += (wish - motion.velocity).cap_magnitude(dt);
+        motion.velocity += (wish - motion.velocity).capped(dt);
         motion.position += motion.velocity * dt;
         now += STEP;
         let sample = Sample {

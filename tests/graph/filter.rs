@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 
 use murmurate::chassis::{Chassis, DriveKind, Settings};
 use murmurate::deploy::Impair;
-use murmurate::messages::geometry::{Motion, Vec2};
+use murmurate::messages::geometry::{Motion, Planar, Vec2};
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::local::{Action, Contacts, OtherRobot, Progress};
 use murmurate::messages::wire::{Phase, Round};
@@ -375,7 +375,7 @@ fn robots_that_meet_head_on_get_past_each_other() {
         bench.position.copy_from_slice(&starts);
         let mut after = None;
         for step in 0..1600 {
-            bench.step(step, |bench, _, robot| (-starts[robot] - bench.position[robot]).cap_magnitude(1.0));
+            bench.step(step, |bench, _, robot| (-starts[robot] - bench.position[robot]).capped(1.0));
             assert!(bench.least().0 > 2.0 * HULL_M, "{robots} robots, step {step}: {} m apart", bench.least().0);
             if bench.position.iter().zip(&starts).all(|(at, start)| (*at + *start).norm() < 0.25) {
                 after = Some(step);

@@ -394,7 +394,7 @@ fn the_trackers_axes_are_turned_into_the_teams() {
     };
     let near = |(position, heading): (Vec2, Option<f32>), x: f32, y: f32, angle: f32| {
         let heading: f32 = heading.expect("a heading");
-        assert!((position - Vec2::new(x, y)).norm() < 1e-5 && (heading - angle).abs() < 1e-5, "{position} {heading}");
+        assert!((position - Vec2::new(x, y)).norm() < 1e-5 && (heading - angle).abs() < 1e-5, "{position:?} {heading}");
     };
     // A quarter turn to the left about y, which is up, and about z.
     near(pose("", [1.0, 5.0, -2.0], [0.0, half.sin(), 0.0, half.cos()]), 1.0, 2.0, 2.0 * half);

@@ -118,7 +118,7 @@ fn rigid_robots_never_overlap_deeply_nor_enter_a_wall() {
         for step in &report.steps {
             for (robot, sample) in step.samples.iter().enumerate() {
                 let at = sample.motion.position;
-                assert!(arena.clearance(at) > 0.15, "{mode}, episode {}: {at}", step.episode);
+                assert!(arena.clearance(at) > 0.15, "{mode}, episode {}: {at:?}", step.episode);
                 assert_eq!(sample.contacts.wall, arena.clearance(at) <= 0.16);
                 for other in &step.samples[..robot] {
                     let apart = (other.motion.position - at).norm();

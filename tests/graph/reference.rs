@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use crate::common::{bytes, floats, integers, reference};
 use murmurate::deploy::Deployment;
-use murmurate::messages::geometry::{Motion, Task, Vec2};
+use murmurate::messages::geometry::{Motion, Planar, Task, Vec2};
 use murmurate::messages::local::Contacts;
 use murmurate::policy::gnn::{Gnn, GnnWeights};
 use murmurate::policy::{Draw, Model, Neighbour, Policy, weights};
@@ -84,8 +84,8 @@ fn the_forward_pass_matches_every_vector() {
 fn agree(place: &str, (position, p): (Vec2, Vec2), (velocity, v): (Vec2, Vec2)) {
     for axis in 0..2 {
         let ulp = (p.to_array()[axis].abs() * f32::EPSILON).max(f32::MIN_POSITIVE);
-        assert!((position - p).to_array()[axis].abs() <= ulp, "{place}: position {position} not {p}");
-        assert!((velocity - v).to_array()[axis].abs() <= 2e-5, "{place}: velocity {velocity} not {v}");
+        assert!((position - p).to_array()[axis].abs() <= ulp, "{place}: position {position:?} not {p:?}");
+        assert!((velocity - v).to_array()[axis].abs() <= 2e-5, "{place}: velocity {velocity:?} not {v:?}");
     }
 }
 

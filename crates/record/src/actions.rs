@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde::Serialize;
 
 use super::reader::{Messages, ReadError};
-use murmurate::messages::geometry::Vec2;
+use murmurate::messages::geometry::{Planar, Vec2};
 use murmurate::messages::wire::Wire;
 use murmurate::net::protocol::codec;
 

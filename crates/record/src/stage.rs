@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use murmurate::deploy::{Deployment, Routes};
+use murmurate::messages::geometry::Planar;
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::scenario::Scenario;
 use murmurate::scenario::arena::KeepOut;

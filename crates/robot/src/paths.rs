@@ -3,7 +3,7 @@
 use std::io::Write;
 
 use anyhow::{Context, Result};
-use murmurate::messages::geometry::Vec2;
+use murmurate::messages::geometry::Planar;
 use murmurate::report::TrialReport;
 use murmurate::results::totals::Step;
 
@@ -41,7 +41,7 @@ impl<W: Write> Paths<W> {
             let (phase, time, robot) = (step.phase, sample.time.as_secs(), sample.robot.0);
             let (head, numbers) = (format_args!("{repeat},{},{phase:?},{time:.3},{robot}", step.episode), [p, v, c]);
             write!(self.0, "{head}").context("cannot write the trajectories")?;
-            for Vec2 { x, y } in numbers {
+            for [x, y] in numbers.map(|point| point.to_array()) {
                 write!(self.0, ",{x},{y}").context("cannot write the trajectories")?;
             }
             writeln!(self.0).context("cannot write the trajectories")?;

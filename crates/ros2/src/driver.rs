@@ -7,7 +7,7 @@
 use murmurate::config::ConfigError;
 use murmurate::edge::Settings;
 use murmurate::edge::sender_clock::{Novelty, SenderClock};
-use murmurate::messages::geometry::{Vec2, limit_below};
+use murmurate::messages::geometry::{Planar, Vec2, limit_below};
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::{Hardware, Health, MAX_VALIDITY, Reason};
 use murmurate::time::{Span, Time};
@@ -275,7 +275,7 @@ impl Ros2 {
 
     /// Returns `body` reduced to the robot's limits of speed and yaw rate; `None` if it is zero or not finite.
     fn within_limits(&self, body: BodyTwist) -> Option<BodyTwist> {
-        let linear = Vec2::new(body.forward, body.left).cap_magnitude(self.limits.speed_m_s);
+        let linear = Vec2::new(body.forward, body.left).capped(self.limits.speed_m_s);
         let yaw_rate = body.yaw_rate.clamp(-self.yaw_rate_rad_s, self.yaw_rate_rad_s);
         let numbers = [linear.x, linear.y, yaw_rate];
         let moves = numbers.iter().all(|v| v.is_finite()) && numbers.iter().any(|v| *v != 0.0);

@@ -1,7 +1,7 @@
 //! Observations of the networks: the policy's, as its manifest lists them, and the critic's, with privileged
 //! information.
 
-use murmurate::messages::geometry::{Motion, Task};
+use murmurate::messages::geometry::{Motion, Planar, Task};
 use murmurate::policy::manifest::Field;
 use murmurate::scenario::{Dynamics, Observation, Progress, Scenario};
 

@@ -12,7 +12,7 @@ use super::message_buffer::HISTORY_STEPS;
 use super::network::{Space, TrainableGnn};
 use super::observe::{self, Privileged};
 use super::record::{EpisodeState, EpisodeTotals, Experience, HALF_LOG_TWO_PI};
-use murmurate::messages::geometry::Vec2;
+use murmurate::messages::geometry::{Planar, Vec2};
 use murmurate::policy::Draw;
 use murmurate::policy::manifest::EdgeField;
 use murmurate::random;

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use serde::Serialize;
 
+use murmurate::messages::geometry::Planar;
 use murmurate::messages::ids::RobotId;
 use murmurate::scenario::arena::Arena;
 

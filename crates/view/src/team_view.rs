@@ -7,7 +7,7 @@ use super::robot_view::{RobotView, SILENT};
 use super::snapshot::{LinkState, MAX_LINKS, RobotState, Snapshot};
 use super::status::{Goals, Log, PageStatus, Scene, Success};
 use murmurate::cells::Cells;
-use murmurate::messages::geometry::{Pose, Vec2};
+use murmurate::messages::geometry::{Planar, Pose, Vec2};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::latch::{self, Latch};
 use murmurate::messages::local::Truth;

@@ -3,7 +3,7 @@
 use super::attention;
 use super::manifest::{self, Aggregation, EdgeFeature, Input, SelfLoop};
 use super::perceptron::{Buffers, Perceptron};
-use crate::messages::geometry::Motion;
+use crate::messages::geometry::{Motion, Planar};
 use crate::policy::Neighbour;
 
 /// Network of a hop, such as the message network, with the parts of its input.

@@ -7,7 +7,7 @@ use super::file::PolicyFile;
 use super::hop::{Hop, Space};
 use super::manifest::{Deviation, Distribution, Manifest, OUTPUTS};
 use super::perceptron::{Buffers, Perceptron};
-use crate::messages::geometry::Vec2;
+use crate::messages::geometry::{Planar, Vec2};
 use crate::policy::flock::accelerated;
 use crate::policy::mlp::Instructions;
 use crate::policy::{Draw, Interface, Neighbour, Policy};
@@ -246,7 +246,7 @@ mod tests {
         let own = Observation::new(motion, Vec2::zeros());
         let mut policy = Hops::new(Arc::new(network), Draw::Mean);
         let velocity = policy.act(&own, &[0.0], &[], &mut Seed::of_run(1).stream("draw"));
-        assert!((velocity - Vec2::new(0.52, 0.45)).norm() < 1e-6, "{velocity}");
+        assert!((velocity - Vec2::new(0.52, 0.45)).norm() < 1e-6, "{velocity:?}");
     }
 
     #[test]

@@ -5,6 +5,7 @@ use std::net::{SocketAddr, UdpSocket};
 use murmurate::config::ConfigError;
 use murmurate::drivers::{Command, Driver, Entry, Limits, Out, Parts};
 use murmurate::edge::{Port, Settings, Worker};
+use murmurate::messages::geometry::Planar;
 use murmurate::messages::ids::RobotId;
 use murmurate::time::Time;
 use serde::Deserialize;

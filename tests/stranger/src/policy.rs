@@ -1,7 +1,7 @@
 //! The policy `give-way`: straight to the goal, slower the nearer a robot ahead is. Robots broadcast their distances to
 //! their goals, and the one nearer to its goal goes first.
 
-use murmurate::messages::geometry::Vec2;
+use murmurate::messages::geometry::{Planar, Vec2};
 use murmurate::policy::{Entry, Interface, Model, Neighbour, Policy};
 use murmurate::random::Stream;
 use murmurate::scenario::Observation;
@@ -42,6 +42,6 @@ impl Policy for GiveWay {
         let first = |other: &&Neighbour| other.features[0] < features[0];
         let near = neighbours.iter().filter(ahead).filter(first);
         let nearest = near.map(|other| (other.motion.position - own.motion.position).norm()).fold(NEAR_M, f32::min);
-        way.cap_magnitude(INTERFACE.limit_m_s * nearest / NEAR_M)
+        way.capped(INTERFACE.limit_m_s * nearest / NEAR_M)
     }
 }

@@ -43,7 +43,7 @@ mod tests {
                 let x = 0.6 * (period_ns * k) as f64 * 1e-9;
                 let velocity = places.take(period_ns * k, [x, -x]);
                 let expected = if k == 0 { 0.0 } else { 0.6 };
-                assert!((velocity - Vec2::new(expected, -expected)).norm() < 1e-5, "{period_ns} {k}: {velocity}");
+                assert!((velocity - Vec2::new(expected, -expected)).norm() < 1e-5, "{period_ns} {k}: {velocity:?}");
             }
             assert_eq!(places.take(period_ns * 40 + 5_000_000_000, [9.0, 9.0]), Vec2::zeros());
         }

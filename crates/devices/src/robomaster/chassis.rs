@@ -1,7 +1,7 @@
 //! Conversion of a wanted velocity to one that a RoboMaster's chassis can follow: axes, limits and smallest speeds.
 
 use super::protocol::ChassisSpeed;
-use murmurate::messages::geometry::{Vec2, toward_zero};
+use murmurate::messages::geometry::{Planar, Vec2, toward_zero};
 use murmurate::messages::local::BodyTwist;
 
 /// Smallest speed that the robot follows \[m/s\]. At lower commanded speeds it turns at random (RoboMaster-SDK#11).
@@ -26,7 +26,7 @@ impl Chassis {
     /// Without a grid, a speed below 0.1 m/s becomes 0 or 0.1 m/s in its direction. A yaw rate below 1.5 degrees/s
     /// becomes 0 or 1.5. A velocity that is not finite gives `None`.
     pub fn follow(&self, twist: &BodyTwist) -> Option<ChassisSpeed> {
-        let wanted = Vec2::new(twist.forward, twist.left).cap_magnitude(self.speed_m_s);
+        let wanted = Vec2::new(twist.forward, twist.left).capped(self.speed_m_s);
         let mut yaw = twist.yaw_rate.clamp(-self.yaw_rate_rad_s, self.yaw_rate_rad_s).to_degrees();
         if f64::from(yaw).abs().to_radians() > f64::from(self.yaw_rate_rad_s) {
             yaw = toward_zero(yaw);

@@ -10,7 +10,7 @@ use rand::RngExt;
 
 use super::graph::Graph;
 use super::network::{Space, TrainableHops};
-use murmurate::messages::geometry::{Motion, Task, Vec2};
+use murmurate::messages::geometry::{Motion, Planar, Task, Vec2};
 use murmurate::messages::local::Contacts;
 use murmurate::policy::flock::MAX_ACCELERATION_M_S2;
 use murmurate::policy::hops::hop::write_edge;

@@ -4,7 +4,7 @@ use super::config::Imitation;
 use super::episode::{Setting, TaughtEpisode, limited, write_features};
 use super::graph::Graph;
 use super::network::Space;
-use murmurate::messages::geometry::Vec2;
+use murmurate::messages::geometry::{Planar, Vec2};
 use murmurate::scenario::Observation;
 
 /// Steps of an episode that are learnt together.
