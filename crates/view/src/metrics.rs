@@ -2,7 +2,14 @@
 //! ticks, activations of guards, verdicts, and the emergency stop. The code is pure.
 
 use std::collections::BTreeMap;
-use std::fmt::Write;
+use std::sync::atomic::AtomicU64;
+
+use prometheus_client::encoding::prometheus_text;
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::histogram::Histogram;
+use prometheus_client::registry::Registry;
 
 use super::snapshot::Snapshot;
 use super::team_view::TeamView;
@@ -17,8 +24,11 @@ use murmurate::time::Span;
 /// Upper edges of the bins in the histogram of message ages \[s\].
 const EDGES_S: [f64; 11] = [0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 5.0];
 
+/// Labels of one value of a metric.
+type Labels = Vec<(&'static str, String)>;
+
 /// Metrics of a process since its start: counts of its messages and events, and a histogram of message ages.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug)]
 pub struct Metrics {
     /// Names of the hosts, in the order of host ids.
     hosts: Vec<String>,
@@ -28,9 +38,7 @@ pub struct Metrics {
     received: BTreeMap<Kind, u64>,
     links: BTreeMap<HostId, LinkCounts>,
     peers: BTreeMap<HostId, Vec<Peer>>,
-    /// Number of ages in each bin of the histogram; the last bin is above all edges.
-    ages: [u64; EDGES_S.len() + 1],
-    age_sum_s: f64,
+    ages: Histogram,
     /// Number of events missing in this process's record; `None` without a record.
     recording_dropped: Option<u64>,
 }
@@ -39,7 +47,8 @@ impl Metrics {
     /// Returns the metrics of a process with all counts at zero. `hosts` are the names of the team's hosts, in the
     /// order of their ids.
     pub fn new(hosts: Vec<String>) -> Metrics {
-        Metrics { hosts, ..Metrics::default() }
+        let (published, received, links, peers) = Default::default();
+        Metrics { hosts, published, received, links, peers, ages: Histogram::new(EDGES_S), recording_dropped: None }
     }
 
     /// Updates the counts with an event of the host `host`.
@@ -63,8 +72,7 @@ impl Metrics {
         let links = picture.links.iter().filter_map(|link| link.age);
         let robots = picture.robots.iter().filter(|_| picture.links.is_empty()).filter_map(|robot| robot.age);
         for age_s in links.chain(robots).map(Span::as_secs) {
-            self.ages[EDGES_S.partition_point(|edge| *edge < age_s)] += 1;
-            self.age_sum_s += age_s;
+            self.ages.observe(age_s);
         }
     }
 
@@ -75,80 +83,56 @@ impl Metrics {
 
     /// Returns all metrics in the text format of Prometheus. `view` is the team's state as known to the process.
     pub fn text(&self, view: &TeamView) -> String {
-        let mut out = Text(String::new());
-        out.about("build_info", "gauge", "1, with the version of the program");
-        out.one("build_info", &[("version", env!("CARGO_PKG_VERSION"))], 1.0);
-        self.messages(&mut out);
-        self.peers(&mut out);
-        self.histogram(&mut out);
-        out.about("ticks_late_total", "counter", "Times that control ticks of a robot began to be late or missing");
-        for (robot, counts) in view.safety() {
-            out.one("ticks_late_total", &[("robot", &robot.0.to_string())], counts.late_tick as f64);
-        }
-        out.about("guard_stops_total", "counter", "Times that a robot's guard has begun to stop or slow it");
-        for (robot, counts) in view.safety() {
-            for (times, trigger) in counts.reasons() {
-                out.one("guard_stops_total", &[("robot", &robot.0.to_string()), ("trigger", trigger)], times as f64);
-            }
-        }
-        out.about("episodes_total", "counter", "Episodes that have ended, where their results are known");
-        for (verdict, episodes) in view.verdicts() {
-            out.one("episodes_total", &[("verdict", verdict)], f64::from(*episodes));
-        }
-        out.about("emergency_stop_engaged", "gauge", "1 while the team's emergency stop is engaged");
-        out.one("emergency_stop_engaged", &[], f64::from(u8::from(view.latch().is_engaged())));
-        out.about("robots_confirmed", "gauge", "Robots that follow the state of the emergency stop");
-        out.one("robots_confirmed", &[], view.confirmed() as f64);
-        if let Some(dropped) = self.recording_dropped {
-            out.about("recording_dropped_total", "counter", "Events that the record of this process lacks");
-            out.one("recording_dropped_total", &[], dropped as f64);
-        }
-        out.0
-    }
-
-    fn messages(&self, out: &mut Text) {
-        let name = |kind: Kind| serde_json::to_value(kind).ok().and_then(|value| value.as_str().map(str::to_owned));
-        out.about("messages_total", "counter", "Messages that have arrived at the hosts of this process, by kind");
-        for (kind, count) in &self.received {
-            out.one("messages_total", &[("kind", &name(*kind).unwrap_or_default())], *count as f64);
-        }
-        out.about("messages_published_total", "counter", "Messages that actors of this process have sent, by kind");
-        for (kind, count) in &self.published {
-            out.one("messages_published_total", &[("kind", &name(*kind).unwrap_or_default())], *count as f64);
-        }
-        out.about(
-            "datagrams_refused_total",
-            "counter",
-            "Datagrams and messages refused or dropped on arrival, by cause",
-        );
-        let sum: LinkCounts = self.links.values().copied().sum();
-        for (cause, count) in sum.refusals() {
-            out.one("datagrams_refused_total", &[("cause", cause)], count as f64);
-        }
-    }
-
-    fn peers(&self, out: &mut Text) {
-        out.about("link_loss_ratio", "gauge", "Share of a host's newest 64 datagrams that did not arrive at first");
-        for (host, peers) in &self.peers {
-            for peer in peers.iter().filter(|peer| peer.accepted) {
-                let (host, link) = (self.name(*host), peer.link.to_string());
-                let labels = [("host", &*host), ("peer", &*self.name(HostId(peer.host))), ("link", &*link)];
-                out.one("link_loss_ratio", &labels, peer.loss);
-            }
-        }
-    }
-
-    fn histogram(&self, out: &mut Text) {
+        let mut all = Registry::with_prefix("murmurate");
+        let version = vec![("version", env!("CARGO_PKG_VERSION").to_owned())];
+        gauges(&mut all, "build_info", "1, with the version of the program", [(version, 1.0)]);
+        self.messages(&mut all);
+        let help = "Share of a host's newest 64 datagrams that did not arrive at first";
+        gauges(&mut all, "link_loss_ratio", help, self.losses());
         let help =
             "Ages of the newest messages, sampled 20 times a second: of a simulation's links, else of the robots";
-        out.about("message_age_seconds", "histogram", help);
-        let mut total = 0;
-        for (edge, count) in EDGES_S.iter().map(f64::to_string).chain(["+Inf".to_owned()]).zip(self.ages) {
-            total += count;
-            out.one("message_age_seconds_bucket", &[("le", &edge)], total as f64);
+        all.register("message_age_seconds", help, self.ages.clone());
+        let late = view.safety().map(|(robot, counts)| (vec![("robot", robot.0.to_string())], counts.late_tick));
+        counters(&mut all, "ticks_late", "Times that control ticks of a robot began to be late or missing", late);
+        let stops = view.safety().flat_map(|(robot, counts)| {
+            let labels = move |trigger: &str| vec![("robot", robot.0.to_string()), ("trigger", trigger.to_owned())];
+            counts.reasons().map(|(times, trigger)| (labels(trigger), times)).collect::<Vec<_>>()
+        });
+        counters(&mut all, "guard_stops", "Times that a robot's guard has begun to stop or slow it", stops);
+        let verdicts = view.verdicts().iter();
+        let verdicts = verdicts.map(|(verdict, episodes)| (vec![("verdict", verdict.to_string())], *episodes));
+        counters(&mut all, "episodes", "Episodes that have ended, where their results are known", verdicts);
+        let engaged = f64::from(u8::from(view.latch().is_engaged()));
+        gauges(&mut all, "emergency_stop_engaged", "1 while the team's emergency stop is engaged", [(vec![], engaged)]);
+        let confirmed = [(vec![], view.confirmed() as f64)];
+        gauges(&mut all, "robots_confirmed", "Robots that follow the state of the emergency stop", confirmed);
+        if let Some(dropped) = self.recording_dropped {
+            let help = "Events that the record of this process lacks";
+            counters(&mut all, "recording_dropped", help, [(vec![], dropped)]);
         }
-        out.one("message_age_seconds_sum", &[], self.age_sum_s);
-        out.one("message_age_seconds_count", &[], total as f64);
+        let mut text = String::new();
+        prometheus_text::encode(&mut text, &all).expect("a text takes all");
+        text
+    }
+
+    fn messages(&self, all: &mut Registry) {
+        let name = |kind: &Kind| serde_json::to_value(kind).ok().and_then(|value| value.as_str().map(str::to_owned));
+        let by_kind = |(kind, count): (&Kind, &u64)| (vec![("kind", name(kind).unwrap_or_default())], *count);
+        let help = "Messages that have arrived at the hosts of this process, by kind";
+        counters(all, "messages", help, self.received.iter().map(by_kind));
+        let help = "Messages that actors of this process have sent, by kind";
+        counters(all, "messages_published", help, self.published.iter().map(by_kind));
+        let sum: LinkCounts = self.links.values().copied().sum();
+        let refusals = sum.refusals().into_iter().map(|(cause, count)| (vec![("cause", cause.to_owned())], count));
+        counters(all, "datagrams_refused", "Datagrams and messages refused or dropped on arrival, by cause", refusals);
+    }
+
+    fn losses(&self) -> impl Iterator<Item = (Labels, f64)> {
+        let pairs = self.peers.iter().flat_map(|(host, peers)| peers.iter().map(move |peer| (host, peer)));
+        pairs.filter(|(_, peer)| peer.accepted).map(|(host, peer)| {
+            let [host, other] = [*host, HostId(peer.host)].map(|host| self.name(host));
+            (vec![("host", host), ("peer", other), ("link", peer.link.to_string())], peer.loss)
+        })
     }
 
     /// Returns the name of a host; `operator` for an operator, who has none.
@@ -157,20 +141,22 @@ impl Metrics {
     }
 }
 
-/// Text of the metrics under construction.
-struct Text(String);
-
-impl Text {
-    fn about(&mut self, name: &str, kind: &str, help: &str) {
-        let _ = writeln!(self.0, "# HELP murmurate_{name} {help}\n# TYPE murmurate_{name} {kind}");
+/// Adds a metric that only grows, with its value for each set of labels.
+fn counters(all: &mut Registry, name: &str, help: &str, values: impl IntoIterator<Item = (Labels, impl Into<u64>)>) {
+    let family = Family::<Labels, Counter>::default();
+    for (labels, value) in values {
+        family.get_or_create(&labels).inc_by(value.into());
     }
+    all.register(name, help, family);
+}
 
-    fn one(&mut self, name: &str, labels: &[(&str, &str)], value: f64) {
-        let quoted = |value: &str| value.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n");
-        let labels: Vec<String> = labels.iter().map(|(name, value)| format!("{name}=\"{}\"", quoted(value))).collect();
-        let labels = if labels.is_empty() { String::new() } else { format!("{{{}}}", labels.join(",")) };
-        let _ = writeln!(self.0, "murmurate_{name}{labels} {value}");
+/// Adds a metric that goes up and down, with its value for each set of labels.
+fn gauges(all: &mut Registry, name: &str, help: &str, values: impl IntoIterator<Item = (Labels, f64)>) {
+    let family = Family::<Labels, Gauge<f64, AtomicU64>>::default();
+    for (labels, value) in values {
+        family.get_or_create(&labels).set(value);
     }
+    all.register(name, help, family);
 }
 
 #[cfg(test)]
@@ -205,7 +191,7 @@ mod tests {
             "murmurate_ticks_late_total{robot=\"0\"} 0",
             "murmurate_ticks_late_total{robot=\"1\"} 4",
             "murmurate_guard_stops_total{robot=\"1\",trigger=\"geofence\"} 1",
-            "murmurate_emergency_stop_engaged 0",
+            "murmurate_emergency_stop_engaged 0.0",
             "murmurate_recording_dropped_total 7",
         ] {
             assert!(text.lines().any(|other| other == line), "{line} is missing in\n{text}");
