@@ -27,9 +27,11 @@ pub fn connect(to: SocketAddr) -> TcpStream {
     stream
 }
 
-/// Sends bytes and returns everything that comes back until the server ends the connection.
+/// Sends bytes, a request of which is said to be the last, and returns everything that comes back until the server ends
+/// the connection.
 pub fn ask(to: SocketAddr, request: &str) -> String {
     let mut stream = connect(to);
+    let request = request.replacen("\r\n\r\n", "\r\nConnection: close\r\n\r\n", 1);
     // The server may have refused before it has all of it.
     let _ = stream.write_all(request.as_bytes());
     let mut all = Vec::new();

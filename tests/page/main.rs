@@ -8,5 +8,6 @@ mod pixels;
 mod program;
 mod refusals;
 mod replay;
+mod requests;
 mod run;
 mod slow;

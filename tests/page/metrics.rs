@@ -19,7 +19,7 @@ fn metrics_are_those_that_were_published_and_need_the_token_where_others_can_rea
     assert!(publisher.metrics("murmurate_test 1\n".to_owned()));
     let answer = get("/metrics", "");
     assert!(
-        answer.contains("Content-Type: text/plain; version=0.0.4") && answer.ends_with("\r\n\r\nmurmurate_test 1\n")
+        answer.contains("content-type: text/plain; version=0.0.4") && answer.ends_with("\r\n\r\nmurmurate_test 1\n")
     );
     assert!(get("/healthz", "").starts_with("HTTP/1.1 200 "));
 

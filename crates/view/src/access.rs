@@ -2,6 +2,9 @@
 
 use std::net::{IpAddr, SocketAddr};
 
+use constant_time_eq::constant_time_eq;
+use data_encoding::HEXLOWER;
+
 use crate::command::{Command, Right};
 
 /// Length of a token that the program draws for its live page \[bytes\]: 128 bits.
@@ -30,7 +33,7 @@ pub struct Token(String);
 impl Token {
     /// Returns the token with these random bytes.
     pub fn new(bytes: &[u8]) -> Token {
-        Token(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+        Token(HEXLOWER.encode(bytes))
     }
 
     /// Returns the hexadecimal digits of the token, which are a part of the page's address. They must not be logged.
@@ -38,24 +41,23 @@ impl Token {
         &self.0
     }
 
+    /// Returns whether `shown` is this token, in a time that does not depend on where they differ.
+    fn is(&self, shown: &str) -> bool {
+        constant_time_eq(shown.as_bytes(), self.0.as_bytes())
+    }
+
     /// Returns whether a request's header `Authorization` carries this token as a bearer token (RFC 6750).
     pub fn is_borne_by(&self, authorization: &str) -> bool {
         let token = authorization.split_once(' ').filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer"));
-        token.is_some_and(|(_, token)| same(token.trim().as_bytes(), self.0.as_bytes()))
+        token.is_some_and(|(_, token)| self.is(token.trim()))
     }
 
     /// Returns whether the token is in a list of WebSocket subprotocols that a browser offers, separated by commas. The
     /// comparison takes constant time.
     pub fn is_among(&self, protocols: &str) -> bool {
         let offered = protocols.split(',').filter_map(|one| one.trim().strip_prefix(TOKEN_PROTOCOL));
-        offered.fold(false, |found, token| found | same(token.as_bytes(), self.0.as_bytes()))
+        offered.fold(false, |found, token| found | self.is(token))
     }
-}
-
-/// Returns whether two byte strings are equal, in a time that does not depend on where they differ.
-fn same(one: &[u8], other: &[u8]) -> bool {
-    let differences = one.iter().zip(other).fold(0, |differences, (a, b)| differences | (a ^ b));
-    one.len() == other.len() && std::hint::black_box(differences) == 0
 }
 
 /// Permission of a browser to give commands.
@@ -74,6 +76,47 @@ impl Standing {
     /// Whether the browser has sent the token.
     pub fn is_holder(self) -> bool {
         self == Standing::Holder
+    }
+}
+
+/// The two ends of a connection to the live page's server.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ends {
+    /// Address of the server.
+    pub local: SocketAddr,
+    /// Address of the browser's machine.
+    pub peer: IpAddr,
+}
+
+/// WebSocket of the live page that a browser asks for, by its path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wanted {
+    /// Snapshots of the team.
+    View,
+    /// Goals, status and commands.
+    Control,
+}
+
+/// Kind of a WebSocket connection of the live page.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Socket {
+    /// Snapshots of the team in binary form, from the server to the browser.
+    View {
+        /// Whether the browser has sent the page's token.
+        holder: bool,
+    },
+    /// Goals and status from the server, and commands from the browser. It is separate from the snapshots, so that a
+    /// command never waits behind them.
+    Control(Standing),
+}
+
+impl Socket {
+    /// Whether the browser has sent the page's token.
+    pub fn is_holder(self) -> bool {
+        match self {
+            Socket::View { holder } => holder,
+            Socket::Control(standing) => standing.is_holder(),
+        }
     }
 }
 

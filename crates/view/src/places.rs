@@ -3,7 +3,9 @@
 //! A connection first sends its header. A client that opens many and sends nothing loses its oldest connection, as a
 //! browser sends its header at once. WebSockets stay open for long: those with the token have reserved places.
 
-use std::net::{IpAddr, Shutdown, TcpStream};
+use std::net::IpAddr;
+
+use tokio::sync::oneshot;
 
 /// Largest number of connections that have not sent their header yet, or get a file.
 pub const MAX_WAITING: usize = 64;
@@ -17,7 +19,7 @@ const OTHERS: [usize; 2] = [16, 4];
 /// Part of a connection's life that counts against a limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Admission {
-    /// The header has not arrived yet, or a file is being sent.
+    /// The header of the next request has not arrived yet, or a file is being sent.
     Waiting,
     /// WebSocket of a browser that has sent the token.
     Holder,
@@ -30,8 +32,8 @@ struct Place {
     number: u64,
     address: IpAddr,
     admission: Admission,
-    /// Handle by which another thread can end the connection; `None` in tests.
-    stream: Option<TcpStream>,
+    /// The task of the connection ends when this is dropped, unless the connection has become a WebSocket.
+    _end: oneshot::Sender<()>,
 }
 
 /// Present connections of the live page's server, within their limits.
@@ -43,8 +45,9 @@ pub struct Places {
 
 impl Places {
     /// Adds a connection from `address` that sends its header, and returns its number. If there are too many, the
-    /// oldest of the same address is ended, or else the oldest of the address that has most.
-    pub fn enter(&mut self, address: IpAddr, stream: Option<TcpStream>) -> u64 {
+    /// oldest of the same address is ended, or else the oldest of the address that has most. The connection is to be
+    /// ended when `end` is dropped.
+    pub fn enter(&mut self, address: IpAddr, end: oneshot::Sender<()>) -> u64 {
         let address = address.to_canonical();
         let waiting = |place: &&Place| place.admission == Admission::Waiting;
         let of = |address: IpAddr| self.all.iter().filter(waiting).filter(|place| place.address == address).count();
@@ -57,12 +60,10 @@ impl Places {
         };
         let leaves = |place: &Place| place.admission == Admission::Waiting && Some(place.address) == crowd;
         if let Some(at) = self.all.iter().position(leaves) {
-            let place = self.all.remove(at);
-            // An error means that the client has ended it already.
-            place.stream.iter().for_each(|stream| drop(stream.shutdown(Shutdown::Both)));
+            self.all.remove(at);
         }
         self.count += 1;
-        self.all.push(Place { number: self.count, address, admission: Admission::Waiting, stream });
+        self.all.push(Place { number: self.count, address, admission: Admission::Waiting, _end: end });
         self.count
     }
 
@@ -82,7 +83,7 @@ impl Places {
         };
         if free {
             // A WebSocket is never ended for another connection.
-            (self.all[at].admission, self.all[at].stream) = (admission, None);
+            self.all[at].admission = admission;
         }
         free
     }
@@ -102,6 +103,10 @@ impl Places {
 mod tests {
     use super::*;
 
+    fn enter(places: &mut Places, address: IpAddr) -> u64 {
+        places.enter(address, oneshot::channel().0)
+    }
+
     fn ip(last: u8) -> IpAddr {
         IpAddr::from([192, 168, 1, last])
     }
@@ -113,14 +118,14 @@ mod tests {
     #[test]
     fn who_opens_many_and_says_nothing_loses_the_oldest_of_his_own() {
         let mut places = Places::default();
-        let mine = places.enter(ip(1), None);
+        let mine = enter(&mut places, ip(1));
         (0..1000).for_each(|_| {
-            places.enter(ip(2), None);
+            enter(&mut places, ip(2));
         });
         assert_eq!(number_of(&places, ip(2), Admission::Waiting), MAX_WAITING_OF_ONE);
         for last in 3..100 {
             (0..3).for_each(|_| {
-                places.enter(ip(last), None);
+                enter(&mut places, ip(last));
             });
         }
         assert!(places.len() <= MAX_WAITING, "{}", places.len());
@@ -131,7 +136,7 @@ mod tests {
     fn those_without_the_token_take_no_place_of_those_with_it() {
         let mut places = Places::default();
         let mut socket = |address: IpAddr, admission| {
-            let number = places.enter(address, None);
+            let number = enter(&mut places, address);
             let taken = places.upgrade(number, admission);
             if !taken {
                 places.leave(number);
@@ -144,7 +149,7 @@ mod tests {
         assert_eq!((far, near), (OTHERS[1], OTHERS[0] - OTHERS[1]));
         assert_eq!((0..100).filter(|_| socket(ip(2), Admission::Holder)).count(), HOLDERS);
         places.leave(1);
-        let number = places.enter(ip(3), None);
+        let number = enter(&mut places, ip(3));
         assert!(places.upgrade(number, Admission::Other), "a place that is left is free");
     }
 }

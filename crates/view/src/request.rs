@@ -1,20 +1,25 @@
-//! HTTP requests of the live page: reads a header within a time limit, and makes the response.
+//! HTTP requests of the live page: the routes, what stands before all of them, and who may open a WebSocket.
 
-use std::io::{self, Read};
-use std::net::{IpAddr, SocketAddr, TcpStream};
-use std::time::{Duration, Instant};
+use std::fmt;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
 
-use data_encoding::BASE64;
-use sha1_smol::Sha1;
+use axum::Router;
+use axum::extract::ws::WebSocketUpgrade;
+use axum::extract::ws::rejection::WebSocketUpgradeRejection;
+use axum::extract::{Extension, Request, State};
+use axum::http::header::{self, AsHeaderName, HeaderMap, HeaderName, HeaderValue};
+use axum::http::{StatusCode, Uri};
+use axum::middleware::{self, Next};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
 
-use super::access::{self, Access, Standing};
-
-/// Largest header of an HTTP request that is accepted \[bytes\].
-pub const MAX_HEADER_BYTES: usize = 8192;
-/// Largest number of header lines.
-const MAX_HEADERS: usize = 64;
-/// Longest time in which the whole header of an HTTP request must arrive.
-pub const HEADER_TIME: Duration = Duration::from_secs(5);
+use super::access::{self, Access, Ends, Socket, Standing, Wanted};
+use super::command::MAX_BYTES;
+use super::places::Admission;
+use super::session;
+use super::shared::{Connection, Shared};
 
 /// Time without a sign of life of the thread that drives the team after which the program counts as unhealthy.
 const HEALTHY: Duration = Duration::from_secs(3);
@@ -24,13 +29,20 @@ const PROTOCOL: &str = "murmurate";
 
 /// Headers of every response. They forbid caching, content sniffing, embedding in other pages and loading from
 /// elsewhere.
-const SECURITY: &str = "Cache-Control: no-store\r\n\
-    X-Content-Type-Options: nosniff\r\n\
-    X-Frame-Options: DENY\r\n\
-    Referrer-Policy: no-referrer\r\n\
-    Cross-Origin-Resource-Policy: same-origin\r\n\
-    Content-Security-Policy: default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
-    frame-ancestors 'none'; base-uri 'none'; form-action 'none'\r\n";
+const SECURITY: [(HeaderName, HeaderValue); 6] = [
+    (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
+    (header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff")),
+    (header::X_FRAME_OPTIONS, HeaderValue::from_static("DENY")),
+    (header::REFERRER_POLICY, HeaderValue::from_static("no-referrer")),
+    (HeaderName::from_static("cross-origin-resource-policy"), HeaderValue::from_static("same-origin")),
+    (
+        header::CONTENT_SECURITY_POLICY,
+        HeaderValue::from_static(
+            "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; frame-ancestors 'none'; \
+             base-uri 'none'; form-action 'none'",
+        ),
+    ),
+];
 
 /// Files of the live page: path, media type, content.
 const FILES: [(&str, &str, &str); 3] = [
@@ -38,228 +50,158 @@ const FILES: [(&str, &str, &str); 3] = [
     ("/page.css", "text/css; charset=utf-8", include_str!("page/page.css")),
     ("/page.js", "text/javascript; charset=utf-8", include_str!("page/page.js")),
 ];
+/// Version of each of these files: that of this package's sources, of which they are a part.
+const VERSION: &str = concat!("\"", env!("SOURCE_DIGEST"), "\"");
 
-/// Kind of a WebSocket connection of the live page, by its path.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Socket {
-    /// Snapshots of the team in binary form, from the server to the browser.
-    View {
-        /// Whether the browser has sent the page's token.
-        holder: bool,
-    },
-    /// Goals and status from the server, and commands from the browser. It is separate from the snapshots, so that a
-    /// command never waits behind them.
-    Control(Standing),
-}
-
-impl Socket {
-    /// Whether the browser has sent the page's token.
-    pub fn is_holder(self) -> bool {
-        match self {
-            Socket::View { holder } => holder,
-            Socket::Control(standing) => standing.is_holder(),
-        }
-    }
-}
-
-/// Response to an HTTP request.
+/// Refusal of a request: the status of the response, and the reason for the user.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Response {
-    /// Complete response with a file or an error, as bytes.
-    Whole(Vec<u8>),
-    /// Answer to a request for the metrics, which the server has to make.
-    Metrics,
-    /// Answer to a request for the health of the program, which the server has to make.
-    Health,
-    /// Accepted WebSocket connection: its kind, and the bytes of the response to the handshake.
-    Upgrade(Socket, Vec<u8>),
+pub struct Refusal {
+    /// Status of the response.
+    pub status: StatusCode,
+    why: String,
 }
 
-/// Received header of an HTTP request.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Header {
-    /// Bytes of the header, including the empty line at its end.
-    pub bytes: Vec<u8>,
-    /// Bytes that were received after the header.
-    pub rest: Vec<u8>,
+impl Refusal {
+    fn new(status: StatusCode, why: impl fmt::Display) -> Refusal {
+        Refusal { status, why: why.to_string() }
+    }
 }
 
-/// Reads the header of an HTTP request within [`HEADER_TIME`]. The error is the response to a header that is too large,
-/// or `None` if the connection has ended or was too slow.
-pub fn read_header(stream: &mut TcpStream) -> Result<Header, Option<Vec<u8>>> {
-    let until = Instant::now() + HEADER_TIME;
-    let mut bytes = Vec::new();
-    let mut part = [0; 1024];
-    loop {
-        let left = until.saturating_duration_since(Instant::now());
-        if left.is_zero() || stream.set_read_timeout(Some(left)).is_err() {
-            return Err(None);
+impl IntoResponse for Refusal {
+    fn into_response(self) -> Response {
+        (self.status, format!("{}: {}\n", self.status, self.why)).into_response()
+    }
+}
+
+/// Returns the routes of the live page's server.
+pub(super) fn router(shared: Arc<Shared>) -> Router {
+    let mut router = Router::new().route("/metrics", get(metrics)).route("/healthz", get(health));
+    let mut nothing = "there are /metrics and /healthz alone";
+    if shared.access.page {
+        nothing = "there is no such page";
+        for (path, kind, content) in FILES {
+            router = router.route(path, get(async move |headers: HeaderMap| file(&headers, kind, content)));
         }
-        let count = match stream.read(&mut part) {
-            Ok(0) => return Err(None),
-            Ok(count) => count,
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
-            Err(_) => return Err(None),
-        };
-        // The end of the header may span two reads.
-        let from = bytes.len().saturating_sub(3);
-        bytes.extend_from_slice(&part[..count]);
-        if let Some(end) = bytes[from..].windows(4).position(|four| four == b"\r\n\r\n") {
-            let rest = bytes.split_off(from + end + 4);
-            return if bytes.len() > MAX_HEADER_BYTES { Err(Some(too_large())) } else { Ok(Header { bytes, rest }) };
-        }
-        if bytes.len() > MAX_HEADER_BYTES {
-            return Err(Some(too_large()));
+        for (path, wanted) in [("/view", Wanted::View), ("/control", Wanted::Control)] {
+            let open = async move |State(shared), Extension(connection), headers: HeaderMap, handshake| {
+                open(wanted, shared, connection, &headers, handshake)
+            };
+            router = router.route(path, get(open));
         }
     }
+    router
+        .fallback(async move || Refusal::new(StatusCode::NOT_FOUND, nothing))
+        .layer(middleware::from_fn_with_state(Arc::clone(&shared), guard))
+        .with_state(shared)
 }
 
-fn too_large() -> Vec<u8> {
-    refusal("431 Request Header Fields Too Large", "the header is larger than 8 kB")
+/// Answers a request for another host itself, and all others by what is next. Counts what is refused, and adds the
+/// headers of every response.
+async fn guard(
+    State(shared): State<Arc<Shared>>,
+    Extension(Connection { ends, .. }): Extension<Connection>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let mut response = if is_for(request.uri(), request.headers(), ends.local) {
+        next.run(request).await
+    } else {
+        let why =
+            format!("the request is for another host; open http://{}/ (a tunnel keeps the port number)", ends.local);
+        Refusal::new(StatusCode::MISDIRECTED_REQUEST, why).into_response()
+    };
+    if response.status().is_client_error() || response.status().is_server_error() {
+        shared.refuse();
+    }
+    response.headers_mut().extend(SECURITY);
+    response
 }
 
-/// Returns the response to a connection that exceeds the largest number of connections.
-pub fn too_many() -> Vec<u8> {
-    refusal("503 Service Unavailable", "too many connections: close other pages")
+/// Returns whether a request is for the server at `local`, by its header `Host`, and by its address where that has a
+/// host.
+fn is_for(uri: &Uri, headers: &HeaderMap, local: SocketAddr) -> bool {
+    let host = only(headers, header::HOST).unwrap_or_default();
+    access::is_host(host, local) && uri.authority().is_none_or(|named| access::is_host(named.as_str(), local))
 }
 
-/// Returns the response to a request with the header `header` that was received at the server's address `local` from a
-/// browser at `peer`. `access` has the rules of who may request what.
-pub fn respond(header: &[u8], (local, peer): (SocketAddr, IpAddr), access: &Access) -> Response {
-    let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
-    let mut request = httparse::Request::new(&mut headers);
-    if !matches!(request.parse(header), Ok(httparse::Status::Complete(_))) {
-        return refused("400 Bad Request", "this is no HTTP request");
-    }
-    let request = Request(&request);
-    let host = request.header("host").unwrap_or_default();
-    if !access::is_host(host, local) {
-        let why = format!("the request is for another host; open http://{local}/ (a tunnel keeps the port number)");
-        return refused("421 Misdirected Request", &why);
-    }
-    if request.0.method != Some("GET") {
-        return refused("405 Method Not Allowed", "this server answers to GET alone");
-    }
-    let path = request.0.path.unwrap_or_default();
-    match path {
-        "/healthz" => return Response::Health,
-        "/metrics"
-            if access.guarded && !access.token.is_borne_by(request.header("authorization").unwrap_or_default()) =>
-        {
-            return refused("401 Unauthorized", "the metrics need the token: Authorization: Bearer TOKEN");
-        }
-        "/metrics" => return Response::Metrics,
-        _ if !access.page => return refused("404 Not Found", "there are /metrics and /healthz alone"),
-        _ => {}
-    }
-    if let Some((_, kind, content)) = FILES.iter().find(|(name, ..)| *name == path) {
-        return Response::Whole(response("200 OK", kind, content));
-    }
-    let token = access.token.is_among(request.header("sec-websocket-protocol").unwrap_or_default());
-    let standing = access.standing(peer, token);
-    match path {
-        "/view" if access.guarded && !token => request.upgrade(host, None),
-        "/view" => request.upgrade(host, Some(Socket::View { holder: token })),
-        "/control" if standing == Standing::Stranger => request.upgrade(host, None),
-        "/control" => request.upgrade(host, Some(Socket::Control(standing))),
-        _ => refused("404 Not Found", "there is no such page"),
-    }
+/// Returns the value of a header that occurs exactly once; otherwise `None`.
+fn only(headers: &HeaderMap, name: impl AsHeaderName) -> Option<&str> {
+    let mut all = headers.get_all(name).iter();
+    let first = all.next().filter(|_| all.next().is_none())?;
+    first.to_str().ok().map(str::trim)
 }
 
-struct Request<'a>(&'a httparse::Request<'a, 'a>);
-
-impl Request<'_> {
-    /// Returns the value of a header that occurs exactly once; otherwise `None`.
-    fn header(&self, name: &str) -> Option<&str> {
-        let mut all = self.0.headers.iter().filter(|header| header.name.eq_ignore_ascii_case(name));
-        let first = all.next().filter(|_| all.next().is_none())?;
-        std::str::from_utf8(first.value).ok().map(str::trim)
+/// Returns a file of the page, or that the browser has it.
+fn file(headers: &HeaderMap, kind: &'static str, content: &'static str) -> Response {
+    let known = only(headers, header::IF_NONE_MATCH).unwrap_or_default();
+    if known.split(',').map(str::trim).any(|one| one == "*" || one.trim_start_matches("W/") == VERSION) {
+        return (StatusCode::NOT_MODIFIED, [(header::ETAG, VERSION)]).into_response();
     }
-
-    /// Returns whether the comma-separated list in the header `name` contains this word.
-    fn lists(&self, name: &str, word: &str) -> bool {
-        self.header(name).is_some_and(|all| all.split(',').any(|one| one.trim().eq_ignore_ascii_case(word)))
-    }
-
-    /// Returns the response to a WebSocket handshake. `socket` is `None` if the request lacks the token; it is then
-    /// refused.
-    fn upgrade(&self, host: &str, socket: Option<Socket>) -> Response {
-        if !self.header("origin").is_some_and(|origin| access::is_origin(origin, host)) {
-            return refused("403 Forbidden", "a WebSocket comes from the page of this server alone");
-        }
-        let Some(socket) = socket else {
-            return refused("401 Unauthorized", "no token: open the address that the program printed");
-        };
-        let version = self.header("sec-websocket-version") == Some("13");
-        let upgrades = self.lists("connection", "upgrade") && self.lists("upgrade", "websocket") && version;
-        match self.header("sec-websocket-key").filter(|_| upgrades) {
-            None => refused("400 Bad Request", "this path is a WebSocket"),
-            Some(key) => {
-                let accept = accept_key(key);
-                let chosen = match self.lists("sec-websocket-protocol", PROTOCOL) {
-                    true => format!("Sec-WebSocket-Protocol: {PROTOCOL}\r\n"),
-                    false => String::new(),
-                };
-                let text = format!(
-                    "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
-                     Sec-WebSocket-Accept: {accept}\r\n{chosen}\r\n"
-                );
-                Response::Upgrade(socket, text.into_bytes())
-            }
-        }
-    }
+    ([(header::CONTENT_TYPE, kind), (header::ETAG, VERSION)], content).into_response()
 }
 
-/// Returns the value of `Sec-WebSocket-Accept` that answers the key of a WebSocket handshake (RFC 6455, section 4.2.2).
-fn accept_key(key: &str) -> String {
-    let mut digest = Sha1::from(key);
-    digest.update(b"258EAFA5-E914-47DA-95CA-C5AB0DC85B11");
-    BASE64.encode(&digest.digest().bytes())
-}
-
-/// Returns the HTTP response with these metrics, in the text format of Prometheus. An empty text gives an error
-/// response.
-pub fn metrics(text: &str) -> Vec<u8> {
-    match text {
-        "" => refusal("404 Not Found", "there are no metrics yet, and none of a record"),
-        text => response("200 OK", "text/plain; version=0.0.4; charset=utf-8", text),
+/// Returns the metrics, in the text format of Prometheus.
+async fn metrics(State(shared): State<Arc<Shared>>, headers: HeaderMap) -> Result<Response, Refusal> {
+    let access = &shared.access;
+    if access.guarded && !access.token.is_borne_by(only(&headers, header::AUTHORIZATION).unwrap_or_default()) {
+        let why = "the metrics need the token: Authorization: Bearer TOKEN";
+        return Err(Refusal::new(StatusCode::UNAUTHORIZED, why));
     }
+    let text = shared.metrics.get();
+    if text.is_empty() {
+        return Err(Refusal::new(StatusCode::NOT_FOUND, "there are no metrics yet, and none of a record"));
+    }
+    Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text).into_response())
 }
 
-/// Returns the HTTP response about the program's health: an error if `silent_for`, the time since the last sign of life
-/// of the thread that drives the team, is 3 s or longer.
-pub fn health(silent_for: Duration) -> Vec<u8> {
+/// Returns the program's health: an error if the last sign of life of the thread that drives the team is 3 s old.
+async fn health(State(shared): State<Arc<Shared>>) -> Result<&'static str, Refusal> {
+    let silent_for = shared.silent_for();
     if silent_for < HEALTHY {
-        return response("200 OK", "text/plain; charset=utf-8", "ok\n");
+        return Ok("ok\n");
     }
     let why = format!("no news from the program for {:.1} s", silent_for.as_secs_f64());
-    refusal("503 Service Unavailable", &why)
+    Err(Refusal::new(StatusCode::SERVICE_UNAVAILABLE, why))
 }
 
-fn refused(status: &str, why: &str) -> Response {
-    Response::Whole(refusal(status, why))
+/// Handshake of a WebSocket, or why there is none.
+type Handshake = Result<WebSocketUpgrade, WebSocketUpgradeRejection>;
+
+/// Opens a WebSocket, where the browser may have one and there is a place for it.
+fn open(
+    wanted: Wanted,
+    shared: Arc<Shared>,
+    Connection { ends, place }: Connection,
+    headers: &HeaderMap,
+    handshake: Handshake,
+) -> Result<Response, Refusal> {
+    let socket = admit(wanted, headers, ends, &shared.access)?;
+    let handshake = handshake.map_err(|why| Refusal::new(why.status(), why.body_text()))?;
+    let admission = if socket.is_holder() { Admission::Holder } else { Admission::Other };
+    if !place.upgrade(admission) {
+        let why = "too many connections: close other pages";
+        return Err(Refusal::new(StatusCode::SERVICE_UNAVAILABLE, why));
+    }
+    let handshake = handshake.protocols([PROTOCOL]).read_buffer_size(MAX_BYTES);
+    let handshake = handshake.max_message_size(MAX_BYTES).max_frame_size(MAX_BYTES);
+    Ok(handshake.on_upgrade(async move |client| {
+        session::run(client, socket, &shared).await;
+        drop(place);
+    }))
 }
 
-fn refusal(status: &str, why: &str) -> Vec<u8> {
-    response(status, "text/plain; charset=utf-8", &format!("{status}: {why}\n"))
-}
-
-fn response(status: &str, kind: &str, body: &str) -> Vec<u8> {
-    let length = body.len();
-    format!(
-        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {length}\r\n{SECURITY}\
-         Connection: close\r\n\r\n{body}"
-    )
-    .into_bytes()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_answer_to_a_handshake_is_that_of_the_standard() {
-        // The example of RFC 6455, section 1.3.
-        assert_eq!(accept_key("dGhlIHNhbXBsZSBub25jZQ=="), "s3pPLMBiTxaQ9kYGzzhZRbK+xOo=");
+/// Returns the kind of WebSocket that a browser gets who asks for `wanted` with these headers, by the rules `access`.
+pub fn admit(wanted: Wanted, headers: &HeaderMap, ends: Ends, access: &Access) -> Result<Socket, Refusal> {
+    let host = only(headers, header::HOST).unwrap_or_default();
+    if !only(headers, header::ORIGIN).is_some_and(|origin| access::is_origin(origin, host)) {
+        let why = "a WebSocket comes from the page of this server alone";
+        return Err(Refusal::new(StatusCode::FORBIDDEN, why));
+    }
+    let token = access.token.is_among(only(headers, header::SEC_WEBSOCKET_PROTOCOL).unwrap_or_default());
+    let standing = access.standing(ends.peer, token);
+    match wanted {
+        Wanted::View if !access.guarded || token => Ok(Socket::View { holder: token }),
+        Wanted::Control if standing != Standing::Stranger => Ok(Socket::Control(standing)),
+        _ => Err(Refusal::new(StatusCode::UNAUTHORIZED, "no token: open the address that the program printed")),
     }
 }

@@ -1,40 +1,37 @@
-//! HTTP server of the live page: one thread accepts connections, and each connection has its own, within limits.
+//! HTTP server of the live page, as the thread that drives the team sees it: opened and closed, given the newest
+//! values, and asked for commands.
 //!
-//! The thread that drives the team never waits. It stores the newest snapshot and status with `try_lock`, without
-//! waking another thread, and takes commands from a bounded queue. The serving threads poll every 20 ms.
+//! That thread never waits. It stores the newest snapshot and status with `try_lock`, without waking another thread,
+//! and takes commands from a bounded queue. The server runs on a thread of its own: see `host`.
 
-use std::io::{self, Write};
-use std::net::{IpAddr, Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::io;
+use std::net::{SocketAddr, TcpListener};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, sync_channel};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::thread::Builder;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use tungstenite::Bytes;
-use tungstenite::Utf8Bytes;
+use axum::body::Bytes;
+use axum::extract::ws::Utf8Bytes;
+use tokio::sync::Notify;
 
 use super::access::Access;
 use super::command::Command;
-use super::places::{Admission, MAX_WAITING, Places};
-use super::request::{self, Response};
-use super::session;
-use super::shared::{LOOK, Shared, Slot};
+use super::host::Running;
+use super::places::{MAX_WAITING, Places};
+use super::shared::{Shared, Slot};
 
 /// Largest number of simultaneous connections to the live page's server that are no WebSockets. A page has three while
 /// it loads, and then two WebSockets.
 pub const MAX_CONNECTIONS: usize = MAX_WAITING;
 /// Capacity of the command queue. Further commands are refused.
 const MAX_COMMANDS: usize = 64;
-/// Write timeout: a connection is closed if its client does not read for this long.
-const WRITE_TIME: Duration = Duration::from_secs(5);
-/// Longest time that the closing server waits for connections to send the last status.
-const CLOSING: Duration = Duration::from_millis(500);
 
 /// Running HTTP server of the live page.
 pub struct Server {
     shared: Arc<Shared>,
     address: SocketAddr,
+    running: Running,
 }
 
 /// Interface to the live page's server for the thread that drives or watches the team: publishes snapshots, goals,
@@ -64,12 +61,11 @@ impl Server {
             commands: sender,
             closing: AtomicBool::new(false),
             places: Mutex::new(Places::default()),
-            left: Condvar::new(),
+            news: Notify::new(),
             refused: AtomicU64::new(0),
         });
-        let accepting = Arc::clone(&shared);
-        Builder::new().name("page".to_owned()).spawn(move || accept(&listener, &accepting))?;
-        let server = Server { shared: Arc::clone(&shared), address };
+        let running = Running::start(listener, Arc::clone(&shared))?;
+        let server = Server { shared: Arc::clone(&shared), address, running };
         Ok((server, Publisher { shared, commands }))
     }
 
@@ -80,7 +76,7 @@ impl Server {
 
     /// Returns the current number of connections.
     pub fn connections(&self) -> usize {
-        places(&self.shared).len()
+        self.shared.places().len()
     }
 
     /// Returns the number of requests and commands that were refused so far.
@@ -90,10 +86,7 @@ impl Server {
 
     /// Closes the server. Pages still get the last status if they read it within half a second.
     pub fn close(self) {
-        self.shared.closing.store(true, Ordering::Release);
-        // The connection unblocks the accepting thread.
-        let _ = TcpStream::connect_timeout(&self.address, CLOSING);
-        drop(self.shared.left.wait_timeout_while(places(&self.shared), CLOSING, |present| present.len() > 0));
+        self.running.close();
     }
 }
 
@@ -149,83 +142,4 @@ impl Publisher {
 /// waiting thread, and is executed because of a separate flag.
 fn is_queued(command: &Command) -> bool {
     *command != Command::Stop
-}
-
-/// Accepts connections in a loop, each served by a thread of its own, until the server closes.
-fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
-    for stream in listener.incoming() {
-        if shared.closing.load(Ordering::Acquire) {
-            return;
-        }
-        let Ok(stream) = stream else {
-            // Probably no file descriptors are left: try again later.
-            std::thread::park_timeout(LOOK);
-            continue;
-        };
-        let Ok(peer) = stream.peer_addr() else { continue };
-        let number = places(shared).enter(peer.ip(), stream.try_clone().ok());
-        let taken = Taken(Arc::clone(shared), number);
-        // If no thread can be started, the connection is closed and no longer counted.
-        let _ = Builder::new().name("page client".to_owned()).spawn(move || serve(stream, peer.ip(), &taken));
-    }
-}
-
-/// Returns the present connections, to be changed. No thread holds them for long.
-fn places(shared: &Shared) -> MutexGuard<'_, Places> {
-    shared.places.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Place of a connection with its number, until it is dropped.
-struct Taken(Arc<Shared>, u64);
-
-impl Drop for Taken {
-    fn drop(&mut self) {
-        places(&self.0).leave(self.1);
-        self.0.left.notify_all();
-    }
-}
-
-/// Serves one connection of a browser at `peer` until it ends.
-fn serve(mut stream: TcpStream, peer: IpAddr, taken: &Taken) {
-    let shared = &*taken.0;
-    let Ok(local) = stream.local_addr() else { return };
-    if stream.set_write_timeout(Some(WRITE_TIME)).is_err() || stream.set_nodelay(true).is_err() {
-        return;
-    }
-    let header = match request::read_header(&mut stream) {
-        Ok(read) => read,
-        Err(answer) => {
-            shared.refuse();
-            answer.iter().for_each(|answer| finish(&mut stream, answer));
-            return;
-        }
-    };
-    match request::respond(&header.bytes, (local, peer), &shared.access) {
-        Response::Whole(bytes) => {
-            if !bytes.starts_with(b"HTTP/1.1 200") {
-                shared.refuse();
-            }
-            finish(&mut stream, &bytes);
-        }
-        Response::Metrics => finish(&mut stream, &request::metrics(&shared.metrics.get())),
-        Response::Health => finish(&mut stream, &request::health(shared.silent_for())),
-        Response::Upgrade(socket, bytes) => {
-            let admission = if socket.is_holder() { Admission::Holder } else { Admission::Other };
-            if !places(shared).upgrade(taken.1, admission) {
-                shared.refuse();
-                finish(&mut stream, &request::too_many());
-                return;
-            }
-            if stream.write_all(&bytes).is_ok() {
-                session::run(stream, header.rest, socket, shared);
-            }
-        }
-    }
-}
-
-/// Sends a complete response and ends the connection.
-fn finish(stream: &mut TcpStream, bytes: &[u8]) {
-    // Write errors are ignored: the client is gone.
-    let _ = stream.write_all(bytes);
-    let _ = stream.shutdown(Shutdown::Write);
 }

@@ -1,142 +1,108 @@
-//! One WebSocket connection of the live page: sends snapshots, or sends goals and status and receives commands. One
-//! thread reads and writes it.
+//! One WebSocket connection of the live page: sends snapshots, or sends goals and status and receives commands. It
+//! receives while it sends, so that a stop arrives from a browser that does not read.
 
-use std::io;
-use std::net::TcpStream;
 use std::sync::atomic::Ordering;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
+use axum::Error;
+use axum::body::Bytes;
+use axum::extract::ws::{Message, WebSocket};
+use futures_util::stream::{SplitSink, SplitStream};
+use futures_util::{SinkExt as _, StreamExt as _};
 use serde_json::json;
-use tungstenite::protocol::{Role, WebSocketConfig};
-use tungstenite::{Message, WebSocket};
+use tokio::sync::mpsc::{self, Receiver, Sender};
 
-use super::command::{Command, MAX_BYTES};
-use super::request::Socket;
-use super::shared::{LOOK, Shared};
+use super::access::{Socket, Standing};
+use super::command::Command;
+use super::invariant::EndsProcess;
+use super::shared::Shared;
 
-/// A quarter of the time after which a ping checks a WebSocket connection on which no status was sent.
-const REPEAT: Duration = Duration::from_millis(500);
-/// Largest number of client messages that are handled before something is sent again.
-const AT_ONCE: usize = 8;
+/// Time after which a ping checks a WebSocket connection on which nothing was sent.
+const SILENCE: Duration = Duration::from_secs(2);
+/// Largest number of refusals that wait to be sent to a browser. It is not read further until it takes them.
+const ANSWERS: usize = 8;
 
-/// Serves a WebSocket connection of the kind `socket` until either side ends it. `rest` are the bytes that were
-/// received after the request's header.
-pub(super) fn run(stream: TcpStream, rest: Vec<u8>, socket: Socket, shared: &Shared) {
-    if stream.set_read_timeout(Some(LOOK)).is_err() {
-        return;
-    }
-    let limit = Some(MAX_BYTES);
-    let config = WebSocketConfig::default().read_buffer_size(MAX_BYTES).max_message_size(limit).max_frame_size(limit);
-    let mut socket_ = WebSocket::from_partially_read(stream, rest, Role::Server, Some(config));
-    let mut session = Session { seen: [0; 3], told_at: None, answers: Vec::new() };
+/// Serves a WebSocket connection of the kind `socket` until either side ends it.
+pub(super) async fn run(client: WebSocket, socket: Socket, shared: &Shared) {
+    let _guard = EndsProcess;
+    let (to, from) = client.split();
+    let (refusals, answers) = mpsc::channel(ANSWERS);
     // Any error ends the connection; the page then opens another.
-    let _ = session.serve(&mut socket_, socket, shared);
-    let _ = socket_.close(None);
-    let _ = socket_.flush();
+    tokio::select! {
+        _ = tell(to, answers, socket, shared) => {}
+        () = hear(from, refusals, socket, shared) => {}
+    }
 }
 
-/// State of one WebSocket connection of the live page.
-struct Session {
-    /// Version numbers of the snapshot, goals and status that were sent last.
-    seen: [u64; 3],
-    /// Time of the last status or ping.
-    told_at: Option<Instant>,
-    /// Responses to refused commands that are still to be sent.
-    answers: Vec<String>,
-}
-
-type Client = WebSocket<TcpStream>;
-
-impl Session {
-    fn serve(&mut self, client: &mut Client, socket: Socket, shared: &Shared) -> tungstenite::Result<()> {
-        if let Socket::Control(standing) = socket {
-            let holder = standing.is_holder();
-            let hello = json!({ "kind": "hello", "body": { "holder": holder } });
-            client.send(Message::text(hello.to_string()))?;
-            if holder || !shared.access.guarded {
-                client.send(Message::Text(shared.scene.clone()))?;
-            }
-        }
-        loop {
-            // Read before the status is sent, so that the last status is sent before the connection ends.
-            let closing = shared.closing.load(Ordering::Acquire);
-            match socket {
-                Socket::View { .. } => {
-                    if let Some(bytes) = shared.snapshot.newer(&mut self.seen[0]) {
-                        client.send(Message::Binary(bytes))?;
-                    }
-                }
-                Socket::Control(standing) => self.send_changes(client, standing.is_holder(), shared)?,
-            }
-            if closing {
-                return Ok(());
-            }
-            for _ in 0..AT_ONCE {
-                match client.read() {
-                    Ok(message) => self.take(&message, socket, shared)?,
-                    Err(tungstenite::Error::Io(error)) if is_nothing(&error) => break,
-                    Err(error) => return Err(error),
-                }
-            }
+/// Sends the newest values and the answers to commands, until the server closes.
+async fn tell(
+    mut to: SplitSink<WebSocket, Message>,
+    mut answers: Receiver<String>,
+    socket: Socket,
+    shared: &Shared,
+) -> Result<(), Error> {
+    let shows = socket.is_holder() || !shared.access.guarded;
+    if let Socket::Control(standing) = socket {
+        let hello = json!({ "kind": "hello", "body": { "holder": standing.is_holder() } });
+        to.send(Message::text(hello.to_string())).await?;
+        if shows {
+            to.send(Message::Text(shared.scene.clone())).await?;
         }
     }
-
-    /// Sends the refusals of the client's commands, and goals and status if they have changed.
-    fn send_changes(&mut self, client: &mut Client, holder: bool, shared: &Shared) -> tungstenite::Result<()> {
-        for answer in self.answers.drain(..) {
-            client.send(Message::text(answer))?;
-        }
-        if shared.access.guarded && !holder {
-            return Ok(());
-        }
-        if let Some(goals) = shared.goals.newer(&mut self.seen[1]) {
-            client.send(Message::Text(goals))?;
-        }
-        if let Some(status) = shared.status.newer(&mut self.seen[2]) {
-            client.send(Message::Text(status))?;
-            self.told_at = Some(Instant::now());
-        }
-        if self.told_at.is_some_and(|at| at.elapsed() >= 4 * REPEAT) {
-            self.told_at = Some(Instant::now());
-            client.send(Message::Ping(tungstenite::Bytes::new()))?;
-        }
-        Ok(())
-    }
-
-    /// Handles one message of the client: queues its command, or refuses it.
-    fn take(&mut self, message: &Message, socket: Socket, shared: &Shared) -> tungstenite::Result<()> {
-        let standing = match (message, socket) {
-            (Message::Close(_), _) => return Err(tungstenite::Error::ConnectionClosed),
-            (Message::Text(_), Socket::Control(standing)) => standing,
-            (Message::Ping(_) | Message::Pong(_), _) => return Ok(()),
-            // The page sends no other messages, so this client is not the page.
-            _ => {
-                shared.refuse();
-                return Err(tungstenite::Error::ConnectionClosed);
-            }
+    let mut seen = [0; 3];
+    loop {
+        // Read before the status is sent, so that the last status is sent before the connection ends.
+        let closing = shared.is_closing();
+        let news = match socket {
+            _ if !shows => [None, None],
+            Socket::View { .. } => [shared.snapshot.newer(&mut seen[0]).map(Message::Binary), None],
+            Socket::Control(_) => [shared.goals.newer(&mut seen[1]), shared.status.newer(&mut seen[2])]
+                .map(|text| text.map(Message::Text)),
         };
-        let result = Command::parse(message.to_text()?).and_then(|command| {
-            match shared.access.refuses(&command, standing) {
-                Some(why) => Err(why.to_owned()),
-                None if command == Command::Stop => {
-                    shared.stop.store(true, Ordering::Release);
-                    // The queued copy wakes a thread that waits for commands; if the queue is full, that thread is not
-                    // waiting.
-                    let _ = shared.commands.try_send(command);
-                    Ok(())
-                }
-                None => shared.commands.try_send(command).map_err(|_| "too many commands wait: try again".to_owned()),
-            }
-        });
-        if let Err(why) = result {
-            shared.refuse();
-            self.answers.push(json!({ "kind": "refused", "body": { "why": why } }).to_string());
+        for message in news.into_iter().flatten() {
+            to.send(message).await?;
         }
-        Ok(())
+        if closing {
+            return to.close().await;
+        }
+        tokio::select! {
+            Some(answer) = answers.recv() => to.send(Message::text(answer)).await?,
+            () = shared.news.notified() => {}
+            () = tokio::time::sleep(SILENCE) => to.send(Message::Ping(Bytes::new())).await?,
+        }
     }
 }
 
-/// Returns whether a read error only means that no data has arrived.
-fn is_nothing(error: &io::Error) -> bool {
-    matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut)
+/// Receives commands until the client ends the connection, or sends what the page would not.
+async fn hear(mut from: SplitStream<WebSocket>, refusals: Sender<String>, socket: Socket, shared: &Shared) {
+    while let Some(Ok(message)) = from.next().await {
+        match (message, socket) {
+            // The library answers them.
+            (Message::Close(_) | Message::Ping(_) | Message::Pong(_), _) => {}
+            (Message::Text(text), Socket::Control(standing)) => {
+                if let Err(why) = take(&text, standing, shared) {
+                    shared.refuse();
+                    let answer = json!({ "kind": "refused", "body": { "why": why } });
+                    let _ = refusals.send(answer.to_string()).await;
+                }
+            }
+            // The page sends no other messages, so this client is not the page.
+            _ => return shared.refuse(),
+        }
+    }
+}
+
+/// Queues the command of a client, or returns why it is refused.
+fn take(text: &str, standing: Standing, shared: &Shared) -> Result<(), String> {
+    let command = Command::parse(text)?;
+    if let Some(why) = shared.access.refuses(&command, standing) {
+        return Err(why.to_owned());
+    }
+    if command == Command::Stop {
+        shared.stop.store(true, Ordering::Release);
+        // The queued copy wakes a thread that waits for commands; if the queue is full, that thread is not waiting.
+        let _ = shared.commands.try_send(command);
+        return Ok(());
+    }
+    shared.commands.try_send(command).map_err(|_| "too many commands wait: try again".to_owned())
 }

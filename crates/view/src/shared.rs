@@ -1,18 +1,19 @@
-//! State shared by the threads of the live page's server: the newest values for browsers, and the queue of commands.
+//! State that the control thread and the live page's server share: the newest values for browsers, and the queue of
+//! commands.
 
+use std::net::IpAddr;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::SyncSender;
-use std::sync::{Condvar, Mutex, PoisonError, TryLockError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 use std::time::{Duration, Instant};
 
-use tungstenite::{Bytes, Utf8Bytes};
+use axum::body::Bytes;
+use axum::extract::ws::Utf8Bytes;
+use tokio::sync::{Notify, oneshot};
 
-use super::access::Access;
+use super::access::{Access, Ends};
 use super::command::Command;
-use super::places::Places;
-
-/// Period at which the threads of the live page's server look for new values.
-pub(super) const LOOK: Duration = Duration::from_millis(20);
+use super::places::{Admission, Places};
 
 /// Slot for the newest value of one kind, such as the team's status, with a version number.
 pub(super) struct Slot<T> {
@@ -43,9 +44,14 @@ impl<T: Clone> Slot<T> {
         self.value.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
+    /// Returns the version number of the newest value.
+    pub fn number(&self) -> u64 {
+        self.number.load(Ordering::Acquire)
+    }
+
     /// Returns the value if its version is not `seen`, and sets `seen` to its version; otherwise returns `None`.
     pub fn newer(&self, seen: &mut u64) -> Option<T> {
-        let number = self.number.load(Ordering::Acquire);
+        let number = self.number();
         if number == *seen {
             return None;
         }
@@ -54,7 +60,7 @@ impl<T: Clone> Slot<T> {
     }
 }
 
-/// State shared by all threads of the live page's server.
+/// State that the control thread and the tasks of the live page's server share.
 pub(super) struct Shared {
     /// Access rules: which commands are accepted, and from which browsers.
     pub access: Access,
@@ -81,13 +87,36 @@ pub(super) struct Shared {
     pub closing: AtomicBool,
     /// Present connections, within their limits.
     pub places: Mutex<Places>,
-    /// Notified when a connection has left its place.
-    pub left: Condvar,
+    /// Wakes the tasks of all connections: there are newer values, or the server is being closed. It is for the
+    /// server's own thread; the control thread wakes nobody.
+    pub news: Notify,
     /// Number of requests and commands that were refused so far.
     pub refused: AtomicU64,
 }
 
 impl Shared {
+    /// Returns the present connections, to be changed. No thread holds them for long.
+    pub fn places(&self) -> MutexGuard<'_, Places> {
+        self.places.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Returns the version numbers of what WebSockets send.
+    pub fn numbers(&self) -> [u64; 3] {
+        [self.snapshot.number(), self.goals.number(), self.status.number()]
+    }
+
+    /// Returns whether the server is being closed.
+    pub fn is_closing(&self) -> bool {
+        self.closing.load(Ordering::Acquire)
+    }
+
+    /// Waits until the server is being closed.
+    pub async fn closed(&self) {
+        while !self.is_closing() {
+            self.news.notified().await;
+        }
+    }
+
     /// Records a sign of life of the thread that drives the team, at the present time.
     pub fn note_alive(&self) {
         self.alive_ms.store(self.began.elapsed().as_millis() as u64, Ordering::Relaxed);
@@ -101,5 +130,39 @@ impl Shared {
     /// Counts a refused request or command.
     pub fn refuse(&self) {
         self.refused.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// A connection, as its requests see it.
+#[derive(Clone)]
+pub(super) struct Connection {
+    /// Its two ends.
+    pub ends: Ends,
+    /// Its place, which is free when nobody has it any more.
+    pub place: Arc<Place>,
+}
+
+/// Place of a connection with its number, until it is dropped.
+pub(super) struct Place {
+    shared: Arc<Shared>,
+    number: u64,
+}
+
+impl Place {
+    /// Takes a place for a connection from `peer`, which is to end when `end` is dropped.
+    pub fn take(shared: &Arc<Shared>, peer: IpAddr, end: oneshot::Sender<()>) -> Arc<Place> {
+        let number = shared.places().enter(peer, end);
+        Arc::new(Place { shared: Arc::clone(shared), number })
+    }
+
+    /// Makes the connection a WebSocket of this kind. Returns whether there is a place for it.
+    pub fn upgrade(&self, admission: Admission) -> bool {
+        self.shared.places().upgrade(self.number, admission)
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        self.shared.places().leave(self.number);
     }
 }
