@@ -33,7 +33,7 @@ pub enum In {
     Reading(Reading),
     /// Packet of bytes from the worker of the robot's driver.
     Packet(Box<[u8]>),
-    /// The worker of the robot's driver has ended, so the robot can no longer be commanded.
+    /// The worker of the robot's driver has ended or begins again: the robot cannot be commanded until it reports.
     WorkerEnded,
     /// Emergency stop message: engage, re-arm or resume.
     Stop(Stop),
@@ -243,8 +243,8 @@ impl Core for Body {
             In::MotorCommand(command) => self.apply(now, &command, out),
             In::Reading(reading) => self.measured(now, &reading, out),
             In::WorkerEnded => {
-                tracing::error!("the driver of {} has ended: the robot cannot move; restart the host", self.robot);
-                let ended = Hardware::of(Health::Silent).because("its driver has ended; restart the host");
+                tracing::error!("the driver of {} has ended, and is started again: the robot stands", self.robot);
+                let ended = Hardware::of(Health::Silent).because("its driver has ended and is started again");
                 self.condition(now, ended, out);
             }
             In::Packet(packet) => {

@@ -2,25 +2,19 @@
 //! line.
 //!
 //! So a driver or a source of readings can be written in any language. Lines that the program writes to its stderr go
-//! to that of this process, with control characters escaped.
-//!
-//! The program gets a process group of its own, which is killed when the program has ended or must end, so that what it
-//! has forked does not drive on. A second process, a shell, kills the group if this process is killed and so cannot.
+//! to that of this process, with control characters escaped. A program that ends is started again.
 
-use std::io::{BufRead, BufReader, Read, Write};
-use std::os::unix::process::CommandExt;
-use std::process::{Child, Command, Stdio};
-use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, channel};
-use std::thread;
-use std::time::Duration;
+use std::io::{ErrorKind, PipeWriter, Write};
+use std::time::{Duration, Instant};
 
-use nix::errno::Errno;
-use nix::sys::signal::{Signal, kill, killpg};
-use nix::sys::wait::{Id, WaitPidFlag, waitid};
-use nix::unistd::{Pid, getpgid, getsid};
+use actix::{Actor, ActorContext, ActorFutureExt, AsyncContext, Context, Handler, Recipient, Supervised, WrapFuture};
+use tokio::io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, BufReader};
+use tokio::net::unix::pipe;
+use tokio::task::JoinSet;
+use tokio::time::timeout;
 
-use super::{Packet, PacketSender, Port, Worker};
+use super::group::Group;
+use super::{Input, Packet, PacketSender, Port, Seat, Worker};
 use crate::config::shown;
 
 /// Longest line of the program's output \[bytes\]. A longer line is split, so its reader refuses the parts.
@@ -29,19 +23,10 @@ const LONGEST: u64 = 4096;
 const END: Duration = Duration::from_millis(500);
 /// Longest time for the program's last lines to arrive after its end.
 const LAST_LINES: Duration = Duration::from_millis(100);
-/// Variable of the program's environment by which what it has started is found.
-const MARK: &str = "MURMURATE_STARTED_BY";
-/// What the shell runs that outlives this process: the end of its stdin is this process's end. The program may then
-/// stop its robot for half a second, as ever; a shell whose `sleep` knows no fractions gives it a second.
-const GUARD: &str = "read -r _; sleep 0.5 || sleep 1; kill -KILL -- \"-$1\"";
-
-/// What a shell runs to print the numbers and names of all processes with a variable in their environment. Those of
-/// other users cannot be read.
-const SEARCH: &str = "for file in $(grep -lsaF \"$1\" /proc/[0-9]*/environ); do pid=${file#/proc/}; \
-                      pid=${pid%/environ}; read -r name <\"/proc/$pid/comm\" && echo \"$pid $name\"; done";
-
-/// Number of programs that this process has started.
-static STARTED: AtomicU32 = AtomicU32::new(0);
+/// Pauses before a program that has ended is started again: the first, and the longest. The pause doubles each time.
+const PAUSES: [Duration; 2] = [Duration::from_millis(200), Duration::from_millis(6400)];
+/// Time for which a program has to run so that the next pause is the first again.
+const STEADY: Duration = Duration::from_secs(10);
 
 /// Worker that runs a user's program as a child process and exchanges packets with it, one a line, over stdin and
 /// stdout.
@@ -52,54 +37,17 @@ pub struct Program {
 }
 
 impl Worker for Program {
-    fn run(self: Box<Self>, mut port: Port) {
-        let Some((program, arguments)) = self.command.split_first() else { return };
-        let mark = format!("{}.{}.", std::process::id(), STARTED.fetch_add(1, Ordering::Relaxed));
-        let mut command = Command::new(program);
-        command.args(arguments).env(MARK, &mark).process_group(0);
-        let mut child = match command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn() {
-            Ok(child) => child,
-            Err(error) => {
-                tracing::error!("'{program}' cannot be started: {error}");
-                return;
-            }
-        };
-        let guard = guard(&child, program);
-        let (sender, stdout, stderr) = (port.sender(), child.stdout.take(), child.stderr.take());
-        let (reads, last_lines) = channel::<()>();
-        let reads_too = reads.clone();
-        thread::spawn(move || {
-            stdout.into_iter().for_each(|stdout| read(stdout, &sender));
-            drop(reads);
-        });
-        thread::spawn(move || {
-            stderr.into_iter().for_each(pass_on);
-            drop(reads_too);
-        });
-        let mut stdin = child.stdin.take();
-        while let Some(line) = port.wait() {
-            let written = stdin.as_mut().map(|stdin| stdin.write_all(&line).and_then(|()| stdin.flush()));
-            if let Some(Err(error)) = written {
-                tracing::error!("'{program}' does not read its input: {error}");
-                break;
-            }
-        }
-        // The program has to end when its stdin is closed.
-        drop(stdin);
-        end(&mut child, program);
-        for process in escaped(&mark, group(&child)) {
-            tracing::warn!(
-                "'{program}' has left a process with a session of its own, which runs on: {process}; end it if it can \
-                 move a robot"
-            );
-        }
-        if let Some(mut guard) = guard {
-            // It still waits for the end of this process.
-            let _ = guard.kill();
-            let _ = guard.wait();
-        }
-        // What has escaped may hold its stdout and stderr open for ever.
-        let _ = last_lines.recv_timeout(LAST_LINES);
+    fn start(self: Box<Self>, seat: Seat) -> Recipient<Input> {
+        let Program { command } = *self;
+        seat.start(move |port| Runner {
+            command,
+            port,
+            life: None,
+            ends: false,
+            pause: PAUSES[0],
+            lives: 0,
+            refused: 0,
+        })
     }
 
     fn runs(&self) -> Option<Vec<String>> {
@@ -107,12 +55,159 @@ impl Worker for Program {
     }
 }
 
+/// Actor that runs a user's program, and starts it again when it has ended.
+struct Runner {
+    command: Vec<String>,
+    port: Port,
+    /// The running program; `None` while it is ended or waits to be started again.
+    life: Option<Life>,
+    /// Whether the program is being ended.
+    ends: bool,
+    /// Pause before the next start.
+    pause: Duration,
+    /// Number of starts so far.
+    lives: u64,
+    /// Number of packets for which the program's stdin had no room.
+    refused: u64,
+}
+
+/// A running program, its stdin, and the tasks that read its output.
+struct Life {
+    began: Instant,
+    group: Group,
+    stdin: PipeWriter,
+    readers: JoinSet<()>,
+}
+
+impl Actor for Runner {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        self.begin(context);
+    }
+}
+
+impl Supervised for Runner {
+    fn restarting(&mut self, context: &mut Context<Self>) {
+        // What the program has reported of its robot or of itself is no longer known.
+        self.port.begin_again();
+        context.run_later(self.pause, Runner::begin);
+        self.pause = (2 * self.pause).min(PAUSES[1]);
+    }
+}
+
+impl Handler<Input> for Runner {
+    type Result = ();
+
+    fn handle(&mut self, input: Input, context: &mut Context<Self>) {
+        match input {
+            Input::Packet(line) => self.write(&line, context),
+            Input::Close => self.end(context),
+        }
+    }
+}
+
+impl Runner {
+    fn program(&self) -> &str {
+        self.command.first().map_or("", String::as_str)
+    }
+
+    /// Starts the program; if that is not possible, this life of the actor is over.
+    fn begin(&mut self, context: &mut Context<Self>) {
+        self.lives += 1;
+        self.ends = false;
+        match self.launch() {
+            Ok(life) => {
+                let ended = life.group.ended();
+                self.life = Some(life);
+                context.spawn(ended.into_actor(self).map(|(), runner, context| {
+                    if runner.life.is_some() {
+                        runner.report("has ended by itself");
+                        runner.end(context);
+                    }
+                }));
+            }
+            Err(error) => {
+                self.report(&format!("cannot be started: {error}"));
+                context.stop();
+            }
+        }
+    }
+
+    fn launch(&self) -> std::io::Result<Life> {
+        let (group, [stdin, stdout, stderr]) = Group::start(&self.command)?;
+        let (sender, mut readers) = (self.port.sender(), JoinSet::new());
+        let (stdout, stderr) = (pipe::Receiver::from_owned_fd(stdout)?, pipe::Receiver::from_owned_fd(stderr)?);
+        let stdin = PipeWriter::from(pipe::Sender::from_owned_fd(stdin)?.into_nonblocking_fd()?);
+        readers.spawn_local(read(stdout, sender));
+        readers.spawn_local(pass_on(stderr));
+        Ok(Life { began: Instant::now(), group, stdin, readers })
+    }
+
+    /// Writes a packet to the program's stdin. One for which it has no room is dropped and counted: the program does
+    /// not read, and what waits there is old. A pipe takes the whole of a short packet or nothing of it.
+    fn write(&mut self, line: &[u8], context: &mut Context<Self>) {
+        let Some(life) = &mut self.life else { return };
+        match life.stdin.write(line) {
+            Ok(_) => {}
+            Err(error) if error.kind() == ErrorKind::WouldBlock => {
+                self.refused += 1;
+                if self.refused.is_power_of_two() {
+                    tracing::warn!(refused = self.refused, "'{}' does not read its input", self.program());
+                }
+            }
+            Err(error) => {
+                self.report(&format!("does not read its input: {error}"));
+                self.end(context);
+            }
+        }
+    }
+
+    /// Closes the program's stdin, upon which it has to end, and ends it and all of its group. Then the actor stops.
+    fn end(&mut self, context: &mut Context<Self>) {
+        let Some(Life { began, group, stdin, mut readers }) = self.life.take() else {
+            if !self.ends {
+                context.stop();
+            }
+            return;
+        };
+        self.ends = true;
+        if began.elapsed() >= STEADY {
+            self.pause = PAUSES[0];
+        }
+        drop(stdin);
+        let program = self.program().to_owned();
+        let ending = async move {
+            if timeout(END, group.ended()).await.is_err() {
+                tracing::warn!("'{program}' does not end, and is killed");
+            }
+            for process in group.end() {
+                tracing::warn!(
+                    "'{program}' has left a process with a session of its own, which runs on: {process}; end it if it \
+                     can move a robot"
+                );
+            }
+            // What has escaped may hold its stdout and stderr open for ever.
+            let _ = timeout(LAST_LINES, async { while readers.join_next().await.is_some() {} }).await;
+        };
+        context.spawn(ending.into_actor(self).map(|(), _, context| context.stop()));
+    }
+
+    /// Logs that the program fails: the starts 1, 2, 4, 8 and so on.
+    fn report(&self, how: &str) {
+        if self.lives.is_power_of_two() {
+            let (program, starts) = (self.program(), self.lives);
+            tracing::error!(starts, "'{program}' of {} {how}; it is started again", self.port.name());
+        }
+    }
+}
+
 /// Reads lines from the program's stdout and sends each as a packet, until the program closes it.
-fn read(stdout: impl Read, sender: &PacketSender) {
+async fn read(stdout: impl AsyncRead + Unpin, sender: PacketSender) {
     let mut stdout = BufReader::new(stdout);
     loop {
         let mut line = Vec::new();
-        match stdout.by_ref().take(LONGEST).read_until(b'\n', &mut line) {
+        match (&mut stdout).take(LONGEST).read_until(b'\n', &mut line).await {
             Ok(0) | Err(_) => return,
             Ok(_) => sender.send(Packet::from(line)),
         }
@@ -120,10 +215,10 @@ fn read(stdout: impl Read, sender: &PacketSender) {
 }
 
 /// Writes the lines of the program's stderr to that of this process, until the program closes it.
-fn pass_on(stderr: impl Read) {
+async fn pass_on(stderr: impl AsyncRead + Unpin) {
     let mut stderr = BufReader::new(stderr);
     let mut line = Vec::new();
-    while let Ok(1..) = stderr.by_ref().take(LONGEST).read_until(b'\n', &mut line) {
+    while let Ok(1..) = (&mut stderr).take(LONGEST).read_until(b'\n', &mut line).await {
         let shown = shown::value(String::from_utf8_lossy(line.strip_suffix(b"\n").unwrap_or(&line))) + "\n";
         line.clear();
         // An error of stderr cannot be reported anywhere.
@@ -131,70 +226,21 @@ fn pass_on(stderr: impl Read) {
     }
 }
 
-/// Starts the shell that kills the program's group if this process is killed. Without a shell that is not done.
-fn guard(child: &Child, program: &str) -> Option<Child> {
-    let mut shell = Command::new("/bin/sh");
-    shell.args(["-c", GUARD, "guard", &child.id().to_string()]);
-    shell.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
-    // What kills this process with its group, such as a supervisor, must not kill the guard.
-    let started = shell.process_group(0).spawn();
-    started
-        .inspect_err(|error| tracing::warn!("'{program}' lives on if this process is killed: no /bin/sh ({error})"))
-        .ok()
-}
-
-/// The program's process group, which has the number of the program.
-fn group(child: &Child) -> Pid {
-    Pid::from_raw(i32::try_from(child.id()).expect("process numbers are small"))
-}
-
-/// Waits up to 0.5 s for the program to end, and kills its group: the program if it has not ended, and what it has
-/// forked.
-fn end(child: &mut Child, program: &str) {
-    let group = group(child);
-    // The program is not waited for before its group is killed: until then no other group can have its number.
-    let (runs, ended) = channel::<()>();
-    let watch = thread::spawn(move || {
-        while waitid(Id::Pid(group), WaitPidFlag::WEXITED | WaitPidFlag::WNOWAIT) == Err(Errno::EINTR) {}
-        drop(runs);
-    });
-    if ended.recv_timeout(END) == Err(RecvTimeoutError::Timeout) {
-        tracing::warn!("'{program}' does not end, and is killed");
-    }
-    // An error says that nobody of the group is left.
-    let _ = killpg(group, Signal::SIGKILL);
-    let _ = watch.join();
-    let _ = child.wait();
-}
-
-/// Kills processes of the program that have left its group, and returns the numbers and names of those with a session
-/// of their own, such as a daemon: they may be meant to stay.
-fn escaped(mark: &str, group: Pid) -> Vec<String> {
-    let mut shell = Command::new("/bin/sh");
-    let found = shell.args(["-c", SEARCH, "search", &format!("{MARK}={mark}")]).stdin(Stdio::null()).output();
-    let found = found.map(|output| String::from_utf8_lossy(&output.stdout).into_owned()).unwrap_or_default();
-    let session = getsid(None).ok();
-    let mut escaped = Vec::new();
-    for line in found.lines() {
-        let Some((number, name)) = line.split_once(' ') else { continue };
-        let Ok(pid) = number.parse().map(Pid::from_raw) else { continue };
-        let theirs = getsid(Some(pid)).ok();
-        if theirs.is_none() || getpgid(Some(pid)) == Ok(group) {
-            // It has just ended, or was killed with the group and is about to end.
-        } else if theirs == session {
-            let _ = kill(pid, Signal::SIGKILL);
-        } else {
-            escaped.push(format!("{pid} ({})", shown::value(name)));
-        }
-    }
-    escaped
-}
-
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use crate::edge::channel;
     use std::fs;
+    use std::os::fd::AsFd;
+    use std::os::unix::fs::PermissionsExt;
+    use std::thread;
+
+    use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+    use nix::unistd::Pid;
+
+    use super::*;
+    use crate::edge::{Gate, WorkerState, start};
+
+    /// Longest wait for a worker to end: only one that hangs takes so long.
+    const HANGS: Duration = Duration::from_secs(60);
 
     /// Period at which the files of processes are read.
     const LOOK: Duration = Duration::from_millis(5);
@@ -224,40 +270,60 @@ mod tests {
             let script =
                 format!("echo $$ > {0}; tail -f /dev/null & echo $! >> {0}; echo up; {ending}", file.display());
             let command = ["sh", "-c", &script].map(str::to_owned).to_vec();
-            let (gate, port) = channel().unwrap();
-            let worker = thread::spawn(move || Box::new(Program { command }).run(port));
+            let (gate, running) = start(Box::new(Program { command }), "a program").unwrap();
             let started = pids(&file, 2);
             assert!(runs(started[1]), "{ending}");
             drop(gate);
-            worker.join().unwrap();
+            assert!(running.join(HANGS), "{ending}");
             while started.iter().any(|pid| runs(*pid)) {
                 thread::park_timeout(LOOK);
             }
         }
     }
 
-    #[test]
-    fn what_has_a_session_of_its_own_is_named_and_what_has_only_another_group_is_ended() {
-        let folder = tempfile::TempDir::new().unwrap();
-        let file = folder.path().join("pids");
-        let mark = format!("{}.test.", std::process::id());
-        let other = "python3 -c 'import os, time; os.setpgid(0, 0); print(os.getpid(), flush=True); time.sleep(600)'";
-        let script =
-            format!("setsid sh -c 'echo $$ >> {0}; exec tail -f /dev/null' & {other} >> {0} & wait", file.display());
-        let mut command = Command::new("sh");
-        let mut child = command.args(["-c", &script]).env(MARK, &mark).process_group(0).spawn().unwrap();
-        let started = pids(&file, 2);
-        let is_daemon = |pid: &Pid| getsid(Some(*pid)) == Ok(*pid);
-        let daemon = *started.iter().find(|pid| is_daemon(pid)).expect("one has a session of its own");
-        let group = group(&child);
-        end(&mut child, "sh");
-        assert_eq!(escaped(&mark, group), [format!("{daemon} (tail)")]);
-        for pid in &started {
-            while runs(*pid) && *pid != daemon {
-                thread::park_timeout(LOOK);
+    /// Waits until the worker has sent so many packets or begins again, and returns them and its state.
+    fn next(gate: &mut Gate, count: usize) -> (Vec<Packet>, WorkerState) {
+        let mut packets = Vec::new();
+        loop {
+            let event_fd = gate.event_fd();
+            poll(&mut [PollFd::new(event_fd.as_fd(), PollFlags::POLLIN)], PollTimeout::NONE).unwrap();
+            let state = gate.take(|packet| packets.push(packet));
+            if state != WorkerState::Running || packets.len() >= count {
+                return (packets, state);
             }
         }
-        assert!(runs(daemon), "it may be meant to stay");
-        kill(daemon, Signal::SIGKILL).unwrap();
+    }
+
+    #[test]
+    fn a_program_that_ends_is_started_again_and_what_it_said_before_is_known_to_be_old() {
+        let command = ["sh", "-c", "echo $$; read -r line; echo \"$line\""].map(str::to_owned).to_vec();
+        let (mut gate, running) = start(Box::new(Program { command }), "a program").unwrap();
+        let (first, state) = next(&mut gate, 1);
+        assert_eq!((first.len(), state), (1, WorkerState::Running));
+        gate.send(Packet::from(*b"over\n"));
+        assert_eq!(next(&mut gate, 1), (vec![Packet::from(*b"over\n")], WorkerState::Running));
+        assert_eq!(next(&mut gate, 1), (vec![], WorkerState::Restarted));
+        let (second, state) = next(&mut gate, 1);
+        assert_eq!((second.len(), state, gate.restarts()), (1, WorkerState::Running, 1));
+        assert_ne!(first, second, "it is another process");
+        drop(gate);
+        assert!(running.join(HANGS));
+    }
+
+    #[test]
+    fn a_program_that_cannot_be_started_is_tried_again_until_the_host_ends() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let file = folder.path().join("late");
+        let command = vec![file.display().to_string()];
+        let (mut gate, running) = start(Box::new(Program { command }), "a program").unwrap();
+        assert_eq!(next(&mut gate, 1), (vec![], WorkerState::Restarted));
+        let other = folder.path().join("new");
+        fs::write(&other, "#!/bin/sh\necho here\nread -r line\n").unwrap();
+        fs::set_permissions(&other, fs::Permissions::from_mode(0o700)).unwrap();
+        fs::rename(other, file).unwrap();
+        let here = std::iter::repeat_with(|| next(&mut gate, 1)).find_map(|(packets, _)| packets.into_iter().next());
+        assert_eq!(here, Some(Packet::from(*b"here\n")));
+        drop(gate);
+        assert!(running.join(HANGS));
     }
 }

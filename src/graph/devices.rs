@@ -1,18 +1,16 @@
 //! Drivers of robots, source of readings and observer of messages of one process, created from the deployment. Their
-//! workers, which do the I/O, run on threads of their own.
+//! workers, which do the I/O, are actors on threads of their own.
 
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 use std::rc::Rc;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use crate::config::ConfigError;
 use crate::deploy::Host;
 use crate::drivers::Driver;
 use crate::edge::exclusive::Exclusive;
-use crate::edge::{self, Gate, Packet, Worker, WorkerState};
+use crate::edge::{self, Gate, Packet, Running, Worker, WorkerState};
 use crate::localization::Source;
 use crate::messages::ids::RobotId;
 use crate::messages::wire::Wire;
@@ -35,13 +33,18 @@ pub(crate) struct Device<T: ?Sized> {
 
 impl<T: ?Sized> Device<T> {
     /// Registers the device with the event loop of `readers`: it calls `take` with each packet from the worker (I/O
-    /// thread), and `ended` once when the worker has ended. Does nothing if there is no worker.
+    /// thread), and `ended` when the worker has ended or begins again. Does nothing if there is no worker.
     pub(crate) fn watch(&self, readers: &mut Readers, take: impl Fn(Packet) + 'static, ended: impl Fn() + 'static) {
         let Some(gate) = self.gate.clone() else { return };
         let (event_fd, over) = (gate.borrow().event_fd(), Cell::new(false));
         readers.watch(Rc::new(event_fd), move || {
             let state = gate.borrow_mut().take(&take);
-            if state == WorkerState::Ended && !over.replace(true) {
+            let over = match state {
+                WorkerState::Running => true,
+                WorkerState::Restarted => false,
+                WorkerState::Ended => over.replace(true),
+            };
+            if !over {
                 ended();
             }
         });
@@ -87,34 +90,23 @@ impl Observed {
     }
 }
 
-/// Threads of the workers, which do the input and output of drivers and sources. They end after the [`Devices`] are
-/// dropped.
+/// Running workers, which do the input and output of drivers and sources. They end after the [`Devices`] are dropped.
+#[derive(Default)]
 pub struct Workers {
-    threads: Vec<JoinHandle<()>>,
-    /// A copy of the sender is in each thread, so that the receiver learns when the last of them has ended.
-    running: Sender<()>,
-    ended: Receiver<()>,
+    running: Vec<Running>,
+    /// Name of each worker, and the lock on its robot if it claims one.
+    locks: Vec<(String, Option<Exclusive>)>,
 }
 
 impl Workers {
-    /// Returns an empty set of workers.
-    pub(crate) fn none() -> Workers {
-        let (running, ended) = channel();
-        Workers { threads: Vec::new(), running, ended }
-    }
-
-    /// Waits until all worker threads have ended, for up to a second in total. The [`Devices`] must be dropped before,
-    /// since only then the workers end.
+    /// Waits until all workers have ended, for up to a second in total. The [`Devices`] must be dropped before, since
+    /// only then the workers end.
     pub fn join(self) {
-        drop(self.running);
-        let all_have_ended = self.ended.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Disconnected);
-        for worker in self.threads {
-            let name = worker.thread().name().unwrap_or("worker").to_owned();
-            if !(all_have_ended || worker.is_finished()) {
-                tracing::warn!("the worker of {name} does not end; its thread is abandoned");
-            } else if worker.join().is_err() {
-                tracing::error!("the worker of {name} has panicked");
-            }
+        let ended = edge::join_all(self.running, PATIENCE);
+        for ((name, lock), _) in self.locks.into_iter().zip(ended).filter(|(_, ended)| !ended) {
+            tracing::warn!("the worker of {name} does not end; its thread is abandoned");
+            // It may still use the robot.
+            std::mem::forget(lock);
         }
     }
 }
@@ -163,7 +155,7 @@ pub fn programs(host: &Host, registry: &Registry) -> Result<Vec<RunBy>, DeviceEr
 /// `robots` is the number of robots of the team. An error names the wrong setting, or says that a worker cannot be
 /// started.
 pub fn open(host: &Host, robots: usize, registry: &Registry) -> Result<(Devices, Workers), DeviceError> {
-    let mut workers = Workers::none();
+    let mut workers = Workers::default();
     let mut devices = make(host, registry, |worker, field, name| {
         worker.check().map_err(|error| error.within(field).within("host"))?;
         Ok(Some(start_worker(worker, name, &mut workers)?))
@@ -205,8 +197,8 @@ fn make(
     Ok(devices)
 }
 
-/// Starts a worker on a new thread with the given name, adds the thread to `workers`, and returns the channel to the
-/// worker. The thread holds the lock on the worker's robot, if it claims one.
+/// Starts a worker under the given name, adds it to `workers`, with the lock on its robot if it claims one, and returns
+/// the channel to the worker.
 fn start_worker(
     worker: Box<dyn Worker>,
     name: String,
@@ -217,13 +209,8 @@ fn start_worker(
     if let Some(robot) = claim.filter(|_| lock.is_none()) {
         return Err(DeviceError::InUse(robot));
     }
-    let (gate, port) = edge::channel()?;
-    let running = workers.running.clone();
-    let run = move || {
-        let _running = running;
-        worker.run(port);
-        drop(lock);
-    };
-    workers.threads.push(thread::Builder::new().name(name).spawn(run)?);
+    let (gate, running) = edge::start(worker, &name)?;
+    workers.running.push(running);
+    workers.locks.push((name, lock));
     Ok(Rc::new(RefCell::new(gate)))
 }

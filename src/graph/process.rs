@@ -295,7 +295,7 @@ impl Graph {
             Input::Packet(DeviceId::Source, packet) => self.source.send(localizer::In::Packet(packet)),
             Input::Ended(DeviceId::Driver(robot)) => self.bodies[robot.index()].send(body::In::WorkerEnded),
             Input::Ended(DeviceId::Source) => {
-                tracing::error!("the source of this host has ended: no more readings; restart the host");
+                tracing::error!("the source of this host has ended, and is started again: no readings meanwhile");
             }
             Input::Leave => self.send_leave(host),
             Input::Stop => {

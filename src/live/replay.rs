@@ -61,7 +61,7 @@ impl LiveHost {
         };
         let me = identity.host_of(team);
         let end = HostEnd { me, key, seed: identity.seed, links, transports: ids.map(silent).collect() };
-        let (workers, trial) = (Workers::none(), trial.clone());
+        let (workers, trial) = (Workers::default(), trial.clone());
         Ok(LiveHost { end, devices, workers, trial, grace: grace(team), seed: identity.bytes })
     }
 

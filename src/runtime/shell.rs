@@ -1,5 +1,4 @@
 //! Shell of an actor: adds a mailbox, a timer, supervision and fault injection to the actor's core, its state machine.
-//! The only file that names the actor library.
 //!
 //! A mailbox is bounded; refused messages are counted and dropped. Messages of one sender stay in order; between
 //! senders there is no guaranteed order. The actor library starts, stops and restarts an actor. The mailbox is not the
@@ -16,6 +15,7 @@ use tracing::Span as TraceSpan;
 
 use super::clock::{Clock, TaskId};
 use crate::actor::Core;
+use crate::edge::panic::end_if_panicking;
 use crate::faults::{ActorFault, ActorFaultKind};
 use crate::time::{Span, Time};
 
@@ -24,8 +24,6 @@ use crate::time::{Span, Time};
 pub const MAILBOX_CAPACITY: usize = 16_384;
 /// Number of successive wake-ups of a core (an actor's state machine) at one instant that counts as a bug and panics.
 const MAX_WAKES_AT_ONCE: usize = 64;
-/// Exit status of the process after a panic in an actor: that of any Rust program.
-const PANIC_STATUS: i32 = 101;
 
 enum Envelope<I> {
     Deliver(I),
@@ -377,28 +375,7 @@ struct ExitOnPanic<'a> {
 
 impl Drop for ExitOnPanic<'_> {
     fn drop(&mut self) {
-        if std::thread::panicking() {
-            self.end();
-        }
-    }
-}
-
-impl ExitOnPanic<'_> {
-    #[cold]
-    #[allow(clippy::print_stderr)] // Without a log, stderr is the only way to report it.
-    fn end(&self) {
-        let why = format!(
-            "{} broke an invariant at {} (see the panic above); the process ends so that motors stop. Please report it \
-             with the command that you ran.",
-            self.name, self.now
-        );
-        // A log may have a writer that does not block; stderr blocks until it is read.
-        if tracing::dispatcher::has_been_set() {
-            tracing::error!("{why}");
-        } else {
-            eprintln!("murmurate: {why}");
-        }
-        std::process::exit(PANIC_STATUS);
+        end_if_panicking(|| (self.name.to_owned(), format!(" at {}", self.now)));
     }
 }
 

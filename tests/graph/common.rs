@@ -1,10 +1,9 @@
 //! Shared by several tests: access to the reference data, and the end of workers.
 
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::channel;
-use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
+use murmurate::edge::Running;
 use safetensors::SafeTensors;
 
 use crate::skip::skip;
@@ -25,11 +24,8 @@ pub fn reference(name: &str) -> Option<PathBuf> {
 pub const HANGS: Duration = Duration::from_secs(60);
 
 /// Waits for the end of a worker whose host has ended.
-pub fn ends(worker: JoinHandle<()>, name: &str) {
-    let (tell, ended) = channel();
-    thread::spawn(move || tell.send(worker.join()));
-    let end = ended.recv_timeout(HANGS).unwrap_or_else(|_| panic!("{name}: it does not end with its host"));
-    end.expect("it does not panic");
+pub fn ends(worker: Running, name: &str) {
+    assert!(worker.join(HANGS), "{name}: it does not end with its host");
 }
 
 /// A tensor of 32-bit floats, row-major.

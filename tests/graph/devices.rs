@@ -1,11 +1,10 @@
 //! Contracts of every driver, source and estimator of the registry, and user programs as drivers and sources.
 
 use std::os::fd::AsFd;
-use std::thread;
 
 use murmurate::chassis::Chassis;
 use murmurate::drivers::{self, Command};
-use murmurate::edge::{self, Gate, Settings, Worker};
+use murmurate::edge::{self, Gate, Running, Settings, Worker};
 use murmurate::estimation;
 use murmurate::localization::{self, In};
 use murmurate::messages::geometry::{Motion, Vec2};
@@ -59,10 +58,9 @@ fn drive(x: f32) -> Drive {
     Drive { robot: ROBOT, velocity: Vec2::new(x, 0.0), until: Time::ZERO + Span::from_millis(200) }
 }
 
-/// Starts a worker; returns the gate to it, and a handle that ends with it.
-fn employ(worker: Box<dyn Worker>) -> (Gate, thread::JoinHandle<()>) {
-    let (gate, port) = edge::channel().expect("there are descriptors left");
-    (gate, thread::spawn(move || worker.run(port)))
+/// Starts a worker; returns the gate to it, and the running worker.
+fn employ(worker: Box<dyn Worker>) -> (Gate, Running) {
+    edge::start(worker, "a device").expect("there are descriptors and threads left")
 }
 
 /// Returns the next packets of a worker.
@@ -180,7 +178,7 @@ fn a_program_drives_a_robot_and_reports_its_status() {
     let hardware = Hardware { battery: None, temperature: None, ..hardware };
     assert_eq!(out.pop(), Some(drivers::Out::Condition(hardware)), "an odd value does not hide a fault");
     drop(gate);
-    worker.join().expect("it does not panic");
+    ends(worker, "program");
 }
 
 #[test]
@@ -201,7 +199,7 @@ fn a_program_localizes_robots() {
     assert_eq!((reading.twist.yaw_rate, reading.deviation.position_m), (None, None), "what is not said is unknown");
     assert!(is_refusal(&out[1]) && is_refusal(&out[2]), "another's robot, and a place that is none: {out:?}");
     drop(gate);
-    worker.join().expect("it does not panic");
+    ends(worker, "program");
 }
 
 #[test]

@@ -3,7 +3,6 @@
 use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
 use std::os::fd::AsFd;
-use std::thread;
 use std::time::Instant;
 
 use murmurate::edge::{self, Gate, Settings};
@@ -58,8 +57,7 @@ fn the_worker_subscribes_and_comes_back_after_gpsd_has_ended() {
     let settings = Settings { name: "gpsd".to_owned(), table: table.parse().expect("it is TOML") };
     let parts = gpsd::make(&settings, &[RobotId(2)]).unwrap_or_else(|error| panic!("{error}"));
     let (mut source, worker) = ((parts.source)(), parts.worker);
-    let (mut gate, port) = edge::channel().expect("a descriptor");
-    let worker = thread::spawn(move || worker.run(port));
+    let (mut gate, worker) = edge::start(worker, "source").expect("a thread");
 
     let mut stream = accept(&listener);
     fix(&mut stream, 1);

@@ -439,8 +439,7 @@ fn listen(setup: Setup, text: &str, change_at: Option<u64>) -> (Tally, BTreeMap<
     });
     let parts = natnet::make(&settings(text), &[RobotId(0), RobotId(1)]).unwrap_or_else(|error| panic!("{error}"));
     let (mut source, worker) = ((parts.source)(), parts.worker);
-    let (mut gate, port) = edge::channel().expect("a descriptor");
-    let worker = thread::spawn(move || worker.run(port));
+    let (mut gate, worker) = edge::start(worker, "source").expect("a thread");
     let (begun, mut counts, mut whys) = (Instant::now(), BTreeMap::<u16, u64>::new(), Vec::new());
     let (wanted, mut restarted) = (100 + change_at.unwrap_or(0), false);
     while counts.get(&0).is_none_or(|count| *count < wanted) && begun.elapsed() < HANGS {

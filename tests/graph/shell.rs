@@ -4,8 +4,11 @@
 use std::cell::RefCell;
 use std::process::Command;
 use std::rc::Rc;
+use std::time::Duration;
 
+use actix::{Actor, Context, Handler, Recipient, Supervised};
 use murmurate::actor::Core;
+use murmurate::edge::{self, Input, Packet, Port, Seat, Worker};
 use murmurate::faults::{ActorFault, ActorFaultKind, Role};
 use murmurate::messages::ids::RobotId;
 use murmurate::runtime::clock::Clock;
@@ -164,5 +167,58 @@ fn a_real_panic_ends_the_process_with_a_clear_message() {
     let said = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(101));
     assert!(said.contains("noting broke an invariant at 0.001 s"), "{said}");
+    assert!(!said.contains("the process has ended"), "{said}");
+}
+
+/// Worker whose actor breaks an invariant at its first packet.
+struct Fragile;
+
+impl Worker for Fragile {
+    fn start(self: Box<Self>, seat: Seat) -> Recipient<Input> {
+        seat.start(|_port| Breaker { _port })
+    }
+}
+
+struct Breaker {
+    _port: Port,
+}
+
+impl Actor for Breaker {
+    type Context = Context<Self>;
+}
+
+impl Supervised for Breaker {}
+
+impl Handler<Input> for Breaker {
+    type Result = ();
+
+    fn handle(&mut self, input: Input, _: &mut Context<Self>) {
+        assert_eq!(input, Input::Close, "it takes no packets");
+    }
+}
+
+/// Runs only as a child process of the next test.
+#[test]
+fn child_whose_worker_breaks_an_invariant() {
+    if std::env::var_os("MURMURATE_TEST_CHILD").is_some() {
+        let (mut gate, worker) = edge::start(Box::new(Fragile), "driver 3").expect("a thread");
+        gate.send(Packet::from(*b"!"));
+        // The end of the process comes first.
+        worker.join(Duration::from_secs(60));
+        unreachable!("the process has ended");
+    }
+}
+
+#[test]
+fn a_panic_in_a_worker_ends_the_process_as_one_in_a_core_does() {
+    let this = std::env::current_exe().expect("a test knows where it is");
+    let output = Command::new(this)
+        .args(["--exact", "shell::child_whose_worker_breaks_an_invariant", "--nocapture"])
+        .env("MURMURATE_TEST_CHILD", "1")
+        .output()
+        .expect("the test starts itself");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(101), "{said}");
+    assert!(said.contains("the worker of driver 3 broke an invariant"), "{said}");
     assert!(!said.contains("the process has ended"), "{said}");
 }

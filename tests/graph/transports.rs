@@ -5,12 +5,12 @@ use std::os::fd::AsFd;
 use std::path::Path;
 use std::rc::Rc;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::thread;
 
+use actix::{Actor, ActorContext, Context, Handler, Recipient, Supervised};
 use murmurate::config::ConfigError;
 use murmurate::config::fields::FieldType;
 use murmurate::deploy::team::TeamFile;
-use murmurate::edge::{self, Gate, PacketSender, Port};
+use murmurate::edge::{self, Gate, Input, PacketSender, Port, Seat, Worker};
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::link::{Guest, Standing};
 use murmurate::net::protocol::reliability::{Reliabilities, Setup};
@@ -270,12 +270,8 @@ struct Hub {
 
 impl Endpoint for Hub {
     fn open(&self, host: HostId, _: Filter) -> Result<Box<dyn Transport>, OpenError> {
-        let (gate, port) = edge::channel().map_err(|error| OpenError::NotNow(error.to_string()))?;
-        let mut members = MEMBERS.lock().unwrap_or_else(PoisonError::into_inner);
-        members.retain(|(_, _, sender)| !sender.is_closed());
-        members.push((self.clone(), host, port.sender()));
-        let hub = self.clone();
-        thread::spawn(move || hub.work(host, port));
+        let worker = Box::new(Member { hub: self.clone(), host });
+        let (gate, _) = edge::start(worker, "hub").map_err(|error| OpenError::NotNow(error.to_string()))?;
         Ok(Box::new(Line { gate, counts: Counts::default() }))
     }
 
@@ -300,16 +296,42 @@ impl Endpoint for Hub {
     }
 }
 
-impl Hub {
-    /// Passes on the packets of `host`, each with its audience in front.
-    fn work(&self, host: HostId, mut port: Port) {
-        while let Some(packet) = port.wait() {
-            let to = u16::from_le_bytes([packet[0], packet[1]]);
-            let members = MEMBERS.lock().unwrap_or_else(PoisonError::into_inner);
-            let others = members.iter().filter(|(hub, other, _)| hub == self && *other != host);
-            for (_, _, sender) in others.filter(|(_, other, _)| to == u16::MAX || other.0 == to) {
-                sender.send(packet[2..].into());
-            }
+/// Host of a hub: an actor that passes on its packets, each with its audience in front.
+struct Member {
+    hub: Hub,
+    host: HostId,
+}
+
+impl Worker for Member {
+    fn start(self: Box<Self>, seat: Seat) -> Recipient<Input> {
+        let mut members = MEMBERS.lock().unwrap_or_else(PoisonError::into_inner);
+        members.retain(|(_, _, sender)| !sender.is_closed());
+        members.push((self.hub.clone(), self.host, seat.sender()));
+        seat.start(|port| Passer { member: *self, _port: port })
+    }
+}
+
+struct Passer {
+    member: Member,
+    _port: Port,
+}
+
+impl Actor for Passer {
+    type Context = Context<Self>;
+}
+
+impl Supervised for Passer {}
+
+impl Handler<Input> for Passer {
+    type Result = ();
+
+    fn handle(&mut self, input: Input, context: &mut Context<Self>) {
+        let Input::Packet(packet) = input else { return context.stop() };
+        let to = u16::from_le_bytes([packet[0], packet[1]]);
+        let (Member { hub, host }, members) = (&self.member, MEMBERS.lock().unwrap_or_else(PoisonError::into_inner));
+        let others = members.iter().filter(|(other, of, _)| other == hub && of != host);
+        for (_, _, sender) in others.filter(|(_, other, _)| to == u16::MAX || other.0 == to) {
+            sender.send(packet[2..].into());
         }
     }
 }

@@ -15,7 +15,7 @@ use crate::program::lateness::Lateness;
 use crate::program::{run as run_program, text};
 use fake_ep::{Options, Peer, clock_s};
 use murmurate::drivers::{Command, Driver, Out};
-use murmurate::edge::{self, Gate, Settings};
+use murmurate::edge::{self, Gate, Running, Settings};
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::local::{BodyTwist, Drive};
@@ -67,7 +67,7 @@ impl Drop for Fake {
 struct Host {
     gate: Gate,
     driver: Box<dyn Driver>,
-    worker: JoinHandle<()>,
+    worker: Running,
     began_s: f64,
     twist: BodyTwist,
     due_s: f64,
@@ -78,9 +78,7 @@ impl Host {
     fn start(address: Ipv4Addr) -> Host {
         let table = format!("connection = 'usb'\naddress = '{address}'\nbattery_period_s = 1.0").parse().unwrap();
         let parts = (ENTRY.make)(&Settings { name: "robomaster".to_owned(), table }, RobotId(0)).unwrap();
-        let (gate, port) = edge::channel().unwrap();
-        let worker = parts.worker.expect("it has one");
-        let worker = thread::spawn(move || worker.run(port));
+        let (gate, worker) = edge::start(parts.worker.expect("it has one"), "driver").unwrap();
         let (driver, twist) = ((parts.driver)(), BodyTwist::default());
         Host { gate, driver, worker, began_s: clock_s(), twist, due_s: 0.0, outs: Vec::new() }
     }
@@ -111,10 +109,7 @@ impl Host {
     /// Ends the host, and waits for its worker. Only one that hangs takes a minute.
     fn end(self) {
         drop(self.gate);
-        let (tell, ended) = channel();
-        thread::spawn(move || tell.send(self.worker.join()));
-        let end = ended.recv_timeout(Duration::from_secs(60)).expect("the worker does not end with its host");
-        end.expect("it ends without a panic");
+        assert!(self.worker.join(Duration::from_secs(60)), "the worker does not end with its host");
     }
 }
 

@@ -2,27 +2,32 @@
 //! The module `pair` decides when to start, kill and use these processes, and the supervisor does it.
 
 use std::collections::BTreeMap;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{self, Write};
 use std::net::Shutdown;
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
 use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
 use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};
-use std::sync::mpsc::{self, Receiver, RecvTimeoutError, SyncSender};
-use std::thread;
 use std::time::{Duration, Instant};
 
+use actix::{
+    Actor, ActorContext, ActorFutureExt, AsyncContext, Context, Handler, Message, Recipient, SpawnHandle,
+    StreamHandler, Supervised, WrapFuture,
+};
+use futures_util::stream::{Stream, StreamExt, once, unfold};
+use tokio::io::{AsyncBufReadExt, AsyncReadExt, BufReader};
+use tokio::net::unix::pipe;
+use tokio::task::{JoinHandle, spawn_blocking, spawn_local};
+
 use murmurate::config::ConfigError;
-use murmurate::edge::{Packet, Port, Worker};
+use murmurate::edge::{self, Port, Seat, Worker};
 use murmurate::time::{Span, Time};
 
 use super::packet::{LONGEST, Plan};
 use super::pair::{Action, Id, Input, Pair};
 use super::{REFUSED, SUBCOMMAND};
 
-/// Largest number of events that wait for the supervisor. A DDS process that sends more is blocked, and drops packets.
-const ROOM: usize = 256;
 /// Time given to the DDS processes at the end of the host to publish zero velocities and leave DDS; after it they are
 /// killed. The host waits one second.
 const FAREWELL: Duration = Duration::from_millis(700);
@@ -41,22 +46,22 @@ pub struct Supervisor {
     pub program: Option<PathBuf>,
 }
 
-/// Input of the supervisor's loop: an output or the end of a DDS process, or a packet of the driver or source.
+/// Output or end of a DDS process.
+#[derive(Debug)]
 enum Happened {
     Line(Id, Vec<u8>),
     Ended(Id),
-    Packet(Packet),
-    /// The exit status of an ended DDS process was read. The text describes its end, for the log.
-    Collected(String),
-    /// The control thread of the host has closed the port of this worker, which then has to end.
-    Closed,
 }
 
-/// Running DDS process: its handle, its input, and the thread that reads its stderr.
+impl Message for Happened {
+    type Result = ();
+}
+
+/// Running DDS process: its handle, its input, and the task that reads its stderr.
 struct Process {
     child: Child,
     stdin: UnixStream,
-    stderr: Option<thread::JoinHandle<String>>,
+    stderr: Option<JoinHandle<String>>,
     /// Whether the supervisor killed the process; then the reason is already logged.
     killed: bool,
 }
@@ -78,101 +83,136 @@ impl Worker for Supervisor {
         Some(format!("topic {topic} in domain {}", self.plan.domain))
     }
 
-    fn run(self: Box<Self>, mut port: Port) {
-        let (tx, happened) = mpsc::sync_channel(ROOM);
-        let sender = port.sender();
-        let packets = tx.clone();
-        let reader = thread::spawn(move || {
-            while let Some(packet) = port.wait() {
-                if packets.send(Happened::Packet(packet)).is_err() {
-                    return;
-                }
+    fn start(self: Box<Self>, seat: Seat) -> Recipient<edge::Input> {
+        seat.start(move |port| {
+            let pair = Pair::new(Time::ZERO, self.plan.clone(), self.spare);
+            let (begun, ends) = (Instant::now(), (0, String::new()));
+            Keeper {
+                supervisor: *self,
+                port,
+                pair,
+                begun,
+                processes: BTreeMap::new(),
+                ends,
+                timer: None,
+                closes: false,
             }
-            let _ = packets.send(Happened::Closed);
-        });
-        let pass = |line| sender.send(line);
-        let ends = (0, String::new());
-        let mut shell = Shell { supervisor: &self, tx, processes: BTreeMap::new(), pass: &pass, ends };
-        shell.run(&happened);
-        drop(happened);
-        let _ = reader.join();
+        })
     }
 }
 
-/// State of the supervisor's loop: the running DDS processes, and channels to the loop and to the driver or source.
-struct Shell<'a> {
-    supervisor: &'a Supervisor,
-    tx: SyncSender<Happened>,
+/// Actor that starts, watches and replaces DDS processes.
+struct Keeper {
+    supervisor: Supervisor,
+    port: Port,
+    pair: Pair,
+    begun: Instant,
     processes: BTreeMap<Id, Process>,
-    pass: &'a dyn Fn(Packet),
     /// Number of successive ends of DDS processes for the same reason, and that reason.
     ends: (u64, String),
+    /// Timer of the pair's next turn.
+    timer: Option<SpawnHandle>,
+    /// Whether the host ends, so that no process is started any more.
+    closes: bool,
 }
 
-impl Shell<'_> {
-    fn run(&mut self, happened: &Receiver<Happened>) {
-        let start = Instant::now();
-        let clock = || Time::ZERO + Span::from_nanos(u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX));
-        let mut pair = Pair::new(clock(), self.supervisor.plan.clone(), self.supervisor.spare);
-        let mut actions = Vec::new();
-        loop {
-            pair.tick(clock(), &mut actions);
-            self.act(&mut actions);
-            let wait = Duration::from_nanos(pair.wake_at().since(clock()).as_nanos());
-            let event = match happened.recv_timeout(wait) {
-                Ok(event) => event,
-                Err(RecvTimeoutError::Timeout) => continue,
-                Err(RecvTimeoutError::Disconnected) => return,
-            };
-            let now = clock();
-            match &event {
-                Happened::Line(id, line) => pair.handle(now, Input::Line(*id, line), &mut actions),
-                Happened::Packet(packet) => pair.handle(now, Input::Packet(packet), &mut actions),
-                Happened::Ended(id) => {
-                    pair.handle(now, Input::Ended(*id), &mut actions);
-                    // The other process first gets the newest command.
-                    self.act(&mut actions);
-                    self.bury(*id);
-                }
-                Happened::Collected(how) => self.log_end(how.clone()),
-                Happened::Closed => return self.close(happened),
-            }
-            self.act(&mut actions);
+impl Actor for Keeper {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        self.turn(None, context);
+    }
+}
+
+impl Supervised for Keeper {}
+
+impl Handler<edge::Input> for Keeper {
+    type Result = ();
+
+    fn handle(&mut self, input: edge::Input, context: &mut Context<Self>) {
+        match input {
+            edge::Input::Packet(packet) => self.turn(Some(Input::Packet(&packet)), context),
+            edge::Input::Close => self.close(context),
         }
     }
+}
 
-    fn act(&mut self, actions: &mut Vec<Action>) {
-        for action in actions.drain(..) {
-            match action {
-                Action::Pass(line) => (self.pass)(line),
-                Action::Kill(id) => {
-                    if let Some(process) = self.processes.get_mut(&id) {
+impl Handler<Happened> for Keeper {
+    type Result = ();
+
+    fn handle(&mut self, happened: Happened, context: &mut Context<Self>) {
+        match happened {
+            Happened::Line(id, line) => self.turn(Some(Input::Line(id, &line)), context),
+            Happened::Ended(id) => {
+                // The other process first gets the newest command.
+                self.turn(Some(Input::Ended(id)), context);
+                self.bury(id, context);
+            }
+        }
+    }
+}
+
+impl StreamHandler<Happened> for Keeper {
+    fn handle(&mut self, happened: Happened, context: &mut Context<Self>) {
+        <Keeper as Handler<Happened>>::handle(self, happened, context);
+    }
+
+    /// The last item of a stream is the end of its process.
+    fn finished(&mut self, _: &mut Context<Self>) {}
+}
+
+impl Keeper {
+    fn now(&self) -> Time {
+        Time::ZERO + Span::from_nanos(u64::try_from(self.begun.elapsed().as_nanos()).unwrap_or(u64::MAX))
+    }
+
+    /// Gives an input to the pair, or none when its time has come; does what it decides, and sets the timer for its next
+    /// turn. When the host ends nothing is decided any more.
+    fn turn(&mut self, input: Option<Input<'_>>, context: &mut Context<Self>) {
+        if self.closes {
+            return;
+        }
+        let (now, mut actions) = (self.now(), Vec::new());
+        if let Some(input) = input {
+            self.pair.handle(now, input, &mut actions);
+        }
+        self.pair.tick(now, &mut actions);
+        actions.into_iter().for_each(|action| self.act(action, context));
+        if let Some(timer) = self.timer.take() {
+            context.cancel_future(timer);
+        }
+        let wait = Duration::from_nanos(self.pair.wake_at().since(self.now()).as_nanos());
+        self.timer = Some(context.run_later(wait, |keeper, context| keeper.turn(None, context)));
+    }
+
+    fn act(&mut self, action: Action, context: &mut Context<Self>) {
+        match action {
+            Action::Pass(line) => self.port.send(line),
+            Action::Kill(id) => {
+                if let Some(process) = self.processes.get_mut(&id) {
+                    process.kill();
+                }
+            }
+            Action::Send(id, line) => {
+                if let Some(process) = self.processes.get_mut(&id) {
+                    // A full socket means that the process does not read; a part of a line would spoil the rest.
+                    if !matches!(process.stdin.write(&line), Ok(written) if written == line.len()) {
                         process.kill();
                     }
                 }
-                Action::Send(id, line) => {
-                    if let Some(process) = self.processes.get_mut(&id) {
-                        // A full socket means that the process does not read; a part of a line would spoil the rest.
-                        if !matches!(process.stdin.write(&line), Ok(written) if written == line.len()) {
-                            process.kill();
-                        }
-                    }
-                }
-                Action::Start(id) => match self.start(id) {
-                    Ok(process) => drop(self.processes.insert(id, process)),
-                    Err(error) => {
-                        let name = &self.supervisor.plan.name;
-                        tracing::error!("{name}: its DDS process cannot be started: {error}; it is tried again");
-                        // From a thread of its own, since this one empties the queue.
-                        let tx = self.tx.clone();
-                        thread::spawn(move || tx.send(Happened::Ended(id)));
-                    }
-                },
             }
+            Action::Start(id) => match self.launch(id, context) {
+                Ok(process) => drop(self.processes.insert(id, process)),
+                Err(error) => {
+                    let name = &self.supervisor.plan.name;
+                    tracing::error!("{name}: its DDS process cannot be started: {error}; it is tried again");
+                    context.notify(Happened::Ended(id));
+                }
+            },
         }
     }
 
-    fn start(&self, id: Id) -> std::io::Result<Process> {
+    fn launch(&self, id: Id, context: &mut Context<Self>) -> io::Result<Process> {
         // By this link the program is found even after its file was replaced by another version.
         let program = self.supervisor.program.clone().unwrap_or_else(|| PathBuf::from("/proc/self/exe"));
         let (stdin, theirs) = UnixStream::pair()?;
@@ -187,34 +227,50 @@ impl Shell<'_> {
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()?;
-        let tx = self.tx.clone();
-        let stdout = child.stdout.take();
-        thread::spawn(move || {
-            if let Some(stdout) = stdout {
-                read(stdout, id, &tx);
+        let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
+        let mut process = Process { child, stdin, stderr: None, killed: false };
+        match (lines(stdout, id), first_words(stderr)) {
+            (Ok(lines), Ok(words)) => {
+                context.add_stream(lines);
+                process.stderr = Some(spawn_local(words));
+                Ok(process)
             }
-            let _ = tx.send(Happened::Ended(id));
-        });
-        let stderr = child.stderr.take().map(|stderr| thread::spawn(move || first_words(stderr)));
-        Ok(Process { child, stdin, stderr, killed: false })
+            (Err(error), _) | (_, Err(error)) => {
+                process.kill();
+                let _ = process.child.wait();
+                Err(error)
+            }
+        }
     }
 
-    /// Removes a DDS process that has closed its output. A new thread kills it, waits for its exit status and reports
-    /// an unexpected end to the loop.
-    fn bury(&mut self, id: Id) {
+    /// Removes a DDS process that has closed its output: kills it, waits for its exit status and logs an unexpected end.
+    fn bury(&mut self, id: Id, context: &mut Context<Self>) {
         let Some(mut process) = self.processes.remove(&id) else { return };
-        let tx = self.tx.clone();
-        thread::spawn(move || {
+        if !self.closes {
             let _ = process.child.kill();
-            let status = process.child.wait();
-            let words = process.stderr.and_then(|words| words.join().ok()).unwrap_or_default();
+        }
+        let Process { mut child, stderr, killed, .. } = process;
+        let burial = async move {
+            // The kernel may take a while, in which the other process is needed.
+            let status = spawn_blocking(move || child.wait()).await.unwrap_or_else(|error| Err(error.into()));
+            let words = match stderr {
+                Some(words) => words.await.unwrap_or_default(),
+                None => String::new(),
+            };
             // One that has reported its reason needs no second line.
             let reported = status.as_ref().is_ok_and(|status| status.code() == Some(i32::from(REFUSED)));
             let how = status.map_or_else(|error| error.to_string(), |status| status.to_string());
-            if !process.killed && !reported {
-                let _ = tx.send(Happened::Collected(format!("({how}) {words}")));
+            (killed || reported, format!("({how}) {words}"))
+        };
+        context.spawn(burial.into_actor(self).map(|(known, how), keeper, context| {
+            if keeper.closes {
+                if keeper.processes.is_empty() {
+                    context.stop();
+                }
+            } else if !known {
+                keeper.log_end(how);
             }
-        });
+        }));
     }
 
     /// Logs the end of a DDS process with its reason. Of successive ends for the same reason, logs only the ends 1, 2,
@@ -231,61 +287,60 @@ impl Shell<'_> {
     }
 
     /// Ends all DDS processes: closes their inputs, gives them time to stop their robots and leave DDS, and kills those
-    /// that do not end.
-    fn close(&mut self, happened: &Receiver<Happened>) {
+    /// that do not end. Then the actor stops.
+    fn close(&mut self, context: &mut Context<Self>) {
+        self.closes = true;
+        if self.processes.is_empty() {
+            return context.stop();
+        }
         for process in self.processes.values() {
             let _ = process.stdin.shutdown(Shutdown::Both);
         }
-        let end = Instant::now() + FAREWELL;
-        while !self.processes.is_empty() {
-            match happened.recv_timeout(end.saturating_duration_since(Instant::now())) {
-                Ok(Happened::Ended(id)) => {
-                    if let Some(mut process) = self.processes.remove(&id) {
-                        let _ = process.child.wait();
-                    }
-                }
-                Ok(_) => {}
-                Err(_) => break,
+        context.run_later(FAREWELL, |keeper, context| {
+            for mut process in std::mem::take(&mut keeper.processes).into_values() {
+                let _ = process.child.kill();
+                let _ = process.child.wait();
             }
-        }
-        for mut process in std::mem::take(&mut self.processes).into_values() {
-            let _ = process.child.kill();
-            let _ = process.child.wait();
-        }
+            context.stop();
+        });
     }
 }
 
-/// Reads lines from the output of DDS process `id` and sends them to the supervisor's loop, until the output is closed.
-fn read(stdout: ChildStdout, id: Id, tx: &SyncSender<Happened>) {
-    let mut stdout = BufReader::new(stdout);
+/// Returns the lines of the output of DDS process `id`, and at last its end.
+fn lines(stdout: Option<ChildStdout>, id: Id) -> io::Result<impl Stream<Item = Happened>> {
+    let stdout = receiver(stdout.map(OwnedFd::from))?;
     let most = u64::try_from(LONGEST + 1).expect("a small number");
-    loop {
+    let lines = unfold(BufReader::new(stdout), move |mut stdout| async move {
         let mut line = Vec::new();
-        match stdout.by_ref().take(most).read_until(b'\n', &mut line) {
-            Ok(0) | Err(_) => return,
-            Ok(_) => {
-                if tx.send(Happened::Line(id, line)).is_err() {
-                    return;
-                }
-            }
+        match (&mut stdout).take(most).read_until(b'\n', &mut line).await {
+            Ok(0) | Err(_) => None,
+            Ok(_) => Some((Happened::Line(id, line), stdout)),
         }
-    }
+    });
+    Ok(lines.chain(once(async move { Happened::Ended(id) })))
 }
 
 /// Reads the stderr of a DDS process to its end and returns its first two lines that are not empty, such as a panic and
 /// its message. Bytes of a line after the first `LONGEST_WORDS` count as the next line.
-fn first_words(stderr: ChildStderr) -> String {
-    let (mut stderr, mut words) = (BufReader::new(stderr), Vec::new());
-    loop {
-        let mut line = Vec::new();
-        match stderr.by_ref().take(LONGEST_WORDS).read_until(b'\n', &mut line) {
-            Ok(0) | Err(_) => return words.join(" "),
-            Ok(_) => {
-                let line = String::from_utf8_lossy(&line).trim().to_owned();
-                if words.len() < 2 && !line.is_empty() {
-                    words.push(line);
+fn first_words(stderr: Option<ChildStderr>) -> io::Result<impl Future<Output = String>> {
+    let mut stderr = BufReader::new(receiver(stderr.map(OwnedFd::from))?);
+    Ok(async move {
+        let mut words = Vec::new();
+        loop {
+            let mut line = Vec::new();
+            match (&mut stderr).take(LONGEST_WORDS).read_until(b'\n', &mut line).await {
+                Ok(0) | Err(_) => return words.join(" "),
+                Ok(_) => {
+                    let line = String::from_utf8_lossy(&line).trim().to_owned();
+                    if words.len() < 2 && !line.is_empty() {
+                        words.push(line);
+                    }
                 }
             }
         }
-    }
+    })
+}
+
+fn receiver(pipe: Option<OwnedFd>) -> io::Result<pipe::Receiver> {
+    pipe::Receiver::from_owned_fd(pipe.expect("the process was started with pipes"))
 }

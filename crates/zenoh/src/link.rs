@@ -1,12 +1,12 @@
-//! Open link of the transport `zenoh`: the control thread's side of a session, which is on a thread of its
-//! own behind a bounded channel.
+//! Open link of the transport `zenoh`: the control thread's side of a session, which is an actor on a thread of its own
+//! behind a bounded channel.
 
 use std::net::SocketAddr;
 use std::os::fd::AsFd;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread;
 use std::time::Duration;
 
@@ -14,7 +14,7 @@ use nix::sys::eventfd::{EfdFlags, EventFd};
 
 use super::session::{News, Role, Shared, TO_ALL, Worker, awaits, configuration, endpoints, reach, role};
 use super::{SessionConfig, Streams, route};
-use murmurate::edge::{self, Gate};
+use murmurate::edge::{self, Gate, Running};
 use murmurate::fitness::{Finding, Fitness};
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::router::Audience;
@@ -29,25 +29,25 @@ const CLOSING: Duration = Duration::from_millis(300);
 /// Longest wait of a check for a router to answer.
 const CHECKING: Duration = Duration::from_millis(6000);
 
-/// Opens the session of `host` on a thread of its own. Goes on without a router, which may come later.
+/// Opens the session of `host`, an actor of its own. Goes on without a router, which may come later.
 pub(super) fn open(config: &SessionConfig, host: HostId) -> Result<Box<dyn Transport>, OpenError> {
     let zenoh = configuration(config).map_err(OpenError::Wrong)?;
-    let (gate, port) = edge::channel().map_err(|error| OpenError::NotNow(error.to_string()))?;
     let shared = Arc::new(Shared::default());
     let waits = awaits(&zenoh);
-    let worker = Worker { config: config.clone(), zenoh, host, shared: Arc::clone(&shared) };
-    let ((opened_tx, opened), (ended_tx, ended)) = (sync_channel(1), sync_channel::<()>(1));
+    let (opened_tx, opened) = sync_channel(1);
+    let not_now = |error: std::io::Error| OpenError::NotNow(error.to_string());
     let flags = EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC;
-    let bell = EventFd::from_flags(flags).map_err(|error| OpenError::NotNow(error.to_string()))?;
-    let (bell, (queue, news)) = (Arc::new(bell), sync_channel(8));
-    let tell = News { queue, bell: Arc::clone(&bell) };
+    let bell = Arc::new(EventFd::from_flags(flags).map_err(|error| not_now(error.into()))?);
+    let (queue, news) = sync_channel(8);
     let closed = Arc::new(AtomicBool::new(false));
-    route::watch(endpoints(&worker.zenoh), Arc::clone(&shared.remake), Arc::clone(&closed))
-        .map_err(|error| OpenError::NotNow(error.to_string()))?;
+    route::watch(endpoints(&zenoh), Arc::clone(&shared.remake), Arc::clone(&closed)).map_err(not_now)?;
+    let tell = News { queue, bell: Arc::clone(&bell) };
+    let worker =
+        Worker { config: config.clone(), zenoh, host, shared: Arc::clone(&shared), opened: opened_tx, news: tell };
+    let (gate, session) = edge::start(Box::new(worker), "zenoh").map_err(not_now)?;
     let link = Link {
-        gate: Some(gate),
+        open: Some((gate, session)),
         shared,
-        ended,
         news,
         bell,
         closed,
@@ -55,12 +55,6 @@ pub(super) fn open(config: &SessionConfig, host: HostId) -> Result<Box<dyn Trans
         flood: Flood::default(),
         unsent: 0,
     };
-    let run = move || {
-        worker.run(port, &opened_tx, &tell);
-        drop(ended_tx);
-    };
-    let named = thread::Builder::new().name("zenoh".to_owned()).spawn(run);
-    named.map_err(|error| OpenError::NotNow(error.to_string()))?;
     match opened.recv_timeout(OPENING) {
         Ok(Ok(())) => tracing::info!(key = config.key, "the Zenoh session of a link is open"),
         // It cannot listen: this does not get better by itself.
@@ -112,11 +106,9 @@ pub(super) fn check(config: &SessionConfig, link: &str) -> Vec<Finding> {
 
 /// Open link of the transport `zenoh`.
 struct Link {
-    /// Channel to the session's thread; `None` while the link is dropped.
-    gate: Option<Gate>,
+    /// Channel to the session's actor, and the running actor; `None` while the link is dropped.
+    open: Option<(Gate, Running)>,
     shared: Arc<Shared>,
-    /// Disconnected once the session's thread has ended.
-    ended: Receiver<()>,
     /// Changes of the session, and what is readable when there are some.
     news: Receiver<Renewed>,
     bell: Arc<EventFd>,
@@ -131,18 +123,21 @@ struct Link {
 
 impl Link {
     fn gate(&self) -> &Gate {
-        self.gate.as_ref().expect("it is there until the link is dropped")
+        &self.open.as_ref().expect("it is there until the link is dropped").0
+    }
+
+    fn gate_mut(&mut self) -> &mut Gate {
+        &mut self.open.as_mut().expect("it is there until the link is dropped").0
     }
 }
 
 impl Drop for Link {
     fn drop(&mut self) {
-        self.gate = None;
         self.closed.store(true, Ordering::Relaxed);
+        let Some((gate, session)) = self.open.take() else { return };
+        drop(gate);
         // The last frames may say that this host leaves.
-        if self.shared.open.load(Ordering::Acquire)
-            && let Err(RecvTimeoutError::Timeout) = self.ended.recv_timeout(CLOSING)
-        {
+        if self.shared.open.load(Ordering::Acquire) && !session.join(CLOSING) {
             tracing::debug!("a Zenoh session is still closing");
         }
     }
@@ -156,8 +151,7 @@ impl Transport for Link {
     fn receive(&mut self, now: Time, take: &mut dyn FnMut(Option<SocketAddr>, &[u8])) {
         let mut count = 0;
         self.looked = now;
-        let gate = self.gate.as_mut().expect("it is there until the link is dropped");
-        gate.take(|packet| {
+        self.gate_mut().take(|packet| {
             count += 1;
             take(None, &packet);
         });
@@ -176,8 +170,7 @@ impl Transport for Link {
             return;
         }
         let to = if let Audience::Host(host) = audience { host.0 } else { TO_ALL };
-        let gate = self.gate.as_mut().expect("it is there until the link is dropped");
-        gate.send([&to.to_le_bytes()[..], &frame].concat().into());
+        self.gate_mut().send([&to.to_le_bytes()[..], &frame].concat().into());
     }
 
     fn counts(&self) -> Counts {

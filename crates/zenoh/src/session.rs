@@ -1,11 +1,17 @@
-//! Thread of a Zenoh session: opens it, tries again while no router answers, publishes the frames of the control
-//! thread, and passes on those of others. The only file that calls the Zenoh library.
+//! Actor of a Zenoh session: opens it, tries again while no router answers, publishes the frames of the control thread,
+//! and passes on those of others. The only file that calls the Zenoh library.
+//!
+//! The library blocks for a millisecond when it publishes, which only this actor's own arbiter notices. To open and to
+//! close a session take longer and have a thread of their own.
 
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::time::{Duration, Instant};
+
+use actix::{Actor, ActorContext, ActorFutureExt, AsyncContext, Context, Handler, Recipient, Supervised, WrapFuture};
+use tokio::sync::oneshot;
 
 use ::zenoh::pubsub::Subscriber;
 use ::zenoh::qos::{CongestionControl, Priority, Reliability};
@@ -15,7 +21,7 @@ use nix::sys::eventfd::EventFd;
 
 use super::route::Endpoints;
 use super::{SessionConfig, check_endpoint};
-use murmurate::edge::{PacketSender, Port};
+use murmurate::edge::{self, Input, PacketSender, Port, Seat};
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::codec::MAX_FRAME_BYTES;
 use murmurate::net::transport::Renewed;
@@ -53,15 +59,6 @@ pub(super) struct Shared {
     pub refused: AtomicU64,
     /// Whether the session has to be made again, because this machine's address or interface has changed.
     pub remake: Arc<AtomicBool>,
-}
-
-/// End of a session.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum End {
-    /// The control thread has closed the channel.
-    Closed,
-    /// The session is to be made again.
-    Remade,
 }
 
 /// Returns the configuration of the Zenoh library for a session. An error says what is wrong with it, or with its file.
@@ -186,7 +183,7 @@ pub(super) fn endpoints(config: &Config) -> Endpoints {
     Endpoints { connect: all("connect/endpoints"), listen: all("listen/endpoints") }
 }
 
-/// Session of one host on one link, on its own thread.
+/// Settings of the session of one host on one link, and its channels to the control thread.
 pub(super) struct Worker {
     /// Configuration of the session.
     pub config: SessionConfig,
@@ -196,6 +193,16 @@ pub(super) struct Worker {
     pub host: HostId,
     /// State that the control thread reads.
     pub shared: Arc<Shared>,
+    /// Takes the result of the first attempt to open the session.
+    pub opened: SyncSender<Result<(), String>>,
+    /// Takes each later change of the session.
+    pub news: News,
+}
+
+impl edge::Worker for Worker {
+    fn start(self: Box<Self>, seat: Seat) -> Recipient<Input> {
+        seat.start(move |port| Keeper { worker: *self, port, open: None, failed: 0 })
+    }
 }
 
 /// Subscription to one key, which is declared anew while nothing is heard on it: on a link without retransmission, such
@@ -241,105 +248,170 @@ impl Subscription {
     }
 }
 
-impl Worker {
-    /// Runs the session until the control thread closes `port`, and makes it again when the machine's address has
-    /// changed. The first attempt's result goes to `opened`, and each later change of the session to `news`.
-    pub fn run(self, mut port: Port, opened: &SyncSender<Result<(), String>>, news: &News) {
-        let sender = port.sender();
-        while let Some(session) = self.open(&sender, opened) {
-            let keys = [self.config.key_of_all(), self.config.key_of(self.host.0)];
-            let mut subscriptions = keys.map(|key| Subscription::new(&key));
-            self.refresh(&mut subscriptions, &session, &sender);
-            self.shared.open.store(true, Ordering::Release);
-            if opened.try_send(Ok(())).is_err() {
-                news.report(Renewed::Open(format!("the Zenoh session of '{}'", self.config.key)));
-            }
-            let end = self.publish_all(&session, &mut subscriptions, &mut port);
-            if end == End::Closed {
+/// Actor that keeps a session open, and makes it again when the machine's address has changed.
+struct Keeper {
+    worker: Worker,
+    port: Port,
+    /// `None` while no session is open.
+    open: Option<Open>,
+    /// Number of attempts to open the session that have failed since one has succeeded.
+    failed: u32,
+}
+
+/// Open session with its subscriptions.
+struct Open {
+    subscriptions: [Subscription; 2],
+    session: Session,
+    refreshed: Instant,
+}
+
+impl Actor for Keeper {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        self.begin(context);
+    }
+}
+
+impl Supervised for Keeper {
+    fn restarting(&mut self, context: &mut Context<Self>) {
+        self.begin(context);
+    }
+}
+
+impl Handler<Input> for Keeper {
+    type Result = ();
+
+    fn handle(&mut self, input: Input, context: &mut Context<Self>) {
+        match input {
+            Input::Packet(packet) => self.publish(&packet, context),
+            Input::Close => {
                 // Flushes what was published last, and tells the router.
-                let _ = session.close().wait();
-                return;
-            }
-            self.shared.open.store(false, Ordering::Release);
-            news.report(Renewed::Closed("this machine's address or interface has changed".to_owned()));
-            // A session that listens occupies its port. The end of any other may wait for a router that is not reached
-            // any more, so nobody waits for it.
-            if awaits(&self.zenoh) {
-                drop(subscriptions);
-                let _ = session.close().wait();
-            } else {
-                std::thread::spawn(move || {
-                    drop(subscriptions);
-                    let _ = session.close().wait();
-                });
+                let closed = self.open.take().map(Open::close);
+                let closing = async move {
+                    if let Some(closed) = closed {
+                        let _ = closed.await;
+                    }
+                };
+                context.spawn(closing.into_actor(self).map(|(), _, context| context.stop()));
             }
         }
     }
+}
 
-    /// Publishes the frames of the control thread until it closes the channel, or until the session has to be made
-    /// again.
-    fn publish_all(&self, session: &Session, subscriptions: &mut [Subscription], port: &mut Port) -> End {
-        let sender = port.sender();
-        let mut refreshed = Instant::now();
-        while let Some(packet) = port.wait() {
-            if self.shared.remake.swap(false, Ordering::Relaxed) {
-                return End::Remade;
-            }
-            let to = u16::from_le_bytes([packet[0], packet[1]]);
-            self.note(self.publish(session, to, &packet[2..]));
-            // Every host sends link reports several times a second, so this is done as often as needed.
-            let period = if subscriptions.iter().any(|one| one.ever_heard) { REFRESH } else { FIRST_REFRESH };
-            if refreshed.elapsed() >= period {
-                refreshed = Instant::now();
-                self.refresh(subscriptions, session, &sender);
-            }
-        }
-        End::Closed
+impl Keeper {
+    /// Begins to open the session; tries again until that succeeds.
+    fn begin(&mut self, context: &mut Context<Self>) {
+        // What changed before this attempt is known to it.
+        self.worker.shared.remake.store(false, Ordering::Relaxed);
+        let zenoh = self.worker.zenoh.clone();
+        let opening = elsewhere(move || ::zenoh::open(zenoh).wait());
+        context.spawn(opening.into_actor(self).map(|opened, keeper, context| match opened {
+            Some(Ok(session)) => keeper.opened(session),
+            Some(Err(error)) => keeper.fail(reason(&error), context),
+            None => keeper.fail("this machine has no thread left".to_owned(), context),
+        }));
     }
 
-    fn refresh(&self, subscriptions: &mut [Subscription], session: &Session, sender: &PacketSender) {
-        subscriptions.iter_mut().for_each(|one| self.note(one.refresh(session, sender)));
+    fn fail(&mut self, error: String, context: &mut Context<Self>) {
+        self.failed += 1;
+        if self.failed.is_power_of_two() {
+            let key = &self.worker.config.key;
+            tracing::warn!(attempts = self.failed, "no Zenoh session for '{key}' yet: {error}");
+        }
+        let _ = self.worker.opened.try_send(Err(error));
+        context.run_later(RETRY, Keeper::begin);
+    }
+
+    fn opened(&mut self, session: Session) {
+        self.failed = 0;
+        let config = &self.worker.config;
+        let subscriptions = [config.key_of_all(), config.key_of(self.worker.host.0)].map(|key| Subscription::new(&key));
+        self.open = Some(Open { subscriptions, session, refreshed: Instant::now() });
+        self.refresh();
+        self.worker.shared.open.store(true, Ordering::Release);
+        if self.worker.opened.try_send(Ok(())).is_err() {
+            self.worker.news.report(Renewed::Open(format!("the Zenoh session of '{}'", self.worker.config.key)));
+        }
+    }
+
+    /// Publishes a frame of the control thread, whose first two bytes are the number of its receiver.
+    fn publish(&mut self, packet: &[u8], context: &mut Context<Self>) {
+        if self.worker.shared.remake.swap(false, Ordering::Relaxed) {
+            return self.remake(context);
+        }
+        let (Some(open), [low, high, frame @ ..]) = (&self.open, packet) else { return };
+        let to = u16::from_le_bytes([*low, *high]);
+        let config = &self.worker.config;
+        let key = if to == TO_ALL { config.key_of_all() } else { config.key_of(to) };
+        self.note(publish(&open.session, key, frame));
+        // Every host sends link reports several times a second, so this is done as often as needed.
+        let heard = open.subscriptions.iter().any(|one| one.ever_heard);
+        if open.refreshed.elapsed() >= if heard { REFRESH } else { FIRST_REFRESH } {
+            self.refresh();
+        }
+    }
+
+    fn refresh(&mut self) {
+        let (sender, Some(open)) = (self.port.sender(), &mut self.open) else { return };
+        open.refreshed = Instant::now();
+        let results = open.subscriptions.each_mut().map(|one| one.refresh(&open.session, &sender));
+        results.into_iter().for_each(|result| self.note(result));
+    }
+
+    /// Closes the session, and opens another.
+    fn remake(&mut self, context: &mut Context<Self>) {
+        let Some(open) = self.open.take() else { return };
+        self.worker.shared.open.store(false, Ordering::Release);
+        self.worker.news.report(Renewed::Closed("this machine's address or interface has changed".to_owned()));
+        let closed = open.close();
+        // A session that listens occupies its port. The end of any other may wait for a router that is not reached any
+        // more, so nobody waits for it.
+        if awaits(&self.worker.zenoh) {
+            context.spawn(closed.into_actor(self).map(|_, keeper, context| keeper.begin(context)));
+        } else {
+            self.begin(context);
+        }
     }
 
     /// Counts and logs a refusal of the library.
     fn note(&self, result: ::zenoh::Result<()>) {
         let Err(error) = result else { return };
-        let refused = self.shared.refused.fetch_add(1, Ordering::Relaxed) + 1;
+        let refused = self.worker.shared.refused.fetch_add(1, Ordering::Relaxed) + 1;
         if refused.is_power_of_two() {
             tracing::warn!(refused, "Zenoh has refused a frame: {}", reason(&error));
         }
     }
+}
 
-    /// Opens the session; tries again until that succeeds. Returns `None` once the control thread has closed the
-    /// channel.
-    fn open(&self, sender: &PacketSender, opened: &SyncSender<Result<(), String>>) -> Option<Session> {
-        let mut failed: u32 = 0;
-        while !sender.is_closed() {
-            // What changed before this attempt is known to it.
-            self.shared.remake.store(false, Ordering::Relaxed);
-            let error = match ::zenoh::open(self.zenoh.clone()).wait() {
-                Ok(session) => return Some(session),
-                Err(error) => reason(&error),
-            };
-            failed += 1;
-            if failed.is_power_of_two() {
-                tracing::warn!(attempts = failed, "no Zenoh session for '{}' yet: {error}", self.config.key);
-            }
-            let _ = opened.try_send(Err(error));
-            std::thread::park_timeout(RETRY);
-        }
-        None
+impl Open {
+    /// Begins to close the session, and returns a future that is ready when it is closed.
+    fn close(self) -> impl Future<Output = Option<()>> {
+        elsewhere(move || {
+            drop(self.subscriptions);
+            let _ = self.session.close().wait();
+        })
     }
+}
 
-    /// Publishes a frame. Its key is not declared: with a declared publisher, the library keeps frames back until a
-    /// router has told it of receivers, which may be lost on the way.
-    fn publish(&self, session: &Session, to: u16, frame: &[u8]) -> ::zenoh::Result<()> {
-        let key = if to == TO_ALL { self.config.key_of_all() } else { self.config.key_of(to) };
-        let publication = session.put(key, frame);
-        let publication = publication.congestion_control(CongestionControl::Drop).priority(Priority::RealTime);
-        let publication = publication.express(true).reliability(Reliability::BestEffort);
-        publication.allowed_destination(Locality::Remote).wait()
+/// Runs a function that may block on a thread of its own, without an asynchronous runtime, which the library refuses to
+/// block in. Returns a future of its result; `None` if it has panicked or there is no thread left.
+fn elsewhere<T: Send + 'static>(run: impl FnOnce() -> T + Send + 'static) -> impl Future<Output = Option<T>> {
+    let (tx, rx) = oneshot::channel();
+    let started = std::thread::Builder::new().name("zenoh".to_owned()).spawn(move || drop(tx.send(run())));
+    async move {
+        started.ok()?;
+        rx.await.ok()
     }
+}
+
+/// Publishes a frame. Its key is not declared: with a declared publisher, the library keeps frames back until a router
+/// has told it of receivers, which may be lost on the way.
+fn publish(session: &Session, key: String, frame: &[u8]) -> ::zenoh::Result<()> {
+    let publication = session.put(key, frame);
+    let publication = publication.congestion_control(CongestionControl::Drop).priority(Priority::RealTime);
+    let publication = publication.express(true).reliability(Reliability::BestEffort);
+    publication.allowed_destination(Locality::Remote).wait()
 }
 
 #[cfg(test)]

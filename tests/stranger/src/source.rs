@@ -4,8 +4,9 @@
 use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
+use actix::{Actor, ActorContext, AsyncContext, Context, Handler, Recipient, Supervised};
 use murmurate::config::ConfigError;
-use murmurate::edge::{Port, Settings, Worker};
+use murmurate::edge::{Input, Port, Seat, Settings, Worker};
 use murmurate::localization::{Entry, In, Out, Parts, Source};
 use murmurate::messages::geometry::{Deviation, Pose, Twist, Vec2};
 use murmurate::messages::ids::RobotId;
@@ -18,6 +19,9 @@ pub const BENCH: Entry = Entry { name: "bench", about: "a robot on a test bench,
 
 /// Time without a datagram after which the robot stops.
 const PATIENCE: Duration = Duration::from_millis(500);
+
+/// Period of the bench's reports.
+const PERIOD: Duration = Duration::from_millis(20);
 
 /// Settings in a deployment.
 #[derive(Clone, Deserialize)]
@@ -60,34 +64,69 @@ impl Source for Bench {
     }
 }
 
-/// Worker on its own thread, which simulates the bench.
+/// Worker, which simulates the bench.
 struct Robot {
     config: Config,
 }
 
 impl Worker for Robot {
-    fn run(self: Box<Self>, port: Port) {
-        let socket = UdpSocket::bind(self.config.listens).expect("nobody else has the robot's port");
-        socket.set_read_timeout(Some(Duration::from_millis(20))).expect("a socket can wait");
-        let (began, sender) = (Instant::now(), port.sender());
-        let (mut position, mut velocity) = (Vec2::from(self.config.begins), Vec2::zeros());
-        let (mut heard, mut before) = (began, began);
-        while !sender.is_closed() {
-            let mut bytes = [0; 8];
-            let came = matches!(socket.recv(&mut bytes), Ok(8));
+    fn start(self: Box<Self>, seat: Seat) -> Recipient<Input> {
+        seat.start(move |port| {
+            let socket = UdpSocket::bind(self.config.listens).expect("nobody else has the robot's port");
+            socket.set_nonblocking(true).expect("a socket need not wait");
             let now = Instant::now();
-            position += velocity * now.duration_since(before).as_secs_f32();
-            before = now;
-            if came {
-                let (x, y) = bytes.split_at(4);
-                let number = |bytes: &[u8]| f32::from_le_bytes(bytes.try_into().expect("four bytes"));
-                (velocity, heard) = (Vec2::new(number(x), number(y)), now);
-            } else if now.duration_since(heard) > PATIENCE {
-                velocity = Vec2::zeros();
-            }
-            let stamp = Span::from_secs(now.duration_since(began).as_secs_f64()).as_nanos().to_le_bytes();
-            let numbers = [position.x, position.y, velocity.x, velocity.y].map(f32::to_le_bytes);
-            sender.send([&stamp[..], &numbers.concat()].concat().into());
+            let position = Vec2::from(self.config.begins);
+            Platform { socket, port, began: now, position, velocity: Vec2::zeros(), heard: now, before: now }
+        })
+    }
+}
+
+/// Actor of the worker, on a thread of its own.
+struct Platform {
+    socket: UdpSocket,
+    port: Port,
+    began: Instant,
+    position: Vec2,
+    velocity: Vec2,
+    heard: Instant,
+    before: Instant,
+}
+
+impl Actor for Platform {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        context.run_interval(PERIOD, Platform::step);
+    }
+}
+
+impl Supervised for Platform {}
+
+impl Handler<Input> for Platform {
+    type Result = ();
+
+    fn handle(&mut self, input: Input, context: &mut Context<Self>) {
+        if input == Input::Close {
+            context.stop();
         }
+    }
+}
+
+impl Platform {
+    fn step(&mut self, _: &mut Context<Self>) {
+        let (mut bytes, now) = ([0; 8], Instant::now());
+        self.position += self.velocity * now.duration_since(self.before).as_secs_f32();
+        self.before = now;
+        while let Ok(8) = self.socket.recv(&mut bytes) {
+            let (x, y) = bytes.split_at(4);
+            let number = |bytes: &[u8]| f32::from_le_bytes(bytes.try_into().expect("four bytes"));
+            (self.velocity, self.heard) = (Vec2::new(number(x), number(y)), now);
+        }
+        if now.duration_since(self.heard) > PATIENCE {
+            self.velocity = Vec2::zeros();
+        }
+        let stamp = Span::from_secs(now.duration_since(self.began).as_secs_f64()).as_nanos().to_le_bytes();
+        let numbers = [self.position.x, self.position.y, self.velocity.x, self.velocity.y].map(f32::to_le_bytes);
+        self.port.send([&stamp[..], &numbers.concat()].concat().into());
     }
 }

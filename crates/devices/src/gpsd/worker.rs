@@ -1,30 +1,31 @@
 //! Worker of the source `gpsd`: a TCP client that subscribes to reports and passes the lines on unchanged.
 
-use std::io::{self, Read, Write};
-use std::net::{SocketAddr, TcpStream, ToSocketAddrs};
-use std::thread;
+use std::io;
+use std::net::SocketAddr;
+use std::pin::pin;
 use std::time::Duration;
 
-use murmurate::edge::{Packet, PacketSender, Port, Worker};
+use actix::{Actor, ActorContext, ActorFutureExt, AsyncContext, Context, Handler, Recipient, Supervised, WrapFuture};
+use futures_util::future::select;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpStream, lookup_host};
+use tokio::time::timeout;
+
+use murmurate::edge::{Input, Packet, PacketSender, Port, Seat, Worker};
 use murmurate::messages::ids::RobotId;
 
 /// Request that subscribes to reports (gpsd_json(5)).
 const WATCH: &[u8] = b"?WATCH={\"enable\":true,\"json\":true};\n";
 /// Longest accepted line \[bytes\]; the limit of gpsd itself is 10240. A longer line is cut, which makes it malformed.
 const LONGEST: usize = 16_384;
-/// Longest wait for bytes. The worker notices the end of the host after at most this time.
-const WAIT: Duration = Duration::from_millis(100);
 /// Timeout for the TCP connection to gpsd to be opened.
 const CONNECT: Duration = Duration::from_millis(500);
-/// Number of waits without a byte after which the connection counts as lost: 5 s in total. Receivers report each second
-/// or faster.
-const SILENT: u32 = 50;
-/// Number of waits without a byte after which the name of gpsd's host is resolved again: 1 s in total. Another address
-/// ends the connection.
-const UNSURE: u32 = 10;
-/// Pause after the first failed connection to gpsd, and longest pause, as numbers of waits of 0.1 s. The pause doubles
-/// after each further failure.
-const PAUSES: [u32; 2] = [2, 32];
+/// Time without a byte after which the connection counts as lost. Receivers report each second or faster.
+const SILENT: Duration = Duration::from_secs(5);
+/// Time without a byte after which the name of gpsd's host is resolved again. Another address ends the connection.
+const UNSURE: Duration = Duration::from_secs(1);
+/// Pause after the first failed connection to gpsd, and longest pause. The pause doubles after each further failure.
+const PAUSES: [Duration; 2] = [Duration::from_millis(200), Duration::from_millis(3200)];
 
 /// Worker of the source `gpsd`: a TCP client that receives the reports of gpsd and connects again after errors.
 pub struct Subscriber {
@@ -35,85 +36,130 @@ pub struct Subscriber {
 }
 
 impl Worker for Subscriber {
-    fn run(self: Box<Self>, port: Port) {
-        let sender = port.sender();
-        let [mut pause, longest] = PAUSES;
-        let mut failures = 0u32;
-        while !sender.is_closed() {
+    fn start(self: Box<Self>, seat: Seat) -> Recipient<Input> {
+        seat.start(move |port| Client { config: *self, port, pause: PAUSES[0], failures: 0 })
+    }
+}
+
+/// Actor that receives the reports of gpsd. An end of the connection ends its life; then it is started again.
+struct Client {
+    config: Subscriber,
+    port: Port,
+    /// Pause before the next connection.
+    pause: Duration,
+    /// Number of connections that have failed or ended so far, since one has had a line.
+    failures: u32,
+}
+
+impl Actor for Client {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        self.subscribe(context);
+    }
+}
+
+impl Supervised for Client {
+    fn restarting(&mut self, context: &mut Context<Self>) {
+        context.run_later(self.pause, Client::subscribe);
+        self.pause = (2 * self.pause).min(PAUSES[1]);
+    }
+}
+
+impl Handler<Input> for Client {
+    type Result = ();
+
+    fn handle(&mut self, input: Input, context: &mut Context<Self>) {
+        if input == Input::Close {
+            context.stop();
+        }
+    }
+}
+
+impl Client {
+    fn subscribe(&mut self, context: &mut Context<Self>) {
+        let (address, sender) = (self.config.address.clone(), self.port.sender());
+        let following = async move {
             let mut lines = Lines::default();
-            let end = self.subscribe().and_then(|stream| self.follow(stream, &mut lines, &sender));
-            let Err(error) = end else { return };
-            if lines.passed > 0 {
-                (pause, failures) = (PAUSES[0], 0);
-            }
-            failures += 1;
-            if failures.is_power_of_two() {
-                let Subscriber { address, robot } = &*self;
-                tracing::warn!("no reports of gpsd at {address} for {robot}: {error}; does it run, with its receiver?");
-            }
-            (0..pause).take_while(|_| !sender.is_closed()).for_each(|_| thread::park_timeout(WAIT));
-            pause = (2 * pause).min(longest);
+            let error = match connect(&address).await {
+                Ok(stream) => follow(stream, &address, &mut lines, &sender).await,
+                Err(error) => error,
+            };
+            (lines.passed > 0, error)
+        };
+        context.spawn(following.into_actor(self).map(|(heard, error), client, context| {
+            client.fail(heard, &error);
+            context.stop();
+        }));
+    }
+
+    /// Counts the end of a connection, and logs the ends 1, 2, 4, 8 and so on.
+    fn fail(&mut self, heard: bool, error: &io::Error) {
+        if heard {
+            (self.pause, self.failures) = (PAUSES[0], 0);
+        }
+        self.failures += 1;
+        if self.failures.is_power_of_two() {
+            let Subscriber { address, robot } = &self.config;
+            tracing::warn!("no reports of gpsd at {address} for {robot}: {error}; does it run, with its receiver?");
         }
     }
 }
 
-impl Subscriber {
-    fn subscribe(&self) -> io::Result<TcpStream> {
-        let mut connected = Err(io::Error::other("its name has no address"));
-        for at in resolve(&self.address)? {
-            connected = TcpStream::connect_timeout(&at, CONNECT);
-            if connected.is_ok() {
-                break;
-            }
+/// Connects to gpsd at `address` and requests its reports.
+async fn connect(address: &str) -> io::Result<TcpStream> {
+    let mut connected = Err(io::Error::other("its name has no address"));
+    for at in lookup_host(address).await? {
+        connected = timeout(CONNECT, TcpStream::connect(at)).await.unwrap_or(Err(io::ErrorKind::TimedOut.into()));
+        if connected.is_ok() {
+            break;
         }
-        let mut stream = connected?;
-        stream.set_read_timeout(Some(WAIT))?;
-        stream.set_write_timeout(Some(WAIT))?;
-        stream.write_all(WATCH)?;
-        Ok(stream)
     }
+    let mut stream = connected?;
+    stream.write_all(WATCH).await?;
+    Ok(stream)
+}
 
-    /// Passes lines from gpsd to the source until the host ends. An error is the reason for which the connection ended.
-    fn follow(&self, mut stream: TcpStream, lines: &mut Lines, sender: &PacketSender) -> io::Result<()> {
-        let (mut buffer, mut silent) = ([0; 4096], 0);
-        let at = stream.peer_addr()?;
-        let mut asked: Option<thread::JoinHandle<io::Result<Vec<SocketAddr>>>> = None;
-        while !sender.is_closed() {
-            // A resolver may take seconds, in which readings may come again, so it has a thread of its own.
-            if silent == UNSURE && asked.is_none() {
-                let address = self.address.clone();
-                asked = Some(thread::spawn(move || resolve(&address)));
-            }
-            if let Some(answer) = asked.take_if(|asked| asked.is_finished())
-                && let Ok(Ok(now)) = answer.join()
-                && !now.contains(&at)
-                && silent >= UNSURE
-            {
-                return Err(io::Error::other(format!("it is silent at {at}, and its name has another address now")));
-            }
-            match stream.read(&mut buffer) {
-                Ok(0) => return Err(io::Error::other("it has closed the connection")),
-                Ok(length) => {
-                    silent = 0;
-                    lines.take(&buffer[..length], |line| sender.send(line));
-                }
-                Err(error) if matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) => {
-                    silent += 1
-                }
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                Err(error) => return Err(error),
-            }
-            if silent >= SILENT {
-                return Err(io::Error::other("it is silent"));
-            }
+/// Passes lines from gpsd to the source, until the connection ends or is silent. Returns the reason.
+async fn follow(mut stream: TcpStream, address: &str, lines: &mut Lines, sender: &PacketSender) -> io::Error {
+    let mut buffer = [0; 4096];
+    let at = match stream.peer_addr() {
+        Ok(at) => at,
+        Err(error) => return error,
+    };
+    loop {
+        let read = match timeout(UNSURE, stream.read(&mut buffer)).await {
+            Ok(read) => read,
+            // A resolver may take seconds, in which readings may come again.
+            Err(_) => match timeout(SILENT - UNSURE, first(stream.read(&mut buffer), moved(address, at))).await {
+                Ok(read) => read,
+                Err(_) => return io::Error::other("it is silent"),
+            },
+        };
+        match read {
+            Ok(0) => return io::Error::other("it has closed the connection"),
+            Ok(length) => lines.take(&buffer[..length], |line| sender.send(line)),
+            Err(error) => return error,
         }
-        Ok(())
     }
 }
 
-/// Returns the addresses of gpsd: an IP address as it is, or all of a name.
-fn resolve(address: &str) -> io::Result<Vec<SocketAddr>> {
-    address.to_socket_addrs().map(Iterator::collect)
+/// Resolves the name of gpsd's host again. Is ready, with an error, only if the name has other addresses than `at` now.
+async fn moved(address: &str, at: SocketAddr) -> io::Result<usize> {
+    match lookup_host(address).await {
+        Ok(mut now) => {
+            if now.any(|now| now == at) {
+                return std::future::pending().await;
+            }
+            Err(io::Error::other(format!("it is silent at {at}, and its name has another address now")))
+        }
+        Err(_) => std::future::pending().await,
+    }
+}
+
+/// Returns the output of the future that is ready first.
+async fn first<T>(one: impl Future<Output = T>, other: impl Future<Output = T>) -> T {
+    select(pin!(one), pin!(other)).await.factor_first().0
 }
 
 /// Splitter of a byte stream into lines.

@@ -12,6 +12,7 @@ mod odometry;
 pub mod protocol;
 mod reporter;
 mod session;
+mod sockets;
 mod times;
 mod worker;
 

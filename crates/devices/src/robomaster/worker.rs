@@ -1,23 +1,25 @@
-//! Worker of the RoboMaster driver: has the connections with one robot, and waits on all of them in one poll. A second
-//! thread receives the packets of the control thread.
+//! Worker of the RoboMaster driver: an actor that has the connections with one robot.
 //!
 //! The worker itself stops the robot when a motion's validity ends without a newer packet, and when the host ends.
 
-use std::io::{self, ErrorKind, Read, Write};
-use std::net::{Ipv4Addr, Shutdown, SocketAddrV4, TcpStream, UdpSocket};
-use std::os::fd::{AsFd, BorrowedFd};
-use std::sync::Arc;
-use std::sync::mpsc::{self, Receiver, TryRecvError};
-use std::thread;
+use std::io::{self, ErrorKind};
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::rc::Rc;
 use std::time::{Duration, Instant};
 
-use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
-use nix::sys::eventfd::{EfdFlags, EventFd};
-use socket2::{Domain, Protocol, Socket, Type};
+use actix::{
+    Actor, ActorContext, ActorFutureExt, AsyncContext, Context, Handler, Recipient, SpawnHandle, StreamHandler,
+    Supervised, WrapFuture,
+};
+use socket2::SockRef;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpStream, UdpSocket};
+use tokio::time::timeout;
 
 use super::link::{FromWorker, Hold, ToWorker};
 use super::protocol::{ANNOUNCEMENT_PORT, CONTROL_PORT, EVENT_PORT, Line, PUSH_PORT, decode_announcement};
-use murmurate::edge::{Packet, PacketSender, Port, Worker};
+use super::sockets::{BYTES, bytes, connect, datagrams, listen};
+use murmurate::edge::{Input, Port, Seat, Worker};
 use murmurate::messages::ids::RobotId;
 
 /// Time after which an attempt to connect is given up. A new attempt then repeats a lost first segment sooner than TCP
@@ -29,8 +31,6 @@ const STAND_PERIOD: Duration = Duration::from_millis(200);
 const ENDING: Duration = Duration::from_millis(300);
 /// Longest validity of a motion, equal to that of a motor command on a link.
 const LONGEST_HOLD: Duration = Duration::from_millis(1000);
-/// Largest number of bytes read at once, from a stream or as one datagram.
-const BYTES: usize = 2048;
 
 /// Worker of the RoboMaster driver for one robot: does its input and output over TCP and UDP.
 pub(crate) struct Tcp {
@@ -50,56 +50,57 @@ impl Worker for Tcp {
         Some(format!("address {}", self.address))
     }
 
-    fn run(self: Box<Self>, mut port: Port) {
-        let sender = port.sender();
-        let wake = match EventFd::from_flags(EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC) {
-            Ok(wake) => Arc::new(wake),
-            Err(error) => return tracing::error!("{} cannot be driven: {error}; close other programs", self.robot),
-        };
-        let (tx, packets) = mpsc::channel();
-        let waker = Arc::clone(&wake);
-        let taker = thread::spawn(move || {
-            while let Some(packet) = port.wait() {
-                if tx.send(packet).is_err() {
-                    break;
-                }
-                let _ = waker.write(1);
-            }
-            // The other thread finds the channel closed.
-            drop(tx);
-            let _ = waker.write(1);
-        });
-        Links::new(*self, sender).run(&packets, &wake);
-        let _ = taker.join();
+    fn start(self: Box<Self>, seat: Seat) -> Recipient<Input> {
+        seat.start(move |port| Links::new(*self, port))
     }
 }
 
+/// Connection of the robot, and the task of the actor that reads it. It is closed when this is dropped and the task has
+/// been cancelled, so the task has no hold on it.
+struct Connection {
+    stream: Rc<TcpStream>,
+    reading: SpawnHandle,
+}
+
 /// Control connection with the robot, or the attempt to open it.
-#[derive(Debug)]
 enum Control {
     /// There is no connection.
     Closed,
-    /// A connection is being opened, until this time.
-    Opening(Socket, Instant),
+    /// A connection is being opened by this task of the actor.
+    Opening(SpawnHandle),
     /// The connection is open.
-    Open(TcpStream),
+    Open(Connection),
 }
 
-/// All connections with one robot.
+/// What a connection or a socket of the robot has received.
+enum Received {
+    /// Bytes of the control connection with this number; none at its end.
+    Control(u32, io::Result<Vec<u8>>),
+    /// Bytes of the event connection that belongs to the control connection with this number; none at its end.
+    Event(u32, io::Result<Vec<u8>>),
+    /// State datagram (push).
+    Push(Vec<u8>),
+    /// Announcement of a robot on the network.
+    Announcement(Vec<u8>),
+}
+
+/// Actor that has all connections with one robot.
 struct Links {
     config: Tcp,
-    sender: PacketSender,
+    port: Port,
     began: Instant,
     /// Number of the current connection or attempt.
     number: u32,
     control: Control,
     /// Former connection, which is closed once a new one is open.
-    old: Option<TcpStream>,
-    events: Option<TcpStream>,
-    pushes: Option<UdpSocket>,
-    announcements: Option<UdpSocket>,
-    /// Time at which the robot is stopped unless a packet extends its motion; `None` if it stands.
-    stop_at: Option<Instant>,
+    old: Option<Connection>,
+    events: Option<Connection>,
+    /// Whether state datagrams are received.
+    pushes: bool,
+    /// Whether announcements of robots are received.
+    announcements: bool,
+    /// Timer at which the robot is stopped unless a packet extends its motion; `None` if it stands.
+    stop_at: Option<SpawnHandle>,
     /// Whether a motion has expired without a newer packet of the control thread, which is logged once.
     hangs: bool,
     /// Text of the last log entry about the connection, so that each change is logged once.
@@ -108,18 +109,70 @@ struct Links {
     announced: Option<Ipv4Addr>,
 }
 
+impl Actor for Links {
+    type Context = Context<Self>;
+}
+
+impl Supervised for Links {
+    fn restarting(&mut self, _: &mut Context<Self>) {
+        // Tasks of the life before are gone, and so is what they read.
+        (self.control, self.old, self.events) = (Control::Closed, None, None);
+        (self.pushes, self.announcements, self.stop_at) = (false, false, None);
+    }
+}
+
+impl Handler<Input> for Links {
+    type Result = ();
+
+    fn handle(&mut self, input: Input, context: &mut Context<Self>) {
+        match input {
+            Input::Packet(packet) => self.carry_out(&packet, context),
+            Input::Close => self.end(context),
+        }
+    }
+}
+
+impl StreamHandler<Received> for Links {
+    fn handle(&mut self, received: Received, context: &mut Context<Self>) {
+        match received {
+            Received::Control(number, bytes) if number == self.number => match bytes {
+                Ok(bytes) if bytes.is_empty() => self.close("has closed the connection", context),
+                Ok(bytes) => self.port.send(FromWorker::Control(number, &bytes).encode()),
+                Err(error) => self.close(&format!("is lost: {error}"), context),
+            },
+            Received::Event(number, bytes) if number == self.number => match bytes {
+                Ok(bytes) if !bytes.is_empty() => self.port.send(FromWorker::Event(number, &bytes).encode()),
+                _ => drop_connection(&mut self.events, context),
+            },
+            // Of a connection before.
+            Received::Control(..) | Received::Event(..) => {}
+            Received::Push(datagram) => {
+                let stamp_ns = u64::try_from(self.began.elapsed().as_nanos()).unwrap_or(u64::MAX);
+                self.port.send(FromWorker::Push(stamp_ns, &datagram).encode());
+            }
+            Received::Announcement(datagram) => {
+                let other = decode_announcement(&datagram).ok().filter(|at| *at != self.config.address);
+                self.announced = other.or(self.announced);
+            }
+        }
+    }
+
+    /// The end of a connection is an input of its own.
+    fn finished(&mut self, _: &mut Context<Self>) {}
+}
+
 impl Links {
-    fn new(config: Tcp, sender: PacketSender) -> Links {
+    fn new(config: Tcp, port: Port) -> Links {
         Links {
             config,
-            sender,
+            port,
             began: Instant::now(),
             number: 0,
             control: Control::Closed,
             old: None,
             events: None,
-            pushes: None,
-            announcements: None,
+            pushes: false,
+            announcements: false,
             stop_at: None,
             hangs: false,
             logged: String::new(),
@@ -127,169 +180,139 @@ impl Links {
         }
     }
 
-    /// Handles packets of the control thread and data of the robot until the control thread closes the channel.
-    fn run(mut self, packets: &Receiver<Packet>, wake: &EventFd) {
-        loop {
-            self.wait(wake);
-            let _ = wake.read();
-            loop {
-                match packets.try_recv() {
-                    Ok(packet) => self.handle(&packet),
-                    Err(TryRecvError::Empty) => break,
-                    Err(TryRecvError::Disconnected) => return self.end(),
-                }
-            }
-            self.read_datagrams();
-            self.read_control();
-            self.read_events();
-            self.keep_time();
-        }
-    }
-
-    /// Waits until a connection or the control thread has data, or a deadline is reached.
-    fn wait(&self, wake: &EventFd) {
-        let mut fds = vec![PollFd::new(wake.as_fd(), PollFlags::POLLIN)];
-        match &self.control {
-            Control::Closed => {}
-            Control::Opening(socket, _) => fds.push(PollFd::new(socket.as_fd(), PollFlags::POLLOUT)),
-            Control::Open(stream) => fds.push(PollFd::new(stream.as_fd(), PollFlags::POLLIN)),
-        }
-        let others: [Option<BorrowedFd>; 3] = [
-            self.events.as_ref().map(AsFd::as_fd),
-            self.pushes.as_ref().map(AsFd::as_fd),
-            self.announcements.as_ref().map(AsFd::as_fd),
-        ];
-        fds.extend(others.into_iter().flatten().map(|fd| PollFd::new(fd, PollFlags::POLLIN)));
-        let opening = if let Control::Opening(_, until) = self.control { Some(until) } else { None };
-        let timeout = match opening.into_iter().chain(self.stop_at).min() {
-            None => PollTimeout::NONE,
-            Some(at) => {
-                // Rounded up, so that the time has come when the poll returns.
-                let ms = at.saturating_duration_since(Instant::now()).as_micros().div_ceil(1000);
-                PollTimeout::try_from(ms.min(10_000)).unwrap_or(PollTimeout::MAX)
-            }
-        };
-        // A signal ends it early, which does no harm.
-        let _ = poll(&mut fds, timeout);
-    }
-
-    fn handle(&mut self, packet: &[u8]) {
+    fn carry_out(&mut self, packet: &[u8], context: &mut Context<Self>) {
         match ToWorker::decode(packet) {
-            Some(ToWorker::Open) => self.open(),
+            Some(ToWorker::Open) => self.open(context),
             Some(ToWorker::Write { connection, hold, line }) if connection == self.number => {
                 match hold {
                     Hold::Keep => {}
-                    Hold::Standing => self.stop_at = None,
+                    Hold::Standing => self.stand_after(None, context),
                     Hold::For(span) => {
                         let hold = Duration::from_nanos(span.as_nanos()).min(LONGEST_HOLD);
-                        self.stop_at = Some(Instant::now() + hold);
+                        self.stand_after(Some(hold), context);
                     }
                 }
                 self.hangs = false;
-                self.write(line.as_bytes());
+                self.write(line.as_bytes(), context);
             }
             Some(ToWorker::Write { .. }) => {}
             None => tracing::error!("{}: the driver's packet is not understood", self.config.robot),
         }
     }
 
+    /// Sets the time after which the robot is stopped without a newer packet; `None` if it stands.
+    fn stand_after(&mut self, hold: Option<Duration>, context: &mut Context<Self>) {
+        if let Some(timer) = self.stop_at.take() {
+            context.cancel_future(timer);
+        }
+        self.stop_at = hold.map(|hold| context.run_later(hold, Links::expire));
+    }
+
+    /// Sends a stand command, since the robot's motion has expired without a newer packet, as when the control thread
+    /// hangs.
+    fn expire(&mut self, context: &mut Context<Self>) {
+        if !std::mem::replace(&mut self.hangs, true) {
+            tracing::error!("the control thread is silent: {} is stopped", self.config.robot);
+        }
+        self.stop_at = Some(context.run_later(STAND_PERIOD, Links::expire));
+        self.write(Line::Stand.encode(0).as_bytes(), context);
+    }
+
     /// Writes bytes to the control connection, if it is open; closes it if that fails. A line always fits into the
     /// send buffer of a connection that is alive.
-    fn write(&mut self, line: &[u8]) {
-        let Control::Open(stream) = &mut self.control else { return };
-        if let Err(error) = stream.write_all(line) {
-            self.close(&format!("is lost: {error}"));
+    fn write(&mut self, line: &[u8], context: &mut Context<Self>) {
+        let Control::Open(connection) = &self.control else { return };
+        match connection.stream.try_write(line) {
+            Ok(written) if written == line.len() => {}
+            Ok(_) => self.close("is lost: it takes no more commands", context),
+            Err(error) => self.close(&format!("is lost: {error}"), context),
         }
     }
 
     /// Begins to open a new connection, after a stand command on the present one.
-    fn open(&mut self) {
+    fn open(&mut self, context: &mut Context<Self>) {
         // A dead connection delivers this line if it comes back to life, which may be before a new one is open.
-        self.write(Line::Stand.encode(0).as_bytes());
+        self.write(Line::Stand.encode(0).as_bytes(), context);
         self.number = self.number.wrapping_add(1);
-        self.stop_at = None;
-        self.events = None;
-        if let Control::Open(stream) = std::mem::replace(&mut self.control, Control::Closed) {
-            self.old = Some(stream);
+        self.stand_after(None, context);
+        drop_connection(&mut self.events, context);
+        match std::mem::replace(&mut self.control, Control::Closed) {
+            Control::Closed => {}
+            Control::Opening(attempt) => drop(context.cancel_future(attempt)),
+            Control::Open(connection) => {
+                drop_connection(&mut self.old, context);
+                self.old = Some(connection);
+            }
         }
-        if self.config.announcements && self.announcements.is_none() {
-            // Several workers of a host hear each broadcast; without the port, there are no hints.
-            self.announcements = listen(ANNOUNCEMENT_PORT).ok();
+        // Several workers of a host hear each broadcast; without the port, there are no hints.
+        if self.config.announcements
+            && !self.announcements
+            && let Ok(socket) = listen(ANNOUNCEMENT_PORT)
+        {
+            context.add_stream(datagrams(socket, Received::Announcement));
+            self.announcements = true;
         }
-        if self.pushes.is_none() {
+        if !self.pushes {
             match self.listen_to_pushes() {
-                Ok(socket) => self.pushes = Some(socket),
+                Ok(socket) => {
+                    context.add_stream(datagrams(socket, Received::Push));
+                    self.pushes = true;
+                }
                 Err(error) => {
                     let hint = "end the other program that has it (`ss -ulnp` names it)";
-                    return self.close(&format!("cannot be heard: UDP port {PUSH_PORT}: {error}; {hint}"));
+                    return self.close(&format!("cannot be heard: UDP port {PUSH_PORT}: {error}; {hint}"), context);
                 }
             }
         }
-        match self.connect() {
-            Ok(socket) => self.control = Control::Opening(socket, Instant::now() + CONNECTING),
-            Err(error) => self.failed(&error),
-        }
+        let connecting = connect(self.config.address, CONTROL_PORT, CONNECTING).into_actor(self);
+        self.control = Control::Opening(context.spawn(connecting.map(|stream, links, context| match stream {
+            Ok(stream) => links.opened(stream, context),
+            Err(error) => links.failed(&error, context),
+        })));
     }
 
     /// Returns a UDP socket for the state datagrams (pushes) of this robot. It is bound to the port that all robots use
     /// and connected to this robot's address with port 0, so the kernel passes on only datagrams from that address.
     fn listen_to_pushes(&self) -> io::Result<UdpSocket> {
         let socket = listen(PUSH_PORT)?;
-        socket.connect(SocketAddrV4::new(self.config.address, 0))?;
+        SockRef::from(&socket).connect(&SocketAddrV4::new(self.config.address, 0).into())?;
         Ok(socket)
     }
 
-    fn connect(&self) -> io::Result<Socket> {
-        let socket = Socket::new(Domain::IPV4, Type::STREAM, Some(Protocol::TCP))?;
-        socket.set_tcp_nodelay(true)?;
-        socket.set_nonblocking(true)?;
-        match socket.connect(&SocketAddrV4::new(self.config.address, CONTROL_PORT).into()) {
-            Err(error) if error.raw_os_error() != Some(nix::errno::Errno::EINPROGRESS as i32) => Err(error),
-            _ => Ok(socket),
+    fn opened(&mut self, stream: TcpStream, context: &mut Context<Self>) {
+        // The robot ends SDK mode when any connection ends. So the old one is reset before the new one says anything:
+        // the robot is notified at once, and no written byte arrives late.
+        if let Some(old) = &self.old {
+            let _ = old.stream.set_zero_linger();
         }
-    }
-
-    fn read_control(&mut self) {
-        match &mut self.control {
-            Control::Closed => {}
-            Control::Opening(socket, until) => match (socket.take_error(), socket.peer_addr()) {
-                (Ok(Some(error)) | Err(error), _) => self.failed(&error),
-                (Ok(None), Ok(_)) => self.opened(),
-                (Ok(None), Err(_)) if *until <= Instant::now() => self.failed(&ErrorKind::TimedOut.into()),
-                (Ok(None), Err(_)) => {}
-            },
-            Control::Open(stream) => match read(stream) {
-                Ok(bytes) if bytes.is_empty() => self.close("has closed the connection"),
-                Ok(bytes) => self.sender.send(FromWorker::Control(self.number, &bytes).encode()),
-                Err(error) if error.kind() == ErrorKind::WouldBlock => {}
-                Err(error) => self.close(&format!("is lost: {error}")),
-            },
-        }
-    }
-
-    fn opened(&mut self) {
-        let Control::Opening(socket, _) = std::mem::replace(&mut self.control, Control::Closed) else { return };
-        // The robot ends SDK mode when any connection ends. So the old one is reset before the new one says anything.
-        if let Some(old) = self.old.take() {
-            reset(old);
-        }
-        self.control = Control::Open(socket.into());
+        drop_connection(&mut self.old, context);
+        let number = self.number;
+        let stream = Rc::new(stream);
+        let reading = context.add_stream(bytes(Rc::downgrade(&stream), move |bytes| Received::Control(number, bytes)));
+        self.control = Control::Open(Connection { stream, reading });
         self.report(tracing::Level::INFO, "answers");
         if self.config.events {
-            let address = SocketAddrV4::new(self.config.address, EVENT_PORT).into();
-            let events = TcpStream::connect_timeout(&address, ENDING).and_then(|events| {
-                events.set_nonblocking(true)?;
-                Ok(events)
-            });
-            match events {
-                Ok(events) => self.events = Some(events),
-                Err(error) => tracing::warn!("{} has no events on TCP port {EVENT_PORT}: {error}", self.config.robot),
-            }
+            let connecting = connect(self.config.address, EVENT_PORT, ENDING).into_actor(self);
+            context
+                .spawn(connecting.map(move |events, links, context| links.listen_to_events(number, events, context)));
         }
-        self.sender.send(FromWorker::Opened(self.number).encode());
+        self.port.send(FromWorker::Opened(number).encode());
     }
 
-    fn failed(&mut self, error: &io::Error) {
+    fn listen_to_events(&mut self, number: u32, events: io::Result<TcpStream>, context: &mut Context<Self>) {
+        match events {
+            Ok(_) if number != self.number => {}
+            Ok(stream) => {
+                let stream = Rc::new(stream);
+                let reading =
+                    context.add_stream(bytes(Rc::downgrade(&stream), move |bytes| Received::Event(number, bytes)));
+                self.events = Some(Connection { stream, reading });
+            }
+            Err(error) => tracing::warn!("{} has no events on TCP port {EVENT_PORT}: {error}", self.config.robot),
+        }
+    }
+
+    fn failed(&mut self, error: &io::Error, context: &mut Context<Self>) {
         let text = if error.kind() == ErrorKind::ConnectionRefused {
             format!(
                 "refuses TCP port {CONTROL_PORT}: a stock RoboMaster S1 has no SDK (use an EP, or the S1's CAN bus \
@@ -300,14 +323,18 @@ impl Links {
             let hint = self.announced.map_or(String::new(), |at| format!("; another robot announces itself at {at}"));
             format!("does not answer ({error}): switch it on, and check address and network{hint}")
         };
-        self.close(&text);
+        self.close(&text, context);
     }
 
-    fn close(&mut self, why: &str) {
+    fn close(&mut self, why: &str, context: &mut Context<Self>) {
         self.report(tracing::Level::ERROR, why);
-        (self.control, self.events, self.stop_at) = (Control::Closed, None, None);
+        if let Control::Open(connection) = std::mem::replace(&mut self.control, Control::Closed) {
+            drop_connection(&mut Some(connection), context);
+        }
+        drop_connection(&mut self.events, context);
+        self.stand_after(None, context);
         let why = format!("{} {why}", self.config.address);
-        self.sender.send(FromWorker::Closed(self.number, why.as_bytes()).encode());
+        self.port.send(FromWorker::Closed(self.number, why.as_bytes()).encode());
     }
 
     fn report(&mut self, level: tracing::Level, what: &str) {
@@ -318,91 +345,42 @@ impl Links {
         }
     }
 
-    fn read_datagrams(&mut self) {
-        let mut bytes = [0; BYTES];
-        if let Some(pushes) = &self.pushes {
-            // An ICMP error of an earlier datagram is no datagram; the next one is read at the next poll.
-            while let Ok(length) = pushes.recv(&mut bytes) {
-                let stamp_ns = u64::try_from(self.began.elapsed().as_nanos()).unwrap_or(u64::MAX);
-                self.sender.send(FromWorker::Push(stamp_ns, &bytes[..length]).encode());
-            }
-        }
-        if let Some(announcements) = &self.announcements {
-            while let Ok(length) = announcements.recv(&mut bytes) {
-                let other = decode_announcement(&bytes[..length]).ok().filter(|at| *at != self.config.address);
-                self.announced = other.or(self.announced);
-            }
-        }
-    }
-
-    fn read_events(&mut self) {
-        let Some(stream) = &mut self.events else { return };
-        match read(stream) {
-            Ok(bytes) if bytes.is_empty() => self.events = None,
-            Ok(bytes) => self.sender.send(FromWorker::Event(self.number, &bytes).encode()),
-            Err(error) if error.kind() == ErrorKind::WouldBlock => {}
-            Err(_) => self.events = None,
-        }
-    }
-
-    /// Sends a stand command if the robot's motion has expired without a newer packet, as when the control thread
-    /// hangs.
-    fn keep_time(&mut self) {
-        let now = Instant::now();
-        if self.stop_at.is_some_and(|at| at <= now) {
-            if !std::mem::replace(&mut self.hangs, true) {
-                tracing::error!("the control thread is silent: {} is stopped", self.config.robot);
-            }
-            self.stop_at = Some(now + STAND_PERIOD);
-            self.write(Line::Stand.encode(0).as_bytes());
-        }
-    }
-
-    /// Stops the robot, ends its SDK mode and waits up to `ENDING` for the answers.
-    fn end(mut self) {
-        let lines = [Line::Stand.encode(0), Line::Quit.encode(0)].concat();
-        let open = if let Control::Open(stream) = std::mem::replace(&mut self.control, Control::Closed) {
-            Some(stream)
-        } else {
-            None
+    /// Stops the robot, ends its SDK mode, waits up to `ENDING` for the answers, and stops the actor.
+    fn end(&mut self, context: &mut Context<Self>) {
+        let open = match std::mem::replace(&mut self.control, Control::Closed) {
+            Control::Open(connection) => Some(connection),
+            Control::Opening(_) | Control::Closed => None,
         };
-        for mut stream in open.into_iter().chain(self.old.take()) {
-            // A connection that is dead does not take it; there is no other way to the robot.
-            let _ = stream.write_all(lines.as_bytes()).and_then(|()| stream.shutdown(Shutdown::Write));
-            let until = Instant::now() + ENDING;
-            let _ = stream.set_nonblocking(false);
-            loop {
-                let left = until.saturating_duration_since(Instant::now());
-                if left.is_zero() || stream.set_read_timeout(Some(left)).is_err() {
-                    break;
-                }
-                match stream.read(&mut [0; BYTES]) {
-                    Ok(0) | Err(_) => break,
-                    Ok(_) => {}
-                }
-            }
+        let mut streams = Vec::new();
+        for Connection { stream, reading } in open.into_iter().chain(self.old.take()) {
+            context.cancel_future(reading);
+            streams.push(stream);
         }
+        self.stand_after(None, context);
+        let parting = async move {
+            for stream in streams {
+                // A connection that is dead does not take it; there is no other way to the robot.
+                let Ok(stream) = Rc::try_unwrap(stream) else { unreachable!("its task has no hold on it") };
+                let _ = timeout(ENDING, part(stream)).await;
+            }
+        };
+        context.spawn(parting.into_actor(self).map(|(), _, context| context.stop()));
     }
 }
 
-/// Returns a non-blocking UDP socket bound to `port` on all local addresses. Other programs and workers may bind the
-/// port as well.
-fn listen(port: u16) -> io::Result<UdpSocket> {
-    let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
-    socket.set_reuse_address(true)?;
-    socket.set_nonblocking(true)?;
-    socket.bind(&SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, port).into())?;
-    Ok(socket.into())
+/// Stops the robot by a connection, ends its SDK mode, and reads its answers until it closes the connection.
+async fn part(mut stream: TcpStream) -> io::Result<()> {
+    let lines = [Line::Stand.encode(0), Line::Quit.encode(0)].concat();
+    stream.write_all(lines.as_bytes()).await?;
+    stream.shutdown().await?;
+    while stream.read(&mut [0; BYTES]).await? > 0 {}
+    Ok(())
 }
 
-/// Reads up to `BYTES` available bytes from a stream; returns an empty vector at its end.
-fn read(stream: &mut TcpStream) -> io::Result<Vec<u8>> {
-    let mut bytes = [0; BYTES];
-    let length = stream.read(&mut bytes)?;
-    Ok(bytes[..length].to_vec())
-}
-
-/// Closes a connection with a reset: the peer is notified at once, and no written byte arrives late.
-fn reset(stream: TcpStream) {
-    let _ = Socket::from(stream).set_linger(Some(Duration::ZERO));
+/// Cancels the task that reads a connection, and closes the connection.
+fn drop_connection(connection: &mut Option<Connection>, context: &mut Context<Links>) {
+    if let Some(Connection { stream, reading }) = connection.take() {
+        context.cancel_future(reading);
+        drop(stream);
+    }
 }

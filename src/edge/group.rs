@@ -1,0 +1,194 @@
+//! Process group of a user's program: started and ended as a whole, so that what the program has forked does not drive
+//! on. A second process, a shell, kills the group if this process is killed and so cannot.
+
+use std::io;
+use std::os::fd::OwnedFd;
+use std::os::unix::process::CommandExt;
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use nix::sys::signal::{Signal, kill, killpg};
+use nix::sys::wait::{Id, WaitPidFlag, WaitStatus, waitid};
+use nix::unistd::{Pid, getpgid, getsid};
+use tokio::signal::unix::{Signal as Signals, SignalKind, signal};
+
+use crate::config::shown;
+
+/// Variable of the program's environment by which what it has started is found.
+const MARK: &str = "MURMURATE_STARTED_BY";
+/// What the shell runs that outlives this process: the end of its stdin is this process's end. The program may then
+/// stop its robot for half a second, as ever; a shell whose `sleep` knows no fractions gives it a second.
+const GUARD: &str = "read -r _; sleep 0.5 || sleep 1; kill -KILL -- \"-$1\"";
+
+/// What a shell runs to print the numbers and names of all processes with a variable in their environment. Those of
+/// other users cannot be read.
+const SEARCH: &str = "for file in $(grep -lsaF \"$1\" /proc/[0-9]*/environ); do pid=${file#/proc/}; \
+                      pid=${pid%/environ}; read -r name <\"/proc/$pid/comm\" && echo \"$pid $name\"; done";
+
+/// Number of programs that this process has started.
+static STARTED: AtomicU32 = AtomicU32::new(0);
+
+/// Running program with a process group of its own. The group is killed when this is dropped.
+#[derive(Debug)]
+pub(super) struct Group {
+    child: Child,
+    /// Number of the group, which is that of the program.
+    id: Pid,
+    /// Value of the variable by which processes of the program are found.
+    mark: String,
+    /// The shell that kills the group if this process is killed.
+    guard: Option<Child>,
+    over: bool,
+}
+
+impl Group {
+    /// Starts the program with its arguments, and returns it with its stdin, stdout and stderr.
+    pub(super) fn start(command: &[String]) -> io::Result<(Group, [OwnedFd; 3])> {
+        let Some((program, arguments)) = command.split_first() else { return Err(io::ErrorKind::InvalidInput.into()) };
+        let mark = format!("{}.{}.", std::process::id(), STARTED.fetch_add(1, Ordering::Relaxed));
+        let mut command = Command::new(program);
+        command.args(arguments).env(MARK, &mark).process_group(0);
+        let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
+        let id = Pid::from_raw(i32::try_from(child.id()).expect("process numbers are small"));
+        let pipes = (child.stdin.take(), child.stdout.take(), child.stderr.take());
+        let (Some(stdin), Some(stdout), Some(stderr)) = pipes else { unreachable!("all three were asked for") };
+        let guard = guard(id, program);
+        Ok((Group { child, id, mark, guard, over: false }, [stdin.into(), stdout.into(), stderr.into()]))
+    }
+
+    /// Returns a future that is ready when the program has ended. Its group has to be ended all the same.
+    pub(super) fn ended(&self) -> impl Future<Output = ()> + 'static {
+        let id = self.id;
+        async move {
+            // Without a handler of the signal the end is noticed when the program's input is closed.
+            let Ok(mut children) = signal(SignalKind::child()) else { return std::future::pending().await };
+            while !has_ended(id) {
+                next(&mut children).await;
+            }
+        }
+    }
+
+    /// Kills the program's group: the program if it has not ended, and what it has forked. Returns the numbers and
+    /// names of processes of the program that have a session of their own, such as a daemon: they may be meant to stay.
+    pub(super) fn end(mut self) -> Vec<String> {
+        self.kill();
+        escaped(&self.mark, self.id)
+    }
+
+    fn kill(&mut self) {
+        if std::mem::replace(&mut self.over, true) {
+            return;
+        }
+        // An error says that nobody of the group is left. The program is not waited for before: until then no other
+        // group can have its number.
+        let _ = killpg(self.id, Signal::SIGKILL);
+        let _ = self.child.wait();
+        if let Some(mut guard) = self.guard.take() {
+            // It still waits for the end of this process.
+            let _ = guard.kill();
+            let _ = guard.wait();
+        }
+    }
+}
+
+impl Drop for Group {
+    fn drop(&mut self) {
+        self.kill();
+    }
+}
+
+async fn next(children: &mut Signals) {
+    children.recv().await;
+}
+
+/// Whether the program has ended; its exit status is left to be read.
+fn has_ended(id: Pid) -> bool {
+    let flags = WaitPidFlag::WEXITED | WaitPidFlag::WNOWAIT | WaitPidFlag::WNOHANG;
+    // An error says that there is no such process any more.
+    waitid(Id::Pid(id), flags) != Ok(WaitStatus::StillAlive)
+}
+
+/// Starts the shell that kills the group if this process is killed. Without a shell that is not done.
+fn guard(group: Pid, program: &str) -> Option<Child> {
+    let mut shell = Command::new("/bin/sh");
+    shell.args(["-c", GUARD, "guard", &group.to_string()]);
+    shell.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
+    // What kills this process with its group, such as a supervisor, must not kill the guard.
+    let started = shell.process_group(0).spawn();
+    started
+        .inspect_err(|error| tracing::warn!("'{program}' lives on if this process is killed: no /bin/sh ({error})"))
+        .ok()
+}
+
+/// Kills processes of the program that have left its group, and returns the numbers and names of those with a session
+/// of their own.
+fn escaped(mark: &str, group: Pid) -> Vec<String> {
+    let mut shell = Command::new("/bin/sh");
+    let found = shell.args(["-c", SEARCH, "search", &format!("{MARK}={mark}")]).stdin(Stdio::null()).output();
+    let found = found.map(|output| String::from_utf8_lossy(&output.stdout).into_owned()).unwrap_or_default();
+    let session = getsid(None).ok();
+    let mut escaped = Vec::new();
+    for line in found.lines() {
+        let Some((number, name)) = line.split_once(' ') else { continue };
+        let Ok(pid) = number.parse().map(Pid::from_raw) else { continue };
+        let theirs = getsid(Some(pid)).ok();
+        if theirs.is_none() || getpgid(Some(pid)) == Ok(group) {
+            // It has just ended, or was killed with the group and is about to end.
+        } else if theirs == session {
+            let _ = kill(pid, Signal::SIGKILL);
+        } else {
+            escaped.push(format!("{pid} ({})", shown::value(name)));
+        }
+    }
+    escaped
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+    use std::thread;
+    use std::time::Duration;
+
+    use super::*;
+
+    /// Period at which the files of processes are read.
+    const LOOK: Duration = Duration::from_millis(5);
+
+    /// Waits until the file has as many lines, and returns them as numbers of processes.
+    fn pids(file: &std::path::Path, count: usize) -> Vec<Pid> {
+        loop {
+            let text = fs::read_to_string(file).unwrap_or_default();
+            if text.ends_with('\n') && text.lines().count() >= count {
+                return text.lines().map(|line| Pid::from_raw(line.trim().parse().unwrap())).collect();
+            }
+            thread::park_timeout(LOOK);
+        }
+    }
+
+    /// Whether a process runs; one that has ended and was not waited for does not.
+    fn runs(pid: Pid) -> bool {
+        let stat = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+        stat.rsplit_once(") ").is_some_and(|(_, rest)| !rest.starts_with(['Z', 'X']))
+    }
+
+    #[test]
+    fn what_has_a_session_of_its_own_is_named_and_what_has_only_another_group_is_ended() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let file = folder.path().join("pids");
+        let other = "python3 -c 'import os, time; os.setpgid(0, 0); print(os.getpid(), flush=True); time.sleep(600)'";
+        let script =
+            format!("setsid sh -c 'echo $$ >> {0}; exec tail -f /dev/null' & {other} >> {0} & wait", file.display());
+        let (group, _pipes) = Group::start(&["sh", "-c", &script].map(str::to_owned)).unwrap();
+        let started = pids(&file, 2);
+        let is_daemon = |pid: &Pid| getsid(Some(*pid)) == Ok(*pid);
+        let daemon = *started.iter().find(|pid| is_daemon(pid)).expect("one has a session of its own");
+        assert_eq!(group.end(), [format!("{daemon} (tail)")]);
+        for pid in &started {
+            while runs(*pid) && *pid != daemon {
+                thread::park_timeout(LOOK);
+            }
+        }
+        assert!(runs(daemon), "it may be meant to stay");
+        kill(daemon, Signal::SIGKILL).unwrap();
+    }
+}

@@ -1,0 +1,123 @@
+//! Worker of a driver, source or observer: an actor on a thread of its own, which does the input and output.
+
+use std::ffi::CString;
+use std::io;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::time::{Duration, Instant};
+
+use actix::{Actor, Arbiter, ArbiterHandle, Context, Handler, Recipient, Supervised, Supervisor, System};
+use tokio::runtime::Builder;
+
+use super::ROOM;
+use super::channel::{self, Gate, Input, PacketSender, Port};
+use crate::config::ConfigError;
+
+/// Input and output of a driver, a source of readings or an observer, before it is started: settings, from which an
+/// actor is made.
+pub trait Worker: Send {
+    /// Checks that this machine has what the worker needs, such as a program file; called before the worker is started.
+    /// It is no part of the check of a team file, which may be valid although this host lacks something.
+    fn check(&self) -> Result<(), ConfigError> {
+        Ok(())
+    }
+
+    /// Starts the worker's actor in `seat` by [`Seat::start`], and returns the actor's mailbox.
+    fn start(self: Box<Self>, seat: Seat) -> Recipient<Input>;
+
+    /// Returns the program that the worker runs, with its arguments; `None` if it runs none.
+    fn runs(&self) -> Option<Vec<String>> {
+        None
+    }
+
+    /// Returns the description of a resource that only one robot and one process of the machine may use, such as a
+    /// robot's network address; `None` if the worker needs no such resource.
+    fn claim(&self) -> Option<String> {
+        None
+    }
+}
+
+/// Place for the actor of one worker: an arbiter of its own, and the port to the control thread.
+#[derive(Debug)]
+pub struct Seat {
+    arbiter: ArbiterHandle,
+    port: Port,
+}
+
+impl Seat {
+    /// Returns a sender of packets to the control thread, which can be used before the actor runs.
+    pub fn sender(&self) -> PacketSender {
+        self.port.sender()
+    }
+
+    /// Starts the actor that `make` returns, under supervision: when it stops before its mailbox is told to close, it
+    /// is started again, by `Supervised::restarting`. Its mailbox holds [`ROOM`] messages. The actor has to keep the
+    /// port, since the worker has ended when the port is dropped.
+    pub fn start<A>(self, make: impl FnOnce(Port) -> A + Send + 'static) -> Recipient<Input>
+    where
+        A: Actor<Context = Context<A>> + Supervised + Handler<Input>,
+    {
+        let Seat { arbiter, port } = self;
+        let start = move |context: &mut Context<A>| {
+            context.set_mailbox_capacity(ROOM);
+            make(port)
+        };
+        Supervisor::start_in_arbiter(&arbiter, start).recipient()
+    }
+}
+
+/// Running worker. It ends after its [`Gate`] is dropped.
+#[derive(Debug)]
+pub struct Running {
+    arbiter: Arbiter,
+    /// Closed when the actor no longer exists.
+    ended: Receiver<()>,
+}
+
+impl Running {
+    /// Waits until the worker has ended, for at most `longest`. Its gate must be dropped before, since only then it
+    /// ends. Returns whether it has; otherwise its thread is abandoned.
+    pub fn join(self, longest: Duration) -> bool {
+        let ended = self.ended.recv_timeout(longest) == Err(RecvTimeoutError::Disconnected);
+        if ended {
+            self.arbiter.stop();
+            // Its thread has nothing left to do.
+            let _ = self.arbiter.join();
+        }
+        ended
+    }
+}
+
+/// Waits until all these workers have ended, for at most `longest` in total. Returns for each whether it has.
+pub(crate) fn join_all(workers: Vec<Running>, longest: Duration) -> Vec<bool> {
+    let until = Instant::now() + longest;
+    workers.into_iter().map(|worker| worker.join(until.saturating_duration_since(Instant::now()))).collect()
+}
+
+/// Starts a worker called `name` on a new arbiter. Returns the control thread's end of its channel, and the running
+/// worker.
+///
+/// # Errors
+/// If the operating system has no file descriptor or no thread left.
+pub fn start(worker: Box<dyn Worker>, name: &str) -> io::Result<(Gate, Running)> {
+    let (mut gate, mut port) = channel::channel(name)?;
+    let (alive, ended) = channel();
+    port.keep(alive);
+    let arbiter = arbiter(name)?;
+    gate.connect(worker.start(Seat { arbiter: arbiter.handle(), port }));
+    Ok((gate, Running { arbiter, ended }))
+}
+
+/// Starts a thread called `name` with an asynchronous runtime, in the actor library's system of this thread, which is
+/// made if there is none.
+fn arbiter(name: &str) -> io::Result<Arbiter> {
+    if !System::is_registered() {
+        // It needs no loop of its own: nothing is started in its first arbiter, which is this thread.
+        drop(System::with_tokio_rt(|| Builder::new_current_thread().build().expect("a runtime without I/O")));
+    }
+    let name = CString::new(name).unwrap_or_default();
+    Arbiter::try_with_tokio_rt(move || {
+        // The kernel cuts off what is longer than 15 bytes; a thread without a name runs as well.
+        let _ = nix::sys::prctl::set_name(&name);
+        Builder::new_current_thread().enable_all().build()
+    })
+}
