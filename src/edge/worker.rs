@@ -1,12 +1,12 @@
 //! Worker of a driver, source or observer: an actor on a thread of its own, which does the input and output.
 
-use std::ffi::CString;
 use std::io;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel, sync_channel};
+use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use actix::{Actor, Arbiter, ArbiterHandle, Context, Handler, Recipient, Supervised, Supervisor, System};
-use tokio::runtime::Builder;
+use actix::{Actor, ArbiterHandle, Context, Handler, Recipient, Supervised, Supervisor, System};
+use tokio::runtime;
 
 use super::ROOM;
 use super::channel::{self, Gate, Input, PacketSender, Port};
@@ -68,7 +68,8 @@ impl Seat {
 /// Running worker. It ends after its [`Gate`] is dropped.
 #[derive(Debug)]
 pub struct Running {
-    arbiter: Arbiter,
+    system: System,
+    thread: JoinHandle<()>,
     /// Closed when the actor no longer exists.
     ended: Receiver<()>,
 }
@@ -79,9 +80,9 @@ impl Running {
     pub fn join(self, longest: Duration) -> bool {
         let ended = self.ended.recv_timeout(longest) == Err(RecvTimeoutError::Disconnected);
         if ended {
-            self.arbiter.stop();
-            // Its thread has nothing left to do.
-            let _ = self.arbiter.join();
+            self.system.stop();
+            // It has nothing left to do.
+            let _ = self.thread.join();
         }
         ended
     }
@@ -102,22 +103,26 @@ pub fn start(worker: Box<dyn Worker>, name: &str) -> io::Result<(Gate, Running)>
     let (mut gate, mut port) = channel::channel(name)?;
     let (alive, ended) = channel();
     port.keep(alive);
-    let arbiter = arbiter(name)?;
-    gate.connect(worker.start(Seat { arbiter: arbiter.handle(), port }));
-    Ok((gate, Running { arbiter, ended }))
+    let (system, thread) = arbiter(name)?;
+    gate.connect(worker.start(Seat { arbiter: system.arbiter().clone(), port }));
+    Ok((gate, Running { system, thread, ended }))
 }
 
-/// Starts a thread called `name` with an asynchronous runtime, in the actor library's system of this thread, which is
-/// made if there is none.
-fn arbiter(name: &str) -> io::Result<Arbiter> {
-    if !System::is_registered() {
-        // It needs no loop of its own: nothing is started in its first arbiter, which is this thread.
-        drop(System::with_tokio_rt(|| Builder::new_current_thread().build().expect("a runtime without I/O")));
-    }
-    let name = CString::new(name).unwrap_or_default();
-    Arbiter::try_with_tokio_rt(move || {
-        // The kernel cuts off what is longer than 15 bytes; a thread without a name runs as well.
-        let _ = nix::sys::prctl::set_name(&name);
-        Builder::new_current_thread().enable_all().build()
-    })
+/// Starts a thread called `name` with an arbiter: a system of the actor library with an asynchronous runtime. Logs know
+/// the worker by the thread's name.
+fn arbiter(name: &str) -> io::Result<(System, JoinHandle<()>)> {
+    let (started, system) = sync_channel(1);
+    let run = move || {
+        let runtime = match runtime::Builder::new_current_thread().enable_all().build() {
+            Ok(runtime) => runtime,
+            Err(error) => return drop(started.send(Err(error))),
+        };
+        let runner = System::with_tokio_rt(|| runtime);
+        let _ = started.send(Ok(System::current()));
+        // It ends when its system is stopped.
+        let _ = runner.run();
+    };
+    let thread = thread::Builder::new().name(name.to_owned()).spawn(run)?;
+    let system = system.recv().map_err(io::Error::other)??;
+    Ok((system, thread))
 }

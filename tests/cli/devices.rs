@@ -138,7 +138,7 @@ fn each_broken_device_is_named_in_a_line() {
         ("hot", "temperature_most_c = 70.0", &["fail robot 0, driver program: faulty: 88 deg C, at most 70"]),
         ("mute", "battery_least = 0.2", &["fail robot 0, driver program: it reports no charge"]),
         ("faulty", "", &["fail robot 0, driver program: faulty: bumper pressed, battery 87 %"]),
-        ("ended", "", &["fail robot 0, driver program: does not answer", "does not read its input"]),
+        ("ended", "", &["fail robot 0, driver program: does not answer", "has ended and is started again"]),
     ];
     side_by_side(&faults, |(fault, body, words)| {
         let output = Bench::new(2, fault, body).doctor(&[]);

@@ -166,8 +166,8 @@ impl Keeper {
         Time::ZERO + Span::from_nanos(u64::try_from(self.begun.elapsed().as_nanos()).unwrap_or(u64::MAX))
     }
 
-    /// Gives an input to the pair, or none when its time has come; does what it decides, and sets the timer for its next
-    /// turn. When the host ends nothing is decided any more.
+    /// Gives an input to the pair, or none when its time has come; does what it decides, and sets the timer for its
+    /// next turn. When the host ends nothing is decided any more.
     fn turn(&mut self, input: Option<Input<'_>>, context: &mut Context<Self>) {
         if self.closes {
             return;
@@ -243,7 +243,7 @@ impl Keeper {
         }
     }
 
-    /// Removes a DDS process that has closed its output: kills it, waits for its exit status and logs an unexpected end.
+    /// Removes a DDS process that has closed its output: kills it, waits for its exit status, logs an unexpected end.
     fn bury(&mut self, id: Id, context: &mut Context<Self>) {
         let Some(mut process) = self.processes.remove(&id) else { return };
         if !self.closes {

@@ -51,7 +51,8 @@ pub(super) fn bytes<T>(stream: Weak<TcpStream>, of: impl Fn(io::Result<Vec<u8>>)
     })
 }
 
-/// Returns the datagrams that a socket receives, as `of` makes an item of each. An ICMP error of an earlier datagram is no datagram.
+/// Returns the datagrams that a socket receives, as `of` makes an item of each. An ICMP error of an earlier datagram is
+/// no datagram.
 pub(super) fn datagrams<T>(socket: UdpSocket, of: fn(Vec<u8>) -> T) -> impl Stream<Item = T> {
     unfold((socket, [0; BYTES]), move |(socket, mut buffer)| async move {
         loop {
