@@ -51,6 +51,8 @@ async fn tell(
     }
     let mut seen = [0; 3];
     loop {
+        // From here on, no news is missed.
+        let newer = shared.news.notified();
         // Read before the status is sent, so that the last status is sent before the connection ends.
         let closing = shared.is_closing();
         let news = match socket {
@@ -67,7 +69,7 @@ async fn tell(
         }
         tokio::select! {
             Some(answer) = answers.recv() => to.send(Message::text(answer)).await?,
-            () = shared.news.notified() => {}
+            () = newer => {}
             () = tokio::time::sleep(SILENCE) => to.send(Message::Ping(Bytes::new())).await?,
         }
     }

@@ -112,8 +112,12 @@ impl Shared {
 
     /// Waits until the server is being closed.
     pub async fn closed(&self) {
-        while !self.is_closing() {
-            self.news.notified().await;
+        loop {
+            let news = self.news.notified();
+            if self.is_closing() {
+                return;
+            }
+            news.await;
         }
     }
 
