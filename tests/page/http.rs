@@ -15,9 +15,17 @@ pub fn token() -> String {
     "5a".repeat(16)
 }
 
+/// Starts a server to which Foxglove may connect.
+#[cfg(feature = "foxglove")]
+pub fn server_for_foxglove(scene: &Scene) -> (Server, Publisher) {
+    let (token, control) = (Token::new(&[0x5a; 16]), Control::Team);
+    let access = Access { token, control, guarded: false, foxglove: true, page: true };
+    Server::open("127.0.0.1:0".parse().unwrap(), access, scene.to_json()).unwrap()
+}
+
 /// Starts a server at a free port of the loopback interface.
 pub fn server(control: Control, guarded: bool, scene: &Scene) -> (Server, Publisher) {
-    let access = Access { token: Token::new(&[0x5a; 16]), control, guarded, page: true };
+    let access = Access { token: Token::new(&[0x5a; 16]), control, guarded, foxglove: false, page: true };
     Server::open("127.0.0.1:0".parse().unwrap(), access, scene.to_json()).unwrap()
 }
 

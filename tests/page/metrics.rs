@@ -23,7 +23,13 @@ fn metrics_are_those_that_were_published_and_need_the_token_where_others_can_rea
     );
     assert!(get("/healthz", "").starts_with("HTTP/1.1 200 "));
 
-    let access = Access { token: Token::new(&[0x5a; 16]), control: Control::StopOnly, guarded: true, page: false };
+    let access = Access {
+        token: Token::new(&[0x5a; 16]),
+        control: Control::StopOnly,
+        guarded: true,
+        foxglove: false,
+        page: false,
+    };
     let listen = "127.0.0.1:0".parse().expect("an address");
     let guarded = Server::open(listen, access, String::new()).expect("a server");
     assert!(guarded.1.metrics("murmurate_test 2\n".to_owned()));

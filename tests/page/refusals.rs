@@ -148,7 +148,8 @@ fn a_server_that_others_reach_shows_nothing_without_the_token() {
 
 #[test]
 fn a_stop_from_another_machine_needs_the_token_where_others_reach_the_server() {
-    let access = Access { token: Token::new(&[0x5a; 16]), control: Control::Team, guarded: true, page: true };
+    let access =
+        Access { token: Token::new(&[0x5a; 16]), control: Control::Team, guarded: true, foxglove: false, page: true };
     let local = "192.168.1.5:8137".parse().unwrap();
     let asks = |peer: &str, wanted: Wanted, more: &[String]| {
         let lines = [own(local), more.to_vec()].concat();

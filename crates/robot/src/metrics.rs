@@ -68,7 +68,7 @@ impl MetricsFlags {
         let Some(listen) = self.metrics else { return Ok(None) };
         let guarded = is_guarded(listen);
         let token = token(self.metrics_token_file.as_deref())?;
-        let access = Access { token, control: Control::StopOnly, guarded, page: false };
+        let access = Access { token, control: Control::StopOnly, guarded, foxglove: false, page: false };
         let opened = Server::open(listen, access, String::new());
         let (server, publisher) = opened.with_context(|| format!("--metrics: cannot serve at {listen}"))?;
         talk(&format!("metrics: http://{}/metrics", server.address()));

@@ -52,6 +52,11 @@ impl Token {
         token.is_some_and(|(_, token)| self.is(token.trim()))
     }
 
+    /// Returns whether the query of an address has this token as `token`.
+    pub fn is_asked_with(&self, query: &str) -> bool {
+        query.split('&').filter_map(|one| one.strip_prefix("token=")).any(|shown| self.is(shown))
+    }
+
     /// Returns whether the token is in a list of WebSocket subprotocols that a browser offers, separated by commas. The
     /// comparison takes constant time.
     pub fn is_among(&self, protocols: &str) -> bool {
@@ -130,6 +135,8 @@ pub struct Access {
     /// Whether a browser needs the token also to see the team (snapshots, goals, status and metrics), because other
     /// machines can reach the server.
     pub guarded: bool,
+    /// Whether Foxglove may connect, with the token; only with the feature `foxglove`.
+    pub foxglove: bool,
     /// Whether the server has the live page. A server without it has the metrics only.
     pub page: bool,
 }
@@ -228,7 +235,7 @@ mod tests {
 
     #[test]
     fn a_stop_needs_nothing_and_faults_need_an_emulated_team() {
-        let access = |control| Access { token: Token::new(&[1]), control, guarded: false, page: true };
+        let access = |control| Access { token: Token::new(&[1]), control, guarded: false, foxglove: false, page: true };
         let standing = |holder: bool| if holder { Standing::Holder } else { Standing::Near };
         let link = Command::Link { link: "air".to_owned(), cut: true, delay_ms: 0.0, loss: 0.0 };
         assert_eq!(access(Control::StopOnly).refuses(&Command::Stop, standing(false)), None);
@@ -249,7 +256,8 @@ mod tests {
 
     #[test]
     fn a_stop_from_another_machine_needs_the_token_where_others_reach_the_server() {
-        let access = |guarded| Access { token: Token::new(&[1]), control: Control::Team, guarded, page: true };
+        let access =
+            |guarded| Access { token: Token::new(&[1]), control: Control::Team, guarded, foxglove: false, page: true };
         let [far, here]: [IpAddr; 2] = ["192.168.1.7", "127.0.0.1"].map(|ip| ip.parse().unwrap());
         let mapped: IpAddr = "::ffff:127.0.0.1".parse().unwrap();
         let refused = |guarded, peer, token| {

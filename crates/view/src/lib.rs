@@ -10,6 +10,8 @@
 
 pub mod access;
 pub mod command;
+#[cfg(feature = "foxglove")]
+mod foxglove_live;
 mod host;
 mod invariant;
 pub mod metrics;

@@ -19,7 +19,7 @@ use super::access::{self, Access, Ends, Socket, Standing, Wanted};
 use super::command::MAX_BYTES;
 use super::places::Admission;
 use super::session;
-use super::shared::{Connection, Shared};
+use super::shared::{Connection, Place, Shared};
 
 /// Time without a sign of life of the thread that drives the team after which the program counts as unhealthy.
 const HEALTHY: Duration = Duration::from_secs(3);
@@ -87,6 +87,10 @@ pub(super) fn router(shared: Arc<Shared>) -> Router {
                 open(wanted, shared, connection, &headers, handshake)
             };
             router = router.route(path, get(open));
+        }
+        #[cfg(feature = "foxglove")]
+        if shared.access.foxglove {
+            router = router.route("/foxglove", get(foxglove));
         }
     }
     router
@@ -176,16 +180,45 @@ fn open(
     handshake: Handshake,
 ) -> Result<Response, Refusal> {
     let socket = admit(wanted, headers, ends, &shared.access)?;
-    let handshake = handshake.map_err(|why| Refusal::new(why.status(), why.body_text()))?;
     let admission = if socket.is_holder() { Admission::Holder } else { Admission::Other };
+    let handshake = limited(handshake, PROTOCOL, &place, admission)?;
+    Ok(handshake.on_upgrade(async move |client| {
+        session::run(client, socket, &shared).await;
+        drop(place);
+    }))
+}
+
+/// Takes the place of a WebSocket, and sets the protocol and the limits of its messages.
+fn limited(
+    handshake: Handshake,
+    protocol: &'static str,
+    place: &Place,
+    admission: Admission,
+) -> Result<WebSocketUpgrade, Refusal> {
+    let handshake = handshake.map_err(|why| Refusal::new(why.status(), why.body_text()))?;
     if !place.upgrade(admission) {
         let why = "too many connections: close other pages";
         return Err(Refusal::new(StatusCode::SERVICE_UNAVAILABLE, why));
     }
-    let handshake = handshake.protocols([PROTOCOL]).read_buffer_size(MAX_BYTES);
-    let handshake = handshake.max_message_size(MAX_BYTES).max_frame_size(MAX_BYTES);
+    let handshake = handshake.protocols([protocol]).read_buffer_size(MAX_BYTES);
+    Ok(handshake.max_message_size(MAX_BYTES).max_frame_size(MAX_BYTES))
+}
+
+/// Opens a connection of Foxglove, which needs the token. It is of no page, so that any page could ask for one.
+#[cfg(feature = "foxglove")]
+async fn foxglove(
+    State(shared): State<Arc<Shared>>,
+    Extension(Connection { place, .. }): Extension<Connection>,
+    uri: Uri,
+    handshake: Handshake,
+) -> Result<Response, Refusal> {
+    use super::foxglove_live;
+    if !shared.access.token.is_asked_with(uri.query().unwrap_or_default()) {
+        return Err(Refusal::new(StatusCode::UNAUTHORIZED, "no token: connect to /foxglove?token=TOKEN"));
+    }
+    let handshake = limited(handshake, foxglove_live::PROTOCOL, &place, Admission::Holder)?;
     Ok(handshake.on_upgrade(async move |client| {
-        session::run(client, socket, &shared).await;
+        foxglove_live::run(client, &shared).await;
         drop(place);
     }))
 }

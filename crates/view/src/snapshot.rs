@@ -119,6 +119,33 @@ impl Snapshot {
 }
 
 /// Rounds a coordinate in encoded units to an integer, limited to the encoded range.
+/// Robot of an encoded snapshot of the team: what programs other than the page draw of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Drawn {
+    /// Position of the robot's centre \[m\], world frame.
+    pub position: Option<[f32; 2]>,
+    /// Heading \[rad\], counter-clockwise from the x axis of the world frame.
+    pub heading: Option<f32>,
+    /// Whether the robot stands because of an emergency stop or a hold.
+    pub latched: bool,
+}
+
+/// Returns the robots of an encoded snapshot, in the order of robot ids. `scale_m` is the unit of encoded coordinates
+/// \[m\].
+pub fn robots(bytes: &[u8], scale_m: f32) -> impl Iterator<Item = Drawn> {
+    let count = bytes.get(2..4).map_or(0, |count| usize::from(u16::from_le_bytes([count[0], count[1]])));
+    let all = bytes.get(HEADER_BYTES..).unwrap_or_default().chunks_exact(ROBOT_BYTES).take(count);
+    all.map(move |robot| {
+        let number = |at: usize| Some(i16::from_le_bytes([robot[at], robot[at + 1]])).filter(|code| *code != NO_NUMBER);
+        let place = |at| number(at).map(|steps| f32::from(steps) * scale_m);
+        Drawn {
+            position: place(0).zip(place(2)).map(|(x, y)| [x, y]),
+            heading: number(4).map(|code| f32::from(code) * 1e-4),
+            latched: robot[8] & 2 != 0,
+        }
+    })
+}
+
 fn step(number: f32) -> i16 {
     number.round().clamp(-STEPS, STEPS) as i16
 }

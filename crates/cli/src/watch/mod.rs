@@ -31,6 +31,10 @@ pub struct PageFlags {
     /// File with the token of the page, as 'murmurate key new' makes it [default: drawn, and printed with the address]
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
+    /// Lets Foxglove connect to the page's server, and prints the address for it (docs/watch.md)
+    #[cfg_attr(feature = "foxglove", arg(long))]
+    #[cfg_attr(not(feature = "foxglove"), arg(skip))]
+    foxglove: bool,
 }
 
 /// Flags of a command that serves the live page if `--watch` is given.
@@ -47,8 +51,13 @@ pub struct OptionalPage {
 impl OptionalPage {
     /// Fails if a flag of the page, such as `--listen`, is given without `--watch`.
     pub fn check(&self) -> Result<()> {
-        let PageFlags { listen, control, token_file } = &self.page;
-        let given = [("--listen", listen.is_some()), ("--control", *control), ("--token-file", token_file.is_some())];
+        let PageFlags { listen, control, token_file, foxglove } = &self.page;
+        let given = [
+            ("--listen", listen.is_some()),
+            ("--control", *control),
+            ("--token-file", token_file.is_some()),
+            ("--foxglove", *foxglove),
+        ];
         match given.iter().find(|(_, given)| *given && !self.watch) {
             Some((flag, _)) => bad(format!("{flag}: there is no page; add --watch")),
             None => Ok(()),
@@ -81,7 +90,7 @@ impl RecordPage {
     /// properties of the recorded run.
     pub fn open(&self, scene: Scene) -> Result<(Server, Publisher)> {
         let (listen, token_file) = (self.listen, self.token_file.clone());
-        PageFlags { listen, control: true, token_file }.open(scene, Control::Playback)
+        PageFlags { listen, control: true, token_file, foxglove: false }.open(scene, Control::Playback)
     }
 }
 
@@ -113,9 +122,17 @@ impl PageFlags {
             None if self.control => format!("#{}", token.digits()),
             None => String::new(),
         };
-        let opened = Server::open(listen, Access { token, control, guarded, page: true }, scene.to_json());
+        let viewer = match &self.token_file {
+            Some(_) => "TOKEN".to_owned(),
+            None => token.digits().to_owned(),
+        };
+        let access = Access { token, control, guarded, foxglove: self.foxglove, page: true };
+        let opened = Server::open(listen, access, scene.to_json());
         let (server, publisher) = opened.with_context(|| format!("--listen: cannot serve the page at {listen}"))?;
         talk(&format!("watch: http://{}/{secret}", server.address()));
+        if self.foxglove {
+            talk(&format!("foxglove: ws://{}/foxglove?token={viewer}", server.address()));
+        }
         Ok((server, publisher))
     }
 }
