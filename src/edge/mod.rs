@@ -17,6 +17,7 @@ mod settings;
 mod worker;
 
 pub use channel::{Gate, Input, PacketSender, Port, WorkerState};
+pub use panic::EndsProcess;
 pub use settings::Settings;
 pub(crate) use worker::join_all;
 pub use worker::{Running, Seat, Worker, start};

@@ -18,8 +18,9 @@ use foxglove::messages::{
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use super::invariant::EndsProcess;
-use super::shared::Shared;
+use murmurate::edge::EndsProcess;
+
+use super::shared::{PAGE, Shared};
 use super::snapshot::{Drawn, robots};
 
 /// Name of the WebSocket subprotocol.
@@ -61,7 +62,7 @@ struct Subscription {
 
 /// Serves a connection of Foxglove until either side ends it. It takes no commands.
 pub(super) async fn run(mut client: WebSocket, shared: &Shared) {
-    let _guard = EndsProcess;
+    let _guard = EndsProcess(PAGE);
     // Any error ends the connection; Foxglove then opens another.
     let _ = serve(&mut client, shared).await;
 }

@@ -29,10 +29,11 @@ use tokio::sync::oneshot;
 use tokio_io_timeout::TimeoutStream;
 use tower::ServiceExt as _;
 
+use murmurate::edge::EndsProcess;
+
 use super::access::Ends;
-use super::invariant::EndsProcess;
 use super::request;
-use super::shared::{Connection, Place, Shared};
+use super::shared::{Connection, PAGE, Place, Shared};
 
 /// Period at which the server looks for new values.
 const LOOK: Duration = Duration::from_millis(20);
@@ -66,7 +67,7 @@ impl Running {
         let (started, page) = sync_channel(1);
         let (end, ended) = sync_channel(0);
         Builder::new().name("page".to_owned()).spawn(move || {
-            let (_guard, _end) = (EndsProcess, end);
+            let (_guard, _end) = (EndsProcess(PAGE), end);
             let system = System::with_tokio_rt(move || runtime);
             let router = request::router(Arc::clone(&shared));
             let page = Page { listener: Arc::new(listener), router, shared, seen: [0; 3], accepting: None };
@@ -130,7 +131,7 @@ fn accept(listener: Arc<tokio::net::TcpListener>) -> impl Stream<Item = TcpStrea
 
 impl StreamHandler<TcpStream> for Page {
     fn handle(&mut self, stream: TcpStream, _: &mut Self::Context) {
-        let _guard = EndsProcess;
+        let _guard = EndsProcess(PAGE);
         // An error means that the client has ended it already.
         let (Ok(local), Ok(peer), Ok(())) = (stream.local_addr(), stream.peer_addr(), stream.set_nodelay(true)) else {
             return;
@@ -146,7 +147,7 @@ impl Handler<Close> for Page {
     type Result = ();
 
     fn handle(&mut self, _: Close, context: &mut Self::Context) {
-        let _guard = EndsProcess;
+        let _guard = EndsProcess(PAGE);
         if let Some(accepting) = self.accepting.take() {
             context.cancel_future(accepting);
         }
@@ -159,7 +160,7 @@ impl Handler<Close> for Page {
 impl Page {
     /// Wakes the connections if there are newer values; ends the closing server when all connections have ended.
     fn look(&mut self) {
-        let _guard = EndsProcess;
+        let _guard = EndsProcess(PAGE);
         let numbers = self.shared.numbers();
         if numbers != self.seen {
             self.seen = numbers;
@@ -178,7 +179,7 @@ async fn serve(
     connection: Connection,
     (router, shared): (Router, Arc<Shared>),
 ) {
-    let _guard = EndsProcess;
+    let _guard = EndsProcess(PAGE);
     let mut stream = Box::pin(TimeoutStream::new(stream));
     stream.as_mut().set_write_timeout_pinned(Some(WRITE_TIME));
     let service = service_fn(move |mut request| {

@@ -13,7 +13,6 @@ pub mod command;
 #[cfg(feature = "foxglove")]
 mod foxglove_live;
 mod host;
-mod invariant;
 pub mod metrics;
 pub mod orders;
 mod places;

@@ -12,10 +12,11 @@ use futures_util::{SinkExt as _, StreamExt as _};
 use serde_json::json;
 use tokio::sync::mpsc::{self, Receiver, Sender};
 
+use murmurate::edge::EndsProcess;
+
 use super::access::{Socket, Standing};
 use super::command::Command;
-use super::invariant::EndsProcess;
-use super::shared::Shared;
+use super::shared::{PAGE, Shared};
 
 /// Time after which a ping checks a WebSocket connection on which nothing was sent.
 const SILENCE: Duration = Duration::from_secs(2);
@@ -24,7 +25,7 @@ const ANSWERS: usize = 8;
 
 /// Serves a WebSocket connection of the kind `socket` until either side ends it.
 pub(super) async fn run(client: WebSocket, socket: Socket, shared: &Shared) {
-    let _guard = EndsProcess;
+    let _guard = EndsProcess(PAGE);
     let (to, from) = client.split();
     let (refusals, answers) = mpsc::channel(ANSWERS);
     // Any error ends the connection; the page then opens another.

@@ -15,6 +15,8 @@ use super::access::{Access, Ends};
 use super::command::Command;
 use super::places::{Admission, Places};
 
+/// Name of the server in the report of a panic.
+pub(super) const PAGE: &str = "the page's server";
 /// Slot for the newest value of one kind, such as the team's status, with a version number.
 pub(super) struct Slot<T> {
     number: AtomicU64,
