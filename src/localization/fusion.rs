@@ -12,6 +12,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
+use nalgebra::{Vector2, Vector3};
 use serde::Deserialize;
 
 use super::fused_state::State;
@@ -252,7 +253,7 @@ struct Filter {
     speed: (f64, f64),
     state: Option<State>,
     /// Past estimated poses \[m, m, rad\] with their times, the newest last.
-    past: VecDeque<(Time, [f64; 3])>,
+    past: VecDeque<(Time, Vector3<f64>)>,
     /// Time of arrival of the last reading of the source that corrected the pose.
     corrected: Time,
     /// Readings of the source that are far from the estimate and agree with each other: arrival of the first, and the
@@ -280,9 +281,9 @@ impl Filter {
     /// Takes over where a person has said that the robot stands. Without a heading the old one is kept; false if there
     /// is none.
     fn place(&mut self, now: Time, pose: &Pose) -> bool {
-        let heading = pose.heading.map(f64::from).or(self.state.map(|state| state.pose[2]));
+        let heading = pose.heading.map(f64::from).or(self.state.map(|state| state.pose.z));
         let Some(heading) = heading else { return false };
-        let pose = [f64::from(pose.position.x), f64::from(pose.position.y), heading];
+        let pose = Vector3::new(f64::from(pose.position.x), f64::from(pose.position.y), heading);
         self.state = Some(State::at(pose, BY_EYE.0, BY_EYE.1));
         (self.corrected, self.elsewhere, self.recovery) = (now, None, Recovery::Over);
         self.past.clear();
@@ -294,7 +295,7 @@ impl Filter {
     fn restart(&mut self, now: Time, since: Time) {
         let unseen_s = now.since(since).as_secs().min(1.0);
         let (way, turn) = ((self.speed.0 + UNSEEN.0) * unseen_s, (self.speed.1 + UNSEEN.1) * unseen_s);
-        self.state.iter_mut().for_each(|state| state.doubt([way, way, turn]));
+        self.state.iter_mut().for_each(|state| state.doubt(Vector3::new(way, way, turn)));
         (self.recovery, self.elsewhere) = (Recovery::Begun, None);
         self.past.clear();
     }
@@ -346,21 +347,21 @@ impl Filter {
             return Ok(None);
         }
         let velocity = odometry.twist.velocity;
-        let (vx, vy) = rotated(state.pose[2] - pose[2], f64::from(velocity.x), f64::from(velocity.y));
+        let (vx, vy) = rotated(state.pose.z - pose[2], f64::from(velocity.x), f64::from(velocity.y));
         let mut reading = odometry.clone();
-        reading.pose.position = Vec2::new(state.pose[0] as f32, state.pose[1] as f32);
-        reading.pose.heading = Some(wrapped(state.pose[2]) as f32);
+        reading.pose.position = state.pose.xy().cast();
+        reading.pose.heading = Some(wrapped(state.pose.z) as f32);
         reading.twist.velocity = Vec2::new(vx as f32, vy as f32);
-        let variance = (state.covariance[0][0] + state.covariance[1][1]) / 2.0;
+        let variance = (state.covariance.m11 + state.covariance.m22) / 2.0;
         reading.deviation.position_m = Some(variance.sqrt() as f32);
-        reading.deviation.heading_rad = Some(state.covariance[2][2].sqrt() as f32);
+        reading.deviation.heading_rad = Some(state.covariance.m33.sqrt() as f32);
         Ok(Some(reading))
     }
 
     /// Corrects the estimated pose by a reading of the source; the first reading sets it. An error is the reason for
     /// which the reading is refused, such as an outlier. `quality` is what may be assumed of the reading.
     fn correct(&mut self, now: Time, reading: &Reading, quality: Quality) -> Result<(), &'static str> {
-        let measured = [f64::from(reading.pose.position.x), f64::from(reading.pose.position.y)];
+        let measured: Vector2<f64> = reading.pose.position.cast();
         let heading = reading.pose.heading.map(f64::from);
         let deviation = &reading.deviation;
         let position_m = deviation.position_m.map_or(POSITION_M.0, f64::from).max(POSITION_M.1);
@@ -371,7 +372,7 @@ impl Filter {
                 (None, Some(heading)) => (heading, BY_HAND_RAD),
                 (None, None) => return Err("the source measures no heading: say it by hand, as fuse.heading_rad"),
             };
-            self.state = Some(State::at([measured[0], measured[1], first], position_m, deviation));
+            self.state = Some(State::at(measured.push(first), position_m, deviation));
             self.corrected = now;
             return Ok(());
         };
@@ -379,7 +380,7 @@ impl Filter {
         let delay = Span::from_secs(self.config.delay_s);
         let then = self.past.iter().rev().find(|(at, _)| now.since(*at) >= delay).or_else(|| self.past.front());
         let then = then.map_or(state.pose, |(_, pose)| *pose);
-        let error = [measured[0] - then[0], measured[1] - then[1]];
+        let error = measured - then.xy();
         let variance = position_m * position_m;
         if state.distance(error, variance) > GATE {
             let fix = Fix::of(now, reading, quality);
@@ -393,24 +394,22 @@ impl Filter {
             }
             // The robot was carried, or the filter has diverged: its heading may be wrong, too. The pose that is put
             // out jumps, so the robot is stopped until that has settled, too.
-            state.doubt([error[0], error[1], BY_HAND_RAD]);
+            state.doubt(error.push(BY_HAND_RAD));
         }
         self.elsewhere = None;
         let before = state.pose;
         state.correct_position(error, variance);
         if let Some(heading) = heading {
-            state.correct_heading(wrapped(heading - then[2] - (state.pose[2] - before[2])), heading_rad * heading_rad);
+            state.correct_heading(wrapped(heading - then.z - (state.pose.z - before.z)), heading_rad * heading_rad);
         }
-        let moved: [f64; 3] = std::array::from_fn(|at| state.pose[at] - before[at]);
-        for (_, pose) in &mut self.past {
-            (0..3).for_each(|at| pose[at] += moved[at]);
-        }
+        let moved = state.pose - before;
+        self.past.iter_mut().for_each(|(_, pose)| *pose += moved);
         self.corrected = now;
         self.recovery = match self.recovery {
             Recovery::Over => Recovery::Over,
             Recovery::Begun => Recovery::Agreed(now),
             Recovery::Agreed(since) if now.since(since) < self.limits.settle => Recovery::Agreed(since),
-            Recovery::Agreed(_) if state.covariance[2][2] <= KNOWN_RAD * KNOWN_RAD => Recovery::Over,
+            Recovery::Agreed(_) if state.covariance.m33 <= KNOWN_RAD * KNOWN_RAD => Recovery::Over,
             agreed => agreed,
         };
         Ok(())
