@@ -12,6 +12,7 @@ pub mod mlp;
 mod model;
 pub mod orca;
 pub mod probe;
+pub mod roadmap;
 pub mod route;
 mod safetensors;
 pub mod shipped;

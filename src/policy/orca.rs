@@ -13,7 +13,8 @@ use std::borrow::Cow;
 
 use dodgy_2d::{Agent, AvoidanceOptions, Obstacle};
 
-use super::route::{self, Crossing, Leg, next_leg};
+use super::roadmap::Roadmap;
+use super::route::{self, Crossing};
 use super::{Interface, Neighbour, Policy};
 use crate::messages::geometry::{Motion, Vec2};
 use crate::random::Stream;
@@ -83,6 +84,7 @@ pub(crate) struct Orca {
     /// Factor on distances between robots, and from robots to walls and bottlenecks.
     share: f32,
     obstacles: Vec<Obstacle>,
+    roadmap: Roadmap,
 }
 
 /// A robot's place in the queue at a bottleneck. Of two robots, the one that is nearer to the middle goes first.
@@ -118,33 +120,36 @@ impl Orca {
         };
         let blocks = arena.keep_outs.iter().map(|keep_out| block(keep_out.min, keep_out.max));
         let obstacles = blocks.chain([ground]).collect();
-        Orca { arena: arena.clone(), share, obstacles }
+        Orca { arena: arena.clone(), share, obstacles, roadmap: Roadmap::new(arena) }
     }
 
     /// Returns the robot's preferred velocity \[m/s\] along the path to its goal, without other robots and without a
-    /// speed limit. Its norm encodes the length of the remaining path, as in `approach`.
+    /// speed limit; zero if no path leads there. Its norm encodes the length of the remaining path, as in `approach`.
     fn preferred(&self, own: &Observation) -> Vec2 {
         let at = own.motion.position;
-        match next_leg(&self.arena, at, own.goal) {
-            Leg::Direct => approach(own.goal - at),
-            Leg::Through(crossing) => {
-                let heading = (crossing.aim(&self.arena, at) - at).try_normalize(1e-6).unwrap_or_else(Vec2::zeros);
-                approach(heading * crossing.path_length(&self.arena, at, own.goal))
+        match self.roadmap.path(at, own.goal).as_deref() {
+            Some([goal]) => approach(goal - at),
+            Some(path @ [next, ..]) => {
+                let points = [at].into_iter().chain(path.iter().copied());
+                let length_m: f32 = points.zip(path).map(|(from, to)| (to - from).norm()).sum();
+                approach((next - at).try_normalize(1e-6).unwrap_or_else(Vec2::zeros) * length_m)
             }
+            _ => Vec2::zeros(),
         }
     }
 
-    /// Returns the place in the queue of a robot at `at` \[m\] with the preferred velocity `preferred` \[m/s\]; `None`
-    /// if it is not going to use a bottleneck.
+    /// Returns the place in the queue at the next bottleneck of a robot at `at` \[m\] with the preferred velocity
+    /// `preferred` \[m/s\]; `None` if it is not going to use a bottleneck.
     fn queue_place(&self, at: Vec2, preferred: Vec2) -> Option<QueuePlace> {
         let heading = preferred.try_normalize(1e-6)?;
         let path_m = remaining_path(preferred);
-        self.arena.portals.iter().find_map(|portal| {
+        let places = self.arena.portals.iter().filter_map(|portal| {
             let both = [(portal.near, portal.far), (portal.far, portal.near)];
             let mut crossings = both.into_iter().map(|(entry, exit)| Crossing { entry, exit });
             let crossing = crossings.find(|crossing| crossing.is_ahead_of(&self.arena, at, heading, path_m))?;
             Some(QueuePlace { crossing, ahead_m: crossing.ahead(&self.arena, at), tie: (at.x, at.y) })
-        })
+        });
+        places.min_by(|a, b| a.ahead_m.total_cmp(&b.ahead_m))
     }
 
     /// Returns the robot's velocity \[m/s\] after it gave way at bottlenecks. In a queue it is `preferred` with a lower

@@ -1,11 +1,8 @@
-//! Path planning of one robot through an arena with walls and bottlenecks, for scripted navigation (ORCA). Other robots
-//! are not considered.
-//!
-//! The functions give the next point to steer for and the crossings of bottlenecks. They also limit commands so that a
-//! robot can still brake before a wall.
+//! Free straight lines in an arena, the crossings of its bottlenecks, and commands after which a robot can still brake
+//! before a wall, for scripted navigation (ORCA). Other robots are not considered.
 
 use crate::messages::geometry::{Motion, Vec2};
-use crate::scenario::{Arena, Portal};
+use crate::scenario::Arena;
 
 /// Clearance \[m\] that a planned path keeps between a robot's hull and a solid block (wall) of the arena.
 const MARGIN_M: f32 = 0.03;
@@ -33,15 +30,6 @@ const CHOSEN_FOR_M: f32 = 0.25;
 /// Returns the factor on distances of scripted navigation for the robots in `arena`, 1 for those of the paper.
 pub(crate) fn share(arena: &Arena) -> f32 {
     (arena.robot_radius_m / CHOSEN_FOR_M).min(1.0)
-}
-
-/// Next part of a robot's planned path through an arena.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Leg {
-    /// The robot drives straight to the destination of its path.
-    Direct,
-    /// The robot drives through a bottleneck, by this crossing.
-    Through(Crossing),
 }
 
 /// Crossing of a bottleneck in one direction, along the straight line between the two ends (mouths) of the bottleneck.
@@ -72,13 +60,6 @@ impl Crossing {
         }
     }
 
-    /// Returns the length of the path \[m\] from `at` through the bottleneck to `to`, both \[m\] in the frame of
-    /// `arena`.
-    pub(crate) fn path_length(&self, arena: &Arena, at: Vec2, to: Vec2) -> f32 {
-        let aim = self.aim(arena, at);
-        (aim - at).norm() + (self.exit - aim).norm() + (to - self.exit).norm()
-    }
-
     /// Returns true if a robot's path still leads through the bottleneck in this direction: on to its exit, or past its
     /// middle on a free straight line to the robot's destination. The robot is at `at` \[m\], moves along the unit
     /// vector `heading`, and has `path_m` \[m\] of path left.
@@ -97,31 +78,18 @@ impl Crossing {
     }
 }
 
+/// Returns the distance \[m\] that a planned path keeps between a robot's centre and a block of `arena`.
+pub(crate) fn margin_m(arena: &Arena) -> f32 {
+    arena.robot_radius_m + share(arena) * MARGIN_M
+}
+
 /// Returns true if a robot can move along the straight line from `from` to `to` \[m\] without touching a solid block
 /// (wall) of `arena`. Other robots are not considered.
 pub(crate) fn is_free(arena: &Arena, from: Vec2, to: Vec2) -> bool {
     // A robot that is nearer to a block than the margin must still be able to leave it.
-    let margin_m = arena.robot_radius_m + share(arena) * MARGIN_M;
+    let margin_m = margin_m(arena);
     let margin = |block_distance: f32| margin_m.min(block_distance - 1e-3);
     arena.keep_outs.iter().all(|block| !block.blocks(from, to, margin(block.distance(from).min(block.distance(to)))))
-}
-
-/// Returns the next part of the path from `from` to `to`, both \[m\] in the frame of `arena`. It is direct if the
-/// straight line is free or if the arena has no bottleneck. Otherwise it leads through the bottleneck on the shortest
-/// path.
-pub(crate) fn next_leg(arena: &Arena, from: Vec2, to: Vec2) -> Leg {
-    if is_free(arena, from, to) {
-        return Leg::Direct;
-    }
-    let length = |crossing: &Crossing| (crossing.entry - from).norm() + (to - crossing.exit).norm();
-    let crossings = arena.portals.iter().map(|&Portal { near, far }| {
-        let (a, b) = (Crossing { entry: near, exit: far }, Crossing { entry: far, exit: near });
-        if length(&a) <= length(&b) { a } else { b }
-    });
-    match crossings.min_by(|a, b| length(a).total_cmp(&length(b))) {
-        Some(crossing) => Leg::Through(crossing),
-        None => Leg::Direct,
-    }
 }
 
 /// Returns true if a robot that follows `command` \[m/s\] for one period and then brakes touches no solid block and
@@ -159,7 +127,7 @@ fn distance_outside(arena: &Arena, point: Vec2) -> f32 {
 ///
 /// The result is `wanted` itself if that is safe. Otherwise the function searches a grid of commands around the current
 /// velocity; if none is safe, it returns zero.
-pub(crate) fn safe_command(arena: &Arena, own: &Motion, wanted: Vec2, period_s: f32) -> Vec2 {
+pub fn safe_command(arena: &Arena, own: &Motion, wanted: Vec2, period_s: f32) -> Vec2 {
     if is_safe(arena, own, wanted, period_s) {
         return wanted;
     }
@@ -180,16 +148,14 @@ mod tests {
     use crate::world::{Physics, kinematic};
 
     #[test]
-    fn the_path_to_the_other_side_leads_through_the_gap() {
+    fn a_robot_steers_for_the_exit_of_a_bottleneck_once_it_sees_it() {
         let passage = build("passage", &Settings::default()).unwrap();
         let arena = passage.arena();
-        let (from, to) = (Vec2::new(1.5, -1.5), Vec2::new(1.0, 1.5));
-        let Leg::Through(crossing) = next_leg(arena, from, to) else { panic!("a wall stands between") };
-        assert!(crossing.entry.y < 0.0 && crossing.exit.y > 0.0);
+        let from = Vec2::new(1.5, -1.5);
+        let crossing = Crossing { entry: arena.portals[0].near, exit: arena.portals[0].far };
         assert_eq!(crossing.aim(arena, from), crossing.entry);
         assert_eq!(crossing.aim(arena, Vec2::new(0.0, -0.5)), crossing.exit);
         assert!(crossing.ahead(arena, from) > crossing.ahead(arena, Vec2::new(0.0, -0.5)));
-        assert_eq!(next_leg(arena, from, Vec2::new(-1.5, -1.5)), Leg::Direct);
     }
 
     #[test]
@@ -197,10 +163,11 @@ mod tests {
         let passage = build("passage", &Settings::default()).unwrap();
         let arena = passage.arena();
         let (from, to) = (Vec2::new(1.5, -1.5), Vec2::new(1.0, 1.5));
-        let Leg::Through(crossing) = next_leg(arena, from, to) else { panic!("a wall stands between") };
+        let crossing = Crossing { entry: arena.portals[0].near, exit: arena.portals[0].far };
         let back = Crossing { entry: crossing.exit, exit: crossing.entry };
         let heading = (crossing.entry - from).normalize();
-        let path_m = crossing.path_length(arena, from, to);
+        let [first, second, third] = [crossing.entry - from, crossing.exit - crossing.entry, to - crossing.exit];
+        let path_m = first.norm() + second.norm() + third.norm();
         assert!(crossing.is_ahead_of(arena, from, heading, path_m) && !back.is_ahead_of(arena, from, heading, path_m));
         assert!(!crossing.is_ahead_of(arena, from, heading, 1.0), "its destination lies before the entry");
         assert!(!crossing.is_ahead_of(arena, from, -heading, path_m), "it goes the other way");
