@@ -64,10 +64,28 @@ full-package:
 full-deny:
     cargo deny --locked --workspace check
 
+# Licences of all that programs and wheel contain, as files to publish beside them (seconds, python3)
+third-party:
+    packaging/third-party murmurate-cli target/release/THIRD-PARTY.txt
+    packaging/third-party murmurate-robot target/robot/THIRD-PARTY.txt --features program
+    packaging/third-party murmurate-python python/murmurate/THIRD-PARTY.txt
+
 # The robot's program, and how large it is (two minutes)
 robot:
     cargo build --package murmurate-robot --features program --profile robot
     ls -l target/robot/murmurate-robot
+
+# The same for 64-bit ARM, linked statically: runs on any Linux there (three minutes, rustup)
+robot-arm:
+    rustup target add aarch64-unknown-linux-musl
+    CARGO_TARGET_AARCH64_UNKNOWN_LINUX_MUSL_LINKER=rust-lld cargo build --locked --package murmurate-robot --features program \
+        --profile robot --target aarch64-unknown-linux-musl
+    ls -l target/aarch64-unknown-linux-musl/robot/murmurate-robot
+
+# Four traces of `sim` in a static program for ARM, by an emulator, beside those of this machine (20 minutes, most of it to build,
+# rustup, apt: qemu-user-static)
+full-arm:
+    packaging/arm-traces
 
 # The link beside raw multicast and Cyclone DDS; NETPEERS names the harness's folder (15 minutes, wants an idle machine)
 full-network:
