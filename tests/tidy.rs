@@ -418,10 +418,11 @@ fn nothing_asks_for_a_mode_or_a_link_by_name() {
 
 /// Files with attempts that are repeated after a pause: at interfaces, names, sockets, sessions and connections. The
 /// benchmark keeps a pace.
-const RETRIES: [&str; 4] = [
+const RETRIES: [&str; 5] = [
     "benches/record.rs",
     "crates/robot/src/stop.rs",
     "src/net/transport/link_watch.rs",
+    "src/net/transport/netlink.rs",
     "src/net/transport/udp/keeper.rs",
 ];
 

@@ -2,9 +2,8 @@
 //! sources.
 
 use std::os::fd::AsFd;
+use std::os::unix::net::UnixDatagram;
 use std::rc::Rc;
-
-use nix::sys::eventfd::{EfdFlags, EventFd};
 
 use super::links::{self, ProcessIdentity};
 use super::{LiveHost, OpenError, grace};
@@ -25,7 +24,7 @@ use crate::time::Time;
 use crate::trial::Trial;
 
 /// Transport for a replay, in place of a socket: receives nothing, and discards every datagram that is sent.
-struct Silent(Rc<EventFd>);
+struct Silent(Rc<UnixDatagram>);
 
 impl Transport for Silent {
     fn descriptor(&self) -> Rc<dyn AsFd> {
@@ -56,7 +55,7 @@ impl LiveHost {
         let devices = devices::closed(entry, registry)?;
         let ids = (0..=u16::MAX).map(LinkId).zip(transports).flat_map(|(link, count)| (0..*count).map(move |_| link));
         let silent = |link| {
-            let never = EventFd::from_flags(EfdFlags::EFD_CLOEXEC).expect("a process may have a descriptor");
+            let never = UnixDatagram::unbound().expect("a process may have a descriptor");
             (link, Box::new(Silent(Rc::new(never))) as Box<dyn Transport>)
         };
         let me = identity.host_of(team);

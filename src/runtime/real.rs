@@ -1,6 +1,6 @@
 //! Event loop in real time: executes due events, runs the actors until every mailbox is empty, then sleeps until the
-//! next event or until a file descriptor is readable. It uses one thread and a kernel timer, since tokio's timers have
-//! a resolution of a millisecond. Due events come before received datagrams, so a flood of datagrams delays a control
+//! next event or until a file descriptor is readable. It uses one thread and no timers of tokio, which have a
+//! resolution of a millisecond. Due events come before received datagrams, so a flood of datagrams delays a control
 //! tick by at most one read. It contains no actor logic.
 
 use std::cell::{Cell, RefCell};
@@ -8,34 +8,23 @@ use std::os::fd::AsFd;
 use std::rc::Rc;
 use std::time::Instant;
 
-use nix::errno::Errno;
-use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags, EpollTimeout};
-use nix::sys::time::TimeSpec;
-use nix::sys::timerfd::{ClockId, Expiration, TimerFd, TimerFlags, TimerSetTimeFlags};
-
 use super::clock::Clock;
 use super::drive::Tasks;
+#[cfg(not(target_os = "linux"))]
+use super::poll::Watch;
 use super::shell::in_system;
+#[cfg(target_os = "linux")]
+use super::watch::Watch;
 use crate::time::{Span, Time};
 
 /// Longest time for which the event loop sleeps if no file descriptor becomes readable.
 const MAX_SLEEP: Span = Span::from_millis(1000);
-/// Largest number of readable file descriptors that one `epoll` wait reports; the next wait reports the others.
-const MAX_EVENTS: usize = 16;
-/// Key of the timer in the `epoll` of a [`Readers`]; other descriptors have their index.
-const TIMER: u64 = u64::MAX;
 
 /// File descriptors that the event loop of a run in real time watches, each with a function to call when it is
 /// readable.
 pub struct Readers {
     readers: Vec<Reader>,
-    /// Watches all file descriptors, and the timer.
-    all: Epoll,
-    /// Watches the file descriptors without `paused_until`, which are never paused, and the timer.
-    never_paused: Epoll,
-    timer: TimerFd,
-    /// Time for which the timer is set; `None` before it is first set.
-    timer_at: Option<Time>,
+    watch: Watch,
     /// Indices of readable file descriptors whose callback has not been called yet.
     ready: Vec<usize>,
     replaced: Replaced,
@@ -75,17 +64,8 @@ struct Reader {
 impl Readers {
     /// Creates an empty set of file descriptors. Panics if the kernel has no descriptor left.
     pub(super) fn new() -> Readers {
-        let epoll = || Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).expect("a process may watch descriptors");
-        let flags = TimerFlags::TFD_NONBLOCK | TimerFlags::TFD_CLOEXEC;
-        let timer = TimerFd::new(ClockId::CLOCK_MONOTONIC, flags).expect("a process may have a timer");
-        let (all, never_paused) = (epoll(), epoll());
-        for epoll in [&all, &never_paused] {
-            // Edge-triggered, so that it need not be read before it is set again.
-            let event = EpollEvent::new(EpollFlags::EPOLLIN | EpollFlags::EPOLLET, TIMER);
-            epoll.add(timer.as_fd(), event).expect("a timer can be watched");
-        }
         let (ready, replaced) = (Vec::new(), Replaced::default());
-        Readers { readers: Vec::new(), all, never_paused, timer, timer_at: None, ready, replaced }
+        Readers { readers: Vec::new(), watch: Watch::new(), ready, replaced }
     }
 
     /// Registers the file descriptor `source`: `notify` is called in each turn of the event loop in which it is
@@ -129,34 +109,18 @@ impl Readers {
     }
 
     fn add(&mut self, reader: Reader) {
-        if self.begin(self.readers.len(), &reader) {
-            self.readers.push(reader);
+        let index = self.readers.len();
+        self.readers.push(reader);
+        if !self.begin(index) {
+            self.readers.pop();
         }
     }
 
-    /// Starts to watch the descriptor of `reader`, which has this index. Returns whether it can be watched: the end of
-    /// a regular file cannot.
-    fn begin(&self, index: usize, reader: &Reader) -> bool {
-        let Some(source) = &reader.source else { return true };
-        let flags = if reader.end { EpollFlags::empty() } else { EpollFlags::EPOLLIN };
-        let event = EpollEvent::new(flags, index as u64);
-        let also = reader.paused_until.is_none().then_some(&self.never_paused);
-        for epoll in also.into_iter().chain([&self.all]) {
-            match epoll.add(source.as_fd(), event) {
-                Ok(()) => {}
-                Err(Errno::EPERM) if reader.end => return false,
-                Err(error) => panic!("a descriptor that is open cannot be watched: {error}"),
-            }
-        }
-        true
-    }
-
-    /// Ends the watch of a descriptor.
-    fn end(&self, source: &dyn AsFd) {
-        for epoll in [&self.all, &self.never_paused] {
-            // An error means that it is not watched any more, which is the aim.
-            let _ = epoll.delete(source.as_fd());
-        }
+    /// Starts to watch the descriptor of the reader with this index. Returns whether it can be watched: the end of a
+    /// regular file cannot.
+    fn begin(&mut self, index: usize) -> bool {
+        let Reader { source, end, paused_until, .. } = &self.readers[index];
+        source.as_ref().is_none_or(|source| self.watch.add(index, source, *end, paused_until.is_some()))
     }
 
     /// Replaces the descriptors of links that were opened again or closed.
@@ -164,9 +128,9 @@ impl Readers {
         let replaced = std::mem::take(&mut *self.replaced.borrow_mut());
         for (index, source) in replaced {
             if let Some(former) = std::mem::replace(&mut self.readers[index].source, source) {
-                self.end(&*former);
+                self.watch.remove(index, &former);
             }
-            self.begin(index, &self.readers[index]);
+            self.begin(index);
         }
     }
 
@@ -180,48 +144,19 @@ impl Readers {
     fn sleep(&mut self, now: Time, next: Time, elapsed: impl Fn() -> Time) {
         let pause = self.paused(now);
         let until = pause.map_or(next, |pause| pause.min(next));
-        let timeout = if until <= now {
-            EpollTimeout::ZERO
-        } else {
-            self.set_timer(now, until, elapsed);
-            EpollTimeout::NONE
-        };
-        let epoll = if pause.is_some() { &self.never_paused } else { &self.all };
-        let mut events = [EpollEvent::empty(); MAX_EVENTS];
-        let count = match epoll.wait(&mut events, timeout) {
-            Ok(count) => count,
-            Err(Errno::EINTR) => 0,
-            Err(error) => panic!("the kernel does not watch descriptors that are open: {error}"),
-        };
-        self.ready
-            .extend(events[..count].iter().filter(|event| event.data() != TIMER).map(|event| event.data() as usize));
+        self.watch.wait((now, until.min(now + MAX_SLEEP)), pause.is_some(), elapsed, &mut self.ready);
     }
 
     /// Calls the callbacks of the file descriptors that the last sleep found readable.
     fn notify(&mut self) {
-        for reader in self.ready.iter().map(|index| &self.readers[*index]) {
+        for (index, reader) in self.ready.iter().map(|index| (*index, &self.readers[*index])) {
             if reader.end && !reader.reported.replace(true) {
-                reader.source.iter().for_each(|source| self.end(&**source));
+                reader.source.iter().for_each(|source| self.watch.remove(index, source));
             }
             (reader.notify)();
         }
         self.ready.clear();
         self.replace();
-    }
-
-    /// Sets the timer so that it ends the sleep at `next` at the latest. A timer that is set for an earlier time stays.
-    /// `elapsed` returns the time of the real clock. A timeout of `epoll` instead would be set and cleared for every
-    /// datagram, which costs more than the datagram.
-    fn set_timer(&mut self, now: Time, next: Time, elapsed: impl Fn() -> Time) {
-        // A timer that has expired does not fire until it is set again.
-        if self.timer_at.is_some_and(|at| at > now && at <= next) {
-            return;
-        }
-        let next = next.min(now + MAX_SLEEP);
-        let span = Span::from_nanos(next.since(elapsed()).as_nanos().max(1));
-        let once = Expiration::OneShot(TimeSpec::from_duration(std::time::Duration::from_nanos(span.as_nanos())));
-        self.timer.set(once, TimerSetTimeFlags::empty()).expect("an open timer can be set");
-        self.timer_at = Some(next);
     }
 }
 

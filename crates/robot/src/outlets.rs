@@ -4,7 +4,6 @@
 use std::cell::{Cell, RefCell};
 use std::io::{self, Write};
 use std::os::fd::OwnedFd;
-use std::os::linux::net::SocketAddrExt;
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::path::Path;
@@ -168,7 +167,8 @@ impl Write for Shared {
 fn service_socket() -> Option<UnixDatagram> {
     let name = std::env::var_os("NOTIFY_SOCKET")?;
     let address = match name.as_bytes() {
-        [b'@', name @ ..] => SocketAddr::from_abstract_name(name),
+        #[cfg(target_os = "linux")]
+        [b'@', name @ ..] => std::os::linux::net::SocketAddrExt::from_abstract_name(name),
         _ => SocketAddr::from_pathname(&name),
     };
     let socket = UnixDatagram::unbound().ok()?;

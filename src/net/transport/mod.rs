@@ -8,6 +8,8 @@ mod endpoint;
 pub mod flood;
 pub mod interface;
 pub mod link_watch;
+#[cfg(target_os = "linux")]
+mod netlink;
 pub mod settings;
 pub mod udp;
 

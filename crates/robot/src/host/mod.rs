@@ -116,6 +116,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let began = Instant::now();
     // The allocator asks for huge pages of 2 MiB, so the first byte beyond one took 2 MiB more of a robot's memory. A
     // kernel without this setting goes on with them.
+    #[cfg(target_os = "linux")]
     let _ = nix::sys::prctl::set_thp_disable(true);
     #[cfg(feature = "watch")]
     args.metrics.check()?;

@@ -1,19 +1,16 @@
 //! Reads datagrams from a socket, one or several with one system call. Does not interpret them.
 
-use std::array;
 use std::io;
-use std::io::IoSliceMut;
 use std::net::{SocketAddr, UdpSocket};
-use std::os::fd::AsRawFd;
 
-use nix::errno::Errno;
-use nix::sys::socket::{MsgFlags, MultiHeaders, SockaddrStorage, recvmmsg};
+#[cfg(target_os = "linux")]
+use nix::sys::socket::{MultiHeaders, SockaddrStorage};
 
 use crate::net::protocol::codec::MAX_FRAME_BYTES;
 
 /// Largest number of datagrams that one system call reads.
 const MANY: usize = 32;
-/// Number of datagrams that the first system call reads. Usually there are no more, and each buffer costs time to
+/// Number of datagrams that the first system call reads (one by one, where no call reads several). Usually there are no more, and each buffer costs time to
 /// prepare.
 const FEW: usize = 2;
 /// Size of the buffer for one datagram \[bytes\]: one more than the longest, so that a longer one is recognized.
@@ -23,13 +20,18 @@ const ROOM: usize = MAX_FRAME_BYTES + 1;
 #[derive(Debug)]
 pub(super) struct Batch {
     bytes: Box<[u8]>,
+    #[cfg(target_os = "linux")]
     headers: MultiHeaders<SockaddrStorage>,
 }
 
 impl Batch {
     /// Returns buffers for as many datagrams as one system call reads.
     pub(super) fn new() -> Batch {
-        Batch { bytes: vec![0; MANY * ROOM].into_boxed_slice(), headers: MultiHeaders::preallocate(MANY, None) }
+        Batch {
+            bytes: vec![0; MANY * ROOM].into_boxed_slice(),
+            #[cfg(target_os = "linux")]
+            headers: MultiHeaders::preallocate(MANY, None),
+        }
     }
 
     /// Reads one datagram and passes it to `take`; the error `WouldBlock` says that there is none. On a quiet socket
@@ -59,14 +61,20 @@ impl Batch {
     }
 
     /// Reads up to `MOST` datagrams with one system call. Returns their number.
+    #[cfg(target_os = "linux")]
     fn some<const MOST: usize>(
         &mut self,
         socket: &UdpSocket,
         mut take: impl FnMut(SocketAddr, &[u8]),
     ) -> io::Result<usize> {
+        use std::os::fd::AsRawFd;
+
+        use nix::errno::Errno;
+        use nix::sys::socket::{MsgFlags, recvmmsg};
+
         let mut rooms = self.bytes.chunks_exact_mut(ROOM);
         let mut slices: [_; MOST] =
-            array::from_fn(|_| [IoSliceMut::new(rooms.next().expect("there is room for the most"))]);
+            std::array::from_fn(|_| [io::IoSliceMut::new(rooms.next().expect("there is room for the most"))]);
         let got = match recvmmsg(socket.as_raw_fd(), &mut self.headers, &mut slices, MsgFlags::MSG_DONTWAIT, None) {
             Ok(got) => got,
             Err(Errno::EAGAIN) => return Ok(0),
@@ -82,8 +90,26 @@ impl Batch {
         }
         Ok(count)
     }
+
+    /// Reads up to `MOST` datagrams from a socket that does not block. Returns their number.
+    #[cfg(not(target_os = "linux"))]
+    fn some<const MOST: usize>(
+        &mut self,
+        socket: &UdpSocket,
+        mut take: impl FnMut(SocketAddr, &[u8]),
+    ) -> io::Result<usize> {
+        for count in 0..MOST {
+            match self.one(socket, &mut take) {
+                Ok(()) => {}
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(count),
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(MOST)
+    }
 }
 
+#[cfg(target_os = "linux")]
 fn address(of: &SockaddrStorage) -> Option<SocketAddr> {
     let v4 = of.as_sockaddr_in().map(|v4| SocketAddr::V4((*v4).into()));
     v4.or_else(|| of.as_sockaddr_in6().map(|v6| SocketAddr::V6((*v6).into())))

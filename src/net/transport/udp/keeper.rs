@@ -3,14 +3,13 @@
 //! and leave the results to the control thread, which never waits for them.
 
 use std::net::{SocketAddr, ToSocketAddrs};
+use std::os::unix::net::UnixDatagram;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread;
 use std::time::Duration;
 use std::{io, mem};
-
-use nix::sys::eventfd::{EfdFlags, EventFd};
 
 use super::open::{Ends, OpenError, Sockets, look, open};
 use super::socket::SocketConfig;
@@ -42,7 +41,7 @@ pub(super) enum News {
 #[derive(Debug)]
 pub(super) struct Keeper {
     news: Receiver<News>,
-    bell: Arc<EventFd>,
+    bell: Arc<UnixDatagram>,
     sender: Sender,
     closed: Arc<AtomicBool>,
 }
@@ -51,15 +50,15 @@ pub(super) struct Keeper {
 #[derive(Clone, Debug)]
 struct Sender {
     news: SyncSender<News>,
-    bell: Arc<EventFd>,
+    bell: Arc<UnixDatagram>,
 }
 
 impl Sender {
     /// Passes on a result; waits while the control thread has not taken those before. Returns whether it is there.
     fn send(&self, news: News) -> bool {
         let sent = self.news.send(news).is_ok();
-        // The write fails only if the counter is at its maximum, which signals as well.
-        let _ = self.bell.write(1);
+        // It fails only if the other end's queue is full, which signals as well, or closed.
+        let _ = self.bell.send(&[1]);
         sent
     }
 }
@@ -67,11 +66,13 @@ impl Sender {
 impl Keeper {
     /// Makes the channel to the control thread. Fails if the operating system has no file descriptor left.
     pub(super) fn new() -> io::Result<Keeper> {
-        let bell = Arc::new(EventFd::from_flags(EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC)?);
+        let (bell, rings) = UnixDatagram::pair()?;
+        bell.set_nonblocking(true)?;
+        rings.set_nonblocking(true)?;
         // The thread of the interface and those of names wait rather than fill memory.
         let (sender, news) = sync_channel(4);
-        let sender = Sender { news: sender, bell: Arc::clone(&bell) };
-        Ok(Keeper { news, bell, sender, closed: Arc::default() })
+        let sender = Sender { news: sender, bell: Arc::new(rings) };
+        Ok(Keeper { news, bell: Arc::new(bell), sender, closed: Arc::default() })
     }
 
     /// Starts the thread that opens the sockets again; those of now have the ends `ends`.
@@ -95,14 +96,14 @@ impl Keeper {
     }
 
     /// Returns the descriptor that is readable when there are results.
-    pub(super) fn bell(&self) -> Arc<EventFd> {
+    pub(super) fn bell(&self) -> Arc<UnixDatagram> {
         Arc::clone(&self.bell)
     }
 
     /// Takes the results so far.
     pub(super) fn take(&self) -> Vec<News> {
         // Read before the results are taken, so that one that comes meanwhile signals again.
-        let _ = self.bell.read();
+        while self.bell.recv(&mut [0]).is_ok() {}
         self.news.try_iter().collect()
     }
 }

@@ -3,6 +3,7 @@
 
 mod batch;
 mod endpoint;
+#[cfg(target_os = "linux")]
 mod filter;
 mod fitness;
 mod guests;

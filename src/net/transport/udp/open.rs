@@ -5,7 +5,8 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 
 use socket2::{Domain, InterfaceIndexOrAddress, Protocol, Socket, Type};
 
-use super::filter;
+#[cfg(target_os = "linux")]
+use super::filter::attach;
 use super::socket::{Addressing, SocketConfig};
 use crate::net::transport;
 use crate::net::transport::Filter;
@@ -42,7 +43,9 @@ impl From<OpenError> for transport::OpenError {
             OpenError::NoGroup(_) => false,
             // An address that is not there yet, or still in use, or an interface that goes away just now; but no port
             // that only root may have.
-            OpenError::Socket { error, .. } => error.kind() != io::ErrorKind::PermissionDenied,
+            OpenError::Socket { error, .. } => {
+                !matches!(error.kind(), io::ErrorKind::PermissionDenied | io::ErrorKind::Unsupported)
+            }
         };
         if may_pass { transport::OpenError::NotNow(why) } else { transport::OpenError::Wrong(why) }
     }
@@ -147,7 +150,7 @@ pub(super) fn open(config: &SocketConfig, filter: Filter, ends: Ends) -> Result<
         Ok::<_, OpenError>((tx, own))
     });
     let tx = tx.transpose()?;
-    filter::attach(filter, &rx, tx.as_ref().map(|(_, own)| *own));
+    attach(filter, &rx, tx.as_ref().map(|(_, own)| *own));
     let granted = rx.recv_buffer_size().map_err(failed("ask for the size of the buffer".to_owned()))?;
     Ok(Sockets { rx: rx.into(), tx, ends: Some(ends), granted })
 }
@@ -161,7 +164,7 @@ pub(super) fn open_guest(config: &SocketConfig, filter: Filter) -> Result<Socket
         advice: String::new(),
     };
     let rx = guest_socket(config.addressing.is_ipv6(), config.receive_buffer_bytes).map_err(failed)?;
-    filter::attach(filter, &rx, None);
+    attach(filter, &rx, None);
     let granted = rx.recv_buffer_size().map_err(failed)?;
     Ok(Sockets { rx: rx.into(), tx: None, ends: None, granted })
 }
@@ -180,7 +183,19 @@ fn socket(of: SocketAddr) -> io::Result<Socket> {
     Ok(socket)
 }
 
+/// Without a filter of the kernel, the link layer drops the same datagrams.
+#[cfg(not(target_os = "linux"))]
+fn attach(_: Filter, _: &Socket, _: Option<SocketAddr>) {}
+
+/// Refuses the link: only Linux keeps a socket to one interface and to the groups that it has joined itself.
+#[cfg(not(target_os = "linux"))]
+fn pin(_: &Socket, _: &Ends) -> io::Result<()> {
+    let why = "links between hosts need Linux, such as that of the Windows Subsystem for Linux";
+    Err(io::Error::new(io::ErrorKind::Unsupported, why))
+}
+
 /// Restricts a socket to one interface, if the process has the permission.
+#[cfg(target_os = "linux")]
 fn pin(socket: &Socket, ends: &Ends) -> io::Result<()> {
     match socket.bind_device(Some(ends.name.as_bytes())) {
         Err(error) if error.kind() == io::ErrorKind::PermissionDenied => Ok(()),
@@ -204,10 +219,12 @@ fn receiving_socket(address: SocketAddr, ends: &Ends, buffer_bytes: usize) -> io
     socket.bind(&within(address, ends.index).into())?;
     match address.ip() {
         IpAddr::V4(group) => {
+            #[cfg(target_os = "linux")]
             socket.set_multicast_all_v4(false)?;
             socket.join_multicast_v4_n(&group, &InterfaceIndexOrAddress::Index(ends.index))?;
         }
         IpAddr::V6(group) => {
+            #[cfg(target_os = "linux")]
             socket.set_multicast_all_v6(false)?;
             socket.join_multicast_v6(&group, ends.index)?;
         }
