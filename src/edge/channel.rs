@@ -4,12 +4,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
 use actix::{Message, Recipient, dev::SendError};
-use nix::sys::eventfd::{EfdFlags, EventFd};
 use tokio::sync::mpsc;
 use tokio::sync::mpsc::error::{TryRecvError, TrySendError};
 
 use super::panic::end_if_panicking;
-use super::{Packet, ROOM};
+use super::{Bell, Packet, ROOM};
 
 /// Message of the control thread to the actor of a worker.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -43,11 +42,11 @@ pub struct Port {
 
 /// Guard object that signals the control thread when it is dropped, at the end of the worker.
 #[derive(Debug)]
-struct SignalOnDrop(Arc<EventFd>);
+struct SignalOnDrop(Arc<Bell>);
 
 impl Drop for SignalOnDrop {
     fn drop(&mut self) {
-        let _ = self.0.write(1);
+        self.0.ring();
     }
 }
 
@@ -56,7 +55,7 @@ impl Drop for SignalOnDrop {
 pub struct PacketSender {
     life: u32,
     tx: mpsc::Sender<Sent>,
-    event_fd: Arc<EventFd>,
+    bell: Arc<Bell>,
     dropped: Arc<AtomicU64>,
 }
 
@@ -79,7 +78,7 @@ pub struct Gate {
     rx: mpsc::Receiver<Sent>,
     /// Mailbox of the worker's actor; `None` before the actor is started.
     to: Option<Recipient<Input>>,
-    event_fd: Arc<EventFd>,
+    bell: Arc<Bell>,
     /// Number of packets to the worker that were dropped because its mailbox was full.
     refused: u64,
     dropped: Arc<AtomicU64>,
@@ -93,13 +92,12 @@ pub struct Gate {
 /// Makes the channel of the worker called `name`, and returns both ends. It has no mailbox yet.
 pub(super) fn channel(name: &str) -> std::io::Result<(Gate, Port)> {
     let (tx, rx) = mpsc::channel(ROOM);
-    let flags = EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC;
-    let event_fd = Arc::new(EventFd::from_flags(flags)?);
+    let bell = Arc::new(Bell::new()?);
     let (dropped, lives) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU32::new(0)));
-    let end = SignalOnDrop(Arc::clone(&event_fd));
-    let sender = PacketSender { life: 0, tx, event_fd: Arc::clone(&event_fd), dropped: Arc::clone(&dropped) };
+    let end = SignalOnDrop(Arc::clone(&bell));
+    let sender = PacketSender { life: 0, tx, bell: Arc::clone(&bell), dropped: Arc::clone(&dropped) };
     let port = Port { name: name.to_owned(), sender, lives: Arc::clone(&lives), alive: None, _end: end };
-    Ok((Gate { rx, to: None, event_fd, refused: 0, dropped, lives, known: 0, first: None }, port))
+    Ok((Gate { rx, to: None, bell, refused: 0, dropped, lives, known: 0, first: None }, port))
 }
 
 impl Port {
@@ -128,7 +126,7 @@ impl Port {
     pub fn begin_again(&mut self) {
         self.sender.life += 1;
         self.lives.store(self.sender.life, Ordering::Release);
-        let _ = self.sender.event_fd.write(1);
+        self.sender.bell.ring();
     }
 }
 
@@ -143,8 +141,7 @@ impl PacketSender {
     pub fn send(&self, packet: Packet) {
         match self.tx.try_send((self.life, packet)) {
             Ok(()) => {
-                // The write fails only if the counter is at its maximum, which signals as well.
-                let _ = self.event_fd.write(1);
+                self.bell.ring();
             }
             Err(TrySendError::Full(_)) => {
                 let dropped = self.dropped.fetch_add(1, Ordering::Relaxed) + 1;
@@ -183,7 +180,7 @@ impl Gate {
     /// still runs. The bound keeps a worker that sends without pause from delaying other actors.
     pub fn take(&mut self, mut each: impl FnMut(Packet)) -> WorkerState {
         // Read before the packets are taken, so that a packet that arrives meanwhile signals again.
-        let _ = self.event_fd.read();
+        self.bell.silence();
         self.first.take().into_iter().for_each(&mut each);
         for _ in 0..ROOM {
             match self.rx.try_recv() {
@@ -191,7 +188,7 @@ impl Gate {
                 Ok((life, _)) if life < self.known => {}
                 Ok((life, packet)) if life > self.known => {
                     self.first = Some(packet);
-                    let _ = self.event_fd.write(1);
+                    self.bell.ring();
                     return self.restarted(life);
                 }
                 Ok((_, packet)) => each(packet),
@@ -202,7 +199,7 @@ impl Gate {
                 Err(TryRecvError::Disconnected) => return WorkerState::Ended,
             }
         }
-        let _ = self.event_fd.write(1);
+        self.bell.ring();
         WorkerState::Running
     }
 
@@ -223,8 +220,8 @@ impl Gate {
     }
 
     /// Returns the file descriptor that becomes readable when the worker has sent packets, begins again or has ended.
-    pub fn event_fd(&self) -> Arc<EventFd> {
-        Arc::clone(&self.event_fd)
+    pub fn bell(&self) -> Arc<Bell> {
+        Arc::clone(&self.bell)
     }
 }
 

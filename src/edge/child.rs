@@ -286,8 +286,8 @@ mod tests {
     fn next(gate: &mut Gate, count: usize) -> (Vec<Packet>, WorkerState) {
         let mut packets = Vec::new();
         loop {
-            let event_fd = gate.event_fd();
-            poll(&mut [PollFd::new(event_fd.as_fd(), PollFlags::POLLIN)], PollTimeout::NONE).unwrap();
+            let bell = gate.bell();
+            poll(&mut [PollFd::new(bell.as_fd(), PollFlags::POLLIN)], PollTimeout::NONE).unwrap();
             let state = gate.take(|packet| packets.push(packet));
             if state != WorkerState::Running || packets.len() >= count {
                 return (packets, state);

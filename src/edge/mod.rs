@@ -7,6 +7,7 @@
 //! further ones are dropped and counted, so no thread blocks on sending. A packet is plain bytes, so input can be
 //! recorded and replayed like a datagram. A panic in an actor ends the process.
 
+mod bell;
 mod channel;
 pub(crate) mod child;
 pub(crate) mod exclusive;
@@ -16,6 +17,7 @@ pub mod sender_clock;
 mod settings;
 mod worker;
 
+pub use bell::Bell;
 pub use channel::{Gate, Input, PacketSender, Port, WorkerState};
 pub use panic::EndsProcess;
 pub use settings::Settings;

@@ -36,8 +36,8 @@ impl<T: ?Sized> Device<T> {
     /// thread), and `ended` when the worker has ended or begins again. Does nothing if there is no worker.
     pub(crate) fn watch(&self, readers: &mut Readers, take: impl Fn(Packet) + 'static, ended: impl Fn() + 'static) {
         let Some(gate) = self.gate.clone() else { return };
-        let (event_fd, over) = (gate.borrow().event_fd(), Cell::new(false));
-        readers.watch(Rc::new(event_fd), move || {
+        let (bell, over) = (gate.borrow().bell(), Cell::new(false));
+        readers.watch(Rc::new(bell), move || {
             let state = gate.borrow_mut().take(&take);
             let over = match state {
                 WorkerState::Running => true,

@@ -50,8 +50,8 @@ impl Watch {
         let left = if until <= now { 0 } else { until.since(elapsed()).as_nanos().div_ceil(1_000_000) };
         let watched: Vec<&Watched> = self.0.iter().filter(|watched| !(paused && watched.pausable)).collect();
         let flags = |end| if end { PollFlags::empty() } else { PollFlags::POLLIN };
-        let polled = |watched: &&Watched| PollFd::new(watched.source.as_fd(), flags(watched.end));
-        let mut polled: Vec<PollFd> = watched.iter().map(polled).collect();
+        let mut polled: Vec<PollFd> =
+            watched.iter().map(|watched| PollFd::new(watched.source.as_fd(), flags(watched.end))).collect();
         match poll(&mut polled, PollTimeout::from(u16::try_from(left).unwrap_or(u16::MAX))) {
             Ok(_) => {}
             // What is ready is found by the next wait.
@@ -70,6 +70,7 @@ mod tests {
     use std::time::Instant;
 
     use super::*;
+    use crate::time::Span;
 
     #[test]
     fn descriptors_are_ready_until_they_are_read_ended_or_paused_and_the_time_ends_a_wait() {
@@ -81,10 +82,10 @@ mod tests {
         let mut watch = Watch::new();
         assert!(watch.add(0, &(Rc::clone(&far) as Rc<dyn AsFd>), false, true));
         assert!(watch.add(1, &(writer as Rc<dyn AsFd>), true, false));
-        let mut wait = |watch: &mut Watch, paused| {
+        let wait = |watch: &mut Watch, paused| {
             let (mut ready, now) = (Vec::new(), elapsed());
-            watch.wait((now, now + crate::time::Span::from_micros(1500)), paused, elapsed, &mut ready);
-            (ready.clone(), ready.is_empty() && elapsed() >= now + crate::time::Span::from_micros(1500))
+            watch.wait((now, now + Span::from_nanos(1_500_000)), paused, elapsed, &mut ready);
+            (ready.clone(), ready.is_empty() && elapsed() >= now + Span::from_nanos(1_500_000))
         };
         assert_eq!(wait(&mut watch, false), (vec![], true), "not before its time");
         near.write_all(&[1]).unwrap();

@@ -67,8 +67,8 @@ fn employ(worker: Box<dyn Worker>) -> (Gate, Running) {
 fn next<const COUNT: usize>(gate: &mut Gate) -> [Vec<u8>; COUNT] {
     let mut packets = Vec::new();
     while packets.len() < COUNT {
-        let event_fd = gate.event_fd();
-        let mut watched = [PollFd::new(event_fd.as_fd(), PollFlags::POLLIN)];
+        let bell = gate.bell();
+        let mut watched = [PollFd::new(bell.as_fd(), PollFlags::POLLIN)];
         let longest = PollTimeout::try_from(HANGS).expect("a minute");
         assert_eq!(poll(&mut watched, longest), Ok(1), "the worker sends nothing");
         gate.take(|packet| packets.push(packet.into_vec()));

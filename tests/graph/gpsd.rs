@@ -37,8 +37,8 @@ fn fix(stream: &mut TcpStream, second: u32) {
 fn next(gate: &mut Gate, source: &mut dyn Source) -> Reading {
     let begun = Instant::now();
     while begun.elapsed() < HANGS {
-        let (event_fd, mut out) = (gate.event_fd(), Vec::new());
-        poll(&mut [PollFd::new(event_fd.as_fd(), PollFlags::POLLIN)], PollTimeout::from(100u16)).expect("it polls");
+        let (bell, mut out) = (gate.bell(), Vec::new());
+        poll(&mut [PollFd::new(bell.as_fd(), PollFlags::POLLIN)], PollTimeout::from(100u16)).expect("it polls");
         gate.take(|packet| source.take(Time::ZERO, In::Packet(&packet), &mut out));
         match out.pop() {
             None => {}

@@ -443,8 +443,8 @@ fn listen(setup: Setup, text: &str, change_at: Option<u64>) -> (Tally, BTreeMap<
     let (begun, mut counts, mut whys) = (Instant::now(), BTreeMap::<u16, u64>::new(), Vec::new());
     let (wanted, mut restarted) = (100 + change_at.unwrap_or(0), false);
     while counts.get(&0).is_none_or(|count| *count < wanted) && begun.elapsed() < HANGS {
-        let (event_fd, mut out) = (gate.event_fd(), Vec::new());
-        poll(&mut [PollFd::new(event_fd.as_fd(), PollFlags::POLLIN)], PollTimeout::from(100u16)).expect("it polls");
+        let (bell, mut out) = (gate.bell(), Vec::new());
+        poll(&mut [PollFd::new(bell.as_fd(), PollFlags::POLLIN)], PollTimeout::from(100u16)).expect("it polls");
         gate.take(|packet| source.take(Time::ZERO, In::Packet(&packet), &mut out));
         readings(&out).iter().for_each(|reading| *counts.entry(reading.robot.0).or_default() += 1);
         if !restarted && counts.get(&0).is_some_and(|count| *count >= 50) {

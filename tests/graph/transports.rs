@@ -343,7 +343,7 @@ struct Line {
 
 impl Transport for Line {
     fn descriptor(&self) -> Rc<dyn AsFd> {
-        Rc::new(self.gate.event_fd())
+        Rc::new(self.gate.bell())
     }
 
     fn receive(&mut self, _: Time, take: &mut dyn FnMut(Option<SocketAddr>, &[u8])) {

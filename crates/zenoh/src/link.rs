@@ -145,7 +145,7 @@ impl Drop for Link {
 
 impl Transport for Link {
     fn descriptor(&self) -> Rc<dyn AsFd> {
-        Rc::new(self.gate().event_fd())
+        Rc::new(self.gate().bell())
     }
 
     fn receive(&mut self, now: Time, take: &mut dyn FnMut(Option<SocketAddr>, &[u8])) {

@@ -3,7 +3,6 @@
 //! and leave the results to the control thread, which never waits for them.
 
 use std::net::{SocketAddr, ToSocketAddrs};
-use std::os::unix::net::UnixDatagram;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -13,6 +12,7 @@ use std::{io, mem};
 
 use super::open::{Ends, OpenError, Sockets, look, open};
 use super::socket::SocketConfig;
+use crate::edge::Bell;
 use crate::messages::ids::HostId;
 use crate::net::transport::Filter;
 use crate::net::transport::link_watch::{LinkWatch, Removed};
@@ -41,7 +41,7 @@ pub(super) enum News {
 #[derive(Debug)]
 pub(super) struct Keeper {
     news: Receiver<News>,
-    bell: Arc<UnixDatagram>,
+    bell: Arc<Bell>,
     sender: Sender,
     closed: Arc<AtomicBool>,
 }
@@ -50,15 +50,14 @@ pub(super) struct Keeper {
 #[derive(Clone, Debug)]
 struct Sender {
     news: SyncSender<News>,
-    bell: Arc<UnixDatagram>,
+    bell: Arc<Bell>,
 }
 
 impl Sender {
     /// Passes on a result; waits while the control thread has not taken those before. Returns whether it is there.
     fn send(&self, news: News) -> bool {
         let sent = self.news.send(news).is_ok();
-        // It fails only if the other end's queue is full, which signals as well, or closed.
-        let _ = self.bell.send(&[1]);
+        self.bell.ring();
         sent
     }
 }
@@ -66,13 +65,11 @@ impl Sender {
 impl Keeper {
     /// Makes the channel to the control thread. Fails if the operating system has no file descriptor left.
     pub(super) fn new() -> io::Result<Keeper> {
-        let (bell, rings) = UnixDatagram::pair()?;
-        bell.set_nonblocking(true)?;
-        rings.set_nonblocking(true)?;
+        let bell = Arc::new(Bell::new()?);
         // The thread of the interface and those of names wait rather than fill memory.
         let (sender, news) = sync_channel(4);
-        let sender = Sender { news: sender, bell: Arc::new(rings) };
-        Ok(Keeper { news, bell: Arc::new(bell), sender, closed: Arc::default() })
+        let sender = Sender { news: sender, bell: Arc::clone(&bell) };
+        Ok(Keeper { news, bell, sender, closed: Arc::default() })
     }
 
     /// Starts the thread that opens the sockets again; those of now have the ends `ends`.
@@ -96,14 +93,14 @@ impl Keeper {
     }
 
     /// Returns the descriptor that is readable when there are results.
-    pub(super) fn bell(&self) -> Arc<UnixDatagram> {
+    pub(super) fn bell(&self) -> Arc<Bell> {
         Arc::clone(&self.bell)
     }
 
     /// Takes the results so far.
     pub(super) fn take(&self) -> Vec<News> {
         // Read before the results are taken, so that one that comes meanwhile signals again.
-        while self.bell.recv(&mut [0]).is_ok() {}
+        self.bell.silence();
         self.news.try_iter().collect()
     }
 }
