@@ -43,7 +43,7 @@ use nix::time::{ClockId, clock_gettime};
 use tracing::info_span;
 
 /// The program's allocator.
-#[cfg(feature = "mimalloc")]
+#[cfg(all(feature = "mimalloc", target_os = "linux"))]
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 

@@ -10,6 +10,7 @@ pub mod interface;
 pub mod link_watch;
 #[cfg(target_os = "linux")]
 mod netlink;
+mod removed;
 pub mod settings;
 pub mod udp;
 

@@ -9,7 +9,7 @@ use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::socket::{AddressFamily, MsgFlags, NetlinkAddr, SockFlag, SockProtocol, SockType, bind, recv, socket};
 
-use super::link_watch::Removed;
+use super::removed::Removed;
 
 /// Groups of notices: interfaces, IPv4 addresses, IPv6 addresses (linux/rtnetlink.h, `RTMGRP_*`).
 const GROUPS: u32 = 0x1 | 0x10 | 0x100;

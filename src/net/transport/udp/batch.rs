@@ -10,8 +10,8 @@ use crate::net::protocol::codec::MAX_FRAME_BYTES;
 
 /// Largest number of datagrams that one system call reads.
 const MANY: usize = 32;
-/// Number of datagrams that the first system call reads (one by one, where no call reads several). Usually there are no more, and each buffer costs time to
-/// prepare.
+/// Number of datagrams that the first system call reads, where one reads several. Usually there are no more, and each
+/// buffer costs time to prepare.
 const FEW: usize = 2;
 /// Size of the buffer for one datagram \[bytes\]: one more than the longest, so that a longer one is recognized.
 const ROOM: usize = MAX_FRAME_BYTES + 1;
