@@ -14,7 +14,6 @@
 mod drawing;
 mod foxglove;
 mod parts;
-mod protobuf;
 mod schemas;
 
 pub mod actions;
@@ -27,7 +26,6 @@ pub mod health;
 pub mod identity;
 pub mod info;
 pub mod merge;
-pub mod protobuf_reader;
 pub mod queue;
 pub mod read_error;
 pub mod reader;
@@ -40,6 +38,7 @@ pub mod tables;
 pub mod tape;
 pub mod topic;
 pub mod topics;
+pub mod truth;
 pub mod writer;
 
 pub use self::foxglove::Severity;

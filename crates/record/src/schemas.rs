@@ -1,30 +1,4 @@
-//! Schemas of Murmurate's own message types: Protobuf for true states, JSON for the rest.
-
-use super::protobuf::{MessageType, Type};
-
-/// Definitions of the Protobuf message types of the package `murmurate`: true states of simulated robots.
-pub const MESSAGES: &[MessageType] = &[
-    (
-        "Robot",
-        &[
-            ("robot", 1, Type::Uint32),
-            ("x", 2, Type::Double),
-            ("y", 3, Type::Double),
-            ("velocity_x", 4, Type::Double),
-            ("velocity_y", 5, Type::Double),
-            ("heading", 6, Type::Double),
-            ("yaw_rate", 7, Type::Double),
-            ("command_x", 8, Type::Double),
-            ("command_y", 9, Type::Double),
-            ("touches_robot", 10, Type::Bool),
-            ("touches_wall", 11, Type::Bool),
-        ],
-    ),
-    (
-        "Truth",
-        &[("timestamp", 1, Type::One(".google.protobuf.Timestamp")), ("robots", 2, Type::Many(".murmurate.Robot"))],
-    ),
-];
+//! Schemas of the messages that are JSON.
 
 /// JSON schema of messages about an episode: its next phase, or its result.
 pub const EPISODE: &str = r#"{"title":"murmurate.Episode","type":"object","properties":{

@@ -3,10 +3,10 @@
 use serde_json::Value as Json;
 
 use super::identity::Identity;
-use super::protobuf_reader;
 use super::reader::{Message, Messages, ReadError};
 use super::tape;
 use super::topics::name_of;
+use super::truth::{self, TrueRobot};
 use murmurate::graph::inputs::Input;
 use murmurate::messages::wire::Wire;
 use murmurate::net::protocol::codec::{self, Content};
@@ -104,12 +104,13 @@ fn followed(datagram: &[u8]) -> Option<(Json, String)> {
 
 fn truth(row: &mut Rows, at_s: f64, phase: Option<&(Json, String)>, data: &[u8]) {
     let (episode, phase) = phase.map_or((&Json::Null, ""), |(episode, phase)| (episode, &**phase));
-    for fields in protobuf_reader::truth(data) {
-        let [_, robot, x, y, vx, vy, heading, yaw_rate, command_x, command_y, robots, walls] = fields;
-        let episode = episode.as_u64().map_or(String::new(), |episode| episode.to_string());
+    let episode = episode.as_u64().map_or(String::new(), |episode| episode.to_string());
+    for of in truth::robots(data) {
+        let TrueRobot { robot, x, y, velocity_x, velocity_y, heading, yaw_rate, command_x, command_y, .. } = of;
+        let (robots, walls) = (u8::from(of.touches_robot), u8::from(of.touches_wall));
         row(&format!(
-            "{episode},{phase},{at_s},{robot},{x},{y},{vx},{vy},{heading},{yaw_rate},{command_x},{command_y},{robots},\
-             {walls}"
+            "{episode},{phase},{at_s},{robot},{x},{y},{velocity_x},{velocity_y},{heading},{yaw_rate},{command_x},\
+             {command_y},{robots},{walls}"
         ));
     }
 }
@@ -155,19 +156,18 @@ fn datagram(row: &mut Rows, start: &str, frame: &[u8]) {
 
 #[cfg(test)]
 mod tests {
+    use prost::Message as _;
+
     use super::*;
 
     #[test]
     fn a_row_has_as_many_cells_as_its_table_has_columns() {
         let mut rows = Vec::new();
         let mut row = |text: &str| rows.push(text.to_owned());
-        let mut robot = crate::protobuf::Message(Vec::new());
-        robot.uint(1, 3);
-        robot.double(2, 0.5);
-        let mut data = crate::protobuf::Message(Vec::new());
-        data.bytes(2, &robot.0);
+        let robot = TrueRobot { robot: 3, x: 0.5, ..TrueRobot::default() };
+        let data = truth::Truth { timestamp: None, robots: vec![robot] }.encode_to_vec();
         let phase = (Json::from(4), "running".to_owned());
-        truth(&mut row, 1.5, Some(&phase), &data.0);
+        super::truth(&mut row, 1.5, Some(&phase), &data);
         peers(&mut row, 2.0, br#"{"host": "a", "peers": [{"link": 0, "host": 1, "loss": 0.25}]}"#);
         datagram(&mut row, "2,arrived,a,0", b"x");
         assert!(rows[0].starts_with("4,running,1.5,3,0.5,0,"), "{}", rows[0]);

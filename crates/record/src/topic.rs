@@ -1,7 +1,10 @@
 //! Topics of a record: their names, encodings and schemas.
 
+use foxglove::Encode;
+use foxglove::messages::{FrameTransforms, Log, PointCloud, PoseInFrame, SceneUpdate};
+
 use super::stage::Stage;
-use super::{foxglove, protobuf, schemas};
+use super::{schemas, truth};
 use murmurate::messages::ids::{HostId, RobotId};
 
 /// Name of the topic with the lines that the program has logged.
@@ -89,11 +92,6 @@ impl Topic {
 
     /// Returns the schema of the topic's messages; `None` for binary formats of this program.
     pub fn schema(self) -> Option<Schema> {
-        let foxglove = |name: &str| Schema {
-            name: format!("foxglove.{name}"),
-            encoding: "protobuf",
-            data: protobuf::describe("foxglove", foxglove::MESSAGES, foxglove::ENUMS),
-        };
         let json = |name: &str, text: &str| Schema {
             name: format!("murmurate.{name}"),
             encoding: "jsonschema",
@@ -101,16 +99,12 @@ impl Topic {
         };
         Some(match self {
             Topic::Turn | Topic::Wire(_) | Topic::Received => return None,
-            Topic::Truth => Schema {
-                name: "murmurate.Truth".to_owned(),
-                encoding: "protobuf",
-                data: protobuf::describe("murmurate", schemas::MESSAGES, &[]),
-            },
-            Topic::Scene => foxglove("SceneUpdate"),
-            Topic::Robots => foxglove("PointCloud"),
-            Topic::Transforms => foxglove("FrameTransforms"),
-            Topic::Pose(_) => foxglove("PoseInFrame"),
-            Topic::Log | Topic::Program => foxglove("Log"),
+            Topic::Truth => Schema { name: "murmurate.Truth".to_owned(), encoding: "protobuf", data: truth::schema() },
+            Topic::Scene => described::<SceneUpdate>(),
+            Topic::Robots => described::<PointCloud>(),
+            Topic::Transforms => described::<FrameTransforms>(),
+            Topic::Pose(_) => described::<PoseInFrame>(),
+            Topic::Log | Topic::Program => described::<Log>(),
             Topic::Episode => json("Episode", schemas::EPISODE),
             Topic::Links => json("Links", schemas::LINKS),
             Topic::Guard => json("Guard", schemas::GUARD),
@@ -118,4 +112,10 @@ impl Topic {
             Topic::Hardware => json("Hardware", schemas::HARDWARE),
         })
     }
+}
+
+/// Returns the schema of a type of Foxglove's messages.
+fn described<T: Encode>() -> Schema {
+    let schema = T::get_schema().expect("Foxglove describes its types");
+    Schema { name: schema.name, encoding: "protobuf", data: schema.data.into_owned() }
 }

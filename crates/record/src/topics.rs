@@ -3,15 +3,17 @@
 
 use std::collections::BTreeMap;
 
+use ::foxglove::messages::SceneUpdate;
+use prost::Message;
 use serde::Serialize;
 use serde_json::json;
 
 pub use super::drawing::Body;
 use super::foxglove::{self, Severity};
-use super::protobuf::Message;
 pub use super::stage::Stage;
 use super::tape::{self, SentDigest};
 pub use super::topic::{PROGRAM, RECEIVED, Topic};
+use super::truth::{TrueRobot, Truth as TruthMessage};
 use super::{Event, Logged, Scope, drawing};
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::hardware::{Celsius, Hardware, Health, Reason};
@@ -148,9 +150,7 @@ impl Topics {
                 self.handle(now, at, message, take);
             }
             Event::Logged(Logged { severity, from, text }) => {
-                let mut out = Message::default();
-                foxglove::log(&mut out, at, *severity, from, text);
-                take(Topic::Program, at, &out.0);
+                encode_to(Topic::Program, at, &foxglove::log(at, *severity, from, text), take);
             }
             Event::Truth(truth) => self.truth(at, truth, take),
             Event::Episode(episode) => self.episode(at, episode, take),
@@ -210,9 +210,7 @@ impl Topics {
                 let last = self.posed.get(&latent.robot);
                 if last.is_none_or(|last| now.since(*last) >= POSE_PERIOD) {
                     self.posed.insert(latent.robot, now);
-                    let mut out = Message::default();
-                    drawing::pose(&mut out, at, body);
-                    take(Topic::Pose(latent.robot), at, &out.0);
+                    encode_to(Topic::Pose(latent.robot), at, &drawing::pose(at, body), take);
                 }
             }
             Wire::Telemetry(telemetry) => {
@@ -237,31 +235,27 @@ impl Topics {
 
     fn truth(&mut self, at: u64, truth: &Truth, take: Take) {
         self.true_states = true;
-        let mut out = Message::default();
-        foxglove::time(&mut out, 1, at);
+        let mut robots = Vec::with_capacity(truth.samples.len());
         for sample in truth.samples.iter() {
             self.team[sample.robot.index()] =
                 Some(Body { position: sample.motion.position, heading: Some(sample.heading) });
-            out.message(2, |robot| {
-                robot.uint(1, u64::from(sample.robot.0));
-                let (motion, command) = (sample.motion, sample.command);
-                let numbers = [
-                    motion.position.x,
-                    motion.position.y,
-                    motion.velocity.x,
-                    motion.velocity.y,
-                    sample.heading,
-                    sample.yaw_rate,
-                    command.x,
-                    command.y,
-                ];
-                (2..).zip(numbers).for_each(|(field, number)| robot.double(field, f64::from(number)));
-                robot.uint(10, u64::from(sample.contacts.robot));
-                robot.uint(11, u64::from(sample.contacts.wall));
+            let (motion, command) = (sample.motion, sample.command);
+            robots.push(TrueRobot {
+                robot: sample.robot.0.into(),
+                x: motion.position.x.into(),
+                y: motion.position.y.into(),
+                velocity_x: motion.velocity.x.into(),
+                velocity_y: motion.velocity.y.into(),
+                heading: sample.heading.into(),
+                yaw_rate: sample.yaw_rate.into(),
+                command_x: command.x.into(),
+                command_y: command.y.into(),
+                touches_robot: sample.contacts.robot,
+                touches_wall: sample.contacts.wall,
             });
         }
         self.moved = true;
-        take(Topic::Truth, at, &out.0);
+        encode_to(Topic::Truth, at, &TruthMessage { timestamp: foxglove::time(at), robots }, take);
     }
 
     /// Records a change of goals or phase in an instruction of the state server.
@@ -305,28 +299,20 @@ impl Topics {
     }
 
     fn log_line(&self, at: u64, level: Severity, name: &str, text: &str, take: Take) {
-        let mut out = Message::default();
-        foxglove::log(&mut out, at, level, name, text);
-        take(Topic::Log, at, &out.0);
+        encode_to(Topic::Log, at, &foxglove::log(at, level, name, text), take);
     }
 
     fn draw(&mut self, now: Time, at: u64, take: Take) {
-        let mut out = Message::default();
+        let mut scene = SceneUpdate::default();
         if now >= self.standing_due {
             self.standing_due = now + STANDING_PERIOD;
             let goals: Vec<Vec2> = self.goals.values().copied().collect();
-            drawing::walls_and_goals(&mut out, at, &self.stage, &goals);
+            scene.entities.extend(drawing::walls_and_goals(at, &self.stage, &goals));
         }
-        drawing::team(&mut out, at, &self.stage, &self.team);
-        take(Topic::Scene, at, &out.0);
-        for (topic, draw) in [
-            (Topic::Robots, drawing::cloud as fn(&mut Message, u64, &[Option<Body>])),
-            (Topic::Transforms, drawing::transforms),
-        ] {
-            out.0.clear();
-            draw(&mut out, at, &self.team);
-            take(topic, at, &out.0);
-        }
+        scene.entities.extend(drawing::team(at, &self.stage, &self.team));
+        encode_to(Topic::Scene, at, &scene, take);
+        encode_to(Topic::Robots, at, &drawing::cloud(at, &self.team), take);
+        encode_to(Topic::Transforms, at, &drawing::transforms(at, &self.team), take);
     }
 }
 
@@ -342,6 +328,10 @@ fn condition(robot: RobotId, hardware: &Hardware) -> serde_json::Value {
         "temperature_c": hardware.temperature.map(Celsius::degrees),
         "reason": hardware.reason.as_ref().map(Reason::text),
     })
+}
+
+fn encode_to(topic: Topic, at: u64, message: &impl Message, take: Take) {
+    take(topic, at, &message.encode_to_vec());
 }
 
 fn json_to(topic: Topic, at: u64, value: &impl Serialize, take: Take) {

@@ -17,11 +17,11 @@ use murmurate::safety::guard::SafetyCounts;
 use murmurate::time::Time;
 use murmurate_record::chosen::Unusable;
 use murmurate_record::identity::{self, Identity};
-use murmurate_record::protobuf_reader;
 use murmurate_record::reader::{Item, Message, Reader};
 use murmurate_record::stage::{self, Stage};
 use murmurate_record::tape;
 use murmurate_record::topics::RECEIVED;
+use murmurate_record::truth::{self, TrueRobot};
 use murmurate_view::timeline::Sight;
 
 /// Content of a record that the live page can show: constant properties of the run, and events.
@@ -254,21 +254,19 @@ fn robot_of(data: &[u8]) -> Option<RobotId> {
 
 /// Decodes a recorded message with the true states of all simulated robots at a time.
 fn truth(time: Time, data: &[u8]) -> Truth {
-    let mut samples = Vec::new();
-    for fields in protobuf_reader::truth(data) {
-        let [_, robot, x, y, vx, vy, heading, yaw_rate, command_x, command_y, robots, walls] =
-            fields.map(|number| number as f32);
-        samples.push(Sample {
-            robot: RobotId(robot as u16),
-            time,
-            motion: Motion { position: Vec2::new(x, y), velocity: Vec2::new(vx, vy) },
-            heading,
-            yaw_rate,
-            command: Vec2::new(command_x, command_y),
-            contacts: Contacts { robot: robots != 0.0, wall: walls != 0.0 },
-        });
-    }
-    Truth { time, samples: samples.into() }
+    let sample = |of: TrueRobot| Sample {
+        robot: RobotId(u16::try_from(of.robot).unwrap_or(u16::MAX)),
+        time,
+        motion: Motion {
+            position: Vec2::new(of.x as f32, of.y as f32),
+            velocity: Vec2::new(of.velocity_x as f32, of.velocity_y as f32),
+        },
+        heading: of.heading as f32,
+        yaw_rate: of.yaw_rate as f32,
+        command: Vec2::new(of.command_x as f32, of.command_y as f32),
+        contacts: Contacts { robot: of.touches_robot, wall: of.touches_wall },
+    };
+    Truth { time, samples: truth::robots(data).map(sample).collect() }
 }
 
 #[cfg(test)]

@@ -15,9 +15,9 @@ use murmurate::net::protocol::codec::{self, Content, Flags};
 use murmurate::net::protocol::router::Audience;
 use murmurate::results::episode::Episode;
 use murmurate_record::clocks::{self, Alignment, ClockDifference, DatagramKey, Traffic};
-use murmurate_record::protobuf_reader;
 use murmurate_record::reader::{self, ReadError};
 use murmurate_record::tape;
+use murmurate_record::truth;
 
 /// Kinds of messages that a host sends as soon as they are published, each in a datagram of its own.
 const PROMPT: [Kind; 3] = [Kind::Latent, Kind::Reading, Kind::MotorCommand];
@@ -125,11 +125,10 @@ impl Log {
     }
 
     fn truth(&mut self, at_ns: i64, bytes: &[u8]) {
-        for numbers in protobuf_reader::truth(bytes) {
-            let [_, robot, _, _, vx, vy, _, _, command_x, command_y, by_robot, by_wall] = numbers;
-            let moved = Moved { velocity: [vx, vy], command: [command_x, command_y] };
-            let touches = by_robot + by_wall > 0.0;
-            self.states.push(State { at_ns, robot: robot as usize, moved, touches });
+        for of in truth::robots(bytes) {
+            let moved = Moved { velocity: [of.velocity_x, of.velocity_y], command: [of.command_x, of.command_y] };
+            let touches = of.touches_robot || of.touches_wall;
+            self.states.push(State { at_ns, robot: of.robot as usize, moved, touches });
         }
     }
 }
