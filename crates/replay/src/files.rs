@@ -1,16 +1,17 @@
 //! Files that are attached to a record, in a temporary folder while the record is replayed.
 
-use std::fs::DirBuilder;
+use std::fs::Permissions;
 use std::io;
-use std::os::unix::fs::DirBuilderExt;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use murmurate_record::reader::Opened;
 use murmurate_record::share::ACCEPTED;
+use tempfile::TempDir;
 
 /// Files attached to a record, written into a temporary folder that is removed at the end.
 pub struct Files {
-    folder: PathBuf,
+    folder: TempDir,
     /// Name of each file in the record, with the path of the written file.
     pub files: Vec<(String, PathBuf)>,
 }
@@ -18,14 +19,12 @@ pub struct Files {
 impl Files {
     /// Writes the files attached to a record into a new temporary folder.
     pub fn extract(opened: &Opened) -> io::Result<Files> {
-        let mut number = [0; 8];
-        getrandom::fill(&mut number).map_err(|error| io::Error::other(format!("no random bytes: {error}")))?;
-        let folder = std::env::temp_dir().join(format!("murmurate-replay-{:016x}", u64::from_le_bytes(number)));
         // The files may be confidential, and the folder stays if this program is killed.
-        DirBuilder::new()
-            .mode(0o700)
-            .create(&folder)
-            .map_err(|error| failed(&error, &format!("cannot make the folder '{}'", folder.display())))?;
+        let folder = tempfile::Builder::new()
+            .prefix("murmurate-replay-")
+            .permissions(Permissions::from_mode(0o700))
+            .tempdir()
+            .map_err(|error| failed(&error, "cannot make a folder for the record's files"))?;
         let mut files = Files { folder, files: Vec::new() };
         let named = opened.attached.iter().filter(|(name, _)| name != ACCEPTED);
         for (index, (name, content)) in named.enumerate() {
@@ -33,7 +32,7 @@ impl Files {
             // The name comes from the record, which may be from an untrusted source.
             let last: String = last.chars().filter(|c| c.is_ascii_alphanumeric() || "-_.".contains(*c)).collect();
             let last = &last[last.len().saturating_sub(100)..];
-            let path = files.folder.join(format!("{index}-{last}"));
+            let path = files.folder().join(format!("{index}-{last}"));
             std::fs::write(&path, content)
                 .map_err(|error| failed(&error, &format!("cannot write '{}'", path.display())))?;
             files.files.push((name.clone(), path));
@@ -43,7 +42,7 @@ impl Files {
 
     /// Returns the folder that holds the files.
     pub fn folder(&self) -> &Path {
-        &self.folder
+        self.folder.path()
     }
 
     /// Returns the name of the team file of a host's record, as given on the command line; `None` if no file is
@@ -77,12 +76,6 @@ impl Files {
             argument.clone()
         };
         arguments.iter().map(replaced).collect()
-    }
-}
-
-impl Drop for Files {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.folder);
     }
 }
 

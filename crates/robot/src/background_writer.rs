@@ -16,7 +16,7 @@ use nix::libc::{ENXIO, O_NONBLOCK};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
 use crate::destination::{Destination, folder};
-use crate::temporary::Temporary;
+use crate::temporary;
 
 /// Capacity of the queue \[bytes\]: twenty seconds of the trajectories of five robots (12 kB/s), or more than a
 /// thousand log lines. A worn SD card stalls for a second or two.
@@ -46,7 +46,7 @@ impl Target {
         let path = match Destination::of(path).map_err(io::Error::other)? {
             Destination::File(path, note) => {
                 note.iter().for_each(|note| tracing::warn!("{note}"));
-                return Temporary::new_in(folder(&path), 0o666)?.named(&path).map(Target::Open);
+                return Ok(Target::Open(temporary::file_in(folder(&path), 0o666)?.persist(&path)?));
             }
             Destination::Stream(path) if !Destination::is_pipe(&path) => {
                 return Destination::open_stream(&path, 0).map(Target::Open);

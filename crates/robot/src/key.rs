@@ -16,7 +16,7 @@ use crate::BadInput;
 use crate::Ended;
 use crate::output;
 use crate::own_name;
-use crate::temporary::Temporary;
+use crate::temporary;
 use murmurate::config::shown;
 use murmurate::registry::Registry;
 
@@ -61,13 +61,14 @@ pub fn run(args: &Args, _: &Registry) -> Result<Ended> {
     };
     // The file has mode 0600 from the start, and gets its name once it is complete.
     let mut file =
-        Temporary::new_in(folder, 0o600).map_err(|e| refuse(format!("{e}; choose a folder that can be written")))?;
+        temporary::file_in(folder, 0o600).map_err(|e| refuse(format!("{e}; choose a folder that can be written")))?;
     let digits: String = key.iter().map(|byte| format!("{byte:02x}")).collect();
-    writeln!(file, "{digits}").and_then(|()| file.sync()).context("cannot write the key file")?;
-    let kept = if *force { file.replace(out) } else { file.place(out) };
-    kept.map_err(|e| match e.kind() {
+    let open = file.as_file_mut();
+    writeln!(open, "{digits}").and_then(|()| open.sync_all()).context("cannot write the key file")?;
+    let kept = if *force { file.persist(out) } else { file.persist_noclobber(out) };
+    kept.map_err(|e| match e.error.kind() {
         ErrorKind::AlreadyExists => there(),
-        _ => refuse(e.to_string()),
+        _ => refuse(e.error.to_string()),
     })?;
     output::print(&format!("{shown}: a new team key, fingerprint {}", fingerprint(&key)))?;
     output::talk("Copy it to every robot of the team, readable by its owner only (mode 0600).");

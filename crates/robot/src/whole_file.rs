@@ -5,11 +5,12 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use tempfile::NamedTempFile;
 
 use crate::BadInput;
 use crate::destination::{Destination, folder};
 use crate::output::talk;
-use crate::temporary::Temporary;
+use crate::temporary;
 
 /// File that is being written, and replaces an existing file atomically once it is complete. A pipe or a device is
 /// written to directly.
@@ -19,7 +20,7 @@ pub enum WholeFile {
         /// Final path of the file, after the links that may be followed.
         path: PathBuf,
         /// Temporary file with the content so far.
-        file: Temporary,
+        file: NamedTempFile,
     },
     /// Open pipe or device.
     Straight(File),
@@ -40,7 +41,7 @@ impl WholeFile {
                 return Ok(WholeFile::Straight(file));
             }
         };
-        let file = Temporary::new_in(folder(&path), 0o666)
+        let file = temporary::file_in(folder(&path), 0o666)
             .map_err(|e| refuse(format!("{e}; choose a folder that can be written")))?;
         Ok(WholeFile::Beside { path, file })
     }
@@ -48,7 +49,7 @@ impl WholeFile {
     /// Returns the writer for the content of the file.
     pub fn writer(&mut self) -> &mut dyn Write {
         match self {
-            WholeFile::Beside { file, .. } => file,
+            WholeFile::Beside { file, .. } => file.as_file_mut(),
             WholeFile::Straight(file) => file,
         }
     }
@@ -57,8 +58,9 @@ impl WholeFile {
     /// file stays as it was.
     pub fn keep(self) -> Result<()> {
         if let WholeFile::Beside { path, file } = self {
-            file.sync()
-                .and_then(|()| file.replace(&path))
+            file.as_file()
+                .sync_all()
+                .and_then(|()| file.persist(&path).map_err(|failed| failed.error))
                 .with_context(|| format!("cannot write '{}'", path.display()))?;
         }
         Ok(())

@@ -12,7 +12,7 @@ use murmurate_record::chosen::Chosen;
 use murmurate_record::identity::Identity;
 use murmurate_record::merge::{self, Merge, MergeError};
 use murmurate_robot::output::{print, talk};
-use murmurate_robot::temporary::Temporary;
+use murmurate_robot::temporary;
 use murmurate_robot::{Ended, bad};
 
 /// Flags of `murmurate record merge`.
@@ -36,10 +36,10 @@ pub fn run(args: &Args) -> Result<Ended> {
     if place.is_some() && records.iter().any(|(path, _)| path.canonicalize().ok() == place) {
         return bad(format!("--output: '{}' is one of the records: name another file", args.output.display()));
     }
-    let mut fresh = Temporary::new_in(folder, 0o640).with_context(no_room)?;
-    let Merge { parts, alignment, whole } = into_file(records, fresh.seekable())?;
-    fresh.sync().with_context(no_room)?;
-    fresh.replace(&args.output).with_context(no_room)?;
+    let mut fresh = temporary::file_in(folder, 0o640).with_context(no_room)?;
+    let Merge { parts, alignment, whole } = into_file(records, fresh.as_file_mut())?;
+    fresh.as_file().sync_all().with_context(no_room)?;
+    fresh.persist(&args.output).map_err(|failed| failed.error).with_context(no_room)?;
     for part in &parts {
         let (ahead, uncertainty) = part.clock.latest_ns();
         print(&format!(

@@ -11,7 +11,7 @@ use murmurate::config::shown;
 use murmurate_record::reader::{ReadError, Reader};
 use murmurate_record::repair::copy;
 use murmurate_robot::output::{print, talk};
-use murmurate_robot::temporary::Temporary;
+use murmurate_robot::temporary;
 use murmurate_robot::{BadInput, Ended, bad};
 
 /// Flags of `murmurate record repair`.
@@ -63,11 +63,11 @@ fn mend(path: &Path) -> Result<bool> {
     let no_room = || format!("cannot write beside '{}'", path.display());
     // As the original, which may be for few.
     let mode = path.metadata().map_or(0o640, |about| about.mode() & 0o666);
-    let mut fresh = Temporary::new_in(folder, mode).with_context(no_room)?;
-    let messages = copy(&mut reader, Vec::new(), BufWriter::new(fresh.seekable()))?;
-    fresh.sync().with_context(no_room)?;
+    let mut fresh = temporary::file_in(folder, mode).with_context(no_room)?;
+    let messages = copy(&mut reader, Vec::new(), BufWriter::new(fresh.as_file_mut()))?;
+    fresh.as_file().sync_all().with_context(no_room)?;
     std::fs::hard_link(path, &kept).with_context(|| format!("cannot keep '{}' as it was", path.display()))?;
-    fresh.replace(path).with_context(no_room)?;
+    fresh.persist(path).map_err(|failed| failed.error).with_context(no_room)?;
     health.faults.iter().for_each(|fault| talk(&format!("'{}': not in it: {fault}", path.display())));
     let (shown_path, kept) = (shown::value(path.display()), shown::value(kept.display()));
     print(&format!("{shown_path}: {}; as it was: {kept}", shown::counted(messages, "message")))?;

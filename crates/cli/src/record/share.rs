@@ -14,7 +14,7 @@ use murmurate_record::reader::{self, Reader};
 use murmurate_record::repair;
 use murmurate_record::share::{accepted, copy};
 use murmurate_robot::output::{print, talk};
-use murmurate_robot::temporary::Temporary;
+use murmurate_robot::temporary;
 use murmurate_robot::{BadInput, Ended, bad, key};
 
 /// Flags of `murmurate record share`.
@@ -98,9 +98,9 @@ fn one((path, identity): (&Path, &Identity), key: &Key, output: &Path, as_it_is:
         if !as_it_is {
             return bad(format!("'{}' is not of a team with a key: share it as it is", path.display()));
         }
-        let mut fresh = Temporary::new_in(folder, 0o666).with_context(no_room)?;
-        repair::copy(&mut Reader::open(path)?, Vec::new(), BufWriter::new(fresh.seekable()))?;
-        fresh.sync().and_then(|()| fresh.replace(output)).with_context(no_room)?;
+        let mut fresh = temporary::file_in(folder, 0o666).with_context(no_room)?;
+        repair::copy(&mut Reader::open(path)?, Vec::new(), BufWriter::new(fresh.as_file_mut()))?;
+        fresh.as_file().sync_all().and_then(|()| fresh.persist(output).map_err(|failed| failed.error)).with_context(no_room)?;
         print(&format!("{}: made without a key, as it is", output.display()))?;
         return Ok(whole);
     };
@@ -108,9 +108,9 @@ fn one((path, identity): (&Path, &Identity), key: &Key, output: &Path, as_it_is:
     if found.accepted.is_empty() && found.refused > 0 {
         return bad(format!("--key-file: no datagram of '{}' has a tag of this key", path.display()));
     }
-    let mut fresh = Temporary::new_in(folder, 0o666).with_context(no_room)?;
-    copy(&mut Reader::open(path)?, &found.accepted, BufWriter::new(fresh.seekable()))?;
-    fresh.sync().and_then(|()| fresh.replace(output)).with_context(no_room)?;
+    let mut fresh = temporary::file_in(folder, 0o666).with_context(no_room)?;
+    copy(&mut Reader::open(path)?, &found.accepted, BufWriter::new(fresh.as_file_mut()))?;
+    fresh.as_file().sync_all().and_then(|()| fresh.persist(output).map_err(|failed| failed.error)).with_context(no_room)?;
     let (valid, refused) = (found.accepted.len(), found.refused);
     let (output, valid) = (shown::value(output.display()), shown::counted(valid, "datagram"));
     print(&format!("{output}: {valid} had a valid tag, {refused} had not"))?;

@@ -21,7 +21,7 @@ use murmurate_record::share::trusted;
 use murmurate_replay::files::Files;
 use murmurate_replay::sights::{self, Keys, Shown};
 use murmurate_robot::output::talk;
-use murmurate_robot::temporary::Temporary;
+use murmurate_robot::temporary;
 use murmurate_robot::{BadInput, Ended, bad, key, signals};
 use murmurate_view::player::Player;
 use murmurate_view::server::Publisher;
@@ -82,8 +82,8 @@ fn read(args: &Args, registry: &Registry) -> Result<Shown> {
         if let [(only, _)] = &records[..] {
             return Ok(sights::read(only, &keys).map_err(wrong)?);
         }
-        let mut merged = Temporary::new_in(&std::env::temp_dir(), 0o600).context("cannot write a temporary file")?;
-        into_file(records, merged.seekable())?;
+        let mut merged = temporary::file_in(&std::env::temp_dir(), 0o600).context("cannot write a temporary file")?;
+        into_file(records, merged.as_file_mut())?;
         return Ok(sights::read(merged.path(), &keys).map_err(wrong)?);
     }
     let path = paths.remove(0);

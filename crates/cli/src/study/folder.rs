@@ -10,7 +10,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use murmurate_robot::destination::check_folder;
-use murmurate_robot::temporary::Temporary;
+use murmurate_robot::temporary;
 use murmurate_robot::whole_file::WholeFile;
 use murmurate_robot::{BadInput, output};
 
@@ -52,7 +52,7 @@ impl Folder {
         }
         for folder in [path, &path.join(pieces), &path.join("figures")] {
             std::fs::create_dir_all(folder).map_err(|e| refuse(format!("cannot make this folder: {e}")))?;
-            Temporary::new_in(folder, 0o600).map_err(|e| refuse(format!("cannot write there: {e}")))?;
+            temporary::file_in(folder, 0o600).map_err(|e| refuse(format!("cannot write there: {e}")))?;
         }
         Ok(Folder(path.to_owned()))
     }
@@ -116,12 +116,12 @@ impl Folder {
 
 /// Writes the identity of a study to its folder, whole or not at all, unless another process did so meanwhile.
 fn identify(folder: &Path, identity: &impl Serialize) -> std::io::Result<()> {
-    let mut file = Temporary::new_in(folder, 0o666)?;
-    file.write_all((serde_json::to_string_pretty(identity)? + "\n").as_bytes())?;
-    file.sync()?;
-    match file.place(&folder.join(IDENTITY)) {
-        Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => Ok(()),
-        added => added,
+    let mut file = temporary::file_in(folder, 0o666)?;
+    file.as_file_mut().write_all((serde_json::to_string_pretty(identity)? + "\n").as_bytes())?;
+    file.as_file().sync_all()?;
+    match file.persist_noclobber(folder.join(IDENTITY)) {
+        Err(failed) if failed.error.kind() != std::io::ErrorKind::AlreadyExists => Err(failed.error),
+        _ => Ok(()),
     }
 }
 

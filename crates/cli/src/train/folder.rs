@@ -9,7 +9,7 @@ use murmurate_train::trainer::Trainer;
 
 use super::curve::Curve;
 use murmurate_robot::destination::check_folder;
-use murmurate_robot::temporary::Temporary;
+use murmurate_robot::temporary;
 use murmurate_robot::whole_file::WholeFile;
 use murmurate_robot::{BadInput, output};
 
@@ -32,7 +32,7 @@ impl Folder {
             let why = "it holds a training already; add --resume to continue it, or choose another folder";
             return Err(refuse(why.to_owned()).into());
         }
-        Temporary::new_in(path, 0o600)
+        temporary::file_in(path, 0o600)
             .map_err(|e| refuse(format!("cannot write there: {e}; choose a writable folder")))?;
         Ok(folder)
     }
