@@ -7,6 +7,7 @@
 
 use std::collections::BTreeMap;
 
+use data_encoding::HEXLOWER;
 use hmac_sha256::Hash;
 
 use super::manifest::{self, Manifest};
@@ -360,7 +361,7 @@ pub(super) fn check_hash(tensors: &TensorsByName, stated: &str) -> Result<(), We
 pub(super) fn hash(tensors: &TensorsByName) -> String {
     let mut hash = Hash::new();
     tensors.values().for_each(|tensor| hash.update(tensor.data));
-    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    HEXLOWER.encode(&hash.finalize())
 }
 
 /// Weights and biases of a policy's three networks: encoder, message network and update network. Each network is a list

@@ -4,6 +4,7 @@ use std::cell::{Cell, RefCell};
 use std::path::Path;
 use std::rc::Rc;
 
+use data_encoding::HEXLOWER_PERMISSIVE;
 use murmurate::deploy::team::Team;
 use murmurate::graph::event;
 use murmurate::graph::inputs::Input;
@@ -183,10 +184,7 @@ impl Iterator for Turns {
 }
 
 fn bytes_of(hexadecimal: &str) -> Option<[u8; 32]> {
-    let digits = hexadecimal.as_bytes().chunks(2);
-    let bytes: Option<Vec<u8>> =
-        digits.map(|two| u8::from_str_radix(std::str::from_utf8(two).ok()?, 16).ok()).collect();
-    bytes?.try_into().ok()
+    HEXLOWER_PERMISSIVE.decode(hexadecimal.as_bytes()).ok()?.try_into().ok()
 }
 
 #[cfg(test)]

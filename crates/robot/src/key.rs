@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::Subcommand;
+use data_encoding::{HEXLOWER, HEXLOWER_PERMISSIVE};
 use hmac_sha256::Hash;
 use nix::unistd::geteuid;
 
@@ -62,7 +63,7 @@ pub fn run(args: &Args, _: &Registry) -> Result<Ended> {
     // The file has mode 0600 from the start, and gets its name once it is complete.
     let mut file =
         temporary::file_in(folder, 0o600).map_err(|e| refuse(format!("{e}; choose a folder that can be written")))?;
-    let digits: String = key.iter().map(|byte| format!("{byte:02x}")).collect();
+    let digits = HEXLOWER.encode(&key);
     let open = file.as_file_mut();
     writeln!(open, "{digits}").and_then(|()| open.sync_all()).context("cannot write the key file")?;
     let kept = if *force { file.persist(out) } else { file.persist_noclobber(out) };
@@ -134,15 +135,7 @@ fn may_own(owner: u32, user: u32) -> bool {
 }
 
 fn parse(digits: &[u8]) -> Option<[u8; BYTES]> {
-    let mut key = [0; BYTES];
-    if digits.len() != 2 * BYTES {
-        return None;
-    }
-    for (byte, pair) in key.iter_mut().zip(digits.chunks(2)) {
-        let value = |digit: u8| char::from(digit).to_digit(16);
-        *byte = u8::try_from(16 * value(pair[0])? + value(pair[1])?).expect("two digits are a byte");
-    }
-    Some(key)
+    HEXLOWER_PERMISSIVE.decode(digits).ok()?.try_into().ok()
 }
 
 /// Returns the fingerprint of a key: 8 hexadecimal digits of a hash, which reveal nothing else about the key.
@@ -150,7 +143,7 @@ pub fn fingerprint(key: &[u8; BYTES]) -> String {
     let mut digest = Hash::new();
     digest.update(b"murmurate team key\0");
     digest.update(key);
-    digest.finalize()[..4].iter().map(|byte| format!("{byte:02x}")).collect()
+    HEXLOWER.encode(&digest.finalize()[..4])
 }
 
 /// Returns the access token of a page or of metrics: read from its file, or drawn at random without a file.

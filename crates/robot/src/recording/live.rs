@@ -6,6 +6,7 @@ use std::rc::Rc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::Result;
+use data_encoding::HEXLOWER;
 
 use super::{RecordFlags, arguments, attach, log, make};
 use murmurate::deploy::team::Team;
@@ -51,7 +52,7 @@ impl LiveRecord {
         let mut identity = here(began, policy);
         let (incarnation, seed, transports) = live.process();
         let file = format!("{name}-{incarnation:08x}");
-        let seed = seed.iter().map(|byte| format!("{byte:02x}")).collect();
+        let seed = HEXLOWER.encode(&seed);
         identity.host = Some(HostIdentity { name, id: team.host, incarnation, seed, transports, keyed });
         let beginning = Beginning { identity, attached: attach(files)? };
         LiveRecord::start((folder, &file), Scope::Host, (beginning, Stage::of(live.trial())), retention).map(Some)

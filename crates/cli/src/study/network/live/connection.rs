@@ -10,6 +10,7 @@ use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail};
+use data_encoding::HEXLOWER;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use socket2::{SockRef, TcpKeepalive};
@@ -71,7 +72,7 @@ impl Connection {
         let mut reader = BufReader::new(stream);
         let mut drawn = [0; DRAWN_BYTES];
         getrandom::fill(&mut drawn).map_err(|e| anyhow!("the operating system gives no random bytes: {e}"))?;
-        let own = drawn.map(|byte| format!("{byte:02x}")).concat();
+        let own = HEXLOWER.encode(&drawn);
         writer.write_all(format!("{own}\n").as_bytes()).context("the peer has closed the connection")?;
         let theirs = read(&mut reader, NUMBER_BYTES, Some(GREETING))?;
         let both = match side {
