@@ -12,7 +12,7 @@ use hmac_sha256::Hash;
 
 use super::manifest::{self, Manifest};
 use super::mlp::{Layer, Mlp};
-use super::safetensors::{self, F32, SafeTensors, Tensor};
+use super::safetensors::{self, Dtype, SafeTensors, TensorView};
 use crate::config::kinds::FileKind;
 use crate::config::objects;
 
@@ -283,7 +283,7 @@ fn assumed_of(manifest: &Manifest) -> Option<String> {
 /// Reads a policy file's test data ([`Probe`]) from the file's tensors; each latent has `latent` floats. It is an error
 /// if a tensor of the test data is missing or has another shape.
 pub(super) fn probe(tensors: &TensorsByName, latent: usize) -> Result<Probe, WeightsError> {
-    let first = tensors.get(PROBE_TENSORS[0]).and_then(|tensor| tensor.shape.first()).copied();
+    let first = tensors.get(PROBE_TENSORS[0]).and_then(|tensor| tensor.shape().first()).copied();
     // A wrong number of robots is refused as a shape below.
     let robots = first.filter(|robots| (1..=Probe::MOST_ROBOTS).contains(robots)).unwrap_or(1);
     let widths = [2, 2, 2, robots, latent, 4];
@@ -308,7 +308,7 @@ pub(super) fn layer_names<'a>(
 }
 
 /// Tensors of a policy file, by name.
-pub(super) type TensorsByName<'a> = BTreeMap<String, Tensor<'a>>;
+pub(super) type TensorsByName<'a> = BTreeMap<String, TensorView<'a>>;
 
 fn network(tensors: &TensorsByName, name: &str, widths: &[usize]) -> Result<Mlp, WeightsError> {
     let layers = layer_names(name, widths).map(|(weight, bias, shape)| {
@@ -327,13 +327,13 @@ pub(super) fn floats(
 ) -> Result<Vec<f32>, WeightsError> {
     let (name, expected) = (name.to_owned(), shape.to_vec());
     let Some(tensor) = tensors.get(&name) else { return Err(WeightsError::Missing { name, expected, hint }) };
-    if tensor.kind != F32 {
-        return Err(WeightsError::Type { name, found: tensor.kind.clone(), expected });
+    if tensor.dtype() != Dtype::F32 {
+        return Err(WeightsError::Type { name, found: tensor.dtype().to_string(), expected });
     }
-    if tensor.shape != shape {
-        return Err(WeightsError::Shape { name, found: tensor.shape.clone(), expected });
+    if tensor.shape() != shape {
+        return Err(WeightsError::Shape { name, found: tensor.shape().to_vec(), expected });
     }
-    let floats: Vec<f32> = tensor.data.as_chunks::<4>().0.iter().map(|four| f32::from_le_bytes(*four)).collect();
+    let floats: Vec<f32> = tensor.data().as_chunks::<4>().0.iter().map(|four| f32::from_le_bytes(*four)).collect();
     if let Some(index) = floats.iter().position(|float| !float.is_finite()) {
         return Err(WeightsError::NotFinite { name, expected, index, value: floats[index] });
     }
@@ -360,7 +360,7 @@ pub(super) fn check_hash(tensors: &TensorsByName, stated: &str) -> Result<(), We
 /// Returns the SHA-256 of all tensors' bytes in the order of their names, in hexadecimal.
 pub(super) fn hash(tensors: &TensorsByName) -> String {
     let mut hash = Hash::new();
-    tensors.values().for_each(|tensor| hash.update(tensor.data));
+    tensors.values().for_each(|tensor| hash.update(tensor.data()));
     HEXLOWER.encode(&hash.finalize())
 }
 
@@ -387,13 +387,12 @@ pub fn write(manifest: &Manifest, tensors: &Tensors) -> Vec<u8> {
         }
     }
     let tensors = entries.iter().map(|(name, shape, data)| {
-        let tensor = Tensor { kind: F32.to_owned(), shape: shape.clone(), data };
+        let tensor = TensorView::new(Dtype::F32, shape.clone(), data).expect("a tensor has its shape");
         (name.clone(), tensor)
     });
     let tensors: TensorsByName = tensors.collect();
     let sha256 = hash(&tensors);
     let manifest = Manifest { sha256, ..manifest.clone() };
     let json = serde_json::to_string(&manifest).expect("a manifest is JSON");
-    let metadata = BTreeMap::from([(manifest::KEY.to_owned(), json)]);
-    safetensors::write(&SafeTensors { metadata, tensors })
+    safetensors::write(Some((manifest::KEY.to_owned(), json)), &tensors)
 }

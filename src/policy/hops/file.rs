@@ -4,7 +4,6 @@
 //! PyTorch `Sequential` with activations between. NAME is `encoder`, `decoder`, or `hops.K.` with `message`, `score`,
 //! `query`, `key` or `update`, with K = 0, 1, ... No file is opened here: the caller passes the bytes of the file.
 
-use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
@@ -14,7 +13,7 @@ use super::perceptron::Perceptron;
 use crate::config::objects;
 use crate::policy::manifest::KEY;
 use crate::policy::mlp::Layer;
-use crate::policy::safetensors::{self, F32, SafeTensors, Tensor};
+use crate::policy::safetensors::{self, Dtype, SafeTensors, TensorView};
 use crate::policy::weights::{self, Probe, TensorsByName, WeightsError};
 
 /// Tensor of a probe with a number above 0 for each message that was received: the row is the receiver, the column the
@@ -136,10 +135,12 @@ pub fn write(manifest: &Manifest, tensors: &Tensors) -> Vec<u8> {
             entries.push((bias_name, vec![shape[0]], bytes(bias)));
         }
     }
-    let tensor = |shape: &[usize], data| Tensor { kind: F32.to_owned(), shape: shape.to_vec(), data };
+    let tensor = |shape: &[usize], data| {
+        TensorView::new(Dtype::F32, shape.to_vec(), data).expect("a tensor has its shape")
+    };
     let tensors: TensorsByName =
         entries.iter().map(|(name, shape, data)| (name.clone(), tensor(shape, data.as_slice()))).collect();
     let manifest = Manifest { sha256: weights::hash(&tensors), ..manifest.clone() };
     let json = serde_json::to_string(&manifest).expect("a manifest is JSON");
-    safetensors::write(&SafeTensors { metadata: BTreeMap::from([(KEY.to_owned(), json)]), tensors })
+    safetensors::write(Some((KEY.to_owned(), json)), &tensors)
 }
