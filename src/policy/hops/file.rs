@@ -4,7 +4,6 @@
 //! PyTorch `Sequential` with activations between. NAME is `encoder`, `decoder`, or `hops.K.` with `message`, `score`,
 //! `query`, `key` or `update`, with K = 0, 1, ... No file is opened here: the caller passes the bytes of the file.
 
-
 use serde::Deserialize;
 
 use super::hop::Hop;
@@ -135,9 +134,8 @@ pub fn write(manifest: &Manifest, tensors: &Tensors) -> Vec<u8> {
             entries.push((bias_name, vec![shape[0]], bytes(bias)));
         }
     }
-    let tensor = |shape: &[usize], data| {
-        TensorView::new(Dtype::F32, shape.to_vec(), data).expect("a tensor has its shape")
-    };
+    let tensor =
+        |shape: &[usize], data| TensorView::new(Dtype::F32, shape.to_vec(), data).expect("a tensor has its shape");
     let tensors: TensorsByName =
         entries.iter().map(|(name, shape, data)| (name.clone(), tensor(shape, data.as_slice()))).collect();
     let manifest = Manifest { sha256: weights::hash(&tensors), ..manifest.clone() };

@@ -100,7 +100,11 @@ fn one((path, identity): (&Path, &Identity), key: &Key, output: &Path, as_it_is:
         }
         let mut fresh = temporary::file_in(folder, 0o666).with_context(no_room)?;
         repair::copy(&mut Reader::open(path)?, Vec::new(), BufWriter::new(fresh.as_file_mut()))?;
-        fresh.as_file().sync_all().and_then(|()| fresh.persist(output).map_err(|failed| failed.error)).with_context(no_room)?;
+        fresh
+            .as_file()
+            .sync_all()
+            .and_then(|()| fresh.persist(output).map_err(|failed| failed.error))
+            .with_context(no_room)?;
         print(&format!("{}: made without a key, as it is", output.display()))?;
         return Ok(whole);
     };
@@ -110,7 +114,11 @@ fn one((path, identity): (&Path, &Identity), key: &Key, output: &Path, as_it_is:
     }
     let mut fresh = temporary::file_in(folder, 0o666).with_context(no_room)?;
     copy(&mut Reader::open(path)?, &found.accepted, BufWriter::new(fresh.as_file_mut()))?;
-    fresh.as_file().sync_all().and_then(|()| fresh.persist(output).map_err(|failed| failed.error)).with_context(no_room)?;
+    fresh
+        .as_file()
+        .sync_all()
+        .and_then(|()| fresh.persist(output).map_err(|failed| failed.error))
+        .with_context(no_room)?;
     let (valid, refused) = (found.accepted.len(), found.refused);
     let (output, valid) = (shown::value(output.display()), shown::counted(valid, "datagram"));
     print(&format!("{output}: {valid} had a valid tag, {refused} had not"))?;
