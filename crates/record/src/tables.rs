@@ -23,8 +23,8 @@ pub enum Table {
 }
 
 impl Table {
-    /// Returns the first line of the table, with the names of its columns.
-    pub fn header(self) -> &'static str {
+    /// Returns the names of the table's columns.
+    pub fn header(self) -> &'static [&'static str] {
         match self {
             Table::Trajectories => TRAJECTORIES,
             Table::Links => LINKS,
@@ -42,20 +42,47 @@ impl Table {
     }
 }
 
-const TRAJECTORIES: &str = "episode,phase,time_s,robot,x_m,y_m,vx_m_s,vy_m_s,heading_rad,yaw_rate_rad_s,command_x_m_s,\
-                            command_y_m_s,touches_robot,touches_wall";
-const LINKS: &str = "time_s,host,link,peer,incarnation,accepted,age_s,loss,passed,missing,round_trip_s,uncertainty_s";
-const MESSAGES: &str = "time_s,event,host,link,sender,incarnation,sequence,kind,bytes";
+const TRAJECTORIES: &[&str] = &[
+    "episode",
+    "phase",
+    "time_s",
+    "robot",
+    "x_m",
+    "y_m",
+    "vx_m_s",
+    "vy_m_s",
+    "heading_rad",
+    "yaw_rate_rad_s",
+    "command_x_m_s",
+    "command_y_m_s",
+    "touches_robot",
+    "touches_wall",
+];
+const LINKS: &[&str] = &[
+    "time_s",
+    "host",
+    "link",
+    "peer",
+    "incarnation",
+    "accepted",
+    "age_s",
+    "loss",
+    "passed",
+    "missing",
+    "round_trip_s",
+    "uncertainty_s",
+];
+const MESSAGES: &[&str] = &["time_s", "event", "host", "link", "sender", "incarnation", "sequence", "kind", "bytes"];
 
-/// Function that is called with each row of a table.
-type Rows<'a> = dyn FnMut(&str) + 'a;
+/// Function that is called with the cells of each row of a table.
+type Rows<'a> = dyn FnMut(&[String]) + 'a;
 
 /// Reads the messages of a record, and calls `take` with each row of the tables `wanted`, in the order of time.
 pub fn read(
     identity: &Identity,
     mut messages: Messages,
     wanted: &[Table],
-    mut take: impl FnMut(Table, &str),
+    mut take: impl FnMut(Table, &[String]),
 ) -> Result<(), ReadError> {
     let host = identity.host.as_ref().map_or("", |host| &host.name);
     let (mut phase, mut gaps) = (Some((Json::Null, String::new())), 0);
@@ -107,11 +134,11 @@ fn truth(row: &mut Rows, at_s: f64, phase: Option<&(Json, String)>, data: &[u8])
     let episode = episode.as_u64().map_or(String::new(), |episode| episode.to_string());
     for of in truth::robots(data) {
         let TrueRobot { robot, x, y, velocity_x, velocity_y, heading, yaw_rate, command_x, command_y, .. } = of;
-        let (robots, walls) = (u8::from(of.touches_robot), u8::from(of.touches_wall));
-        row(&format!(
-            "{episode},{phase},{at_s},{robot},{x},{y},{velocity_x},{velocity_y},{heading},{yaw_rate},{command_x},\
-             {command_y},{robots},{walls}"
-        ));
+        let state = [x, y, velocity_x, velocity_y, heading, yaw_rate, command_x, command_y];
+        let mut cells = vec![episode.clone(), phase.to_owned(), at_s.to_string(), robot.to_string()];
+        cells.extend(state.map(|number| number.to_string()));
+        cells.extend([of.touches_robot, of.touches_wall].map(|touches| u8::from(touches).to_string()));
+        row(&cells);
     }
 }
 
@@ -121,37 +148,44 @@ fn peers(row: &mut Rows, at_s: f64, data: &[u8]) {
     for peer in said["peers"].as_array().into_iter().flatten() {
         const FIELDS: [&str; 10] =
             ["link", "host", "epoch", "proven", "age_s", "loss", "passed", "missing", "round_trip_s", "uncertainty_s"];
-        let text = |value: &Json| if value.is_null() { String::new() } else { value.to_string() };
-        let cells: Vec<String> = FIELDS.iter().map(|field| text(&peer[*field])).collect();
-        row(&format!("{at_s},{host},{}", cells.join(",")));
+        let text = |value: &Json| match value {
+            Json::Null => String::new(),
+            Json::String(text) => text.clone(),
+            other => other.to_string(),
+        };
+        let cells = FIELDS.iter().map(|field| text(&peer[*field]));
+        row(&[at_s.to_string(), host.to_owned()].into_iter().chain(cells).collect::<Vec<_>>());
     }
 }
 
 fn published(row: &mut Rows, at_s: f64, message: &Message) {
     let host = message.channel.topic.trim_start_matches("/wire/");
-    datagram(row, &format!("{at_s},published,{host},"), &message.data);
+    datagram(row, [at_s.to_string(), "published".to_owned(), host.to_owned(), String::new()], &message.data);
 }
 
 fn arrived(row: &mut Rows, at_s: f64, host: &str, data: &[u8]) {
     for input in tape::read(data).into_iter().flat_map(|turn| turn.inputs) {
         if let Input::Frame(link, frame, _) = input {
-            datagram(row, &format!("{at_s},arrived,{host},{}", link.0), &frame);
+            let start = [at_s.to_string(), "arrived".to_owned(), host.to_owned(), link.0.to_string()];
+            datagram(row, start, &frame);
         }
     }
 }
 
-fn datagram(row: &mut Rows, start: &str, frame: &[u8]) {
-    let Ok(header) = codec::peek(frame) else {
-        row(&format!("{start},,,,junk,{}", frame.len()));
-        return;
-    };
+/// Adds the row of a datagram, whose first cells are `start`.
+fn datagram(row: &mut Rows, start: [String; 4], frame: &[u8]) {
     let kind = match codec::first(frame) {
         Ok(Content::Message(kind)) => format!("{kind:?}"),
         Ok(_) => "link layer".to_owned(),
         Err(_) => "junk".to_owned(),
     };
-    let (sender, incarnation, sequence) = (header.sender.0, header.incarnation, header.sequence);
-    row(&format!("{start},{sender},{incarnation:08x},{sequence},{kind},{}", frame.len()));
+    let header = codec::peek(frame).map(|header| {
+        let incarnation = format!("{:08x}", header.incarnation);
+        [header.sender.0.to_string(), incarnation, header.sequence.to_string(), kind]
+    });
+    let [empty, junk] = ["", "junk"].map(str::to_owned);
+    let header = header.unwrap_or([empty.clone(), empty.clone(), empty, junk]);
+    row(&start.into_iter().chain(header).chain([frame.len().to_string()]).collect::<Vec<_>>());
 }
 
 #[cfg(test)]
@@ -163,18 +197,18 @@ mod tests {
     #[test]
     fn a_row_has_as_many_cells_as_its_table_has_columns() {
         let mut rows = Vec::new();
-        let mut row = |text: &str| rows.push(text.to_owned());
+        let mut row = |cells: &[String]| rows.push(cells.join(","));
         let robot = TrueRobot { robot: 3, x: 0.5, ..TrueRobot::default() };
         let data = truth::Truth { timestamp: None, robots: vec![robot] }.encode_to_vec();
         let phase = (Json::from(4), "running".to_owned());
         super::truth(&mut row, 1.5, Some(&phase), &data);
         peers(&mut row, 2.0, br#"{"host": "a", "peers": [{"link": 0, "host": 1, "loss": 0.25}]}"#);
-        datagram(&mut row, "2,arrived,a,0", b"x");
+        datagram(&mut row, ["2", "arrived", "a", "0"].map(str::to_owned), b"x");
         assert!(rows[0].starts_with("4,running,1.5,3,0.5,0,"), "{}", rows[0]);
         assert_eq!(rows[1], "2,a,0,1,,,,0.25,,,,");
         assert_eq!(rows[2], "2,arrived,a,0,,,,junk,1");
         for (row, table) in rows.iter().zip([Table::Trajectories, Table::Links, Table::Messages]) {
-            assert_eq!(row.split(',').count(), table.header().split(',').count(), "{row}");
+            assert_eq!(row.split(',').count(), table.header().len(), "{row}");
         }
     }
 }

@@ -3,7 +3,6 @@
 use std::io::Write;
 
 use anyhow::{Context, Result};
-use murmurate::messages::geometry::Planar;
 use murmurate::report::TrialReport;
 use murmurate::results::totals::Step;
 
@@ -25,26 +24,25 @@ const COLUMNS: [&str; 11] = [
 ];
 
 /// Writer of robots' trajectories as CSV, with one line for each robot and step.
-pub struct Paths<W: Write>(W);
+pub struct Paths<W: Write>(csv::Writer<W>);
 
 impl<W: Write> Paths<W> {
     /// Returns a writer of trajectories to `file`, and writes the header line.
-    pub fn new(mut file: W) -> Result<Paths<W>> {
-        writeln!(file, "{}", COLUMNS.join(",")).context("cannot write the trajectories")?;
-        Ok(Paths(file))
+    pub fn new(file: W) -> Result<Paths<W>> {
+        let mut rows = csv::Writer::from_writer(file);
+        rows.write_record(COLUMNS).context("cannot write the trajectories")?;
+        Ok(Paths(rows))
     }
 
     /// Writes a CSV line for each robot of a step. `repeat` is the index of the step's trial among the repeats, from 0.
     pub fn write(&mut self, repeat: usize, step: &Step) -> Result<()> {
+        let (repeat, episode, phase) = (repeat.to_string(), step.episode.to_string(), format!("{:?}", step.phase));
         for sample in &step.samples {
             let (p, v, c) = (sample.motion.position, sample.motion.velocity, sample.command);
-            let (phase, time, robot) = (step.phase, sample.time.as_secs(), sample.robot.0);
-            let (head, numbers) = (format_args!("{repeat},{},{phase:?},{time:.3},{robot}", step.episode), [p, v, c]);
-            write!(self.0, "{head}").context("cannot write the trajectories")?;
-            for [x, y] in numbers.map(|point| point.to_array()) {
-                write!(self.0, ",{x},{y}").context("cannot write the trajectories")?;
-            }
-            writeln!(self.0).context("cannot write the trajectories")?;
+            let (time, robot) = (format!("{:.3}", sample.time.as_secs()), sample.robot.0.to_string());
+            let numbers = [p.x, p.y, v.x, v.y, c.x, c.y].map(|number| number.to_string());
+            let cells = [&repeat, &episode, &phase, &time, &robot].into_iter().chain(&numbers);
+            self.0.write_record(cells).context("cannot write the trajectories")?;
         }
         Ok(())
     }
@@ -58,7 +56,7 @@ impl<W: Write> Paths<W> {
 /// Writes the trajectories of several trials, which are repeats of each other, into one CSV file. `reports` has the
 /// report of each, in the order of the repeats.
 pub fn write_all(file: &mut WholeFile, reports: &[TrialReport]) -> Result<()> {
-    let mut paths = Paths::new(std::io::BufWriter::new(file.writer()))?;
+    let mut paths = Paths::new(file.writer())?;
     for (repeat, report) in reports.iter().enumerate() {
         report.steps.iter().try_for_each(|step| paths.write(repeat, step))?;
     }

@@ -1,7 +1,7 @@
 //! Writes files that appear under their name only once they are complete.
 
 use std::fs::File;
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
@@ -64,5 +64,15 @@ impl WholeFile {
                 .with_context(|| format!("cannot write '{}'", path.display()))?;
         }
         Ok(())
+    }
+}
+
+impl Write for WholeFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.writer().write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.writer().flush()
     }
 }

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use csv::IntoInnerError;
 
 use crate::record::chosen::print_damage;
 use murmurate_record::reader;
@@ -34,39 +35,30 @@ const PIECE: usize = 1 << 16;
 /// File of a table, which appears once it is complete.
 struct TableFile {
     table: Table,
-    file: WholeFile,
-    rows: Vec<u8>,
+    rows: csv::Writer<WholeFile>,
     count: u64,
     /// First error of writing.
-    failure: Option<std::io::Error>,
+    failure: Option<csv::Error>,
 }
 
 impl TableFile {
     fn open(path: &Path, table: Table) -> Result<TableFile> {
-        let rows = format!("{}\n", table.header()).into_bytes();
-        Ok(TableFile { table, file: WholeFile::create(path)?, rows, count: 0, failure: None })
+        let rows = csv::WriterBuilder::new().buffer_capacity(PIECE).from_writer(WholeFile::create(path)?);
+        let mut file = TableFile { table, rows, count: 0, failure: None };
+        file.write(table.header());
+        Ok(file)
     }
 
-    fn row(&mut self, row: &str) {
-        self.count += 1;
-        self.rows.extend_from_slice(row.as_bytes());
-        self.rows.push(b'\n');
-        if self.rows.len() >= PIECE {
-            self.flush();
-        }
-    }
-
-    fn flush(&mut self) {
+    fn write<T: AsRef<[u8]>>(&mut self, row: &[T]) {
         if self.failure.is_none() {
-            self.failure = self.file.writer().write_all(&self.rows).err();
+            self.failure = self.rows.write_record(row).err();
         }
-        self.rows.clear();
     }
 
-    fn keep(mut self) -> Result<()> {
-        self.flush();
+    fn keep(self) -> Result<()> {
         self.failure.map_or(Ok(()), Err).context("cannot write the table")?;
-        self.file.keep()?;
+        let file = self.rows.into_inner().map_err(IntoInnerError::into_error).context("cannot write the table")?;
+        file.keep()?;
         if self.count == 0 {
             let subject = self.table.subject();
             talk(&format!("warning: the record has no {subject}: the table has its header alone"));
@@ -89,7 +81,10 @@ pub fn run(args: &Args) -> Result<Ended> {
     let mut files: Vec<TableFile> = files.collect::<Result<_>>()?;
     let wanted: Vec<Table> = files.iter().map(|file| file.table).collect();
     tables::read(&identity, messages, &wanted, |table, row| {
-        files.iter_mut().filter(|file| file.table == table).for_each(|file| file.row(row));
+        files.iter_mut().filter(|file| file.table == table).for_each(|file| {
+            file.count += 1;
+            file.write(row);
+        });
     })?;
     files.into_iter().try_for_each(TableFile::keep)?;
     Ok(if whole { Ended::Done } else { Ended::Unfit })

@@ -20,7 +20,7 @@ pub fn show(args: &Args, name: &str, (prepared, policy): (Prepared, String)) -> 
     let (steps, robots) = compared.map_err(sorted)?;
     if let Some(path) = &args.steps {
         let mut file = WholeFile::create(path)?;
-        file.writer().write_all(csv(&steps).as_bytes()).context("cannot write the steps")?;
+        write_steps(&mut file, &steps).context("cannot write the steps")?;
         file.keep()?;
     }
     if let Some(path) = &args.svg {
@@ -63,12 +63,17 @@ fn table(host: &str, policy: &str, robots: &[RobotDifference]) -> String {
     text
 }
 
-fn csv(steps: &[StepDifference]) -> String {
-    let mut text =
-        "time_s,robot,recorded_x_m_s,recorded_y_m_s,replayed_x_m_s,replayed_y_m_s,difference_m_s\n".to_owned();
+/// Writes the differences of all steps as CSV.
+fn write_steps(file: &mut WholeFile, steps: &[StepDifference]) -> Result<(), csv::Error> {
+    const COLUMNS: [&str; 7] =
+        ["time_s", "robot", "recorded_x_m_s", "recorded_y_m_s", "replayed_x_m_s", "replayed_y_m_s", "difference_m_s"];
+    let mut rows = csv::Writer::from_writer(file);
+    rows.write_record(COLUMNS)?;
     for step in steps {
         let StepDifference { at_s, robot, recorded: [a, b], replayed: [x, y] } = step;
-        let _ = writeln!(text, "{at_s},{robot},{a},{b},{x},{y},{}", step.size());
+        let numbers = [a, b, x, y].map(|speed| speed.to_string());
+        let ends = [at_s.to_string(), robot.to_string(), step.size().to_string()];
+        rows.write_record(ends[..2].iter().chain(&numbers).chain(&ends[2..]))?;
     }
-    text
+    Ok(rows.flush()?)
 }
