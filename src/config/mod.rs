@@ -11,6 +11,7 @@ pub mod shown;
 use std::borrow::Cow;
 
 use serde::de::DeserializeOwned;
+use serde_path_to_error::Segment;
 
 /// Error of a configuration text that cannot be used.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
@@ -58,21 +59,22 @@ pub fn from_toml<T: DeserializeOwned>(text: &str) -> Result<T, ConfigError> {
     toml::from_str(text).map_err(|error| syntax(text, &error))
 }
 
-/// Converts a TOML table that was already parsed into a value of type `T`. The error names the wrong field and quotes
-/// no value of the table.
+/// Converts a TOML table that was already parsed into a value of type `T`. The error names the wrong field by its path
+/// and quotes no value of the table.
 pub fn from_table<T: DeserializeOwned>(table: &toml::Table) -> Result<T, ConfigError> {
-    // A table has lost its lines: the parser names the field only of a text.
-    let text = toml::to_string(table).map_err(|_| ConfigError::Syntax("it is no TOML table".to_owned()))?;
-    toml::from_str(&text).map_err(|error: toml::de::Error| {
-        let why = unquoted(&error.message().replace('\n', ": "));
-        let before = error.span().map_or("", |span| &text[..span.start.min(text.len())]);
-        let line = text.lines().nth(before.matches('\n').count()).unwrap_or_default();
-        // The error of a missing field is at the beginning of its table, and names the field itself.
-        let missing = error.message().starts_with("missing field");
-        match field_of(line).trim_matches([' ', '(', ')']) {
-            "" => ConfigError::Syntax(why),
-            _ if missing => ConfigError::Syntax(why),
-            field => ConfigError::field(field, why),
+    serde_path_to_error::deserialize(table.clone()).map_err(|error| {
+        let message = error.inner().message();
+        let why = unquoted(&message.replace('\n', ": "));
+        let is_shown = |segment: &Segment| match segment {
+            Segment::Map { key } | Segment::Enum { variant: key } => is_name(key),
+            Segment::Seq { .. } => true,
+            Segment::Unknown => false,
+        };
+        // The error of a missing field is that of its table, and names the field itself.
+        let named = !message.starts_with("missing field") && error.path().iter().len() > 0;
+        match named && error.path().iter().all(is_shown) {
+            true => ConfigError::field(error.path().to_string(), why),
+            false => ConfigError::Syntax(why),
         }
     })
 }
@@ -92,11 +94,15 @@ pub(crate) fn syntax(text: &str, error: &toml::de::Error) -> ConfigError {
 /// Returns the name of the field or table that a line of TOML begins with, in parentheses for an error. Empty if there
 /// is none or if it is long or has unusual characters.
 fn field_of(line: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "_-.".contains(c);
     let table = line.trim().strip_prefix('[').map(|rest| rest.trim_matches(['[', ']']));
     let name = line.split_once('=').map(|(name, _)| name.trim()).or(table);
-    let name = name.filter(|name| !name.is_empty() && name.len() <= SHOWN_NAME && name.chars().all(plain));
-    name.map_or_else(String::new, |name| format!(" ({name})"))
+    name.filter(|name| is_name(name)).map_or_else(String::new, |name| format!(" ({name})"))
+}
+
+/// Whether an error may repeat `name` as that of a field: it is short and has no unusual characters.
+fn is_name(name: &str) -> bool {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "_-.".contains(c);
+    !name.is_empty() && name.len() <= SHOWN_NAME && name.chars().all(plain)
 }
 
 /// Converts an error of the JSON parser into a text for the user that quotes no value of the parsed file.
