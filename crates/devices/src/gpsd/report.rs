@@ -1,5 +1,7 @@
 //! Reports of gpsd: decoder of its JSON lines TPV, GST, ATT, SKY, DEVICES and ERROR, with the terms of gpsd_json(5).
 
+use jiff::Timestamp;
+use jiff::tz::TimeZone;
 use serde::Deserialize;
 
 /// Reason for which a line of gpsd could not be decoded, or for which its fix gives no reading.
@@ -111,7 +113,9 @@ pub enum Fix {
 /// and DGPS: accurate to centimetres, to decimetres, and to a metre or two.
 const ACCURATE_M: [(f64, Fix); 3] = [(0.05, Fix::RtkFixed), (0.5, Fix::RtkFloat), (2.0, Fix::Dgps)];
 /// Latest year of a report's time. A later one is a receiver's error.
-const LATEST_YEAR: u64 = 2500;
+const LATEST_YEAR: i16 = 2500;
+
+const SECOND_NS: u64 = 1_000_000_000;
 
 /// Fields in use of the report classes TPV and GST. In GST, `lat` and `lon` are standard deviations \[m\].
 #[derive(Deserialize)]
@@ -210,52 +214,20 @@ pub fn decode(line: &[u8]) -> Result<GpsdReport, Malformed> {
 /// Returns whether a time \[ns since 1970, UTC\] is within a second of the end of a month, where leap seconds are. A
 /// receiver has the stamps of such a second twice, or with second 60, which counts as the first of the next month.
 pub(crate) fn may_leap(time_ns: u64) -> bool {
-    const DAY_S: u64 = 86_400;
     // Two seconds before the end of the month's last day to two after it: 60.9 is 0.9 of the next day.
-    let seconds = time_ns / 1_000_000_000 + 2;
-    seconds % DAY_S < 4 && day_of_month(seconds / DAY_S) == 1
+    let Ok(later) = Timestamp::from_nanosecond(i128::from(time_ns) + 2 * i128::from(SECOND_NS)) else { return false };
+    let later = TimeZone::UTC.to_datetime(later);
+    (later.day(), later.hour(), later.minute()) == (1, 0, 0) && later.second() < 4
 }
 
 /// Converts a time such as "2026-11-22T12:00:00.100Z" to nanoseconds since 1970, without leap seconds; `None` if
-/// malformed.
+/// malformed. A second 60 is the first of the next minute.
 fn nanoseconds(text: &str) -> Option<u64> {
-    let number = |digits: &str| {
-        let all = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
-        digits.parse::<u64>().ok().filter(|_| all)
-    };
-    let (date, time) = text.strip_suffix('Z')?.split_once('T')?;
-    let mut date = date.splitn(3, '-').map(number);
-    let (year, month, day) = (date.next()??, date.next()??, date.next()??);
-    let (time, fraction) = time.split_once('.').unwrap_or((time, "0"));
-    let mut time = time.splitn(3, ':').map(number);
-    let (hour, minute, second) = (time.next()??, time.next()??, time.next()??);
-    let sound = (1970..=LATEST_YEAR).contains(&year) && (1..=12).contains(&month) && (1..=31).contains(&day);
-    if !(sound && hour < 24 && minute < 60 && second <= 60 && fraction.len() <= 9) {
-        return None;
-    }
-    let fraction_ns = number(fraction)? * 10u64.pow(9 - fraction.len() as u32);
-    let seconds = ((days(year, month, day) * 24 + hour) * 60 + minute) * 60 + second;
-    Some(seconds * 1_000_000_000 + fraction_ns)
-}
-
-/// Returns the number of days from 1970-01-01 to a date of the Gregorian calendar. Internally a year begins in March,
-/// so that a leap day is its last day.
-fn days(year: u64, month: u64, day: u64) -> u64 {
-    let (year, month) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
-    // Month lengths from March repeat the pattern 31, 30, 31, 30, 31 days: 153 days in five months.
-    let in_year = (153 * month + 2) / 5 + day - 1;
-    // 1970-01-01 is day 719468 from 0000-03-01.
-    365 * year + year / 4 - year / 100 + year / 400 + in_year - 719_468
-}
-
-/// Returns the day of the month of the day that is `day` days after 1970-01-01.
-fn day_of_month(day: u64) -> u64 {
-    // The other way round of `days`, by eras of 400 years from March (Hinnant, chrono-compatible date algorithms).
-    let of_era = (day + 719_468) % 146_097;
-    let year = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
-    let of_year = of_era - (365 * year + year / 4 - year / 100);
-    let month = (5 * of_year + 2) / 153;
-    of_year - (153 * month + 2) / 5 + 1
+    let time: Timestamp = text.parse().ok().filter(|_| text.ends_with('Z'))?;
+    // The library takes a second 60 for a second 59.
+    let leap = if text.as_bytes().get(16..19) == Some(b":60") { SECOND_NS } else { 0 };
+    let time_ns = u64::try_from(time.as_nanosecond()).ok()?;
+    (TimeZone::UTC.to_datetime(time).year() <= LATEST_YEAR).then_some(time_ns + leap)
 }
 
 #[cfg(test)]
@@ -274,8 +246,25 @@ mod tests {
             assert_eq!(nanoseconds(text), Some(seconds * 1_000_000_000), "{text}");
         }
         assert_eq!(nanoseconds("1970-01-01T00:00:00.1Z"), Some(100_000_000));
-        let wrong =
-            ["", "Z", "T", "2026-11-22", "2026-13-22T12:00:00Z", "2026-11-22T12:00:00.+1Z", "2026-11-22T24:00:00Z"];
+        assert_eq!(nanoseconds("1970-01-01T00:00:59.000000001Z"), Some(59_000_000_001));
+        // A leap second, and the second that has the same stamp.
+        assert_eq!(nanoseconds("2016-12-31T23:59:60.900Z"), nanoseconds("2017-01-01T00:00:00.900Z"));
+        assert_eq!(nanoseconds("2016-12-31T23:59:60.900Z"), Some(1_483_228_800_900_000_000));
+        let wrong = [
+            "",
+            "Z",
+            "T",
+            "2026-11-22",
+            "2026-13-22T12:00:00Z",
+            "2026-11-22T12:00:00.+1Z",
+            "2026-11-22T24:00:00Z",
+            "2026-02-29T12:00:00Z",
+            "2026-11-22T12:00:00+01:00",
+            "2026-11-22T12:00:61Z",
+            "1969-12-31T23:59:59Z",
+            "2501-01-01T00:00:00Z",
+            "9999-12-31T23:59:60Z",
+        ];
         wrong.iter().for_each(|text| assert_eq!(nanoseconds(text), None, "{text}"));
     }
 
@@ -294,10 +283,6 @@ mod tests {
             ("2026-06-29T23:59:59.000Z", false),
         ] {
             assert_eq!(may_leap(nanoseconds(text).unwrap()), may, "{text}");
-        }
-        for day in 0..200_000 {
-            let (first, next) = (day_of_month(day), day_of_month(day + 1));
-            assert!((1..=31).contains(&first) && (next == first + 1 || (next == 1 && first >= 28)), "{day}");
         }
     }
 
