@@ -168,7 +168,7 @@ fn service_socket() -> Option<UnixDatagram> {
     let name = std::env::var_os("NOTIFY_SOCKET")?;
     let address = match name.as_bytes() {
         #[cfg(target_os = "linux")]
-        [b'@', name @ ..] => std::os::linux::net::SocketAddrExt::from_abstract_name(name),
+        [b'@', name @ ..] => <SocketAddr as std::os::linux::net::SocketAddrExt>::from_abstract_name(name),
         _ => SocketAddr::from_pathname(&name),
     };
     let socket = UnixDatagram::unbound().ok()?;
