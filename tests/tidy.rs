@@ -290,76 +290,78 @@ const AT_THE_EDGE: [&str; 10] = [
     "src/runtime/",
 ];
 
+/// Words that only some files may contain, with these files or the folders that they are in.
+const CONFINED: [(&str, &[&str]); 12] = [
+    ("unsafe", &["crates/train/src/matrix.rs"]),
+    ("actix", &AT_THE_EDGE),
+    ("tokio", &AT_THE_EDGE),
+    (
+        "Instant",
+        &[
+            "crates/devices/src/robomaster/worker.rs",
+            "crates/devices/src/natnet/worker.rs",
+            "crates/zenoh/src/session.rs",
+            "crates/ros2/src/",
+            "src/edge/",
+            "src/runtime/real.rs",
+            "crates/view/src/",
+            "src/live/",
+            "crates/lab/src/machine/",
+            "crates/launch/src/",
+            "crates/record/src/writer.rs",
+            "crates/cli/src/",
+            "crates/robot/src/",
+        ],
+    ),
+    ("SystemTime", &["crates/lab/src/machine/", "crates/ros2/src/dds.rs", "crates/cli/src/", "crates/robot/src/"]),
+    (
+        "std::fs",
+        &[
+            "crates/digest/src/",
+            "src/config/regular.rs",
+            "crates/lab/src/machine/",
+            "crates/record/src/chosen.rs",
+            "crates/record/src/file.rs",
+            "crates/replay/src/files.rs",
+            "crates/ros2/src/node.rs",
+            "src/edge/exclusive.rs",
+            "crates/cli/src/",
+            "crates/robot/src/",
+        ],
+    ),
+    (
+        "std::env",
+        &[
+            "crates/digest/src/",
+            "crates/replay/src/files.rs",
+            "crates/ros2/src/",
+            "src/edge/exclusive.rs",
+            "crates/cli/src/",
+            "crates/robot/src/",
+        ],
+    ),
+    ("thread_rng", &[]),
+    ("rand::rng()", &[]),
+    ("HashMap", &[]),
+    // Only their folder names the transports.
+    (
+        "Udp",
+        &[
+            "crates/zenoh/src/route.rs",
+            "crates/devices/src/robomaster/sockets.rs",
+            "crates/devices/src/robomaster/worker.rs",
+            "crates/devices/src/natnet/worker.rs",
+            "src/net/transport/",
+        ],
+    ),
+    ("udp::", &["src/net/transport/"]),
+];
+
 /// Checks words that only some files may contain.
 #[test]
 fn access_to_the_machine_is_confined_to_its_files() {
-    let rules: [(&str, &[&str]); 12] = [
-        ("unsafe", &["crates/train/src/matrix.rs"]),
-        ("actix", &AT_THE_EDGE),
-        ("tokio", &AT_THE_EDGE),
-        (
-            "Instant",
-            &[
-                "crates/devices/src/robomaster/worker.rs",
-                "crates/devices/src/natnet/worker.rs",
-                "crates/zenoh/src/session.rs",
-                "crates/ros2/src/",
-                "src/edge/",
-                "src/runtime/real.rs",
-                "crates/view/src/",
-                "src/live/",
-                "crates/lab/src/machine/",
-                "crates/launch/src/",
-                "crates/record/src/writer.rs",
-                "crates/cli/src/",
-                "crates/robot/src/",
-            ],
-        ),
-        ("SystemTime", &["crates/lab/src/machine/", "crates/ros2/src/dds.rs", "crates/cli/src/", "crates/robot/src/"]),
-        (
-            "std::fs",
-            &[
-                "crates/digest/src/",
-                "src/config/regular.rs",
-                "crates/lab/src/machine/",
-                "crates/record/src/chosen.rs",
-                "crates/record/src/file.rs",
-                "crates/replay/src/files.rs",
-                "crates/ros2/src/node.rs",
-                "src/edge/exclusive.rs",
-                "crates/cli/src/",
-                "crates/robot/src/",
-            ],
-        ),
-        (
-            "std::env",
-            &[
-                "crates/digest/src/",
-                "crates/replay/src/files.rs",
-                "crates/ros2/src/",
-                "src/edge/exclusive.rs",
-                "crates/cli/src/",
-                "crates/robot/src/",
-            ],
-        ),
-        ("thread_rng", &[]),
-        ("rand::rng()", &[]),
-        ("HashMap", &[]),
-        // Only their folder names the transports.
-        (
-            "Udp",
-            &[
-                "crates/zenoh/src/route.rs",
-                "crates/devices/src/robomaster/sockets.rs",
-                "crates/devices/src/robomaster/worker.rs",
-                "crates/devices/src/natnet/worker.rs",
-                "src/net/transport/",
-            ],
-        ),
-        ("udp::", &["src/net/transport/"]),
-    ];
     for source in library() {
-        for (word, places) in rules {
+        for (word, places) in CONFINED {
             if !places.iter().any(|place| source.path.starts_with(place)) {
                 assert_eq!(source.lines_with(word), Vec::<String>::new(), "'{word}' is not allowed there");
             }
