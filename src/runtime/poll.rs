@@ -93,7 +93,9 @@ mod tests {
         assert_eq!((wait(&mut watch, false).0, wait(&mut watch, false).0), (vec![0], vec![0]));
         (&*far).read_exact(&mut [0]).unwrap();
         drop(pipe);
-        assert_eq!(wait(&mut watch, false).0, [1], "its other end is closed");
+        // A process that another test starts just now has the other end for a moment, too.
+        let ended = (0..10_000).map(|_| wait(&mut watch, false).0).find(|ready| !ready.is_empty());
+        assert_eq!(ended, Some(vec![1]), "its other end is closed");
         watch.remove(1, &(Rc::clone(&far) as Rc<dyn AsFd>));
         assert_eq!(wait(&mut watch, false), (vec![], true));
     }
