@@ -62,7 +62,8 @@ impl Roadmap {
                 here if here == start => all.filter(|place| self.is_reached(from, *place)).collect(),
                 here if here == goal => Vec::new(),
                 place => {
-                    let arrives = self.is_beside(place, to) && is_free(&self.arena, at(place), to);
+                    let free = is_free(&self.arena, at(place), to) || self.leaves(to, at(place));
+                    let arrives = self.is_beside(place, to) && free;
                     self.ways[place].iter().copied().chain(arrives.then_some(goal)).collect()
                 }
             };
@@ -72,15 +73,22 @@ impl Roadmap {
         Some(path.into_iter().skip(1).map(at).collect())
     }
 
-    /// Returns whether a robot at `from` \[m\] can drive straight to the place with the index `place`. From inside a
-    /// block, where noise may put it, it can leave.
+    /// Returns whether a robot at `from` \[m\] can drive straight to the place with the index `place`: on a free line
+    /// or, where the robot is nearer to a block than paths are, on one that leaves the block.
     fn is_reached(&self, from: Vec2, place: usize) -> bool {
-        let inside = |block: &&KeepOut| block.distance(from) > 0.0;
-        if self.arena.keep_outs.iter().all(|block| inside(&block)) {
-            return is_free(&self.arena, from, self.places[place].at);
-        }
-        let keep_outs = self.arena.keep_outs.iter().filter(inside).copied().collect();
-        is_free(&Arena { keep_outs, ..self.arena.clone() }, from, self.places[place].at)
+        let Place { at, .. } = self.places[place];
+        is_free(&self.arena, from, at) || self.is_beside(place, from) && self.leaves(from, at)
+    }
+
+    /// Returns whether the straight line from `from` to `to` \[m\] touches no block and comes no nearer to one than its
+    /// nearer end. From inside a block, where noise may put a robot, it can leave.
+    fn leaves(&self, from: Vec2, to: Vec2) -> bool {
+        let outside = self.arena.keep_outs.iter().filter(|block| block.distance(from) > 0.0);
+        outside.into_iter().all(|block| {
+            let ends = block.distance(from).min(block.distance(to));
+            let passes = corners_at(block, 0.0).into_iter().map(|corner| distance(from, to, corner));
+            !block.blocks(from, to, 0.0) && passes.fold(ends, f32::min) >= margin_m(&self.arena).min(ends - BESIDE_M)
+        })
     }
 
     /// Returns whether a path may lead straight from one place to another, both given by their indices.
@@ -106,9 +114,8 @@ impl Roadmap {
 /// Returns the points \[m\] at which paths turn around `block`: its corners, at the clearance that paths keep. Those at
 /// which no robot can be and those within a bottleneck are left out.
 fn corners(arena: &Arena, block: &KeepOut) -> impl Iterator<Item = Vec2> {
-    let (away, [min, max]) = (Vec2::repeat(margin_m(arena) + BESIDE_M), [block.min, block.max]);
-    let ([low, high], block) = ([min - away, max + away], *block);
-    [low, Vec2::new(high.x, low.y), high, Vec2::new(low.x, high.y)].into_iter().filter(move |corner| {
+    let block = *block;
+    corners_at(&block, margin_m(arena) + BESIDE_M).into_iter().filter(move |corner| {
         let within = |portal: &Portal| {
             let along = portal.far - portal.near;
             let share = (corner - portal.near).dot(&along) / along.norm_squared();
@@ -119,6 +126,19 @@ fn corners(arena: &Arena, block: &KeepOut) -> impl Iterator<Item = Vec2> {
         };
         arena.admits(*corner) && !arena.portals.iter().any(within)
     })
+}
+
+/// Returns the corners \[m\] of `block` enlarged by `margin_m` \[m\] on each side.
+fn corners_at(block: &KeepOut, margin_m: f32) -> [Vec2; 4] {
+    let [low, high] = [block.min.add_scalar(-margin_m), block.max.add_scalar(margin_m)];
+    [low, Vec2::new(high.x, low.y), high, Vec2::new(low.x, high.y)]
+}
+
+/// Returns the distance \[m\] of `point` from the straight line between `from` and `to` \[m\].
+fn distance(from: Vec2, to: Vec2, point: Vec2) -> f32 {
+    let along = to - from;
+    let share = ((point - from).dot(&along) / along.norm_squared().max(f32::MIN_POSITIVE)).clamp(0.0, 1.0);
+    (from + along * share - point).norm()
 }
 
 /// Returns the length of a straight line \[µm\]; a path with fewer points is preferred to another of the same length.
@@ -175,6 +195,47 @@ mod tests {
         assert_eq!(map.path(to, from), Some(vec![far, near, from]));
         assert_eq!(map.path(near, to), Some(vec![far, to]));
         assert_eq!(map.path(from, Vec2::new(-1.5, -1.5)), Some(vec![Vec2::new(-1.5, -1.5)]));
+    }
+
+    /// The path through one bottleneck: by the mouths, in the direction that is shorter, and straight to the second as
+    /// soon as the line to it is free.
+    fn through(arena: &Arena, from: Vec2, to: Vec2) -> Vec<Vec2> {
+        let Portal { near, far } = arena.portals[0];
+        let length = |[entry, exit]: [Vec2; 2]| (entry - from).norm() + (to - exit).norm();
+        let [entry, exit] = if length([near, far]) <= length([far, near]) { [near, far] } else { [far, near] };
+        match (is_free(arena, from, to), is_free(arena, from, exit)) {
+            (true, _) => vec![to],
+            (_, true) => vec![exit, to],
+            _ => vec![entry, exit, to],
+        }
+    }
+
+    #[test]
+    fn there_is_a_path_from_wherever_a_robot_can_be_at_a_bottleneck() {
+        use rand::RngExt;
+        let passage = build("passage", &Settings::default()).unwrap();
+        let mut stream = Seed::of_run(5).stream("ends");
+        for ahead_m in [0.0, 0.05, 0.1] {
+            let arena = passage.arena().about_point(ahead_m);
+            let map = Roadmap::new(&arena);
+            assert_eq!(map.places.len(), 2);
+            for _ in 0..20_000 {
+                // A robot's point, or its goal, is at times nearer to the wall than the larger radius.
+                let mut end = |wide: f32| loop {
+                    let at = Vec2::new(stream.random_range(-wide..wide), stream.random_range(-wide..wide));
+                    if passage.arena().admits(at) {
+                        return at;
+                    }
+                };
+                let (from, to) = (end(0.8), end(2.0));
+                let path = map.path(from, to).unwrap_or_else(|| panic!("none from {from:?} to {to:?} at {ahead_m}"));
+                // One whose goal is on its side of the wall stays there.
+                let expected = if from.y * to.y < 0.0 { through(&arena, from, to) } else { path.clone() };
+                assert_eq!(path, expected, "from {from:?} to {to:?} at {ahead_m}");
+                let stays = from.y * to.y <= 0.0 || path.iter().all(|point| point.y * to.y > 0.0);
+                assert!(stays, "from {from:?} to {to:?} at {ahead_m}: {path:?}");
+            }
+        }
     }
 
     #[test]
