@@ -8,10 +8,11 @@ use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use nix::sys::signal::{Signal, kill, killpg};
-#[cfg(target_os = "linux")]
-use nix::sys::wait::{Id, WaitPidFlag, WaitStatus, waitid};
 use nix::unistd::{Pid, getpgid, getsid};
-use tokio::signal::unix::{Signal as Signals, SignalKind, signal};
+#[cfg(target_os = "linux")]
+use rustix::process::{PidfdFlags, pidfd_open};
+#[cfg(target_os = "linux")]
+use tokio::io::{Interest, unix::AsyncFd};
 
 use crate::config::shown;
 
@@ -59,14 +60,7 @@ impl Group {
 
     /// Returns a future that is ready when the program has ended. Its group has to be ended all the same.
     pub(super) fn ended(&self) -> impl Future<Output = ()> + 'static {
-        let id = self.id;
-        async move {
-            // Without a handler of the signal the end is noticed when the program's input is closed.
-            let Ok(mut children) = signal(SignalKind::child()) else { return std::future::pending().await };
-            while !has_ended(id) {
-                next(&mut children).await;
-            }
-        }
+        end_of(self.id)
     }
 
     /// Kills the program's group: the program if it has not ended, and what it has forked. Returns the numbers and
@@ -98,22 +92,26 @@ impl Drop for Group {
     }
 }
 
-async fn next(children: &mut Signals) {
-    children.recv().await;
-}
-
-/// Whether the program has ended; its exit status is left to be read.
+/// Waits until the process has ended; its exit status is left to be read. (By a descriptor of the process and not by
+/// the signal of its end: a signal would interrupt the waits of all other threads.)
 #[cfg(target_os = "linux")]
-fn has_ended(id: Pid) -> bool {
-    let flags = WaitPidFlag::WEXITED | WaitPidFlag::WNOWAIT | WaitPidFlag::WNOHANG;
-    // An error says that there is no such process any more.
-    waitid(Id::Pid(id), flags) != Ok(WaitStatus::StillAlive)
+#[expect(deprecated, reason = "its replacement asks for a promise, which an owned descriptor keeps")]
+async fn end_of(id: Pid) {
+    let process = rustix::process::Pid::from_raw(id.as_raw()).expect("a process has a number above zero");
+    let watched = pidfd_open(process, PidfdFlags::NONBLOCK)
+        .map_err(io::Error::from)
+        .and_then(|process| AsyncFd::with_interest(process, Interest::READABLE));
+    match watched {
+        Ok(process) => drop(process.readable().await),
+        // A kernel before 5.3: the end is noticed when the program's input is closed.
+        Err(_) => std::future::pending().await,
+    }
 }
 
-/// Stands for a question that nix does not ask here: the end is noticed when the program's output is closed.
+/// Stands for a question that is not asked here: the end is noticed when the program's input is closed.
 #[cfg(not(target_os = "linux"))]
-fn has_ended(_: Pid) -> bool {
-    false
+async fn end_of(_: Pid) {
+    std::future::pending().await
 }
 
 /// Starts the shell that kills the group if this process is killed. Without a shell that is not done.
