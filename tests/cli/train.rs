@@ -122,7 +122,7 @@ fn a_printed_configuration_is_for_the_team_of_the_scenario() {
     assert!(said.contains("clip = 0.1\n") && said.contains("loss = [0.1, 0.2]"), "{said}");
     for (wrong, words) in [
         ("ppo.clip", "FIELD=VALUE"),
-        ("ppo.clap=1", "--set ppo.clap=1: clap: unknown field"),
+        ("ppo.clap=1", "--set ppo.clap=1: ppo.clap: unknown field"),
         ("ppo.clip=much", "--set ppo.clip=much: clip: invalid type"),
         ("ppo.clip=-1", "clip"),
         ("episode_s.most=1", "'episode_s' has no fields"),
