@@ -1,4 +1,4 @@
-//! Channel between the control thread and the actor of a worker: bounded both ways, and nobody waits on it.
+//! Channel between the control thread and the actor of a worker: bounded both ways, without waiting on either side.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
@@ -34,7 +34,7 @@ pub struct Port {
     name: String,
     sender: PacketSender,
     lives: Arc<AtomicU32>,
-    /// Dropped with the port, so that its receiver learns of the worker's end; `None` if nobody waits for that.
+    /// Dropped with the port, so that its receiver learns of the worker's end; `None` without a receiver.
     alive: Option<std::sync::mpsc::Sender<()>>,
     /// Dropped last, so that the control thread finds the channel closed when it is signalled.
     _end: SignalOnDrop,

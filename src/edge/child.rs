@@ -89,6 +89,7 @@ impl Actor for Runner {
 
 impl Supervised for Runner {
     fn restarting(&mut self, context: &mut Context<Self>) {
+        self.ends = false;
         // What the program has reported of its robot or of itself is no longer known.
         self.port.begin_again();
         context.run_later(self.pause, Runner::begin);
@@ -115,7 +116,6 @@ impl Runner {
     /// Starts the program; if that is not possible, this life of the actor is over.
     fn begin(&mut self, context: &mut Context<Self>) {
         self.lives += 1;
-        self.ends = false;
         match self.launch() {
             Ok(life) => {
                 let ended = life.group.ended();

@@ -18,12 +18,12 @@ use crate::config::shown;
 
 /// Variable of the program's environment by which what it has started is found.
 const MARK: &str = "MURMURATE_STARTED_BY";
-/// What the shell runs that outlives this process: the end of its stdin is this process's end. The program may then
-/// stop its robot for half a second, as ever; a shell whose `sleep` knows no fractions gives it a second.
+/// Script of the shell that kills the group after the end of this process, which is the end of the shell's stdin. The
+/// program has half a second to stop its robot; a second if `sleep` accepts no fractions.
 const GUARD: &str = "read -r _; sleep 0.5 || sleep 1; kill -KILL -- \"-$1\"";
 
-/// What a shell runs to print the numbers and names of all processes with a variable in their environment. Those of
-/// other users cannot be read.
+/// Script that prints the numbers and names of all processes with a variable in their environment, except those of
+/// other users, whose environment cannot be read.
 const SEARCH: &str = "for file in $(grep -lsaF \"$1\" /proc/[0-9]*/environ); do pid=${file#/proc/}; \
                       pid=${pid%/environ}; read -r name <\"/proc/$pid/comm\" && echo \"$pid $name\"; done";
 

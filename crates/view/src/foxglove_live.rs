@@ -48,7 +48,7 @@ enum Request {
     Unsubscribe {
         subscription_ids: Vec<u32>,
     },
-    /// What this server has not, such as parameters.
+    /// Operation that this server does not support, such as a request for parameters.
     #[serde(other)]
     Other,
 }
@@ -147,7 +147,7 @@ fn framed(subscription: u32, now: Duration, data: &[u8]) -> Bytes {
     bytes.into()
 }
 
-/// What is drawn of the scene, and with which robots are drawn.
+/// Properties of the scene that are drawn, and sizes of the drawn robots.
 #[derive(Default, Deserialize)]
 struct Ground {
     hull_m: f64,

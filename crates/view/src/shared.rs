@@ -89,8 +89,8 @@ pub(super) struct Shared {
     pub closing: AtomicBool,
     /// Present connections, within their limits.
     pub places: Mutex<Places>,
-    /// Wakes the tasks of all connections: there are newer values, or the server is being closed. It is for the
-    /// server's own thread; the control thread wakes nobody.
+    /// Wakes the tasks of all connections: there are newer values, or the server is being closed. Only the server's
+    /// own thread uses it, so the control thread makes no system call.
     pub news: Notify,
     /// Number of requests and commands that were refused so far.
     pub refused: AtomicU64,
@@ -144,7 +144,7 @@ impl Shared {
 pub(super) struct Connection {
     /// Its two ends.
     pub ends: Ends,
-    /// Its place, which is free when nobody has it any more.
+    /// Its place, which is released with the last reference.
     pub place: Arc<Place>,
 }
 

@@ -366,7 +366,7 @@ impl Keeper {
         self.worker.news.report(Renewed::Closed("this machine's address or interface has changed".to_owned()));
         let closed = open.close();
         // A session that listens occupies its port. The end of any other may wait for a router that is not reached any
-        // more, so nobody waits for it.
+        // more, so the next session is opened beside it.
         if awaits(&self.worker.zenoh) {
             context.spawn(closed.into_actor(self).map(|_, keeper, context| keeper.begin(context)));
         } else {

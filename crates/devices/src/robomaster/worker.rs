@@ -72,7 +72,7 @@ enum Control {
     Open(Connection),
 }
 
-/// What a connection or a socket of the robot has received.
+/// Data received on a connection or a socket of the robot.
 enum Received {
     /// Bytes of the control connection with this number; none at its end.
     Control(u32, io::Result<Vec<u8>>),
