@@ -2,8 +2,9 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::time::Duration;
 
-use actix::{Message, Recipient, dev::SendError};
+use actix::{Actor, ActorContext, AsyncContext, Context, Message, Recipient, dev::SendError};
 use tokio::sync::mpsc;
 use tokio::sync::mpsc::error::{TryRecvError, TrySendError};
 
@@ -121,6 +122,19 @@ impl Port {
         self.alive = Some(alive);
     }
 
+    /// Calls `begin` after `pause`, for `Actor::started`; stops the actor if the channel has been closed. (The actor
+    /// library calls `started` at each start of an actor, after `Supervised::restarting`.)
+    pub fn resume<A>(&self, pause: Duration, context: &mut Context<A>, begin: fn(&mut A, &mut Context<A>))
+    where
+        A: Actor<Context = Context<A>>,
+    {
+        if self.sender.is_closed() {
+            context.stop();
+        } else {
+            context.run_later(pause, begin);
+        }
+    }
+
     /// Reports to the control thread that the worker begins again, so that nothing that it has sent before holds any
     /// more. Packets of the senders made before are dropped from now on.
     pub fn begin_again(&mut self) {
@@ -227,8 +241,10 @@ impl Gate {
 
 impl Drop for Gate {
     fn drop(&mut self) {
+        // An actor that stops upon the message may be started again before this end of its mailbox is gone; then it
+        // finds the channel closed.
+        self.rx.close();
         // A message without a bound, since a full mailbox must not keep a robot from being stopped.
         self.to.iter().for_each(|to| to.do_send(Input::Close));
-        self.rx.close();
     }
 }

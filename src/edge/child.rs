@@ -44,7 +44,7 @@ impl Worker for Program {
             port,
             life: None,
             ends: false,
-            pause: PAUSES[0],
+            pause: Duration::ZERO,
             lives: 0,
             refused: 0,
         })
@@ -63,7 +63,7 @@ struct Runner {
     life: Option<Life>,
     /// Whether the program is being ended.
     ends: bool,
-    /// Pause before the next start.
+    /// Pause before the program is started; zero before the first start and after one that was steady.
     pause: Duration,
     /// Number of starts so far.
     lives: u64,
@@ -83,17 +83,20 @@ impl Actor for Runner {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
-        self.begin(context);
+        if self.pause.is_zero() {
+            self.begin(context);
+        } else {
+            self.port.resume(self.pause, context, Runner::begin);
+        }
     }
 }
 
 impl Supervised for Runner {
-    fn restarting(&mut self, context: &mut Context<Self>) {
+    fn restarting(&mut self, _: &mut Context<Self>) {
         self.ends = false;
         // What the program has reported of its robot or of itself is no longer known.
         self.port.begin_again();
-        context.run_later(self.pause, Runner::begin);
-        self.pause = (2 * self.pause).min(PAUSES[1]);
+        self.pause = (2 * self.pause).clamp(PAUSES[0], PAUSES[1]);
     }
 }
 
@@ -173,7 +176,7 @@ impl Runner {
         };
         self.ends = true;
         if began.elapsed() >= STEADY {
-            self.pause = PAUSES[0];
+            self.pause = Duration::ZERO;
         }
         drop(stdin);
         let program = self.program().to_owned();
@@ -234,7 +237,8 @@ mod tests {
     use std::thread;
 
     use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
-    use nix::unistd::Pid;
+    use nix::sys::signal::{Signal, kill};
+    use nix::unistd::{Pid, getsid};
 
     use super::*;
     use crate::edge::{Gate, WorkerState, start};
@@ -312,6 +316,20 @@ mod tests {
     }
 
     #[test]
+    fn a_host_that_ends_between_two_starts_of_a_program_does_not_start_it_again() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let file = folder.path().join("pids");
+        // It ends at its first start, and never at another.
+        let script = format!("echo $$ >> {0}; [ $(wc -l < {0}) = 1 ] || exec tail -f /dev/null", file.display());
+        let command = ["sh", "-c", &script].map(str::to_owned).to_vec();
+        let (mut gate, running) = start(Box::new(Program { command }), "a program").unwrap();
+        assert_eq!(next(&mut gate, 1), (vec![], WorkerState::Restarted));
+        drop(gate);
+        assert!(running.join(HANGS), "it ends");
+        assert_eq!(pids(&file, 1).len(), 1, "{}", fs::read_to_string(&file).unwrap());
+    }
+
+    #[test]
     fn a_program_that_cannot_be_started_is_tried_again_until_the_host_ends() {
         let folder = tempfile::TempDir::new().unwrap();
         let file = folder.path().join("late");
@@ -326,5 +344,26 @@ mod tests {
         assert_eq!(here, Some(Packet::from(*b"here\n")));
         drop(gate);
         assert!(running.join(HANGS));
+    }
+
+    #[test]
+    fn what_has_a_session_of_its_own_is_named_and_what_has_only_another_group_is_ended() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let file = folder.path().join("pids");
+        let other = "python3 -c 'import os, time; os.setpgid(0, 0); print(os.getpid(), flush=True); time.sleep(600)'";
+        let script =
+            format!("setsid sh -c 'echo $$ >> {0}; exec tail -f /dev/null' & {other} >> {0} & wait", file.display());
+        let (group, _pipes) = Group::start(&["sh", "-c", &script].map(str::to_owned)).unwrap();
+        let started = pids(&file, 2);
+        let is_daemon = |pid: &Pid| getsid(Some(*pid)) == Ok(*pid);
+        let daemon = *started.iter().find(|pid| is_daemon(pid)).expect("one has a session of its own");
+        assert_eq!(group.end(), [format!("{daemon} (tail)")]);
+        for pid in &started {
+            while runs(*pid) && *pid != daemon {
+                thread::park_timeout(LOOK);
+            }
+        }
+        assert!(runs(daemon), "it may be meant to stay");
+        kill(daemon, Signal::SIGKILL).unwrap();
     }
 }

@@ -5,11 +5,11 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use actix::{Actor, ArbiterHandle, Context, Handler, Recipient, Supervised, Supervisor, System};
+use actix::{Actor, ActorContext, ArbiterHandle, Context, Handler, Recipient, Supervised, Supervisor, System};
 use tokio::runtime;
 
-use super::ROOM;
 use super::channel::{self, Gate, Input, PacketSender, Port};
+use super::{Packet, ROOM};
 use crate::config::ConfigError;
 
 /// Input and output of a driver, a source of readings or an observer, before it is started: settings, from which an
@@ -62,6 +62,38 @@ impl Seat {
             make(port)
         };
         Supervisor::start_in_arbiter(&arbiter, start).recipient()
+    }
+
+    /// Starts an actor that calls the function that `make` returns with each packet of the control thread, until the
+    /// channel is closed: for a worker that has no input and no timers of its own.
+    pub fn serve<F>(self, make: impl FnOnce() -> F + Send + 'static) -> Recipient<Input>
+    where
+        F: FnMut(Packet) + Unpin + 'static,
+    {
+        self.start(|port| Server { handle: make(), _port: port })
+    }
+}
+
+/// Actor that calls a function with each packet.
+struct Server<F> {
+    handle: F,
+    _port: Port,
+}
+
+impl<F: FnMut(Packet) + Unpin + 'static> Actor for Server<F> {
+    type Context = Context<Self>;
+}
+
+impl<F: FnMut(Packet) + Unpin + 'static> Supervised for Server<F> {}
+
+impl<F: FnMut(Packet) + Unpin + 'static> Handler<Input> for Server<F> {
+    type Result = ();
+
+    fn handle(&mut self, input: Input, context: &mut Context<Self>) {
+        match input {
+            Input::Packet(packet) => (self.handle)(packet),
+            Input::Close => context.stop(),
+        }
     }
 }
 

@@ -6,14 +6,14 @@
 
 use std::collections::BTreeMap;
 
-use actix::{Actor, ActorContext, Context, Handler, Recipient, Supervised};
+use actix::Recipient;
 use serde::Deserialize;
 
 use super::alignment::Alignment;
 use super::plausibility::Quality;
 use super::{In, Out, Parts, Source};
 use crate::config::ConfigError;
-use crate::edge::{Input, Port, Seat, Settings, Worker};
+use crate::edge::{Input, Seat, Settings, Worker};
 use crate::messages::geometry::Pose;
 use crate::messages::ids::RobotId;
 use crate::time::Time;
@@ -100,28 +100,7 @@ struct Idle;
 
 impl Worker for Idle {
     fn start(self: Box<Self>, seat: Seat) -> Recipient<Input> {
-        seat.start(|_port| Idler { _port })
-    }
-}
-
-/// Actor of a source that needs no input of its own.
-struct Idler {
-    _port: Port,
-}
-
-impl Actor for Idler {
-    type Context = Context<Self>;
-}
-
-impl Supervised for Idler {}
-
-impl Handler<Input> for Idler {
-    type Result = ();
-
-    fn handle(&mut self, input: Input, context: &mut Context<Self>) {
-        if input == Input::Close {
-            context.stop();
-        }
+        seat.serve(|| drop)
     }
 }
 

@@ -6,9 +6,9 @@ use std::process::Command;
 use std::rc::Rc;
 use std::time::Duration;
 
-use actix::{Actor, Context, Handler, Recipient, Supervised};
+use actix::Recipient;
 use murmurate::actor::Core;
-use murmurate::edge::{self, Input, Packet, Port, Seat, Worker};
+use murmurate::edge::{self, Input, Packet, Seat, Worker};
 use murmurate::faults::{ActorFault, ActorFaultKind, Role};
 use murmurate::messages::ids::RobotId;
 use murmurate::runtime::clock::Clock;
@@ -175,25 +175,7 @@ struct Fragile;
 
 impl Worker for Fragile {
     fn start(self: Box<Self>, seat: Seat) -> Recipient<Input> {
-        seat.start(|_port| Breaker { _port })
-    }
-}
-
-struct Breaker {
-    _port: Port,
-}
-
-impl Actor for Breaker {
-    type Context = Context<Self>;
-}
-
-impl Supervised for Breaker {}
-
-impl Handler<Input> for Breaker {
-    type Result = ();
-
-    fn handle(&mut self, input: Input, _: &mut Context<Self>) {
-        assert_eq!(input, Input::Close, "it takes no packets");
+        seat.serve(|| |packet| panic!("it takes no packets, such as {packet:?}"))
     }
 }
 

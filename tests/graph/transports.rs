@@ -6,11 +6,11 @@ use std::path::Path;
 use std::rc::Rc;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use actix::{Actor, ActorContext, Context, Handler, Recipient, Supervised};
+use actix::Recipient;
 use murmurate::config::ConfigError;
 use murmurate::config::fields::FieldType;
 use murmurate::deploy::team::TeamFile;
-use murmurate::edge::{self, Gate, Input, PacketSender, Port, Seat, Worker};
+use murmurate::edge::{self, Gate, Input, PacketSender, Seat, Worker};
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::link::{Guest, Standing};
 use murmurate::net::protocol::reliability::{Reliabilities, Setup};
@@ -307,29 +307,16 @@ impl Worker for Member {
         let mut members = MEMBERS.lock().unwrap_or_else(PoisonError::into_inner);
         members.retain(|(_, _, sender)| !sender.is_closed());
         members.push((self.hub.clone(), self.host, seat.sender()));
-        seat.start(|port| Passer { member: *self, _port: port })
+        drop(members);
+        seat.serve(move || move |packet| self.pass_on(&packet))
     }
 }
 
-struct Passer {
-    member: Member,
-    _port: Port,
-}
-
-impl Actor for Passer {
-    type Context = Context<Self>;
-}
-
-impl Supervised for Passer {}
-
-impl Handler<Input> for Passer {
-    type Result = ();
-
-    fn handle(&mut self, input: Input, context: &mut Context<Self>) {
-        let Input::Packet(packet) = input else { return context.stop() };
+impl Member {
+    fn pass_on(&self, packet: &[u8]) {
         let to = u16::from_le_bytes([packet[0], packet[1]]);
-        let (Member { hub, host }, members) = (&self.member, MEMBERS.lock().unwrap_or_else(PoisonError::into_inner));
-        let others = members.iter().filter(|(other, of, _)| other == hub && of != host);
+        let members = MEMBERS.lock().unwrap_or_else(PoisonError::into_inner);
+        let others = members.iter().filter(|(hub, host, _)| *hub == self.hub && *host != self.host);
         for (_, _, sender) in others.filter(|(_, other, _)| to == u16::MAX || other.0 == to) {
             sender.send(packet[2..].into());
         }

@@ -269,15 +269,11 @@ impl Actor for Keeper {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
-        self.begin(context);
+        self.port.resume(Duration::ZERO, context, Keeper::begin);
     }
 }
 
-impl Supervised for Keeper {
-    fn restarting(&mut self, context: &mut Context<Self>) {
-        self.begin(context);
-    }
-}
+impl Supervised for Keeper {}
 
 impl Handler<Input> for Keeper {
     type Result = ();

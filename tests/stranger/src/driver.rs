@@ -2,10 +2,10 @@
 
 use std::net::{SocketAddr, UdpSocket};
 
-use actix::{Actor, ActorContext, Context, Handler, Recipient, Supervised};
+use actix::Recipient;
 use murmurate::config::ConfigError;
 use murmurate::drivers::{Command, Driver, Entry, Limits, Out, Parts};
-use murmurate::edge::{Input, Port, Seat, Settings, Worker};
+use murmurate::edge::{Input, Seat, Settings, Worker};
 use murmurate::messages::geometry::Planar;
 use murmurate::messages::ids::RobotId;
 use murmurate::time::Time;
@@ -53,34 +53,11 @@ struct Sender {
 
 impl Worker for Sender {
     fn start(self: Box<Self>, seat: Seat) -> Recipient<Input> {
-        seat.start(move |port| {
+        // On a thread of its own, whose actor gets a packet after the other.
+        seat.serve(move || {
             let socket = UdpSocket::bind("127.0.0.1:0").expect("a machine has a loopback interface");
-            Line { robot: self.robot, socket, _port: port }
-        })
-    }
-}
-
-/// Actor of the worker, on a thread of its own.
-struct Line {
-    robot: SocketAddr,
-    socket: UdpSocket,
-    _port: Port,
-}
-
-impl Actor for Line {
-    type Context = Context<Self>;
-}
-
-impl Supervised for Line {}
-
-impl Handler<Input> for Line {
-    type Result = ();
-
-    fn handle(&mut self, input: Input, context: &mut Context<Self>) {
-        match input {
             // The next datagram replaces a lost one.
-            Input::Packet(packet) => drop(self.socket.send_to(&packet, self.robot)),
-            Input::Close => context.stop(),
-        }
+            move |packet| drop(socket.send_to(&packet, self.robot))
+        })
     }
 }

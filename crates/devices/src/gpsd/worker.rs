@@ -37,7 +37,7 @@ pub struct Subscriber {
 
 impl Worker for Subscriber {
     fn start(self: Box<Self>, seat: Seat) -> Recipient<Input> {
-        seat.start(move |port| Client { config: *self, port, pause: PAUSES[0], failures: 0 })
+        seat.start(move |port| Client { config: *self, port, pause: Duration::ZERO, failures: 0 })
     }
 }
 
@@ -45,7 +45,7 @@ impl Worker for Subscriber {
 struct Client {
     config: Subscriber,
     port: Port,
-    /// Pause before the next connection.
+    /// Pause before the next connection; zero before the first and after one that has had a line.
     pause: Duration,
     /// Number of connections that have failed or ended so far, since one has had a line.
     failures: u32,
@@ -55,14 +55,13 @@ impl Actor for Client {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
-        self.subscribe(context);
+        self.port.resume(self.pause, context, Client::subscribe);
     }
 }
 
 impl Supervised for Client {
-    fn restarting(&mut self, context: &mut Context<Self>) {
-        context.run_later(self.pause, Client::subscribe);
-        self.pause = (2 * self.pause).min(PAUSES[1]);
+    fn restarting(&mut self, _: &mut Context<Self>) {
+        self.pause = (2 * self.pause).clamp(PAUSES[0], PAUSES[1]);
     }
 }
 
@@ -96,7 +95,7 @@ impl Client {
     /// Counts the end of a connection, and logs the ends 1, 2, 4, 8 and so on.
     fn fail(&mut self, heard: bool, error: &io::Error) {
         if heard {
-            (self.pause, self.failures) = (PAUSES[0], 0);
+            (self.pause, self.failures) = (Duration::ZERO, 0);
         }
         self.failures += 1;
         if self.failures.is_power_of_two() {

@@ -81,14 +81,13 @@ impl Actor for Receiver {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
-        self.open(context);
+        self.port.resume(std::mem::take(&mut self.pause), context, Receiver::open);
     }
 }
 
 impl Supervised for Receiver {
-    fn restarting(&mut self, context: &mut Context<Self>) {
+    fn restarting(&mut self, _: &mut Context<Self>) {
         self.sockets = None;
-        context.run_later(std::mem::take(&mut self.pause), Receiver::open);
     }
 }
 
