@@ -123,7 +123,7 @@ fn a_printed_configuration_is_for_the_team_of_the_scenario() {
     for (wrong, words) in [
         ("ppo.clip", "FIELD=VALUE"),
         ("ppo.clap=1", "--set ppo.clap=1: ppo.clap: unknown field"),
-        ("ppo.clip=much", "--set ppo.clip=much: clip: invalid type"),
+        ("ppo.clip=much", "--set ppo.clip=much: ppo.clip: invalid type"),
         ("ppo.clip=-1", "clip"),
         ("episode_s.most=1", "'episode_s' has no fields"),
     ] {

@@ -5,31 +5,24 @@
 //! A connection is HTTP/1.1 by hyper, within the limits that [the page on
 //! threats](https://github.com/murmurate/murmurate/blob/main/docs/watch.md) lists.
 
-use std::convert::Infallible;
-use std::io;
 use std::net::TcpListener;
 use std::pin::pin;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::sync::mpsc::{Receiver, sync_channel};
-use std::thread::Builder;
 use std::time::Duration;
 
-use actix::{
-    Actor, Addr, AsyncContext, Context, Handler, Message, SpawnHandle, StreamHandler, Supervised, Supervisor, System,
-};
+use actix::{Actor, ActorContext, AsyncContext, Context, Handler, Recipient, SpawnHandle, StreamHandler, Supervised};
 use axum::Router;
 use futures_util::stream::{self, Stream};
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::net::TcpStream;
-use tokio::runtime;
 use tokio::sync::oneshot;
 use tokio_io_timeout::TimeoutStream;
 use tower::ServiceExt as _;
 
-use murmurate::edge::EndsProcess;
+use murmurate::edge::{EndsProcess, Input, Port, Seat, Worker};
 
 use super::access::Ends;
 use super::request;
@@ -48,76 +41,57 @@ const HEADER_TIME: Duration = Duration::from_secs(5);
 /// Write timeout: a connection is closed if its client does not read for this long.
 const WRITE_TIME: Duration = Duration::from_secs(5);
 
-/// A server that runs on its own thread.
-pub(super) struct Running {
-    page: Addr<Page>,
-    /// Closed when the thread ends; nothing is ever sent.
-    ended: Receiver<Infallible>,
+/// The server before it is started: a listening socket, which does not block, and what it shares with the control
+/// thread.
+pub(super) struct Listening {
+    /// Socket that the server accepts connections from.
+    pub listener: TcpListener,
+    /// State shared with the control thread.
+    pub shared: Arc<Shared>,
 }
 
-impl Running {
-    /// Starts the server on a thread of its own.
-    pub fn start(listener: TcpListener, shared: Arc<Shared>) -> io::Result<Running> {
-        let runtime = runtime::Builder::new_current_thread().enable_all().build()?;
-        listener.set_nonblocking(true)?;
-        let listener = {
-            let _inside = runtime.enter();
-            tokio::net::TcpListener::from_std(listener)?
-        };
-        let (started, page) = sync_channel(1);
-        let (end, ended) = sync_channel(0);
-        Builder::new().name("page".to_owned()).spawn(move || {
-            let (_guard, _end) = (EndsProcess(PAGE), end);
-            let system = System::with_tokio_rt(move || runtime);
+impl Worker for Listening {
+    fn start(self: Box<Self>, seat: Seat) -> Recipient<Input> {
+        let Listening { listener, shared } = *self;
+        seat.start(move |port| {
             let router = request::router(Arc::clone(&shared));
-            let page = Page { listener: Arc::new(listener), router, shared, seen: [0; 3], accepting: None };
-            let _ = started.send(system.block_on(async { Supervisor::start(|_| page) }));
-            // It ends when the actor stops the system.
-            let _ = system.run();
-        })?;
-        Ok(Running { page: page.recv().map_err(io::Error::other)?, ended })
+            Page { listener, router, shared, seen: [0; 3], accepting: None, _port: port }
+        })
     }
-
-    /// Closes the server, and waits until it has ended, but not for long.
-    pub fn close(self) {
-        if self.page.try_send(Close).is_ok() {
-            // Closed or too late: it ends either way.
-            let _ = self.ended.recv_timeout(2 * CLOSING);
-        }
-    }
-}
-
-/// Message to the server: send the last status, and end.
-struct Close;
-
-impl Message for Close {
-    type Result = ();
 }
 
 /// The server as an actor.
 struct Page {
-    listener: Arc<tokio::net::TcpListener>,
+    listener: TcpListener,
     router: Router,
     shared: Arc<Shared>,
     /// Version numbers of the values that connections know of.
     seen: [u64; 3],
     /// Stream of new connections; `None` once the server is being closed.
     accepting: Option<SpawnHandle>,
+    _port: Port,
 }
 
 impl Actor for Page {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Self::Context) {
-        self.accepting = Some(context.add_stream(accept(Arc::clone(&self.listener))));
-        context.run_interval(LOOK, |page, _| page.look());
+        // The actor library calls this once more when the closed server has stopped before its mailbox is gone.
+        if self.shared.is_closing() {
+            return context.stop();
+        }
+        match self.listener.try_clone().and_then(tokio::net::TcpListener::from_std) {
+            Ok(listener) => self.accepting = Some(context.add_stream(accept(listener))),
+            Err(error) => tracing::error!("the live page cannot be opened: {error}; start the program again for it"),
+        }
+        context.run_interval(LOOK, Page::look);
     }
 }
 
 impl Supervised for Page {}
 
 /// Connections that arrive at `listener`.
-fn accept(listener: Arc<tokio::net::TcpListener>) -> impl Stream<Item = TcpStream> {
+fn accept(listener: tokio::net::TcpListener) -> impl Stream<Item = TcpStream> {
     stream::unfold(listener, async |listener| {
         loop {
             match listener.accept().await {
@@ -131,7 +105,6 @@ fn accept(listener: Arc<tokio::net::TcpListener>) -> impl Stream<Item = TcpStrea
 
 impl StreamHandler<TcpStream> for Page {
     fn handle(&mut self, stream: TcpStream, _: &mut Self::Context) {
-        let _guard = EndsProcess(PAGE);
         // An error means that the client has ended it already.
         let (Ok(local), Ok(peer), Ok(())) = (stream.local_addr(), stream.peer_addr(), stream.set_nodelay(true)) else {
             return;
@@ -143,31 +116,33 @@ impl StreamHandler<TcpStream> for Page {
     }
 }
 
-impl Handler<Close> for Page {
+impl Handler<Input> for Page {
     type Result = ();
 
-    fn handle(&mut self, _: Close, context: &mut Self::Context) {
-        let _guard = EndsProcess(PAGE);
+    /// Closes the server: sends the last status, and ends. There are no packets to it.
+    fn handle(&mut self, input: Input, context: &mut Self::Context) {
+        if input != Input::Close || self.shared.is_closing() {
+            return;
+        }
         if let Some(accepting) = self.accepting.take() {
             context.cancel_future(accepting);
         }
         self.shared.closing.store(true, Ordering::Release);
         self.shared.news.notify_waiters();
-        context.run_later(CLOSING, |_, _| System::current().stop());
+        context.run_later(CLOSING, |_, context| context.stop());
     }
 }
 
 impl Page {
     /// Wakes the connections if there are newer values; ends the closing server when all connections have ended.
-    fn look(&mut self) {
-        let _guard = EndsProcess(PAGE);
+    fn look(&mut self, context: &mut Context<Page>) {
         let numbers = self.shared.numbers();
         if numbers != self.seen {
             self.seen = numbers;
             self.shared.news.notify_waiters();
         }
         if self.shared.is_closing() && self.shared.places().len() == 0 {
-            System::current().stop();
+            context.stop();
         }
     }
 }

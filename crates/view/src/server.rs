@@ -15,9 +15,11 @@ use axum::body::Bytes;
 use axum::extract::ws::Utf8Bytes;
 use tokio::sync::Notify;
 
+use murmurate::edge::{self, Gate, Running};
+
 use super::access::Access;
 use super::command::Command;
-use super::host::Running;
+use super::host::Listening;
 use super::places::{MAX_WAITING, Places};
 use super::shared::{Shared, Slot};
 
@@ -26,11 +28,14 @@ use super::shared::{Shared, Slot};
 pub const MAX_CONNECTIONS: usize = MAX_WAITING;
 /// Capacity of the command queue. Further commands are refused.
 const MAX_COMMANDS: usize = 64;
+/// Longest time that closing the server takes: twice what it gives to its connections.
+const CLOSE: Duration = Duration::from_secs(1);
 
 /// Running HTTP server of the live page.
 pub struct Server {
     shared: Arc<Shared>,
     address: SocketAddr,
+    gate: Gate,
     running: Running,
 }
 
@@ -46,6 +51,7 @@ impl Server {
     /// the constant properties of the run, which every page gets first.
     pub fn open(listen: SocketAddr, access: Access, scene: String) -> io::Result<(Server, Publisher)> {
         let listener = TcpListener::bind(listen)?;
+        listener.set_nonblocking(true)?;
         let address = listener.local_addr()?;
         let (sender, commands) = sync_channel(MAX_COMMANDS);
         let shared = Arc::new(Shared {
@@ -64,8 +70,8 @@ impl Server {
             news: Notify::new(),
             refused: AtomicU64::new(0),
         });
-        let running = Running::start(listener, Arc::clone(&shared))?;
-        let server = Server { shared: Arc::clone(&shared), address, running };
+        let (gate, running) = edge::start(Box::new(Listening { listener, shared: Arc::clone(&shared) }), "page")?;
+        let server = Server { shared: Arc::clone(&shared), address, gate, running };
         Ok((server, Publisher { shared, commands }))
     }
 
@@ -86,7 +92,8 @@ impl Server {
 
     /// Closes the server. Pages still get the last status if they read it within half a second.
     pub fn close(self) {
-        self.running.close();
+        drop(self.gate);
+        self.running.join(CLOSE);
     }
 }
 
