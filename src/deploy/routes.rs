@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::Deployment;
 use crate::messages::ids::{HostId, LinkId, RobotId};
-use crate::messages::wire::{KINDS, Kind};
+use crate::messages::kinds::{KINDS, Kind, Publisher, Receiver};
 use crate::net::protocol::router::{Audience, Publishers, Route, Router};
 
 /// For all actors of a checked deployment, the hosts on which they run; for all messages, the hosts and links between
@@ -167,16 +167,16 @@ impl Routes {
 
     fn receivers(&self, kind: Kind, robot: RobotId) -> Receivers<'_> {
         let (mut hosts, mut except) = (&self.agent_hosts[..], None);
-        match kind {
-            Kind::Reading => hosts = &self.reading_hosts[robot.index()],
-            Kind::MotorCommand => hosts = std::slice::from_ref(&self.actuator_host[robot.index()]),
-            Kind::Heartbeat | Kind::Status => hosts = std::slice::from_ref(&self.server_host),
-            Kind::Mode => hosts = &self.mode_hosts,
-            Kind::Stop | Kind::Observe | Kind::Located => hosts = &self.stop_hosts,
-            Kind::Place => hosts = &self.localizer_hosts,
-            Kind::Telemetry => hosts = &[],
-            Kind::Latent => {
-                // Robots of one Agent exchange latents within its step, without messages.
+        match kind.receiver() {
+            Receiver::Readers => hosts = &self.reading_hosts[robot.index()],
+            Receiver::Actuator => hosts = std::slice::from_ref(&self.actuator_host[robot.index()]),
+            Receiver::StateServer => hosts = std::slice::from_ref(&self.server_host),
+            Receiver::All => hosts = &self.mode_hosts,
+            Receiver::Movers => hosts = &self.stop_hosts,
+            Receiver::Localizers => hosts = &self.localizer_hosts,
+            Receiver::Nobody => hosts = &[],
+            Receiver::OtherAgents => {
+                // Robots of one Agent exchange messages within its step, without sending them.
                 let host = self.agent_host(robot);
                 except = (self.agent_robots(robot).len() == self.agent_counts[usize::from(host.0)]).then_some(host);
             }
@@ -226,11 +226,12 @@ impl Routes {
 
     /// Returns the host that publishes messages of kind `kind` about `robot`; `None` if any host may.
     fn publisher(&self, kind: Kind, robot: RobotId) -> Option<HostId> {
-        match kind {
-            Kind::Reading => Some(self.localizer_host(robot)),
-            Kind::Latent | Kind::MotorCommand | Kind::Heartbeat => Some(self.agent_host(robot)),
-            Kind::Mode => Some(self.server_host),
-            Kind::Stop | Kind::Status | Kind::Observe | Kind::Telemetry | Kind::Place | Kind::Located => None,
+        match kind.publisher() {
+            Publisher::Localizer => Some(self.localizer_host(robot)),
+            Publisher::Agent => Some(self.agent_host(robot)),
+            Publisher::Actuator => Some(self.actuator_host(robot)),
+            Publisher::StateServer => Some(self.server_host),
+            Publisher::Member | Publisher::Operator | Publisher::MemberOrOperator | Publisher::Anyone => None,
         }
     }
 
@@ -256,11 +257,11 @@ impl Routes {
     pub fn listeners(&self, kind: Kind) -> Vec<HostId> {
         let receivers = |robot| self.receivers(kind, robot);
         // These lists are the same for all robots, except that one host may be left out for a robot.
-        let of_all = match kind {
-            Kind::Reading | Kind::MotorCommand | Kind::Heartbeat | Kind::Status => {
+        let of_all = match kind.receiver() {
+            Receiver::Readers | Receiver::Actuator => {
                 RobotId::team(self.robots).flat_map(|robot| receivers(robot).hosts).copied().collect()
             }
-            Kind::Latent | Kind::Mode | Kind::Stop | Kind::Observe | Kind::Telemetry | Kind::Place | Kind::Located => {
+            _ => {
                 let receives = |host: &HostId| RobotId::team(self.robots).any(|robot| receivers(robot).has(*host));
                 receivers(RobotId(0)).hosts.iter().copied().filter(receives).collect::<BTreeSet<HostId>>()
             }
@@ -276,10 +277,7 @@ impl Routes {
             let local = receivers.has(host);
             let mut others = receivers.iter().filter(|&taker| taker != host);
             let audience = match (others.next(), others.next()) {
-                // Operators on any machine receive it.
-                _ if matches!(kind, Kind::Status | Kind::Telemetry | Kind::Located) => {
-                    self.links[kind as usize].map(|_| Audience::All)
-                }
+                _ if kind.is_for_operators() => self.links[kind as usize].map(|_| Audience::All),
                 (None, _) => None,
                 (Some(only), None) => Some(Audience::Host(only)),
                 _ => Some(Audience::All),

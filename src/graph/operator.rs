@@ -14,7 +14,7 @@ use super::sockets::Shared;
 use crate::actors::network;
 use crate::actors::order::Order;
 use crate::messages::ids::{HostId, LinkId};
-use crate::messages::wire::{Kind, Observe, Place, Placed, Status, Wire};
+use crate::messages::wire::{Observe, Place, Placed, Status, Wire};
 use crate::net::protocol::router::{Audience, Publishers, Route, Router};
 use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
@@ -41,19 +41,10 @@ pub fn wire(
     report: impl Fn(Event) + 'static,
 ) -> Mailbox<network::In> {
     let Operator { end, robots, publishers, stop } = operator;
-    let router = Router::new(robots, |kind, _| match kind {
-        // A wiggle ends when another host stops the team.
-        Kind::Stop => Route { local: true, leaves: stop.map(|link| (link, Audience::All)) },
-        Kind::Observe | Kind::Place => Route { local: false, leaves: stop.map(|link| (link, Audience::All)) },
-        // The live page shows latents and readings if this link carries them.
-        Kind::Heartbeat
-        | Kind::Mode
-        | Kind::Status
-        | Kind::Telemetry
-        | Kind::Located
-        | Kind::Latent
-        | Kind::Reading => Route { local: true, leaves: None },
-        _ => Route::default(),
+    // Besides what it is for, a link may carry latents and readings, which the live page shows.
+    let router = Router::new(robots, |kind, _| Route {
+        local: kind.interests_operators(),
+        leaves: stop.filter(|_| kind.is_of_operators()).map(|link| (link, Audience::All)),
     });
     end.open((clock, readers), router.with_publishers(publishers), report)
 }

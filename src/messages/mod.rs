@@ -1,6 +1,6 @@
 //! All messages of the system: plain data, encoded with serde. Messages check only that their values are in range.
 //!
-//! `wire` holds messages that may cross hosts and therefore always pass through a Network. `local` holds messages
+//! `wire` holds messages that may cross hosts and therefore always pass through a Network; `kinds` is the table of them. `local` holds messages
 //! between the actors of one host. `ids`, `geometry`, `floats`, `hardware`, `latch`, `phase`, `place`, `round`,
 //! `status` and `telemetry` are their parts. `isometry` converts poses to those of nalgebra and back.
 
@@ -9,6 +9,7 @@ pub mod geometry;
 pub mod hardware;
 pub mod ids;
 mod isometry;
+pub mod kinds;
 pub mod latch;
 pub mod local;
 pub mod phase;

@@ -4,6 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::geometry::Pose;
 use super::ids::{HostId, RobotId};
+use super::kinds::{Body, Publisher, Unfit};
+use super::wire::MAX_BLOCK;
 
 /// Statement of an operator of where a robot is, sent to every host; the host that measures the robot acts on it. It is
 /// repeated until that host answers with a [`Placed`] in a [`Located`].
@@ -134,6 +136,46 @@ pub struct Located {
     pub robots: Vec<(RobotId, Whereabouts)>,
     /// Answer to an operator; `None` if the message answers nobody.
     pub answer: Option<Placed>,
+}
+
+impl Body for Place {
+    fn robot(&self) -> RobotId {
+        self.robot
+    }
+
+    fn check(&self) -> Result<(), Unfit> {
+        self.pose.is_sound().then_some(()).ok_or(Unfit::Number)
+    }
+
+    fn author(&self) -> Option<HostId> {
+        Some(self.by)
+    }
+}
+
+impl Body for Located {
+    fn robot(&self) -> RobotId {
+        self.robots.first().map_or(RobotId(0), |(robot, _)| *robot)
+    }
+
+    fn check(&self) -> Result<(), Unfit> {
+        match () {
+            () if self.answer.and_then(|answer| answer.measured).is_some_and(|pose| !pose.is_sound()) => {
+                Err(Unfit::Number)
+            }
+            () if self.robots.len() > MAX_BLOCK => Err(Unfit::Length),
+            () => Ok(()),
+        }
+    }
+
+    fn author(&self) -> Option<HostId> {
+        Some(self.host)
+    }
+
+    /// It is about robots that the sender measures.
+    fn is_for(&self, is: impl Fn(Publisher, RobotId) -> bool) -> bool {
+        let answered = self.answer.iter().map(|answer| answer.robot);
+        self.robots.iter().map(|(robot, _)| *robot).chain(answered).all(|robot| is(Publisher::Localizer, robot))
+    }
 }
 
 /// Conversions of an enumeration to its number on the wire and back.

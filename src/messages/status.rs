@@ -3,7 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::ids::{HostId, RobotId};
+use super::kinds::{Body, Unfit};
 use super::latch::Latch;
+use super::wire::MAX_BLOCK;
 
 /// States of the emergency stop that the controller and the body of one robot follow, as known to one host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -72,4 +74,19 @@ pub struct Status {
     pub robots: Vec<Following>,
     /// Emergency stop state of the state server, sent by the host that runs it; `None` from every other host.
     pub leading: Option<Leading>,
+}
+
+impl Body for Status {
+    fn robot(&self) -> RobotId {
+        self.robots.first().map_or(RobotId(0), |following| following.robot)
+    }
+
+    fn check(&self) -> Result<(), Unfit> {
+        let hindrances = self.leading.as_ref().map_or(0, |leading| leading.hindrances.len());
+        if self.robots.len() > MAX_BLOCK || hindrances > MAX_HINDRANCES { Err(Unfit::Length) } else { Ok(()) }
+    }
+
+    fn author(&self) -> Option<HostId> {
+        Some(self.host)
+    }
 }

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::geometry::Pose;
 use super::hardware::{Celsius, Health, Reason};
 use super::ids::{HostId, RobotId};
+use super::kinds::{Body, Publisher, Unfit};
 use super::phase::Phase;
 use super::trigger::Trigger;
 
@@ -79,3 +80,47 @@ pub struct Telemetry {
 
 /// Largest number of robots in one [`Telemetry`] message: 24 x 41 bytes and one reason fit into one datagram.
 pub const MAX_CONDITIONS: usize = 24;
+
+impl Body for Observe {
+    fn robot(&self) -> RobotId {
+        RobotId(0)
+    }
+
+    fn check(&self) -> Result<(), Unfit> {
+        Ok(())
+    }
+
+    fn author(&self) -> Option<HostId> {
+        Some(self.by)
+    }
+}
+
+impl Body for Telemetry {
+    fn robot(&self) -> RobotId {
+        self.robots.first().map_or(RobotId(0), |condition| condition.robot)
+    }
+
+    fn check(&self) -> Result<(), Unfit> {
+        let reasons = self.robots.iter().filter(|robot| robot.reason.is_some()).count();
+        match () {
+            () if !self.robots.iter().filter_map(|robot| robot.seen).all(|seen| seen.pose.is_sound()) => {
+                Err(Unfit::Number)
+            }
+            () if self.robots.len() > MAX_CONDITIONS || reasons > 1 => Err(Unfit::Length),
+            () => Ok(()),
+        }
+    }
+
+    fn author(&self) -> Option<HostId> {
+        Some(self.host)
+    }
+
+    /// Of each robot, the host of its agent tells phase and pose, that of its motors health and battery.
+    fn is_for(&self, is: impl Fn(Publisher, RobotId) -> bool) -> bool {
+        self.robots.iter().all(|told| {
+            let decided = told.phase.is_none() && told.seen.is_none() || is(Publisher::Agent, told.robot);
+            let moved = told.health.is_none() && told.battery.is_none() || is(Publisher::Actuator, told.robot);
+            decided && moved
+        })
+    }
+}

@@ -12,6 +12,8 @@ pub use super::floats::{Features, MAX_FEATURES};
 use super::geometry::{Deviation, Motion, Pose, Task, Twist, Vec2, is_sound};
 pub use super::hardware::{Celsius, Hardware, Health, Reason};
 use super::ids::{HostId, RobotId};
+use super::kinds::{Body, Publisher};
+pub use super::kinds::{KINDS, Kind, Unfit, Wire};
 use super::latch::Latch;
 pub use super::phase::Phase;
 pub use super::place::{Located, Place, Placed, Whereabouts};
@@ -184,191 +186,93 @@ impl Stop {
     }
 }
 
-/// A message that may cross hosts, of any kind. Each variant names the sending and receiving actors.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Wire {
-    /// Measurement of a robot's pose and velocity, from the Localizer that measures the robot to its Cache and other
-    /// users.
-    Reading(Reading),
-    /// Features of a robot's policy and its motion, from the robot's Agent to the Caches of its neighbours.
-    Latent(Latent),
-    /// Velocity command, from a robot's Controller to its Body.
-    MotorCommand(MotorCommand),
-    /// Progress of a robot in the episode, from the robot's Controller to the state server.
-    Heartbeat(Heartbeat),
-    /// Instruction for the team's episode, from the state server (the team's coordinator) to every host.
-    Mode(Mode),
-    /// Emergency stop, re-arm or resume, from an operator or any host to every host.
-    Stop(Stop),
-    /// Emergency stop states of a host's robots, from the host to operators and the state server.
-    Status(Status),
-    /// Request for telemetry, from an observer to every host.
-    Observe(Observe),
-    /// Conditions of a host's robots, from the host to observers.
-    Telemetry(Telemetry),
-    /// Statement of where a robot is, from an operator to the Localizer that measures the robot.
-    Place(Place),
-    /// Robots whose poses are unknown, from the Localizer that measures them to Controllers, the state server and
-    /// operators.
-    Located(Located),
-}
-
-/// Kind of a wire message. The routing table of a deployment names messages by their kind.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Kind {
-    /// Measurement of a robot's pose and velocity: a message [`Reading`].
-    Reading,
-    /// Features of a robot's policy for its neighbours: a message [`Latent`].
-    Latent,
-    /// Velocity command for a robot: a message [`MotorCommand`].
-    MotorCommand,
-    /// Progress of a robot in the episode: a message [`Heartbeat`].
-    Heartbeat,
-    /// Instruction of the state server to robots: a message [`Mode`].
-    Mode,
-    /// Emergency stop, re-arm or resume: a message [`Stop`].
-    Stop,
-    /// Status of a host for operators and the state server: a message [`Status`]. It travels on the link of the
-    /// emergency stop.
-    Status,
-    /// Request of an observer for telemetry: a message [`Observe`]. It travels on the link of the emergency stop.
-    Observe,
-    /// Condition of a host's robots for observers: a message [`Telemetry`]. It travels on the link of the emergency
-    /// stop.
-    Telemetry,
-    /// Statement of an operator of where a robot is: a message [`Place`]. It travels on the link of the emergency stop.
-    Place,
-    /// Robots whose poses are unknown: a message [`Located`]. It travels on the link of the emergency stop.
-    Located,
-}
-
-impl Kind {
-    /// Whether messages of this kind always travel on the link that carries the emergency stop, so that a deployment
-    /// does not list them. True for `Status`, `Observe`, `Telemetry`, `Place` and `Located`.
-    pub(crate) fn follows_the_stop(self) -> bool {
-        matches!(self, Kind::Status | Kind::Observe | Kind::Telemetry | Kind::Place | Kind::Located)
-    }
-}
-
-/// All kinds of wire messages, in the order of their numbers on the wire.
-pub const KINDS: [Kind; 11] = [
-    Kind::Reading,
-    Kind::Latent,
-    Kind::MotorCommand,
-    Kind::Heartbeat,
-    Kind::Mode,
-    Kind::Stop,
-    Kind::Status,
-    Kind::Observe,
-    Kind::Telemetry,
-    Kind::Place,
-    Kind::Located,
-];
-
-/// Reason for which a wire message is invalid and may not be sent.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Unfit {
-    /// A position, velocity or feature is NaN, infinite or too large.
-    #[error("a number is not finite or out of range")]
-    Number,
-    /// A list of the message is longer than its limit, or empty where at least one entry is needed; or a telemetry
-    /// message has more than one fault reason.
-    #[error("a list is empty or too long")]
-    Length,
-    /// The validity of a motor command exceeds [`MAX_VALIDITY`].
-    #[error("the validity of a command is too long")]
-    Validity,
-    /// The block of robots of a [`Mode`] message goes beyond the largest robot id, 65 535.
-    #[error("a block of robots exceeds the largest robot id")]
-    Block,
-    /// The term of a round (the number of the state server's start) is too large to be valid.
-    #[error("the term of a round is out of range")]
-    Term,
-}
-
 /// Whether no number in `floats` is NaN, infinite or larger than [`MAX_FEATURE`] (1e6) in absolute value. There is no
 /// early return, so the function compiles to a few vector instructions.
 pub(crate) fn all_sound(floats: &[f32]) -> bool {
     floats.iter().fold(true, |all, float| all & (float.abs() <= MAX_FEATURE))
 }
 
-impl Wire {
-    /// Returns the kind of this message, as used by routing tables.
-    pub fn kind(&self) -> Kind {
-        match self {
-            Wire::Reading(_) => Kind::Reading,
-            Wire::Latent(_) => Kind::Latent,
-            Wire::MotorCommand(_) => Kind::MotorCommand,
-            Wire::Heartbeat(_) => Kind::Heartbeat,
-            Wire::Mode(_) => Kind::Mode,
-            Wire::Stop(_) => Kind::Stop,
-            Wire::Status(_) => Kind::Status,
-            Wire::Observe(_) => Kind::Observe,
-            Wire::Telemetry(_) => Kind::Telemetry,
-            Wire::Place(_) => Kind::Place,
-            Wire::Located(_) => Kind::Located,
-        }
+impl Body for Reading {
+    fn robot(&self) -> RobotId {
+        self.robot
     }
 
-    /// Returns the robot that sends the message, is measured in it or is commanded by it. For `Mode`, `Status`,
-    /// `Telemetry` and `Located` it is the first robot of the message's list; for `Stop`, `Observe` and an empty list,
-    /// robot 0.
-    pub fn robot(&self) -> RobotId {
-        match self {
-            Wire::Reading(m) => m.robot,
-            Wire::Latent(m) => m.robot,
-            Wire::MotorCommand(m) => m.robot,
-            Wire::Heartbeat(m) => m.robot,
-            Wire::Mode(m) => m.first,
-            Wire::Stop(_) | Wire::Observe(_) => RobotId(0),
-            Wire::Telemetry(m) => m.robots.first().map_or(RobotId(0), |condition| condition.robot),
-            Wire::Status(m) => m.robots.first().map_or(RobotId(0), |following| following.robot),
-            Wire::Place(m) => m.robot,
-            Wire::Located(m) => m.robots.first().map_or(RobotId(0), |(robot, _)| *robot),
-        }
+    fn check(&self) -> Result<(), Unfit> {
+        let sound = self.pose.is_sound() && self.twist.is_sound() && self.deviation.is_sound();
+        sound.then_some(()).ok_or(Unfit::Number)
+    }
+}
+
+impl Body for Latent {
+    fn robot(&self) -> RobotId {
+        self.robot
     }
 
-    /// Checks that the message's numbers and list lengths are in range, and returns the first violation found. The
-    /// sending and the receiving host both check each message.
-    pub fn check(&self) -> Result<(), Unfit> {
-        let sound = match self {
-            Wire::Reading(m) => m.pose.is_sound() && m.twist.is_sound() && m.deviation.is_sound(),
-            Wire::Latent(m) => m.motion.is_sound() && all_sound(&m.features.0),
-            Wire::MotorCommand(m) => is_sound(m.velocity),
-            Wire::Telemetry(m) => m.robots.iter().filter_map(|robot| robot.seen).all(|seen| seen.pose.is_sound()),
-            Wire::Place(m) => m.pose.is_sound(),
-            Wire::Located(m) => m.answer.and_then(|answer| answer.measured).is_none_or(|pose| pose.is_sound()),
-            Wire::Heartbeat(_) | Wire::Stop(_) | Wire::Status(_) | Wire::Observe(_) => true,
-            Wire::Mode(m) => m.tasks.iter().all(|task| is_sound(task.start) && is_sound(task.goal)),
-        };
-        if !sound {
-            return Err(Unfit::Number);
+    fn check(&self) -> Result<(), Unfit> {
+        match () {
+            () if !self.motion.is_sound() || !all_sound(&self.features.0) => Err(Unfit::Number),
+            () if self.round.term > MAX_TERM => Err(Unfit::Term),
+            () if self.features.0.len() > MAX_FEATURES => Err(Unfit::Length),
+            () => Ok(()),
         }
-        let round = match self {
-            Wire::Latent(m) => m.round,
-            Wire::Heartbeat(m) => m.round,
-            Wire::Mode(m) => m.round,
-            _ => Round::default(),
-        };
-        if round.term > MAX_TERM {
-            return Err(Unfit::Term);
+    }
+}
+
+impl Body for MotorCommand {
+    fn robot(&self) -> RobotId {
+        self.robot
+    }
+
+    fn check(&self) -> Result<(), Unfit> {
+        match () {
+            () if !is_sound(self.velocity) => Err(Unfit::Number),
+            () if self.valid_for > MAX_VALIDITY => Err(Unfit::Validity),
+            () => Ok(()),
         }
-        match self {
-            Wire::Latent(m) if m.features.0.len() > MAX_FEATURES => Err(Unfit::Length),
-            Wire::MotorCommand(m) if m.valid_for > MAX_VALIDITY => Err(Unfit::Validity),
-            Wire::Mode(m) if m.tasks.is_empty() || m.tasks.len() > MAX_BLOCK => Err(Unfit::Length),
-            Wire::Mode(m) if usize::from(m.first.0) + m.tasks.len() > 1 + usize::from(u16::MAX) => Err(Unfit::Block),
-            Wire::Status(m) if m.robots.len() > MAX_BLOCK => Err(Unfit::Length),
-            Wire::Located(m) if m.robots.len() > MAX_BLOCK => Err(Unfit::Length),
-            Wire::Telemetry(m) if m.robots.len() > MAX_CONDITIONS => Err(Unfit::Length),
-            Wire::Telemetry(m) if m.robots.iter().filter(|robot| robot.reason.is_some()).count() > 1 => {
-                Err(Unfit::Length)
-            }
-            Wire::Status(m) if m.leading.as_ref().is_some_and(|l| l.hindrances.len() > MAX_HINDRANCES) => {
-                Err(Unfit::Length)
-            }
-            _ => Ok(()),
+    }
+}
+
+impl Body for Heartbeat {
+    fn robot(&self) -> RobotId {
+        self.robot
+    }
+
+    fn check(&self) -> Result<(), Unfit> {
+        if self.round.term > MAX_TERM { Err(Unfit::Term) } else { Ok(()) }
+    }
+}
+
+impl Body for Mode {
+    fn robot(&self) -> RobotId {
+        self.first
+    }
+
+    fn check(&self) -> Result<(), Unfit> {
+        match () {
+            () if !self.tasks.iter().all(|task| is_sound(task.start) && is_sound(task.goal)) => Err(Unfit::Number),
+            () if self.round.term > MAX_TERM => Err(Unfit::Term),
+            () if self.tasks.is_empty() || self.tasks.len() > MAX_BLOCK => Err(Unfit::Length),
+            () if usize::from(self.first.0) + self.tasks.len() > 1 + usize::from(u16::MAX) => Err(Unfit::Block),
+            () => Ok(()),
         }
+    }
+}
+
+impl Body for Stop {
+    fn robot(&self) -> RobotId {
+        RobotId(0)
+    }
+
+    fn check(&self) -> Result<(), Unfit> {
+        Ok(())
+    }
+
+    fn author(&self) -> Option<HostId> {
+        (!self.latch.is_engaged()).then_some(self.by)
+    }
+
+    /// Every host may stop the team; only an operator or a host of the team may re-arm or resume it.
+    fn is_for(&self, is: impl Fn(Publisher, RobotId) -> bool) -> bool {
+        self.latch.is_engaged() || is(Publisher::MemberOrOperator, self.robot())
     }
 }

@@ -17,7 +17,7 @@
 
 use std::sync::Arc;
 
-use serde::Deserialize;
+use serde::de::DeserializeSeed as _;
 
 use super::unpack::Reader;
 use crate::messages::ids::HostId;
@@ -196,20 +196,7 @@ pub fn encode(header: &Header, message: &Wire) -> Result<Frame, EncodeError> {
     message.check().map_err(|unfit| EncodeError::Unfit(kind, unfit))?;
     let mut bytes = start(header);
     add(&mut bytes, Content::Message(kind), |bytes| {
-        match message {
-            Wire::Reading(body) => rmp_serde::encode::write(bytes, body),
-            Wire::Latent(body) => rmp_serde::encode::write(bytes, body),
-            Wire::MotorCommand(body) => rmp_serde::encode::write(bytes, body),
-            Wire::Heartbeat(body) => rmp_serde::encode::write(bytes, body),
-            Wire::Mode(body) => rmp_serde::encode::write(bytes, body),
-            Wire::Stop(body) => rmp_serde::encode::write(bytes, body),
-            Wire::Status(body) => rmp_serde::encode::write(bytes, body),
-            Wire::Observe(body) => rmp_serde::encode::write(bytes, body),
-            Wire::Telemetry(body) => rmp_serde::encode::write(bytes, body),
-            Wire::Place(body) => rmp_serde::encode::write(bytes, body),
-            Wire::Located(body) => rmp_serde::encode::write(bytes, body),
-        }
-        .expect("plain data is always MessagePack");
+        rmp_serde::encode::write(bytes, message).expect("plain data is always MessagePack");
     });
     if bytes.len() > MAX_PLAIN_BYTES {
         return Err(EncodeError::TooLong(kind, bytes.len()));
@@ -270,19 +257,11 @@ pub fn first(datagram: &[u8]) -> Result<Content, DecodeError> {
 
 /// Decodes the body of a message of kind `kind`, and checks that its values are in range.
 pub fn message(kind: Kind, bytes: &[u8]) -> Result<Wire, DecodeError> {
-    let message = match kind {
-        Kind::Reading => Wire::Reading(body(kind, bytes)?),
-        Kind::Latent => Wire::Latent(body(kind, bytes)?),
-        Kind::MotorCommand => Wire::MotorCommand(body(kind, bytes)?),
-        Kind::Heartbeat => Wire::Heartbeat(body(kind, bytes)?),
-        Kind::Mode => Wire::Mode(body(kind, bytes)?),
-        Kind::Stop => Wire::Stop(body(kind, bytes)?),
-        Kind::Status => Wire::Status(body(kind, bytes)?),
-        Kind::Observe => Wire::Observe(body(kind, bytes)?),
-        Kind::Telemetry => Wire::Telemetry(body(kind, bytes)?),
-        Kind::Place => Wire::Place(body(kind, bytes)?),
-        Kind::Located => Wire::Located(body(kind, bytes)?),
-    };
+    let mut reader = Reader(bytes);
+    let message = kind.deserialize(&mut reader).map_err(|_| DecodeError::Body(kind))?;
+    if !reader.0.is_empty() {
+        return Err(DecodeError::Trailing(kind));
+    }
     message.check().map_err(|unfit| DecodeError::Unfit(kind, unfit))?;
     Ok(message)
 }
@@ -297,10 +276,4 @@ pub fn decode(plain: &[u8]) -> Result<(Header, Wire), DecodeError> {
         None => Ok((header, message(kind, bytes)?)),
         Some(_) => Err(DecodeError::Blocks),
     }
-}
-
-fn body<'a, T: Deserialize<'a>>(kind: Kind, bytes: &'a [u8]) -> Result<T, DecodeError> {
-    let mut reader = Reader(bytes);
-    let body = T::deserialize(&mut reader).map_err(|_| DecodeError::Body(kind))?;
-    if reader.0.is_empty() { Ok(body) } else { Err(DecodeError::Trailing(kind)) }
 }

@@ -109,7 +109,7 @@ impl Outgoing {
     ) -> Result<Frame, EncodeError> {
         let audience = if self.setup.piggyback == Piggyback::Any { Audience::All } else { audience };
         let (kind, stream) = (message.kind(), (message.kind(), message.robot()));
-        let soft = matches!(kind, Kind::Heartbeat | Kind::Mode | Kind::Telemetry);
+        let soft = kind.is_soft();
         let reliability = self.setup.of(kind);
         let flags = if reliability == Reliability::Ack { Flags::ACK } else { 0 };
         let frame = codec::encode(&self.header(audience, flags), message)?;

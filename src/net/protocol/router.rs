@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use crate::messages::ids::{HostId, LinkId, RobotId};
-use crate::messages::wire::{Condition, KINDS, Kind, Wire};
+use crate::messages::kinds::{KINDS, Kind, Publisher, Wire};
 
 /// Hosts that a datagram is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -30,49 +30,32 @@ pub struct Route {
 pub struct Publishers {
     /// Names of the hosts, indexed by host id.
     pub names: Vec<String>,
-    /// For each robot, the host of its Agent, which publishes `Latent`, `MotorCommand` and `Heartbeat`.
+    /// For each robot, the host of its Agent.
     pub agents: Vec<HostId>,
     /// For each robot, the host that drives its motors and reports the condition of its hardware.
     pub actuators: Vec<HostId>,
-    /// For each robot, the host that measures it and publishes `Reading`.
+    /// For each robot, the host that measures it.
     pub localizers: Vec<HostId>,
-    /// Host of the state server, which publishes `Mode`.
+    /// Host of the state server.
     pub server: HostId,
 }
 
 impl Publishers {
     /// Returns whether the host `sender` may publish this message.
     pub(crate) fn permit(&self, sender: HostId, message: &Wire) -> bool {
-        let of = |hosts: &[HostId]| hosts.get(message.robot().index()) == Some(&sender);
-        match message {
-            Wire::Reading(_) => of(&self.localizers),
-            Wire::Latent(_) | Wire::MotorCommand(_) | Wire::Heartbeat(_) => of(&self.agents),
-            Wire::Mode(_) => sender == self.server,
-            // Every host may stop the team; only an operator or a host of the team may re-arm or resume it.
-            Wire::Stop(stop) => {
-                stop.latch.is_engaged() || stop.by == sender && (self.knows(sender) || sender.is_operator())
+        message.is_permitted(sender, |publisher, robot| {
+            let of = |hosts: &[HostId]| hosts.get(robot.index()) == Some(&sender);
+            match publisher {
+                Publisher::Localizer => of(&self.localizers),
+                Publisher::Agent => of(&self.agents),
+                Publisher::Actuator => of(&self.actuators),
+                Publisher::StateServer => sender == self.server,
+                Publisher::Member => self.knows(sender),
+                Publisher::Operator => sender.is_operator(),
+                Publisher::MemberOrOperator => self.knows(sender) || sender.is_operator(),
+                Publisher::Anyone => true,
             }
-            Wire::Status(status) => status.host == sender && self.knows(sender),
-            Wire::Observe(observe) => observe.by == sender && sender.is_operator(),
-            Wire::Place(place) => place.by == sender && sender.is_operator(),
-            Wire::Located(located) => {
-                let measures = |robot: RobotId| self.localizers.get(robot.index()) == Some(&sender);
-                let mut all = located.robots.iter().map(|(robot, _)| *robot);
-                let answered = located.answer.is_none_or(|answer| measures(answer.robot));
-                located.host == sender && self.knows(sender) && answered && all.all(measures)
-            }
-            Wire::Telemetry(telemetry) => {
-                telemetry.host == sender && telemetry.robots.iter().all(|told| self.may_report(sender, told))
-            }
-        }
-    }
-
-    /// Whether this host may report this condition of a robot.
-    fn may_report(&self, host: HostId, told: &Condition) -> bool {
-        let of = |hosts: &[HostId]| hosts.get(told.robot.index()) == Some(&host);
-        let decided = told.phase.is_none() && told.seen.is_none() || of(&self.agents);
-        let moved = told.health.is_none() && told.battery.is_none() || of(&self.actuators);
-        decided && moved
+        })
     }
 
     fn knows(&self, host: HostId) -> bool {

@@ -1,0 +1,329 @@
+//! The table of the kinds of wire messages: who publishes each kind, for whom, and how it travels.
+//!
+//! Routing, permission, the codec, the routes of operators and the table in docs/wire.md derive from it. A new kind is
+//! a line here, a struct with [`Body`], and the actors that send and receive it.
+
+use serde::de::{Deserialize, DeserializeSeed, Deserializer};
+use serde::{Deserialize as Read, Serialize};
+
+use super::ids::{HostId, RobotId};
+use super::place::{Located, Place};
+use super::status::Status;
+use super::telemetry::{Observe, Telemetry};
+use super::wire::{Heartbeat, Latent, Mode, MotorCommand, Reading, Stop};
+
+/// Who may publish a message, by what the deployment gives to each host.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Publisher {
+    /// The host that measures the robot.
+    Localizer,
+    /// The host of the robot's Agent.
+    Agent,
+    /// The host that drives the robot's motors.
+    Actuator,
+    /// The host of the state server.
+    StateServer,
+    /// Any host of the team, in its own name.
+    Member,
+    /// Operators, each in its own name.
+    Operator,
+    /// Any host of the team or operator, each in its own name.
+    MemberOrOperator,
+    /// Any host.
+    Anyone,
+}
+
+/// Hosts that receive a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Receiver {
+    /// The hosts that need the robot's readings: those of its Agent and of its motors, those that simulate other
+    /// robots, and that of the judge.
+    Readers,
+    /// The hosts with an Agent, but not one whose only Agent is the robot's.
+    OtherAgents,
+    /// The host that drives the robot's motors.
+    Actuator,
+    /// The host of the state server.
+    StateServer,
+    /// All hosts.
+    All,
+    /// The hosts with an Agent or a Body, and that of the state server.
+    Movers,
+    /// The hosts that measure robots.
+    Localizers,
+    /// No host of the team.
+    Nobody,
+}
+
+/// Line of the table: how messages of one kind are published, routed and sent.
+#[derive(Clone, Copy, Debug)]
+struct Row {
+    publisher: Publisher,
+    receiver: Receiver,
+    and_operators: bool,
+    soft: bool,
+    with_the_stop: bool,
+}
+
+const fn row(publisher: Publisher, receiver: Receiver) -> Row {
+    Row { publisher, receiver, and_operators: false, soft: false, with_the_stop: false }
+}
+
+impl Row {
+    /// Operators on any machine receive it, too.
+    const fn and_operators(self) -> Row {
+        Row { and_operators: true, ..self }
+    }
+
+    /// It is soft state, which waits for a datagram with data.
+    const fn soft(self) -> Row {
+        Row { soft: true, ..self }
+    }
+
+    /// It travels on the link of the emergency stop, whatever a deployment says.
+    const fn with_the_stop(self) -> Row {
+        Row { with_the_stop: true, ..self }
+    }
+}
+
+/// What every message says of itself.
+pub(crate) trait Body {
+    /// Returns the robot that the message is about; the first one of several, robot 0 if it is about none.
+    fn robot(&self) -> RobotId;
+
+    /// Returns the first violation of a range; `Ok` if the message may be sent and used.
+    fn check(&self) -> Result<(), Unfit>;
+
+    /// Returns the host in whose name the message speaks, which has to be its sender; `None` if it names none.
+    fn author(&self) -> Option<HostId> {
+        None
+    }
+
+    /// Returns whether the sender may say what the message says beyond its kind. `is` tells whether the sender is this
+    /// publisher of that robot.
+    fn is_for(&self, is: impl Fn(Publisher, RobotId) -> bool) -> bool {
+        let _ = is;
+        true
+    }
+}
+
+/// Reason for which a wire message is invalid and may not be sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Unfit {
+    /// A position, velocity or feature is NaN, infinite or too large.
+    #[error("a number is not finite or out of range")]
+    Number,
+    /// A list of the message is longer than its limit, or empty where at least one entry is needed; or a telemetry
+    /// message has more than one fault reason.
+    #[error("a list is empty or too long")]
+    Length,
+    /// The validity of a motor command exceeds [`MAX_VALIDITY`](super::wire::MAX_VALIDITY).
+    #[error("the validity of a command is too long")]
+    Validity,
+    /// The block of robots of a [`Mode`] message goes beyond the largest robot id, 65 535.
+    #[error("a block of robots exceeds the largest robot id")]
+    Block,
+    /// The term of a round (the number of the state server's start) is too large to be valid.
+    #[error("the term of a round is out of range")]
+    Term,
+}
+
+/// Defines the kinds from the lines of the table, in the order of their numbers on the wire.
+macro_rules! kinds {
+    ($($(#[$doc:meta])* $kind:ident = $row:expr;)*) => {
+        /// A message that may cross hosts, of any kind. Each variant names the sending and receiving actors.
+        #[derive(Clone, Debug, PartialEq, Serialize)]
+        #[serde(untagged)]
+        pub enum Wire {
+            $($(#[$doc])* $kind($kind),)*
+        }
+
+        /// Kind of a wire message. The routing table of a deployment names messages by their kind.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Read)]
+        #[serde(rename_all = "kebab-case")]
+        pub enum Kind {
+            $($(#[$doc])* $kind,)*
+        }
+
+        /// All kinds of wire messages, in the order of their numbers on the wire.
+        pub const KINDS: [Kind; [$(Kind::$kind),*].len()] = [$(Kind::$kind),*];
+
+        const ROWS: [Row; KINDS.len()] = [$($row),*];
+
+        impl Wire {
+            /// Returns the kind of this message, as used by routing tables.
+            pub fn kind(&self) -> Kind {
+                match self {
+                    $(Wire::$kind(_) => Kind::$kind,)*
+                }
+            }
+
+            /// Returns the robot that sends the message, is measured in it or is commanded by it. For `Mode`, `Status`,
+            /// `Telemetry` and `Located` it is the first robot of the message's list; for `Stop`, `Observe` and an
+            /// empty list, robot 0.
+            pub fn robot(&self) -> RobotId {
+                match self {
+                    $(Wire::$kind(body) => body.robot(),)*
+                }
+            }
+
+            /// Checks that the message's numbers and list lengths are in range, and returns the first violation found.
+            /// The sending and the receiving host both check each message.
+            pub fn check(&self) -> Result<(), Unfit> {
+                match self {
+                    $(Wire::$kind(body) => body.check(),)*
+                }
+            }
+
+            /// Returns whether the host `sender` may publish the message; `is` tells whether it is this publisher of
+            /// that robot.
+            pub(crate) fn is_permitted(&self, sender: HostId, is: impl Fn(Publisher, RobotId) -> bool) -> bool {
+                match self {
+                    $(Wire::$kind(body) => {
+                        let named = body.author().is_none_or(|author| author == sender);
+                        named && is(Kind::$kind.publisher(), body.robot()) && body.is_for(is)
+                    })*
+                }
+            }
+        }
+
+        /// Reads the body of a message of this kind.
+        impl<'de> DeserializeSeed<'de> for Kind {
+            type Value = Wire;
+
+            fn deserialize<D: Deserializer<'de>>(self, from: D) -> Result<Wire, D::Error> {
+                match self {
+                    $(Kind::$kind => <$kind as Deserialize>::deserialize(from).map(Wire::$kind),)*
+                }
+            }
+        }
+    };
+}
+
+kinds! {
+    /// Measurement of a robot's pose and velocity, from the Localizer that measures the robot to its Cache and other
+    /// users.
+    Reading = row(Publisher::Localizer, Receiver::Readers);
+    /// Features of a robot's policy and its motion, from the robot's Agent to the Caches of its neighbours.
+    Latent = row(Publisher::Agent, Receiver::OtherAgents);
+    /// Velocity command, from a robot's Controller to its Body.
+    MotorCommand = row(Publisher::Agent, Receiver::Actuator);
+    /// Progress of a robot in the episode, from the robot's Controller to the state server.
+    Heartbeat = row(Publisher::Agent, Receiver::StateServer).soft();
+    /// Instruction for the team's episode, from the state server (the team's coordinator) to every host.
+    Mode = row(Publisher::StateServer, Receiver::All).soft();
+    /// Emergency stop, re-arm or resume, from an operator or any host to every host.
+    Stop = row(Publisher::Anyone, Receiver::Movers);
+    /// Emergency stop states of a host's robots, from the host to operators and the state server.
+    Status = row(Publisher::Member, Receiver::StateServer).and_operators().with_the_stop();
+    /// Request for telemetry, from an observer to every host.
+    Observe = row(Publisher::Operator, Receiver::Movers).with_the_stop();
+    /// Conditions of a host's robots, from the host to observers.
+    Telemetry = row(Publisher::Member, Receiver::Nobody).and_operators().soft().with_the_stop();
+    /// Statement of where a robot is, from an operator to the Localizer that measures the robot.
+    Place = row(Publisher::Operator, Receiver::Localizers).with_the_stop();
+    /// Robots whose poses are unknown, from the Localizer that measures them to Controllers, the state server and
+    /// operators.
+    Located = row(Publisher::Member, Receiver::Movers).and_operators().with_the_stop();
+}
+
+impl Kind {
+    fn row(self) -> &'static Row {
+        &ROWS[self as usize]
+    }
+
+    /// Returns who may publish messages of this kind.
+    pub fn publisher(self) -> Publisher {
+        self.row().publisher
+    }
+
+    /// Returns which hosts receive messages of this kind.
+    pub fn receiver(self) -> Receiver {
+        self.row().receiver
+    }
+
+    /// Whether messages of this kind are sent even if no host receives them, since operators on any machine do.
+    pub fn is_for_operators(self) -> bool {
+        self.row().and_operators
+    }
+
+    /// Whether operators use messages of this kind if their link carries them: all but those between two hosts, and
+    /// those that only operators publish.
+    pub(crate) fn interests_operators(self) -> bool {
+        self.publisher() != Publisher::Operator && self.receiver() != Receiver::Actuator
+    }
+
+    /// Whether operators publish messages of this kind.
+    pub(crate) fn is_of_operators(self) -> bool {
+        matches!(self.publisher(), Publisher::Operator | Publisher::MemberOrOperator | Publisher::Anyone)
+    }
+
+    /// Whether messages of this kind are soft state, which is repeated and may wait for a datagram with data.
+    pub fn is_soft(self) -> bool {
+        self.row().soft
+    }
+
+    /// Whether messages of this kind always travel on the link that carries the emergency stop, so that a deployment
+    /// does not list them.
+    pub fn follows_the_stop(self) -> bool {
+        self.row().with_the_stop
+    }
+}
+
+impl Publisher {
+    /// Returns the publisher in the words of docs/wire.md.
+    fn words(self) -> &'static str {
+        match self {
+            Publisher::Localizer => "host that measures the robot",
+            Publisher::Agent => "host of the robot's agent",
+            Publisher::Actuator => "host that drives the robot's motors",
+            Publisher::StateServer => "host of the state server",
+            Publisher::Member => "any host of the team, in its own name",
+            Publisher::Operator => "operators, each in its own name",
+            Publisher::MemberOrOperator => "any host of the team and operators, each in its own name",
+            Publisher::Anyone => "anyone",
+        }
+    }
+}
+
+impl Receiver {
+    /// Returns the receivers in the words of docs/wire.md.
+    fn words(self) -> &'static str {
+        match self {
+            Receiver::Readers => "hosts of its agent and motors, simulators of others, the judge",
+            Receiver::OtherAgents => "hosts of other agents",
+            Receiver::Actuator => "host that drives the robot's motors",
+            Receiver::StateServer => "host of the state server",
+            Receiver::All => "all hosts",
+            Receiver::Movers => "hosts with agents or motors, host of the state server",
+            Receiver::Localizers => "hosts that measure robots",
+            Receiver::Nobody => "no host",
+        }
+    }
+}
+
+/// Returns the table as it is in docs/wire.md.
+pub fn table() -> String {
+    let mut lines = String::from(
+        "| byte | kind | publisher | receivers | soft state | with the stop |\n|---|---|---|---|---|---|\n",
+    );
+    for (byte, kind) in KINDS.into_iter().enumerate() {
+        let yes = |is: bool| if is { "yes" } else { "" };
+        let operators = if kind.is_for_operators() { "; operators" } else { "" };
+        let (publisher, receiver) = (kind.publisher().words(), kind.receiver().words());
+        let (soft, with) = (yes(kind.is_soft()), yes(kind.follows_the_stop()));
+        lines += &format!("| {byte} | `{kind:?}` | {publisher} | {receiver}{operators} | {soft} | {with} |\n");
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_page_on_the_wire_has_the_table_of_kinds() {
+        let page = include_str!("../../docs/wire.md");
+        assert!(page.contains(&table()), "docs/wire.md needs this table:\n{}", table());
+    }
+}
