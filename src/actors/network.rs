@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::net::SocketAddr;
 
 use crate::actor::Core;
-use crate::messages::ids::{HostId, LinkId};
+use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{Kind, Wire};
 use crate::net::protocol::codec::{self, Content, Flags, Frame, Header};
 use crate::net::protocol::key::Key;
@@ -267,6 +267,11 @@ impl Network {
             out.push(Out::Duplicate(duplicate));
         }
         transmit(link, &mut self.outgoing, out);
+        if let Some(stop) = state.urgent()
+            && self.router.route(Kind::Stop, RobotId(0)).local
+        {
+            out.push(Out::Deliver(Wire::Stop(stop)));
+        }
         if admitted.is_none() && self.is_operator && !self.key_reported && state.counted().key_trouble().is_some() {
             self.key_reported = true;
             out.push(Out::Counts(Box::new(self.counts())));
@@ -287,7 +292,7 @@ impl Network {
             }
             let robot = message.robot();
             if self.router.route(kind, robot).local {
-                if state.accept(&header, kind, robot) {
+                if state.accept(&header, &message) {
                     out.push(Out::Deliver(message));
                 }
             } else if self.shared[at] || !header.flags.has(Flags::DIRECT) {
@@ -356,7 +361,6 @@ impl Core for Network {
 mod tests {
     use super::*;
     use crate::messages::geometry::Motion;
-    use crate::messages::ids::RobotId;
     use crate::messages::wire::Reading;
     use crate::net::protocol::reliability::Reliabilities;
     use crate::net::protocol::router::Route;

@@ -52,6 +52,8 @@ fn counted_for(rig: &mut Rig, frames: &[Vec<u8>]) -> LinkCounts {
         auth: less(|c| c.auth),
         replay: less(|c| c.replay),
         late: less(|c| c.late),
+        ahead: less(|c| c.ahead),
+        urgent: less(|c| c.urgent),
         unproven: less(|c| c.unproven),
         duplicate_id: less(|c| c.duplicate_id),
         team: less(|c| c.team),
@@ -160,6 +162,71 @@ fn each_refusal_has_its_cause() {
     let old = held_back(&mut rig);
     let counts = counted_for(&mut rig, &[of(|header| header.sequence += 5000), old]);
     assert!(counts.accepted == 1 && counts.replay >= 1, "{counts:?}");
+}
+
+/// Datagrams of another member of the team in the name of host 0, whose last datagram had the number `last`.
+type Forgery = fn(&Rig, last: u32) -> Vec<Vec<u8>>;
+
+#[test]
+fn a_stop_holds_however_far_another_member_has_raised_the_numbers_of_its_sender() {
+    let forged = |number| sealed(&key(), header(0, 1, number), &latent(0, 9));
+    let attacks: [(&str, Forgery, fn(&LinkCounts) -> bool); 4] = [
+        (
+            "the numbers that come next",
+            |_, last| (1..200).map(|next| sealed(&key(), header(0, 1, last + next), &latent(0, 9))).collect(),
+            |counts| counts.urgent == 1,
+        ),
+        (
+            "numbers as far ahead as may be, again and again",
+            |_, last| (1..9).map(|n| sealed(&key(), header(0, 1, last + n * 7900), &latent(0, 9))).collect(),
+            |counts| counts.urgent == 1 && counts.ahead == 0,
+        ),
+        (
+            "a report ahead, so that all others are late",
+            |rig, last| {
+                let mut said = rig.sent.iter().rev().filter(|flight| flight.from == 0);
+                let report = said.find_map(|flight| report(&flight.frame, TAG_BYTES)).expect("host 0 reports");
+                let mut bytes = codec::encode(&header(0, 1, last + 900), &latent(0, 9)).unwrap().to_vec();
+                codec::add(&mut bytes, Content::Report, |bytes| report.write(bytes));
+                key().seal(&mut bytes, LINK, None);
+                vec![bytes]
+            },
+            |counts| counts.urgent == 1 && counts.late > 0,
+        ),
+        (
+            "a number that nobody can have reached",
+            |_, last| vec![sealed(&key(), header(0, 1, last.wrapping_add(1 << 30)), &latent(0, 9))],
+            |counts| counts.urgent == 0 && counts.ahead == 1,
+        ),
+    ];
+    for (what, attack, counted) in attacks {
+        let (mut rig, _) = two();
+        rig.publish(0, latent(0, 1));
+        rig.run_ms(10);
+        let last = codec::peek(&rig.last_data(0)).unwrap().sequence;
+        for frame in attack(&rig, last) {
+            rig.arrive(1, &frame);
+        }
+        rig.run_ms(400);
+        rig.delivered[1].clear();
+        let stop = Wire::Stop(Stop { by: HostId(0), latch: Latch::engaged(1) });
+        rig.publish(0, stop.clone());
+        rig.run_ms(10);
+        let recorded = rig.last_data(0);
+        for _ in 0..100 {
+            rig.arrive(1, &recorded);
+        }
+        let stops = |rig: &Rig| rig.delivered[1].iter().filter(|(_, message)| *message == stop).count();
+        assert_eq!(stops(&rig), 1, "{what}: it holds, and its recording is nothing new");
+        let counts = rig.counted(1);
+        assert!(counted(&counts), "{what}: {counts:?}");
+    }
+    // An outsider's copies of what has never been accepted hold no more than other recordings.
+    let (mut rig, _) = two();
+    rig.restart(1, config(1, 2, 2, Some(key()), multicast(Reliabilities::new())));
+    rig.arrive(1, &forged(1));
+    rig.arrive(1, &sealed(&key(), header(0, 1, 5), &Wire::Stop(Stop { by: HostId(0), latch: Latch::engaged(1) })));
+    assert!(rig.delivered[1].is_empty(), "its sender has not shown that it is alive");
 }
 
 #[test]

@@ -55,6 +55,10 @@ counts! {
     /// Datagrams refused: held back on the way. Either sent before a link report that arrived long ago, or a link
     /// report that was long in transit.
     late,
+    /// Datagrams refused: their number is further ahead than their sender can have sent.
+    ahead,
+    /// Emergency stops accepted from datagrams that are refused for their number.
+    urgent,
     /// Datagrams refused: their sender has not proved its liveness yet.
     unproven,
     /// Datagrams refused: they are from a second live host with the same id.
@@ -114,11 +118,13 @@ pub enum Refusal {
     Untagged,
     /// It has a tag, its header is that of a host of this team, and this host has no key.
     Keyed,
+    /// Its number is further ahead than its sender can have sent.
+    Ahead,
 }
 
 impl Refusal {
     /// All causes, in the order of their numbers in records.
-    pub const ALL: [Refusal; 14] = [
+    pub const ALL: [Refusal; 15] = [
         Refusal::Auth,
         Refusal::Own,
         Refusal::Team,
@@ -133,6 +139,7 @@ impl Refusal {
         Refusal::OtherKey,
         Refusal::Untagged,
         Refusal::Keyed,
+        Refusal::Ahead,
     ];
 }
 
@@ -157,6 +164,7 @@ impl LinkCounts {
             Refusal::OtherKey => &mut self.other_key,
             Refusal::Untagged => &mut self.untagged,
             Refusal::Keyed => &mut self.keyed,
+            Refusal::Ahead => &mut self.ahead,
         };
         *count += number;
     }
@@ -168,12 +176,13 @@ impl LinkCounts {
     }
 
     /// Returns the number of datagrams and messages refused or dropped on arrival, for each cause: (name, number).
-    pub fn refusals(&self) -> [(&'static str, u64); 16] {
+    pub fn refusals(&self) -> [(&'static str, u64); 17] {
         [
             ("own", self.own),
             ("auth", self.auth),
             ("replay", self.replay),
             ("late", self.late),
+            ("ahead", self.ahead),
             ("unproven", self.unproven),
             ("duplicate-id", self.duplicate_id),
             ("team", self.team),
@@ -198,6 +207,7 @@ impl LinkCounts {
             (self.auth, "with a wrong tag or none"),
             (self.replay, "of former runs"),
             (self.late, "held back on the way"),
+            (self.ahead, "numbered beyond what was sent"),
             (self.duplicate_id, "of a second host with one id"),
             (self.team, "of another team"),
             (self.version, "of another version"),

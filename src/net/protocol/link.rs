@@ -7,7 +7,7 @@ use rand::RngExt;
 
 use super::bucket::{Bucket, Rate};
 use super::codec::TAG_BYTES;
-use super::codec::{self, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES};
+use super::codec::{self, Content, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES};
 use super::control_blocks::ControlBlocks;
 pub use super::counts::{LinkCounts, Refusal};
 pub use super::duplicate_id::DuplicateId;
@@ -19,8 +19,8 @@ use super::reliability::{Reports, Setup};
 use super::report::{DatagramId, ENTRY_BYTES, MAX_IDS, NUMBERED_ENTRY_BYTES, Stamps};
 use super::router::Audience;
 use super::sender::Peer;
-use crate::messages::ids::{HostId, LinkId, RobotId};
-use crate::messages::wire::{Kind, Wire};
+use crate::messages::ids::{HostId, LinkId};
+use crate::messages::wire::{Kind, Stop, Wire};
 use crate::random::Stream;
 use crate::time::{Span, Time};
 
@@ -85,6 +85,8 @@ pub struct LinkState {
     heard: Option<Arrival>,
     /// Cause for which the last datagram was refused without any effect but its count; `None` for others.
     refusal: Option<Refusal>,
+    /// Emergency stop in the last datagram, if it holds although the datagram was refused for its number.
+    urgent: Option<Stop>,
     /// Limit of the acknowledgements that are sent again for copies of datagrams.
     again: Bucket,
 }
@@ -128,6 +130,7 @@ impl LinkState {
             due: None,
             heard: None,
             refusal: None,
+            urgent: None,
             again: Bucket::full(Time::ZERO, &AGAIN),
         };
         state.plan();
@@ -162,7 +165,7 @@ impl LinkState {
         stream: &mut Stream,
         out: &mut Vec<Outbound>,
     ) -> Option<(Header, &'a [u8])> {
-        (self.heard, self.refusal) = (None, None);
+        (self.heard, self.refusal, self.urgent) = (None, None, None);
         let read = self.read(now, frame, stream, out);
         match read {
             Ok(admitted) => {
@@ -203,6 +206,13 @@ impl LinkState {
             if waits {
                 self.heard = Some(Arrival { host: header.sender, standing: Standing::Candidate, proves: false });
             }
+            if refusal != Refusal::Unproven {
+                self.urgent = self.new_stop(&header, plain);
+            }
+            if self.urgent.is_some() {
+                self.counts.refuse(refusal, 1);
+                return Ok(None);
+            }
             return Err(refusal);
         }
         self.incoming.duplicate_ids.uptime(now);
@@ -222,6 +232,9 @@ impl LinkState {
         };
         let proves = self.key.is_none() || self.incoming.has_proved();
         self.heard = standing.map(|standing| Arrival { host: header.sender, standing, proves });
+        if matches!(verdict, Admission::Duplicate | Admission::Refused) {
+            self.urgent = self.new_stop(&header, plain);
+        }
         if matches!(verdict, Admission::Candidate(_) | Admission::Refused) {
             return Ok(None);
         }
@@ -236,6 +249,22 @@ impl LinkState {
             self.answer(now, header.sender, blocks, out);
         }
         Ok(Some((header, plain)))
+    }
+
+    /// Returns the emergency stop in a datagram whose number is refused, if it is a new one of an accepted sender.
+    #[cold]
+    fn new_stop(&mut self, header: &Header, plain: &[u8]) -> Option<Stop> {
+        let stops = codec::blocks(plain).flatten().filter(|(content, _)| *content == Content::Message(Kind::Stop));
+        let stops = stops.filter_map(|(_, body)| codec::message(Kind::Stop, body).ok());
+        let mut stops = stops.filter_map(|message| if let Wire::Stop(stop) = message { Some(stop) } else { None });
+        let new = stops.find(|stop| self.incoming.is_new_stop(header, *stop));
+        self.counts.urgent += u64::from(new.is_some());
+        new
+    }
+
+    /// Returns the emergency stop in the last datagram if it holds although the datagram was refused for its number.
+    pub(crate) fn urgent(&self) -> Option<Stop> {
+        self.urgent
     }
 
     /// Checks the length and the tag of a datagram, and that another process of this team has sent it. Returns its
@@ -316,10 +345,11 @@ impl LinkState {
         self.incoming.duplicate_ids.duplicate()
     }
 
-    /// Returns whether a decoded message about `robot` is newer than all others of its stream (kind and robot), and
-    /// records it if so.
-    pub fn accept(&mut self, header: &Header, kind: Kind, robot: RobotId) -> bool {
-        self.incoming.accept(header, kind, robot, &mut self.counts)
+    /// Returns whether a decoded message is newer than all others of its stream (kind and robot), and records it if so.
+    /// A new emergency stop of its sender always is.
+    pub fn accept(&mut self, header: &Header, message: &Wire) -> bool {
+        let stops = matches!(message, Wire::Stop(stop) if self.incoming.is_new_stop(header, *stop));
+        self.incoming.accept(header, message.kind(), message.robot(), &mut self.counts) || stops
     }
 
     /// Returns the sender of the last datagram, and whether it is accepted or has to prove its liveness first. `None`

@@ -38,6 +38,9 @@ impl Incoming {
             }
         };
         let space = usize::from(header.flags.has(Flags::DIRECT));
+        if self.rate.as_ref().is_some_and(|rate| sender.is_ahead(now, space, header.sequence, rate)) {
+            return Some(Refusal::Ahead);
+        }
         let window = &sender.spaces[space].window;
         let late = self.local.authenticated && sender.lateness.would_be_late(now, space, header.sequence);
         if late && window.misses(header.sequence) && !self.gaps.awaits(header) {

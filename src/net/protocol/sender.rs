@@ -14,6 +14,7 @@ use super::offset::Offsets;
 use super::report::Stamp;
 use super::window::{LOSS_SPAN, Window};
 use crate::messages::ids::{HostId, LinkId, RobotId};
+use crate::messages::latch::Latch;
 use crate::messages::wire::Kind;
 use crate::time::{Span, Time};
 
@@ -49,6 +50,8 @@ pub(crate) struct Sender {
     pub(crate) lateness: Lateness,
     /// Token bucket that limits the rate of the sender's datagrams.
     pub(crate) bucket: Bucket,
+    /// Latest emergency stop of this incarnation; clear before its first.
+    pub(crate) stop: Latch,
     /// Newest stamp in the sender's link reports, and its arrival time; `None` before the first report.
     pub(crate) stamp: Option<(Stamp, Time)>,
     /// Measurements of the offset between the sender's stamps and this host's.
@@ -93,6 +96,7 @@ impl Sender {
             spaces: [SequenceSpace::default(), SequenceSpace::default()],
             lateness: Lateness::default(),
             bucket: Bucket::full(now, rate.unwrap_or(&super::reliability::RATE)),
+            stop: Latch::default(),
             stamp: None,
             offsets: Offsets::default(),
             base_delay: BaseDelay::new(now),
@@ -154,6 +158,13 @@ impl Sender {
     /// long its datagrams were in transit.
     pub(crate) fn alive_within(&mut self, now: Time, age: Span) {
         self.is_duplicated |= self.contested.is_some_and(|(_, since)| now.since(since) > age);
+    }
+
+    /// Returns whether the number `sequence` is further ahead in the sequence space `space` than the sender can have sent
+    /// since its last datagram arrived.
+    pub(crate) fn is_ahead(&self, now: Time, space: usize, sequence: u32, rate: &Rate) -> bool {
+        let since = now.since(self.heard.unwrap_or(self.since)).as_secs();
+        f64::from(self.spaces[space].window.ahead(sequence)) > rate.burst + rate.per_s * since
     }
 
     /// Records the arrival of a datagram of the sender, for age, mean interval and jitter.

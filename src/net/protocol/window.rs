@@ -107,6 +107,12 @@ impl Window {
         self.seen[word(sequence)] & bit(sequence) != 0
     }
 
+    /// Returns by how much this sequence number is ahead of the newest; 0 if it is not, or if there is none yet.
+    pub fn ahead(&self, sequence: u32) -> u32 {
+        let ahead = self.newest.map_or(0, |newest| sequence.wrapping_sub(newest));
+        if ahead <= u32::MAX / 2 { ahead } else { 0 }
+    }
+
     /// Returns whether the datagram with this sequence number is within the window and has not arrived.
     pub fn misses(&self, sequence: u32) -> bool {
         self.newest.is_some_and(|newest| newest.wrapping_sub(sequence) < WINDOW) && !self.has(sequence)

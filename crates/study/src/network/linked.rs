@@ -80,8 +80,10 @@ impl StationProtocol for Linked {
         if let Some((header, plain)) = admitted {
             for (content, body) in codec::blocks(plain).flatten() {
                 let Content::Message(kind) = content else { continue };
-                let Ok(Wire::Latent(latent)) = codec::message(kind, body) else { continue };
-                if self.state.accept(&header, kind, latent.robot) {
+                let Ok(message) = codec::message(kind, body) else { continue };
+                if self.state.accept(&header, &message)
+                    && let Wire::Latent(latent) = message
+                {
                     heard.push(Output::Deliver { from: latent.robot.0, sequence: latent.round.episode });
                 }
             }
