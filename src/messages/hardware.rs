@@ -5,9 +5,11 @@ use std::fmt;
 use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
+use super::numbered::numbered;
+
 /// Health of a robot's hardware: whether it follows commands, reports a fault, or does not answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(into = "u8", try_from = "u8")]
+#[serde(into = "u8", from = "u8")]
 pub enum Health {
     /// The hardware follows its commands.
     Ready,
@@ -15,21 +17,16 @@ pub enum Health {
     Faulty,
     /// The hardware does not answer.
     Silent,
+    /// The hardware is in a state of a later version: it may not follow its commands.
+    Other = 255,
 }
 
-impl From<Health> for u8 {
-    fn from(health: Health) -> u8 {
-        health as u8
-    }
+impl Health {
+    /// All states of this version, in the order of their numbers.
+    pub(crate) const ALL: [Health; 3] = [Health::Ready, Health::Faulty, Health::Silent];
 }
 
-impl TryFrom<u8> for Health {
-    type Error = String;
-    fn try_from(byte: u8) -> Result<Health, String> {
-        let all = [Health::Ready, Health::Faulty, Health::Silent];
-        all.get(usize::from(byte)).copied().ok_or_else(|| format!("no health has the number {byte}"))
-    }
-}
+numbered!(Health);
 
 /// Temperature from -40 to 215 °C in whole degrees. The wire format is one byte with an offset of 40, as in SAE
 /// J1939-71.

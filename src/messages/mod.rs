@@ -12,6 +12,7 @@ mod isometry;
 pub mod kinds;
 pub mod latch;
 pub mod local;
+mod numbered;
 pub mod phase;
 pub mod place;
 pub mod round;

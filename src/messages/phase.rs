@@ -2,10 +2,12 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::numbered::numbered;
+
 /// Phase of an episode (one attempt at the team's task), of a single robot or of the whole team. The phases are those
 /// of the state machine in section IV of the paper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(into = "u8", try_from = "u8")]
+#[serde(into = "u8", from = "u8")]
 pub enum Phase {
     /// The robot or the whole team stands, and waits for the reset: the drive to the starts of the next episode.
     NeedReset,
@@ -24,28 +26,22 @@ pub enum Phase {
     /// The whole team stands, because a host has left or an operator holds the team during a reset; afterwards the
     /// interrupted episode begins again.
     Waiting,
+    /// A phase of a later version: the robot or the whole team stands.
+    Other = 255,
 }
 
-const PHASES: [Phase; 8] = [
-    Phase::NeedReset,
-    Phase::Resetting,
-    Phase::FinishedResetting,
-    Phase::Running,
-    Phase::FinishedRunning,
-    Phase::AbortRunning,
-    Phase::EpisodesFinished,
-    Phase::Waiting,
-];
-
-impl From<Phase> for u8 {
-    fn from(phase: Phase) -> u8 {
-        phase as u8
-    }
+impl Phase {
+    /// All phases of this version, in the order of their numbers.
+    pub(crate) const ALL: [Phase; 8] = [
+        Phase::NeedReset,
+        Phase::Resetting,
+        Phase::FinishedResetting,
+        Phase::Running,
+        Phase::FinishedRunning,
+        Phase::AbortRunning,
+        Phase::EpisodesFinished,
+        Phase::Waiting,
+    ];
 }
 
-impl TryFrom<u8> for Phase {
-    type Error = String;
-    fn try_from(byte: u8) -> Result<Phase, String> {
-        PHASES.get(usize::from(byte)).copied().ok_or_else(|| format!("no phase has the number {byte}"))
-    }
-}
+numbered!(Phase);

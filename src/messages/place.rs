@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::geometry::Pose;
 use super::ids::{HostId, RobotId};
 use super::kinds::{Body, Publisher, Unfit};
+use super::numbered::numbered;
 use super::wire::MAX_BLOCK;
 
 /// Statement of an operator of where a robot is, sent to every host; the host that measures the robot acts on it. It is
@@ -23,7 +24,7 @@ pub struct Place {
 
 /// Whether the pose of a robot is known to the host that measures it, and if not, why.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(into = "u8", try_from = "u8")]
+#[serde(into = "u8", from = "u8")]
 pub enum Whereabouts {
     /// The pose is known: readings are published.
     #[default]
@@ -38,10 +39,12 @@ pub enum Whereabouts {
     Shifted,
     /// The pose is at the place of another robot: the source has exchanged the two. A person has to put it right.
     Exchanged,
+    /// The pose is unknown for a cause of a later version.
+    Other = 255,
 }
 
 impl Whereabouts {
-    /// All values, in the order of their numbers.
+    /// All values of this version, in the order of their numbers.
     pub(crate) const ALL: [Whereabouts; 5] =
         [Whereabouts::Known, Whereabouts::Jumped, Whereabouts::Adrift, Whereabouts::Shifted, Whereabouts::Exchanged];
 
@@ -58,6 +61,7 @@ impl Whereabouts {
             Whereabouts::Adrift => "its odometry has jumped or begun anew",
             Whereabouts::Shifted => "its pose has jumped as those of others: the frame of their source has changed",
             Whereabouts::Exchanged => "its pose has jumped to another robot's place: their source has exchanged them",
+            Whereabouts::Other => "its pose is lost, for a cause that only a later version knows",
         }
     }
 
@@ -69,13 +73,14 @@ impl Whereabouts {
             Whereabouts::Adrift => "look where it is, and say so with 'murmurate place'",
             Whereabouts::Shifted => "put the source's frame right, or say where each is with 'murmurate place'",
             Whereabouts::Exchanged => "correct them in the source, or say where each is with 'murmurate place'",
+            Whereabouts::Other => "see the log of the host that measures it",
         }
     }
 }
 
 /// Answer of the host that measures a robot to the [`Place`] of an operator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(into = "u8", try_from = "u8")]
+#[serde(into = "u8", from = "u8")]
 pub enum PlaceAnswer {
     /// Taken over: readings of the robot continue from this pose.
     Aligned,
@@ -87,10 +92,12 @@ pub enum PlaceAnswer {
     Moves,
     /// Refused: nothing has been measured of the robot in the last second.
     Unmeasured,
+    /// Refused, for a reason of a later version.
+    Other = 255,
 }
 
 impl PlaceAnswer {
-    /// All values, in the order of their numbers.
+    /// All values of this version, in the order of their numbers.
     pub(crate) const ALL: [PlaceAnswer; 5] =
         [PlaceAnswer::Aligned, PlaceAnswer::Agrees, PlaceAnswer::Differs, PlaceAnswer::Moves, PlaceAnswer::Unmeasured];
 
@@ -102,6 +109,7 @@ impl PlaceAnswer {
             PlaceAnswer::Differs => "differs",
             PlaceAnswer::Moves => "moves",
             PlaceAnswer::Unmeasured => "unmeasured",
+            PlaceAnswer::Other => "other",
         }
     }
 
@@ -178,38 +186,4 @@ impl Body for Located {
     }
 }
 
-/// Conversions of an enumeration to its number on the wire and back.
-macro_rules! numbered {
-    ($($of:ty, $what:literal;)*) => {
-        $(impl From<$of> for u8 {
-            fn from(value: $of) -> u8 {
-                value as u8
-            }
-        }
-
-        impl TryFrom<u8> for $of {
-            type Error = String;
-            fn try_from(number: u8) -> Result<$of, String> {
-                let value = <$of>::ALL.get(usize::from(number)).copied();
-                value.ok_or_else(|| format!(concat!("no ", $what, " has the number {}"), number))
-            }
-        })*
-    };
-}
-
-numbered! {
-    Whereabouts, "whereabouts";
-    PlaceAnswer, "verdict of a placement";
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_number_means_what_was_converted_to_it() {
-        assert!(Whereabouts::ALL.into_iter().all(|value| Whereabouts::try_from(u8::from(value)) == Ok(value)));
-        assert!(PlaceAnswer::ALL.into_iter().all(|value| PlaceAnswer::try_from(u8::from(value)) == Ok(value)));
-        assert!(Whereabouts::try_from(5).is_err() && PlaceAnswer::try_from(5).is_err());
-    }
-}
+numbered!(Whereabouts, PlaceAnswer);

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::ids::{HostId, RobotId};
 use super::kinds::{Body, Unfit};
 use super::latch::Latch;
+use super::numbered::numbered;
 use super::wire::MAX_BLOCK;
 
 /// States of the emergency stop that the controller and the body of one robot follow, as known to one host.
@@ -23,7 +24,7 @@ pub struct Following {
 /// Reason for which a robot keeps the state server (the team's coordinator) from granting a resume after an emergency
 /// stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(into = "u8", try_from = "u8")]
+#[serde(into = "u8", from = "u8")]
 pub enum Hindrance {
     /// No recent heartbeats have arrived from the robot.
     Missing,
@@ -31,21 +32,16 @@ pub enum Hindrance {
     Left,
     /// The robot has not yet taken over the re-arm: it still follows an earlier state of the emergency stop.
     Latched,
+    /// A reason of a later version.
+    Other = 255,
 }
 
-impl From<Hindrance> for u8 {
-    fn from(hindrance: Hindrance) -> u8 {
-        hindrance as u8
-    }
+impl Hindrance {
+    /// All reasons of this version, in the order of their numbers.
+    pub(crate) const ALL: [Hindrance; 3] = [Hindrance::Missing, Hindrance::Left, Hindrance::Latched];
 }
 
-impl TryFrom<u8> for Hindrance {
-    type Error = String;
-    fn try_from(byte: u8) -> Result<Hindrance, String> {
-        let all = [Hindrance::Missing, Hindrance::Left, Hindrance::Latched];
-        all.get(usize::from(byte)).copied().ok_or_else(|| format!("no hindrance has the number {byte}"))
-    }
-}
+numbered!(Hindrance);
 
 /// Emergency stop state of the state server (the team's coordinator), with the robots that keep it from granting a
 /// resume.

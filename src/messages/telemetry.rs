@@ -1,6 +1,6 @@
 //! Telemetry: the condition of a host's robots for observers, and the request of an observer for it.
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::geometry::Pose;
 use super::hardware::{Celsius, Health, Reason};
@@ -33,8 +33,14 @@ pub struct GuardReport {
     pub acted: u16,
     /// Number of times that control ticks began to be late or missing; 65 535 stands for that number or more.
     pub late_ticks: u16,
-    /// Trigger for which the guard has acted last; `None` if it has never acted.
+    /// Trigger for which the guard has acted last; `None` if it has never acted, or for a trigger of a later version.
+    #[serde(deserialize_with = "known")]
     pub last: Option<Trigger>,
+}
+
+/// Reads the number of a trigger; one that this version does not know is left out.
+fn known<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Trigger>, D::Error> {
+    Ok(Option::<u8>::deserialize(from)?.and_then(|number| Trigger::try_from(number).ok()))
 }
 
 /// Condition of one robot, as far as one host knows it. A field is `None` if the host does not know the value.

@@ -54,6 +54,7 @@ fn counted_for(rig: &mut Rig, frames: &[Vec<u8>]) -> LinkCounts {
         late: less(|c| c.late),
         ahead: less(|c| c.ahead),
         urgent: less(|c| c.urgent),
+        skipped: less(|c| c.skipped),
         unproven: less(|c| c.unproven),
         duplicate_id: less(|c| c.duplicate_id),
         team: less(|c| c.team),
@@ -227,6 +228,24 @@ fn a_stop_holds_however_far_another_member_has_raised_the_numbers_of_its_sender(
     rig.arrive(1, &forged(1));
     rig.arrive(1, &sealed(&key(), header(0, 1, 5), &Wire::Stop(Stop { by: HostId(0), latch: Latch::engaged(1) })));
     assert!(rig.delivered[1].is_empty(), "its sender has not shown that it is alive");
+}
+
+#[test]
+fn blocks_of_a_later_version_are_passed_over_and_the_rest_is_read() {
+    let (mut rig, _) = two();
+    let mut later = codec::start(&header(1, 1, 1000));
+    codec::add(&mut later, Content::Other(0x7f), |bytes| bytes.extend([1, 2, 3]));
+    let encoded = codec::encode(&header(1, 1, 1000), &latent(1, 1)).unwrap();
+    later.extend_from_slice(&encoded[codec::HEADER_BYTES..]);
+    codec::add(&mut later, Content::Other(0xff), |_| {});
+    let mut cut = later[..later.len() - 1].to_vec();
+    for bytes in [&mut later, &mut cut] {
+        key().seal(bytes, LINK, None);
+    }
+    let none = LinkCounts::default();
+    assert_eq!(counted_for(&mut rig, &[cut]), LinkCounts { malformed: 1, ..none });
+    assert_eq!(counted_for(&mut rig, &[later]), LinkCounts { accepted: 1, skipped: 2, ..none });
+    assert_eq!(rig.delivered[0].len(), 1);
 }
 
 #[test]

@@ -13,8 +13,8 @@ use murmurate::messages::wire::{
     Round, Seen, Status, Stop, Telemetry, Wire,
 };
 use murmurate::net::protocol::codec::{
-    BLOCK_BYTES, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES, MAX_PLAIN_BYTES,
-    TAG_BYTES, VERSION, decode, encode, peek,
+    BLOCK_BYTES, Content, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES,
+    MAX_PLAIN_BYTES, TAG_BYTES, VERSION, decode, encode, peek,
 };
 use murmurate::time::Span;
 use proptest::prelude::*;
@@ -37,7 +37,7 @@ fn pose() -> impl Strategy<Value = Pose> {
 }
 
 fn phase() -> impl Strategy<Value = Phase> {
-    (0u8..8).prop_map(|number| Phase::try_from(number).expect("there are eight phases"))
+    (0u8..8).prop_map(|number| Phase::from(number))
 }
 
 fn round() -> impl Strategy<Value = Round> {
@@ -58,9 +58,8 @@ fn placements() -> (impl Strategy<Value = Wire>, impl Strategy<Value = Wire>) {
     let numbers = (any::<u16>(), any::<u32>(), robot());
     let place = (numbers, pose())
         .prop_map(|((by, number, robot), pose)| Wire::Place(Place { by: HostId(by), number, robot, pose }));
-    let whereabouts =
-        (robot(), 0u8..5).prop_map(|(robot, n)| (robot, Whereabouts::try_from(n).expect("there are five")));
-    let verdict = (0u8..5).prop_map(|n| PlaceAnswer::try_from(n).expect("there are five"));
+    let whereabouts = (robot(), 0u8..5).prop_map(|(robot, n)| (robot, Whereabouts::from(n)));
+    let verdict = (0u8..5).prop_map(|n| PlaceAnswer::from(n));
     let answer = ((any::<u16>(), any::<u32>(), robot()), verdict, prop::option::of(pose()));
     let answer = answer.prop_map(|((by, number, robot), verdict, measured)| Placed {
         by: HostId(by),
@@ -108,7 +107,7 @@ fn message() -> impl Strategy<Value = Wire> {
     let stop = (any::<u16>(), latch()).prop_map(|(by, latch)| Wire::Stop(Stop { by: HostId(by), latch }));
     let following = (robot(), prop::option::of(latch()), prop::option::of(latch()))
         .prop_map(|(robot, controller, body)| Following { robot, controller, body });
-    let hindrance = (robot(), 0u8..3).prop_map(|(robot, n)| (robot, Hindrance::try_from(n).expect("there are three")));
+    let hindrance = (robot(), 0u8..3).prop_map(|(robot, n)| (robot, Hindrance::from(n)));
     let leading = (latch(), prop::collection::vec(hindrance, 0..=MAX_HINDRANCES));
     let leading = leading.prop_map(|(latch, hindrances)| Leading { latch, hindrances });
     let robots = prop::collection::vec(following, 0..=MAX_BLOCK);
@@ -118,7 +117,7 @@ fn message() -> impl Strategy<Value = Wire> {
         });
     let observe = any::<u16>().prop_map(|by| Wire::Observe(Observe { by: HostId(by) }));
     let seen = (pose(), any::<u32>()).prop_map(|(pose, age_ms)| Seen { pose, age_ms });
-    let health = (0u8..3).prop_map(|n| Health::try_from(n).expect("there are three"));
+    let health = (0u8..3).prop_map(|n| Health::from(n));
     let temperature = prop::option::of((-40.0f32..215.0).prop_map(|c| Celsius::of(c).expect("it is in range")));
     let body = prop::option::of((health, any::<u8>()));
     let trigger = prop::option::of((0u8..11).prop_map(|n| Trigger::try_from(n).expect("there are eleven")));
@@ -219,7 +218,7 @@ fn another_version_and_another_kind_are_refused() {
         decode(&frame)
     };
     assert_eq!(with(0, VERSION + 1), Err(DecodeError::Version(VERSION + 1)));
-    assert_eq!(with(HEADER_BYTES, 200), Err(DecodeError::Kind(200)));
+    assert_eq!(with(HEADER_BYTES, 200), Err(DecodeError::Link(Content::Other(200))));
     assert_eq!(with(1, 0x80), Err(DecodeError::Flags(0x80)));
     assert_eq!(decode(&[VERSION; 5]), Err(DecodeError::Length(5)));
     assert_eq!(peek(&vec![VERSION; MAX_FRAME_BYTES + 1]), Err(DecodeError::Length(MAX_FRAME_BYTES + 1)));

@@ -322,6 +322,7 @@ fn condition(robot: RobotId, hardware: &Hardware) -> serde_json::Value {
         Health::Ready => "ready",
         Health::Faulty => "faulty",
         Health::Silent => "silent",
+        Health::Other => "other",
     };
     json!({
         "robot": robot, "health": health, "battery": hardware.battery,
@@ -349,5 +350,6 @@ pub fn name_of(phase: Phase) -> &'static str {
         Phase::AbortRunning => "abort-running",
         Phase::EpisodesFinished => "episodes-finished",
         Phase::Waiting => "waiting",
+        Phase::Other => "other",
     }
 }

@@ -128,6 +128,9 @@ fn why(robot: u16, host: &str, answer: Option<Placed>) -> Option<String> {
         PlaceAnswer::Unmeasured => Some(format!(
             "refused: host '{host}' has measured nothing of robot {robot} for a second: see its source and its driver"
         )),
+        PlaceAnswer::Other => {
+            Some(format!("refused by host '{host}' for a reason that only a later version knows: see its log"))
+        }
         PlaceAnswer::Differs => Some(format!(
             "refused: the source of host '{host}' measures robot {robot}{seen}; correct the source, or look again"
         )),

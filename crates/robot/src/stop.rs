@@ -227,6 +227,7 @@ impl Asked<'_> {
                         Hindrance::Missing => format!("{robot} is missing"),
                         Hindrance::Left => format!("the host of {robot} has left"),
                         Hindrance::Latched => format!("{robot} is still latched"),
+                        Hindrance::Other => format!("{robot}, for a reason that only a later version knows"),
                     };
                     let all: Vec<String> = order.hindrances().iter().map(of).collect();
                     why.push(format!("refused: {}", all.join(", ")));

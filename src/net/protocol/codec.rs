@@ -94,6 +94,8 @@ pub enum Content {
     Nack,
     /// Sequence numbers of earlier datagrams that their sender still keeps, so that receivers may request them.
     Held,
+    /// Content of a later version, with its byte; it is passed over.
+    Other(u8),
 }
 
 impl Content {
@@ -111,17 +113,18 @@ impl Content {
             Content::Ack => Content::ACK,
             Content::Nack => Content::NACK,
             Content::Held => Content::HELD,
+            Content::Other(byte) => byte,
         }
     }
 
-    fn of(byte: u8) -> Option<Content> {
+    fn of(byte: u8) -> Content {
         match byte {
-            Content::REPORT => Some(Content::Report),
-            Content::NUMBERED_REPORT => Some(Content::NumberedReport),
-            Content::ACK => Some(Content::Ack),
-            Content::NACK => Some(Content::Nack),
-            Content::HELD => Some(Content::Held),
-            _ => KINDS.get(usize::from(byte)).copied().map(Content::Message),
+            Content::REPORT => Content::Report,
+            Content::NUMBERED_REPORT => Content::NumberedReport,
+            Content::ACK => Content::Ack,
+            Content::NACK => Content::Nack,
+            Content::HELD => Content::Held,
+            _ => KINDS.get(usize::from(byte)).copied().map_or(Content::Other(byte), Content::Message),
         }
     }
 }
@@ -149,9 +152,6 @@ pub enum DecodeError {
     /// The datagram has undefined flags; all flags are given here.
     #[error("no datagram has the flags {0:#04x}")]
     Flags(u8),
-    /// A block has an undefined content type, given here as its byte.
-    #[error("no message has the kind {0}")]
-    Kind(u8),
     /// A block is longer than the datagram, or there are too few or too many blocks.
     #[error("the blocks are not what their lengths say")]
     Blocks,
@@ -245,7 +245,7 @@ pub fn blocks(plain: &[u8]) -> impl Iterator<Item = Result<(Content, &[u8]), Dec
 
 fn split(bytes: &[u8]) -> Result<(Content, &[u8], &[u8]), DecodeError> {
     let (&[content, low, high], rest) = bytes.split_first_chunk().ok_or(DecodeError::Blocks)?;
-    let content = Content::of(content).ok_or(DecodeError::Kind(content))?;
+    let content = Content::of(content);
     let (body, rest) = rest.split_at_checked(u16::from_le_bytes([low, high]).into()).ok_or(DecodeError::Blocks)?;
     Ok((content, body, rest))
 }

@@ -10,6 +10,8 @@ pub(super) struct ControlBlocks {
     pub(super) held: Vec<u32>,
     pub(super) acks: Vec<DatagramId>,
     pub(super) requests: Vec<DatagramId>,
+    /// Number of blocks of a later version, which are passed over.
+    pub(super) skipped: u64,
 }
 
 impl ControlBlocks {
@@ -20,6 +22,7 @@ impl ControlBlocks {
             empty = false;
             match block? {
                 (Content::Message(_), _) => {}
+                (Content::Other(_), _) => blocks.skipped += 1,
                 (content @ (Content::Report | Content::NumberedReport), body) => {
                     blocks.report = Some(Report::read(content, body)?);
                 }

@@ -68,6 +68,8 @@ counts! {
     team,
     /// Datagrams refused: they have another version of the wire format.
     version,
+    /// Blocks passed over in accepted datagrams: their content is of a later version.
+    skipped,
     /// Messages refused: outside the ranges of their kind.
     range,
     /// Datagrams and messages refused: they were received before.

@@ -244,6 +244,7 @@ impl LinkState {
         if verdict == Admission::Duplicate {
             return Ok(None);
         }
+        self.counts.skipped += blocks.skipped;
         self.incoming.note_gaps(now, &header, &blocks.held, || backoff(stream));
         if !(blocks.acks.is_empty() && blocks.requests.is_empty()) {
             self.answer(now, header.sender, blocks, out);

@@ -1,8 +1,9 @@
 //! Decoder of message bodies: the subset of MessagePack that the encoder uses.
 //!
-//! Numbers are unsigned, of any width; structs and tuples are arrays of at most 15 elements; lists are arrays of any
-//! length; floats are byte strings (`messages::floats`). All other forms are refused. A general decoder would put
-//! several times as much code in the path of every datagram.
+//! Numbers are unsigned, of any width; structs, tuples and lists are arrays; floats are byte strings
+//! (`messages::floats`). A struct may have more fields than this version knows, of any form, which are passed over, and
+//! fewer if its type states what they are then. All other forms are refused. A general decoder would put several times
+//! as much code in the path of every datagram.
 
 use std::fmt;
 
@@ -85,12 +86,12 @@ impl<'de> Reader<'de> {
         self.take(usize::try_from(length).map_err(|_| Unreadable)?)
     }
 
-    /// Reads the length of an array; `short` permits at most 15 elements.
+    /// Reads the length of an array.
     #[inline(never)]
-    fn array(&mut self, short: bool) -> Result<usize, Unreadable> {
+    fn array(&mut self) -> Result<usize, Unreadable> {
         match self.marker()? {
             marker @ 0x90..=0x9f => Ok(usize::from(marker & 0x0f)),
-            marker @ Reader::ARRAY_16..=Reader::ARRAY_32 if !short => {
+            marker @ Reader::ARRAY_16..=Reader::ARRAY_32 => {
                 let length = self.plain(marker - Reader::ARRAY_16 + 1)?;
                 usize::try_from(length).map_err(|_| Unreadable)
             }
@@ -101,7 +102,41 @@ impl<'de> Reader<'de> {
     fn elements<V: Visitor<'de>>(&mut self, left: usize, visitor: V) -> Result<V::Value, Unreadable> {
         let mut elements = Elements { reader: self, left };
         let value = visitor.visit_seq(&mut elements)?;
-        if elements.left == 0 { Ok(value) } else { Err(Unreadable) }
+        // What is left are fields of a later version.
+        let left = elements.left;
+        self.skip(left)?;
+        Ok(value)
+    }
+
+    /// Passes over so many values of any form, with all that they contain. Takes no more than the bytes that there are:
+    /// each value has one at least.
+    #[cold]
+    fn skip(&mut self, values: usize) -> Result<(), Unreadable> {
+        let mut left = values as u64;
+        while left > 0 {
+            let marker = self.marker()?;
+            let (bytes, inside) = match marker {
+                0x00..=0x7f | 0xe0..=0xff | Reader::NIL | Reader::FALSE | Reader::TRUE => (0, 0),
+                0xc1 => return Err(Unreadable),
+                0x80..=0x8f => (0, 2 * u64::from(marker & 0x0f)),
+                0x90..=0x9f => (0, u64::from(marker & 0x0f)),
+                0xa0..=0xbf => (u64::from(marker & 0x1f), 0),
+                Reader::BIN_8..=Reader::BIN_32 => (self.plain(marker - Reader::BIN_8)?, 0),
+                0xc7..=0xc9 => (1 + self.plain(marker - 0xc7)?, 0),
+                0xca => (4, 0),
+                0xcb => (8, 0),
+                Reader::UINT_8..=Reader::UINT_64 => (1 << (marker - Reader::UINT_8), 0),
+                0xd0..=0xd3 => (1 << (marker - 0xd0), 0),
+                0xd4..=0xd8 => (1 + (1 << (marker - 0xd4)), 0),
+                0xd9..=0xdb => (self.plain(marker - 0xd9)?, 0),
+                Reader::ARRAY_16..=Reader::ARRAY_32 => (0, self.plain(marker - Reader::ARRAY_16 + 1)?),
+                0xde..=0xdf => (0, 2 * self.plain(marker - 0xde + 1)?),
+            };
+            self.take(usize::try_from(bytes).map_err(|_| Unreadable)?)?;
+            left += inside;
+            left -= 1;
+        }
+        Ok(())
     }
 }
 
@@ -176,12 +211,12 @@ impl<'de> Deserializer<'de> for &mut Reader<'de> {
     }
 
     fn deserialize_seq<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
-        let length = self.array(false)?;
+        let length = self.array()?;
         self.elements(length, visitor)
     }
 
     fn deserialize_tuple<V: Visitor<'de>>(self, _: usize, visitor: V) -> Result<V::Value, Unreadable> {
-        let length = self.array(true)?;
+        let length = self.array()?;
         self.elements(length, visitor)
     }
 
@@ -231,12 +266,39 @@ mod tests {
     }
 
     #[test]
+    fn fields_of_a_later_version_are_passed_over_in_whatever_form_and_within_the_bytes_that_there_are() {
+        assert_eq!(read::<(u8, u8)>(&[0x93, 1, 2, 3]), Some((1, 2)));
+        assert_eq!(read::<(u8, u8)>(&[0xdc, 0, 2, 1, 2]), Some((1, 2)), "in more bytes than it takes");
+        let deep = (0..100).fold(rmpv::Value::Nil, |inner, _| rmpv::Value::Array(vec![inner]));
+        let forms = [
+            rmpv::Value::from(-5),
+            rmpv::Value::from(-70_000),
+            rmpv::Value::from(u64::MAX),
+            rmpv::Value::F32(1.5),
+            rmpv::Value::F64(1.5),
+            rmpv::Value::from("a text"),
+            rmpv::Value::from("x".repeat(300)),
+            rmpv::Value::Binary(vec![1; 300]),
+            rmpv::Value::Ext(7, vec![1; 4]),
+            rmpv::Value::Ext(7, vec![1; 5]),
+            rmpv::Value::Map(vec![(rmpv::Value::from("key"), rmpv::Value::Array(vec![rmpv::Value::Nil; 20]))]),
+            deep,
+        ];
+        for form in forms {
+            let mut bytes = vec![0x93, 1, 2];
+            rmpv::encode::write_value(&mut bytes, &form).unwrap();
+            assert_eq!(read::<(u8, u8)>(&bytes), Some((1, 2)), "{form}");
+            assert!((3..bytes.len()).all(|cut| read::<(u8, u8)>(&bytes[..cut]).is_none()), "{form}, cut off");
+        }
+        assert_eq!(read::<(u8, u8)>(&[0xdd, 255, 255, 255, 255, 1, 2, 3]), None, "as many as were made up");
+        assert_eq!(read::<(u8, u8)>(&[0x93, 1, 2, 0xc6, 255, 255, 255, 255]), None, "as long as was made up");
+    }
+
+    #[test]
     fn what_is_written_otherwise_is_refused() {
         assert_eq!(read::<u16>(&[0xce, 0, 1, 0, 0]), None, "too large");
         assert_eq!(read::<u16>(&[0xff]), None, "below zero");
-        assert_eq!(read::<(u8, u8)>(&[0x93, 1, 2, 3]), None, "too long");
         assert_eq!(read::<(u8, u8)>(&[0x91, 1]), None, "too short");
-        assert_eq!(read::<(u8, u8)>(&[0xdc, 0, 2, 1, 2]), None, "a tuple is a short array");
         assert_eq!(read::<(u8, u8)>(&[0xc4, 2, 1, 2]), None, "bytes are no tuple");
         assert_eq!(read::<Vec<u8>>(&[0xdd, 255, 255, 255, 255, 1]), None, "a length that is made up");
         assert_eq!(read::<f32>(&[0xca, 0, 0, 0, 0]), None, "floats travel as bytes");

@@ -265,13 +265,14 @@ fn about_robot(robot: RobotId, known: Option<&Condition>) -> Found {
         Some(Health::Ready) => "ready",
         Some(Health::Faulty) => "faulty",
         Some(Health::Silent) => "its hardware does not answer",
+        Some(Health::Other) => "its hardware is in a state that only a later version knows",
     };
     let battery = known.battery.map_or(String::new(), |battery| format!(", battery {battery} %"));
     let temperature = known.temperature.map_or(String::new(), |temperature| format!(", {temperature}"));
     let reason = known.reason.as_ref().map_or(String::new(), |reason| format!(": {reason}"));
     let said = format!("{place}; {phase}; {health}{reason}{battery}{temperature}");
     match known.health {
-        Some(Health::Faulty | Health::Silent) => {
+        Some(Health::Faulty | Health::Silent | Health::Other) => {
             (Fitness::Fail, what, said, "look at the robot: its driver says that something is wrong".to_owned())
         }
         _ => (Fitness::Ok, what, said, String::new()),
@@ -288,6 +289,7 @@ fn phase_name(phase: Phase) -> &'static str {
         Phase::AbortRunning => "stands, the episode has failed",
         Phase::EpisodesFinished => "stands, all episodes are over",
         Phase::Waiting => "stands, the team waits",
+        Phase::Other => "stands, in a phase that only a later version knows",
     }
 }
 
