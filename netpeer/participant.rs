@@ -318,7 +318,7 @@ impl Core for Peer {
         }
         if self.next_heartbeat <= now {
             self.next_heartbeat = now + HEARTBEAT;
-            out.push(Wire::Heartbeat(Heartbeat { robot: RobotId(self.id), round, phase, latch }));
+            out.push(Wire::Heartbeat(Heartbeat::new(RobotId(self.id), round, phase, latch)));
         }
         if self.next_mode <= now {
             self.next_mode = if self.id == 0 { now + MODE } else { Time::MAX };

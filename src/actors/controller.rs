@@ -226,7 +226,7 @@ impl Core for Controller {
         }
         if self.next_heartbeat <= now {
             let (robot, latch) = (self.config.robot, self.guard.latch());
-            out.push(Out::Heartbeat(Heartbeat { robot, round: self.round.round(), phase: self.own, latch }));
+            out.push(Out::Heartbeat(Heartbeat::new(robot, self.round.round(), self.own, latch)));
             out.push(Out::Follows(latch));
             let counts = self.guard.counts();
             if counts != self.counts_sent {

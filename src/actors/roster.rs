@@ -113,7 +113,7 @@ mod tests {
     fn heard(phases: [Phase; 2], at: Time) -> Roster {
         let mut roster = Roster::new(2);
         for (robot, phase) in RobotId::team(2).zip(phases) {
-            assert!(roster.take(at, Heartbeat { robot, round: ROUND, phase, latch: Latch::default() }));
+            assert!(roster.take(at, Heartbeat::new(robot, ROUND, phase, Latch::default())));
         }
         roster
     }
@@ -127,7 +127,7 @@ mod tests {
         let mut roster = heard([Phase::Running; 2], Time::ZERO);
         assert!(roster.reasons_to_abort(Time::ZERO, ROUND).is_empty());
         let late = Time::ZERO + MISSING_AFTER;
-        let running = Heartbeat { robot: RobotId(1), round: ROUND, phase: Phase::Running, latch: Latch::default() };
+        let running = Heartbeat::new(RobotId(1), ROUND, Phase::Running, Latch::default());
         roster.take(late, running);
         assert_eq!(roster.reasons_to_abort(late, ROUND), [(RobotId(0), AbortCause::Missing)]);
         assert_eq!(MISSING_AFTER, Span::from_millis(1000), "as the words of the cause say");
@@ -140,7 +140,7 @@ mod tests {
     #[test]
     fn a_robot_that_is_not_of_the_team_is_not_taken() {
         let mut roster = heard([Phase::Running; 2], Time::ZERO);
-        let stranger = Heartbeat { robot: RobotId(2), round: ROUND, phase: Phase::Waiting, latch: Latch::default() };
+        let stranger = Heartbeat::new(RobotId(2), ROUND, Phase::Waiting, Latch::default());
         assert!(!roster.take(Time::ZERO, stranger));
         assert!(roster.all_are(Time::ZERO, ROUND, Phase::Running));
     }

@@ -446,7 +446,7 @@ mod tests {
         for (robot, phase) in phases.into_iter().enumerate() {
             let robot = RobotId(robot as u16);
             let latch = Latch::default();
-            server.handle(now, In::Heartbeat(Heartbeat { robot, round, phase, latch }), &mut Vec::new());
+            server.handle(now, In::Heartbeat(Heartbeat::new(robot, round, phase, latch)), &mut Vec::new());
         }
     }
 
@@ -517,7 +517,7 @@ mod tests {
             assert_eq!(server.latch.is_held(), held, "robot 1 is late");
             let latch = server.latch;
             for robot in [0, 1].map(RobotId) {
-                let beat = Heartbeat { robot, round: round(1, 0), phase: Phase::NeedReset, latch };
+                let beat = Heartbeat::new(robot, round(1, 0), Phase::NeedReset, latch);
                 server.handle(at_ms(at + 10), In::Heartbeat(beat), &mut Vec::new());
             }
             let after = if held { Phase::AbortRunning } else { Phase::Resetting };
@@ -544,7 +544,7 @@ mod tests {
         let mut server = StateServer::new(config, 150, 1);
         let blocks = |server: &mut StateServer, ms: u64, phase: Phase| -> Vec<u16> {
             for robot in RobotId::team(150) {
-                let beat = Heartbeat { robot, round: server.round, phase, latch: Latch::default() };
+                let beat = Heartbeat::new(robot, server.round, phase, Latch::default());
                 server.handle(at_ms(ms), In::Heartbeat(beat), &mut Vec::new());
             }
             let mut out = Vec::new();
@@ -609,7 +609,7 @@ mod tests {
         beat(&mut server, at_ms(10), round(0, 0), [Phase::NeedReset; 2]);
         assert_eq!(tick(&mut server, at_ms(50)).1, Phase::Resetting);
         let (robot, phase, latch) = (RobotId(1), Phase::Resetting, Latch::engaged(3));
-        let stopped = Heartbeat { robot, round: round(1, 0), phase, latch };
+        let stopped = Heartbeat::new(robot, round(1, 0), phase, latch);
         server.handle(at_ms(60), In::Heartbeat(stopped), &mut Vec::new());
         let mut out = Vec::new();
         server.wake(at_ms(100), &mut out);
@@ -662,7 +662,7 @@ mod tests {
     fn follow(server: &mut StateServer, now: Time, latch: Latch, phase: Phase) {
         for robot in RobotId::team(2) {
             let round = server.round;
-            server.handle(now, In::Heartbeat(Heartbeat { robot, round, phase, latch }), &mut Vec::new());
+            server.handle(now, In::Heartbeat(Heartbeat::new(robot, round, phase, latch)), &mut Vec::new());
         }
     }
 
@@ -684,7 +684,7 @@ mod tests {
         follow(&mut server, at_ms(10), Latch::held(2), Phase::NeedReset);
         tick(&mut server, at_ms(50));
         let (robot, phase, round) = (RobotId(1), Phase::NeedReset, server.round);
-        let latched = Heartbeat { robot, round, phase, latch: Latch::engaged(1) };
+        let latched = Heartbeat::new(robot, round, phase, Latch::engaged(1));
         server.handle(at_ms(60), In::Heartbeat(latched), &mut Vec::new());
         assert_eq!(resume(&mut server, 70).hindrances, [(RobotId(1), Hindrance::Latched)]);
         assert_eq!(server.latch, Latch::held(2));
@@ -782,7 +782,7 @@ mod tests {
         tick(&mut next, at_ms(0));
         for ms in (0..60_000).step_by(50) {
             let (robot, phase, latch) = (RobotId(0), Phase::Waiting, Latch::default());
-            let beat = Heartbeat { robot, round: round_of(&next), phase, latch };
+            let beat = Heartbeat::new(robot, round_of(&next), phase, latch);
             next.handle(at_ms(ms), In::Heartbeat(beat), &mut Vec::new());
             let (_, phase) = tick(&mut next, at_ms(ms));
             assert!(matches!(phase, Phase::NeedReset | Phase::Waiting), "robot 1 has left: {phase:?}");
@@ -817,7 +817,7 @@ mod tests {
     fn one_robot_that_claims_the_largest_numbers_is_not_followed() {
         let mut server = running();
         let (robot, phase) = (RobotId(1), Phase::Running);
-        let far = Heartbeat { robot, round: round(1 << 30, 0), phase, latch: Latch::engaged(1 << 50) };
+        let far = Heartbeat::new(robot, round(1 << 30, 0), phase, Latch::engaged(1 << 50));
         for ms in (110..900).step_by(50) {
             server.handle(at_ms(ms), In::Heartbeat(far.clone()), &mut Vec::new());
             tick(&mut server, at_ms(ms));

@@ -232,6 +232,13 @@ impl Body for MotorCommand {
     }
 }
 
+impl Heartbeat {
+    /// Makes a heartbeat of `robot`, which follows the instruction of `round`, is in `phase` itself, and follows `latch`.
+    pub fn new(robot: RobotId, round: Round, phase: Phase, latch: Latch) -> Heartbeat {
+        Heartbeat { robot, round, phase, latch }
+    }
+}
+
 impl Body for Heartbeat {
     fn robot(&self) -> RobotId {
         self.robot

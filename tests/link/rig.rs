@@ -77,7 +77,7 @@ pub fn latent(robot: u16, episode: u32) -> Wire {
 
 pub fn heartbeat(robot: u16, episode: u32) -> Wire {
     let round = Round { term: 1, episode };
-    Wire::Heartbeat(Heartbeat { robot: RobotId(robot), round, phase: Phase::Running, latch: Latch::default() })
+    Wire::Heartbeat(Heartbeat::new(RobotId(robot), round, Phase::Running, Latch::default()))
 }
 
 /// Two hosts, and which datagrams from the first to the second are lost.

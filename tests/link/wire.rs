@@ -96,7 +96,7 @@ fn message() -> impl Strategy<Value = Wire> {
         Wire::MotorCommand(MotorCommand { robot, velocity: motion.velocity, valid_for: Span::from_nanos(ns) })
     });
     let beat = (robot(), round(), phase(), latch())
-        .prop_map(|(robot, round, phase, latch)| Wire::Heartbeat(Heartbeat { robot, round, phase, latch }));
+        .prop_map(|(robot, round, phase, latch)| Wire::Heartbeat(Heartbeat::new(robot, round, phase, latch)));
     let tasks = prop::collection::vec(motion(), 1..=MAX_BLOCK);
     let mode = (round(), any::<u32>(), phase(), 0u16..1000, tasks, latch());
     let mode = mode.prop_map(|(round, repeat, phase, first, tasks, latch)| {

@@ -468,7 +468,7 @@ mod tests {
         let mut view = view();
         let (clear, stopped) = (Latch::clear(0), Latch::engaged(1));
         let heartbeat = |robot: u16, latch| {
-            Wire::Heartbeat(Heartbeat { robot: RobotId(robot), round: Round::default(), phase: Phase::Running, latch })
+            Wire::Heartbeat(Heartbeat::new(RobotId(robot), Round::default(), Phase::Running, latch))
         };
         (0..3).for_each(|robot| view.receive(at(0), &heartbeat(robot, clear)));
         assert_eq!((view.confirmed(), view.latch().word()), (3, "clear"));
@@ -501,7 +501,7 @@ mod tests {
         let mut view = view();
         let heartbeat = |latch| {
             let round = Round::default();
-            Wire::Heartbeat(Heartbeat { robot: RobotId(0), round, phase: Phase::Running, latch })
+            Wire::Heartbeat(Heartbeat::new(RobotId(0), round, Phase::Running, latch))
         };
         let counts = |stop| SafetyCounts { stop, ..SafetyCounts::default() };
         let report = || GuardReport { acted: 1, late_ticks: 0, last: Some(Trigger::Stop) };
@@ -525,7 +525,7 @@ mod tests {
         let reading = |x| Wire::Reading(wire::Reading::of_point(RobotId(1), 1, Motion::at_rest(Vec2::new(x, 0.0))));
         let heartbeat = || {
             let (round, latch) = (Round::default(), Latch::default());
-            Wire::Heartbeat(Heartbeat { robot: RobotId(1), round, phase: Phase::Running, latch })
+            Wire::Heartbeat(Heartbeat::new(RobotId(1), round, Phase::Running, latch))
         };
         view.receive(at(0), &heartbeat());
         for ms in (0..3000).step_by(50) {
@@ -543,7 +543,7 @@ mod tests {
         let mut view = view();
         let heartbeat = || {
             let (round, latch) = (Round::default(), Latch::default());
-            Wire::Heartbeat(Heartbeat { robot: RobotId(0), round, phase: Phase::Running, latch })
+            Wire::Heartbeat(Heartbeat::new(RobotId(0), round, Phase::Running, latch))
         };
         let mode = |phase| {
             let (round, latch) = (Round::default(), Latch::default());

@@ -161,7 +161,7 @@ mod tests {
         let robot = RobotId(1);
         let command = Wire::MotorCommand(MotorCommand { robot, velocity: Vec2::zeros(), valid_for: Span::ZERO });
         let (round, phase, latch) = (Round::default(), Phase::Running, Latch::default());
-        let beat = Wire::Heartbeat(Heartbeat { robot, round, phase, latch });
+        let beat = Wire::Heartbeat(Heartbeat::new(robot, round, phase, latch));
         let operator = HostId::operator(5);
         for message in [&command, &beat] {
             let permitted: Vec<u16> = [0, 1, 2, 77, operator.0]

@@ -149,7 +149,7 @@ fn lies(turn: u64, stops: bool) -> Vec<Wire> {
     let (robot, number) = (RobotId((turn % 5) as u16), 1 << 52);
     let task = Task { start: Vec2::zeros(), goal: Vec2::new(1.0, 1.0) };
     let mut all = vec![
-        Wire::Heartbeat(Heartbeat { robot, round: far, phase: Phase::Running, latch: Latch::engaged(number) }),
+        Wire::Heartbeat(Heartbeat::new(robot, far, Phase::Running, Latch::engaged(number))),
         Wire::Mode(Mode {
             round: far,
             repeat: 0,
@@ -225,7 +225,7 @@ fn lies_of_a_robot(turn: u64) -> Vec<Wire> {
     let round = Round { term: (1 << 20) + 15 * (turn as u32 % (1 << 20)), episode: u32::MAX };
     let following = |robot| Following { robot: RobotId(robot), controller: Some(latch), body: Some(latch) };
     let mut all = vec![
-        Wire::Heartbeat(Heartbeat { robot: RobotId(4), round, phase: Phase::Running, latch }),
+        Wire::Heartbeat(Heartbeat::new(RobotId(4), round, Phase::Running, latch)),
         Wire::Stop(Stop { by: HostId(4), latch: Latch::held((1 << 32) + 1000 * turn) }),
     ];
     for host in 0..6 {
