@@ -241,7 +241,7 @@ mod tests {
     fn hear(order: &mut Order, robots: &[(u16, Option<Latch>, Option<Latch>)], leading: Option<Leading>) {
         let following = |&(robot, controller, body)| Following { robot: RobotId(robot), controller, body };
         let robots = robots.iter().map(following).collect();
-        let status = Status { host: HostId(0), leaves: false, robots, leading };
+        let status = Status::of(HostId(0), false, robots, leading);
         order.handle(order.next, status, &mut Vec::new());
     }
 

@@ -2,7 +2,7 @@
 
 use crate::messages::ids::RobotId;
 use crate::messages::latch::{self, Latch};
-use crate::messages::wire::{Heartbeat, Phase, Round};
+use crate::messages::wire::{Heartbeat, Phase, REVISION, Round};
 use crate::results::episode::AbortCause;
 use crate::time::{Span, Time};
 
@@ -60,6 +60,12 @@ impl Roster {
     /// Returns whether no robot is missing and all are in `phase` of `round`.
     pub(super) fn all_are(&self, now: Time, round: Round, phase: Phase) -> bool {
         self.by_robot(now).all(|beat| beat.is_some_and(|beat| beat.round == round && beat.phase == phase))
+    }
+
+    /// Returns the robots whose hosts have messages of another revision than this one, each with that revision.
+    pub(super) fn unequal(&self, now: Time) -> Vec<(RobotId, u16)> {
+        let others = self.present(now).filter(|beat| beat.revision != REVISION);
+        others.map(|beat| (beat.robot, beat.revision)).collect()
     }
 
     /// Returns the latest of `round` and those of the present robots, ignoring rounds too far ahead.

@@ -14,7 +14,7 @@ use crate::messages::geometry::Task;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::Latch;
 use crate::messages::wire::{
-    Heartbeat, Hindrance, Leading, Located, MAX_BLOCK, MAX_HINDRANCES, Mode, Phase, Round, Status, Stop,
+    Heartbeat, Hindrance, Leading, Located, MAX_BLOCK, MAX_HINDRANCES, Mode, Phase, REVISION, Round, Status, Stop,
 };
 use crate::results::episode::{AbortCause, AbortReason};
 use crate::scenario::cost::Ending;
@@ -93,6 +93,8 @@ pub struct StateServer {
     /// Hosts that have announced their shutdown and have not reported their presence since.
     left: BTreeSet<HostId>,
     lost: Lost,
+    /// Robots whose hosts have messages of another revision, each with that revision.
+    unequal: Vec<(RobotId, u16)>,
     /// Whether the server's own host is shutting down.
     leaves: bool,
     /// Number of heartbeats whose term or latch number is too far ahead to be accepted.
@@ -121,6 +123,7 @@ impl StateServer {
             latch: Latch::default(),
             left: BTreeSet::new(),
             lost: Lost::default(),
+            unequal: Vec::new(),
             leaves: false,
             beyond_reach: 0,
             round: Round::default(),
@@ -200,6 +203,7 @@ impl StateServer {
             let hindrance = match beat {
                 _ if self.left.iter().any(|&host| self.robots_of(host).contains(&robot)) => Hindrance::Left,
                 None => Hindrance::Missing,
+                Some(beat) if beat.revision != REVISION => Hindrance::Unequal,
                 Some(beat) if beat.latch != self.latch => Hindrance::Latched,
                 Some(_) => return None,
             };
@@ -245,6 +249,24 @@ impl StateServer {
             Phase::Resetting | Phase::Running | Phase::AbortRunning => self.enter(now, Phase::Waiting),
             _ => self.since = Some(now),
         }
+    }
+
+    /// Returns whether messages of hosts differ in revision. Logs which robots' hosts have which when that changes.
+    fn is_unequal(&mut self, now: Time) -> bool {
+        let unequal = self.roster.unequal(now);
+        if unequal != self.unequal {
+            let each = unequal.iter().map(|(robot, revision)| format!("{robot} has {revision}"));
+            match &each.collect::<Vec<_>>()[..] {
+                [] => tracing::warn!("all hosts have messages of revision {REVISION} now"),
+                each => tracing::error!(
+                    "the team stands: messages of this host are of revision {REVISION}, {}; install one version of the \
+                     program on all hosts",
+                    each.join(", ")
+                ),
+            }
+            self.unequal = unequal;
+        }
+        !self.unequal.is_empty()
     }
 
     /// Stops the team. The next episode begins once the latch is clear and the team is ready.
@@ -300,7 +322,7 @@ impl StateServer {
         if !self.latch.is_clear() {
             return self.hold(now);
         }
-        if !self.left.is_empty() && self.phase != Phase::NeedReset {
+        if !self.left.is_empty() && self.phase != Phase::NeedReset || self.is_unequal(now) {
             return self.wait(now);
         }
         if self.lost.any(now) && self.phase != Phase::NeedReset {
@@ -701,7 +723,7 @@ mod tests {
     /// Message of a host that leaves or is present; its robots' part is not used.
     fn status(host: u16, leaves: bool) -> Status {
         let following = |robot| wire::Following { robot: RobotId(robot), controller: None, body: None };
-        Status { host: HostId(host), leaves, robots: (0..64).map(following).collect(), leading: None }
+        Status::of(HostId(host), leaves, (0..64).map(following).collect(), None)
     }
 
     fn running() -> StateServer {

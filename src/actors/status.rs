@@ -244,12 +244,8 @@ impl Status {
                 controller: fresh(self.controllers.get(&robot)),
                 body: fresh(self.bodies.get(&robot)),
             };
-            out.push(Out::Status(wire::Status {
-                host: self.host,
-                leaves: self.leaves,
-                robots: block.iter().map(following).collect(),
-                leading: leading.clone(),
-            }));
+            let robots = block.iter().map(following).collect();
+            out.push(Out::Status(wire::Status::of(self.host, self.leaves, robots, leading.clone())));
         }
     }
 }

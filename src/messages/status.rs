@@ -6,7 +6,7 @@ use super::ids::{HostId, RobotId};
 use super::kinds::{Body, Unfit};
 use super::latch::Latch;
 use super::numbered::numbered;
-use super::wire::MAX_BLOCK;
+use super::wire::{MAX_BLOCK, REVISION};
 
 /// States of the emergency stop that the controller and the body of one robot follow, as known to one host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -32,13 +32,16 @@ pub enum Hindrance {
     Left,
     /// The robot has not yet taken over the re-arm: it still follows an earlier state of the emergency stop.
     Latched,
+    /// The robot's host has messages of another revision than the state server's.
+    Unequal,
     /// A reason of a later version.
     Other = 255,
 }
 
 impl Hindrance {
     /// All reasons of this version, in the order of their numbers.
-    pub(crate) const ALL: [Hindrance; 3] = [Hindrance::Missing, Hindrance::Left, Hindrance::Latched];
+    pub(crate) const ALL: [Hindrance; 4] =
+        [Hindrance::Missing, Hindrance::Left, Hindrance::Latched, Hindrance::Unequal];
 }
 
 numbered!(Hindrance);
@@ -70,6 +73,15 @@ pub struct Status {
     pub robots: Vec<Following>,
     /// Emergency stop state of the state server, sent by the host that runs it; `None` from every other host.
     pub leading: Option<Leading>,
+    /// Revision of the host's messages: see [`REVISION`].
+    pub revision: u16,
+}
+
+impl Status {
+    /// Makes the status of a host of this revision, from the fields of these names.
+    pub fn of(host: HostId, leaves: bool, robots: Vec<Following>, leading: Option<Leading>) -> Status {
+        Status { host, leaves, robots, leading, revision: REVISION }
+    }
 }
 
 impl Body for Status {

@@ -23,6 +23,9 @@ pub use super::status::{Following, Hindrance, Leading, MAX_HINDRANCES, Status};
 pub use super::telemetry::{Condition, GuardReport, MAX_CONDITIONS, Observe, Seen, Telemetry};
 use crate::time::Span;
 
+/// Revision of what this program's messages mean. It is raised with any change for which hosts from before and after it
+/// must not drive together: a team of unequal revisions stands, while stops, re-arms and status work among all of it.
+pub const REVISION: u16 = 1;
 /// Largest absolute value of a number in the features that a policy sends. A policy that exceeds it counts as diverged.
 pub(crate) const MAX_FEATURE: f32 = 1e6;
 /// Largest number of robots in one [`Mode`] or [`Status`] message. The starts and goals of so many robots take 64 x 16
@@ -120,6 +123,8 @@ pub struct Heartbeat {
     pub phase: Phase,
     /// Emergency stop state that the robot follows.
     pub latch: Latch,
+    /// Revision of the host's messages: see [`REVISION`].
+    pub revision: u16,
 }
 
 /// Instruction of the state server (the team's coordinator) for a block of robots with consecutive numbers. It is
@@ -235,7 +240,7 @@ impl Body for MotorCommand {
 impl Heartbeat {
     /// Makes a heartbeat of `robot`, which follows the instruction of `round`, is in `phase` itself, and follows `latch`.
     pub fn new(robot: RobotId, round: Round, phase: Phase, latch: Latch) -> Heartbeat {
-        Heartbeat { robot, round, phase, latch }
+        Heartbeat { robot, round, phase, latch, revision: REVISION }
     }
 }
 

@@ -95,8 +95,9 @@ fn message() -> impl Strategy<Value = Wire> {
     let command = (robot(), motion(), 0..=MAX_VALIDITY.as_nanos()).prop_map(|(robot, motion, ns)| {
         Wire::MotorCommand(MotorCommand { robot, velocity: motion.velocity, valid_for: Span::from_nanos(ns) })
     });
-    let beat = (robot(), round(), phase(), latch())
-        .prop_map(|(robot, round, phase, latch)| Wire::Heartbeat(Heartbeat::new(robot, round, phase, latch)));
+    let beat = (robot(), round(), phase(), latch(), any::<u16>()).prop_map(|(robot, round, phase, latch, revision)| {
+        Wire::Heartbeat(Heartbeat { revision, ..Heartbeat::new(robot, round, phase, latch) })
+    });
     let tasks = prop::collection::vec(motion(), 1..=MAX_BLOCK);
     let mode = (round(), any::<u32>(), phase(), 0u16..1000, tasks, latch());
     let mode = mode.prop_map(|(round, repeat, phase, first, tasks, latch)| {
@@ -111,10 +112,11 @@ fn message() -> impl Strategy<Value = Wire> {
     let leading = (latch(), prop::collection::vec(hindrance, 0..=MAX_HINDRANCES));
     let leading = leading.prop_map(|(latch, hindrances)| Leading { latch, hindrances });
     let robots = prop::collection::vec(following, 0..=MAX_BLOCK);
-    let status =
-        (any::<u16>(), any::<bool>(), robots, prop::option::of(leading)).prop_map(|(host, leaves, robots, leading)| {
-            Wire::Status(Status { host: HostId(host), leaves, robots, leading })
-        });
+    let status = (any::<u16>(), any::<bool>(), robots, prop::option::of(leading), any::<u16>()).prop_map(
+        |(host, leaves, robots, leading, revision)| {
+            Wire::Status(Status { revision, ..Status::of(HostId(host), leaves, robots, leading) })
+        },
+    );
     let observe = any::<u16>().prop_map(|by| Wire::Observe(Observe { by: HostId(by) }));
     let seen = (pose(), any::<u32>()).prop_map(|(pose, age_ms)| Seen { pose, age_ms });
     let health = (0u8..3).prop_map(|n| Health::from(n));

@@ -227,6 +227,9 @@ impl Asked<'_> {
                         Hindrance::Missing => format!("{robot} is missing"),
                         Hindrance::Left => format!("the host of {robot} has left"),
                         Hindrance::Latched => format!("{robot} is still latched"),
+                        Hindrance::Unequal => {
+                            format!("the host of {robot} has another version of the program: install one on all")
+                        }
                         Hindrance::Other => format!("{robot}, for a reason that only a later version knows"),
                     };
                     let all: Vec<String> = order.hindrances().iter().map(of).collect();

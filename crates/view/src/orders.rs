@@ -130,7 +130,7 @@ mod tests {
         assert!(orders.turn(at(20)).is_some() && orders.give(at(21), OrderKind::Rearm).is_err());
         let latch = Some(Latch::engaged(1));
         let robots = vec![Following { robot: RobotId(0), controller: latch, body: latch }];
-        orders.receive(at(30), &Status { host: HostId(0), leaves: false, robots, leading: None });
+        orders.receive(at(30), &Status::of(HostId(0), false, robots, None));
         assert_eq!(orders.take_result().as_deref(), Some("stop: confirmed by all 1 after 0.030 s"));
         assert!(orders.turn(at(499)).is_some() && orders.turn(at(501)).is_none() && !orders.is_running());
         orders.give(at(600), OrderKind::Rearm).unwrap();

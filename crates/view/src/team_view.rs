@@ -475,7 +475,7 @@ mod tests {
         view.receive(at(10), &heartbeat(1, stopped));
         assert_eq!((view.confirmed(), view.latch().word()), (0, "stopped"), "its motors may turn");
         let robots = vec![Following { robot: RobotId(1), controller: Some(stopped), body: Some(stopped) }];
-        view.receive(at(20), &Wire::Status(wire::Status { host: HostId(1), leaves: false, robots, leading: None }));
+        view.receive(at(20), &Wire::Status(wire::Status::of(HostId(1), false, robots, None)));
         assert_eq!(view.confirmed(), 1);
         assert!(view.snapshot(at(20)).robots[1].latched);
     }

@@ -24,7 +24,7 @@ use crate::messages::ids::HostId;
 use crate::messages::wire::{KINDS, Kind, Unfit, Wire};
 
 /// Version of the wire format; a receiver refuses all others.
-pub const VERSION: u8 = 4;
+pub const VERSION: u8 = 5;
 /// Length of the authentication tag at the end of a datagram \[bytes\]: keyed BLAKE3, truncated to 128 bits.
 pub const TAG_BYTES: usize = 16;
 /// Length of the header at the start of a datagram \[bytes\].

@@ -186,7 +186,7 @@ mod tests {
             assert!(may(operator, operator, latch) && may(HostId(2), HostId(2), latch));
             assert!(!may(HostId(1), HostId(2), latch), "in another's name");
         }
-        let status = |host| Wire::Status(Status { host, leaves: true, robots: Vec::new(), leading: None });
+        let status = |host| Wire::Status(Status::of(host, true, Vec::new(), None));
         assert!(publishers().permit(HostId(1), &status(HostId(1))));
         assert!(
             !publishers().permit(HostId(1), &status(HostId(2))) && !publishers().permit(stranger, &status(stranger))

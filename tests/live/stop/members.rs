@@ -230,7 +230,7 @@ fn lies_of_a_robot(turn: u64) -> Vec<Wire> {
     ];
     for host in 0..6 {
         let robots = (0..5).map(following).collect();
-        all.push(Wire::Status(Status { host: HostId(host), leaves: host == 4, robots, leading: None }));
+        all.push(Wire::Status(Status::of(HostId(host), host == 4, robots, None)));
     }
     all
 }
