@@ -504,6 +504,38 @@ mod tests {
     }
 
     #[test]
+    fn a_team_of_unequal_revisions_stands_and_a_resume_names_the_robot() {
+        let other = |server: &mut StateServer, ms: u64, phase: Phase| {
+            beat(server, at_ms(ms), server.round, [phase; 2]);
+            let equal = Heartbeat::new(RobotId(1), server.round, phase, server.latch);
+            let later = Heartbeat { revision: REVISION + 1, ..equal };
+            server.handle(at_ms(ms), In::Heartbeat(later), &mut Vec::new());
+        };
+        let mut server = server();
+        tick(&mut server, at_ms(0));
+        other(&mut server, 10, Phase::NeedReset);
+        assert_eq!(tick(&mut server, at_ms(50)), (round(0, 0), Phase::NeedReset), "it does not begin");
+        beat(&mut server, at_ms(60), round(0, 0), [Phase::NeedReset; 2]);
+        assert_eq!(tick(&mut server, at_ms(100)), (round(1, 0), Phase::Resetting), "until it is equal");
+        beat(&mut server, at_ms(110), round(1, 0), [Phase::FinishedResetting; 2]);
+        assert_eq!(tick(&mut server, at_ms(150)).1, Phase::Running);
+        other(&mut server, 160, Phase::Running);
+        assert_eq!(tick(&mut server, at_ms(200)), (round(1, 0), Phase::Waiting), "and no episode is lost");
+        other(&mut server, 210, Phase::Waiting);
+        server.handle(at_ms(220), In::Stop(Stop::engage(HostId::operator(1), server.latch)), &mut Vec::new());
+        assert!(server.latch.is_engaged(), "a stop works");
+        server.handle(at_ms(230), In::Stop(Stop::rearm(HostId::operator(1), server.latch)), &mut Vec::new());
+        assert!(server.latch.is_held(), "and a re-arm");
+        other(&mut server, 240, Phase::Waiting);
+        let unequal = (RobotId(1), Hindrance::Unequal);
+        assert!(resume(&mut server, 250).hindrances.contains(&unequal) && server.latch.is_held());
+        follow(&mut server, at_ms(260), server.latch, Phase::Waiting);
+        assert!(resume(&mut server, 270).hindrances.is_empty());
+        follow(&mut server, at_ms(280), server.latch, Phase::Waiting);
+        assert_eq!(tick(&mut server, at_ms(300)), (round(1, 0), Phase::Resetting), "the same episode");
+    }
+
+    #[test]
     fn an_episode_without_goals_ends_by_time_and_is_not_aborted() {
         let mut server = server();
         (server.config.ending, server.config.placement) = (Ending::Time, Placement::Exact);

@@ -194,7 +194,7 @@ impl Status {
         };
         let robots: Vec<Condition> = places.map(condition).collect();
         if !robots.is_empty() {
-            out.push(Out::Telemetry(Telemetry { host: self.host, robots }));
+            out.push(Out::Telemetry(Telemetry::of(self.host, robots)));
         }
         self.next_robot = (self.next_robot + ROBOTS_PER_MESSAGE.min(count)) % count.max(1);
         let period = TELEMETRY_PERIODS[usize::from(count > 1)];
@@ -369,7 +369,7 @@ mod tests {
         let (last, _) = told.last().unwrap();
         assert_eq!((told[0].0, told[1].0, *last), (at_ms(1000), at_ms(1330), at_ms(3640)));
         let header = Header { flags: Flags(0), team: 7, sender: HostId(4), incarnation: u32::MAX, sequence: u32::MAX };
-        let message = Wire::Telemetry(Telemetry { host: HostId(4), robots: told[0].1.clone() });
+        let message = Wire::Telemetry(Telemetry::of(HostId(4), told[0].1.clone()));
         let bytes = codec::encode(&header, &message).unwrap().len() + codec::TAG_BYTES;
         assert!(bytes * 100 / 33 < 330, "{bytes} bytes a message");
         let one = &told[0].1[1];

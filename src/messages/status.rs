@@ -73,7 +73,8 @@ pub struct Status {
     pub robots: Vec<Following>,
     /// Emergency stop state of the state server, sent by the host that runs it; `None` from every other host.
     pub leading: Option<Leading>,
-    /// Revision of the host's messages: see [`REVISION`].
+    /// Revision of the host's messages: see [`REVISION`]; 0 in records from before there were any.
+    #[serde(default)]
     pub revision: u16,
 }
 

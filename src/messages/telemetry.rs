@@ -8,6 +8,7 @@ use super::ids::{HostId, RobotId};
 use super::kinds::{Body, Publisher, Unfit};
 use super::phase::Phase;
 use super::trigger::Trigger;
+use super::wire::REVISION;
 
 /// Request of an observer (a process that watches the team) for telemetry, sent to every host once a second. The
 /// request has no other effect.
@@ -82,6 +83,16 @@ pub struct Telemetry {
     pub host: HostId,
     /// Conditions of robots of the host, at most 24 (`MAX_CONDITIONS`) in one message.
     pub robots: Vec<Condition>,
+    /// Revision of the host's messages: see [`REVISION`]; 0 in records from before there were any.
+    #[serde(default)]
+    pub revision: u16,
+}
+
+impl Telemetry {
+    /// Makes the telemetry of a host of this revision, from the fields of these names.
+    pub fn of(host: HostId, robots: Vec<Condition>) -> Telemetry {
+        Telemetry { host, robots, revision: REVISION }
+    }
 }
 
 /// Largest number of robots in one [`Telemetry`] message: 24 x 41 bytes and one reason fit into one datagram.

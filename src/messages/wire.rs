@@ -123,7 +123,8 @@ pub struct Heartbeat {
     pub phase: Phase,
     /// Emergency stop state that the robot follows.
     pub latch: Latch,
-    /// Revision of the host's messages: see [`REVISION`].
+    /// Revision of the host's messages: see [`REVISION`]; 0 in records from before there were any.
+    #[serde(default)]
     pub revision: u16,
 }
 

@@ -231,6 +231,22 @@ fn a_stop_holds_however_far_another_member_has_raised_the_numbers_of_its_sender(
 }
 
 #[test]
+fn a_host_of_the_former_version_is_refused_and_named_until_it_is_replaced() {
+    let (mut rig, _) = two();
+    let of = |sender: u16, version: u8| {
+        let mut bytes = codec::encode(&header(sender, 1, 1000), &latent(1, 1)).unwrap().to_vec();
+        bytes[0] = version;
+        key().seal(&mut bytes, LINK, None);
+        bytes
+    };
+    let counts = counted_for(&mut rig, &[of(1, 4), of(2, 4), of(3, 3)]);
+    assert_eq!(counts, LinkCounts { version: 3, ..LinkCounts::default() });
+    rig.run_ms(1000);
+    let former: Vec<(u16, bool)> = rig.peers[0].iter().map(|peer| (peer.host, peer.is_former)).collect();
+    assert_eq!(former, [(1, false), (2, true)], "host 1 has this version by now, and of version 3 nothing is known");
+}
+
+#[test]
 fn blocks_of_a_later_version_are_passed_over_and_the_rest_is_read() {
     let (mut rig, _) = two();
     let mut later = codec::start(&header(1, 1, 1000));

@@ -135,7 +135,7 @@ fn message() -> impl Strategy<Value = Wire> {
     let conditions = prop::collection::vec(condition, 0..=MAX_CONDITIONS);
     let telemetry = (any::<u16>(), conditions, "[a-z ]{0,90}").prop_map(|(host, mut robots, text)| {
         robots.iter_mut().take(1).for_each(|robot| robot.reason = Reason::new(&text));
-        Wire::Telemetry(Telemetry { host: HostId(host), robots })
+        Wire::Telemetry(Telemetry::of(HostId(host), robots))
     });
     let (place, located) = placements();
     prop_oneof![reading, latent, command, beat, mode, stop, status, observe, telemetry, place, located]

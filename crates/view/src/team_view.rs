@@ -13,7 +13,7 @@ use murmurate::messages::latch::{self, Latch};
 use murmurate::messages::local::Truth;
 use murmurate::messages::telemetry::GuardReport;
 use murmurate::messages::trigger::Trigger;
-use murmurate::messages::wire::{Located, Mode, Phase, Wire};
+use murmurate::messages::wire::{Located, Mode, Phase, REVISION, Wire};
 use murmurate::results::episode::Episode;
 use murmurate::safety::guard::SafetyCounts;
 use murmurate::scenario::judge::Verdict;
@@ -33,6 +33,8 @@ pub struct TeamView {
     scene: Scene,
     /// Host of each robot's agent, by robot id.
     homes: Vec<HostId>,
+    /// Revision of the messages of each host that has told it.
+    revisions: BTreeMap<HostId, u16>,
     robots: Vec<RobotView>,
     receptions: Receptions,
     goals: Vec<Option<[f32; 2]>>,
@@ -57,6 +59,7 @@ impl TeamView {
         TeamView {
             scene,
             homes,
+            revisions: BTreeMap::new(),
             robots: vec![RobotView::default(); robots],
             receptions: Receptions::new(robots, hosts),
             goals: vec![None; robots],
@@ -105,6 +108,7 @@ impl TeamView {
             Wire::Mode(m) => self.led(now, m),
             Wire::Status(m) => {
                 self.host_lives(now, m.host);
+                self.revised(now, m.host, m.revision);
                 for following in &m.robots {
                     self.robot(following.robot, |robot| {
                         robot.controller = following.controller.or(robot.controller);
@@ -114,6 +118,7 @@ impl TeamView {
             }
             Wire::Telemetry(m) => {
                 self.host_lives(now, m.host);
+                self.revised(now, m.host, m.revision);
                 for condition in &m.robots {
                     if let Some(seen) = condition.seen {
                         let age = Span::from_millis(seen.age_ms.into());
@@ -147,6 +152,21 @@ impl TeamView {
     fn host_lives(&mut self, now: Time, host: HostId) {
         let robots = self.robots.iter_mut().zip(&self.homes).filter(|(robot, home)| **home == host && !robot.beats);
         robots.for_each(|(robot, _)| robot.agent = Some(now));
+    }
+
+    /// Records the revision of a host's messages. One that is not that of this program goes into the log.
+    fn revised(&mut self, now: Time, host: HostId, revision: u16) {
+        let known = self.revisions.insert(host, revision).unwrap_or(REVISION);
+        if revision != known {
+            let note = match revision {
+                REVISION => format!("host {} has messages of revision {REVISION} now, as this page", host.0),
+                _ => format!(
+                    "host {} has messages of revision {revision}, this page of {REVISION}: the team stands",
+                    host.0
+                ),
+            };
+            self.note(now, &note);
+        }
     }
 
     /// Updates the state with the death of the process of the host `host`, which the log names with `text`.
@@ -476,6 +496,15 @@ mod tests {
         assert_eq!((view.confirmed(), view.latch().word()), (0, "stopped"), "its motors may turn");
         let robots = vec![Following { robot: RobotId(1), controller: Some(stopped), body: Some(stopped) }];
         view.receive(at(20), &Wire::Status(wire::Status::of(HostId(1), false, robots, None)));
+        let before = view.log_count();
+        let status = wire::Status::of(HostId(1), false, Vec::new(), None);
+        for revision in [REVISION + 1, REVISION + 1, REVISION] {
+            view.receive(at(30), &Wire::Status(wire::Status { revision, ..status.clone() }));
+            let said =
+                if revision == REVISION { "revision 1 now" } else { "revision 2, this page of 1: the team stands" };
+            assert!(view.last_line().contains(said), "{}", view.last_line());
+        }
+        assert_eq!(view.log_count(), before + 2, "each change once");
         assert_eq!(view.confirmed(), 1);
         assert!(view.snapshot(at(20)).robots[1].latched);
     }

@@ -25,6 +25,9 @@ use crate::messages::wire::{KINDS, Kind, Unfit, Wire};
 
 /// Version of the wire format; a receiver refuses all others.
 pub const VERSION: u8 = 5;
+/// Version before this one, which records have. Its header, blocks and tag have the same layout, and its messages lack
+/// fields alone.
+const FORMER: u8 = 4;
 /// Length of the authentication tag at the end of a datagram \[bytes\]: keyed BLAKE3, truncated to 128 bits.
 pub const TAG_BYTES: usize = 16;
 /// Length of the header at the start of a datagram \[bytes\].
@@ -204,13 +207,20 @@ pub fn encode(header: &Header, message: &Wire) -> Result<Frame, EncodeError> {
     Ok(bytes.into())
 }
 
-/// Decodes only the header of a datagram. Fails if the length, version or flags are invalid.
+/// Returns whether a datagram is of this version of the wire format, and not of the one before it, which only records
+/// still have.
+pub fn is_current(datagram: &[u8]) -> bool {
+    datagram.first() == Some(&VERSION)
+}
+
+/// Decodes only the header of a datagram, of this version of the wire format or the one before it. Fails if the length,
+/// version or flags are invalid.
 pub fn peek(datagram: &[u8]) -> Result<Header, DecodeError> {
     let header = datagram.first_chunk::<HEADER_BYTES>().filter(|_| datagram.len() <= MAX_FRAME_BYTES);
     let Some(&[version, flags, t0, t1, s0, s1, e0, e1, e2, e3, n0, n1, n2, n3]) = header else {
         return Err(DecodeError::Length(datagram.len()));
     };
-    if version != VERSION {
+    if version != VERSION && version != FORMER {
         return Err(DecodeError::Version(version));
     }
     let flags = Flags(flags);

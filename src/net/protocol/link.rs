@@ -1,6 +1,7 @@
 //! State of one link of one host: transmission (`outgoing`), reception (`incoming`) and counters. Pure, without sockets
 //! and clock.
 
+use std::collections::BTreeSet;
 use std::net::SocketAddr;
 
 use rand::RngExt;
@@ -19,6 +20,7 @@ use super::reliability::{Reports, Setup};
 use super::report::{DatagramId, ENTRY_BYTES, MAX_IDS, NUMBERED_ENTRY_BYTES, Stamps};
 use super::router::Audience;
 use super::sender::Peer;
+use super::senders::MAX_SENDERS;
 use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Stop, Wire};
 use crate::random::Stream;
@@ -89,6 +91,8 @@ pub struct LinkState {
     urgent: Option<Stop>,
     /// Limit of the acknowledgements that are sent again for copies of datagrams.
     again: Bucket,
+    /// Hosts of the team of which datagrams of the former version of the wire format have arrived.
+    former: BTreeSet<HostId>,
 }
 
 /// Limit of the acknowledgements that are sent again on a link because a datagram has come again: anybody can send
@@ -132,6 +136,7 @@ impl LinkState {
             refusal: None,
             urgent: None,
             again: Bucket::full(Time::ZERO, &AGAIN),
+            former: BTreeSet::new(),
         };
         state.plan();
         state
@@ -270,7 +275,7 @@ impl LinkState {
 
     /// Checks the length and the tag of a datagram, and that another process of this team has sent it. Returns its
     /// header and its bytes without the tag.
-    fn open<'a>(&self, frame: &'a [u8]) -> Result<(Header, &'a [u8]), Refusal> {
+    fn open<'a>(&mut self, frame: &'a [u8]) -> Result<(Header, &'a [u8]), Refusal> {
         let tagged = frame.get(codec::FLAGS_AT).is_some_and(|flags| flags & Flags::TAGGED != 0);
         let shortest = HEADER_BYTES + if self.key.is_some() { TAG_BYTES } else { 0 };
         if frame.len() < shortest || frame.len() > MAX_FRAME_BYTES {
@@ -284,6 +289,12 @@ impl LinkState {
         let header = codec::peek(plain).map_err(|error| cause(&error))?;
         if header.team != self.me.team {
             return Err(Refusal::Team);
+        }
+        if !codec::is_current(plain) {
+            // Where the deployment is not known, only so many are noted.
+            let known = header.sender < self.first_guest && self.former.len() < MAX_SENDERS;
+            self.former.extend(known.then_some(header.sender));
+            return Err(Refusal::Version);
         }
         if (header.sender, header.incarnation) == (self.me.host, self.me.incarnation) {
             return Err(Refusal::Own);
@@ -387,7 +398,9 @@ impl LinkState {
     /// Returns a summary of each other host (such as delay and loss); nothing on a link without link reports.
     pub(crate) fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
         let told = self.reports == Reports::On;
-        self.incoming.peers(now).filter(move |_| told)
+        let former = self.former.iter().filter(|host| !self.incoming.senders.knows(**host));
+        let former = former.map(move |host| Peer::former(now, self.id, *host));
+        self.incoming.peers(now).chain(former).filter(move |_| told)
     }
 
     /// Returns the time at which `wake` has to be called next; `None` if nothing is due.

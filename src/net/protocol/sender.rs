@@ -213,11 +213,17 @@ impl Sender {
             uncertainty_s: offset.map(|offset| offset.uncertainty_s),
             round_trip_s: offset.map(|offset| offset.round_trip_s),
             duplicate_ids: self.duplicate_ids,
+            is_former: false,
         }
     }
 }
 
 impl Peer {
+    /// Returns a summary of a host that speaks the former version of the wire format.
+    pub(crate) fn former(now: Time, link: LinkId, host: HostId) -> Peer {
+        Peer { is_former: true, ..Sender::new(now, None).peer(now, link, (host, 0), false) }
+    }
+
     /// Returns a summary of a candidate, an incarnation of the host `host` that has not proved its liveness yet.
     pub(crate) fn candidate(now: Time, link: LinkId, host: HostId, candidate: &Candidate) -> Peer {
         let unknown = Sender::new(now, None).peer(now, link, (host, candidate.incarnation), false);
@@ -262,4 +268,7 @@ pub struct Peer {
     /// Number of datagrams that were refused because they are of a second live host with the same id.
     #[serde(rename = "twins")]
     pub duplicate_ids: u64,
+    /// Whether the host speaks the version of the wire format before this one, so that nothing of it is accepted.
+    #[serde(rename = "former")]
+    pub is_former: bool,
 }

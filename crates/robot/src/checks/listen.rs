@@ -14,7 +14,7 @@ use murmurate::graph::event::Event;
 use murmurate::graph::operator::{Operator, observe, wire};
 use murmurate::messages::ids::{HostId, LinkId, RobotId};
 use murmurate::messages::latch::Latch;
-use murmurate::messages::wire::{Condition, Health, Kind, Phase, Wire};
+use murmurate::messages::wire::{Condition, Health, Kind, Phase, REVISION, Wire};
 use murmurate::net::protocol::key::Key;
 use murmurate::net::protocol::link::LinkCounts;
 use murmurate::net::protocol::reliability::Setup;
@@ -71,6 +71,8 @@ struct Received {
     hindrance: Option<String>,
     /// Whether an instruction of the state server was received.
     led: bool,
+    /// Hosts with messages of another revision than those of this program, each with its revision.
+    unequal: BTreeMap<HostId, u16>,
 }
 
 impl Received {
@@ -119,6 +121,13 @@ pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Reception> {
         (Fitness::Fail, what, trouble.to_owned(), "give this machine and all hosts the same key".to_owned())
     }));
     found.extend(refusals(&received.counts));
+    found.extend(received.unequal.iter().map(|(host, revision)| {
+        let named = first.deployment.hosts.get(usize::from(host.0)).map_or("a host", |host| &*host.name);
+        let said =
+            format!("'{named}' has messages of revision {revision}, this program of {REVISION}: the team stands");
+        let what = Subject::General("version".to_owned());
+        (Fitness::Fail, what, said, "install one version of this program on all hosts".to_owned())
+    }));
     // If no robot is reported, the findings about hosts say enough.
     if !received.robots.is_empty() {
         found.extend(
@@ -184,6 +193,9 @@ fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds
                 Event::Counts(counts) => heard.borrow_mut().counts = *counts,
                 Event::Message(Wire::Telemetry(telemetry)) => {
                     telemetry.robots.iter().for_each(|told| heard.borrow_mut().learn(told));
+                    if telemetry.revision != REVISION {
+                        heard.borrow_mut().unequal.insert(telemetry.host, telemetry.revision);
+                    }
                 }
                 Event::Message(Wire::Mode(mode)) => {
                     let mut heard = heard.borrow_mut();
@@ -220,6 +232,10 @@ fn loop_back(link: &str, echo: Option<&Peer>) -> Found {
 
 fn about(link: &str, host: &str, peer: Option<&Peer>) -> Found {
     let what = Subject::Peer { link: link.to_owned(), host: host.to_owned() };
+    if peer.is_some_and(|peer| peer.is_former) {
+        let said = "heard, and refused: it speaks the wire of the version before this one".to_owned();
+        return (Fitness::Fail, what, said, "install one version of this program on all hosts".to_owned());
+    }
     let Some((peer, age_s)) = peer.and_then(|peer| Some((peer, peer.age_s?))) else {
         let advice = "is it started, on this network, with this group and this key? run doctor there, too";
         return (Fitness::Warn, what, "not heard".to_owned(), advice.to_owned());
