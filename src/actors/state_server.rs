@@ -506,7 +506,8 @@ mod tests {
     #[test]
     fn a_team_of_unequal_revisions_stands_and_a_resume_names_the_robot() {
         let other = |server: &mut StateServer, ms: u64, phase: Phase| {
-            beat(server, at_ms(ms), server.round, [phase; 2]);
+            let round = server.round;
+            beat(server, at_ms(ms), round, [phase; 2]);
             let equal = Heartbeat::new(RobotId(1), server.round, phase, server.latch);
             let later = Heartbeat { revision: REVISION + 1, ..equal };
             server.handle(at_ms(ms), In::Heartbeat(later), &mut Vec::new());
@@ -529,9 +530,11 @@ mod tests {
         other(&mut server, 240, Phase::Waiting);
         let unequal = (RobotId(1), Hindrance::Unequal);
         assert!(resume(&mut server, 250).hindrances.contains(&unequal) && server.latch.is_held());
-        follow(&mut server, at_ms(260), server.latch, Phase::Waiting);
+        let held = server.latch;
+        follow(&mut server, at_ms(260), held, Phase::Waiting);
         assert!(resume(&mut server, 270).hindrances.is_empty());
-        follow(&mut server, at_ms(280), server.latch, Phase::Waiting);
+        let clear = server.latch;
+        follow(&mut server, at_ms(280), clear, Phase::Waiting);
         assert_eq!(tick(&mut server, at_ms(300)), (round(1, 0), Phase::Resetting), "the same episode");
     }
 

@@ -9,7 +9,7 @@ use murmurate::actor::Core;
 use murmurate::actors::network::{Config, Identity, In, Network, Out};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::latch::Latch;
-use murmurate::messages::wire::{Kind, Stop, Wire};
+use murmurate::messages::wire::{Heartbeat, Kind, Phase, Round, Stop, Wire};
 use murmurate::net::protocol::codec::TAG_BYTES;
 use murmurate::net::protocol::codec::{self, Content, Flags, Header};
 use murmurate::net::protocol::key::Key;
@@ -163,6 +163,54 @@ fn each_refusal_has_its_cause() {
     let old = held_back(&mut rig);
     let counts = counted_for(&mut rig, &[of(|header| header.sequence += 5000), old]);
     assert!(counts.accepted == 1 && counts.replay >= 1, "{counts:?}");
+}
+
+#[test]
+fn a_member_in_anothers_name_is_heard_by_nobody_and_disturbs_nobody() {
+    let keys = |host: u16| {
+        let pair = |other: u16| {
+            let mut bytes = [3; 32];
+            bytes[..2].copy_from_slice(&[host.min(other) as u8, host.max(other) as u8]);
+            bytes
+        };
+        Key::of_member([9; 32], (0..3).map(|other| (HostId(other), pair(other))).collect())
+    };
+    let of = |host: u16| config(host, 3, 1, Some(keys(host)), multicast(Reliabilities::new()));
+    let mut rig = Rig::new((0..3).map(of));
+    rig.meet();
+    let latch = Latch::engaged(1);
+    let round = Round { term: 1, episode: 1 };
+    let forged = [
+        Wire::Stop(Stop { by: HostId(0), latch }),
+        Wire::Heartbeat(Heartbeat::new(RobotId(0), round, Phase::Running, latch)),
+        latent(0, 9),
+    ];
+    let mut frames = Vec::new();
+    for message in &forged {
+        for ahead in [1, 2, 900, 7000, 1 << 30] {
+            for (flags, to) in [(0, None), (Flags::DIRECT, Some(HostId(1)))] {
+                let header = Header { flags: Flags(flags), ..header(0, 1, 20 + ahead) };
+                let mut bytes = codec::encode(&header, message).expect("a sound message").to_vec();
+                keys(2).seal(&mut bytes, LINK, to);
+                frames.push(bytes);
+            }
+        }
+    }
+    rig.counted(1);
+    rig.delivered[1].clear();
+    let before = rig.counts[1].auth;
+    frames.iter().for_each(|frame| rig.arrive(1, frame));
+    assert_eq!(rig.counted(1).auth - before, frames.len() as u64);
+    assert!(rig.delivered[1].is_empty(), "none is heard");
+    for episode in 2..12 {
+        rig.publish(0, latent(0, episode));
+        rig.run_ms(20);
+    }
+    assert_eq!(rig.delivered[1].len(), 10, "and host 0 is heard as before");
+    let stop = Wire::Stop(Stop { by: HostId(0), latch });
+    rig.publish(0, stop.clone());
+    rig.run_ms(10);
+    assert!(rig.delivered[1].iter().any(|(_, message)| *message == stop), "its own stop holds");
 }
 
 /// Datagrams of another member of the team in the name of host 0, whose last datagram had the number `last`.

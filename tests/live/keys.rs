@@ -78,6 +78,47 @@ fn a_stop_with_a_key_for_a_team_without_one_says_so_and_an_absent_team_is_no_mat
     assert!(nobody.contains("nothing of this team is heard") && nobody.contains("look at the robot"), "{nobody}");
 }
 
+#[test]
+fn members_have_keys_of_their_own_and_only_an_operator_gives_orders() {
+    let _beside = beside();
+    let hosts = ["agent-0", "agent-1", "agent-2", "world", "server"];
+    let mut written = team(789).replace("\"team.key\"", "\"keys/operator-1.key\"");
+    for host in hosts {
+        written += &format!("[host.{host}]\nkey_file = \"keys/{host}.key\"\n\n");
+    }
+    let (folder, file) = folder(&written);
+    let path = |name: &str| folder.path().join("keys").join(name).to_string_lossy().into_owned();
+    let keys = folder.path().join("keys").to_string_lossy().into_owned();
+    let made = run(&["key", "new", &file, "--out", &keys]);
+    assert_eq!(made.status.code(), Some(0), "{}", text(&made.stderr));
+    assert_eq!(text(&made.stdout).lines().count(), hosts.len() + 1);
+    let refuses = |args: &[&str], words: &[&str]| {
+        let output = run(args);
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{args:?}: {said}");
+        assert!(words.iter().all(|word| said.contains(word)), "{args:?}: {said}");
+    };
+    refuses(&["key", "new", &file, "--out", &keys], &["agent-0.key", "--force"]);
+    refuses(&["key", "new", &file, "--out", &path("more"), "--operators", "8"], &["12 members"]);
+    let run_file = file.clone();
+    let mut crew = Crew::new(move |host| murmurate(&["host", &run_file, "--host", host, "--json"]));
+    hosts.iter().for_each(|host| crew.start(host));
+    crew.ready(&hosts);
+    let stopped = run(&["stop", &file]);
+    assert_eq!(stopped.status.code(), Some(0), "{}", text(&stopped.stderr));
+    // The files of hosts are no operators', and each is that of one host.
+    for command in ["stop", "resume"] {
+        refuses(&[command, &file, "--key-file", &path("agent-1.key")], &["agent-1", "operator"]);
+    }
+    let other = ["host", &file, "--host", "agent-0", "--key-file", &path("agent-1.key")];
+    refuses(&other, &["that of 'agent-1'", "'agent-0'"]);
+    refuses(&["stop", &file, "--set", "team=790"], &["of team 789", "team 790"]);
+    for (rearm, args) in [(true, &["stop", &file, "--rearm"][..]), (false, &["resume", &file])] {
+        let done = run(args);
+        assert_eq!(done.status.code(), Some(0), "{rearm}: {}", text(&done.stderr));
+    }
+}
+
 /// Process that is ended when the test is over.
 struct Ended(Child);
 

@@ -13,7 +13,6 @@ use murmurate::registry::Registry;
 use serde_json::json;
 
 use crate::Ended;
-use crate::key;
 use crate::output::{print, talk};
 use crate::team;
 
@@ -62,7 +61,7 @@ fn check(args: &Check, registry: &Registry) -> Result<Ended> {
     for &host in &hosts {
         let team = args.team.for_host(&file, host)?;
         if keys.insert(team.key_file.clone()) {
-            seen.extend(team::key(&team)?.map(|key| key::fingerprint(&key)));
+            seen.extend(team::key(&team)?.map(|file| file.fingerprint()));
         }
         if policies.insert(team.policy.clone()) {
             let loaded = team::policy(&team, registry)?;

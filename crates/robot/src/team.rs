@@ -12,13 +12,12 @@ use murmurate::graph::end::HostEnd;
 use murmurate::graph::operator::Operator;
 use murmurate::live::links::{self, ProcessIdentity};
 use murmurate::messages::ids::{HostId, RobotId};
-use murmurate::net::protocol::key::Key;
 use murmurate::registry::Registry;
 use murmurate::scenario::Scenario;
 
 use crate::BadInput;
 use crate::bad;
-use crate::key;
+use crate::key::{self, KeyFile};
 use crate::output::{read_text, talk};
 use crate::own_name;
 use crate::policy;
@@ -121,10 +120,16 @@ impl TeamArgs {
 
     /// Opens the link that carries the team's emergency stop, and returns this process as an operator on it, with the
     /// process identity `identity`. No other link is opened.
-    pub fn operator_as(&self, file: &TeamFile, identity: ProcessIdentity) -> Result<Operator> {
+    pub fn operator_as(&self, file: &TeamFile, mut identity: ProcessIdentity) -> Result<Operator> {
         let access = file.operator_access().map_err(|error| self.wrong(&error))?;
         let deployment = file.deployment();
-        let key = key_of(access.key_file.as_deref())?.map(Key::new);
+        let file = key_of(access.key_file.as_deref())?;
+        if let (Some(file), Some(path)) = (&file, &access.key_file)
+            && let Some(own) = file.operator(path, access.number)?
+        {
+            identity.operator = own;
+        }
+        let key = file.map(|file| file.key());
         let me = identity.operator_of(access.number);
         let link = &deployment.links[usize::from(access.link.0)];
         Ok(Operator {
@@ -168,15 +173,20 @@ pub fn leave_out_key_warning() {
 }
 
 /// Reads the key of the team from its file. A team without a key gives `None`, and a warning if this host uses a link.
-pub fn key(team: &Team) -> Result<Option<[u8; 32]>> {
+pub fn key(team: &Team) -> Result<Option<KeyFile>> {
     if team.key_file.is_none() && team.links.iter().all(Option::is_none) {
         return Ok(None);
     }
-    key_of(team.key_file.as_deref())
+    let file = key_of(team.key_file.as_deref())?;
+    if let (Some(file), Some(path)) = (&file, &team.key_file) {
+        let name = &*team.deployment.hosts[usize::from(team.host.0)].name;
+        file.check_host(path, team.number, (team.host, name))?;
+    }
+    Ok(file)
 }
 
 /// Reads the team's key from a file. If there is no file, prints a warning and returns `None`.
-pub fn key_of(file: Option<&Path>) -> Result<Option<[u8; 32]>> {
+pub fn key_of(file: Option<&Path>) -> Result<Option<KeyFile>> {
     if file.is_none() && !WARNED.swap(true, Ordering::Relaxed) {
         talk(&format!(
             "warning: NO KEY: every program on this machine can command these robots; for anything but development \

@@ -5,9 +5,8 @@ use std::collections::BTreeMap;
 
 use super::acks::Acks;
 use super::bucket::{Bucket, Rate};
-use super::codec::TAG_BYTES;
 use super::codec::{self, BLOCK_BYTES, Content, EncodeError, FLAGS_AT, Flags, Frame, HEADER_BYTES, Header};
-use super::codec::{MAX_PLAIN_BYTES, add};
+use super::codec::{MAX_FRAME_BYTES, MAX_PLAIN_BYTES, add};
 use super::counts::LinkCounts;
 use super::incoming::{Incoming, Urgency};
 use super::key::Key;
@@ -174,7 +173,7 @@ impl Outgoing {
         if self.key.is_none() && flags == 0 {
             return plain.clone();
         }
-        let mut bytes = Vec::with_capacity(plain.len() + TAG_BYTES);
+        let mut bytes = Vec::with_capacity(plain.len() + MAX_FRAME_BYTES - MAX_PLAIN_BYTES);
         bytes.extend_from_slice(plain);
         bytes[FLAGS_AT] |= flags;
         if let Some(key) = &self.key {

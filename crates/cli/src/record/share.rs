@@ -36,7 +36,7 @@ pub struct Args {
 /// of the records with the lists of the datagrams that had a valid tag. Of a folder, records without a key are copied,
 /// too. Returns [`Ended::Unfit`] if a file of a folder was left out, or a record is damaged.
 pub fn run(args: &Args) -> Result<Ended> {
-    let key = Key::new(key::read(&args.key_file)?);
+    let key = key::read(&args.key_file)?.key();
     let Chosen { records, left_out } = chosen::records(std::slice::from_ref(&args.record))?;
     let whole_folder = args.record.is_dir();
     let output_of = |path: &Path| match whole_folder {

@@ -14,7 +14,6 @@ use crate::watch::feed::Feed;
 use murmurate::config::shown::counted;
 use murmurate::graph::event::Event;
 use murmurate::messages::wire::Wire;
-use murmurate::net::protocol::key::Key;
 use murmurate::registry::Registry;
 use murmurate_record::reader::{self, Opened};
 use murmurate_record::share::trusted;
@@ -71,7 +70,7 @@ pub fn watch(args: &Args, registry: &Registry) -> Result<Ended> {
 fn read(args: &Args, registry: &Registry) -> Result<Shown> {
     let named = &args.records;
     let mut paths = first_files(named)?;
-    let of_team = args.key_file.as_deref().map(key::read).transpose()?.map(Key::new);
+    let of_team = args.key_file.as_deref().map(key::read).transpose()?.map(|file| file.key());
     let mut keys = Keys { of_team, ..Keys::default() };
     if paths.len() > 1 {
         let records = chosen::records(named)?.records;

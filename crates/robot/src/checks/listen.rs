@@ -15,7 +15,6 @@ use murmurate::graph::operator::{Operator, observe, wire};
 use murmurate::messages::ids::{HostId, LinkId, RobotId};
 use murmurate::messages::latch::Latch;
 use murmurate::messages::wire::{Condition, Health, Kind, Phase, REVISION, Wire};
-use murmurate::net::protocol::key::Key;
 use murmurate::net::protocol::link::LinkCounts;
 use murmurate::net::protocol::reliability::Setup;
 use murmurate::net::protocol::sender::Peer;
@@ -156,12 +155,17 @@ pub fn operator(team: &Team) -> Result<Option<Operator>> {
 }
 
 fn open(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>]) -> Result<Operator> {
-    let key = team.key_file.as_deref().map(key::read).transpose()?.map(Key::new);
+    let (file, path) = (team.key_file.as_deref().map(key::read).transpose()?, team.key_file.as_deref());
     // Observers' messages use the link of the emergency stop.
     let carries = team.deployment.links.iter().position(|link| link.carries.contains(&Kind::Stop));
     let post = carries.filter(|at| places[*at].is_some());
     let post = post.map(|at| LinkId(u16::try_from(at).expect("links are counted in u16")));
-    let identity = links::ProcessIdentity::draw()?;
+    let mut identity = links::ProcessIdentity::draw()?;
+    if let (Some(file), Some(path)) = (&file, path)
+        && let Some(own) = file.operator(path, team.number)?
+    {
+        identity.operator = own;
+    }
     let mut transports = Vec::new();
     for (at, place) in places.iter().enumerate() {
         let Some(place) = place else { continue };
@@ -170,7 +174,7 @@ fn open(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>]) -> Resu
     }
     let me = identity.operator_of(team.number);
     Ok(Operator {
-        end: HostEnd { me, key, seed: identity.seed, links: setups.to_vec(), transports },
+        end: HostEnd { me, key: file.map(|file| file.key()), seed: identity.seed, links: setups.to_vec(), transports },
         robots: team.deployment.robots,
         publishers: Routes::of(&team.deployment).publishers(),
         stop: post,

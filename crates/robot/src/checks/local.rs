@@ -32,11 +32,25 @@ fn check_key(team: &Team) -> Found {
             &format!("make one with '{} key new' and name it as key_file", own_name()),
         ),
         Some(path) => match key::read(path) {
-            Ok(key) => found(
-                Fitness::Ok,
-                format!("fingerprint {}, which every host of the team must have", key::fingerprint(&key)),
-                "",
-            ),
+            Ok(file) => {
+                let (print, name) = (file.fingerprint(), &*team.deployment.hosts[usize::from(team.host.0)].name);
+                // Who listens does so as an operator.
+                let operator = file.member().is_some_and(|(number, _)| number.is_operator());
+                if let (false, Err(error)) = (operator, file.check_host(path, team.number, (team.host, name))) {
+                    return found(Fitness::Fail, error.to_string(), "");
+                }
+                let every = format!("fingerprint {print}, which every host of the team must have");
+                match file.member() {
+                    Some((_, name)) => {
+                        found(Fitness::Ok, format!("{every}; it is that of '{name}', who can pose as no other"), "")
+                    }
+                    None => found(
+                        Fitness::Warn,
+                        format!("{every}; whoever has it can pose as any host, the state server and an operator"),
+                        &format!("make a file for each member with '{} key new TEAM.toml'", own_name()),
+                    ),
+                }
+            }
             // The error also says what to do.
             Err(error) => found(Fitness::Fail, error.to_string(), ""),
         },

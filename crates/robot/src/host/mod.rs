@@ -17,7 +17,6 @@ use clap::ValueEnum;
 use murmurate::deploy::team::{Team, TeamFile};
 use murmurate::graph::process::Graph;
 use murmurate::messages::ids::HostId;
-use murmurate::net::protocol::key::Key;
 use murmurate::net::protocol::link::DuplicateId;
 use murmurate::policy::Model;
 use murmurate::registry::Registry;
@@ -127,7 +126,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     if args.launched {
         team::leave_out_key_warning();
     }
-    let key = team::key(&team)?.map(Key::new);
+    let key = team::key(&team)?.map(|file| file.key());
     let policy = team::policy(&team, registry)?;
     let digest = policy.model.digest().to_owned();
     let trial = args.trial(registry, &team, policy.model)?;

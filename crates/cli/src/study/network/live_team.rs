@@ -68,7 +68,7 @@ impl LiveTeam {
 
     /// Reads the key of the team; `None` if it has no key.
     pub fn key(&self) -> Result<Option<[u8; 32]>> {
-        team::key(&self.args.for_host(&self.file, self.stations[0])?)
+        Ok(team::key(&self.args.for_host(&self.file, self.stations[0])?)?.map(|file| file.shared()))
     }
 
     /// Returns the configuration of the participant with the host name `name`. Fails if the team has no such host, or
@@ -79,7 +79,7 @@ impl LiveTeam {
             return bad(format!("--host: '{name}' runs no agent; these do: {}", self.names().join(", ")));
         }
         let team = self.args.for_host(&self.file, host)?;
-        let key = team::key(&team)?;
+        let key = team::key(&team)?.map(|file| file.shared());
         let Some(place) = team.links[self.link].clone() else {
             return bad(format!(
                 "--live: host '{name}' has no place on link '{}'",

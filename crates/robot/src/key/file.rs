@@ -1,0 +1,211 @@
+//! Key files: who may have them, and what they hold.
+
+use std::fs::OpenOptions;
+use std::io::{ErrorKind, Read};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+use std::path::Path;
+
+use anyhow::Result;
+use data_encoding::{HEXLOWER, HEXLOWER_PERMISSIVE};
+use hmac_sha256::Hash;
+use murmurate::messages::ids::HostId;
+use murmurate::net::protocol::key::Key;
+use nix::unistd::geteuid;
+
+use super::member::Member;
+use crate::BadInput;
+use crate::own_name;
+
+/// Length of a key \[bytes\].
+pub const BYTES: usize = 32;
+/// Largest key file \[bytes\]: that of a member of a large team has some 2000.
+const MOST: u64 = 16_384;
+
+/// Content of a key file: the key that all members of the team have, and in a member's own file its keys with each.
+pub struct KeyFile {
+    shared: [u8; BYTES],
+    member: Option<Member>,
+}
+
+impl KeyFile {
+    /// Returns the key with which a process authenticates datagrams.
+    pub fn key(&self) -> Key {
+        self.member.as_ref().map_or_else(|| Key::new(self.shared), |member| member.key(self.shared))
+    }
+
+    /// Returns the bytes that all members of the team have.
+    pub fn shared(&self) -> [u8; BYTES] {
+        self.shared
+    }
+
+    /// Returns the fingerprint of the team's key: 8 hexadecimal digits of a hash, equal in the files of all members,
+    /// which reveal nothing else about it.
+    pub fn fingerprint(&self) -> String {
+        fingerprint(&self.shared)
+    }
+
+    /// Returns the number and the name of the member whose file this is; `None` for the key of a whole team.
+    pub fn member(&self) -> Option<(HostId, &str)> {
+        self.member.as_ref().map(|member| (member.number, &*member.name))
+    }
+
+    /// Checks that the host `host` of the team with the number `team` may use the file, read from `path`: it is the
+    /// host's own, or that of a whole team.
+    ///
+    /// # Errors
+    /// If it is another member's, or of another team.
+    pub fn check_host(&self, path: &Path, team: u16, (host, name): (HostId, &str)) -> Result<()> {
+        let Some(member) = &self.member else { return Ok(()) };
+        member.check_team(path, team)?;
+        if member.number != host {
+            let why = format!("is that of '{}' and this is host '{name}': name the host's own file", member.name);
+            return refuse(path, &why);
+        }
+        Ok(())
+    }
+
+    /// Returns the number under which an operator of the team with the number `team` uses the file, read from `path`;
+    /// `None` if it draws one, with the key of a whole team.
+    ///
+    /// # Errors
+    /// If it is a host's, or of another team.
+    pub fn operator(&self, path: &Path, team: u16) -> Result<Option<HostId>> {
+        let Some(member) = &self.member else { return Ok(None) };
+        member.check_team(path, team)?;
+        if !member.number.is_operator() {
+            let why = format!(
+                "is that of host '{}', and this needs an operator's: name one with --key-file, from 'key new TEAM.toml'",
+                member.name
+            );
+            return refuse(path, &why);
+        }
+        Ok(Some(member.number))
+    }
+}
+
+/// Returns the error of the key file `path` for this reason.
+pub fn refuse<T>(path: &Path, why: &str) -> Result<T> {
+    Err(BadInput(format!("the key file '{}' {why}", path.display())).into())
+}
+
+/// Reads a key file. Fails unless it belongs to this process's user or to root, has mode 0600 or less, and contains a
+/// key. Symbolic links are followed; owner and mode are checked on the opened file.
+pub fn read(path: &Path) -> Result<KeyFile> {
+    let text = read_text(path)?;
+    if text.len() > 4 * BYTES {
+        let member = std::str::from_utf8(&text).map_err(|_| "is no text".to_owned()).and_then(Member::parse);
+        return match member {
+            Ok((shared, _)) if is_guessable(&shared) => refuse(path, GUESSABLE),
+            Ok((shared, member)) => Ok(KeyFile { shared, member: Some(member) }),
+            Err(why) => refuse(path, &format!("{why}: copy it again, or make new ones with '{} key new'", own_name())),
+        };
+    }
+    Ok(KeyFile { shared: plain(path, &text)?, member: None })
+}
+
+/// Reads a file that holds nothing but a key, such as the access token of a page. Fails as [`read`] does.
+pub fn read_plain(path: &Path) -> Result<[u8; BYTES]> {
+    plain(path, &read_text(path)?)
+}
+
+fn plain(path: &Path, text: &[u8]) -> Result<[u8; BYTES]> {
+    let Some(key) = parse(text.trim_ascii()) else {
+        let why = format!("does not hold {} hexadecimal digits ({BYTES} bytes): copy the team's key again", 2 * BYTES);
+        return refuse(path, &why);
+    };
+    if is_guessable(&key) { refuse(path, GUESSABLE) } else { Ok(key) }
+}
+
+/// Why a key that was typed is refused.
+const GUESSABLE: &str = "holds a key that anybody can guess, such as zeros or a repeated pattern: make one with 'key \
+                         new', and copy it to every host";
+
+fn read_text(path: &Path) -> Result<Vec<u8>> {
+    // Non-blocking, since opening a pipe would wait for its writer.
+    let opened = OpenOptions::new().read(true).custom_flags(nix::libc::O_NONBLOCK | nix::libc::O_NOCTTY).open(path);
+    let file = match opened {
+        Ok(file) => file,
+        Err(error) if error.kind() == ErrorKind::NotFound => {
+            let why = format!("is not there: copy the team's key to it, or make one with '{} key new'", own_name());
+            return refuse(path, &why);
+        }
+        Err(error) => return refuse(path, &format!("cannot be read: {error}")),
+    };
+    let unreadable = |error| refuse::<()>(path, &format!("cannot be read: {error}")).expect_err("it is an error");
+    let about = file.metadata().map_err(unreadable)?;
+    if !about.is_file() {
+        return refuse(path, "is not a regular file: name a file that holds the key");
+    }
+    let (owner, user) = (about.uid(), geteuid().as_raw());
+    if !may_own(owner, user) {
+        let why = format!(
+            "belongs to user {owner}, who can change it, and this program runs as user {user}: chown {user} it, or run \
+             as its owner"
+        );
+        return refuse(path, &why);
+    }
+    let mode = about.mode() & 0o777;
+    if mode & 0o177 != 0 {
+        return refuse(path, &format!("has mode {mode:04o}, so others than its owner may use it: chmod 600 it"));
+    }
+    let mut text = Vec::new();
+    // Bounded: a longer file is not a key file.
+    file.take(MOST).read_to_end(&mut text).map_err(unreadable)?;
+    Ok(text)
+}
+
+/// Whether a key was typed and not drawn: its bytes repeat within eight, as zeros do, or count up or down. A key of
+/// `key new` is so with a probability below 2^-180.
+pub fn is_guessable(key: &[u8; BYTES]) -> bool {
+    let repeats = (1..=8).any(|period| key.iter().zip(&key[period..]).all(|(one, other)| one == other));
+    let step = key[1].wrapping_sub(key[0]);
+    repeats || key.windows(2).all(|pair| pair[1].wrapping_sub(pair[0]) == step)
+}
+
+/// Whether a process of the user id `user` may use a key file that the user id `owner` owns: only if the owner is that
+/// user or root. So a process of root uses no key that another user could replace.
+fn may_own(owner: u32, user: u32) -> bool {
+    owner == user || owner == 0
+}
+
+/// Returns the key of these hexadecimal digits; `None` if they are none of a key.
+pub fn parse(digits: &[u8]) -> Option<[u8; BYTES]> {
+    HEXLOWER_PERMISSIVE.decode(digits).ok()?.try_into().ok()
+}
+
+/// Returns the fingerprint of a key: 8 hexadecimal digits of a hash, which reveal nothing else about the key.
+pub fn fingerprint(key: &[u8; BYTES]) -> String {
+    let mut digest = Hash::new();
+    digest.update(b"murmurate team key\0");
+    digest.update(key);
+    HEXLOWER.encode(&digest.finalize()[..4])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_is_accepted_from_its_user_and_from_root_only() {
+        assert!(may_own(1000, 1000) && may_own(0, 1000) && may_own(0, 0));
+        assert!(!may_own(1000, 0), "an ordinary user could replace root's key");
+        assert!(!may_own(1001, 1000));
+    }
+
+    #[test]
+    fn keys_that_were_typed_are_guessable_and_those_that_were_drawn_are_not() {
+        let pattern = |of: &dyn Fn(usize) -> u8| std::array::from_fn::<u8, BYTES, _>(of);
+        for typed in [
+            pattern(&|_| 0),
+            pattern(&|_| 0x5a),
+            pattern(&|at| [0xde, 0xad, 0xbe, 0xef][at % 4]),
+            pattern(&|at| [0x01, 0x23, 0x45, 0x67, 0x89, 0xab, 0xcd, 0xef][at % 8]),
+            pattern(&|at| at as u8),
+            pattern(&|at| 255 - at as u8),
+        ] {
+            assert!(is_guessable(&typed), "{typed:02x?}");
+        }
+        assert!(!is_guessable(&pattern(&|at| (at * at) as u8)));
+        assert!((0..1000u32).all(|at| !is_guessable(&Hash::hash(&at.to_le_bytes()))));
+    }
+}
