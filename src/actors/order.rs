@@ -189,6 +189,12 @@ impl Order {
         }
     }
 
+    /// Whether the state server is still stopped: a re-arm has reached the robots and not it, and it takes none from
+    /// their hosts.
+    fn leads_stop(&self) -> bool {
+        self.leading.as_ref().is_some_and(|leading| leading.latch.is_engaged())
+    }
+
     /// Returns the message that the order sends now: its stop, re-arm, hold or resume, or a question for the latch
     /// until the latch to refer to is known.
     fn message(&self) -> Stop {
@@ -199,7 +205,7 @@ impl Order {
                 Some(latch) if latch.is_engaged() => Stop { by: me, latch },
                 known => Stop::engage(me, known.unwrap_or_default()),
             },
-            (OrderKind::Rearm, Some(stop)) if stop.is_engaged() => Stop::rearm(me, stop),
+            (OrderKind::Rearm, Some(stop)) if stop.is_engaged() || self.leads_stop() => Stop::rearm(me, stop),
             (OrderKind::Hold, Some(clear)) if clear.is_clear() => Stop::rearm(me, clear),
             (OrderKind::Resume, Some(hold)) if hold.is_held() => Stop::resume(me, hold),
             _ => Stop::ask(me),

@@ -1,7 +1,8 @@
 //! The last heartbeat of each robot of a team, as a state server knows them.
 
 use crate::messages::ids::RobotId;
-use crate::messages::latch::{self, Latch};
+use crate::messages::latch;
+use crate::messages::latch::Latch;
 use crate::messages::wire::{Heartbeat, Phase, REVISION, Round};
 use crate::results::episode::AbortCause;
 use crate::time::{Span, Time};
@@ -73,9 +74,15 @@ impl Roster {
         Round::latest(round, self.present(now).map(|beat| beat.round))
     }
 
-    /// Returns the latest of `latch` and those of the present robots, ignoring latches too far ahead.
+    /// Returns the latest of `latch` and those of the present robots that are as restrictive, ignoring latches too far
+    /// ahead.
     pub(super) fn latest_latch(&self, now: Time, latch: Latch) -> Latch {
-        latch::latest(latch, self.present(now).map(|beat| beat.latch))
+        latch::latest(latch, self.present(now).map(|beat| beat.latch).filter(|other| other.is_as_strict_as(latch)))
+    }
+
+    /// Returns the latch of a server that has just started, from those of the present robots.
+    pub(super) fn strictest_latch(&self, now: Time) -> Latch {
+        latch::strictest(self.present(now).map(|beat| beat.latch))
     }
 
     /// Returns the robots that have not reported the end of the reset of `round`.

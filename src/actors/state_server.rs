@@ -90,6 +90,8 @@ pub struct StateServer {
     /// Whether the server started its episodes without a heartbeat.
     started_unheard: bool,
     latch: Latch,
+    /// Whether a stop, re-arm or resume has arrived since the server was started.
+    ordered: bool,
     /// Hosts that have announced their shutdown and have not reported their presence since.
     left: BTreeSet<HostId>,
     lost: Lost,
@@ -121,6 +123,7 @@ impl StateServer {
             incarnation,
             started_unheard: false,
             latch: Latch::default(),
+            ordered: false,
             left: BTreeSet::new(),
             lost: Lost::default(),
             unequal: Vec::new(),
@@ -213,6 +216,7 @@ impl StateServer {
     }
 
     fn take_stop(&mut self, now: Time, stop: &Stop, out: &mut Vec<Out>) {
+        self.ordered = true;
         let hindrances = self.hindrances(now);
         match self.latch.resumed(stop.latch) {
             Some(clear) if hindrances.is_empty() => self.latched(clear),
@@ -317,7 +321,10 @@ impl StateServer {
         if self.leaves {
             return self.wait(now);
         }
-        self.latched(self.roster.latest_latch(now, self.latch));
+        self.latched(match self.round.term {
+            0 if !self.ordered => self.roster.strictest_latch(now),
+            _ => self.roster.latest_latch(now, self.latch),
+        });
         self.overtake(now);
         if !self.latch.is_clear() {
             return self.hold(now);
@@ -397,7 +404,7 @@ impl Core for StateServer {
     fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         match input {
             In::Heartbeat(beat) => {
-                let latch = self.latch.joined(beat.latch);
+                let latch = self.latch.tightened(beat.latch);
                 let fresh = self.round.term == 0;
                 let overshoots = self.latch.is_overshot_by(beat.latch) || self.round.is_overshot_by(beat.round);
                 if overshoots && !fresh {
@@ -536,6 +543,44 @@ mod tests {
         let clear = server.latch;
         follow(&mut server, at_ms(280), clear, Phase::Waiting);
         assert_eq!(tick(&mut server, at_ms(300)), (round(1, 0), Phase::Resetting), "the same episode");
+    }
+
+    #[test]
+    fn no_robots_host_ends_a_stop_or_a_hold_whatever_it_repeats() {
+        let claims = |server: &mut StateServer, ms: u64, latch: Latch| {
+            let (round, phase) = (server.round, Phase::AbortRunning);
+            server.handle(at_ms(ms), In::Heartbeat(Heartbeat::new(RobotId(1), round, phase, latch)), &mut Vec::new());
+            tick(server, at_ms(ms));
+            server.latch
+        };
+        let order = |server: &mut StateServer, ms: u64, stop: Stop| {
+            server.handle(at_ms(ms), In::Stop(stop), &mut Vec::new());
+            server.latch
+        };
+        let (mut server, by) = (running(), HostId::operator(1));
+        let stop = Stop::engage(by, server.latch);
+        let stopped = order(&mut server, 110, stop);
+        assert!(stopped.is_engaged());
+        for latch in [Latch::clear(99), Latch::held(99), Latch::clear(stopped.number() + 1)] {
+            assert_eq!(claims(&mut server, 120, latch), stopped, "{latch:?}");
+        }
+        assert_eq!(claims(&mut server, 150, Latch::engaged(60)), Latch::engaged(60), "a stop is believed");
+        let held = order(&mut server, 160, Stop::rearm(by, Latch::engaged(60)));
+        assert_eq!(held, Latch::held(61));
+        assert_eq!(claims(&mut server, 170, Latch::clear(62)), held);
+        // A server that has just started knows nothing, and takes the strictest.
+        for (one, other) in [(Latch::engaged(5), Latch::clear(99)), (Latch::clear(99), Latch::engaged(5))] {
+            let mut next = super::tests::server();
+            tick(&mut next, at_ms(0));
+            for (robot, latch) in [(0, one), (1, other)] {
+                let beat = Heartbeat::new(RobotId(robot), round(1, 0), Phase::AbortRunning, latch);
+                next.handle(at_ms(10), In::Heartbeat(beat), &mut Vec::new());
+            }
+            let mut out = Vec::new();
+            next.wake(at_ms(50), &mut out);
+            assert!(next.latch.is_engaged() && next.latch.number() == 99, "{:?}", next.latch);
+            assert!(modes(&out).iter().all(|mode| mode.latch.is_engaged()), "and never says otherwise");
+        }
     }
 
     #[test]

@@ -231,7 +231,7 @@ impl Routes {
             Publisher::Agent => Some(self.agent_host(robot)),
             Publisher::Actuator => Some(self.actuator_host(robot)),
             Publisher::StateServer => Some(self.server_host),
-            Publisher::Member | Publisher::Operator | Publisher::MemberOrOperator | Publisher::Anyone => None,
+            Publisher::Member | Publisher::Operator | Publisher::Anyone => None,
         }
     }
 

@@ -27,8 +27,6 @@ pub enum Publisher {
     Member,
     /// Operators, each in its own name.
     Operator,
-    /// Any host of the team or operator, each in its own name.
-    MemberOrOperator,
     /// Any host.
     Anyone,
 }
@@ -255,7 +253,7 @@ impl Kind {
 
     /// Whether operators publish messages of this kind.
     pub(crate) fn is_of_operators(self) -> bool {
-        matches!(self.publisher(), Publisher::Operator | Publisher::MemberOrOperator | Publisher::Anyone)
+        matches!(self.publisher(), Publisher::Operator | Publisher::Anyone)
     }
 
     /// Whether messages of this kind are soft state, which is repeated and may wait for a datagram with data.
@@ -280,7 +278,6 @@ impl Publisher {
             Publisher::StateServer => "host of the state server",
             Publisher::Member => "any host of the team, in its own name",
             Publisher::Operator => "operators, each in its own name",
-            Publisher::MemberOrOperator => "any host of the team and operators, each in its own name",
             Publisher::Anyone => "anyone",
         }
     }

@@ -98,6 +98,18 @@ impl Latch {
         if self.is_overshot_by(other) { self } else { self.max(other) }
     }
 
+    /// Returns the later of this latch and `other`, a latch that a robot's host repeats, unless that is less restrictive:
+    /// a robot's host cannot end a stop or a hold. A number that is implausibly far ahead is ignored, as by
+    /// [`Latch::joined`].
+    pub(crate) fn tightened(self, other: Latch) -> Latch {
+        if other.is_as_strict_as(self) { self.joined(other) } else { self }
+    }
+
+    /// Whether the state of this latch is at least as restrictive as that of `other`.
+    pub(crate) fn is_as_strict_as(self, other: Latch) -> bool {
+        self.state >= other.state
+    }
+
     /// Returns the latch after a stop, re-arm or resume (`other`) from an operator or a host. A stop counts whatever
     /// its number, since its sender need not know the present number. A re-arm has to be later than the stop. A resume
     /// changes nothing here: the state server, the coordinator of the team, grants it with [`Latch::resumed`].
@@ -174,6 +186,13 @@ impl LatchFollower {
 /// newest known number is `known`. A larger number is taken for corrupted or forged.
 fn ceiling(known: u64) -> u64 {
     known.max(CREDIBLE) + JUMP
+}
+
+/// Returns the latch that whoever knows none takes from the `latches` of robots' hosts: the most restrictive state, with
+/// the largest number, of which a single one that is implausibly far above the others is ignored.
+pub(crate) fn strictest(latches: impl Iterator<Item = Latch> + Clone) -> Latch {
+    let state = latches.clone().map(|latch| latch.state).max().unwrap_or_default();
+    Latch { number: latest(Latch::default(), latches).number, state }
 }
 
 /// Returns the latest of `known` and the received `latches`. A single latch with a number implausibly far above `known`

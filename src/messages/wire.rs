@@ -284,8 +284,9 @@ impl Body for Stop {
         (!self.latch.is_engaged()).then_some(self.by)
     }
 
-    /// Every host may stop the team; only an operator or a host of the team may re-arm or resume it.
+    /// Every host may stop the team; only an operator, or the host of the state server, may re-arm or resume it.
     fn is_for(&self, is: impl Fn(Publisher, RobotId) -> bool) -> bool {
-        self.latch.is_engaged() || is(Publisher::MemberOrOperator, self.robot())
+        let robot = self.robot();
+        self.latch.is_engaged() || is(Publisher::Operator, robot) || is(Publisher::StateServer, robot)
     }
 }

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use murmurate::deploy::MODES;
+use murmurate::deploy::Routes;
 use murmurate::faults::{ActorFault, ActorFaultKind, FaultPlan, LinkFault, Role};
 use murmurate::hearing::CommRange;
 use murmurate::messages::geometry::Vec2;
@@ -135,7 +136,7 @@ fn an_emergency_stop_stops_everyone_within_100_ms_and_holds_until_a_later_re_arm
     for mode in MODES {
         for safety in [Safety::deployed(), Safety::emulated()] {
             let trial = Trial { safety, ..trial(mode, 6) };
-            let (at, by) = (midst(&trial), HostId(0));
+            let (at, by) = (midst(&trial), Routes::of(&trial.deployment).server_host());
             let resumed = at + ms(6000);
             let stops = vec![
                 (at, Stop::engage(by, Latch::default())),
@@ -163,7 +164,7 @@ fn a_host_that_misses_the_stop_or_the_re_arm_gets_it_from_the_state_server() {
     let server = Trial::preset("onboard-infra", "passage").expect("a preset").deployment.hosts.len() as u16 - 1;
     let stops = vec![
         (at, Stop::engage(by, Latch::default())),
-        (rearmed, Stop::rearm(by, Latch::engaged(1))),
+        (rearmed, Stop::rearm(HostId(server), Latch::engaged(1))),
         (rearmed + ms(500), Stop::resume(HostId(server), Latch::held(2))),
     ];
     // The stop reaches no other host: only its sender has it.

@@ -52,7 +52,6 @@ impl Publishers {
                 Publisher::StateServer => sender == self.server,
                 Publisher::Member => self.knows(sender),
                 Publisher::Operator => sender.is_operator(),
-                Publisher::MemberOrOperator => self.knows(sender) || sender.is_operator(),
                 Publisher::Anyone => true,
             }
         })
@@ -176,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn anyone_may_stop_but_only_the_team_and_operators_may_take_a_stop_back_each_in_its_own_name() {
+    fn anyone_may_stop_but_only_operators_and_the_state_server_may_take_a_stop_back_each_in_its_own_name() {
         let (stranger, operator) = (HostId(77), HostId::operator(5));
         let may =
             |sender: HostId, by: HostId, latch: Latch| publishers().permit(sender, &Wire::Stop(Stop { by, latch }));
@@ -185,6 +184,7 @@ mod tests {
             assert!(!may(stranger, stranger, latch) && !may(stranger, operator, latch));
             assert!(may(operator, operator, latch) && may(HostId(2), HostId(2), latch));
             assert!(!may(HostId(1), HostId(2), latch), "in another's name");
+            assert!(!may(HostId(1), HostId(1), latch), "a robot's host");
         }
         let status = |host| Wire::Status(Status::of(host, true, Vec::new(), None));
         assert!(publishers().permit(HostId(1), &status(HostId(1))));
