@@ -12,12 +12,16 @@ pub const MISSING_AFTER: Span = Span::from_millis(1000);
 
 /// Last heartbeat of each robot, by its id, with the time at which it arrived.
 #[derive(Debug)]
-pub(super) struct Roster(Vec<Option<(Time, Heartbeat)>>);
+pub(super) struct Roster {
+    last: Vec<Option<(Time, Heartbeat)>>,
+    /// Robots whose hosts have messages of another revision, each with that revision.
+    unequal: Vec<(RobotId, u16)>,
+}
 
 impl Roster {
     /// Returns the roster of a team of `robots` before any heartbeat.
     pub(super) fn new(robots: usize) -> Roster {
-        Roster(vec![None; robots])
+        Roster { last: vec![None; robots], unequal: Vec::new() }
     }
 
     /// Takes a heartbeat that arrived at time `now`. Returns whether it is of a robot of the team.
@@ -25,19 +29,19 @@ impl Roster {
         if self.is_missing(now, beat.robot) {
             tracing::info!("heartbeats of {} arrive", beat.robot);
         }
-        let last = self.0.get_mut(beat.robot.index());
+        let last = self.last.get_mut(beat.robot.index());
         last.map(|last| *last = Some((now, beat))).is_some()
     }
 
     /// Returns whether a robot of the team is missing: no heartbeat of it has arrived for a second.
     fn is_missing(&self, now: Time, robot: RobotId) -> bool {
-        let last = self.0.get(robot.index());
+        let last = self.last.get(robot.index());
         last.is_some_and(|last| last.as_ref().is_none_or(|(at, _)| now.since(*at) >= MISSING_AFTER))
     }
 
     /// Returns the last heartbeat of each robot, in the order of their ids; `None` for a missing robot.
     fn by_robot(&self, now: Time) -> impl Iterator<Item = Option<&Heartbeat>> + Clone {
-        self.0.iter().map(move |last| {
+        self.last.iter().map(move |last| {
             let (at, beat) = last.as_ref()?;
             (now.since(*at) < MISSING_AFTER).then_some(beat)
         })
@@ -45,7 +49,7 @@ impl Roster {
 
     /// Returns each robot with its last heartbeat; `None` for a missing robot.
     pub(super) fn all(&self, now: Time) -> impl Iterator<Item = (RobotId, Option<&Heartbeat>)> {
-        RobotId::team(self.0.len()).zip(self.by_robot(now))
+        RobotId::team(self.last.len()).zip(self.by_robot(now))
     }
 
     /// Returns the last heartbeats of the robots that are not missing.
@@ -63,10 +67,24 @@ impl Roster {
         self.by_robot(now).all(|beat| beat.is_some_and(|beat| beat.round == round && beat.phase == phase))
     }
 
-    /// Returns the robots whose hosts have messages of another revision than this one, each with that revision.
-    pub(super) fn unequal(&self, now: Time) -> Vec<(RobotId, u16)> {
+    /// Returns whether hosts of present robots have messages of another revision than this one. Logs which have which when
+    /// that changes.
+    pub(super) fn is_unequal(&mut self, now: Time) -> bool {
         let others = self.present(now).filter(|beat| beat.revision != REVISION);
-        others.map(|beat| (beat.robot, beat.revision)).collect()
+        let unequal: Vec<(RobotId, u16)> = others.map(|beat| (beat.robot, beat.revision)).collect();
+        if unequal != self.unequal {
+            let each = unequal.iter().map(|(robot, revision)| format!("{robot} has {revision}"));
+            match &each.collect::<Vec<_>>()[..] {
+                [] => tracing::warn!("all hosts have messages of revision {REVISION} now"),
+                each => tracing::error!(
+                    "the team stands: messages of this host are of revision {REVISION}, {}; install one version of the \
+                     program on all hosts",
+                    each.join(", ")
+                ),
+            }
+            self.unequal = unequal;
+        }
+        !self.unequal.is_empty()
     }
 
     /// Returns the latest of `round` and those of the present robots, ignoring rounds too far ahead.

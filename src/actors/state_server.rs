@@ -95,8 +95,6 @@ pub struct StateServer {
     /// Hosts that have announced their shutdown and have not reported their presence since.
     left: BTreeSet<HostId>,
     lost: Lost,
-    /// Robots whose hosts have messages of another revision, each with that revision.
-    unequal: Vec<(RobotId, u16)>,
     /// Whether the server's own host is shutting down.
     leaves: bool,
     /// Number of heartbeats whose term or latch number is too far ahead to be accepted.
@@ -126,7 +124,6 @@ impl StateServer {
             ordered: false,
             left: BTreeSet::new(),
             lost: Lost::default(),
-            unequal: Vec::new(),
             leaves: false,
             beyond_reach: 0,
             round: Round::default(),
@@ -255,24 +252,6 @@ impl StateServer {
         }
     }
 
-    /// Returns whether messages of hosts differ in revision. Logs which robots' hosts have which when that changes.
-    fn is_unequal(&mut self, now: Time) -> bool {
-        let unequal = self.roster.unequal(now);
-        if unequal != self.unequal {
-            let each = unequal.iter().map(|(robot, revision)| format!("{robot} has {revision}"));
-            match &each.collect::<Vec<_>>()[..] {
-                [] => tracing::warn!("all hosts have messages of revision {REVISION} now"),
-                each => tracing::error!(
-                    "the team stands: messages of this host are of revision {REVISION}, {}; install one version of the \
-                     program on all hosts",
-                    each.join(", ")
-                ),
-            }
-            self.unequal = unequal;
-        }
-        !self.unequal.is_empty()
-    }
-
     /// Stops the team. The next episode begins once the latch is clear and the team is ready.
     fn hold(&mut self, now: Time) {
         match self.phase {
@@ -329,7 +308,7 @@ impl StateServer {
         if !self.latch.is_clear() {
             return self.hold(now);
         }
-        if !self.left.is_empty() && self.phase != Phase::NeedReset || self.is_unequal(now) {
+        if !self.left.is_empty() && self.phase != Phase::NeedReset || self.roster.is_unequal(now) {
             return self.wait(now);
         }
         if self.lost.any(now) && self.phase != Phase::NeedReset {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::Deployment;
 use crate::messages::ids::{HostId, LinkId, RobotId};
-use crate::messages::kinds::{KINDS, Kind, Publisher, Receiver};
+use crate::messages::wire::{KINDS, Kind, Publisher, Receiver};
 use crate::net::protocol::router::{Audience, Publishers, Route, Router};
 
 /// For all actors of a checked deployment, the hosts on which they run; for all messages, the hosts and links between

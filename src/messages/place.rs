@@ -2,11 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::body::MAX_BLOCK;
+use super::body::{Body, Publisher, Unfit};
 use super::geometry::Pose;
 use super::ids::{HostId, RobotId};
-use super::kinds::{Body, Publisher, Unfit};
 use super::numbered::numbered;
-use super::wire::MAX_BLOCK;
 
 /// Statement of an operator of where a robot is, sent to every host; the host that measures the robot acts on it. It is
 /// repeated until that host answers with a [`Placed`] in a [`Located`].

@@ -2,11 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::body::{Body, Unfit};
+use super::body::{MAX_BLOCK, REVISION};
 use super::ids::{HostId, RobotId};
-use super::kinds::{Body, Unfit};
 use super::latch::Latch;
 use super::numbered::numbered;
-use super::wire::{MAX_BLOCK, REVISION};
 
 /// States of the emergency stop that the controller and the body of one robot follow, as known to one host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

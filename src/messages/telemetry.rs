@@ -2,13 +2,13 @@
 
 use serde::{Deserialize, Deserializer, Serialize};
 
+use super::body::REVISION;
+use super::body::{Body, Publisher, Unfit};
 use super::geometry::Pose;
 use super::hardware::{Celsius, Health, Reason};
 use super::ids::{HostId, RobotId};
-use super::kinds::{Body, Publisher, Unfit};
 use super::phase::Phase;
 use super::trigger::Trigger;
-use super::wire::REVISION;
 
 /// Request of an observer (a process that watches the team) for telemetry, sent to every host once a second. The
 /// request has no other effect.

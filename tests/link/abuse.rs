@@ -251,7 +251,8 @@ fn a_stop_holds_however_far_another_member_has_raised_the_numbers_of_its_sender(
     for (what, attack, counted) in attacks {
         let (mut rig, _) = two();
         rig.publish(0, latent(0, 1));
-        rig.run_ms(10);
+        // Reports are remembered at some distance.
+        rig.run_ms(40);
         let last = codec::peek(&rig.last_data(0)).unwrap().sequence;
         for frame in attack(&rig, last) {
             rig.arrive(1, &frame);

@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use crate::messages::ids::{HostId, LinkId, RobotId};
-use crate::messages::kinds::{KINDS, Kind, Publisher, Wire};
+use crate::messages::wire::{KINDS, Kind, Publisher, Wire};
 
 /// Hosts that a datagram is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

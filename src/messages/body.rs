@@ -1,0 +1,124 @@
+//! What every wire message has: who publishes and who receives it, its ranges, and what it says of itself.
+
+use super::ids::{HostId, RobotId};
+
+/// Revision of what this program's messages mean. It is raised with any change for which hosts from before and after it
+/// must not drive together: a team of unequal revisions stands, while stops, re-arms and status work among all of it.
+pub const REVISION: u16 = 1;
+/// Largest number of robots in one `Mode` or `Status` message. The starts and goals of so many robots take 64 x 16
+/// bytes and fit into one datagram.
+pub const MAX_BLOCK: usize = 64;
+
+/// Who may publish a message, by what the deployment gives to each host.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Publisher {
+    /// The host that measures the robot.
+    Localizer,
+    /// The host of the robot's Agent.
+    Agent,
+    /// The host that drives the robot's motors.
+    Actuator,
+    /// The host of the state server.
+    StateServer,
+    /// Any host of the team, in its own name.
+    Member,
+    /// Operators, each in its own name.
+    Operator,
+    /// Any host.
+    Anyone,
+}
+
+/// Hosts that receive a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Receiver {
+    /// The hosts that need the robot's readings: those of its Agent and of its motors, those that simulate other
+    /// robots, and that of the judge.
+    Readers,
+    /// The hosts with an Agent, but not one whose only Agent is the robot's.
+    OtherAgents,
+    /// The host that drives the robot's motors.
+    Actuator,
+    /// The host of the state server.
+    StateServer,
+    /// All hosts.
+    All,
+    /// The hosts with an Agent or a Body, and that of the state server.
+    Movers,
+    /// The hosts that measure robots.
+    Localizers,
+    /// No host of the team.
+    Nobody,
+}
+
+/// What every message says of itself.
+pub(crate) trait Body {
+    /// Returns the robot that the message is about; the first one of several, robot 0 if it is about none.
+    fn robot(&self) -> RobotId;
+
+    /// Returns the first violation of a range; `Ok` if the message may be sent and used.
+    fn check(&self) -> Result<(), Unfit>;
+
+    /// Returns the host in whose name the message speaks, which has to be its sender; `None` if it names none.
+    fn author(&self) -> Option<HostId> {
+        None
+    }
+
+    /// Returns whether the sender may say what the message says beyond its kind. `is` tells whether the sender is this
+    /// publisher of that robot.
+    fn is_for(&self, is: impl Fn(Publisher, RobotId) -> bool) -> bool {
+        let _ = is;
+        true
+    }
+}
+
+/// Reason for which a wire message is invalid and may not be sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Unfit {
+    /// A position, velocity or feature is NaN, infinite or too large.
+    #[error("a number is not finite or out of range")]
+    Number,
+    /// A list of the message is longer than its limit, or empty where at least one entry is needed; or a telemetry
+    /// message has more than one fault reason.
+    #[error("a list is empty or too long")]
+    Length,
+    /// The validity of a motor command exceeds `MAX_VALIDITY`, one second.
+    #[error("the validity of a command is too long")]
+    Validity,
+    /// The block of robots of a `Mode` message goes beyond the largest robot id, 65 535.
+    #[error("a block of robots exceeds the largest robot id")]
+    Block,
+    /// The term of a round (the number of the state server's start) is too large to be valid.
+    #[error("the term of a round is out of range")]
+    Term,
+}
+
+impl Publisher {
+    /// Returns the publisher in the words of docs/wire.md.
+    pub(super) fn words(self) -> &'static str {
+        match self {
+            Publisher::Localizer => "host that measures the robot",
+            Publisher::Agent => "host of the robot's agent",
+            Publisher::Actuator => "host that drives the robot's motors",
+            Publisher::StateServer => "host of the state server",
+            Publisher::Member => "any host of the team, in its own name",
+            Publisher::Operator => "operators, each in its own name",
+            Publisher::Anyone => "anyone",
+        }
+    }
+}
+
+impl Receiver {
+    /// Returns the receivers in the words of docs/wire.md.
+    pub(super) fn words(self) -> &'static str {
+        match self {
+            Receiver::Readers => "hosts of its agent and motors, simulators of others, the judge",
+            Receiver::OtherAgents => "hosts of other agents",
+            Receiver::Actuator => "host that drives the robot's motors",
+            Receiver::StateServer => "host of the state server",
+            Receiver::All => "all hosts",
+            Receiver::Movers => "hosts with agents or motors, host of the state server",
+            Receiver::Localizers => "hosts that measure robots",
+            Receiver::Nobody => "no host",
+        }
+    }
+}
