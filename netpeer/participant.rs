@@ -3,7 +3,8 @@
 //!
 //! Environment variables configure it (`NP_ID`, `NP_N`, `NP_RATE`, ...; `NP_RECORD` names a folder for records as a
 //! host makes them; `NP_ROBOT=0` leaves out heartbeats and modes, which other peers do not send; `NP_VARIANT=uni` sends
-//! to each other participant at its address in `NP_PEERS`, and not to a group; `NP_REPEAT=0` repeats nothing), and it
+//! to each other participant at its address in `NP_PEERS`, and not to a group; `NP_REPEAT=0` repeats nothing;
+//! `NP_AUTH=sender` gives each participant keys of its own), and it
 //! writes its results to files in `NP_DIR`. The harness that starts it measures other middleware in the same way. A
 //! message of 152 bytes (sender, sequence number, timestamp, two floats of position, 32 floats) is sent as a latent. The
 //! sequence number is in its episode, the timestamp in its term and velocity, the position in its position.
@@ -59,6 +60,22 @@ const MAX_LATE: Span = Span::from_millis(25);
 const LINK: LinkId = LinkId(0);
 /// Any key: the cost of authentication does not depend on it.
 const KEY: [u8; 32] = *b"the key of the messaging harness";
+
+/// Returns this participant's key: that of all, or with `NP_AUTH=sender` those of a member of a team with an operator.
+fn key() -> Key {
+    if variable("NP_AUTH", String::new()) != "sender" {
+        return Key::new(KEY);
+    }
+    let (me, participants) = (variable("NP_ID", 0u16), variable("NP_N", 2u16));
+    let members = (0..participants).map(HostId).chain([HostId::operator(1)]);
+    let pair = |other: HostId| {
+        let mut bytes = KEY;
+        let [a, b] = [me.min(other.0), me.max(other.0)].map(u16::to_le_bytes);
+        bytes[..4].copy_from_slice(&[a[0], a[1], b[0], b[1]]);
+        bytes
+    };
+    Key::of_member(KEY, members.map(|other| (other, pair(other))).collect())
+}
 
 /// Returns the monotonic clock, which the harness uses \[ns\].
 fn monotonic_ns() -> u64 {
@@ -479,7 +496,7 @@ fn wire(
     let setup = if is_unicast() { Setup::unicast(reliability) } else { Setup::multicast(reliability) };
     let end = HostEnd {
         me: network::Identity { host: HostId(id), team: 1, incarnation: 1 },
-        key: Some(Key::new(KEY)),
+        key: Some(key()),
         seed: Seed::of_run(u64::from(id)),
         links: vec![Some(setup)],
         transports: vec![(LINK, open)],
