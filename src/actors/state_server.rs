@@ -90,7 +90,7 @@ pub struct StateServer {
     /// Whether the server started its episodes without a heartbeat.
     started_unheard: bool,
     latch: Latch,
-    /// Whether a stop, re-arm or resume has arrived since the server was started.
+    /// Whether a stop, re-arm or resume has changed the latch since the server was started.
     ordered: bool,
     /// Hosts that have announced their shutdown and have not reported their presence since.
     left: BTreeSet<HostId>,
@@ -213,13 +213,13 @@ impl StateServer {
     }
 
     fn take_stop(&mut self, now: Time, stop: &Stop, out: &mut Vec<Out>) {
-        self.ordered = true;
-        let hindrances = self.hindrances(now);
+        let (hindrances, before) = (self.hindrances(now), self.latch);
         match self.latch.resumed(stop.latch) {
             Some(clear) if hindrances.is_empty() => self.latched(clear),
             Some(_) => {}
             None => self.latched(self.latch.after(stop.latch)),
         }
+        self.ordered |= self.latch != before;
         if stop.by.is_operator() {
             out.push(Out::Leading(Leading { latch: self.latch, hindrances }));
         }
