@@ -6,8 +6,8 @@
 //! to each other participant at its address in `NP_PEERS`, and not to a group; `NP_REPEAT=0` repeats nothing;
 //! `NP_AUTH=sender` gives each participant keys of its own), and it
 //! writes its results to files in `NP_DIR`. The harness that starts it measures other middleware in the same way. A
-//! message of 152 bytes (sender, sequence number, timestamp, two floats of position, 32 floats) is sent as a latent. The
-//! sequence number is in its episode, the timestamp in its term and velocity, the position in its position.
+//! message of 152 bytes (sender, sequence number, timestamp, two floats of position, 32 floats) is sent as a latent.
+//! The sequence number is in its episode, the timestamp in its term and velocity, the position in its position.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;

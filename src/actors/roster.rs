@@ -67,8 +67,8 @@ impl Roster {
         self.by_robot(now).all(|beat| beat.is_some_and(|beat| beat.round == round && beat.phase == phase))
     }
 
-    /// Returns whether hosts of present robots have messages of another revision than this one. Logs which have which when
-    /// that changes.
+    /// Returns whether hosts of present robots have messages of another revision than this one. Logs which have which
+    /// when that changes.
     pub(super) fn is_unequal(&mut self, now: Time) -> bool {
         let others = self.present(now).filter(|beat| beat.revision != REVISION);
         let unequal: Vec<(RobotId, u16)> = others.map(|beat| (beat.robot, beat.revision)).collect();

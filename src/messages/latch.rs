@@ -98,9 +98,9 @@ impl Latch {
         if self.is_overshot_by(other) { self } else { self.max(other) }
     }
 
-    /// Returns the later of this latch and `other`, a latch that a robot's host repeats, unless that is less restrictive:
-    /// a robot's host cannot end a stop or a hold. A number that is implausibly far ahead is ignored, as by
-    /// [`Latch::joined`].
+    /// Returns the later of this latch and `other`, a latch that a robot's host repeats, unless that is less
+    /// restrictive: a robot's host cannot end a stop or a hold. A number that is implausibly far ahead is ignored, as
+    /// by [`Latch::joined`].
     pub(crate) fn tightened(self, other: Latch) -> Latch {
         if other.is_as_strict_as(self) { self.joined(other) } else { self }
     }
@@ -188,11 +188,12 @@ fn ceiling(known: u64) -> u64 {
     known.max(CREDIBLE) + JUMP
 }
 
-/// Returns the latch that whoever knows none takes from the `latches` of robots' hosts: the most restrictive state, with
-/// the largest number, of which a single one that is implausibly far above the others is ignored.
+/// Returns the latch that whoever knows none takes from the `latches` of robots' hosts: the most restrictive state,
+/// with the largest number, of which a single one that is implausibly far above the others is ignored.
 pub(crate) fn strictest(latches: impl Iterator<Item = Latch> + Clone) -> Latch {
-    let state = latches.clone().map(|latch| latch.state).max().unwrap_or_default();
-    Latch { number: latest(Latch::default(), latches).number, state }
+    let number = latest(Latch::default(), latches.clone()).number;
+    let state = latches.filter(|latch| latch.number <= number).map(|latch| latch.state).max().unwrap_or_default();
+    Latch { number, state }
 }
 
 /// Returns the latest of `known` and the received `latches`. A single latch with a number implausibly far above `known`

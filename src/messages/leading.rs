@@ -29,7 +29,8 @@ pub struct Heartbeat {
 }
 
 impl Heartbeat {
-    /// Makes a heartbeat of `robot`, which follows the instruction of `round`, is in `phase` itself, and follows `latch`.
+    /// Makes a heartbeat of `robot`, which follows the instruction of `round`, is in `phase` itself, and follows
+    /// `latch`.
     pub fn new(robot: RobotId, round: Round, phase: Phase, latch: Latch) -> Heartbeat {
         Heartbeat { robot, round, phase, latch, revision: REVISION }
     }

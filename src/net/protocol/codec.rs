@@ -30,8 +30,8 @@ pub const VERSION: u8 = 5;
 const FORMER: u8 = 4;
 /// Length of the authentication tag at the end of a datagram \[bytes\]: keyed BLAKE3, truncated to 128 bits.
 pub const TAG_BYTES: usize = 16;
-/// Length of the tag for one member in a datagram for each member \[bytes\]: keyed BLAKE3, truncated to 64 bits. Whoever
-/// guesses 30 000 a second finds one in ten million years.
+/// Length of the tag for one member in a datagram for each member \[bytes\]: keyed BLAKE3, truncated to 64 bits.
+/// Whoever guesses 30 000 a second finds one in ten million years.
 pub const SHORT_TAG_BYTES: usize = 8;
 /// Largest number of members of a team, hosts and operators, whose datagrams for all have a tag for each of them.
 pub const MAX_MEMBERS: usize = 12;

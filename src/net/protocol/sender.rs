@@ -160,8 +160,8 @@ impl Sender {
         self.is_duplicated |= self.contested.is_some_and(|(_, since)| now.since(since) > age);
     }
 
-    /// Returns whether the number `sequence` is further ahead in the sequence space `space` than the sender can have sent
-    /// since its last datagram arrived.
+    /// Returns whether the number `sequence` is further ahead in the sequence space `space` than the sender can have
+    /// sent since its last datagram arrived.
     pub(crate) fn is_ahead(&self, now: Time, space: usize, sequence: u32, rate: &Rate) -> bool {
         let since = now.since(self.heard.unwrap_or(self.since)).as_secs();
         f64::from(self.spaces[space].window.ahead(sequence)) > rate.burst + rate.per_s * since

@@ -6,18 +6,14 @@ use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::Path;
 
 use anyhow::Result;
-use data_encoding::{HEXLOWER, HEXLOWER_PERMISSIVE};
-use hmac_sha256::Hash;
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::key::Key;
 use nix::unistd::geteuid;
 
+use super::digits::{BYTES, fingerprint, is_guessable, parse, refuse};
 use super::member::Member;
-use crate::BadInput;
 use crate::own_name;
 
-/// Length of a key \[bytes\].
-pub const BYTES: usize = 32;
 /// Largest key file \[bytes\]: that of a member of a large team has some 2000.
 const MOST: u64 = 16_384;
 
@@ -74,18 +70,13 @@ impl KeyFile {
         member.check_team(path, team)?;
         if !member.number.is_operator() {
             let why = format!(
-                "is that of host '{}', and this needs an operator's: name one with --key-file, from 'key new TEAM.toml'",
+                "is that of host '{}': name an operator's with --key-file, from 'key new TEAM.toml'",
                 member.name
             );
             return refuse(path, &why);
         }
         Ok(Some(member.number))
     }
-}
-
-/// Returns the error of the key file `path` for this reason.
-pub fn refuse<T>(path: &Path, why: &str) -> Result<T> {
-    Err(BadInput(format!("the key file '{}' {why}", path.display())).into())
 }
 
 /// Reads a key file. Fails unless it belongs to this process's user or to root, has mode 0600 or less, and contains a
@@ -154,31 +145,10 @@ fn read_text(path: &Path) -> Result<Vec<u8>> {
     Ok(text)
 }
 
-/// Whether a key was typed and not drawn: its bytes repeat within eight, as zeros do, or count up or down. A key of
-/// `key new` is so with a probability below 2^-180.
-pub fn is_guessable(key: &[u8; BYTES]) -> bool {
-    let repeats = (1..=8).any(|period| key.iter().zip(&key[period..]).all(|(one, other)| one == other));
-    let step = key[1].wrapping_sub(key[0]);
-    repeats || key.windows(2).all(|pair| pair[1].wrapping_sub(pair[0]) == step)
-}
-
 /// Whether a process of the user id `user` may use a key file that the user id `owner` owns: only if the owner is that
 /// user or root. So a process of root uses no key that another user could replace.
 fn may_own(owner: u32, user: u32) -> bool {
     owner == user || owner == 0
-}
-
-/// Returns the key of these hexadecimal digits; `None` if they are none of a key.
-pub fn parse(digits: &[u8]) -> Option<[u8; BYTES]> {
-    HEXLOWER_PERMISSIVE.decode(digits).ok()?.try_into().ok()
-}
-
-/// Returns the fingerprint of a key: 8 hexadecimal digits of a hash, which reveal nothing else about the key.
-pub fn fingerprint(key: &[u8; BYTES]) -> String {
-    let mut digest = Hash::new();
-    digest.update(b"murmurate team key\0");
-    digest.update(key);
-    HEXLOWER.encode(&digest.finalize()[..4])
 }
 
 #[cfg(test)]
@@ -190,22 +160,5 @@ mod tests {
         assert!(may_own(1000, 1000) && may_own(0, 1000) && may_own(0, 0));
         assert!(!may_own(1000, 0), "an ordinary user could replace root's key");
         assert!(!may_own(1001, 1000));
-    }
-
-    #[test]
-    fn keys_that_were_typed_are_guessable_and_those_that_were_drawn_are_not() {
-        let pattern = |of: &dyn Fn(usize) -> u8| std::array::from_fn::<u8, BYTES, _>(of);
-        for typed in [
-            pattern(&|_| 0),
-            pattern(&|_| 0x5a),
-            pattern(&|at| [0xde, 0xad, 0xbe, 0xef][at % 4]),
-            pattern(&|at| [0x01, 0x23, 0x45, 0x67, 0x89, 0xab, 0xcd, 0xef][at % 8]),
-            pattern(&|at| at as u8),
-            pattern(&|at| 255 - at as u8),
-        ] {
-            assert!(is_guessable(&typed), "{typed:02x?}");
-        }
-        assert!(!is_guessable(&pattern(&|at| (at * at) as u8)));
-        assert!((0..1000u32).all(|at| !is_guessable(&Hash::hash(&at.to_le_bytes()))));
     }
 }

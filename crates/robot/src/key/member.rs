@@ -12,7 +12,7 @@ use murmurate::net::protocol::key::Key;
 use serde::Deserialize;
 use x25519_dalek::{PublicKey, StaticSecret};
 
-use super::file::{BYTES, is_guessable, parse, refuse};
+use super::digits::{BYTES, is_guessable, parse, refuse};
 
 /// Context string for the derivation of the key of a pair, unique to it.
 const CONTEXT: &str = "murmurate 2026-11-28 key of a pair of members";
