@@ -3,7 +3,7 @@
 use crate::messages::ids::RobotId;
 use crate::messages::latch;
 use crate::messages::latch::Latch;
-use crate::messages::wire::{Heartbeat, Phase, REVISION, Round};
+use crate::messages::wire::{Heartbeat, Hindrance, MAX_HINDRANCES, Phase, REVISION, Round};
 use crate::results::episode::AbortCause;
 use crate::time::{Span, Time};
 
@@ -92,15 +92,36 @@ impl Roster {
         Round::latest(round, self.present(now).map(|beat| beat.round))
     }
 
-    /// Returns the latest of `latch` and those of the present robots that are as restrictive, ignoring latches too far
-    /// ahead.
-    pub(super) fn latest_latch(&self, now: Time, latch: Latch) -> Latch {
-        latch::latest(latch, self.present(now).map(|beat| beat.latch).filter(|other| other.is_as_strict_as(latch)))
+    /// Returns the latch of a server whose own is `latch`. One that `knows` the team's takes the latest of it and those
+    /// of the present robots that are as restrictive, ignoring numbers too far ahead; another one takes the strictest.
+    pub(super) fn latch(&self, now: Time, latch: Latch, knows: bool) -> Latch {
+        let all = self.present(now).map(|beat| beat.latch);
+        if knows {
+            latch::latest(latch, all.filter(|other| other.is_as_strict_as(latch)))
+        } else {
+            latch::strictest(all)
+        }
     }
 
-    /// Returns the latch of a server that has just started, from those of the present robots.
-    pub(super) fn strictest_latch(&self, now: Time) -> Latch {
-        latch::strictest(self.present(now).map(|beat| beat.latch))
+    /// Returns the robots that prevent a resume of a team whose latch is `latch`, each with the reason. `left` says
+    /// whether a host of the robot has left.
+    pub(super) fn hindrances(
+        &self,
+        now: Time,
+        latch: Latch,
+        left: impl Fn(RobotId) -> bool,
+    ) -> Vec<(RobotId, Hindrance)> {
+        let of = |(robot, beat): (RobotId, Option<&Heartbeat>)| {
+            let hindrance = match beat {
+                _ if left(robot) => Hindrance::Left,
+                None => Hindrance::Missing,
+                Some(beat) if beat.revision != REVISION => Hindrance::Unequal,
+                Some(beat) if beat.latch != latch => Hindrance::Latched,
+                Some(_) => return None,
+            };
+            Some((robot, hindrance))
+        };
+        self.all(now).filter_map(of).take(MAX_HINDRANCES).collect()
     }
 
     /// Returns the robots that have not reported the end of the reset of `round`.

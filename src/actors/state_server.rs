@@ -13,9 +13,7 @@ use crate::actor::Core;
 use crate::messages::geometry::Task;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::Latch;
-use crate::messages::wire::{
-    Heartbeat, Hindrance, Leading, Located, MAX_BLOCK, MAX_HINDRANCES, Mode, Phase, REVISION, Round, Status, Stop,
-};
+use crate::messages::wire::{Heartbeat, Hindrance, Leading, Located, MAX_BLOCK, Mode, Phase, Round, Status, Stop};
 use crate::results::episode::{AbortCause, AbortReason};
 use crate::scenario::cost::Ending;
 use crate::scenario::layout::Layouts;
@@ -199,17 +197,8 @@ impl StateServer {
 
     /// Returns the robots that prevent a resume, each with the reason.
     fn hindrances(&self, now: Time) -> Vec<(RobotId, Hindrance)> {
-        let of = |(robot, beat): (RobotId, Option<&Heartbeat>)| {
-            let hindrance = match beat {
-                _ if self.left.iter().any(|&host| self.robots_of(host).contains(&robot)) => Hindrance::Left,
-                None => Hindrance::Missing,
-                Some(beat) if beat.revision != REVISION => Hindrance::Unequal,
-                Some(beat) if beat.latch != self.latch => Hindrance::Latched,
-                Some(_) => return None,
-            };
-            Some((robot, hindrance))
-        };
-        self.roster.all(now).filter_map(of).take(MAX_HINDRANCES).collect()
+        let left = |robot: RobotId| self.left.iter().any(|&host| self.robots_of(host).contains(&robot));
+        self.roster.hindrances(now, self.latch, left)
     }
 
     fn take_stop(&mut self, now: Time, stop: &Stop, out: &mut Vec<Out>) {
@@ -300,10 +289,7 @@ impl StateServer {
         if self.leaves {
             return self.wait(now);
         }
-        self.latched(match self.round.term {
-            0 if !self.ordered => self.roster.strictest_latch(now),
-            _ => self.roster.latest_latch(now, self.latch),
-        });
+        self.latched(self.roster.latch(now, self.latch, self.round.term > 0 || self.ordered));
         self.overtake(now);
         if !self.latch.is_clear() {
             return self.hold(now);
@@ -428,6 +414,7 @@ mod tests {
     use super::*;
     use crate::messages::place::Whereabouts;
     use crate::messages::wire;
+    use crate::messages::wire::REVISION;
     use crate::scenario::{Settings, build};
 
     fn server() -> StateServer {
