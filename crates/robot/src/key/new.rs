@@ -80,8 +80,8 @@ fn of_members(args: &New, team: &Path, registry: &Registry) -> Result<Ended> {
     let members: Vec<(HostId, String)> = hosts.chain(operators).collect();
     if members.len() > MAX_MEMBERS {
         let why = format!(
-            "{} hosts and {} operators: {MAX_MEMBERS} members are the most, since what one sends to all has a tag for each. Make one \
-             key for all with 'key new'",
+            "{} hosts and {} operators: {MAX_MEMBERS} members are the most, since what one sends to all has a tag for \
+             each. Make one key for all with 'key new'",
             file.deployment().hosts.len(),
             args.operators
         );
