@@ -252,7 +252,7 @@ impl Core for Body {
                 self.forward(now, out);
             }
             In::Stop(stop) => {
-                let changed = self.latch.apply(stop.latch);
+                let changed = self.latch.apply(stop.latch, stop.by.is_operator());
                 self.latched(now, changed, out);
                 out.push(Out::Follows(self.latch.latch()));
             }
@@ -330,7 +330,7 @@ mod tests {
         assert!(matches!(&out[0], Out::Drive(drive) if drive.velocity == Vec2::zeros()), "at once");
         assert!(matches!(&out[1], Out::Follows(latch) if latch.is_engaged()));
         assert_eq!(driven(&mut body, 45_000), 0.0);
-        handle(&mut body, 45_010, In::Stop(Stop::rearm(HostId(9), Latch::engaged(1))));
+        handle(&mut body, 45_010, In::Stop(Stop::rearm(HostId::operator(9), Latch::engaged(1))));
         assert_eq!(driven(&mut body, 45_020), 0.0, "held");
         handle(&mut body, 45_030, In::Latch(Latch::clear(3)));
         assert_eq!(driven(&mut body, 45_040), 1.0);

@@ -388,7 +388,7 @@ mod tests {
         assert_eq!(commanded(&mut controller, go()), Some(0.0));
         commanded(&mut controller, In::Stop(Stop { by: HostId(9), latch: Latch::held(1) }));
         assert_eq!(commanded(&mut controller, go()), Some(0.0), "that re-arm is not later");
-        commanded(&mut controller, In::Stop(Stop::rearm(HostId(9), Latch::engaged(1))));
+        commanded(&mut controller, In::Stop(Stop::rearm(HostId::operator(9), Latch::engaged(1))));
         assert_eq!(commanded(&mut controller, go()), Some(0.0), "a re-arm alone moves nobody");
         commanded(&mut controller, In::Stop(Stop::resume(HostId(9), Latch::held(2))));
         assert_eq!(commanded(&mut controller, go()), Some(0.0), "nor does a resume that the server has not granted");

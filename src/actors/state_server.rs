@@ -72,6 +72,8 @@ pub struct Config {
     pub limit: Span,
     /// Way in which an episode ends if it is not aborted.
     pub ending: Ending,
+    /// Host of this server, in whose name a simulation gives orders.
+    pub host: HostId,
     /// For each host, by its id: the robots whose Agents or Bodies it runs, or which it measures.
     pub hosts: Vec<Vec<RobotId>>,
     /// Robots that no World simulates, in ascending order of ids. They reach their starts only by driving or by hand.
@@ -203,10 +205,11 @@ impl StateServer {
 
     fn take_stop(&mut self, now: Time, stop: &Stop, out: &mut Vec<Out>) {
         let (hindrances, before) = (self.hindrances(now), self.latch);
+        let commanded = stop.by.is_operator() || stop.by == self.config.host;
         match self.latch.resumed(stop.latch) {
-            Some(clear) if hindrances.is_empty() => self.latched(clear),
+            Some(clear) if hindrances.is_empty() && commanded => self.latched(clear),
             Some(_) => {}
-            None => self.latched(self.latch.after(stop.latch)),
+            None => self.latched(self.latch.after(stop.latch, commanded)),
         }
         self.ordered |= self.latch != before;
         if stop.by.is_operator() {
@@ -429,6 +432,7 @@ mod tests {
                 placement: Placement::Drive,
                 limit,
                 ending: Ending::Arrival,
+                host: HostId(2),
                 hosts,
                 real: Vec::new(),
             },
@@ -530,10 +534,14 @@ mod tests {
         for latch in [Latch::clear(99), Latch::held(99), Latch::clear(stopped.number() + 1)] {
             assert_eq!(claims(&mut server, 120, latch), stopped, "{latch:?}");
         }
+        let rearm = Stop::rearm(HostId(1), stopped);
+        assert_eq!(order(&mut server, 140, rearm), stopped, "it is no operator's");
         assert_eq!(claims(&mut server, 150, Latch::engaged(60)), Latch::engaged(60), "a stop is believed");
         let held = order(&mut server, 160, Stop::rearm(by, Latch::engaged(60)));
         assert_eq!(held, Latch::held(61));
         assert_eq!(claims(&mut server, 170, Latch::clear(62)), held);
+        let resume = Stop::resume(HostId(1), held);
+        assert_eq!(order(&mut server, 180, resume), held);
         // A server that has just started knows nothing, and takes the strictest.
         for (one, other) in [(Latch::engaged(5), Latch::clear(99)), (Latch::clear(99), Latch::engaged(5))] {
             let mut next = super::tests::server();
@@ -590,7 +598,7 @@ mod tests {
             }
             let after = if held { Phase::AbortRunning } else { Phase::Resetting };
             assert_eq!(tick(&mut server, at_ms(at + 50)).1, after);
-            server.handle(at_ms(at + 60), In::Stop(Stop::resume(HostId(70), latch)), &mut Vec::new());
+            server.handle(at_ms(at + 60), In::Stop(Stop::resume(HostId::operator(70), latch)), &mut Vec::new());
             assert_eq!(tick(&mut server, at_ms(at + 100)), (round(1, 1), Phase::Resetting), "it goes on");
         }
     }
@@ -606,6 +614,7 @@ mod tests {
             placement: Placement::Exact,
             limit,
             ending: Ending::Arrival,
+            host: HostId(0),
             hosts: Vec::new(),
             real: Vec::new(),
         };

@@ -192,6 +192,7 @@ pub(super) fn wire_server(clock: &Clock, trial: &Trial, graph: &Graph) {
         placement: trial.placement(),
         limit: trial.scenario.rules().limit,
         ending: Ending::of(&*trial.scenario),
+        host: graph.routes.server_host(),
         hosts: (0..trial.deployment.hosts.len()).map(|host| graph.routes.robots_of(host).to_vec()).collect(),
         real: RobotId::team(trial.deployment.robots)
             .filter(|robot| graph.routes.world_host(*robot).is_none())

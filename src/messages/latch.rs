@@ -110,13 +110,15 @@ impl Latch {
         self.state >= other.state
     }
 
-    /// Returns the latch after a stop, re-arm or resume (`other`) from an operator or a host. A stop counts whatever
-    /// its number, since its sender need not know the present number. A re-arm has to be later than the stop. A resume
-    /// changes nothing here: the state server, the coordinator of the team, grants it with [`Latch::resumed`].
-    pub(crate) fn after(self, other: Latch) -> Latch {
+    /// Returns the latch after a stop, re-arm or resume (`other`). A stop counts whatever its number, since its sender
+    /// need not know the present number. A re-arm has to be later than the stop, and `commanded`: of an operator, or to
+    /// the state server of its own host; another host's hold ends no stop. A resume changes nothing here: the state
+    /// server, the coordinator of the team, grants it with [`Latch::resumed`].
+    pub(crate) fn after(self, other: Latch, commanded: bool) -> Latch {
         match other.state {
             State::Clear => self,
-            State::Held => self.joined(other),
+            State::Held if commanded => self.joined(other),
+            State::Held => self.tightened(other),
             State::Engaged if self.is_engaged() => self.joined(other),
             State::Engaged if self.is_overshot_by(other) => Latch::engaged(self.number + 1),
             State::Engaged => Latch::engaged(other.number.max(self.number + 1)),
@@ -153,10 +155,10 @@ impl LatchFollower {
         self.informed
     }
 
-    /// Applies a stop, re-arm or resume from an operator or a host. Returns whether the emergency stop state that the
-    /// actor obeys changed.
-    pub(crate) fn apply(&mut self, other: Latch) -> bool {
-        self.set(self.latch.after(other))
+    /// Applies a stop, re-arm or resume, which is `commanded` if an operator has sent it: see [`Latch::after`]. Returns
+    /// whether the emergency stop state that the actor obeys changed.
+    pub(crate) fn apply(&mut self, other: Latch, commanded: bool) -> bool {
+        self.set(self.latch.after(other, commanded))
     }
 
     /// Applies a latch that the state server repeats, and returns whether the state that the actor obeys changed. A
@@ -168,7 +170,7 @@ impl LatchFollower {
             self.latch.joined(other)
         } else if before.is_some_and(|before| before <= other && !before.is_overshot_by(other)) {
             // Keep a stop that has not reached the state server yet.
-            if self.latch.is_engaged() { other.after(self.latch) } else { other }
+            if self.latch.is_engaged() { other.after(self.latch, false) } else { other }
         } else {
             self.overshot = Some(other);
             self.latch
@@ -239,13 +241,16 @@ mod tests {
 
     #[test]
     fn a_stop_always_counts_and_a_re_arm_only_if_it_is_later() {
-        let stopped = Latch::default().after(Latch::engaged(0));
+        let stopped = Latch::default().after(Latch::engaged(0), true);
         assert_eq!(stopped, Latch::engaged(1), "its sender need not know the number");
-        assert_eq!(stopped.after(Latch::engaged(1)), stopped, "again");
-        assert_eq!(stopped.after(Latch::held(1)), stopped, "no later than the stop");
-        let held = stopped.after(Latch::held(2));
+        assert_eq!(stopped.after(Latch::engaged(1), true), stopped, "again");
+        assert_eq!(stopped.after(Latch::held(1), true), stopped, "no later than the stop");
+        let held = stopped.after(Latch::held(2), true);
         assert_eq!(held, Latch::held(2));
-        assert_eq!(held.after(Latch::engaged(1)), Latch::engaged(3), "a stop is never too old");
+        assert_eq!(held.after(Latch::engaged(1), true), Latch::engaged(3), "a stop is never too old");
+        assert_eq!(stopped.after(Latch::held(2), false), stopped, "a robot's host ends no stop");
+        assert_eq!(stopped.after(Latch::engaged(9), false), Latch::engaged(9), "but it may stop");
+        assert_eq!(Latch::clear(3).after(Latch::held(4), false), Latch::held(4), "and say that the team is held");
         assert_eq!(held.joined(Latch::engaged(1)), held, "what others knew before is");
         assert_eq!(held.joined(Latch::engaged(2)), Latch::engaged(2), "in doubt everyone stands");
     }
@@ -253,7 +258,7 @@ mod tests {
     #[test]
     fn only_the_resume_for_this_very_hold_clears_it_and_nobody_but_the_state_server_takes_it() {
         let held = Latch::held(2);
-        assert_eq!(held.after(Latch::clear(3)), held, "robots do not take it from an operator");
+        assert_eq!(held.after(Latch::clear(3), true), held, "robots do not take it from an operator");
         assert_eq!(held.resumed(Latch::clear(3)), Some(Latch::clear(3)));
         for wrong in [Latch::clear(2), Latch::clear(4), Latch::held(3), Latch::engaged(3)] {
             assert_eq!(held.resumed(wrong), None, "{wrong:?}");
@@ -270,9 +275,9 @@ mod tests {
             for other in [Latch::clear(far), Latch::held(far), Latch::engaged(far)] {
                 assert_eq!(known.joined(other), known, "what others repeat");
             }
-            let stopped = known.after(Latch::engaged(far));
+            let stopped = known.after(Latch::engaged(far), true);
             assert!(stopped.is_engaged() && stopped.number() <= 5, "{known:?} {far:?}");
-            assert!(stopped.after(Latch::held(stopped.number() + 1)).is_held());
+            assert!(stopped.after(Latch::held(stopped.number() + 1), true).is_held());
         }
     }
 
@@ -287,7 +292,7 @@ mod tests {
         assert!(fresh.update(Latch::clear(far + 1)));
         assert_eq!(fresh.latch(), Latch::clear(far + 1));
         let mut stopped = LatchFollower::default();
-        assert!(stopped.apply(Latch::engaged(0)) && !stopped.update(Latch::clear(far)));
+        assert!(stopped.apply(Latch::engaged(0), true) && !stopped.update(Latch::clear(far)));
         assert!(stopped.update(Latch::clear(far)));
         assert_eq!(stopped.latch(), Latch::engaged(far + 1), "the state server has not heard of the stop yet");
     }
@@ -296,10 +301,12 @@ mod tests {
     fn a_robot_that_has_missed_a_thousand_changes_follows_the_next_and_so_does_a_server_that_forgot_them() {
         let mut robot = LatchFollower::default();
         assert!(
-            robot.apply(Latch::engaged(5000)) && robot.apply(Latch::held(9000)) && robot.update(Latch::clear(20_000))
+            robot.apply(Latch::engaged(5000), true)
+                && robot.apply(Latch::held(9000), true)
+                && robot.update(Latch::clear(20_000))
         );
-        assert_eq!(Latch::default().after(Latch::engaged(5000)), Latch::engaged(5000));
-        assert_eq!(Latch::default().after(Latch::held(5000)), Latch::held(5000));
+        assert_eq!(Latch::default().after(Latch::engaged(5000), true), Latch::engaged(5000));
+        assert_eq!(Latch::default().after(Latch::held(5000), true), Latch::held(5000));
     }
 
     #[test]

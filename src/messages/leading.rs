@@ -139,9 +139,11 @@ impl Body for Stop {
         (!self.latch.is_engaged()).then_some(self.by)
     }
 
-    /// Every host may stop the team; only an operator, or the host of the state server, may re-arm or resume it.
+    /// Every host may stop the team, and its own hosts and operators may say that it is held. Whoever hears that takes
+    /// it for a re-arm from operators alone. A resume is for operators, and for the host of the state server.
     fn is_for(&self, is: impl Fn(Publisher, RobotId) -> bool) -> bool {
         let robot = self.robot();
-        self.latch.is_engaged() || is(Publisher::Operator, robot) || is(Publisher::StateServer, robot)
+        let member = self.latch.is_held() && is(Publisher::Member, robot) || is(Publisher::StateServer, robot);
+        self.latch.is_engaged() || member || is(Publisher::Operator, robot)
     }
 }

@@ -128,7 +128,7 @@ impl Guard {
     /// Applies an operator's emergency stop or re-arm; returns true if the guard's state of the stop has changed.
     pub(crate) fn apply_stop(&mut self, stop: &Stop) -> bool {
         let before = self.latch();
-        self.latch.apply(stop.latch) && self.changed(before)
+        self.latch.apply(stop.latch, stop.by.is_operator()) && self.changed(before)
     }
 
     /// Applies the state of the emergency stop that the state server repeats; returns true if the guard's own state has
@@ -483,11 +483,11 @@ mod tests {
         assert_eq!(guard.decide(at_ms(0), &action(0, EAST)), DRIVE);
         assert!(guard.apply_stop(&Stop::engage(HostId(1), Latch::default())));
         assert!(!guard.apply_stop(&Stop::engage(HostId(2), Latch::default())), "again");
-        assert!(!guard.apply_stop(&Stop::rearm(HostId(1), Latch::default())), "no later than the stop");
+        assert!(!guard.apply_stop(&Stop::rearm(HostId::operator(1), Latch::default())), "no later than the stop");
         assert_eq!(guard.decide(at_ms(50), &action(50, EAST)), Decision::Abort);
         guard.new_instruction();
         assert_eq!(guard.decide(at_ms(100), &action(100, EAST)), Decision::Abort, "no instruction takes it back");
-        assert!(guard.apply_stop(&Stop::rearm(HostId(1), guard.latch())));
+        assert!(guard.apply_stop(&Stop::rearm(HostId::operator(1), guard.latch())));
         assert_eq!(guard.latch(), Latch::held(2));
         assert_eq!(guard.decide(at_ms(150), &action(150, EAST)), Decision::Abort, "a re-arm alone moves nothing");
         assert!(!guard.apply_stop(&Stop::resume(HostId(1), guard.latch())), "the state server grants it");
