@@ -697,7 +697,7 @@ mod tests {
             assert_eq!(tick(&mut server, at_ms(ms)).1, Phase::AbortRunning, "whatever the robots say, and for ever");
         }
         let say = |server: &mut StateServer, ms: u64, latch: Latch| {
-            server.handle(at_ms(ms), In::Stop(Stop { by: HostId(9), latch }), &mut Vec::new());
+            server.handle(at_ms(ms), In::Stop(Stop { by: HostId::operator(9), latch }), &mut Vec::new());
             tick(server, at_ms(ms));
             server.latch
         };
