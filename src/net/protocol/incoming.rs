@@ -21,7 +21,7 @@ use super::sender::{Peer, Sender};
 use super::senders::Senders;
 use super::window::{Position, Window};
 use crate::messages::ids::{HostId, LinkId, RobotId};
-use crate::messages::wire::{Kind, Stop};
+use crate::messages::wire::Kind;
 use crate::time::{Span, Time};
 
 /// How soon this host has to send its next link report because another host needs it.
@@ -367,18 +367,6 @@ impl Incoming {
         counts.accepted += 1;
         counts.repaired += u64::from(header.flags.has(Flags::COPY));
         true
-    }
-
-    /// Returns whether an emergency stop is a new one of its sender, whatever the number of its datagram is, and
-    /// records it if so. A stop that engages is never refused for a number: whoever has the team's key can raise the
-    /// numbers that are expected of another.
-    pub fn is_new_stop(&mut self, header: &Header, stop: Stop) -> bool {
-        let Some(sender) = self.senders.get_mut((header.sender, header.incarnation)) else { return false };
-        let new = stop.latch.is_engaged() && stop.latch > sender.stop;
-        if new {
-            sender.stop = stop.latch;
-        }
-        new
     }
 
     /// Records as missing those datagrams that their sender still keeps for retransmission, by the sequence numbers

@@ -26,4 +26,5 @@ pub mod sender;
 mod senders;
 mod soft;
 mod unpack;
+mod urgent;
 mod window;
