@@ -201,7 +201,7 @@ fn doctor_reports_problems_and_remedies() {
     let output = run(&["doctor", &file, "--host", "world", "--set", "link.infra.interface=wlan99"]);
     assert_eq!(output.status.code(), Some(1));
     let said = text(&output.stdout);
-    assert!(said.contains("ok   key: fingerprint") && said.contains("ok   policy: shipped"), "{said}");
+    assert!(said.contains("warn key: fingerprint") && said.contains("ok   policy: shipped"), "{said}");
     let missing = said.lines().find(|line| line.contains("wlan99")).expect("a line about it");
     assert!(missing.starts_with("fail link infra: interface") && missing.contains("lo (127.0.0.1"), "{missing}");
     assert!(missing.contains("link.infra.interface"), "{missing}");
