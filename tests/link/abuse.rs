@@ -215,11 +215,13 @@ fn a_member_in_anothers_name_is_heard_by_nobody_and_disturbs_nobody() {
 
 /// Datagrams of another member of the team in the name of host 0, whose last datagram had the number `last`.
 type Forgery = fn(&Rig, last: u32) -> Vec<Vec<u8>>;
+/// Whether the counts of the receiver are as they must be.
+type Expected = fn(&LinkCounts) -> bool;
 
 #[test]
 fn a_stop_holds_however_far_another_member_has_raised_the_numbers_of_its_sender() {
     let forged = |number| sealed(&key(), header(0, 1, number), &latent(0, 9));
-    let attacks: [(&str, Forgery, fn(&LinkCounts) -> bool); 4] = [
+    let attacks: [(&str, Forgery, Expected); 4] = [
         (
             "the numbers that come next",
             |_, last| (1..200).map(|next| sealed(&key(), header(0, 1, last + next), &latent(0, 9))).collect(),

@@ -37,7 +37,7 @@ fn pose() -> impl Strategy<Value = Pose> {
 }
 
 fn phase() -> impl Strategy<Value = Phase> {
-    (0u8..8).prop_map(|number| Phase::from(number))
+    (0u8..8).prop_map(Phase::from)
 }
 
 fn round() -> impl Strategy<Value = Round> {
@@ -59,7 +59,7 @@ fn placements() -> (impl Strategy<Value = Wire>, impl Strategy<Value = Wire>) {
     let place = (numbers, pose())
         .prop_map(|((by, number, robot), pose)| Wire::Place(Place { by: HostId(by), number, robot, pose }));
     let whereabouts = (robot(), 0u8..5).prop_map(|(robot, n)| (robot, Whereabouts::from(n)));
-    let verdict = (0u8..5).prop_map(|n| PlaceAnswer::from(n));
+    let verdict = (0u8..5).prop_map(PlaceAnswer::from);
     let answer = ((any::<u16>(), any::<u32>(), robot()), verdict, prop::option::of(pose()));
     let answer = answer.prop_map(|((by, number, robot), verdict, measured)| Placed {
         by: HostId(by),
@@ -119,7 +119,7 @@ fn message() -> impl Strategy<Value = Wire> {
     );
     let observe = any::<u16>().prop_map(|by| Wire::Observe(Observe { by: HostId(by) }));
     let seen = (pose(), any::<u32>()).prop_map(|(pose, age_ms)| Seen { pose, age_ms });
-    let health = (0u8..3).prop_map(|n| Health::from(n));
+    let health = (0u8..3).prop_map(Health::from);
     let temperature = prop::option::of((-40.0f32..215.0).prop_map(|c| Celsius::of(c).expect("it is in range")));
     let body = prop::option::of((health, any::<u8>()));
     let trigger = prop::option::of((0u8..11).prop_map(|n| Trigger::try_from(n).expect("there are eleven")));
