@@ -95,6 +95,7 @@ pub fn read(path: &Path) -> Result<KeyFile> {
 }
 
 /// Reads a file that holds nothing but a key, such as the access token of a page. Fails as [`read`] does.
+#[cfg(feature = "watch")]
 pub fn read_plain(path: &Path) -> Result<[u8; BYTES]> {
     plain(path, &read_text(path)?)
 }
