@@ -1,7 +1,7 @@
 //! The table of the kinds of wire messages: who publishes each kind, for whom, and how it travels.
 //!
 //! Routing, permission, the codec, the routes of operators and the table in docs/wire.md derive from it. A new kind is
-//! a line here, a struct with [`Body`], and the actors that send and receive it.
+//! a line here, a struct with `Body`, and the actors that send and receive it.
 
 use serde::de::{Deserialize, DeserializeSeed, Deserializer};
 use serde::{Deserialize as Read, Serialize};

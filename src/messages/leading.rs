@@ -93,7 +93,7 @@ impl Stop {
         Stop { by, latch: Latch::clear(seen.number() + 1) }
     }
 
-    /// Makes a message by which the sender `by` asks every host for its [`Status`]. The emergency stop state stays as
+    /// Makes a message by which the sender `by` asks every host for its `Status`. The emergency stop state stays as
     /// it is.
     pub fn ask(by: HostId) -> Stop {
         Stop { by, latch: Latch::default() }
