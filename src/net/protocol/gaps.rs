@@ -2,10 +2,13 @@
 
 use std::collections::BTreeMap;
 
+use rand::RngExt;
+
 use super::codec::{Flags, Header};
 use super::lateness::LATE;
 use super::report::DatagramId;
 use super::window::Window;
+use crate::random::Stream;
 use crate::time::{Span, Time};
 
 /// Largest number of missing datagrams that are tracked.
@@ -91,4 +94,15 @@ impl Gaps {
         }
         ids
     }
+}
+
+/// Draws the backoff before a request for a retransmission: mostly long, rarely short, so that few receivers send one
+/// (RFC 5401, section 3.2, `RandomBackoff`).
+pub(super) fn backoff(stream: &mut Stream) -> Span {
+    /// Number of receivers that the distribution of the backoff assumes.
+    const GROUP: f64 = 10.0;
+    let (lambda, longest) = (libm::log(GROUP) + 1.0, BACKOFF.as_secs());
+    let scale = lambda / (longest * (libm::exp(lambda) - 1.0));
+    let drawn = stream.random_range(0.0..1.0) * (lambda / longest) + scale;
+    Span::from_secs((longest / lambda * libm::log(drawn / scale)).min(longest))
 }

@@ -7,12 +7,11 @@ use std::net::SocketAddr;
 use rand::RngExt;
 
 use super::bucket::{Bucket, Rate};
-use super::codec::TAG_BYTES;
-use super::codec::{self, Content, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES};
+use super::codec::{self, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES, TAG_BYTES};
 use super::control_blocks::ControlBlocks;
 pub use super::counts::{LinkCounts, Refusal};
 pub use super::duplicate_id::DuplicateId;
-use super::gaps::BACKOFF;
+use super::gaps::backoff;
 use super::incoming::{Admission, Incoming, LocalEnd, Urgency};
 use super::key::Key;
 use super::outgoing::{Outbound, Outgoing, REPORT_PERIOD};
@@ -22,7 +21,7 @@ use super::router::Audience;
 use super::sender::Peer;
 use super::senders::MAX_SENDERS;
 use crate::messages::ids::{HostId, LinkId};
-use crate::messages::wire::{Kind, Stop, Wire};
+use crate::messages::wire::{Stop, Wire};
 use crate::random::Stream;
 use crate::time::{Span, Time};
 
@@ -78,9 +77,9 @@ pub struct LinkState {
     /// Smallest host id that is no host of the team.
     first_guest: HostId,
     reports: Reports,
-    incoming: Incoming,
+    pub(super) incoming: Incoming,
     outgoing: Outgoing,
-    counts: LinkCounts,
+    pub(super) counts: LinkCounts,
     /// Time at which the next action is due; cached, since it is read far more often than it changes.
     due: Option<Time>,
     /// Sender of the last datagram; `None` if it was neither new nor of a candidate.
@@ -88,7 +87,7 @@ pub struct LinkState {
     /// Cause for which the last datagram was refused without any effect but its count; `None` for others.
     refusal: Option<Refusal>,
     /// Emergency stop in the last datagram, if it holds although the datagram was refused for its number.
-    urgent: Option<Stop>,
+    pub(super) urgent: Option<Stop>,
     /// Limit of the acknowledgements that are sent again for copies of datagrams.
     again: Bucket,
     /// Hosts of the team of which datagrams of the former version of the wire format have arrived.
@@ -257,22 +256,6 @@ impl LinkState {
         Ok(Some((header, plain)))
     }
 
-    /// Returns the emergency stop in a datagram whose number is refused, if it is a new one of an accepted sender.
-    #[cold]
-    fn new_stop(&mut self, header: &Header, plain: &[u8]) -> Option<Stop> {
-        let stops = codec::blocks(plain).flatten().filter(|(content, _)| *content == Content::Message(Kind::Stop));
-        let stops = stops.filter_map(|(_, body)| codec::message(Kind::Stop, body).ok());
-        let mut stops = stops.filter_map(|message| if let Wire::Stop(stop) = message { Some(stop) } else { None });
-        let new = stops.find(|stop| self.incoming.is_new_stop(header, *stop));
-        self.counts.urgent += u64::from(new.is_some());
-        new
-    }
-
-    /// Returns the emergency stop in the last datagram if it holds although the datagram was refused for its number.
-    pub(crate) fn urgent(&self) -> Option<Stop> {
-        self.urgent
-    }
-
     /// Checks the length and the tag of a datagram, and that another process of this team has sent it. Returns its
     /// header and its bytes without the tag.
     fn open<'a>(&mut self, frame: &'a [u8]) -> Result<(Header, &'a [u8]), Refusal> {
@@ -430,15 +413,4 @@ fn cause(error: &DecodeError) -> Refusal {
         DecodeError::Unfit(..) => Refusal::Range,
         _ => Refusal::Malformed,
     }
-}
-
-/// Draws the backoff before a request for a retransmission: mostly long, rarely short, so that few receivers send one
-/// (RFC 5401, section 3.2, `RandomBackoff`).
-fn backoff(stream: &mut Stream) -> Span {
-    /// Number of receivers that the distribution of the backoff assumes.
-    const GROUP: f64 = 10.0;
-    let (lambda, longest) = (libm::log(GROUP) + 1.0, BACKOFF.as_secs());
-    let scale = lambda / (longest * (libm::exp(lambda) - 1.0));
-    let drawn = stream.random_range(0.0..1.0) * (lambda / longest) + scale;
-    Span::from_secs((longest / lambda * libm::log(drawn / scale)).min(longest))
 }

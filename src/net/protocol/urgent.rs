@@ -1,8 +1,9 @@
 //! Emergency stops in datagrams that are refused for their number: they hold all the same.
 
-use super::codec::Header;
+use super::codec::{self, Content, Header};
 use super::incoming::Incoming;
-use crate::messages::wire::Stop;
+use super::link::LinkState;
+use crate::messages::wire::{Kind, Stop, Wire};
 
 impl Incoming {
     /// Returns whether an emergency stop is a new one of its sender, whatever the number of its datagram is, and
@@ -15,5 +16,23 @@ impl Incoming {
             sender.stop = stop.latch;
         }
         new
+    }
+}
+
+impl LinkState {
+    /// Returns the emergency stop in a datagram whose number is refused, if it is a new one of an accepted sender.
+    #[cold]
+    pub(super) fn new_stop(&mut self, header: &Header, plain: &[u8]) -> Option<Stop> {
+        let stops = codec::blocks(plain).flatten().filter(|(content, _)| *content == Content::Message(Kind::Stop));
+        let stops = stops.filter_map(|(_, body)| codec::message(Kind::Stop, body).ok());
+        let mut stops = stops.filter_map(|message| if let Wire::Stop(stop) = message { Some(stop) } else { None });
+        let new = stops.find(|stop| self.incoming.is_new_stop(header, *stop));
+        self.counts.urgent += u64::from(new.is_some());
+        new
+    }
+
+    /// Returns the emergency stop in the last datagram if it holds although the datagram was refused for its number.
+    pub(crate) fn urgent(&self) -> Option<Stop> {
+        self.urgent
     }
 }
