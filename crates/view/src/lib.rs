@@ -19,6 +19,7 @@ mod places;
 pub mod player;
 mod receptions;
 pub mod request;
+mod revisions;
 mod robot_view;
 pub mod server;
 mod session;

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::receptions::Receptions;
+use super::revisions::Revisions;
 use super::robot_view::{RobotView, SILENT};
 use super::snapshot::{LinkState, MAX_LINKS, RobotState, Snapshot};
 use super::status::{Goals, Log, PageStatus, Scene, Success};
@@ -13,7 +14,7 @@ use murmurate::messages::latch::{self, Latch};
 use murmurate::messages::local::Truth;
 use murmurate::messages::telemetry::GuardReport;
 use murmurate::messages::trigger::Trigger;
-use murmurate::messages::wire::{Located, Mode, Phase, REVISION, Wire};
+use murmurate::messages::wire::{Located, Mode, Phase, Wire};
 use murmurate::results::episode::Episode;
 use murmurate::safety::guard::SafetyCounts;
 use murmurate::scenario::judge::Verdict;
@@ -33,8 +34,7 @@ pub struct TeamView {
     scene: Scene,
     /// Host of each robot's agent, by robot id.
     homes: Vec<HostId>,
-    /// Revision of the messages of each host that has told it.
-    revisions: BTreeMap<HostId, u16>,
+    revisions: Revisions,
     robots: Vec<RobotView>,
     receptions: Receptions,
     goals: Vec<Option<[f32; 2]>>,
@@ -59,7 +59,7 @@ impl TeamView {
         TeamView {
             scene,
             homes,
-            revisions: BTreeMap::new(),
+            revisions: Revisions::default(),
             robots: vec![RobotView::default(); robots],
             receptions: Receptions::new(robots, hosts),
             goals: vec![None; robots],
@@ -107,8 +107,7 @@ impl TeamView {
             }),
             Wire::Mode(m) => self.led(now, m),
             Wire::Status(m) => {
-                self.host_lives(now, m.host);
-                self.revised(now, m.host, m.revision);
+                self.host_lives(now, m.host, m.revision);
                 for following in &m.robots {
                     self.robot(following.robot, |robot| {
                         robot.controller = following.controller.or(robot.controller);
@@ -117,8 +116,7 @@ impl TeamView {
                 }
             }
             Wire::Telemetry(m) => {
-                self.host_lives(now, m.host);
-                self.revised(now, m.host, m.revision);
+                self.host_lives(now, m.host, m.revision);
                 for condition in &m.robots {
                     if let Some(seen) = condition.seen {
                         let age = Span::from_millis(seen.age_ms.into());
@@ -131,9 +129,7 @@ impl TeamView {
                         let age = condition.link_age_ms.map(|age_ms| Span::from_millis(age_ms.into()));
                         robot.oldest_link = age.map(|age| (now, age)).or(robot.oldest_link);
                     });
-                    if let Some(report) = condition.guard {
-                        self.reported(now, condition.robot, report);
-                    }
+                    condition.guard.into_iter().for_each(|report| self.reported(now, condition.robot, report));
                 }
             }
             Wire::Located(m) => self.located(now, m),
@@ -149,24 +145,10 @@ impl TeamView {
     }
 
     /// Records that a host has sent a message, so that the agents on it live, as far as no heartbeats tell more.
-    fn host_lives(&mut self, now: Time, host: HostId) {
+    fn host_lives(&mut self, now: Time, host: HostId, revision: u16) {
+        self.revisions.told(host, revision).into_iter().for_each(|line| self.note(now, &line));
         let robots = self.robots.iter_mut().zip(&self.homes).filter(|(robot, home)| **home == host && !robot.beats);
         robots.for_each(|(robot, _)| robot.agent = Some(now));
-    }
-
-    /// Records the revision of a host's messages. One that is not that of this program goes into the log.
-    fn revised(&mut self, now: Time, host: HostId, revision: u16) {
-        let known = self.revisions.insert(host, revision).unwrap_or(REVISION);
-        if revision != known {
-            let note = match revision {
-                REVISION => format!("host {} has messages of revision {REVISION} now, as this page", host.0),
-                _ => format!(
-                    "host {} has messages of revision {revision}, this page of {REVISION}: the team stands",
-                    host.0
-                ),
-            };
-            self.note(now, &note);
-        }
     }
 
     /// Updates the state with the death of the process of the host `host`, which the log names with `text`.
@@ -441,6 +423,7 @@ mod tests {
     use super::*;
     use murmurate::messages::geometry::Motion;
     use murmurate::messages::wire;
+    use murmurate::messages::wire::REVISION;
     use murmurate::messages::wire::{Features, Following, Heartbeat, Latent, Round};
 
     fn view() -> TeamView {
