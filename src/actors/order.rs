@@ -295,6 +295,18 @@ mod tests {
     }
 
     #[test]
+    fn a_re_arm_that_has_missed_the_state_server_is_said_again_with_a_later_number() {
+        let mut order = Order::new(ME, OrderKind::Rearm, 1);
+        let held = Some(Latch::held(6));
+        hear(&mut order, &[(0, held, held)], leading(Latch::engaged(5)));
+        assert_eq!(word(&mut order), Stop { by: ME, latch: Latch::held(7) });
+        assert_eq!(order.confirmed_at(), None);
+        let later = Some(Latch::held(7));
+        hear(&mut order, &[(0, later, later)], leading(Latch::held(7)));
+        assert!(order.confirmed_at().is_some());
+    }
+
+    #[test]
     fn a_resume_is_said_to_the_hold_that_was_there_and_to_no_stop_or_later_hold() {
         let mut refused = Order::new(ME, OrderKind::Resume, 1);
         let (stopped, held) = (Some(Latch::engaged(5)), Some(Latch::held(6)));

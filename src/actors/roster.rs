@@ -1,8 +1,7 @@
 //! The last heartbeat of each robot of a team, as a state server knows them.
 
 use crate::messages::ids::RobotId;
-use crate::messages::latch;
-use crate::messages::latch::Latch;
+use crate::messages::latch::{self, Latch};
 use crate::messages::wire::{Heartbeat, Hindrance, MAX_HINDRANCES, Phase, REVISION, Round};
 use crate::results::episode::AbortCause;
 use crate::time::{Span, Time};
@@ -99,7 +98,7 @@ impl Roster {
         if knows {
             latch::latest(latch, all.filter(|other| other.is_as_strict_as(latch)))
         } else {
-            latch::strictest(all)
+            latch::strictest(latch, all)
         }
     }
 

@@ -554,6 +554,8 @@ mod tests {
             next.wake(at_ms(50), &mut out);
             assert!(next.latch.is_engaged() && next.latch.number() == 99, "{:?}", next.latch);
             assert!(modes(&out).iter().all(|mode| mode.latch.is_engaged()), "and never says otherwise");
+            tick(&mut next, at_ms(2000));
+            assert!(next.latch.is_engaged(), "nor forgets it when no robot is heard any more");
         }
     }
 

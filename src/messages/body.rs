@@ -1,4 +1,5 @@
-//! What every wire message has: who publishes and who receives it, its ranges, and what it says of itself.
+//! Properties of all wire messages: their publishers and receivers, the limits of their values, and the trait that
+//! each of them implements.
 
 use super::ids::{HostId, RobotId};
 
@@ -50,13 +51,17 @@ pub enum Receiver {
     Nobody,
 }
 
-/// What every message says of itself.
+/// Content of a wire message, of any kind.
 pub(crate) trait Body {
     /// Returns the robot that the message is about; the first one of several, robot 0 if it is about none.
-    fn robot(&self) -> RobotId;
+    fn robot(&self) -> RobotId {
+        RobotId(0)
+    }
 
     /// Returns the first violation of a range; `Ok` if the message may be sent and used.
-    fn check(&self) -> Result<(), Unfit>;
+    fn check(&self) -> Result<(), Unfit> {
+        Ok(())
+    }
 
     /// Returns the host in whose name the message speaks, which has to be its sender; `None` if it names none.
     fn author(&self) -> Option<HostId> {
@@ -65,8 +70,7 @@ pub(crate) trait Body {
 
     /// Returns whether the sender may say what the message says beyond its kind. `is` tells whether the sender is this
     /// publisher of that robot.
-    fn is_for(&self, is: impl Fn(Publisher, RobotId) -> bool) -> bool {
-        let _ = is;
+    fn is_for(&self, _is: impl Fn(Publisher, RobotId) -> bool) -> bool {
         true
     }
 }
@@ -90,35 +94,4 @@ pub enum Unfit {
     /// The term of a round (the number of the state server's start) is too large to be valid.
     #[error("the term of a round is out of range")]
     Term,
-}
-
-impl Publisher {
-    /// Returns the publisher in the words of docs/wire.md.
-    pub(super) fn words(self) -> &'static str {
-        match self {
-            Publisher::Localizer => "host that measures the robot",
-            Publisher::Agent => "host of the robot's agent",
-            Publisher::Actuator => "host that drives the robot's motors",
-            Publisher::StateServer => "host of the state server",
-            Publisher::Member => "any host of the team, in its own name",
-            Publisher::Operator => "operators, each in its own name",
-            Publisher::Anyone => "anyone",
-        }
-    }
-}
-
-impl Receiver {
-    /// Returns the receivers in the words of docs/wire.md.
-    pub(super) fn words(self) -> &'static str {
-        match self {
-            Receiver::Readers => "hosts of its agent and motors, simulators of others, the judge",
-            Receiver::OtherAgents => "hosts of other agents",
-            Receiver::Actuator => "host that drives the robot's motors",
-            Receiver::StateServer => "host of the state server",
-            Receiver::All => "all hosts",
-            Receiver::Movers => "hosts with agents or motors, host of the state server",
-            Receiver::Localizers => "hosts that measure robots",
-            Receiver::Nobody => "no host",
-        }
-    }
 }

@@ -190,12 +190,12 @@ fn ceiling(known: u64) -> u64 {
     known.max(CREDIBLE) + JUMP
 }
 
-/// Returns the latch that whoever knows none takes from the `latches` of robots' hosts: the most restrictive state,
-/// with the largest number, of which a single one that is implausibly far above the others is ignored.
-pub(crate) fn strictest(latches: impl Iterator<Item = Latch> + Clone) -> Latch {
-    let number = latest(Latch::default(), latches.clone()).number;
-    let state = latches.filter(|latch| latch.number <= number).map(|latch| latch.state).max().unwrap_or_default();
-    Latch { number, state }
+/// Returns the latch of a state server that has just started: the most restrictive state of `known` and the `latches`
+/// of robots' hosts, with the largest number. A single number that is implausibly far above the others is ignored.
+pub(crate) fn strictest(known: Latch, latches: impl Iterator<Item = Latch> + Clone) -> Latch {
+    let number = latest(known, latches.clone()).number;
+    let plausible = latches.filter(|latch| latch.number <= number).map(|latch| latch.state);
+    Latch { number, state: plausible.fold(known.state, State::max) }
 }
 
 /// Returns the latest of `known` and the received `latches`. A single latch with a number implausibly far above `known`

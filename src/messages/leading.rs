@@ -127,14 +127,6 @@ impl Body for Mode {
 }
 
 impl Body for Stop {
-    fn robot(&self) -> RobotId {
-        RobotId(0)
-    }
-
-    fn check(&self) -> Result<(), Unfit> {
-        Ok(())
-    }
-
     fn author(&self) -> Option<HostId> {
         (!self.latch.is_engaged()).then_some(self.by)
     }

@@ -99,14 +99,6 @@ impl Telemetry {
 pub const MAX_CONDITIONS: usize = 24;
 
 impl Body for Observe {
-    fn robot(&self) -> RobotId {
-        RobotId(0)
-    }
-
-    fn check(&self) -> Result<(), Unfit> {
-        Ok(())
-    }
-
     fn author(&self) -> Option<HostId> {
         Some(self.by)
     }

@@ -124,12 +124,7 @@ impl TeamArgs {
         let access = file.operator_access().map_err(|error| self.wrong(&error))?;
         let deployment = file.deployment();
         let file = key_of(access.key_file.as_deref())?;
-        if let (Some(file), Some(path)) = (&file, &access.key_file)
-            && let Some(own) = file.operator(path, access.number)?
-        {
-            identity.operator = own;
-        }
-        let key = file.map(|file| file.key());
+        let key = file.map(|file| file.operator_key(access.number, &mut identity)).transpose()?;
         let me = identity.operator_of(access.number);
         let link = &deployment.links[usize::from(access.link.0)];
         Ok(Operator {
@@ -178,9 +173,9 @@ pub fn key(team: &Team) -> Result<Option<KeyFile>> {
         return Ok(None);
     }
     let file = key_of(team.key_file.as_deref())?;
-    if let (Some(file), Some(path)) = (&file, &team.key_file) {
+    if let Some(file) = &file {
         let name = &*team.deployment.hosts[usize::from(team.host.0)].name;
-        file.check_host(path, team.number, (team.host, name))?;
+        file.check_host(team.number, (team.host, name))?;
     }
     Ok(file)
 }

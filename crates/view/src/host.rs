@@ -76,7 +76,7 @@ impl Actor for Page {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Self::Context) {
-        // The actor library calls this once more when the closed server has stopped before its mailbox is gone.
+        // `started` is called again if the closed server stops while its mailbox still exists.
         if self.shared.is_closing() {
             return context.stop();
         }

@@ -1,9 +1,9 @@
 //! Keys of a process, and the keyed tags of datagrams. No other module makes or checks tags.
 //!
 //! A team has one key of all its members, or each member has a key with each other one. In the first case any member
-//! can pose as another. In the second none can: what goes to one host has a tag of that pair's key, what goes to all
-//! has a short tag for each member. A tag covers the whole datagram, its link and its receiver. The latter two take no
-//! bytes in the datagram, but a datagram of one link is not valid on another. Nothing is encrypted. Generation and
+//! can impersonate another. In the second none can: what goes to one host has a tag of that pair's key, what goes to
+//! all has a short tag for each member. A tag covers the whole datagram, its link and its receiver. The latter two take
+//! no bytes in the datagram, but a datagram of one link is not valid on another. Nothing is encrypted. Generation and
 //! storage of keys are elsewhere.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -47,7 +47,7 @@ impl Key {
         Key(Secret::Team(bytes))
     }
 
-    /// Creates the keys of one member of a team whose members cannot pose as each other: `team` is known to all of
+    /// Creates the keys of one member of a team whose members cannot impersonate each other: `team` is known to all of
     /// them, `pairs` has for each member, this one included, the key that only the two have.
     ///
     /// # Panics

@@ -155,17 +155,13 @@ pub fn operator(team: &Team) -> Result<Option<Operator>> {
 }
 
 fn open(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>]) -> Result<Operator> {
-    let (file, path) = (team.key_file.as_deref().map(key::read).transpose()?, team.key_file.as_deref());
     // Observers' messages use the link of the emergency stop.
     let carries = team.deployment.links.iter().position(|link| link.carries.contains(&Kind::Stop));
     let post = carries.filter(|at| places[*at].is_some());
     let post = post.map(|at| LinkId(u16::try_from(at).expect("links are counted in u16")));
     let mut identity = links::ProcessIdentity::draw()?;
-    if let (Some(file), Some(path)) = (&file, path)
-        && let Some(own) = file.operator(path, team.number)?
-    {
-        identity.operator = own;
-    }
+    let file = team.key_file.as_deref().map(key::read).transpose()?;
+    let key = file.map(|file| file.operator_key(team.number, &mut identity)).transpose()?;
     let mut transports = Vec::new();
     for (at, place) in places.iter().enumerate() {
         let Some(place) = place else { continue };
@@ -174,7 +170,7 @@ fn open(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>]) -> Resu
     }
     let me = identity.operator_of(team.number);
     Ok(Operator {
-        end: HostEnd { me, key: file.map(|file| file.key()), seed: identity.seed, links: setups.to_vec(), transports },
+        end: HostEnd { me, key, seed: identity.seed, links: setups.to_vec(), transports },
         robots: team.deployment.robots,
         publishers: Routes::of(&team.deployment).publishers(),
         stop: post,

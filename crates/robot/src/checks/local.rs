@@ -36,17 +36,19 @@ fn check_key(team: &Team) -> Found {
                 let (print, name) = (file.fingerprint(), &*team.deployment.hosts[usize::from(team.host.0)].name);
                 // Who listens does so as an operator.
                 let operator = file.member().is_some_and(|(number, _)| number.is_operator());
-                if let (false, Err(error)) = (operator, file.check_host(path, team.number, (team.host, name))) {
+                if let (false, Err(error)) = (operator, file.check_host(team.number, (team.host, name))) {
                     return found(Fitness::Fail, error.to_string(), "");
                 }
                 let every = format!("fingerprint {print}, which every host of the team must have");
                 match file.member() {
                     Some((_, name)) => {
-                        found(Fitness::Ok, format!("{every}; it is that of '{name}', who can pose as no other"), "")
+                        found(Fitness::Ok, format!("{every}; it is that of '{name}', who can impersonate no other"), "")
                     }
                     None => found(
                         Fitness::Warn,
-                        format!("{every}; whoever has it can pose as any host, the state server and an operator"),
+                        format!(
+                            "{every}; each holder of it can impersonate any host, the state server and an operator"
+                        ),
                         &format!("make a file for each member with '{} key new TEAM.toml'", own_name()),
                     ),
                 }

@@ -3,9 +3,10 @@
 use std::fs::OpenOptions;
 use std::io::{ErrorKind, Read};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
+use murmurate::live::links::ProcessIdentity;
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::key::Key;
 use nix::unistd::geteuid;
@@ -19,6 +20,7 @@ const MOST: u64 = 16_384;
 
 /// Content of a key file: the key that all members of the team have, and in a member's own file its keys with each.
 pub struct KeyFile {
+    path: PathBuf,
     shared: [u8; BYTES],
     member: Option<Member>,
 }
@@ -45,37 +47,39 @@ impl KeyFile {
         self.member.as_ref().map(|member| (member.number, &*member.name))
     }
 
-    /// Checks that the host `host` of the team with the number `team` may use the file, read from `path`: it is the
-    /// host's own, or that of a whole team.
+    /// Checks that the host `host` of the team with the number `team` may use the file: it is the host's own, or that
+    /// of a whole team.
     ///
     /// # Errors
     /// If it is another member's, or of another team.
-    pub fn check_host(&self, path: &Path, team: u16, (host, name): (HostId, &str)) -> Result<()> {
+    pub fn check_host(&self, team: u16, (host, name): (HostId, &str)) -> Result<()> {
         let Some(member) = &self.member else { return Ok(()) };
-        member.check_team(path, team)?;
+        member.check_team(&self.path, team)?;
         if member.number != host {
             let why = format!("is that of '{}' and this is host '{name}': name the host's own file", member.name);
-            return refuse(path, &why);
+            return refuse(&self.path, &why);
         }
         Ok(())
     }
 
-    /// Returns the number under which an operator of the team with the number `team` uses the file, read from `path`;
-    /// `None` if it draws one, with the key of a whole team.
+    /// Returns the key of this process as an operator of the team with the number `team`. The process takes the number
+    /// of an operator's own file; with the key of a whole team it keeps the one that it has drawn.
     ///
     /// # Errors
-    /// If it is a host's, or of another team.
-    pub fn operator(&self, path: &Path, team: u16) -> Result<Option<HostId>> {
-        let Some(member) = &self.member else { return Ok(None) };
-        member.check_team(path, team)?;
-        if !member.number.is_operator() {
-            let why = format!(
-                "is that of host '{}': name an operator's with --key-file, from 'key new TEAM.toml'",
-                member.name
-            );
-            return refuse(path, &why);
+    /// If the file is a host's, or of another team.
+    pub fn operator_key(&self, team: u16, process: &mut ProcessIdentity) -> Result<Key> {
+        if let Some(member) = &self.member {
+            member.check_team(&self.path, team)?;
+            if !member.number.is_operator() {
+                let why = format!(
+                    "is that of host '{}': name an operator's with --key-file, from 'key new TEAM.toml'",
+                    member.name
+                );
+                return refuse(&self.path, &why);
+            }
+            process.operator = member.number;
         }
-        Ok(Some(member.number))
+        Ok(self.key())
     }
 }
 
@@ -83,15 +87,14 @@ impl KeyFile {
 /// key. Symbolic links are followed; owner and mode are checked on the opened file.
 pub fn read(path: &Path) -> Result<KeyFile> {
     let text = read_text(path)?;
-    if text.len() > 4 * BYTES {
-        let member = std::str::from_utf8(&text).map_err(|_| "is no text".to_owned()).and_then(Member::parse);
-        return match member {
-            Ok((shared, _)) if is_guessable(&shared) => refuse(path, GUESSABLE),
-            Ok((shared, member)) => Ok(KeyFile { shared, member: Some(member) }),
-            Err(why) => refuse(path, &format!("{why}: copy it again, or make new ones with '{} key new'", own_name())),
-        };
+    let file = |shared, member| KeyFile { path: path.to_owned(), shared, member };
+    if text.len() <= 4 * BYTES {
+        return Ok(file(plain(path, &text)?, None));
     }
-    Ok(KeyFile { shared: plain(path, &text)?, member: None })
+    match std::str::from_utf8(&text).map_err(|_| "is no text".to_owned()).and_then(Member::parse) {
+        Ok((shared, member)) => Ok(file(shared, Some(member))),
+        Err(why) => refuse(path, &format!("{why}: copy it again, or make new ones with '{} key new'", own_name())),
+    }
 }
 
 /// Reads a file that holds nothing but a key, such as the access token of a page. Fails as [`read`] does.

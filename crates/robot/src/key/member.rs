@@ -1,5 +1,5 @@
 //! Keys of the members of a team, hosts and operators: each has a secret of its own, and with each other member a key
-//! that only the two have (X25519, RFC 7748). So no member can pose as another.
+//! that only the two have (X25519, RFC 7748). So no member can impersonate another.
 
 use std::collections::BTreeMap;
 use std::path::Path;

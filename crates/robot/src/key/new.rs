@@ -1,5 +1,6 @@
 //! The command `murmurate key`: keys of a team, in files that only their owner may read. Either one key of all members
-//! (32 bytes as 64 hexadecimal digits), or a file for each host and each operator, with which none can pose as another.
+//! (32 bytes as 64 hexadecimal digits), or a file for each host and each operator, none of which can impersonate
+//! another.
 //!
 //! Keys are never printed. Fingerprints show whether two hosts are of one team.
 
@@ -33,8 +34,8 @@ pub enum Args {
 /// Flags of `murmurate key new`.
 #[derive(clap::Args)]
 pub struct New {
-    /// Team file: makes a file for each host and operator, with which none can pose as another. Without it, one key
-    /// for all is made, with which any can
+    /// Team file: makes a file for each host and operator, none of which can impersonate another. Without it, one
+    /// key for all is made, with which each can
     #[arg(value_name = "TEAM")]
     team: Option<PathBuf>,
     /// Key file to write, or with TEAM the folder of the files [default: team.key, or keys]
@@ -65,7 +66,8 @@ fn of_team(args: &New) -> Result<Ended> {
     output::print(&format!("{shown}: a new team key, fingerprint {}", fingerprint(&key)))?;
     output::talk("Copy it to every robot of the team, readable by its owner only (mode 0600).");
     output::talk(&format!(
-        "Whoever has it can pose as any robot, the state server and an operator. With '{} key new TEAM.toml' none can.",
+        "Each holder of it can impersonate any robot, the state server and an operator. With '{} key new TEAM.toml' \
+         none can.",
         own_name()
     ));
     Ok(Ended::Done)
@@ -106,8 +108,14 @@ fn of_members(args: &New, team: &Path, registry: &Registry) -> Result<Ended> {
         output::print(&format!("{}: {what}", shown::value(path.display())))?;
     }
     output::talk(
-        "Copy each to its own machine alone, readable by its owner only (mode 0600), and name it there as key_file.",
+        "Copy each to its own machine alone, readable by its owner only (mode 0600), and name it in the team file:",
     );
+    for (number, name) in &members {
+        let file = path_of(name);
+        let place =
+            if number.is_operator() { "at the top, for operators".to_owned() } else { format!("in [host.{name}]") };
+        output::talk(&format!("  key_file = {:?}  {place}", file.to_string_lossy()));
+    }
     Ok(Ended::Done)
 }
 
