@@ -306,7 +306,9 @@ fn the_results_of_a_host_have_its_robots_hardware() {
         let event: Value = serde_json::from_str(&line.expect("text")).expect("JSON");
         (event["event"] == "counted" && !event["hardware"][0].is_null()).then_some(event)
     });
-    child.kill().expect("it runs");
+    // Asked to end, it writes what is left of its log.
+    let pid = nix::unistd::Pid::from_raw(child.id().try_into().expect("a process id"));
+    nix::sys::signal::kill(pid, nix::sys::signal::Signal::SIGTERM).expect("it runs");
     let output = child.wait_with_output().expect("it ends");
     let hardware = &counted.expect("counts come every second")["hardware"][0];
     assert_eq!((&hardware["robot"], &hardware["battery"], &hardware["faults"]), (&0.into(), &3.into(), &1.into()));
