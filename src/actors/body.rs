@@ -119,6 +119,11 @@ impl Body {
         Body { hardware: HardwareWatch::new(limits), ..self }
     }
 
+    /// Returns the Body for a team whose orders are `signed` where they end a stop or a hold.
+    pub(crate) fn with_signed_orders(self, signed: bool) -> Body {
+        Body { latch: LatchFollower::new(signed), ..self }
+    }
+
     /// Whether the motors may turn: the state server was heard, no stop is engaged or held, the host is not shutting
     /// down, and the hardware permits motion.
     fn may_move(&self) -> bool {

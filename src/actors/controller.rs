@@ -62,6 +62,8 @@ pub struct Config {
     pub valid_for: Span,
     /// Time of the heartbeat within each period of heartbeats.
     pub phase: Span,
+    /// Whether orders are signed where they end a stop or a hold.
+    pub signed: bool,
 }
 
 /// Controller of one robot: an actor that passes the policy's actions through the robot's guard to its motors, and
@@ -87,7 +89,7 @@ impl Controller {
     pub fn new(config: Config) -> Controller {
         let next_heartbeat = Time::ZERO + config.phase;
         Controller {
-            guard: Guard::new(config.guard.clone()),
+            guard: Guard::new(config.guard.clone()).with_signed_orders(config.signed),
             round: RoundFollower::default(),
             team: Phase::NeedReset,
             own: Phase::NeedReset,
@@ -273,6 +275,7 @@ mod tests {
             },
             valid_for: Span::from_millis(200),
             phase: Span::ZERO,
+            signed: false,
         })
     }
 
@@ -465,8 +468,13 @@ mod tests {
         let (safety, half_extent, clamp) = (Safety::deployed(), Vec2::new(2.0, 3.0), Clamp::Training);
         let walls = Arc::default();
         let guard = filter::Settings { safety, half_extent, walls, limit_m_s: 1.5, clamp, period };
-        let mut controller =
-            Controller::new(Config { robot, guard, valid_for: Span::from_millis(200), phase: Span::ZERO });
+        let mut controller = Controller::new(Config {
+            robot,
+            guard,
+            valid_for: Span::from_millis(200),
+            phase: Span::ZERO,
+            signed: false,
+        });
         let task = Task { start: Vec2::zeros(), goal: Vec2::x() };
         let (phase, tasks, latch) = (Phase::Running, [task].into(), Latch::default());
         let mode = Mode { round, repeat: 0, phase, first: robot, tasks, latch };

@@ -2,6 +2,7 @@
 //!
 //! `runtime` executes them, and `graph` connects them.
 
+mod absent;
 pub(crate) mod agent;
 pub(crate) mod body;
 pub mod cache;

@@ -5,7 +5,7 @@
 //! checked, decoded and delivered, or counted and dropped. `net::protocol::link` handles transmission, retransmission
 //! and authentication.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
 
 use crate::actor::Core;
@@ -108,6 +108,7 @@ pub struct Network {
     /// Whether the counts were sent at once because the team has another key than this operator.
     key_reported: bool,
     unauthorized: UnauthorizedPublishers,
+    key: Option<Key>,
 }
 
 /// Addresses from which the hosts of a team were last accepted on links that send to single hosts, with the time at
@@ -196,6 +197,7 @@ impl Network {
             is_operator: host.is_operator(),
             key_reported: false,
             unauthorized: UnauthorizedPublishers::default(),
+            key,
         }
     }
 
@@ -208,7 +210,18 @@ impl Network {
         self.links.get_mut(usize::from(link.0))?.as_mut()
     }
 
+    /// Returns a message as it leaves: an operator signs what ends a stop or a hold, for the runs of the hosts that it
+    /// hears.
+    fn signed(&self, message: Wire) -> Wire {
+        let (Wire::Stop(stop), Some(signatures)) = (&message, self.key.as_ref().and_then(Key::signatures)) else {
+            return message;
+        };
+        let hosts: BTreeSet<(HostId, u32)> = self.links.iter().flatten().flat_map(LinkState::hosts).collect();
+        signatures.signed(self.local_header.team, *stop, hosts.into_iter())
+    }
+
     fn publish(&mut self, now: Time, message: Wire, out: &mut Vec<Out>) {
+        let message = self.signed(message);
         let route = self.router.route(message.kind(), message.robot());
         let leaves = route.leaves.filter(|(link, _)| self.link(*link).is_some());
         let encoded = match leaves {
@@ -292,6 +305,15 @@ impl Network {
             }
             let robot = message.robot();
             if self.router.route(kind, robot).local {
+                if self
+                    .key
+                    .as_ref()
+                    .and_then(Key::signatures)
+                    .is_some_and(|of| !of.permit(&self.local_header, &message))
+                {
+                    state.counts().unsigned += 1;
+                    continue;
+                }
                 if state.accept(&header, &message) {
                     out.push(Out::Deliver(message));
                 }

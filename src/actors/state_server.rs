@@ -5,15 +5,16 @@
 //! robots; it stops the team while a host that announced its shutdown is away. A restarted server takes the team's
 //! state from heartbeats, aborts a running episode, and continues with the next.
 
-use std::collections::BTreeSet;
-
+use super::absent::Absent;
 use super::lost::Lost;
 use super::roster::{Roster, log_beyond_reach};
 use crate::actor::Core;
 use crate::messages::geometry::Task;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::Latch;
-use crate::messages::wire::{Heartbeat, Hindrance, Leading, Located, MAX_BLOCK, Mode, Phase, Round, Status, Stop};
+use crate::messages::wire::{
+    Heartbeat, Hindrance, Leading, Located, MAX_BLOCK, Mode, Phase, Release, Round, Status, Stop,
+};
 use crate::results::episode::{AbortCause, AbortReason};
 use crate::scenario::cost::Ending;
 use crate::scenario::layout::Layouts;
@@ -26,6 +27,8 @@ pub const TICK: Span = Span::from_millis(50);
 pub const MODE_PERIOD: Span = Span::from_millis(100);
 /// Number of times that a new instruction is sent with the tasks of all robots, in case copies are lost.
 pub const NEW_MODE_REPEATS: u32 = 3;
+/// Number of instructions after which the newest signed re-arm or resume is repeated: once a second.
+const RELEASE_EVERY: u32 = 10;
 /// Longest wait for missing robots at the start and after an aborted episode; then the team continues without them.
 pub const MUSTER_LIMIT: Span = Span::from_millis(10_000);
 /// Longest duration of a reset; after it, the reset has failed.
@@ -40,6 +43,8 @@ pub enum In {
     Heartbeat(Heartbeat),
     /// Emergency stop message: engage, re-arm or resume.
     Stop(Stop),
+    /// Re-arm or resume with the signature of an operator, which was checked.
+    Release(Release),
     /// Status report of a host, which says whether the host shuts down or is present.
     Status(Status),
     /// Robots whose poses are unknown, or known again, from a host that measures them.
@@ -53,6 +58,8 @@ pub enum In {
 pub enum Out {
     /// Instruction for the team: reset, run or stop, and the episode.
     Mode(Mode),
+    /// Signed re-arm or resume that has led to the present emergency stop state, for robots that have missed it.
+    Release(Release),
     /// Emergency stop state and robots that prevent a resume: answer to an operator, sent through the Status.
     Leading(Leading),
     /// The episode with this index, from 0, is aborted for this reason; said before the instruction. For reports only.
@@ -92,8 +99,9 @@ pub struct StateServer {
     latch: Latch,
     /// Whether a stop, re-arm or resume has changed the latch since the server was started.
     ordered: bool,
-    /// Hosts that have announced their shutdown and have not reported their presence since.
-    left: BTreeSet<HostId>,
+    /// Newest signed re-arm or resume that has changed the latch.
+    release: Option<Release>,
+    absent: Absent,
     lost: Lost,
     /// Whether the server's own host is shutting down.
     leaves: bool,
@@ -115,6 +123,7 @@ pub struct StateServer {
 impl StateServer {
     /// Creates a state server of `robots` robots. `incarnation` counts its starts within the process, from 1.
     pub fn new(config: Config, robots: usize, incarnation: u32) -> StateServer {
+        let hosts = config.hosts.clone();
         StateServer {
             config,
             roster: Roster::new(robots),
@@ -122,7 +131,8 @@ impl StateServer {
             started_unheard: false,
             latch: Latch::default(),
             ordered: false,
-            left: BTreeSet::new(),
+            release: None,
+            absent: Absent::new(hosts),
             lost: Lost::default(),
             leaves: false,
             beyond_reach: 0,
@@ -199,8 +209,7 @@ impl StateServer {
 
     /// Returns the robots that prevent a resume, each with the reason.
     fn hindrances(&self, now: Time) -> Vec<(RobotId, Hindrance)> {
-        let left = |robot: RobotId| self.left.iter().any(|&host| self.robots_of(host).contains(&robot));
-        self.roster.hindrances(now, self.latch, left)
+        self.roster.hindrances(now, self.latch, |robot| self.absent.has(robot))
     }
 
     fn take_stop(&mut self, now: Time, stop: &Stop, out: &mut Vec<Out>) {
@@ -214,24 +223,6 @@ impl StateServer {
         self.ordered |= self.latch != before;
         if stop.by.is_operator() {
             out.push(Out::Leading(Leading { latch: self.latch, hindrances }));
-        }
-    }
-
-    fn robots_of(&self, host: HostId) -> &[RobotId] {
-        self.config.hosts.get(usize::from(host.0)).map_or(&[], Vec::as_slice)
-    }
-
-    fn take_status(&mut self, status: &Status) {
-        let Status { host, leaves, .. } = *status;
-        if self.robots_of(host).is_empty() {
-            // The host runs no robot.
-            return;
-        }
-        if leaves && self.left.insert(host) {
-            let robots: Vec<String> = self.robots_of(host).iter().map(RobotId::to_string).collect();
-            tracing::warn!("host {} has left; the team stands and waits for {}", host.0, robots.join(", "));
-        } else if !leaves && self.left.remove(&host) {
-            tracing::warn!("host {} is back", host.0);
         }
     }
 
@@ -297,7 +288,7 @@ impl StateServer {
         if !self.latch.is_clear() {
             return self.hold(now);
         }
-        if !self.left.is_empty() && self.phase != Phase::NeedReset || self.roster.is_unequal(now) {
+        if self.absent.any() && self.phase != Phase::NeedReset || self.roster.is_unequal(now) {
             return self.wait(now);
         }
         if self.lost.any(now) && self.phase != Phase::NeedReset {
@@ -316,7 +307,7 @@ impl StateServer {
         match self.phase {
             Phase::NeedReset if self.roster.is_complete(now) || lasted >= MUSTER_LIMIT => {
                 self.take_up(now);
-                if !self.left.is_empty() {
+                if self.absent.any() {
                     self.wait(now);
                 }
             }
@@ -341,6 +332,14 @@ impl StateServer {
             }
             _ => {}
         }
+    }
+
+    /// Sends the signed original of the present emergency stop state, if there is one, so that robots that have missed it
+    /// believe the instruction.
+    fn send_release(&self, out: &mut Vec<Out>) {
+        let due = self.times_sent < NEW_MODE_REPEATS || self.times_sent.is_multiple_of(RELEASE_EVERY);
+        let release = self.release.as_ref().filter(|release| due && release.latch == self.latch);
+        out.extend(release.cloned().map(Out::Release));
     }
 
     /// Sends the instruction: a new one with the tasks of all robots, a repeated one with those of one block of them.
@@ -384,7 +383,13 @@ impl Core for StateServer {
                 }
             }
             In::Stop(stop) => self.take_stop(now, &stop, out),
-            In::Status(status) => self.take_status(&status),
+            In::Release(release) => {
+                self.take_stop(now, &release.stop(), out);
+                if self.latch == release.latch {
+                    self.release = Some(release);
+                }
+            }
+            In::Status(status) => self.absent.take(&status),
             In::Located(located) => self.lost.take(now, &located),
             In::Leave => {
                 self.leaves = true;
@@ -405,6 +410,10 @@ impl Core for StateServer {
         // While its host is shutting down, it sends at every decision.
         let period = if self.leaves { Span::ZERO } else { MODE_PERIOD };
         if may_send && self.sent_at.is_none_or(|at| now.since(at) >= period) {
+            if self.sent_at.is_none() {
+                self.times_sent = 0;
+            }
+            self.send_release(out);
             self.send_mode(out);
             self.sent_at = Some(now);
         }
@@ -557,6 +566,33 @@ mod tests {
             tick(&mut next, at_ms(2000));
             assert!(next.latch.is_engaged(), "nor forgets it when no robot is heard any more");
         }
+    }
+
+    #[test]
+    fn the_signed_original_of_the_present_latch_is_repeated_for_robots_that_have_missed_it() {
+        let by = HostId::operator(1);
+        let signed = |latch| {
+            let signature = wire::Signature([1; 64]);
+            Release { by, latch, hosts: vec![(HostId(0), 5)], signature }
+        };
+        let sent = |server: &mut StateServer, ms: u64| {
+            let mut out = Vec::new();
+            server.wake(at_ms(ms), &mut out);
+            let releases = |out: &Out| if let Out::Release(release) = out { Some(release.latch) } else { None };
+            (out.iter().find_map(releases), modes(&out).len())
+        };
+        let mut server = running();
+        let stop = Stop::engage(by, server.latch);
+        server.handle(at_ms(110), In::Stop(stop), &mut Vec::new());
+        let held = Latch::held(stop.latch.number() + 1);
+        server.handle(at_ms(120), In::Release(signed(held)), &mut Vec::new());
+        assert_eq!(server.latch, held);
+        let said: Vec<_> = (0..40).map(|turn| sent(&mut server, 150 + 100 * turn)).collect();
+        assert!(said.iter().all(|(_, modes)| *modes > 0));
+        let times = said.iter().filter(|(release, _)| *release == Some(held)).count();
+        assert!((6..=7).contains(&times), "with each new one, then once a second: {times}");
+        server.handle(at_ms(4200), In::Stop(Stop::engage(by, held)), &mut Vec::new());
+        assert_eq!(sent(&mut server, 4250).0, None, "it is of a state that is past");
     }
 
     #[test]
@@ -889,7 +925,7 @@ mod tests {
         for host in 0..1000 {
             server.handle(at_ms(110), In::Status(status(host % 500, true)), &mut Vec::new());
         }
-        assert_eq!(server.left.len(), 3, "the hosts that there are");
+        assert_eq!(server.absent.count(), 3, "the hosts that there are");
     }
 
     #[test]

@@ -101,7 +101,7 @@ pub fn wire(
     for (robot, device) in &devices.drivers {
         let (robot, mailbox) = (*robot, bench.bodies[robot].clone());
         let out = of_body(&bench, robot, Rc::clone(&report));
-        start_body(clock, &mailbox, (host, robot), device, deployment, out);
+        start_body(clock, &mailbox, (host, robot), (device, deployment, false), out);
         // Bodies move only after a clear latch. The caller has checked the team's latch before; only a Wiggle commands
         // motion here.
         mailbox.send(body::In::Latch(Latch::default()));

@@ -54,27 +54,32 @@ pub(super) fn wire_body(clock: &Clock, trial: &Trial, graph: &Graph, robot: Robo
         body::Out::Stop(stop) => network.send(network::In::Publish(Wire::Stop(stop))),
     };
     match process.devices.drivers.get(&robot) {
-        Some(device) => start_body(clock, &graph.bodies[at], (host, robot), device, &trial.deployment, out),
+        Some(device) => {
+            let about = (device, &trial.deployment, graph.signed);
+            start_body(clock, &graph.bodies[at], (host, robot), about, out);
+        }
         None => {
-            let make = move |_| Body::new((host, robot), Box::new(Simulated), Chassis::default());
+            let signed = graph.signed;
+            let make =
+                move |_| Body::new((host, robot), Box::new(Simulated), Chassis::default()).with_signed_orders(signed);
             start(clock, &graph.bodies[at], info_span!("body", robot = robot.0), make, out);
         }
     }
 }
 
 /// Starts the Body of a real robot (the actor that drives its motors) with the driver in `device`. Packets from the
-/// driver go to the driver's worker; `out` receives all other output of the Body.
+/// driver go to the driver's worker; `out` receives all other output of the Body. `signed` says whether the team's
+/// orders are signed where they end a stop or a hold.
 pub(super) fn start_body(
     clock: &Clock,
     mailbox: &Mailbox<body::In>,
     (host, robot): (HostId, RobotId),
-    device: &Device<dyn Driver>,
-    deployment: &Deployment,
+    (device, deployment, signed): (&Device<dyn Driver>, &Deployment, bool),
     mut out: impl FnMut(body::Out) + 'static,
 ) {
     let (driver, gate) = (Rc::clone(&device.make), device.gate.clone());
     let (chassis, limits) = (deployment.chassis(robot), deployment.hardware_limits(robot));
-    let make = move |_| Body::new((host, robot), driver(), chassis).limited(limits);
+    let make = move |_| Body::new((host, robot), driver(), chassis).limited(limits).with_signed_orders(signed);
     start(clock, mailbox, info_span!("body", robot = robot.0), make, move |said| match said {
         body::Out::Send(packet) => gate.iter().for_each(|gate| gate.borrow_mut().send(packet.clone())),
         other => out(other),

@@ -87,6 +87,12 @@ impl Delivery {
                     self.server.send(state_server::In::Stop(m));
                 }
             }
+            Wire::Release(m) => {
+                self.team.stop(m.stop());
+                if self.leads {
+                    self.server.send(state_server::In::Release(m));
+                }
+            }
             Wire::Status(m) => self.server.send(state_server::In::Status(m)),
             Wire::Observe(_) => {
                 self.observed.set(true);
@@ -210,6 +216,7 @@ pub(super) fn wire_server(clock: &Clock, trial: &Trial, graph: &Graph) {
             }
             network.send(network::In::Publish(Wire::Mode(mode)));
         }
+        state_server::Out::Release(release) => network.send(network::In::Publish(Wire::Release(release))),
         state_server::Out::Leading(leading) => status.send(status::In::Leading(leading)),
         state_server::Out::Aborted(episode, reason) => {
             events.emit(host, Event::Aborted(episode, reason));

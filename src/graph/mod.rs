@@ -225,6 +225,7 @@ fn wire_robot(clock: &Clock, trial: &Rc<Trial>, graph: &Graph, robot: RobotId, c
         guard: guard_config(trial, robot, chassis),
         valid_for: COMMAND_VALIDITY,
         phase: phase(trial, "controller", robot, controller::HEARTBEAT_PERIOD),
+        signed: graph.signed,
     };
     let (network, status) = (home, graph.status_of(host));
     let events = Rc::clone(&graph.events);

@@ -109,6 +109,8 @@ pub struct Graph {
     pub(super) episodes: EpisodeNotice,
     /// Sink of all events of this process.
     pub(super) events: Rc<Events>,
+    /// Whether operators sign their orders where these end a stop or a hold.
+    pub(super) signed: bool,
 }
 
 /// Function that is called with the number of an episode when it begins.
@@ -176,6 +178,7 @@ impl Graph {
             recorder,
             episodes: EpisodeNotice::default(),
             routes,
+            signed: process.ends.values().any(|end| end.key.as_ref().is_some_and(|key| key.signatures().is_some())),
         }
     }
 

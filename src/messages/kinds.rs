@@ -11,6 +11,7 @@ use super::exchange::{Latent, MotorCommand, Reading};
 use super::ids::{HostId, RobotId};
 use super::leading::{Heartbeat, Mode, Stop};
 use super::place::{Located, Place};
+use super::release::Release;
 use super::status::Status;
 use super::telemetry::{Observe, Telemetry};
 
@@ -142,6 +143,8 @@ kinds! {
     /// Robots whose poses are unknown, from the Localizer that measures them to Controllers, the state server and
     /// operators.
     Located = row(Publisher::Member, Receiver::Movers).and_operators().with_the_stop();
+    /// Signed re-arm or resume, from an operator to every host, and repeated by the state server.
+    Release = row(Publisher::Anyone, Receiver::Movers).with_the_stop();
 }
 
 impl Kind {

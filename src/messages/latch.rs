@@ -141,9 +141,19 @@ pub(crate) struct LatchFollower {
     informed: bool,
     /// Newest latch of the state server, if its number was implausibly high and it was ignored; otherwise `None`.
     overshot: Option<Latch>,
+    /// Whether orders are signed where they end a stop or a hold: then the state server ends none by itself.
+    signed: bool,
+    /// Latest latch of a resume that an operator has sent.
+    resumed: Latch,
 }
 
 impl LatchFollower {
+    /// Creates the state before any message. If orders are `signed`, what the state server repeats can only make it
+    /// stricter, unless it is what an operator has permitted.
+    pub(crate) fn new(signed: bool) -> LatchFollower {
+        LatchFollower { signed, ..LatchFollower::default() }
+    }
+
     /// Returns the emergency stop state that the actor obeys at present.
     pub(crate) fn latch(&self) -> Latch {
         self.latch
@@ -158,6 +168,9 @@ impl LatchFollower {
     /// Applies a stop, re-arm or resume, which is `commanded` if an operator has sent it: see [`Latch::after`]. Returns
     /// whether the emergency stop state that the actor obeys changed.
     pub(crate) fn apply(&mut self, other: Latch, commanded: bool) -> bool {
+        if commanded && other.is_clear() {
+            self.resumed = self.resumed.max(other);
+        }
         self.set(self.latch.after(other, commanded))
     }
 
@@ -165,6 +178,10 @@ impl LatchFollower {
     /// latch with an implausibly high number is accepted only when it arrives a second time: a corrupted number does
     /// not repeat, and an actor that has just started cannot know the true one.
     pub(crate) fn update(&mut self, other: Latch) -> bool {
+        self.informed = true;
+        if self.signed && !other.is_as_strict_as(self.latch) && other != self.resumed {
+            return false;
+        }
         let before = self.overshot.take();
         let later = if !self.latch.is_overshot_by(other) {
             self.latch.joined(other)
@@ -175,7 +192,6 @@ impl LatchFollower {
             self.overshot = Some(other);
             self.latch
         };
-        self.informed = true;
         self.set(later)
     }
 
@@ -295,6 +311,26 @@ mod tests {
         assert!(stopped.apply(Latch::engaged(0), true) && !stopped.update(Latch::clear(far)));
         assert!(stopped.update(Latch::clear(far)));
         assert_eq!(stopped.latch(), Latch::engaged(far + 1), "the state server has not heard of the stop yet");
+    }
+
+    #[test]
+    fn where_orders_are_signed_the_state_server_ends_no_stop_and_no_hold_by_itself() {
+        let mut robot = LatchFollower::new(true);
+        assert!(robot.update(Latch::clear(4)) && robot.is_informed(), "there was none");
+        assert!(robot.update(Latch::held(5)), "it may hold the team, as after a failed reset");
+        assert!(!robot.update(Latch::clear(6)), "and not end that");
+        assert!(robot.apply(Latch::engaged(0), false));
+        assert_eq!(robot.latch(), Latch::engaged(6));
+        for lie in [Latch::held(7), Latch::clear(7), Latch::clear(1 << 40), Latch::clear(1 << 40), Latch::clear(0)] {
+            assert!(!robot.update(lie) && !robot.apply(lie, false), "{lie:?}");
+        }
+        assert!(robot.apply(Latch::held(7), true), "an operator may");
+        assert!(!robot.update(Latch::clear(8)), "which was no resume");
+        assert!(!robot.apply(Latch::clear(8), true), "a resume is granted by the state server");
+        assert!(robot.apply(Latch::engaged(8), false) && !robot.update(Latch::clear(8)), "it ends no later stop");
+        assert!(robot.apply(Latch::held(9), true) && !robot.apply(Latch::clear(10), true));
+        assert!(!robot.apply(Latch::clear(0), true), "a question in between");
+        assert!(robot.update(Latch::clear(10)));
     }
 
     #[test]

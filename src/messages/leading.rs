@@ -93,6 +93,12 @@ impl Stop {
         Stop { by, latch: Latch::clear(seen.number() + 1) }
     }
 
+    /// Returns whether the message would end a stop or a hold: it is a re-arm, a hold or a resume. Where members have
+    /// keys of their own, operators sign these.
+    pub(crate) fn releases(&self) -> bool {
+        !self.latch.is_engaged() && self.latch != Latch::default()
+    }
+
     /// Makes a message by which the sender `by` asks every host for its `Status`. The emergency stop state stays as
     /// it is.
     pub fn ask(by: HostId) -> Stop {

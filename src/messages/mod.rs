@@ -2,8 +2,8 @@
 //!
 //! `wire` holds messages that may cross hosts and therefore always pass through a Network; `kinds` is the table of
 //! them, `exchange` and `leading` define them, and `body` says what each has. `local` holds messages between the actors
-//! of one host. `ids`, `geometry`, `floats`, `hardware`, `latch`, `numbered`, `phase`, `place`, `round`, `status` and
-//! `telemetry` are their parts. `isometry` converts poses to those of nalgebra and back.
+//! of one host. `ids`, `geometry`, `floats`, `hardware`, `latch`, `numbered`, `phase`, `place`, `release`, `round`, `status`
+//! and `telemetry` are their parts. `isometry` converts poses to those of nalgebra and back.
 
 mod body;
 mod exchange;
@@ -19,6 +19,7 @@ pub mod local;
 mod numbered;
 pub mod phase;
 pub mod place;
+pub mod release;
 pub mod round;
 mod status;
 pub mod telemetry;

@@ -115,6 +115,11 @@ impl Guard {
         }
     }
 
+    /// Returns the guard for a team whose orders are `signed` where they end a stop or a hold.
+    pub(crate) fn with_signed_orders(self, signed: bool) -> Guard {
+        Guard { latch: LatchFollower::new(signed), ..self }
+    }
+
     /// Returns the state of the emergency stop that this guard follows: clear, engaged, or held after a re-arm.
     pub(crate) fn latch(&self) -> Latch {
         self.latch.latch()

@@ -17,7 +17,7 @@ use rand::RngExt;
 /// Number of mutations of each file of the corpus.
 const ROUNDS: usize = 20_000;
 
-fn corpus() -> Vec<Vec<u8>> {
+pub fn corpus() -> Vec<Vec<u8>> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/corpus");
     let mut paths: Vec<_> =
         fs::read_dir(folder).expect("a corpus").map(|entry| entry.expect("a file").path()).collect();
@@ -27,7 +27,7 @@ fn corpus() -> Vec<Vec<u8>> {
 }
 
 /// Makes one to four changes: a bit, a byte, a piece removed, a piece duplicated, a piece of another file.
-fn mutate(bytes: &mut Vec<u8>, other: &[u8], stream: &mut Stream) {
+pub fn mutate(bytes: &mut Vec<u8>, other: &[u8], stream: &mut Stream) {
     for _ in 0..stream.random_range(1..=4) {
         if bytes.is_empty() {
             return;

@@ -2,6 +2,7 @@
 
 mod abuse;
 mod fuzz_decoders;
+mod fuzz_members;
 mod identity;
 mod moved;
 mod reliability;

@@ -9,8 +9,8 @@ use murmurate::messages::place::{Located, Place, PlaceAnswer, Placed, Whereabout
 use murmurate::messages::trigger::Trigger;
 use murmurate::messages::wire::{
     Celsius, Condition, Features, Following, GuardReport, Health, Heartbeat, Hindrance, Latent, Leading, MAX_BLOCK,
-    MAX_CONDITIONS, MAX_FEATURES, MAX_HINDRANCES, MAX_VALIDITY, Mode, MotorCommand, Observe, Phase, Reading, Reason,
-    Round, Seen, Status, Stop, Telemetry, Wire,
+    MAX_CONDITIONS, MAX_FEATURES, MAX_HINDRANCES, MAX_RELEASED, MAX_VALIDITY, Mode, MotorCommand, Observe, Phase,
+    Reading, Reason, Release, Round, Seen, Signature, Status, Stop, Telemetry, Wire,
 };
 use murmurate::net::protocol::codec::{
     BLOCK_BYTES, Content, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES,
@@ -138,7 +138,13 @@ fn message() -> impl Strategy<Value = Wire> {
         Wire::Telemetry(Telemetry::of(HostId(host), robots))
     });
     let (place, located) = placements();
-    prop_oneof![reading, latent, command, beat, mode, stop, status, observe, telemetry, place, located]
+    let hosts = prop::collection::vec((any::<u16>().prop_map(HostId), any::<u32>()), 0..=MAX_RELEASED);
+    let release = (any::<u16>(), latch(), hosts, prop::array::uniform32(any::<u8>()));
+    let release = release.prop_map(|(by, latch, hosts, half)| {
+        let signature = Signature(std::array::from_fn(|at| half[at % 32]));
+        Wire::Release(Release { by: HostId(by), latch, hosts, signature })
+    });
+    prop_oneof![reading, latent, command, beat, mode, stop, status, observe, telemetry, place, located, release]
 }
 
 fn latent(features: Vec<f32>) -> Wire {

@@ -31,7 +31,7 @@ const SLACK_S: f64 = 0.02;
 /// Time for which a process is halted, or dead before its restart.
 const HALT: Duration = Duration::from_millis(1500);
 
-const ROBOTS: [u16; 3] = [0, 1, 2];
+pub const ROBOTS: [u16; 3] = [0, 1, 2];
 
 /// Agents, World and state server, each a process of its own.
 pub fn team(number: u16) -> String {

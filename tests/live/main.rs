@@ -5,6 +5,7 @@
 #![cfg(target_os = "linux")]
 
 mod addresses;
+mod captured;
 mod crew;
 mod flooded;
 mod junk;

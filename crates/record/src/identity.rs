@@ -76,6 +76,9 @@ pub struct HostIdentity {
     pub transports: Vec<usize>,
     /// Whether the team had a key. The key itself is never in a record.
     pub keyed: bool,
+    /// Whether the team's operators signed what ended a stop or a hold.
+    #[serde(default)]
+    pub signed: bool,
 }
 
 impl HostIdentity {
@@ -173,6 +176,7 @@ mod tests {
                 seed: "00ff".to_owned(),
                 transports: vec![1, 0, 2],
                 keyed: true,
+                signed: true,
             }),
         ] {
             identity.host = host;

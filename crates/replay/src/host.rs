@@ -12,6 +12,7 @@ use murmurate::live::LiveHost;
 use murmurate::live::links::ProcessIdentity;
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::key::Key;
+use murmurate::net::protocol::signatures::Signatures;
 use murmurate::policy::Model;
 use murmurate::random::Seed;
 use murmurate::registry::Registry;
@@ -45,7 +46,11 @@ impl Access {
             return Some(Access { key: None, trusts: false });
         }
         let trusts = key.is_none();
-        let key = key.or_else(|| trusted(attached))?;
+        let in_its_place = || match trusted(attached) {
+            Some(key) if of.signed => Some(key.with_signatures(Signatures::trusting())),
+            list => list,
+        };
+        let key = key.or_else(in_its_place)?;
         Some(Access { key: Some(key), trusts })
     }
 }
@@ -194,7 +199,7 @@ mod tests {
 
     fn identity(keyed: bool) -> HostIdentity {
         let (name, transports) = ("a".to_owned(), vec![1]);
-        HostIdentity { name, id: HostId(0), incarnation: 5, seed: "07".repeat(32), transports, keyed }
+        HostIdentity { name, id: HostId(0), incarnation: 5, seed: "07".repeat(32), transports, keyed, signed: false }
     }
 
     #[test]

@@ -290,7 +290,7 @@ mod tests {
         let mut identity = Identity::here("1f", vec!["host".to_owned()], "");
         let name = stage.hosts[0].clone();
         let (seed, transports) = ("00".repeat(32), vec![1; 2]);
-        let host = HostIdentity { name, id: HostId(0), incarnation: 5, seed, transports, keyed: true };
+        let host = HostIdentity { name, id: HostId(0), incarnation: 5, seed, transports, keyed: true, signed: false };
         identity.host = Some(host);
         let path = folder.join("host.mcap");
         let mut file = RecordFile::create(&path, &Beginning { identity, attached: Vec::new() }, &stage).unwrap();

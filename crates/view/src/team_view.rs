@@ -133,7 +133,8 @@ impl TeamView {
                 }
             }
             Wire::Located(m) => self.located(now, m),
-            Wire::Latent(_) | Wire::MotorCommand(_) | Wire::Stop(_) | Wire::Observe(_) | Wire::Place(_) => {}
+            // What else there is, the page does not show.
+            _ => {}
         }
     }
 

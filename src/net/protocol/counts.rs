@@ -4,6 +4,8 @@ use std::iter::Sum;
 
 use serde::{Deserialize, Serialize};
 
+use super::codec::DecodeError;
+
 macro_rules! counts {
     ($($(#[$doc:meta])* $name:ident,)*) => {
         /// Counters of the datagrams and messages of one host, on one link or summed over its links.
@@ -86,6 +88,8 @@ counts! {
     malformed,
     /// Messages refused: from a host that may not publish them, or about a robot that is not on this host.
     misrouted,
+    /// Messages refused: re-arms and resumes without the signature of an operator for this run of the host.
+    unsigned,
 }
 
 /// Cause for which a datagram is refused without any effect but its count: the state of the link after it is as before.
@@ -145,6 +149,17 @@ impl Refusal {
     ];
 }
 
+impl Refusal {
+    /// Returns the cause of a datagram that cannot be decoded.
+    pub(super) fn of(error: &DecodeError) -> Refusal {
+        match error {
+            DecodeError::Version(_) => Refusal::Version,
+            DecodeError::Unfit(..) => Refusal::Range,
+            _ => Refusal::Malformed,
+        }
+    }
+}
+
 impl LinkCounts {
     /// Counts `number` datagrams that were refused for this cause.
     pub(crate) fn refuse(&mut self, cause: Refusal, number: u64) {
@@ -178,7 +193,7 @@ impl LinkCounts {
     }
 
     /// Returns the number of datagrams and messages refused or dropped on arrival, for each cause: (name, number).
-    pub fn refusals(&self) -> [(&'static str, u64); 17] {
+    pub fn refusals(&self) -> [(&'static str, u64); 18] {
         [
             ("own", self.own),
             ("auth", self.auth),
@@ -197,6 +212,7 @@ impl LinkCounts {
             ("queue", self.queue),
             ("malformed", self.malformed),
             ("misrouted", self.misrouted),
+            ("unsigned", self.unsigned),
         ]
     }
 
@@ -219,6 +235,7 @@ impl LinkCounts {
             (self.queue, "by full queues"),
             (self.malformed, "malformed"),
             (self.misrouted, "from a host that may not send them"),
+            (self.unsigned, "without the signature of an operator"),
         ];
         all.into_iter().filter(|(count, _)| *count > 0)
     }

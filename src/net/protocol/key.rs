@@ -11,6 +11,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use super::codec::{self, FLAGS_AT, Flags, HEADER_BYTES, MAX_FRAME_BYTES, SHORT_TAG_BYTES, TAG_BYTES};
+use super::signatures::Signatures;
 use crate::messages::ids::{HostId, LinkId};
 
 /// Length of what is hashed together with a datagram, the id of the link and that of the receiver \[bytes\].
@@ -22,7 +23,10 @@ type Bytes = [u8; 32];
 /// Secret keys with which a process authenticates datagrams. In a replay, a list of the datagrams that had a valid tag
 /// takes their place.
 #[derive(Clone)]
-pub struct Key(Secret);
+pub struct Key {
+    secret: Secret,
+    signatures: Option<Arc<Signatures>>,
+}
 
 #[derive(Clone)]
 enum Secret {
@@ -42,9 +46,23 @@ struct Member {
 }
 
 impl Key {
+    fn of(secret: Secret) -> Key {
+        Key { secret, signatures: None }
+    }
+
+    /// Returns the keys of a process of a team whose operators sign what ends a stop or a hold.
+    pub fn with_signatures(self, signatures: Signatures) -> Key {
+        Key { signatures: Some(Arc::new(signatures)), ..self }
+    }
+
+    /// Returns the keys by which orders are signed and checked; `None` in a team whose operators sign nothing.
+    pub fn signatures(&self) -> Option<&Signatures> {
+        self.signatures.as_deref()
+    }
+
     /// Creates the key of a team, known to all its members, from its 32 bytes.
     pub fn new(bytes: Bytes) -> Key {
-        Key(Secret::Team(bytes))
+        Key::of(Secret::Team(bytes))
     }
 
     /// Creates the keys of one member of a team whose members cannot impersonate each other: `team` is known to all of
@@ -54,20 +72,20 @@ impl Key {
     /// If there are more members than [`MAX_MEMBERS`](codec::MAX_MEMBERS).
     pub fn of_member(team: Bytes, pairs: BTreeMap<HostId, Bytes>) -> Key {
         assert!(pairs.len() <= codec::MAX_MEMBERS, "whoever reads keys checks their number");
-        Key(Secret::Member(Arc::new(Member { team, pairs })))
+        Key::of(Secret::Member(Arc::new(Member { team, pairs })))
     }
 
     /// Creates a substitute for a key, for replays of records only: it accepts exactly the datagrams with these
     /// [`digest`]s, and makes tags of zeros. It gives no protection on a link.
     pub fn trusting(accepted: BTreeSet<[u8; 16]>) -> Key {
-        Key(Secret::Accepted(Arc::new(accepted)))
+        Key::of(Secret::Accepted(Arc::new(accepted)))
     }
 
     /// Appends the authentication tag to a datagram on the link `link`, for the host `to`, or for all hosts if `to` is
     /// `None`. What a member sends to a host that is no member has a tag of zeros, which nobody accepts.
     pub fn seal(&self, datagram: &mut Vec<u8>, link: LinkId, to: Option<HostId>) {
         datagram[FLAGS_AT] |= Flags::TAGGED;
-        match (&self.0, to) {
+        match (&self.secret, to) {
             (Secret::Team(secret), _) => {
                 let tag = tag_of(secret, datagram, link, to);
                 datagram.extend_from_slice(&tag.as_bytes()[..TAG_BYTES]);
@@ -99,7 +117,7 @@ impl Key {
         let plain = codec::untagged(datagram);
         let tag = &datagram[plain.len()..];
         let to = flags.has(Flags::DIRECT).then_some(here);
-        let secret = match &self.0 {
+        let secret = match &self.secret {
             Secret::Accepted(accepted) => return accepted.contains(&digest(datagram, link)).then_some(plain),
             Secret::Team(secret) => secret,
             Secret::Member(member) => {

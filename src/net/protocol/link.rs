@@ -197,7 +197,7 @@ impl LinkState {
         out: &mut Vec<Outbound>,
     ) -> Result<Option<(Header, &'a [u8])>, Refusal> {
         let (header, plain) = self.open(frame)?;
-        let blocks = ControlBlocks::read(plain).map_err(|error| cause(&error))?;
+        let blocks = ControlBlocks::read(plain).map_err(|error| Refusal::of(&error))?;
         let report = blocks.report.as_ref();
         // Operators draw their ids at random, so two of them may have the same.
         let own_id = header.sender == self.me.host && !header.sender.is_operator();
@@ -269,7 +269,7 @@ impl LinkState {
             None => (!tagged).then_some(frame),
         };
         let plain = plain.ok_or_else(|| self.key_trouble(frame).unwrap_or(Refusal::Auth))?;
-        let header = codec::peek(plain).map_err(|error| cause(&error))?;
+        let header = codec::peek(plain).map_err(|error| Refusal::of(&error))?;
         if header.team != self.me.team {
             return Err(Refusal::Team);
         }
@@ -365,7 +365,12 @@ impl LinkState {
     /// Counts a datagram that could not be decoded, by the cause `error`.
     #[cold]
     pub(crate) fn refuse(&mut self, error: &DecodeError) {
-        self.counts.refuse(cause(error), 1);
+        self.counts.refuse(Refusal::of(error), 1);
+    }
+
+    /// Returns the hosts of the team that are accepted, each with its incarnation.
+    pub(crate) fn hosts(&self) -> impl Iterator<Item = (HostId, u32)> {
+        self.incoming.senders.iter().map(|(id, _)| id).filter(|(host, _)| *host < self.first_guest)
     }
 
     /// Returns the counters of the link, to be changed.
@@ -403,14 +408,5 @@ impl LinkState {
             }
         }
         self.plan();
-    }
-}
-
-/// Returns the cause that a datagram is counted by which cannot be decoded.
-fn cause(error: &DecodeError) -> Refusal {
-    match error {
-        DecodeError::Version(_) => Refusal::Version,
-        DecodeError::Unfit(..) => Refusal::Range,
-        _ => Refusal::Malformed,
     }
 }

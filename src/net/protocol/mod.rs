@@ -24,6 +24,7 @@ pub mod retransmit;
 pub mod router;
 pub mod sender;
 mod senders;
+pub mod signatures;
 mod soft;
 mod unpack;
 mod urgent;

@@ -133,7 +133,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let links = team.deployment.links.iter().map(|link| link.name.clone()).collect();
     let seen = Rc::new(Seen::new(Outlets::open(args.json, args.trajectories.as_deref())?, links));
     let outlets = &seen.outlets;
-    let keyed = key.is_some();
+    let (keyed, signed) = (key.is_some(), key.as_ref().is_some_and(|key| key.signatures().is_some()));
     let (signal, wake_reader) = signals::listen()?;
     let mut patience = Patience::new((&signal, &wake_reader), outlets, (args.json, args.launched));
     let live = match LiveHost::open_when_fit(&team, &trial, key, registry, &mut |error| patience.wait(error)) {
@@ -143,7 +143,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     };
     patience.end();
     let files = [Some(args.team.file.clone()), team.policy.clone()].into_iter().flatten().collect();
-    seen.record.set(LiveRecord::of_host(&args.record, (&team, &live), (began, keyed), (files, &digest))?).ok();
+    let about = (began, keyed, signed);
+    seen.record.set(LiveRecord::of_host(&args.record, (&team, &live), about, (files, &digest))?).ok();
     #[cfg(feature = "watch")]
     seen.metrics.set(args.metrics.open(&team)?).ok();
     tracing::info!(host = name, robots = team.deployment.robots, policy = policy.name, digest, "starts");

@@ -1,5 +1,6 @@
 //! Keys of the members of a team, hosts and operators: each has a secret of its own, and with each other member a key
-//! that only the two have (X25519, RFC 7748). So no member can impersonate another.
+//! that only the two have (X25519, RFC 7748). So no member can impersonate another. Operators also sign what ends a
+//! stop or a hold (Ed25519, RFC 8032), with a key that is derived from their secret.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -9,6 +10,7 @@ use data_encoding::HEXLOWER;
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::codec::MAX_MEMBERS;
 use murmurate::net::protocol::key::Key;
+use murmurate::net::protocol::signatures::Signatures;
 use serde::Deserialize;
 use x25519_dalek::{PublicKey, StaticSecret};
 
@@ -16,6 +18,9 @@ use super::digits::{BYTES, is_guessable, parse, refuse};
 
 /// Context string for the derivation of the key of a pair, unique to it.
 const CONTEXT: &str = "murmurate 2026-11-28 key of a pair of members";
+
+/// Context string for the derivation of the secret key with which an operator signs, unique to it.
+const SIGNING: &str = "murmurate 2026-11-28 signing key of an operator";
 
 /// Member of a team, as its own key file describes it: what it is, its secret, and the public keys of all members.
 pub struct Member {
@@ -26,6 +31,8 @@ pub struct Member {
     team: u16,
     secret: [u8; BYTES],
     publics: BTreeMap<HostId, [u8; BYTES]>,
+    /// Public key of each operator, by which hosts check its signatures.
+    signers: BTreeMap<HostId, [u8; BYTES]>,
 }
 
 /// Form of a member's key file (TOML).
@@ -43,6 +50,8 @@ struct Form {
 struct FormMember {
     number: u16,
     public: String,
+    /// Public key of signatures, which operators have.
+    signs: Option<String>,
 }
 
 impl Member {
@@ -56,9 +65,17 @@ impl Member {
             key.ok_or_else(|| format!("has no key as '{what}'"))
         };
         let (shared, secret) = (key("shared", &form.shared)?, key("secret", &form.secret)?);
-        let mut publics = BTreeMap::new();
+        let (mut publics, mut signers) = (BTreeMap::new(), BTreeMap::new());
         for member in &form.members {
-            if publics.insert(HostId(member.number), key("public", &member.public)?).is_some() {
+            let number = HostId(member.number);
+            match &member.signs {
+                Some(signs) => signers.extend([(number, key("signs", signs)?)]),
+                None if number.is_operator() => {
+                    return Err("is of a former version, in which operators signed nothing".to_owned());
+                }
+                None => {}
+            }
+            if publics.insert(number, key("public", &member.public)?).is_some() {
                 return Err(format!("names member {} twice", member.number));
             }
         }
@@ -70,7 +87,12 @@ impl Member {
         if publics.get(&number) != Some(&own) {
             return Err("has a secret that is not that of its own entry in its list of members".to_owned());
         }
-        Ok((shared, Member { number, name: form.name, team: form.team, secret, publics }))
+        let member = Member { number, name: form.name, team: form.team, secret, publics, signers };
+        if member.number.is_operator() && member.signers.get(&number) != Some(&Signatures::public(member.signing())) {
+            return Err("has a secret that does not sign as its own entry in its list of members says".to_owned());
+        }
+        member.signatures().ok_or("has no public key as 'signs'")?;
+        Ok((shared, member))
     }
 
     /// Checks that the file, read from `path`, is of the team with this number.
@@ -79,6 +101,16 @@ impl Member {
             return Ok(());
         }
         refuse(path, &format!("is of team {}, and this is team {team}: name that of this team", self.team))
+    }
+
+    /// Returns the secret key with which the member signs if it is an operator.
+    fn signing(&self) -> [u8; BYTES] {
+        blake3::derive_key(SIGNING, &self.secret)
+    }
+
+    /// Returns the keys by which orders are signed and checked; `None` if an operator's is no public key.
+    fn signatures(&self) -> Option<Signatures> {
+        Signatures::new(self.number.is_operator().then(|| self.signing()), &self.signers)
     }
 
     /// Returns the member's keys with each member, under the key `shared` of all.
@@ -96,7 +128,8 @@ impl Member {
             }
             (*number, blake3::derive_key(CONTEXT, &all))
         });
-        Key::of_member(shared, pairs.collect())
+        let signatures = self.signatures().expect("they were checked when the file was read");
+        Key::of_member(shared, pairs.collect()).with_signatures(signatures)
     }
 }
 
@@ -114,6 +147,10 @@ pub fn files(
         let public = PublicKey::from(&StaticSecret::from(*secret));
         let public = HEXLOWER.encode(public.as_bytes());
         list += &format!("\n[[members]]\nnumber = {}\nname = {name:?}\npublic = \"{public}\"\n", number.0);
+        if number.is_operator() {
+            let signs = Signatures::public(blake3::derive_key(SIGNING, secret));
+            list += &format!("signs = \"{}\"\n", HEXLOWER.encode(&signs));
+        }
     }
     let file = |((number, name), secret): (&(HostId, String), &[u8; BYTES])| {
         format!(
@@ -171,6 +208,8 @@ mod tests {
             (text.replace("shared = ", "shares = "), "no key file"),
             (text.replace(&secret[..9], ""), "no key as 'secret'"),
             (text.replace("number = 0\n", "number = 1\n"), "twice"),
+            (text.replace("signs = ", "sings = "), "former version"),
+            (text.replace("signs = \"", "signs = \"0"), "no key as 'signs'"),
             (text.replacen("\nnumber = 1\nname", "\nnumber = 0\nname", 1), "not that of its own entry"),
         ] {
             let Err(why) = Member::parse(&wrong) else { panic!("{words}") };

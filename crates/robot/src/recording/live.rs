@@ -35,13 +35,13 @@ pub struct LiveRecord {
 
 impl LiveRecord {
     /// Starts the record `NAME-INCARNATION.mcap` of a host, in the folder of the flag `--record`, or otherwise of the
-    /// team file; returns `None` if neither names a folder. `began` is the time at which the run began, and `keyed` is
-    /// true if the team has a key. `files` are the team file and the policy file, which are attached; `policy` is the
-    /// digest of the policy file.
+    /// team file; returns `None` if neither names a folder. `began` is the time at which the run began, `keyed` is
+    /// true if the team has a key, and `signed` if its operators sign orders. `files` are the team file and the policy
+    /// file, which are attached; `policy` is the digest of the policy file.
     pub fn of_host(
         flags: &RecordFlags,
         (team, live): (&Team, &LiveHost),
-        (began, keyed): (Instant, bool),
+        (began, keyed, signed): (Instant, bool, bool),
         (files, policy): (Vec<PathBuf>, &str),
     ) -> Result<Option<LiveRecord>> {
         let Some(folder) = flags.record.as_ref().or(team.record.as_ref()) else {
@@ -53,7 +53,7 @@ impl LiveRecord {
         let (incarnation, seed, transports) = live.process();
         let file = format!("{name}-{incarnation:08x}");
         let seed = HEXLOWER.encode(&seed);
-        identity.host = Some(HostIdentity { name, id: team.host, incarnation, seed, transports, keyed });
+        identity.host = Some(HostIdentity { name, id: team.host, incarnation, seed, transports, keyed, signed });
         let beginning = Beginning { identity, attached: attach(files)? };
         LiveRecord::start((folder, &file), Scope::Host, (beginning, Stage::of(live.trial())), retention).map(Some)
     }
