@@ -334,8 +334,8 @@ impl StateServer {
         }
     }
 
-    /// Sends the signed original of the present emergency stop state, if there is one, so that robots that have missed it
-    /// believe the instruction.
+    /// Sends the signed original of the present emergency stop state, if there is one, so that robots that have missed
+    /// it believe the instruction.
     fn send_release(&self, out: &mut Vec<Out>) {
         let due = self.times_sent < NEW_MODE_REPEATS || self.times_sent.is_multiple_of(RELEASE_EVERY);
         let release = self.release.as_ref().filter(|release| due && release.latch == self.latch);
