@@ -334,8 +334,7 @@ impl StateServer {
         }
     }
 
-    /// Sends the signed original of the present emergency stop state, if there is one, so that robots that have missed
-    /// it believe the instruction.
+    /// Sends the signed original of the present latch, if there is one, for robots that have missed it.
     fn send_release(&self, out: &mut Vec<Out>) {
         let due = self.times_sent < NEW_MODE_REPEATS || self.times_sent.is_multiple_of(RELEASE_EVERY);
         let release = self.release.as_ref().filter(|release| due && release.latch == self.latch);
@@ -385,9 +384,7 @@ impl Core for StateServer {
             In::Stop(stop) => self.take_stop(now, &stop, out),
             In::Release(release) => {
                 self.take_stop(now, &release.stop(), out);
-                if self.latch == release.latch {
-                    self.release = Some(release);
-                }
+                self.release = Some(release).filter(|release| release.latch == self.latch).or(self.release.take());
             }
             In::Status(status) => self.absent.take(&status),
             In::Located(located) => self.lost.take(now, &located),
