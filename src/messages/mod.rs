@@ -1,9 +1,9 @@
 //! All messages of the system: plain data, encoded with serde. Messages check only that their values are in range.
 //!
 //! `wire` holds messages that may cross hosts and therefore always pass through a Network; `kinds` is the table of
-//! them, `exchange` and `leading` define them, and `body` says what each has. `local` holds messages between the actors
-//! of one host. `ids`, `geometry`, `floats`, `hardware`, `latch`, `numbered`, `phase`, `place`, `release`, `round`, `status`
-//! and `telemetry` are their parts. `isometry` converts poses to those of nalgebra and back.
+//! them, `exchange`, `leading` and `release` define them, and `body` says what each has. `local` holds messages between
+//! the actors of one host. `ids`, `geometry`, `floats`, `hardware`, `latch`, `numbered`, `phase`, `place`, `round`,
+//! `status` and `telemetry` are their parts. `isometry` converts poses to those of nalgebra and back.
 
 mod body;
 mod exchange;
