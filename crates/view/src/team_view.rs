@@ -133,7 +133,6 @@ impl TeamView {
                 }
             }
             Wire::Located(m) => self.located(now, m),
-            // What else there is, the page does not show.
             _ => {}
         }
     }
