@@ -1,5 +1,5 @@
-//! Captured members of a team: whoever has the key file of one host, a robot's or the state server's, prevents no stop and
-//! ends none.
+//! Captured members of a team: whoever has the key file of one host, a robot's or the state server's, prevents no stop
+//! and ends none.
 //!
 //! `MURMURATE_CAPTURED="500 30000"` makes so many stops beside so many forged datagrams a second.
 
