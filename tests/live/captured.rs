@@ -113,7 +113,7 @@ struct Captured {
 }
 
 impl Captured {
-    /// Takes the place of the host `host`, with the key file of it, and forges `rate` datagrams a second while it attacks.
+    /// Takes the place of the host `host`, with its key file, and forges `rate` datagrams a second while it attacks.
     fn start(
         link: Link,
         (host, file): (HostId, PathBuf),
