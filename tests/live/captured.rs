@@ -17,7 +17,6 @@ use murmurate::graph::event::Event;
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::ids::{HostId, LinkId, RobotId};
 use murmurate::messages::latch::Latch;
-use murmurate::messages::release::{Release, Signature};
 use murmurate::messages::wire::{
     Features, Following, Heartbeat, Latent, Leading, Mode, MotorCommand, Phase, Reading, Release, Round, Signature,
     Status, Stop, Wire,
@@ -85,7 +84,7 @@ impl Link {
     fn open(self, host: HostId) -> (Setup, Box<dyn Transport>) {
         let none = Reliabilities::new;
         let (setup, endpoint) = match self {
-            Link::Multicast => (Setup::multicast(none()), multicast::endpoint(self.group(), "lo", 4 << 20)),
+            Link::Multicast => (Setup::multicast(none()), multicast::endpoint(self.group().into(), "lo", 4 << 20)),
             Link::Unicast => {
                 let peers = (0..5).map(HostId).filter(|other| *other != host);
                 let peers = peers.map(|other| (other, self.at(other).into())).collect();
