@@ -7,6 +7,7 @@
 mod addresses;
 mod crew;
 mod flooded;
+mod halted;
 mod junk;
 mod keys;
 mod kill;
