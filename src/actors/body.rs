@@ -135,6 +135,12 @@ impl Body {
     fn condition(&mut self, now: Time, hardware: Hardware, out: &mut Vec<Out>) {
         let before = self.hardware.permit();
         self.hardware.take(&hardware);
+        self.judge(now, before, hardware, out);
+    }
+
+    /// Reports the hardware condition, and the permission to move if it has changed from `before`. Stops the robot if
+    /// the permission has been withdrawn.
+    fn judge(&mut self, now: Time, before: Permit, hardware: Hardware, out: &mut Vec<Out>) {
         let permit = self.hardware.permit();
         out.push(Out::Condition(self.hardware.judged(hardware)));
         if permit == before {
@@ -142,7 +148,7 @@ impl Body {
         }
         match self.hardware.reason() {
             Some(reason) => tracing::error!("{} stands: {reason}", self.robot),
-            None if before == Permit::Withdrawn => tracing::warn!("{} may move again: its values are good", self.robot),
+            None if before == Permit::Withdrawn => tracing::warn!("{} may move again: it is ready", self.robot),
             None => {}
         }
         out.push(Out::Permit(permit));
@@ -248,9 +254,10 @@ impl Core for Body {
             In::MotorCommand(command) => self.apply(now, &command, out),
             In::Reading(reading) => self.measured(now, &reading, out),
             In::WorkerEnded => {
-                tracing::error!("the driver of {} has ended, and is started again: the robot stands", self.robot);
+                let before = self.hardware.permit();
+                self.hardware.end();
                 let ended = Hardware::of(Health::Silent).because("its driver has ended and is started again");
-                self.condition(now, ended, out);
+                self.judge(now, before, ended, out);
             }
             In::Packet(packet) => {
                 self.driver.receive(now, &packet, &mut self.outputs);
@@ -339,6 +346,26 @@ mod tests {
         assert_eq!(driven(&mut body, 45_020), 0.0, "held");
         handle(&mut body, 45_030, In::Latch(Latch::clear(3)));
         assert_eq!(driven(&mut body, 45_040), 1.0);
+    }
+
+    #[test]
+    fn a_robot_whose_driver_has_ended_stands_until_it_reports_ready() {
+        let mut body = Body::new((HostId(3), RobotId(0)), Box::new(Charged), Chassis::default());
+        handle(&mut body, 0, In::Latch(Latch::default()));
+        let speed = |out: &[Out]| match out {
+            [.., Out::Drive(drive)] => drive.velocity.x,
+            _ => panic!("{out:?}"),
+        };
+        assert_eq!(speed(&handle(&mut body, 10, command(1.0))), 1.0, "before a first report");
+        let out = handle(&mut body, 20, In::WorkerEnded);
+        let [Out::Condition(hardware), Out::Permit(Permit::Withdrawn), Out::Drive(_)] = &out[..] else {
+            panic!("{out:?}")
+        };
+        assert_eq!((hardware.health, speed(&out)), (Health::Silent, 0.0));
+        assert_eq!(speed(&handle(&mut body, 30, command(1.0))), 0.0, "its new driver is not ready");
+        let out = handle(&mut body, 40, In::Packet([87].into()));
+        assert!(matches!(&out[..], [Out::Condition(_), Out::Permit(Permit::Granted)]), "{out:?}");
+        assert_eq!(speed(&handle(&mut body, 50, command(1.0))), 1.0);
     }
 
     #[test]

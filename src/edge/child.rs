@@ -7,7 +7,9 @@
 use std::io::{ErrorKind, PipeWriter, Write};
 use std::time::{Duration, Instant};
 
-use actix::{Actor, ActorContext, ActorFutureExt, AsyncContext, Context, Handler, Recipient, Supervised, WrapFuture};
+use actix::{
+    Actor, ActorContext, ActorFutureExt, AsyncContext, Context, Handler, Recipient, SpawnHandle, Supervised, WrapFuture,
+};
 use tokio::io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, BufReader};
 use tokio::net::unix::pipe;
 use tokio::task::JoinSet;
@@ -27,6 +29,12 @@ const LAST_LINES: Duration = Duration::from_millis(100);
 const PAUSES: [Duration; 2] = [Duration::from_millis(200), Duration::from_millis(6400)];
 /// Time for which a program has to run so that the next pause is the first again.
 const STEADY: Duration = Duration::from_secs(10);
+/// Period of the looks at a program's stdin while lines wait there.
+const LOOK: Duration = Duration::from_millis(100);
+/// Number of looks in succession at which a program that has begun to read has read nothing, after which it counts as
+/// halted. Looks are counted and not their time: while this process is halted itself, or has no processor, it makes
+/// none.
+const LOOKS: u32 = 10;
 
 /// Worker that runs a user's program as a child process and exchanges packets with it, one a line, over stdin and
 /// stdout.
@@ -47,6 +55,7 @@ impl Worker for Program {
             pause: Duration::ZERO,
             lives: 0,
             refused: 0,
+            look: None,
         })
     }
 
@@ -69,6 +78,8 @@ struct Runner {
     lives: u64,
     /// Number of packets for which the program's stdin had no room.
     refused: u64,
+    /// Timer of the next look at the program's stdin; `None` while nothing waits there.
+    look: Option<SpawnHandle>,
 }
 
 /// A running program, its stdin, and the tasks that read its output.
@@ -77,6 +88,29 @@ struct Life {
     group: Group,
     stdin: PipeWriter,
     readers: JoinSet<()>,
+    progress: Progress,
+}
+
+/// What a program has read of its stdin.
+#[derive(Debug, Default)]
+struct Progress {
+    /// Number of bytes that were written.
+    written: u64,
+    /// Number of bytes that it had read at the last look.
+    read: u64,
+    /// Number of looks since it has read something.
+    looks: u32,
+}
+
+impl Progress {
+    /// Takes a look at which so many bytes were unread. Returns whether the program counts as halted. One that has not
+    /// begun to read does not: it may take long to start, or need no commands.
+    fn look(&mut self, unread: u64) -> bool {
+        let read = self.written.saturating_sub(unread);
+        self.looks = if read > self.read || unread == 0 { 0 } else { self.looks + 1 };
+        self.read = read;
+        read > 0 && self.looks >= LOOKS
+    }
 }
 
 impl Actor for Runner {
@@ -93,7 +127,8 @@ impl Actor for Runner {
 
 impl Supervised for Runner {
     fn restarting(&mut self, _: &mut Context<Self>) {
-        self.ends = false;
+        // Timers of the life before are gone.
+        (self.ends, self.look) = (false, None);
         // What the program has reported of its robot or of itself is no longer known.
         self.port.begin_again();
         self.pause = (2 * self.pause).clamp(PAUSES[0], PAUSES[1]);
@@ -144,7 +179,7 @@ impl Runner {
         let stdin = PipeWriter::from(pipe::Sender::from_owned_fd(stdin)?.into_nonblocking_fd()?);
         readers.spawn_local(read(stdout, sender));
         readers.spawn_local(pass_on(stderr));
-        Ok(Life { began: Instant::now(), group, stdin, readers })
+        Ok(Life { began: Instant::now(), group, stdin, readers, progress: Progress::default() })
     }
 
     /// Writes a packet to the program's stdin. One for which it has no room is dropped and counted: the program does
@@ -152,7 +187,10 @@ impl Runner {
     fn write(&mut self, line: &[u8], context: &mut Context<Self>) {
         let Some(life) = &mut self.life else { return };
         match life.stdin.write(line) {
-            Ok(_) => {}
+            Ok(length) => {
+                life.progress.written += length as u64;
+                self.look.get_or_insert_with(|| context.run_later(LOOK, Runner::look));
+            }
             Err(error) if error.kind() == ErrorKind::WouldBlock => {
                 self.refused += 1;
                 if self.refused.is_power_of_two() {
@@ -166,9 +204,29 @@ impl Runner {
         }
     }
 
+    /// Looks whether the program reads, for as long as lines wait. One that is halted is killed at once: when it went
+    /// on it would carry out what has waited, such as the commands before an emergency stop, and until then it does not
+    /// notice the end of its input.
+    fn look(&mut self, context: &mut Context<Self>) {
+        self.look = None;
+        let Some(life) = &mut self.life else { return };
+        let unread = unread(&life.stdin);
+        if life.progress.look(unread) {
+            self.report("does not read its input any more, and is killed");
+            self.finish(Duration::ZERO, context);
+        } else if unread > 0 {
+            self.look = Some(context.run_later(LOOK, Runner::look));
+        }
+    }
+
     /// Closes the program's stdin, upon which it has to end, and ends it and all of its group. Then the actor stops.
     fn end(&mut self, context: &mut Context<Self>) {
-        let Some(Life { began, group, stdin, mut readers }) = self.life.take() else {
+        self.finish(END, context);
+    }
+
+    /// Does what `end` does, and gives the program this long to end by itself.
+    fn finish(&mut self, longest: Duration, context: &mut Context<Self>) {
+        let Some(Life { began, group, stdin, mut readers, .. }) = self.life.take() else {
             if !self.ends {
                 context.stop();
             }
@@ -181,7 +239,7 @@ impl Runner {
         drop(stdin);
         let program = self.program().to_owned();
         let ending = async move {
-            if timeout(END, group.ended()).await.is_err() {
+            if !longest.is_zero() && timeout(longest, group.ended()).await.is_err() {
                 tracing::warn!("'{program}' does not end, and is killed");
             }
             for process in group.end() {
@@ -203,6 +261,18 @@ impl Runner {
             tracing::error!(starts, "'{program}' of {} {how}; it is started again", self.port.name());
         }
     }
+}
+
+/// Returns the number of bytes that wait in a pipe to be read.
+#[cfg(target_os = "linux")]
+fn unread(pipe: &PipeWriter) -> u64 {
+    rustix::io::ioctl_fionread(pipe).unwrap_or(0)
+}
+
+/// Stands for a question that only Linux answers at this end of a pipe: no program counts as halted.
+#[cfg(not(target_os = "linux"))]
+fn unread(_: &PipeWriter) -> u64 {
+    0
 }
 
 /// Reads lines from the program's stdout and sends each as a packet, until the program closes it.
@@ -365,5 +435,58 @@ mod tests {
         }
         assert!(runs(daemon), "it may be meant to stay");
         kill(daemon, Signal::SIGKILL).unwrap();
+    }
+
+    #[test]
+    fn a_program_that_is_halted_is_killed_and_started_again_without_what_has_waited() {
+        let command = ["sh", "-c", "echo $$; while read -r line; do echo \"$line\"; done"].map(str::to_owned).to_vec();
+        let (mut gate, running) = start(Box::new(Program { command }), "a program").unwrap();
+        let number = |packet: &Packet| Pid::from_raw(String::from_utf8_lossy(packet).trim().parse().unwrap());
+        let halted = number(&next(&mut gate, 1).0[0]);
+        gate.send(Packet::from(*b"drive\n"));
+        assert_eq!(next(&mut gate, 1), (vec![Packet::from(*b"drive\n")], WorkerState::Running));
+        kill(halted, Signal::SIGSTOP).unwrap();
+        let since = Instant::now();
+        gate.send(Packet::from(*b"drive on\n"));
+        assert_eq!(next(&mut gate, 1), (vec![], WorkerState::Restarted));
+        // Looks may be late, and are never early.
+        assert!(since.elapsed() >= LOOKS * LOOK, "{:?}", since.elapsed());
+        assert!(!runs(halted), "it never reads what has waited");
+        let (second, state) = next(&mut gate, 1);
+        assert_eq!((second.len(), state, gate.restarts()), (1, WorkerState::Running, 1));
+        assert_ne!(number(&second[0]), halted);
+        gate.send(Packet::from(*b"stand\n"));
+        assert_eq!(next(&mut gate, 1), (vec![Packet::from(*b"stand\n")], WorkerState::Running));
+        drop(gate);
+        assert!(running.join(HANGS));
+    }
+
+    #[test]
+    fn a_program_that_has_read_something_and_leaves_the_rest_for_ten_looks_is_halted() {
+        let mut all = Progress { written: 100, ..Progress::default() };
+        assert!(!(0..100).any(|_| all.look(100)), "it may take long to start");
+        assert!(!(0..100).any(|at| all.look(99 - at)), "it is slow");
+        all.written += 100;
+        assert!(!(0..100).any(|_| all.look(0)), "nothing waits");
+        all.written += 50;
+        assert_eq!((1..100).find(|_| all.look(50)), Some(LOOKS));
+    }
+
+    #[test]
+    fn a_program_that_never_reads_costs_what_has_no_room_and_ends_with_its_host() {
+        let command = ["sh", "-c", "echo up; exec tail -f /dev/null"].map(str::to_owned).to_vec();
+        let (mut gate, running) = start(Box::new(Program { command }), "a program").unwrap();
+        assert_eq!(next(&mut gate, 1), (vec![Packet::from(*b"up\n")], WorkerState::Running));
+        let mut sent = 0;
+        // More than its mailbox and a pipe of 64 KiB hold.
+        while sent < 200_000 {
+            sent += 100;
+            gate.send(Packet::from([b'x'; 100]));
+        }
+        assert_eq!(gate.take(|_| panic!("it says nothing")), WorkerState::Running);
+        let closed = Instant::now();
+        drop(gate);
+        assert!(running.join(HANGS));
+        assert!(closed.elapsed() >= END, "it has the time to stop its robot");
     }
 }

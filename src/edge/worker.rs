@@ -158,3 +158,96 @@ fn arbiter(name: &str) -> io::Result<(System, JoinHandle<()>)> {
     let system = system.recv().map_err(io::Error::other)??;
     Ok((system, thread))
 }
+
+#[cfg(test)]
+mod tests {
+    use std::os::fd::AsFd;
+    use std::sync::mpsc::SyncSender;
+
+    use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+
+    use super::*;
+    use crate::edge::WorkerState;
+
+    /// Longest wait for a worker to end: only one that hangs takes so long.
+    const HANGS: Duration = Duration::from_secs(60);
+
+    /// Worker that says which packet it has begun with, and then hangs until it is told to go on; then it sends the
+    /// packet back, so often.
+    struct Hanging {
+        begun: SyncSender<Packet>,
+        go_on: Receiver<usize>,
+    }
+
+    impl Worker for Hanging {
+        fn start(self: Box<Self>, seat: Seat) -> Recipient<Input> {
+            let sender = seat.sender();
+            seat.serve(move || {
+                move |packet: Packet| {
+                    self.begun.send(packet.clone()).expect("the test listens");
+                    let often = self.go_on.recv().unwrap_or(0);
+                    (0..often).for_each(|_| sender.send(packet.clone()));
+                }
+            })
+        }
+    }
+
+    /// Starts a worker, sends it a packet, and waits until it hangs with it.
+    fn hangs() -> (Gate, Running, Receiver<Packet>, std::sync::mpsc::Sender<usize>) {
+        let ((begun, began), (go_on, told)) = (sync_channel(2 * ROOM), channel());
+        let (mut gate, running) = start(Box::new(Hanging { begun, go_on: told }), "one that hangs").unwrap();
+        gate.send(Packet::from([0]));
+        assert_eq!(began.recv_timeout(HANGS), Ok(Packet::from([0])));
+        (gate, running, began, go_on)
+    }
+
+    #[test]
+    fn a_worker_that_hangs_costs_what_has_no_room_and_ends_when_it_goes_on() {
+        let (mut gate, running, began, go_on) = hangs();
+        let packets: Vec<u8> = (1..=200).collect();
+        packets.iter().for_each(|number| gate.send(Packet::from([*number])));
+        let (refused, lost) = gate.dropped();
+        // The actor library admits one message more for each sender.
+        assert!((200 - ROOM as u64 - 1..=200 - ROOM as u64).contains(&refused) && lost == 0, "{refused} {lost}");
+        assert_eq!(gate.take(|_| panic!("it says nothing")), WorkerState::Running);
+        // The end of the host reaches it although its mailbox is full.
+        drop(gate);
+        drop(go_on);
+        assert!(running.join(HANGS));
+        let kept: Vec<u8> = began.try_iter().map(|packet| packet[0]).collect();
+        assert_eq!(kept, packets[..kept.len()], "what had room, in order");
+        assert_eq!(kept.len() as u64 + refused, 200);
+    }
+
+    #[test]
+    fn a_worker_that_never_goes_on_does_not_hold_up_the_end_of_its_host() {
+        let (gate, running, _began, _go_on) = hangs();
+        drop(gate);
+        let asked = Instant::now();
+        let longest = Duration::from_millis(50);
+        assert!(!running.join(longest), "its thread is abandoned");
+        assert!(asked.elapsed() >= longest);
+    }
+
+    #[test]
+    fn what_a_worker_sends_while_nobody_reads_is_dropped_beyond_the_room_and_counted() {
+        let (mut gate, running, began, go_on) = hangs();
+        go_on.send(1000).unwrap();
+        let full = ROOM as u64;
+        // It says at its end that it has sent all.
+        gate.send(Packet::from([1]));
+        assert_eq!(began.recv_timeout(HANGS), Ok(Packet::from([1])));
+        assert_eq!(gate.dropped(), (0, 1000 - full));
+        let (bell, mut taken) = (gate.bell(), 0);
+        assert_eq!(poll(&mut [PollFd::new(bell.as_fd(), PollFlags::POLLIN)], PollTimeout::ZERO), Ok(1));
+        gate.take(|packet| taken += u64::from(*packet == [0]));
+        assert_eq!(taken, full);
+        go_on.send(1).unwrap();
+        while gate.take(|packet| taken += u64::from(*packet == [1])) == WorkerState::Running && taken == full {
+            poll(&mut [PollFd::new(bell.as_fd(), PollFlags::POLLIN)], PollTimeout::from(1000u16)).unwrap();
+        }
+        assert_eq!(taken, full + 1, "it goes on");
+        drop(gate);
+        assert!(running.join(HANGS));
+    }
+}

@@ -1,5 +1,5 @@
-//! Limits of a robot's battery charge and temperature. Beyond them, the robot's Body (the actor of its motors) keeps
-//! the robot at rest, whatever it is commanded.
+//! Limits of a robot's battery charge and temperature. Beyond them, and after an end of its driver, the robot's Body
+//! (the actor of its motors) keeps the robot at rest, whatever it is commanded.
 //!
 //! A robot that was stopped moves again only once the value is better than the limit by a margin. Without the margin, a
 //! robot at the limit would start again whenever its motors are off.
@@ -44,14 +44,15 @@ impl HardwareLimits {
     }
 }
 
-/// Decision of a robot's hardware limits: whether battery and temperature permit motion.
+/// Decision of a robot's hardware watch: whether battery, temperature and driver permit motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Permit {
     /// All values that have a limit are known and within it, so the robot may move.
     Granted,
     /// The driver has not yet reported a value that has a limit, so the robot may not move.
     Unknown,
-    /// Battery or temperature is beyond its limit, or has not yet recovered by the margin, so the robot may not move.
+    /// Battery or temperature is beyond its limit, or has not yet recovered by the margin, or the robot's driver has
+    /// ended and not called it ready since, so the robot may not move.
     Withdrawn,
 }
 
@@ -64,17 +65,26 @@ pub struct HardwareWatch {
     temperature: Option<Celsius>,
     low: bool,
     hot: bool,
+    /// Whether the robot's driver has ended and has not called the robot ready since.
+    ended: bool,
 }
 
 impl HardwareWatch {
     /// Makes a monitor with these limits that knows no values yet.
     pub fn new(limits: HardwareLimits) -> HardwareWatch {
-        HardwareWatch { limits, battery: None, temperature: None, low: false, hot: false }
+        HardwareWatch { limits, battery: None, temperature: None, low: false, hot: false, ended: false }
+    }
+
+    /// Notes that the robot's driver has ended, or begins again: what the robot does is not known until the driver
+    /// calls it ready.
+    pub fn end(&mut self) {
+        self.ended = true;
     }
 
     /// Takes the values of battery and temperature that a robot's driver reports. A value that the report leaves out
     /// stays as it was.
     pub fn take(&mut self, hardware: &Hardware) {
+        self.ended &= hardware.health != Health::Ready;
         self.battery = hardware.battery.or(self.battery);
         self.temperature = hardware.temperature.or(self.temperature);
         if let (Some(least), Some(charge)) = (self.limits.battery_least, self.battery) {
@@ -87,11 +97,11 @@ impl HardwareWatch {
         }
     }
 
-    /// Returns whether battery and temperature permit the robot to move.
+    /// Returns whether battery, temperature and driver permit the robot to move.
     pub fn permit(&self) -> Permit {
         let known = |limited: bool, known: bool| !limited || known;
         match () {
-            () if self.low || self.hot => Permit::Withdrawn,
+            () if self.ended || self.low || self.hot => Permit::Withdrawn,
             () if !known(self.limits.battery_least.is_some(), self.battery.is_some()) => Permit::Unknown,
             () if !known(self.limits.temperature_most.is_some(), self.temperature.is_some()) => Permit::Unknown,
             () => Permit::Granted,
@@ -107,6 +117,9 @@ impl HardwareWatch {
                 Some("its driver reports no charge, which battery_least needs".to_owned())
             }
             Permit::Unknown => Some("its driver reports no temperature: leave out temperature_most_c".to_owned()),
+            Permit::Withdrawn if self.ended => {
+                Some("its driver has ended and is started again; it may move once that reports it as ready".to_owned())
+            }
             Permit::Withdrawn => match (self.low, self.battery.zip(battery_least)) {
                 (true, Some((charge, least))) => {
                     let enough = least.saturating_add(RECOVERED_PERCENT).min(100);
@@ -176,6 +189,22 @@ mod tests {
         assert_eq!(watch.reason().unwrap(), "88 deg C, at most 70: let it cool to 60");
         let silent = Hardware::of(Health::Silent).because("no connection");
         assert_eq!(watch.judged(silent.clone()), silent, "the driver's own fault comes first");
+    }
+
+    #[test]
+    fn a_robot_whose_driver_has_ended_stands_until_the_driver_calls_it_ready() {
+        let mut watch = watch(Some(0.2), None);
+        watch.take(&of(Some(50), None));
+        watch.end();
+        for health in [Health::Silent, Health::Faulty] {
+            watch.take(&Hardware { battery: Some(60), ..Hardware::of(health) });
+            assert_eq!(watch.permit(), Permit::Withdrawn);
+            assert!(watch.reason().unwrap().starts_with("its driver has ended"));
+        }
+        watch.take(&of(Some(20), None));
+        assert!(watch.reason().unwrap().starts_with("battery 20 %"), "it is ready, and its charge is not");
+        watch.take(&of(Some(60), None));
+        assert_eq!(watch.permit(), Permit::Granted);
     }
 
     #[test]

@@ -1,11 +1,11 @@
 //! The source `gpsd`: its worker against a fake of gpsd on the loopback interface.
 
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::os::fd::AsFd;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
-use murmurate::edge::{self, Gate, Settings};
+use murmurate::edge::{self, Gate, Running, Settings};
 use murmurate::localization::{In, Out, Source};
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::Reading;
@@ -49,16 +49,20 @@ fn next(gate: &mut Gate, source: &mut dyn Source) -> Reading {
     panic!("no reading");
 }
 
-#[test]
-fn the_worker_subscribes_and_comes_back_after_gpsd_has_ended() {
-    let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+/// Starts the source with its worker, against a gpsd of this listener.
+fn employ(listener: &TcpListener) -> (Box<dyn Source>, Gate, Running) {
     let address = listener.local_addr().expect("bound");
     let table = format!("address = '{address}'\norigin_latitude_deg = 52.2053\norigin_longitude_deg = 0.1218");
     let settings = Settings { name: "gpsd".to_owned(), table: table.parse().expect("it is TOML") };
     let parts = gpsd::make(&settings, &[RobotId(2)]).unwrap_or_else(|error| panic!("{error}"));
-    let (mut source, worker) = ((parts.source)(), parts.worker);
-    let (mut gate, worker) = edge::start(worker, "source").expect("a thread");
+    let (gate, worker) = edge::start(parts.worker, "source").expect("a thread");
+    ((parts.source)(), gate, worker)
+}
 
+#[test]
+fn the_worker_subscribes_and_comes_back_after_gpsd_has_ended() {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let (mut source, mut gate, worker) = employ(&listener);
     let mut stream = accept(&listener);
     fix(&mut stream, 1);
     let reading = next(&mut gate, &mut *source);
@@ -67,7 +71,28 @@ fn the_worker_subscribes_and_comes_back_after_gpsd_has_ended() {
     let mut stream = accept(&listener);
     fix(&mut stream, 2);
     assert_eq!(next(&mut gate, &mut *source).stamp_ns - reading.stamp_ns, 1_000_000_000);
+    drop(gate);
+    ends(worker, "gpsd");
+}
 
+#[test]
+fn a_gpsd_that_is_halted_gives_no_readings_and_is_asked_anew_after_five_seconds() {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let (mut source, mut gate, worker) = employ(&listener);
+    let mut halted = accept(&listener);
+    fix(&mut halted, 1);
+    let reading = next(&mut gate, &mut *source);
+    // It keeps the connection, and says nothing more.
+    let silent = Instant::now();
+    let mut other = accept(&listener);
+    assert!(silent.elapsed() >= Duration::from_millis(4900), "a receiver may be slow: {:?}", silent.elapsed());
+    gate.take(|packet| assert!(packet.starts_with(b"{\"class\":\"VERSION\""), "no reading is repeated"));
+    fix(&mut other, 7);
+    assert_eq!(next(&mut gate, &mut *source).stamp_ns - reading.stamp_ns, 6_000_000_000);
+    // What the halted one says when it goes on reaches nobody.
+    let mut rest = Vec::new();
+    assert!(halted.read_to_end(&mut rest).is_ok() && rest.is_empty(), "its connection is closed");
+    // One that is halted does not keep its host from ending.
     drop(gate);
     ends(worker, "gpsd");
 }

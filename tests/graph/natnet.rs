@@ -10,6 +10,7 @@ use std::os::fd::AsFd;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::channel;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -488,4 +489,49 @@ fn the_worker_keeps_a_unicast_server_alive() {
     let (tally, counts, whys) = listen(setup(21520, None), text, None);
     assert!(counts[&0] >= 100 && counts[&1] >= 99 && whys.is_empty(), "{counts:?} {whys:?}");
     assert!(tally.requests[&10] >= 2, "{tally:?}");
+}
+
+#[test]
+fn a_tracker_that_is_halted_gives_no_readings_and_is_asked_anew_from_new_sockets() {
+    let (stop, halt) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
+    let (go_on, told) = channel::<()>();
+    let (stopped, halted) = (Arc::clone(&stop), Arc::clone(&halt));
+    let server = thread::spawn(move || {
+        fake::serve(&setup(21530, None), &stopped, |stamp_s, frames| {
+            // It answers no request and sends no frame until the test goes on.
+            if halted.swap(false, Ordering::Relaxed) {
+                told.recv().expect("the test runs");
+            }
+            Some(Scene { stamp_s, number: frames as i32, ..scene(0) })
+        })
+        .expect("its ports are free")
+    });
+    let text = "command_port = 21530\ntransmission = 'unicast'\nrate_hz = 1000.0";
+    let parts = natnet::make(&settings(text), &[RobotId(0), RobotId(1)]).unwrap_or_else(|error| panic!("{error}"));
+    let (mut source, (mut gate, worker)) = ((parts.source)(), edge::start(parts.worker, "source").expect("a thread"));
+    // Takes what the worker says for so long, or until there is a reading.
+    let mut hears = |longest: Duration| {
+        let (begun, mut out) = (Instant::now(), Vec::new());
+        while begun.elapsed() < longest && readings(&out).is_empty() {
+            let bell = gate.bell();
+            poll(&mut [PollFd::new(bell.as_fd(), PollFlags::POLLIN)], PollTimeout::from(100u16)).expect("it polls");
+            gate.take(|packet| source.take(Time::ZERO, In::Packet(&packet), &mut out));
+        }
+        !readings(&out).is_empty()
+    };
+    assert!(hears(HANGS));
+    halt.store(true, Ordering::Relaxed);
+    while halt.load(Ordering::Relaxed) {
+        hears(Duration::from_millis(10));
+    }
+    // What it has sent until then.
+    while hears(Duration::from_millis(500)) {}
+    assert!(!hears(Duration::from_millis(6000)), "no reading is repeated");
+    go_on.send(()).expect("it waits");
+    assert!(hears(HANGS), "it is heard again");
+    drop(gate);
+    ends(worker, "natnet");
+    stop.store(true, Ordering::Relaxed);
+    let tally = server.join().expect("it does not panic");
+    assert!(tally.clients.len() >= 2, "the sockets are opened anew after five seconds: {tally:?}");
 }

@@ -8,6 +8,7 @@ mod addresses;
 mod captured;
 mod crew;
 mod flooded;
+mod halted;
 mod junk;
 mod keys;
 mod kill;

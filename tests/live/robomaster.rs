@@ -27,20 +27,27 @@ use nix::poll::{PollTimeout, poll};
 struct Fake {
     reports: Arc<Mutex<Vec<serde_json::Value>>>,
     ends: Arc<AtomicBool>,
+    /// Whether it is halted: it keeps its connections, and neither reads nor sends.
+    halted: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Fake {
     fn start(address: Ipv4Addr, battery: u8) -> Fake {
         let (reports, ends) = (Arc::new(Mutex::new(Vec::new())), Arc::new(AtomicBool::new(false)));
-        let (into, end) = (Arc::clone(&reports), Arc::clone(&ends));
+        let halted = Arc::new(AtomicBool::new(false));
+        let (into, end, halt) = (Arc::clone(&reports), Arc::clone(&ends), Arc::clone(&halted));
         let mut peer = Peer::new(address, Options { battery, ..Options::default() }, false).expect("free ports");
         let thread = thread::spawn(move || {
             while !end.load(Ordering::Relaxed) {
+                if halt.load(Ordering::Relaxed) {
+                    let _ = poll(&mut [], PollTimeout::from(1u8));
+                    continue;
+                }
                 peer.step(|line| into.lock().unwrap().push(serde_json::from_str(line).expect("JSON")));
             }
         });
-        Fake { reports, ends, thread: Some(thread) }
+        Fake { reports, ends, halted, thread: Some(thread) }
     }
 
     /// Time of the first report since `from_s` in which the robot stands; none if it moves on.
@@ -153,6 +160,41 @@ fn the_end_of_the_host_is_told_and_a_hanging_control_thread_stops_the_robot() {
     }
     assert!(fake.stood_at(ends_s).is_some());
     assert!(quits(), "it has left SDK mode");
+}
+
+#[test]
+fn a_robot_that_is_halted_is_silent_in_time_and_stands_when_it_goes_on() {
+    let address = Ipv4Addr::new(127, 0, 40, 6);
+    let fake = Fake::start(address, 50);
+    let mut hosts = [Host::start(address)];
+    ready(&mut hosts);
+    for _ in 0..3 {
+        hosts[0].twist.forward = 0.5;
+        let drives = |_: &[Host]| fake.last()["vx"] == 0.5;
+        run(&mut hosts, 60.0, drives);
+        assert!(drives(&hosts));
+        let (halts_s, machine) = (clock_s(), Lateness::watch());
+        fake.halted.store(true, Ordering::Relaxed);
+        run(&mut hosts, 60.0, |hosts| !hosts[0].is_ready());
+        let silent_s = clock_s() - halts_s - machine.end().as_secs_f64();
+        assert!(!hosts[0].is_ready() && silent_s < 0.3, "it is silent after {silent_s} s");
+        // The host goes on, and commands it to stand, as a Body does under a stop. What was not read waits for it.
+        hosts[0].twist.forward = 0.0;
+        run(&mut hosts, 1.0, |_| false);
+        assert!(!hosts[0].is_ready());
+        let (back_s, machine) = (clock_s(), Lateness::watch());
+        fake.halted.store(false, Ordering::Relaxed);
+        ready(&mut hosts);
+        let stood_s = fake.stood_at(back_s).expect("it stands") - back_s - machine.end().as_secs_f64();
+        assert!(stood_s < 0.7, "it stands {stood_s} s after it goes on");
+        let stood_s = fake.stood_at(back_s).expect("it stands");
+        run(&mut hosts, 0.5, |_| false);
+        let moves = |line: &serde_json::Value| line["t"].as_f64().unwrap() > stood_s && line["vx"] != 0.0;
+        assert!(!fake.reports.lock().unwrap().iter().any(moves), "it drives by what has waited");
+    }
+    let [host] = hosts;
+    fake.halted.store(true, Ordering::Relaxed);
+    host.end();
 }
 
 #[test]

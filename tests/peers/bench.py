@@ -1,10 +1,12 @@
 """Robots and their tracker for tests of `doctor`: bench.py drive|track PORT FAULT
 
 `drive` is the program of a driver: it hands its lines to the tracker, and reports a condition. `track` is the program of
-a source: it moves all robots by their commands and prints a reading of each, 50 times a second.
+a source: it moves all robots by their commands and prints a reading of each, 50 times a second. With the FAULT `told`
+nothing is broken: both print their process numbers on stderr, `drive` with each line that it reads.
 """
 
 import json
+import os
 import select
 import socket
 import sys
@@ -27,10 +29,14 @@ if part == "drive":
     if fault == "ended":
         sys.exit()
     for line in sys.stdin:
+        if fault == "told":
+            print(json.dumps({"drives": os.getpid(), **json.loads(line)}), file=sys.stderr, flush=True)
         link.sendto(line.encode(), ("127.0.0.1", port))
     sys.exit()
 
 link.bind(("127.0.0.1", port))
+if fault == "told":
+    print(json.dumps({"tracks": os.getpid()}), file=sys.stderr, flush=True)
 at = {0: [-1.0, -1.0], 1: [1.0, -1.0]}
 commands = {}
 began = last = time.monotonic()

@@ -5,7 +5,7 @@
 
 #![allow(dead_code)]
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::os::fd::AsFd;
@@ -291,6 +291,8 @@ pub struct Tally {
     pub frames: u64,
     /// Number of requests of each kind.
     pub requests: BTreeMap<u16, u64>,
+    /// Addresses that requests came from.
+    pub clients: BTreeSet<SocketAddr>,
 }
 
 /// Serves a scene, a function of the time since the start \[s\], until `stop`. A scene of none sends nothing.
@@ -320,6 +322,7 @@ pub fn serve(
             let [id, ..] = *buffer[..length].as_chunks().0 else { continue };
             let id = u16::from_le_bytes(id);
             *tally.requests.entry(id).or_default() += 1;
+            tally.clients.insert(from);
             let known = clients.get(&from).map_or(setup.version, |(_, version)| *version);
             let mut version = known;
             let asked = buffer.get(269..271).filter(|asked| setup.group.is_none() && asked[0] != 0 && length >= 271);

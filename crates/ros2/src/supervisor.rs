@@ -344,3 +344,141 @@ fn first_words(stderr: Option<ChildStderr>) -> io::Result<impl Future<Output = S
 fn receiver(pipe: Option<OwnedFd>) -> io::Result<pipe::Receiver> {
     pipe::Receiver::from_owned_fd(pipe.expect("the process was started with pipes"))
 }
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+    use std::os::fd::AsFd;
+    use std::os::unix::fs::PermissionsExt;
+    use std::thread;
+
+    use murmurate::edge::{Gate, Running, WorkerState, start};
+    use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+    use nix::sys::signal::{Signal, kill};
+    use nix::unistd::Pid;
+    use tempfile::TempDir;
+
+    use super::*;
+    use crate::packet::{Drive, FromNode, Publication, ToNode, Written, decode_from_node, encode};
+
+    /// Longest wait for anything: only a worker that hangs takes so long.
+    const HANGS: Duration = Duration::from_secs(60);
+
+    /// Stand-in for a DDS process. It answers each line with a heartbeat and its number, as that of its subscribers,
+    /// and appends the commands that it reads to a file.
+    const NODE: &str = r#"#!/bin/sh
+while read -r line; do
+    echo '{"beat":{"resident_mib":12,"matched":true}}'
+    echo '{"topic":{"topic":"/r1/cmd_vel","written":true,"peers":'$$',"problem":null}}'
+    case "$line" in *'"drive"'*) echo "$$ $line" >>FILE ;; esac
+done
+"#;
+
+    /// Supervisor whose DDS processes are stand-ins.
+    struct Bench {
+        gate: Gate,
+        running: Running,
+        folder: TempDir,
+    }
+
+    impl Bench {
+        fn start(spare: bool) -> Bench {
+            let folder = TempDir::new().unwrap();
+            let (new, program) = (folder.path().join("new"), folder.path().join("node"));
+            let commands = folder.path().join("commands");
+            fs::write(&new, NODE.replace("FILE", &format!("'{}'", commands.display()))).unwrap();
+            fs::set_permissions(&new, fs::Permissions::from_mode(0o700)).unwrap();
+            fs::rename(new, &program).unwrap();
+            let plan = Plan {
+                name: "robot 1".to_owned(),
+                domain: 0,
+                interface: None,
+                memory_mib: 192,
+                writers: vec![Publication { topic: "/r1/cmd_vel".to_owned(), kind: Written::Twist }],
+                readers: Vec::new(),
+            };
+            let (gate, running) =
+                start(Box::new(Supervisor { plan, spare, program: Some(program) }), "driver 1").unwrap();
+            Bench { gate, running, folder }
+        }
+
+        /// Waits until the active process says who it is, and is one that is meant.
+        fn active(&mut self, is_meant: impl Fn(Pid) -> bool) -> Pid {
+            let (begun, bell) = (Instant::now(), self.gate.bell());
+            let mut found = None;
+            while found.is_none() {
+                assert!(begun.elapsed() < HANGS, "no such process is active");
+                poll(&mut [PollFd::new(bell.as_fd(), PollFlags::POLLIN)], PollTimeout::from(100u16)).unwrap();
+                let state = self.gate.take(|packet| match decode_from_node(&packet) {
+                    Ok(FromNode::Topic(state)) => {
+                        let pid = Pid::from_raw(i32::try_from(state.peers).unwrap());
+                        found = Some(pid).filter(|pid| is_meant(*pid)).or(found);
+                    }
+                    other => panic!("{other:?}"),
+                });
+                assert_eq!(state, WorkerState::Running);
+            }
+            found.unwrap()
+        }
+
+        fn drive(&mut self, x: f64) {
+            self.gate.send(encode(&ToNode::Drive(Drive { topic: 0, x, y: 0.0, yaw: 0.0, for_ms: 1000 })).into());
+        }
+
+        /// Waits until a process has read a command of one of these speeds.
+        fn commanded(&self, pid: Pid, speeds: &[f64]) {
+            let begun = Instant::now();
+            let is_told = |line: &str| {
+                let read = line.strip_prefix(&format!("{pid} ")).and_then(|line| serde_json::from_str(line).ok());
+                matches!(read, Some(ToNode::Drive(drive)) if speeds.contains(&drive.x))
+            };
+            while !fs::read_to_string(self.folder.path().join("commands")).is_ok_and(|all| all.lines().any(is_told)) {
+                assert!(begun.elapsed() < HANGS, "process {pid} has no command of {speeds:?} m/s");
+                thread::park_timeout(Duration::from_millis(5));
+            }
+        }
+    }
+
+    /// Waits until a process is killed.
+    fn is_killed(pid: Pid) {
+        let begun = Instant::now();
+        while kill(pid, None).is_ok() {
+            assert!(begun.elapsed() < HANGS, "process {pid} is still there");
+            thread::park_timeout(Duration::from_millis(5));
+        }
+    }
+
+    #[test]
+    fn a_halted_process_is_killed_and_another_has_the_newest_command() {
+        for spare in [true, false] {
+            let mut bench = Bench::start(spare);
+            let halted = bench.active(|_| true);
+            bench.drive(0.25);
+            bench.commanded(halted, &[0.25]);
+            kill(halted, Signal::SIGSTOP).unwrap();
+            let since = Instant::now();
+            let other = bench.active(|pid| pid != halted);
+            assert!(since.elapsed() >= Duration::from_millis(100), "a busy machine is no halt");
+            is_killed(halted);
+            // The spare drives on, or stands if the command has lapsed; one that was started anew waits for the next.
+            if spare {
+                bench.commanded(other, &[0.25, 0.0]);
+            }
+            bench.drive(0.5);
+            bench.commanded(other, &[0.5]);
+            drop(bench.gate);
+            assert!(bench.running.join(HANGS));
+            is_killed(other);
+        }
+    }
+
+    #[test]
+    fn a_host_ends_although_its_processes_are_halted() {
+        let mut bench = Bench::start(false);
+        let halted = bench.active(|_| true);
+        kill(halted, Signal::SIGSTOP).unwrap();
+        drop(bench.gate);
+        assert!(bench.running.join(HANGS));
+        assert!(kill(halted, None).is_err(), "it is killed");
+    }
+}
