@@ -63,6 +63,12 @@ pub fn read(named: &[PathBuf], registry: &Registry) -> Result<Recorded> {
                 path.display()
             ));
         }
+        if log.traffic.is_encrypted() {
+            return bad(format!(
+                "what '{}' has received is encrypted: give copies that 'record share' has made with the team's key",
+                path.display()
+            ));
+        }
         if !log.complete {
             notes.push(format!("'{}' was cut or is damaged: what is intact counts", path.display()));
         }
