@@ -45,8 +45,8 @@ pub fn accepted(mut messages: Messages, key: &Key, host: HostId) -> Result<Found
     Ok(found)
 }
 
-/// Returns a datagram that the host `host` has received as it is in a copy: itself, or if it is encrypted in clear, with
-/// a tag of zeros. `None` if its tag is not valid.
+/// Returns a datagram that the host `host` has received as it is in a copy: unchanged, or if it is encrypted in clear,
+/// with a tag of zeros. `None` if its tag is not valid.
 fn opened((frame, link): (&Frame, LinkId), key: &Key, host: HostId) -> Option<Frame> {
     let plain = key.open(frame, link, host)?;
     if !codec::is_encrypted(frame) {

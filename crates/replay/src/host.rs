@@ -39,7 +39,7 @@ pub struct Access {
 
 impl Access {
     /// Returns the access of the host `of`: with `key` if it is given, or else with the list among the files `attached`
-    /// to its record. If the datagrams of the team are `confidential`, a copy that has a list has them in clear, without
+    /// to its record. If the datagrams of the team are `confidential`, a copy with a list has them in clear, without
     /// the tags that a key would check. `None` if the team has a key, and there is neither.
     pub fn of(
         of: &HostIdentity,

@@ -230,8 +230,8 @@ impl LinkCounts {
         all.into_iter().filter(|(count, _)| *count > 0)
     }
 
-    /// Returns why this host understands nothing of its team although it hears it: their keys or encryption differ. `None` if
-    /// messages were accepted, or if nothing of the team was heard.
+    /// Returns why this host understands nothing of its team although it hears it: their keys differ, or only one of the
+    /// two encrypts. `None` if messages were accepted, or if nothing of the team was heard.
     pub fn key_trouble(&self) -> Option<&'static str> {
         match self {
             LinkCounts { accepted: 1.., .. } => None,
@@ -243,8 +243,8 @@ impl LinkCounts {
                 "the team is heard, and it has no key, but this machine has one: leave out key_file and --key-file",
             ),
             LinkCounts { confidential: 1.., .. } => Some(
-                "the team is heard, and only one of it and this machine encrypts: give both the same 'confidential' in \
-                 the team file",
+                "the team is heard, and only one of it and this machine encrypts: give both the same 'confidential' \
+                 in the team file",
             ),
             LinkCounts { keyed: 1.., .. } => Some(
                 "the team is heard, and it has a key, but this machine has none: give the team's key by --key-file",

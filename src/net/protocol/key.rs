@@ -238,7 +238,8 @@ impl Shared {
 }
 
 impl Member {
-    /// Appends a short tag for each member to a datagram for all, after it has encrypted the blocks if the flags say so.
+    /// Appends a short tag for each member to a datagram for all, after it has encrypted the blocks if the flags say
+    /// so.
     fn seal(&self, datagram: &mut Vec<u8>, associated: Associated) {
         datagram[FLAGS_AT] |= Flags::FOR_EACH;
         if let Some(cipher) = self.team.cipher_of(datagram) {

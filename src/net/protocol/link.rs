@@ -295,8 +295,8 @@ impl LinkState {
             && self.again.take(now, &AGAIN)
     }
 
-    /// Returns what is wrong with the key of a datagram that a host of this team seems to have sent: it has another key
-    /// than this host, or none, or this host has none, or only one of them encrypts. Its header is not authenticated, so it is only counted.
+    /// Returns what is wrong with the key of a datagram that a host of this team seems to have sent: that host and this
+    /// one have two keys, or one key, or only one encrypts. The header is not authenticated, so it is only counted.
     #[cold]
     fn key_trouble(&self, frame: &[u8]) -> Option<Refusal> {
         let header = codec::peek(frame).ok()?;

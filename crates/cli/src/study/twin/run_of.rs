@@ -64,10 +64,8 @@ pub fn read(named: &[PathBuf], registry: &Registry) -> Result<Recorded> {
             ));
         }
         if log.traffic.is_encrypted() {
-            return bad(format!(
-                "what '{}' has received is encrypted: give copies that 'record share' has made with the team's key",
-                path.display()
-            ));
+            let record = path.display();
+            return bad(format!("what '{record}' has received is encrypted: give copies that 'record share' has made"));
         }
         if !log.complete {
             notes.push(format!("'{}' was cut or is damaged: what is intact counts", path.display()));
