@@ -230,8 +230,8 @@ impl LinkCounts {
         all.into_iter().filter(|(count, _)| *count > 0)
     }
 
-    /// Returns why this host understands nothing of its team although it hears it: their keys differ, or only one of the
-    /// two encrypts. `None` if messages were accepted, or if nothing of the team was heard.
+    /// Returns why this host understands nothing of its team although it hears it: their keys differ, or only one of
+    /// the two encrypts. `None` if messages were accepted, or if nothing of the team was heard.
     pub fn key_trouble(&self) -> Option<&'static str> {
         match self {
             LinkCounts { accepted: 1.., .. } => None,
