@@ -4,7 +4,7 @@
 //! Environment variables configure it (`NP_ID`, `NP_N`, `NP_RATE`, ...; `NP_RECORD` names a folder for records as a
 //! host makes them; `NP_ROBOT=0` leaves out heartbeats and modes, which other peers do not send; `NP_VARIANT=uni` sends
 //! to each other participant at its address in `NP_PEERS`, and not to a group; `NP_REPEAT=0` repeats nothing;
-//! `NP_AUTH=sender` gives each participant keys of its own), and it
+//! `NP_AUTH=sender` gives each participant keys of its own; `NP_CONFIDENTIAL=1` encrypts), and it
 //! writes its results to files in `NP_DIR`. The harness that starts it measures other middleware in the same way. A
 //! message of 152 bytes (sender, sequence number, timestamp, two floats of position, 32 floats) is sent as a latent.
 //! The sequence number is in its episode, the timestamp in its term and velocity, the position in its position.
@@ -63,6 +63,10 @@ const KEY: [u8; 32] = *b"the key of the messaging harness";
 
 /// Returns this participant's key: that of all, or with `NP_AUTH=sender` those of a member of a team with an operator.
 fn key() -> Key {
+    team_key().confidential_if(variable("NP_CONFIDENTIAL", 0) == 1)
+}
+
+fn team_key() -> Key {
     if variable("NP_AUTH", String::new()) != "sender" {
         return Key::new(KEY);
     }

@@ -291,7 +291,7 @@ impl Network {
             return;
         }
         let Some((header, plain)) = admitted else { return };
-        for (content, body) in codec::blocks(plain).flatten() {
+        for (content, body) in codec::blocks(&plain).flatten() {
             let Content::Message(kind) = content else { continue };
             let message = match codec::message(kind, body) {
                 Ok(message) => message,

@@ -19,6 +19,8 @@ pub enum Value {
     Text(String),
     /// A network address (IP address and port).
     Address(SocketAddr),
+    /// True or false.
+    Truth(bool),
 }
 
 impl fmt::Display for Value {
@@ -28,6 +30,7 @@ impl fmt::Display for Value {
             Value::Number(number) => write!(f, "{number}"),
             Value::Text(text) => f.write_str(text),
             Value::Address(address) => write!(f, "{address}"),
+            Value::Truth(truth) => write!(f, "{truth}"),
         }
     }
 }
@@ -68,6 +71,15 @@ impl Value {
         let Value::Address(address) = self else { panic!("the field lets only addresses through") };
         *address
     }
+
+    /// Returns the truth of a value whose field has the type `Truth`.
+    ///
+    /// # Panics
+    /// If the value is neither true nor false.
+    pub(crate) fn truth(&self) -> bool {
+        let Value::Truth(truth) = self else { panic!("the field lets only true and false through") };
+        *truth
+    }
 }
 
 /// Type of a configuration field, with the values that it permits.
@@ -89,6 +101,8 @@ pub enum FieldType {
     Address,
     /// A network address, or the name of a host with a port above zero, which is resolved while the program runs.
     HostAddress,
+    /// True or false.
+    Truth,
 }
 
 /// Longest name of a host (RFC 1035, section 2.3.4).
@@ -152,6 +166,10 @@ impl FieldType {
                 Ok(address) if address.port() > 0 => Ok(Value::Address(address)),
                 _ => host_and_port(text).map(|_| Value::Text(text.to_owned())),
             },
+            FieldType::Truth => match text.parse() {
+                Ok(truth) => Ok(Value::Truth(truth)),
+                Err(_) => Err(format!("'{text}' is neither true nor false")),
+            },
         }
     }
 
@@ -161,6 +179,7 @@ impl FieldType {
         let wanted = match self {
             FieldType::Whole(..) => "a whole number",
             FieldType::Number(..) => "a number",
+            FieldType::Truth => "true or false",
             _ => "a text in quotes",
         };
         match (self, value) {
@@ -170,7 +189,8 @@ impl FieldType {
             }
             (FieldType::Number(..), DeValue::Integer(number)) => self.read(number.as_str()),
             (FieldType::Number(..), DeValue::Float(number)) => self.read(number.as_str()),
-            (FieldType::Whole(..) | FieldType::Number(..), _) => {
+            (FieldType::Truth, DeValue::Boolean(truth)) => Ok(Value::Truth(*truth)),
+            (FieldType::Whole(..) | FieldType::Number(..) | FieldType::Truth, _) => {
                 Err(format!("a {} where {wanted} belongs", value.type_str()))
             }
             (_, DeValue::String(text)) => self.read(text),

@@ -127,6 +127,7 @@ fn an_invalid_team_is_refused_in_one_line() {
         refuses(&["launch", &file], words);
     };
     refused(("key_file = \"team.key\"\n", ""), &["key_file", "'infra'", "key new"]);
+    refused(("key_file = \"team.key\"", "confidential = true"), &["confidential (line 2)", "no key_file", "key new"]);
     refused(("team = 1", "team = 1\ncolour = 2"), &["colour (line 2)", "no such field"]);
     refused(("[link.infra]\ninterface = \"wlan0\"", "[link.infra]"), &["link.infra.interface", "missing"]);
     refused(("[link.infra]", "[link.infra]\n[link.infra]"), &["line 6", "duplicate"]);

@@ -90,7 +90,7 @@ fn a_host_that_has_moved_is_sent_data_once_it_proves_its_liveness_from_there() {
 
 #[test]
 fn a_host_that_starts_elsewhere_is_found_whoever_starts_first_and_whoever_sends_data() {
-    for key in [Some(key()), None] {
+    for key in [Some(key()), Some(key().confidential()), None] {
         for first in [0, 1] {
             for talking in [&[][..], &[0], &[1], &[0, 1]] {
                 for loss in [0.0, 0.1] {

@@ -307,6 +307,11 @@ impl Rig {
         self.plan(host);
     }
 
+    /// Returns the newest datagram of a host.
+    pub fn last_of(&self, host: usize) -> Vec<u8> {
+        self.sent.iter().rev().find(|flight| flight.from == host).expect("it has sent something").frame.to_vec()
+    }
+
     /// Returns the newest datagram of a host with data.
     pub fn last_data(&self, host: usize) -> Frame {
         let data = |flight: &&Flight| flight.from == host && is_data(&flight.frame);

@@ -16,6 +16,7 @@ use murmurate::net::protocol::codec::{
     BLOCK_BYTES, Content, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES,
     MAX_PLAIN_BYTES, TAG_BYTES, VERSION, decode, encode, is_current, peek,
 };
+use murmurate::net::protocol::key::Key;
 use murmurate::time::Span;
 use proptest::prelude::*;
 
@@ -249,6 +250,10 @@ fn limits_hold_when_sending() {
     };
     assert!(unfit(mode(0, 0)) && unfit(mode(0, MAX_BLOCK + 1)) && unfit(mode(u16::MAX, 2)));
     assert!(send(&mode(1000, MAX_BLOCK)).len() <= MAX_FRAME_BYTES);
+    // The largest messages also fit where blocks are encrypted.
+    let room = Key::new([7; 32]).confidential().room();
+    let longest = [mode(1000, MAX_BLOCK), latent(vec![0.5; 256])].map(|message| send(&message).len());
+    assert!(longest.iter().all(|length| *length <= room), "{longest:?} of {room}");
 }
 
 #[test]

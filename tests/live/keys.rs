@@ -79,6 +79,29 @@ fn a_stop_with_a_key_for_a_team_without_one_says_so_and_an_absent_team_is_no_mat
 }
 
 #[test]
+fn a_confidential_team_is_stopped_by_who_encrypts_and_who_does_not_is_told_so() {
+    let _beside = beside();
+    let (_folder, file) = folder(&team(815).replacen("episodes", "confidential = true\nepisodes", 1));
+    let (run_file, hosts) = (file.clone(), ["agent-0", "agent-1", "agent-2", "world", "server"]);
+    let mut crew = Crew::new(move |host| murmurate(&["host", &run_file, "--host", host, "--json"]));
+    hosts.iter().for_each(|host| crew.start(host));
+    crew.ready(&hosts);
+    for args in [&["stop", &*file][..], &["stop", &file, "--rearm"], &["resume", &file]] {
+        let done = run(args);
+        assert_eq!(done.status.code(), Some(0), "{args:?}: {}", text(&done.stderr));
+    }
+    let in_clear = ["--set", "confidential=false"];
+    for args in [&["stop", &*file][..], &["doctor", &file, "--host", "server", "--listen", "2"]] {
+        let output = run(&[args, &in_clear].concat());
+        let said = format!("{}{}", text(&output.stdout), text(&output.stderr));
+        assert_eq!(output.status.code(), Some(1), "{said}");
+        assert!(said.contains("only one of it and this machine encrypts"), "{said}");
+    }
+    let doctor = run(&["doctor", &file, "--host", "server", "--listen", "2"]);
+    assert!(text(&doctor.stdout).contains("datagrams are encrypted"), "{}", text(&doctor.stdout));
+}
+
+#[test]
 fn members_have_keys_of_their_own_and_only_an_operator_gives_orders() {
     let _beside = beside();
     let hosts = ["agent-0", "agent-1", "agent-2", "world", "server"];

@@ -5,8 +5,9 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use murmurate::graph::inputs::Input;
+use murmurate::net::protocol::codec;
 use murmurate::time::Span;
-use murmurate_record::tape::Turn;
+use murmurate_record::tape::{self, Turn};
 use tempfile::TempDir;
 
 use crate::edited::{edit, is_latent};
@@ -15,16 +16,23 @@ use crate::records;
 
 /// Runs one episode of a team with a key, and returns the folder with its files and the folder with its records.
 fn launched(number: u16) -> (TempDir, PathBuf) {
+    launched_with(number, "key_file = \"team.key\"\n", "")
+}
+
+/// Runs one episode of a team with keys: `keys` names them at the top of its file, `tables` in tables of hosts.
+fn launched_with(number: u16, keys: &str, tables: &str) -> (TempDir, PathBuf) {
     let folder = TempDir::new().unwrap();
     let path = |name: &str| folder.path().join(name);
     let link = |name: &str, last: u8| {
         format!("[link.{name}]\ninterface = \"lo\"\ngroup = \"239.255.77.{last}:{}\"\n", 40_000 + number)
     };
-    let head = "key_file = \"team.key\"\nmode = \"offboard\"\nrobots = 3\nepisodes = 1\n";
-    let team = format!("team = {number}\n{head}{}{}", link("loopback", 1), link("infra", 2));
+    let head = "mode = \"offboard\"\nrobots = 3\nepisodes = 1\n";
+    let team = format!("team = {number}\n{keys}{head}{}{}{tables}", link("loopback", 1), link("infra", 2));
     write(path("team.toml"), team).expect("it can be written");
-    assert!(run(&["key", "new", "--out", path("team.key").to_str().unwrap()]).status.success());
-    let (team, to) = (path("team.toml"), path("records"));
+    let (team, one, each) = (path("team.toml"), path("team.key"), path("keys"));
+    assert!(run(&["key", "new", "--out", one.to_str().unwrap()]).status.success());
+    assert!(run(&["key", "new", team.to_str().unwrap(), "--out", each.to_str().unwrap()]).status.success());
+    let to = path("records");
     let output = run(&[
         "launch",
         team.to_str().unwrap(),
@@ -36,7 +44,24 @@ fn launched(number: u16) -> (TempDir, PathBuf) {
         "env HOST={host}",
     ]);
     assert!(output.status.success(), "{}", text(&output.stderr));
+    let said = text(&output.stdout) + &text(&output.stderr);
+    for key in secrets(folder.path()) {
+        assert!(!said.contains(&key[..16]), "no key is shown");
+    }
     (folder, to)
+}
+
+/// Returns all secret keys of the team in this folder, as hexadecimal digits.
+fn secrets(folder: &Path) -> Vec<String> {
+    let members = std::fs::read_dir(folder.join("keys")).expect("it was made");
+    let members = members.map(|file| std::fs::read_to_string(file.expect("a file").path()).expect("a key file"));
+    let secret = |line: &str| Some(line.split_once("\"")?.1.trim_end_matches('"').to_owned());
+    let of_member = |text: String| {
+        let lines = text.lines().filter(|line| line.starts_with("shared") || line.starts_with("secret"));
+        lines.filter_map(secret).collect::<Vec<String>>()
+    };
+    let one = std::fs::read_to_string(folder.join("team.key")).expect("it was made").trim().to_owned();
+    members.flat_map(of_member).chain([one]).collect()
 }
 
 fn replayed(record: &Path, more: &[&str]) -> (i32, String) {
@@ -184,6 +209,84 @@ fn shares_into_no_place_that_is_taken((records_of, copies): (&Path, &Path), (fro
     }
     refuses(&["record", "merge", from, "-o", one], &["is one of the records"]);
     assert!(content(records_of) == before && content(copies) == shared, "nothing has changed");
+}
+
+/// Returns how many datagrams in a record have arrived encrypted, and in clear.
+fn arrived(record: &Path) -> [usize; 2] {
+    let (_, mut messages) = murmurate_record::reader::messages(record).expect("a record");
+    let mut found = [0, 0];
+    while let Some(message) = messages.next_message().expect("it is whole") {
+        let turn = (message.channel.topic == "/tape/turn").then(|| tape::read(&message.data).expect("a turn"));
+        for frame in turn.into_iter().flat_map(Turn::frames) {
+            found[usize::from(!codec::is_encrypted(&frame))] += 1;
+        }
+    }
+    found
+}
+
+/// Checks that no file in a folder has 8 bytes of a key of the team in it, or 16 digits.
+fn have_no_key(records_of: &Path, team: &Path) {
+    for key in secrets(team) {
+        let bytes = data_encoding::HEXLOWER.decode(key.as_bytes()).expect("digits");
+        for record in records(records_of) {
+            let content = std::fs::read(record).expect("a record");
+            let has = |part: &[u8]| content.windows(part.len()).any(|window| window == part);
+            assert!(!has(&bytes[..8]) && !has(&key.as_bytes()[..16]), "no key in it");
+        }
+    }
+}
+
+#[test]
+fn records_of_a_confidential_team_run_again_with_the_key_and_shared_copies_without_it() {
+    let (folder, records_of) = launched_with(813, "key_file = \"team.key\"\nconfidential = true\n", "");
+    let [key, copies, merged] =
+        ["team.key", "copies", "run.mcap"].map(|name| folder.path().join(name).to_str().unwrap().to_owned());
+    let (from, with_key) = (records_of.to_str().unwrap(), ["--key-file", &*key]);
+    for record in records(&records_of) {
+        let [encrypted, clear] = arrived(&record);
+        assert!(encrypted > 50 && clear == 0, "{}: {encrypted} and {clear}", record.display());
+    }
+    have_no_key(&records_of, folder.path());
+    let (status, said) = replayed(&records_of, &with_key);
+    assert_eq!((status, said.matches("equal, ").count()), (0, 4), "{said}");
+    let output = run(&["record", "share", from, "--key-file", &key, "-o", &copies]);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    for copy in records(Path::new(&copies)) {
+        let [encrypted, clear] = arrived(&copy);
+        assert!(encrypted == 0 && clear > 50, "{}: {encrypted} and {clear}", copy.display());
+    }
+    have_no_key(Path::new(&copies), folder.path());
+    for more in [&[][..], &with_key] {
+        let (status, said) = replayed(Path::new(&copies), more);
+        assert_eq!((status, said.matches("equal, ").count()), (0, 4), "{said}");
+        assert!(said.contains("no tag is checked"), "{said}");
+    }
+    // What arrived joins the clocks of hosts.
+    refuses(&["record", "merge", from, "-o", &merged], &["is encrypted", "--key-file", "record share"]);
+    for of in [&["record", "merge", from, "--key-file", &key][..], &["record", "merge", &copies]] {
+        let output = run(&[of, &["-o", &merged]].concat());
+        let said = text(&output.stdout);
+        assert!(output.status.success() && !said.contains("\n0 datagrams"), "{said}{}", text(&output.stderr));
+    }
+}
+
+#[test]
+fn records_of_confidential_members_run_again_each_with_its_own_key() {
+    let hosts = ["agent-0", "agent-1", "agent-2", "world"];
+    let tables: String = hosts.iter().map(|host| format!("[host.{host}]\nkey_file = \"keys/{host}.key\"\n")).collect();
+    let keys = "key_file = \"keys/operator-1.key\"\nconfidential = true\n";
+    let (folder, records_of) = launched_with(814, keys, &tables);
+    have_no_key(&records_of, folder.path());
+    for host in hosts {
+        let of_host = |path: &PathBuf| path.file_name().unwrap().to_str().unwrap().starts_with(host);
+        let record = records(&records_of).into_iter().find(of_host).expect("each host has one");
+        let [encrypted, clear] = arrived(&record);
+        assert!(encrypted > 50 && clear == 0, "{host}: {encrypted} and {clear}");
+        let key = folder.path().join("keys").join(host).with_extension("key");
+        let (status, said) = replayed(&record, &["--key-file", key.to_str().unwrap()]);
+        assert_eq!((status, said.matches("equal, ").count()), (0, 1), "{host}: {said}");
+        shares(&record, &key, &folder.path().join(host).with_extension("mcap"));
+    }
 }
 
 fn differs_with_another_policy(agent: &Path, key: &Path, folder: &Path) {

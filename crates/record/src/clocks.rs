@@ -14,7 +14,9 @@ use xxhash_rust::xxh3::xxh3_64;
 use super::reader::{self, ReadError};
 use super::tape;
 use murmurate::graph::inputs::Input;
+use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::codec;
+use murmurate::net::protocol::key::Key;
 
 /// Length of the time window of one estimate of a clock offset \[ns\].
 const WINDOW_NS: i64 = 10_000_000_000;
@@ -27,11 +29,13 @@ pub type DatagramKey = (u16, u32, u32, u64);
 pub struct Traffic {
     published: BTreeMap<DatagramKey, i64>,
     arrived: Vec<(DatagramKey, i64)>,
+    /// Whether some of the arrived datagrams are encrypted, so that it is not known what they are.
+    encrypted: bool,
 }
 
 impl Traffic {
-    /// Reads the datagrams of a host, with their times, from its record.
-    pub fn read(path: &Path) -> Result<Traffic, ReadError> {
+    /// Reads the datagrams of the host `host`, with their times, from its record. Encrypted ones are read with `key`.
+    pub fn read(path: &Path, host: HostId, key: Option<&Key>) -> Result<Traffic, ReadError> {
         let (_, mut messages) = reader::messages(path)?;
         let mut traffic = Traffic::default();
         while let Some(message) = messages.next_message()? {
@@ -41,9 +45,10 @@ impl Traffic {
                 traffic.publish(at, &message.data);
             } else if message.channel.topic == "/tape/turn" {
                 for input in tape::read(&message.data).into_iter().flat_map(|turn| turn.inputs) {
-                    if let Input::Frame(_, frame, _) = input {
-                        traffic.arrive(at, &frame);
-                    }
+                    let Input::Frame(link, frame, _) = input else { continue };
+                    let plain =
+                        key.filter(|_| codec::is_encrypted(&frame)).and_then(|key| key.open(&frame, link, host));
+                    traffic.arrive(at, plain.as_deref().unwrap_or(&frame));
                 }
             }
         }
@@ -57,8 +62,14 @@ impl Traffic {
         }
     }
 
+    /// Returns whether some of the arrived datagrams are encrypted, so that it is not known what they are.
+    pub fn is_encrypted(&self) -> bool {
+        self.encrypted
+    }
+
     /// Adds a datagram that has arrived at the host at `at` \[ns\]. A datagram without a message is ignored.
     pub fn arrive(&mut self, at: i64, datagram: &[u8]) {
+        self.encrypted |= codec::is_encrypted(datagram);
         self.arrived.extend(key(datagram).map(|key| (key, at)));
     }
 

@@ -13,6 +13,7 @@ use super::clocks::{Alignment, ClockDifference, Traffic, align};
 use super::identity::{Identity, MERGED, METADATA};
 use super::reader::{self, Item, ReadError, Reader};
 use super::stage;
+use murmurate::net::protocol::key::Key;
 
 /// Error of a merge of records.
 #[derive(Debug, thiserror::Error)]
@@ -53,9 +54,11 @@ pub struct Merge {
 
 /// Merges the records of the hosts of one run into the file `output`, in the order of a common clock. A host whose
 /// clock offset cannot be found is left out, and so are records that are not of hosts. Calls `warn` with a line of text
-/// for each of these, and for each damaged place.
+/// for each of these, and for each damaged place. What hosts of a confidential team have received is read with `key`,
+/// and stays encrypted in the merged file.
 pub fn merge(
     records: Vec<(PathBuf, Identity)>,
+    key: Option<&Key>,
     output: impl Write + Seek,
     mut warn: impl FnMut(&str),
 ) -> Result<Merge, MergeError> {
@@ -71,7 +74,15 @@ pub fn merge(
                 let (_, messages) = reader::messages(&path).map_err(Unusable::from)?;
                 messages.health().lines(identity.anchor_ns).iter().for_each(|line| warn(line));
                 whole &= messages.health().is_whole();
-                traffic.push(Traffic::read(&path)?);
+                let of_host = Traffic::read(&path, host.id, key)?;
+                if of_host.is_encrypted() {
+                    let why = format!(
+                        "what '{at}' has received is encrypted, so its clock is not known: give the team's key with \
+                         --key-file, or copies that 'record share' has made"
+                    );
+                    return Err(Unusable(why).into());
+                }
+                traffic.push(of_host);
                 paths.push(path);
                 continue;
             }

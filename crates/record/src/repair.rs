@@ -8,7 +8,7 @@ use mcap::{McapError, WriteOptions, Writer};
 
 use super::digest;
 use super::file::with_digest;
-use super::reader::{Attachment, Item, ReadError, Reader};
+use super::reader::{Attachment, Item, Message, ReadError, Reader};
 
 /// Error in the repair, or in another copy, of a record.
 #[derive(Debug, thiserror::Error)]
@@ -24,6 +24,16 @@ pub enum RepairError {
 /// Copies everything intact of `from`, and the attachments `more`, to `to`, with an end and an index. Returns the
 /// number of messages.
 pub fn copy(from: &mut Reader, more: Vec<Attachment>, to: impl Write + Seek) -> Result<u64, RepairError> {
+    copy_changed(from, more, to, |_| {})
+}
+
+/// Copies as [`copy`] does, with each message as `change` leaves it.
+pub fn copy_changed(
+    from: &mut Reader,
+    more: Vec<Attachment>,
+    to: impl Write + Seek,
+    mut change: impl FnMut(&mut Message),
+) -> Result<u64, RepairError> {
     let library = concat!("murmurate ", env!("CARGO_PKG_VERSION"));
     let options = WriteOptions::new().compression(None).profile(from.profile()).library(library);
     let mut writer = options.create(to)?;
@@ -47,7 +57,8 @@ pub fn copy(from: &mut Reader, more: Vec<Attachment>, to: impl Write + Seek) -> 
                 let (topic, encoding) = (&channel.topic, &channel.encoding);
                 writer.add_channel_with_id(channel.id, schema, topic, encoding, &channel.metadata)?;
             }
-            Item::Message(message) => {
+            Item::Message(mut message) => {
+                change(&mut message);
                 let (channel_id, sequence) = (message.channel.id, message.sequence);
                 let (log_time, publish_time) = (message.at, message.published);
                 let header = MessageHeader { channel_id, sequence, log_time, publish_time };

@@ -9,7 +9,7 @@ use super::topics::name_of;
 use super::truth::{self, TrueRobot};
 use murmurate::graph::inputs::Input;
 use murmurate::messages::wire::Wire;
-use murmurate::net::protocol::codec::{self, Content};
+use murmurate::net::protocol::codec::{self, Content, DecodeError};
 
 /// Table of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -177,6 +177,7 @@ fn datagram(row: &mut Rows, start: [String; 4], frame: &[u8]) {
     let kind = match codec::first(frame) {
         Ok(Content::Message(kind)) => format!("{kind:?}"),
         Ok(_) => "link layer".to_owned(),
+        Err(DecodeError::Encrypted) => "encrypted".to_owned(),
         Err(_) => "junk".to_owned(),
     };
     let header = codec::peek(frame).map(|header| {

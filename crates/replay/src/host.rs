@@ -40,18 +40,24 @@ pub struct Access {
 
 impl Access {
     /// Returns the access of the host `of`: with `key` if it is given, or else with the list among the files `attached`
-    /// to its record. `None` if the team has a key, and there is neither.
-    pub fn of(of: &HostIdentity, attached: &[(String, Vec<u8>)], key: Option<Key>) -> Option<Access> {
+    /// to its record. If the datagrams of the team are `confidential`, a copy with a list has them in clear, without
+    /// the tags that a key would check. `None` if the team has a key, and there is neither.
+    pub fn of(
+        of: &HostIdentity,
+        attached: &[(String, Vec<u8>)],
+        key: Option<Key>,
+        confidential: bool,
+    ) -> Option<Access> {
         if !of.keyed {
             return Some(Access { key: None, trusts: false });
         }
-        let trusts = key.is_none();
-        let in_its_place = || match trusted(attached) {
-            Some(key) if of.signed => Some(key.with_signatures(Signatures::trusting())),
+        let list = match trusted(attached) {
+            Some(list) if of.signed => Some(list.with_signatures(Signatures::trusting())),
             list => list,
         };
-        let key = key.or_else(in_its_place)?;
-        Some(Access { key: Some(key), trusts })
+        let trusts = key.is_none() || confidential && list.is_some();
+        let key = if trusts { list } else { key }?;
+        Some(Access { key: Some(key.confidential_if(confidential)), trusts })
     }
 }
 
@@ -205,11 +211,15 @@ mod tests {
     #[test]
     fn a_replay_of_a_team_with_a_key_needs_it_or_the_list_in_its_place() {
         let list = [(ACCEPTED.to_owned(), vec![1; 16])];
-        let open = Access::of(&identity(false), &list, None).unwrap();
+        let of = |keyed, list: &[_], key, confidential| Access::of(&identity(keyed), list, key, confidential);
+        let key = || Some(Key::new([7; 32]));
+        let open = of(false, &list, None, false).unwrap();
         assert!(open.key.is_none() && !open.trusts);
-        assert!(Access::of(&identity(true), &[], None).is_none());
-        assert!(Access::of(&identity(true), &list, None).unwrap().trusts);
-        assert!(!Access::of(&identity(true), &list, Some(Key::new([7; 32]))).unwrap().trusts, "the key is better");
+        assert!(of(true, &[], None, false).is_none());
+        assert!(of(true, &list, None, false).unwrap().trusts);
+        assert!(!of(true, &list, key(), false).unwrap().trusts, "the key is better");
+        assert!(of(true, &list, key(), true).unwrap().trusts, "what is decrypted has no tag");
+        assert!(of(true, &[], key(), true).unwrap().key.unwrap().is_confidential());
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Converts the messages of a record to the events ([`Sight`]) from which the page computes what it shows.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
@@ -221,7 +222,7 @@ impl Reading<'_> {
         for input in tape::read(data).into_iter().flat_map(|turn| turn.inputs) {
             let Input::Frame(link, frame, _) = input else { continue };
             let plain = match self.keyed.get(&host) {
-                None => &*frame,
+                None => Cow::Borrowed(&*frame),
                 Some(None) => continue,
                 Some(Some(key)) => {
                     let plain = key.open(&frame, link, host);
@@ -230,7 +231,7 @@ impl Reading<'_> {
                     plain
                 }
             };
-            let Ok((header, message)) = codec::decode(plain) else { continue };
+            let Ok((header, message)) = codec::decode(&plain) else { continue };
             let number = (header.incarnation, header.sequence);
             let newest = self.newest.get(&(host, header.sender));
             if newest.is_some_and(|(incarnation, sequence)| *incarnation == number.0 && *sequence >= number.1) {

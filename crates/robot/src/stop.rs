@@ -190,7 +190,7 @@ impl Asked<'_> {
         if let Some(trouble) = links.key_trouble() {
             return Some(trouble.to_owned());
         }
-        if links.other_key + links.untagged + links.keyed > 0 {
+        if links.other_key + links.untagged + links.keyed + links.confidential > 0 {
             return Some("some hosts of this team have another key than the others, or none".to_owned());
         }
         let advice = "nothing of this team is heard: is this machine on its network, and has it the key of its hosts? \

@@ -125,6 +125,7 @@ impl TeamArgs {
         let deployment = file.deployment();
         let file = key_of(access.key_file.as_deref())?;
         let key = file.map(|file| file.operator_key(access.number, &mut identity)).transpose()?;
+        let key = key.map(|key| key.confidential_if(access.confidential));
         let me = identity.operator_of(access.number);
         let link = &deployment.links[usize::from(access.link.0)];
         Ok(Operator {

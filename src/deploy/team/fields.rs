@@ -27,9 +27,11 @@ const SENSORS: [&str; 3] = {
 };
 
 /// Fields of the whole team, in the order in which `config show` lists them.
-const TEAM: [Field; 23] = [
+const TEAM: [Field; 24] = [
     ("team", FieldType::Whole(0, 65_535), None),
     ("key_file", FieldType::Text, None),
+    // All hosts must agree on it, so it is set for the whole team.
+    ("confidential", FieldType::Truth, Some("false")),
     ("mode", FieldType::Choice(&MODES), None),
     ("robots", FieldType::Whole(1, 65_535), None),
     ("scenario", FieldType::Text, Some("passage")),

@@ -48,6 +48,8 @@ pub struct Team {
     pub number: u16,
     /// Path of the team's key file; `None` for a team on one machine, which needs no authentication.
     pub key_file: Option<PathBuf>,
+    /// Whether the team's datagrams are encrypted; only with a key.
+    pub confidential: bool,
     /// Name of the team's scenario.
     pub scenario: String,
     /// Policy of the team: path of a file, or a name; `None` for the scenario's default.
@@ -192,6 +194,7 @@ impl TeamFile {
         let links: Vec<Option<Place>> = links.collect::<Result<_, _>>()?;
         self.check_apart(host, &links)?;
         let key_file = find("key_file").map(|entry| self.path(&entry));
+        let confidential = self.is_confidential(key_file.as_deref())?;
         let outside = links.iter().position(|link| link.as_ref().is_some_and(|place| !place.endpoint.is_local()));
         if let (None, Some(at)) = (&key_file, outside) {
             let (host, link) = (&self.deployment.hosts[usize::from(host.0)].name, &self.deployment.links[at].name);
@@ -210,6 +213,7 @@ impl TeamFile {
             deployment: self.deployment.clone(),
             number: whole_u16(&number),
             key_file,
+            confidential,
             scenario: text(&name).to_owned(),
             policy,
             episodes: u32::try_from(whole("episodes")).expect("its range is smaller"),
@@ -223,6 +227,16 @@ impl TeamFile {
             record_size_mb: find("record_size_mb").map(|entry| entry.value.number()),
             links,
         })
+    }
+
+    /// Returns whether the team's datagrams are encrypted. Fails if they are to be and there is no key.
+    fn is_confidential(&self, key_file: Option<&Path>) -> Result<bool, ConfigError> {
+        let entry = self.layers.find(&self.scopes(None), "confidential").expect("it has a default");
+        if entry.value.truth() && key_file.is_none() {
+            let why = "true, and there is no key_file to encrypt with: make one with the command 'key new'";
+            return Err(ConfigError::field(place("confidential", &entry.origin), why));
+        }
+        Ok(entry.value.truth())
     }
 
     fn scenario(&self) -> Result<Arc<dyn Scenario>, ConfigError> {
@@ -522,6 +536,25 @@ interface = "wlan8"
     }
 
     #[test]
+    fn a_team_is_confidential_only_with_a_key_and_only_as_a_whole() {
+        let bare = "team = 1\nmode = \"centralized\"\nconfidential = true\n[link.infra]\ninterface = \"lo\"\n\
+                    [link.wires]\ninterface = \"lo\"\n";
+        let error = read(bare, &[], &[]).unwrap_err();
+        assert!(error.starts_with("confidential (line 3): true, and there is no key_file"), "{error}");
+        assert!(error.contains("key new"), "{error}");
+        let key = [("--key-file", "key_file", "k")];
+        let file = read(bare, &[], &key).unwrap();
+        assert!(team(&file, "pc").confidential && file.operator_access().unwrap().confidential);
+        let file = read(&bare.replace("true", "false"), &[], &[]).unwrap();
+        assert!(!team(&file, "pc").confidential && !file.operator_access().unwrap().confidential);
+        let file = read(&bare.replace("true", "false"), &[], &[key[0], ("--set", "confidential", "true")]).unwrap();
+        assert!(team(&file, "pc").confidential, "by a flag");
+        assert!(read(&bare.replace("true", "\"true\""), &[], &key).unwrap_err().contains("true or false"));
+        let of_one = format!("{bare}[host.pc]\nconfidential = true\n");
+        assert!(read(&of_one, &[], &key).unwrap_err().starts_with("host.pc.confidential"));
+    }
+
+    #[test]
     fn a_deployment_may_be_written_out() {
         let inline = |deployment: &Deployment, head: &str| {
             let table = std::collections::BTreeMap::from([("deployment", deployment)]);
@@ -553,7 +586,7 @@ interface = "wlan8"
             read(&ADHOC.replacen(from, to, 1), &[], &[]).unwrap_err()
         };
         let cases = [
-            ("team = 3", "teem = 3", "teem (line 2): there is no such field; there are team, key_file"),
+            ("team = 3", "teem = 3", "teem (line 2): there is no such field; there are team, key_file, confidential"),
             ("team = 3\n", "\n", "team: missing"),
             ("team = 3", "team = 65536", "team (line 2): '65536'"),
             ("team = 3", "team = \"3\"", "team (line 2): a string where a whole number belongs"),

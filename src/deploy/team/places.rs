@@ -27,6 +27,8 @@ pub struct OperatorAccess {
     pub number: u16,
     /// Path of the team's key file; `None` for a team without a key.
     pub key_file: Option<PathBuf>,
+    /// Whether the team's datagrams are encrypted; only with a key.
+    pub confidential: bool,
     /// Endpoints of the operator on the link: one for each network interface that hosts of the team use, or a single
     /// one if the transport sends to each host's address.
     pub places: Vec<Place>,
@@ -130,10 +132,12 @@ impl TeamFile {
         let number = number.ok_or_else(|| ConfigError::field("team", "missing; give the team a number"))?;
         let mut scopes = std::iter::once(None).chain(hosts.into_iter().map(Some));
         let key_file = scopes.find_map(|host| self.layers.find(&self.scopes(host), "key_file"));
+        let key_file = key_file.map(|entry| self.path(&entry));
         Ok(OperatorAccess {
             link: LinkId(u16::try_from(at).expect("links are counted in u16")),
             number: whole_u16(&number),
-            key_file: key_file.map(|entry| self.path(&entry)),
+            confidential: self.is_confidential(key_file.as_deref())?,
+            key_file,
             places,
         })
     }

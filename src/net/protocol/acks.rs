@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use super::codec::{BLOCK_BYTES, Content, MAX_PLAIN_BYTES, add};
+use super::codec::{BLOCK_BYTES, Content, add};
 use super::report::{DatagramId, ID_BYTES, MAX_IDS, write_ids};
 use crate::messages::ids::HostId;
 use crate::time::{Span, Time};
@@ -51,10 +51,10 @@ impl Acks {
     }
 
     /// Appends pending acknowledgements to `bytes`, a datagram that goes to all hosts: one block for each sender of
-    /// acknowledged datagrams, as many ids as fit. The appended ids are no longer pending.
-    pub fn add_to(&mut self, bytes: &mut Vec<u8>) {
+    /// acknowledged datagrams, as many ids as fit into `most` bytes. The appended ids are no longer pending.
+    pub fn add_to(&mut self, bytes: &mut Vec<u8>, most: usize) {
         while let Some(mut waiting) = self.pending.first_entry() {
-            let room = MAX_PLAIN_BYTES.saturating_sub(bytes.len() + BLOCK_BYTES) / ID_BYTES;
+            let room = most.saturating_sub(bytes.len() + BLOCK_BYTES) / ID_BYTES;
             if room == 0 {
                 return;
             }

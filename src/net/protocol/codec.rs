@@ -44,7 +44,7 @@ pub const BLOCK_BYTES: usize = 3;
 /// Largest datagram with its authentication tags \[bytes\]: with the headers of IPv6 and UDP the 1280 bytes that every
 /// IPv6 link carries (RFC 8200, section 5).
 pub const MAX_FRAME_BYTES: usize = 1232;
-/// Largest datagram without its authentication tags \[bytes\].
+/// Largest datagram without its authentication tags \[bytes\]; a confidential one is smaller (`key`).
 pub const MAX_PLAIN_BYTES: usize = MAX_FRAME_BYTES - (MAX_MEMBERS * SHORT_TAG_BYTES + 1);
 
 /// Bytes of an encoded datagram; clones share them.
@@ -65,6 +65,10 @@ impl Flags {
     pub(crate) const ACK: u8 = 8;
     /// Flag bit: the datagram ends with a short tag for each member of the team, and their number in one byte.
     pub const FOR_EACH: u8 = 16;
+    /// Flag bit: the blocks are encrypted (`cipher`).
+    pub const ENCRYPTED: u8 = 32;
+    /// Flag bit: the first of the encrypted blocks is a link report, which a unicast link sends to more addresses.
+    pub const REPORT: u8 = 64;
 
     /// Whether the flag `bit`, one of the constants of this type, is set.
     pub fn has(self, bit: u8) -> bool {
@@ -162,6 +166,9 @@ pub enum DecodeError {
     /// The datagram has undefined flags; all flags are given here.
     #[error("no datagram has the flags {0:#04x}")]
     Flags(u8),
+    /// The blocks are encrypted.
+    #[error("the blocks are encrypted")]
+    Encrypted,
     /// A block is longer than the datagram, or there are too few or too many blocks.
     #[error("the blocks are not what their lengths say")]
     Blocks,
@@ -220,6 +227,15 @@ pub fn is_current(datagram: &[u8]) -> bool {
     datagram.first() == Some(&VERSION)
 }
 
+/// Flags that a datagram may have.
+const KNOWN_FLAGS: u8 =
+    Flags::TAGGED | Flags::DIRECT | Flags::COPY | Flags::ACK | Flags::FOR_EACH | Flags::ENCRYPTED | Flags::REPORT;
+
+/// Returns whether the blocks of a datagram are encrypted.
+pub fn is_encrypted(datagram: &[u8]) -> bool {
+    datagram.get(FLAGS_AT).is_some_and(|flags| Flags(*flags).has(Flags::ENCRYPTED))
+}
+
 /// Decodes only the header of a datagram, of this version of the wire format or the one before it. Fails if the length,
 /// version or flags are invalid.
 pub fn peek(datagram: &[u8]) -> Result<Header, DecodeError> {
@@ -231,7 +247,7 @@ pub fn peek(datagram: &[u8]) -> Result<Header, DecodeError> {
         return Err(DecodeError::Version(version));
     }
     let flags = Flags(flags);
-    if flags.0 & !(Flags::TAGGED | Flags::DIRECT | Flags::COPY | Flags::ACK | Flags::FOR_EACH) != 0 {
+    if flags.0 & !KNOWN_FLAGS != 0 || flags.has(Flags::REPORT) && !flags.has(Flags::ENCRYPTED) {
         return Err(DecodeError::Flags(flags.0));
     }
     let (incarnation, sequence) = (u32::from_le_bytes([e0, e1, e2, e3]), u32::from_le_bytes([n0, n1, n2, n3]));
@@ -254,11 +270,12 @@ pub fn untagged(datagram: &[u8]) -> &[u8] {
 /// is the last item, since the bytes after it cannot be split.
 pub fn blocks(plain: &[u8]) -> impl Iterator<Item = Result<(Content, &[u8]), DecodeError>> {
     let mut rest = plain.get(HEADER_BYTES..).unwrap_or_default();
+    let encrypted = is_encrypted(plain);
     std::iter::from_fn(move || {
         if rest.is_empty() {
             return None;
         }
-        let block = split(rest);
+        let block = if encrypted { Err(DecodeError::Encrypted) } else { split(rest) };
         rest = block.as_ref().map_or(&[], |(_, _, rest)| rest);
         Some(block.map(|(content, body, _)| (content, body)))
     })
@@ -271,8 +288,13 @@ fn split(bytes: &[u8]) -> Result<(Content, &[u8], &[u8]), DecodeError> {
     Ok((content, body, rest))
 }
 
-/// Returns the type of the first block in a datagram, by which an emulated medium decides how to treat the datagram.
+/// Returns the type of the first block in a datagram, by which an emulated medium decides how to treat the datagram. Of
+/// an encrypted datagram it is known if that is a link report.
 pub fn first(datagram: &[u8]) -> Result<Content, DecodeError> {
+    if is_encrypted(datagram) {
+        let report = Flags(datagram[FLAGS_AT]).has(Flags::REPORT);
+        return if report { Ok(Content::Report) } else { Err(DecodeError::Encrypted) };
+    }
     split(datagram.get(HEADER_BYTES..).unwrap_or_default()).map(|(content, ..)| content)
 }
 

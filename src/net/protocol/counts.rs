@@ -52,6 +52,9 @@ counts! {
     untagged,
     /// Of those in `auth`: they come from a host of this team with a tag, although this host has no key.
     keyed,
+    /// Of those in `auth`: they come from a host of this team, and are encrypted although this host's are not, or in
+    /// clear although this host's are encrypted.
+    confidential,
     /// Datagrams refused on a link with authentication: older than the replay window, or of an earlier incarnation.
     replay,
     /// Datagrams refused: held back on the way. Either sent before a link report that arrived long ago, or a link
@@ -126,11 +129,13 @@ pub enum Refusal {
     Keyed,
     /// Its number is further ahead than its sender can have sent.
     Ahead,
+    /// Its header is that of a host of this team, and it is encrypted and this host's are not, or the reverse.
+    Confidential,
 }
 
 impl Refusal {
     /// All causes, in the order of their numbers in records.
-    pub const ALL: [Refusal; 15] = [
+    pub const ALL: [Refusal; 16] = [
         Refusal::Auth,
         Refusal::Own,
         Refusal::Team,
@@ -146,6 +151,7 @@ impl Refusal {
         Refusal::Untagged,
         Refusal::Keyed,
         Refusal::Ahead,
+        Refusal::Confidential,
     ];
 }
 
@@ -163,7 +169,7 @@ impl Refusal {
 impl LinkCounts {
     /// Counts `number` datagrams that were refused for this cause.
     pub(crate) fn refuse(&mut self, cause: Refusal, number: u64) {
-        if matches!(cause, Refusal::OtherKey | Refusal::Untagged | Refusal::Keyed) {
+        if matches!(cause, Refusal::OtherKey | Refusal::Untagged | Refusal::Keyed | Refusal::Confidential) {
             self.auth += number;
         }
         let count = match cause {
@@ -182,6 +188,7 @@ impl LinkCounts {
             Refusal::Untagged => &mut self.untagged,
             Refusal::Keyed => &mut self.keyed,
             Refusal::Ahead => &mut self.ahead,
+            Refusal::Confidential => &mut self.confidential,
         };
         *count += number;
     }
@@ -240,8 +247,8 @@ impl LinkCounts {
         all.into_iter().filter(|(count, _)| *count > 0)
     }
 
-    /// Returns why this host understands nothing of its team although it hears it: their keys differ. `None` if
-    /// messages were accepted, or if nothing of the team was heard.
+    /// Returns why this host understands nothing of its team although it hears it: their keys differ, or only one of
+    /// the two encrypts. `None` if messages were accepted, or if nothing of the team was heard.
     pub fn key_trouble(&self) -> Option<&'static str> {
         match self {
             LinkCounts { accepted: 1.., .. } => None,
@@ -251,6 +258,10 @@ impl LinkCounts {
             ),
             LinkCounts { untagged: 1.., .. } => Some(
                 "the team is heard, and it has no key, but this machine has one: leave out key_file and --key-file",
+            ),
+            LinkCounts { confidential: 1.., .. } => Some(
+                "the team is heard, and only one of it and this machine encrypts: give both the same 'confidential' \
+                 in the team file",
             ),
             LinkCounts { keyed: 1.., .. } => Some(
                 "the team is heard, and it has a key, but this machine has none: give the team's key by --key-file",
@@ -280,6 +291,8 @@ mod tests {
         assert!(other.key_trouble().is_some_and(|why| why.contains("another key")));
         assert_eq!(LinkCounts { accepted: 1, ..other }.key_trouble(), None);
         assert!(LinkCounts { untagged: 1, ..none }.key_trouble().is_some_and(|why| why.contains("has no key")));
+        let encrypts = LinkCounts { confidential: 1, ..none };
+        assert!(encrypts.key_trouble().is_some_and(|why| why.contains("'confidential'")));
         assert!(LinkCounts { keyed: 1, ..none }.key_trouble().is_some_and(|why| why.contains("has none")));
     }
 }

@@ -3,35 +3,46 @@
 //! A team has one key of all its members, or each member has a key with each other one. In the first case any member
 //! can impersonate another. In the second none can: what goes to one host has a tag of that pair's key, what goes to
 //! all has a short tag for each member. A tag covers the whole datagram, its link and its receiver. The latter two take
-//! no bytes in the datagram, but a datagram of one link is not valid on another. Nothing is encrypted. Generation and
-//! storage of keys are elsewhere.
+//! no bytes in the datagram, but a datagram of one link is not valid on another. With `confidential`, blocks are
+//! encrypted (`cipher`), and the tag of a datagram with one tag is that of the cipher. Generation and storage of keys
+//! are elsewhere.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::Arc;
 
-use super::codec::{self, FLAGS_AT, Flags, HEADER_BYTES, MAX_FRAME_BYTES, SHORT_TAG_BYTES, TAG_BYTES};
+use super::cipher::{ASSOCIATED_BYTES, Associated, Cipher, ENCRYPTION_BYTES};
+use super::codec::{self, Content, FLAGS_AT, Flags, HEADER_BYTES};
+use super::codec::{MAX_FRAME_BYTES, MAX_PLAIN_BYTES, SHORT_TAG_BYTES, TAG_BYTES};
 use super::signatures::Signatures;
 use crate::messages::ids::{HostId, LinkId};
-
-/// Length of what is hashed together with a datagram, the id of the link and that of the receiver \[bytes\].
-const ASSOCIATED_BYTES: usize = 4;
 
 /// Key of 32 bytes.
 type Bytes = [u8; 32];
 
-/// Secret keys with which a process authenticates datagrams. In a replay, a list of the datagrams that had a valid tag
-/// takes their place.
+/// Secret keys with which a process authenticates datagrams, and encrypts those of a team that asks for it. In a
+/// replay, a list of the datagrams that had a valid tag takes their place.
 #[derive(Clone)]
 pub struct Key {
     secret: Secret,
+    accepts: Accepts,
     signatures: Option<Arc<Signatures>>,
+}
+
+/// Which datagrams are accepted: the others are those of an attacker, or of a host with another team file.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Accepts {
+    InClear,
+    Encrypted,
+    /// Both: of a record, which says of each datagram how it was sent.
+    Either,
 }
 
 #[derive(Clone)]
 enum Secret {
     /// Key of all members of the team.
-    Team(Bytes),
+    Team(Shared),
     /// Keys of one member.
     Member(Arc<Member>),
     /// In a replay: digests of the datagrams whose tags were valid when they were recorded.
@@ -39,15 +50,23 @@ enum Secret {
 }
 
 /// Keys of one member of a team: that of all members, under which datagrams are hashed, and those of the pairs.
+#[derive(Clone)]
 struct Member {
-    team: Bytes,
+    team: Shared,
     /// For each member, this one included: the key that only the two have. Short tags are in this order.
-    pairs: BTreeMap<HostId, Bytes>,
+    pairs: BTreeMap<HostId, Shared>,
+}
+
+/// Key that several members have, and its cipher if their datagrams are confidential.
+#[derive(Clone)]
+struct Shared {
+    bytes: Bytes,
+    cipher: Option<Cipher>,
 }
 
 impl Key {
     fn of(secret: Secret) -> Key {
-        Key { secret, signatures: None }
+        Key { secret, accepts: Accepts::InClear, signatures: None }
     }
 
     /// Returns the keys of a process of a team whose operators sign what ends a stop or a hold.
@@ -62,7 +81,7 @@ impl Key {
 
     /// Creates the key of a team, known to all its members, from its 32 bytes.
     pub fn new(bytes: Bytes) -> Key {
-        Key::of(Secret::Team(bytes))
+        Key::of(Secret::Team(Shared::new(bytes)))
     }
 
     /// Creates the keys of one member of a team whose members cannot impersonate each other: `team` is known to all of
@@ -72,7 +91,8 @@ impl Key {
     /// If there are more members than [`MAX_MEMBERS`](codec::MAX_MEMBERS).
     pub fn of_member(team: Bytes, pairs: BTreeMap<HostId, Bytes>) -> Key {
         assert!(pairs.len() <= codec::MAX_MEMBERS, "whoever reads keys checks their number");
-        Key::of(Secret::Member(Arc::new(Member { team, pairs })))
+        let pairs = pairs.into_iter().map(|(member, pair)| (member, Shared::new(pair))).collect();
+        Key::of(Secret::Member(Arc::new(Member { team: Shared::new(team), pairs })))
     }
 
     /// Creates a substitute for a key, for replays of records only: it accepts exactly the datagrams with these
@@ -81,75 +101,191 @@ impl Key {
         Key::of(Secret::Accepted(Arc::new(accepted)))
     }
 
+    /// Returns the key of a team whose datagrams are confidential: it encrypts, and refuses what is not encrypted.
+    #[must_use]
+    pub fn confidential(self) -> Key {
+        self.with_ciphers(Accepts::Encrypted)
+    }
+
+    /// Returns the key of a team whose datagrams are confidential if `asked`, as its team file says.
+    #[must_use]
+    pub fn confidential_if(self, asked: bool) -> Key {
+        if asked { self.confidential() } else { self }
+    }
+
+    /// Returns the key for records, whose datagrams may be encrypted or not.
+    #[must_use]
+    pub fn for_records(self) -> Key {
+        self.with_ciphers(Accepts::Either)
+    }
+
+    fn with_ciphers(self, accepts: Accepts) -> Key {
+        let secret = match self.secret {
+            Secret::Team(shared) => Secret::Team(shared.with_cipher()),
+            Secret::Member(member) => {
+                let pairs = member.pairs.iter().map(|(host, pair)| (*host, pair.clone().with_cipher())).collect();
+                Secret::Member(Arc::new(Member { team: member.team.clone().with_cipher(), pairs }))
+            }
+            accepted @ Secret::Accepted(_) => accepted,
+        };
+        Key { secret, accepts, signatures: self.signatures }
+    }
+
+    /// Returns whether datagrams are encrypted, and what is not is refused.
+    pub fn is_confidential(&self) -> bool {
+        self.accepts == Accepts::Encrypted
+    }
+
+    /// Returns the length of the largest datagram that may be sealed \[bytes\].
+    pub fn room(&self) -> usize {
+        MAX_PLAIN_BYTES - if self.is_confidential() { ENCRYPTION_BYTES } else { 0 }
+    }
+
     /// Appends the authentication tag to a datagram on the link `link`, for the host `to`, or for all hosts if `to` is
-    /// `None`. What a member sends to a host that is no member has a tag of zeros, which nobody accepts.
+    /// `None`, and encrypts its blocks first if they are confidential. What a member sends to a host that is no member
+    /// has a tag of zeros, which nobody accepts, and no block if blocks are confidential.
     pub fn seal(&self, datagram: &mut Vec<u8>, link: LinkId, to: Option<HostId>) {
-        datagram[FLAGS_AT] |= Flags::TAGGED;
+        datagram[FLAGS_AT] |= self.flags(datagram);
+        let associated = associated(link, to);
         match (&self.secret, to) {
-            (Secret::Team(secret), _) => {
-                let tag = tag_of(secret, datagram, link, to);
-                datagram.extend_from_slice(&tag.as_bytes()[..TAG_BYTES]);
-            }
-            (Secret::Member(member), Some(host)) => {
-                let tag = member.pairs.get(&host).map(|pair| *tag_of(pair, datagram, link, to).as_bytes());
-                datagram.extend_from_slice(&tag.unwrap_or_default()[..TAG_BYTES]);
-            }
-            (Secret::Member(member), None) => {
-                datagram[FLAGS_AT] |= Flags::FOR_EACH;
-                let digest = tag_of(&member.team, datagram, link, None);
-                for pair in member.pairs.values() {
-                    datagram.extend_from_slice(&short_tag(pair, &digest));
+            (Secret::Team(team), _) => team.seal(datagram, associated),
+            (Secret::Member(member), Some(host)) => match member.pairs.get(&host) {
+                Some(pair) => pair.seal(datagram, associated),
+                None => {
+                    if self.is_confidential() {
+                        datagram.truncate(HEADER_BYTES);
+                    }
+                    datagram.extend_from_slice(&[0; TAG_BYTES]);
                 }
-                datagram.push(member.pairs.len() as u8);
-            }
+            },
+            (Secret::Member(member), None) => member.seal(datagram, associated),
             (Secret::Accepted(_), _) => datagram.extend_from_slice(&[0; TAG_BYTES]),
         }
     }
 
-    /// Returns the datagram without its authentication tag; `None` if the tag is not valid for the link `link` and, in
-    /// a unicast datagram, for the receiver `here`.
-    pub fn open<'a>(&self, datagram: &'a [u8], link: LinkId, here: HostId) -> Option<&'a [u8]> {
+    /// Returns the flags that say how a datagram is sealed.
+    fn flags(&self, datagram: &[u8]) -> u8 {
+        if !self.is_confidential() {
+            return Flags::TAGGED;
+        }
+        let is_report = matches!(codec::first(datagram), Ok(Content::Report | Content::NumberedReport));
+        Flags::TAGGED | Flags::ENCRYPTED | if is_report { Flags::REPORT } else { 0 }
+    }
+
+    /// Returns the datagram without its authentication tag, and as it was before it was encrypted; `None` if the tag is
+    /// not valid for the link `link` and, in a unicast datagram, for the receiver `here`, or if the datagram is in
+    /// clear and this team's are confidential, or the reverse.
+    pub fn open<'a>(&self, datagram: &'a [u8], link: LinkId, here: HostId) -> Option<Cow<'a, [u8]>> {
         if datagram.len() < HEADER_BYTES + TAG_BYTES || datagram.len() > MAX_FRAME_BYTES {
             return None;
         }
         // The flags are not authenticated yet; they only select the tag to expect.
         let flags = Flags(datagram[FLAGS_AT]);
-        let plain = codec::untagged(datagram);
-        let tag = &datagram[plain.len()..];
         let to = flags.has(Flags::DIRECT).then_some(here);
-        let secret = match &self.secret {
-            Secret::Accepted(accepted) => return accepted.contains(&digest(datagram, link)).then_some(plain),
-            Secret::Team(secret) => secret,
+        let associated = associated(link, to);
+        match &self.secret {
+            Secret::Accepted(accepted) => {
+                accepted.contains(&digest(datagram, link)).then(|| codec::untagged(datagram).into())
+            }
+            _ if !self.takes(flags) => None,
+            Secret::Team(team) => team.open(datagram, associated),
             Secret::Member(member) => {
                 let pair = member.pairs.get(&codec::peek(datagram).ok()?.sender)?;
                 match to {
-                    Some(_) => pair,
-                    None => return member.is_valid((plain, tag), (flags, link, here), pair).then_some(plain),
+                    Some(_) => pair.open(datagram, associated),
+                    None => member.open(datagram, (associated, here), &pair.bytes),
                 }
             }
-        };
-        // A short tag is a part of a datagram for each member; hashes are compared in constant time.
-        let expected = hash_of(secret, plain, link, to);
-        let whole = tag.len() == TAG_BYTES && !flags.has(Flags::FOR_EACH);
-        (whole && padded(&expected.as_bytes()[..TAG_BYTES]) == padded(tag)).then_some(plain)
+        }
+    }
+
+    /// Returns whether datagrams with these flags are accepted, as far as encryption goes.
+    fn takes(&self, flags: Flags) -> bool {
+        match self.accepts {
+            Accepts::InClear => !flags.has(Flags::ENCRYPTED),
+            Accepts::Encrypted => flags.has(Flags::ENCRYPTED),
+            Accepts::Either => true,
+        }
+    }
+}
+
+impl Shared {
+    fn new(bytes: Bytes) -> Shared {
+        Shared { bytes, cipher: None }
+    }
+
+    fn with_cipher(self) -> Shared {
+        Shared { cipher: Some(Cipher::new(&self.bytes)), ..self }
+    }
+
+    /// Appends the one tag of a datagram, after it has encrypted the blocks if the flags say so.
+    fn seal(&self, datagram: &mut Vec<u8>, associated: Associated) {
+        if let Some(cipher) = self.cipher_of(datagram) {
+            return cipher.encrypt(datagram, associated);
+        }
+        let tag = tag_of(&self.bytes, datagram, associated);
+        datagram.extend_from_slice(&tag.as_bytes()[..TAG_BYTES]);
+    }
+
+    /// Returns a datagram without its one tag, and as it was in clear; `None` if the tag is not valid.
+    fn open<'a>(&self, datagram: &'a [u8], associated: Associated) -> Option<Cow<'a, [u8]>> {
+        // A short tag is a part of a datagram for each member.
+        if Flags(datagram[FLAGS_AT]).has(Flags::FOR_EACH) {
+            return None;
+        }
+        if codec::is_encrypted(datagram) {
+            return self.cipher_of(datagram)?.decrypt(datagram, associated).map(Cow::Owned);
+        }
+        let plain = codec::untagged(datagram);
+        let (expected, tag) = (hash_of(&self.bytes, plain, associated), &datagram[plain.len()..]);
+        // Hashes are compared in constant time.
+        let valid = tag.len() == TAG_BYTES && padded(&expected.as_bytes()[..TAG_BYTES]) == padded(tag);
+        valid.then_some(plain.into())
+    }
+
+    /// Returns the cipher if the flags of the datagram say that it is encrypted.
+    fn cipher_of(&self, datagram: &[u8]) -> Option<&Cipher> {
+        self.cipher.as_ref().filter(|_| codec::is_encrypted(datagram))
     }
 }
 
 impl Member {
-    /// Returns whether a datagram for all, in two parts, has the short tag that its sender makes for this member `here`
-    /// with the key `pair` of the two.
-    fn is_valid(
-        &self,
-        (plain, tags): (&[u8], &[u8]),
-        (flags, link, here): (Flags, LinkId, HostId),
-        pair: &Bytes,
-    ) -> bool {
-        if !flags.has(Flags::FOR_EACH) || tags.len() != self.pairs.len() * SHORT_TAG_BYTES + 1 {
-            return false;
+    /// Appends a short tag for each member to a datagram for all, after it has encrypted the blocks if the flags say
+    /// so.
+    fn seal(&self, datagram: &mut Vec<u8>, associated: Associated) {
+        datagram[FLAGS_AT] |= Flags::FOR_EACH;
+        if let Some(cipher) = self.team.cipher_of(datagram) {
+            cipher.encrypt(datagram, associated);
         }
-        let Some(place) = self.pairs.keys().position(|member| *member == here) else { return false };
-        let expected = short_tag(pair, &hash_of(&self.team, plain, link, None));
-        padded(&expected) == padded(&tags[place * SHORT_TAG_BYTES..][..SHORT_TAG_BYTES])
+        let hash = tag_of(&self.team.bytes, datagram, associated);
+        for pair in self.pairs.values() {
+            datagram.extend_from_slice(&short_tag(&pair.bytes, &hash));
+        }
+        datagram.push(self.pairs.len() as u8);
+    }
+
+    /// Returns a datagram for all without its tags, and as it was in clear; `None` if the short tag that its sender
+    /// makes for this member `here` with the key `pair` of the two is not valid.
+    fn open<'a>(
+        &self,
+        datagram: &'a [u8],
+        (associated, here): (Associated, HostId),
+        pair: &Bytes,
+    ) -> Option<Cow<'a, [u8]>> {
+        let plain = codec::untagged(datagram);
+        let tags = &datagram[plain.len()..];
+        if !Flags(datagram[FLAGS_AT]).has(Flags::FOR_EACH) || tags.len() != self.pairs.len() * SHORT_TAG_BYTES + 1 {
+            return None;
+        }
+        let place = self.pairs.keys().position(|member| *member == here)?;
+        let expected = short_tag(pair, &hash_of(&self.team.bytes, plain, associated));
+        if padded(&expected) != padded(&tags[place * SHORT_TAG_BYTES..][..SHORT_TAG_BYTES]) {
+            return None;
+        }
+        if codec::is_encrypted(datagram) {
+            return self.team.cipher_of(datagram)?.decrypt(plain, associated).map(Cow::Owned);
+        }
+        Some(plain.into())
     }
 }
 
@@ -161,17 +297,17 @@ fn short_tag(pair: &Bytes, hash: &blake3::Hash) -> [u8; SHORT_TAG_BYTES] {
 }
 
 /// Returns the keyed hash of a datagram, as [`tag_of`] does, of bytes that cannot be changed.
-fn hash_of(secret: &Bytes, plain: &[u8], link: LinkId, to: Option<HostId>) -> blake3::Hash {
+fn hash_of(secret: &Bytes, plain: &[u8], associated: Associated) -> blake3::Hash {
     // This allocation is faster than clearing a buffer of the largest size.
     let mut hashed = Vec::with_capacity(plain.len() + ASSOCIATED_BYTES);
     hashed.extend_from_slice(plain);
-    tag_of(secret, &mut hashed, link, to)
+    tag_of(secret, &mut hashed, associated)
 }
 
 /// Returns the keyed hash of a datagram, its link and its receiver. `datagram` is the same afterwards.
-fn tag_of(secret: &Bytes, datagram: &mut Vec<u8>, link: LinkId, to: Option<HostId>) -> blake3::Hash {
+fn tag_of(secret: &Bytes, datagram: &mut Vec<u8>, associated: Associated) -> blake3::Hash {
     let length = datagram.len();
-    datagram.extend_from_slice(&associated(link, to));
+    datagram.extend_from_slice(&associated);
     let hash = blake3::keyed_hash(secret, datagram);
     datagram.truncate(length);
     hash
@@ -186,7 +322,7 @@ pub fn digest(datagram: &[u8], link: LinkId) -> [u8; 16] {
     short
 }
 
-fn associated(link: LinkId, to: Option<HostId>) -> [u8; ASSOCIATED_BYTES] {
+fn associated(link: LinkId, to: Option<HostId>) -> Associated {
     let ([a, b], [c, d]) = (link.0.to_le_bytes(), to.map_or(u16::MAX, |host| host.0).to_le_bytes());
     [a, b, c, d]
 }
@@ -208,13 +344,23 @@ impl fmt::Debug for Key {
 mod tests {
     use super::*;
 
+    /// A key as it is, and with encryption.
+    fn both(key: Key) -> [Key; 2] {
+        [key.clone(), key.confidential()]
+    }
+
     #[test]
     fn a_tag_holds_for_one_key_one_link_and_one_host() {
-        let (key, other) = (Key::new([7; 32]), Key::new([8; 32]));
+        for (key, other) in both(Key::new([7; 32])).into_iter().zip(both(Key::new([8; 32]))) {
+            holds_for_one_key_one_link_and_one_host(&key, &other);
+        }
+    }
+
+    fn holds_for_one_key_one_link_and_one_host(key: &Key, other: &Key) {
         let mut sealed = vec![0; HEADER_BYTES];
         sealed[FLAGS_AT] = Flags::DIRECT;
         key.seal(&mut sealed, LinkId(1), Some(HostId(4)));
-        assert_eq!(sealed.len(), HEADER_BYTES + TAG_BYTES);
+        assert_eq!(sealed.len(), HEADER_BYTES + if key.is_confidential() { ENCRYPTION_BYTES } else { TAG_BYTES });
         assert!(key.open(&sealed, LinkId(1), HostId(4)).is_some());
         assert!(key.open(&sealed, LinkId(2), HostId(4)).is_none());
         assert!(key.open(&sealed, LinkId(1), HostId(5)).is_none());
@@ -245,27 +391,48 @@ mod tests {
     #[test]
     fn no_member_makes_what_another_accepts_as_a_thirds() {
         let keys = members(&[0, 1, 2, 0xc001]);
+        makes_nothing_that_another_accepts_as_a_thirds(&keys, &Key::new([9; 32]));
+        strangers_are_not_heard(&keys, &members(&[2, 9])[1]);
+    }
+
+    #[test]
+    fn no_member_makes_what_another_accepts_as_a_thirds_if_it_is_confidential() {
+        let confidential = |keys: Vec<Key>| keys.into_iter().map(Key::confidential).collect::<Vec<Key>>();
+        let keys = confidential(members(&[0, 1, 2, 0xc001]));
+        makes_nothing_that_another_accepts_as_a_thirds(&keys, &Key::new([9; 32]).confidential());
+        strangers_are_not_heard(&keys, &confidential(members(&[2, 9]))[1]);
+    }
+
+    /// Checks the keys of four members, beside one that has the team's key alone.
+    fn makes_nothing_that_another_accepts_as_a_thirds(keys: &[Key], team: &Key) {
+        let longer = if team.is_confidential() { ENCRYPTION_BYTES } else { 0 };
         for (to, flags) in [(None, 0), (Some(HostId(1)), Flags::DIRECT)] {
             let mut honest = datagram(0, flags);
-            let plain = honest.len();
+            let plain = honest.clone();
             keys[0].seal(&mut honest, LinkId(1), to);
-            assert_eq!(honest.len() - plain, if to.is_some() { TAG_BYTES } else { 4 * SHORT_TAG_BYTES + 1 });
+            let tags = if to.is_some() { TAG_BYTES.max(longer) } else { longer + 4 * SHORT_TAG_BYTES + 1 };
+            assert_eq!(honest.len() - plain.len(), tags);
             let opened = keys[1].open(&honest, LinkId(1), HostId(1)).expect("it is of host 0");
-            assert_eq!(opened.len(), plain);
-            assert_eq!(codec::untagged(&honest), opened, "a record's reader has no key");
+            assert_eq!(opened[HEADER_BYTES..], plain[HEADER_BYTES..]);
+            if longer == 0 {
+                assert_eq!(codec::untagged(&honest), &*opened, "a record's reader has no key");
+            } else {
+                assert_eq!(codec::decode(codec::untagged(&honest)).unwrap_err(), codec::DecodeError::Encrypted);
+            }
             assert!(keys[1].open(&honest, LinkId(2), HostId(1)).is_none(), "on another link");
             assert_eq!(keys[2].open(&honest, LinkId(1), HostId(2)).is_some(), to.is_none(), "what is for host 1 alone");
+            let short = plain.len() + longer;
             let all = (0..honest.len() * 8).all(|bit| {
                 let mut turned = honest.clone();
                 turned[bit / 8] ^= 1 << (bit % 8);
                 // The short tags of others are theirs to check.
-                let others = to.is_none() && (plain..honest.len() - 1).contains(&(bit / 8));
-                let own = (plain + SHORT_TAG_BYTES..plain + 2 * SHORT_TAG_BYTES).contains(&(bit / 8));
+                let others = to.is_none() && (short..honest.len() - 1).contains(&(bit / 8));
+                let own = (short + SHORT_TAG_BYTES..short + 2 * SHORT_TAG_BYTES).contains(&(bit / 8));
                 keys[1].open(&turned, LinkId(1), HostId(1)).is_some() == (others && !own)
             });
             assert!(all, "any flipped bit");
             // Host 2 and the team's key make it in the name of host 0.
-            for forger in [&keys[2], &Key::new([9; 32])] {
+            for forger in [&keys[2], team] {
                 let mut forged = datagram(0, flags);
                 forger.seal(&mut forged, LinkId(1), to);
                 assert!(keys[1].open(&forged, LinkId(1), HostId(1)).is_none());
@@ -276,6 +443,10 @@ mod tests {
             other[FLAGS_AT] ^= Flags::DIRECT;
             assert!(keys[1].open(&other, LinkId(1), HostId(1)).is_none());
         }
+    }
+
+    /// Checks what goes to and comes from hosts that are no members, or the own one. `ninth` has a key with member 2.
+    fn strangers_are_not_heard(keys: &[Key], ninth: &Key) {
         let mut own = datagram(1, 0);
         keys[1].seal(&mut own, LinkId(1), None);
         assert!(keys[1].open(&own, LinkId(1), HostId(1)).is_some(), "of another process of the same operator");
@@ -284,6 +455,45 @@ mod tests {
         assert!(keys[1].open(&stranger, LinkId(1), HostId(1)).is_none(), "of no member");
         let mut unknown = datagram(2, Flags::DIRECT);
         keys[2].seal(&mut unknown, LinkId(1), Some(HostId(9)));
-        assert!(members(&[2, 9])[1].open(&unknown, LinkId(1), HostId(9)).is_none(), "for no member");
+        assert!(ninth.open(&unknown, LinkId(1), HostId(9)).is_none(), "for no member");
+        let said = unknown.windows(8).any(|bytes| bytes == [5; 8]);
+        assert_eq!(said, !keys[2].is_confidential(), "nothing is said in clear to a host without a key");
+    }
+
+    #[test]
+    fn what_is_in_clear_is_refused_by_who_encrypts_and_the_reverse_and_a_record_has_either() {
+        let of_members = || members(&[0, 1]).swap_remove(0);
+        for (key, to) in [(Key::new([7; 32]), None), (of_members(), None), (of_members(), Some(HostId(0)))] {
+            let [clear, confidential] = both(key.clone());
+            let flags = if to.is_some() { Flags::DIRECT } else { 0 };
+            let sealed = |by: &Key| {
+                let mut datagram = datagram(0, flags);
+                by.seal(&mut datagram, LinkId(1), to);
+                datagram
+            };
+            let (open, secret) = (sealed(&clear), sealed(&confidential));
+            let opens = |key: &Key, datagram: &[u8]| key.open(datagram, LinkId(1), HostId(0)).is_some();
+            assert!(opens(&clear, &open) && opens(&confidential, &secret));
+            assert!(!opens(&clear, &secret) && !opens(&confidential, &open));
+            let record = key.for_records();
+            assert!(opens(&record, &open) && opens(&record, &secret));
+            // Flags that say something else than what was sent.
+            for (datagram, key) in [(open, &confidential), (secret, &clear)] {
+                let mut lie = datagram.clone();
+                lie[FLAGS_AT] ^= Flags::ENCRYPTED;
+                assert!(!opens(key, &lie) && !opens(&record, &lie));
+            }
+        }
+    }
+
+    #[test]
+    fn the_largest_confidential_datagram_fits_with_the_tags_of_all_members() {
+        let numbers: Vec<u16> = (0..codec::MAX_MEMBERS as u16).collect();
+        for key in both(members(&numbers).swap_remove(0)) {
+            let mut datagram = datagram(0, 0);
+            datagram.resize(key.room(), 0);
+            key.seal(&mut datagram, LinkId(1), None);
+            assert_eq!(datagram.len(), MAX_FRAME_BYTES);
+        }
     }
 }

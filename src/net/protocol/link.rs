@@ -1,6 +1,7 @@
 //! State of one link of one host: transmission (`outgoing`), reception (`incoming`) and counters. Pure, without sockets
 //! and clock.
 
+use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
 
@@ -168,7 +169,7 @@ impl LinkState {
         frame: &'a [u8],
         stream: &mut Stream,
         out: &mut Vec<Outbound>,
-    ) -> Option<(Header, &'a [u8])> {
+    ) -> Option<(Header, Cow<'a, [u8]>)> {
         (self.heard, self.refusal, self.urgent) = (None, None, None);
         let read = self.read(now, frame, stream, out);
         match read {
@@ -195,9 +196,9 @@ impl LinkState {
         frame: &'a [u8],
         stream: &mut Stream,
         out: &mut Vec<Outbound>,
-    ) -> Result<Option<(Header, &'a [u8])>, Refusal> {
+    ) -> Result<Option<(Header, Cow<'a, [u8]>)>, Refusal> {
         let (header, plain) = self.open(frame)?;
-        let blocks = ControlBlocks::read(plain).map_err(|error| Refusal::of(&error))?;
+        let blocks = ControlBlocks::read(&plain).map_err(|error| Refusal::of(&error))?;
         let report = blocks.report.as_ref();
         // Operators draw their ids at random, so two of them may have the same.
         let own_id = header.sender == self.me.host && !header.sender.is_operator();
@@ -211,7 +212,7 @@ impl LinkState {
                 self.heard = Some(Arrival { host: header.sender, standing: Standing::Candidate, proves: false });
             }
             if refusal != Refusal::Unproven {
-                self.urgent = self.new_stop(&header, plain);
+                self.urgent = self.new_stop(&header, &plain);
             }
             if self.urgent.is_some() {
                 self.counts.refuse(refusal, 1);
@@ -237,7 +238,7 @@ impl LinkState {
         let proves = self.key.is_none() || self.incoming.has_proved();
         self.heard = standing.map(|standing| Arrival { host: header.sender, standing, proves });
         if matches!(verdict, Admission::Duplicate | Admission::Refused) {
-            self.urgent = self.new_stop(&header, plain);
+            self.urgent = self.new_stop(&header, &plain);
         }
         if matches!(verdict, Admission::Candidate(_) | Admission::Refused) {
             return Ok(None);
@@ -258,7 +259,7 @@ impl LinkState {
 
     /// Checks the length and the tag of a datagram, and that another process of this team has sent it. Returns its
     /// header and its bytes without the tag.
-    fn open<'a>(&mut self, frame: &'a [u8]) -> Result<(Header, &'a [u8]), Refusal> {
+    fn open<'a>(&mut self, frame: &'a [u8]) -> Result<(Header, Cow<'a, [u8]>), Refusal> {
         let tagged = frame.get(codec::FLAGS_AT).is_some_and(|flags| flags & Flags::TAGGED != 0);
         let shortest = HEADER_BYTES + if self.key.is_some() { TAG_BYTES } else { 0 };
         if frame.len() < shortest || frame.len() > MAX_FRAME_BYTES {
@@ -266,14 +267,14 @@ impl LinkState {
         }
         let plain = match &self.key {
             Some(key) => key.open(frame, self.id, self.me.host),
-            None => (!tagged).then_some(frame),
+            None => (!tagged).then_some(frame.into()),
         };
         let plain = plain.ok_or_else(|| self.key_trouble(frame).unwrap_or(Refusal::Auth))?;
-        let header = codec::peek(plain).map_err(|error| Refusal::of(&error))?;
+        let header = codec::peek(&plain).map_err(|error| Refusal::of(&error))?;
         if header.team != self.me.team {
             return Err(Refusal::Team);
         }
-        if !codec::is_current(plain) {
+        if !codec::is_current(&plain) {
             // Where the deployment is not known, only so many are noted.
             let known = header.sender < self.first_guest && self.former.len() < MAX_SENDERS;
             self.former.extend(known.then_some(header.sender));
@@ -294,15 +295,17 @@ impl LinkState {
             && self.again.take(now, &AGAIN)
     }
 
-    /// Returns what is wrong with the key of a datagram that a host of this team seems to have sent: it has another key
-    /// than this host, or none, or this host has none. Its header is not authenticated, so it is only counted.
+    /// Returns what is wrong with the key of a datagram that a host of this team seems to have sent: that host and this
+    /// one have two keys, or one key, or only one encrypts. The header is not authenticated, so it is only counted.
     #[cold]
     fn key_trouble(&self, frame: &[u8]) -> Option<Refusal> {
         let header = codec::peek(frame).ok()?;
         if header.team != self.me.team || header.sender >= self.first_guest || header.sender == self.me.host {
             return None;
         }
+        let unlike = |key: &Key| key.is_confidential() != header.flags.has(Flags::ENCRYPTED);
         Some(match (&self.key, header.flags.has(Flags::TAGGED)) {
+            (Some(key), true) if unlike(key) => Refusal::Confidential,
             (Some(_), true) => Refusal::OtherKey,
             (Some(_), false) => Refusal::Untagged,
             (None, _) => Refusal::Keyed,

@@ -3,6 +3,7 @@
 mod acks;
 mod bucket;
 mod candidates;
+pub mod cipher;
 pub mod codec;
 mod congestion;
 mod control_blocks;

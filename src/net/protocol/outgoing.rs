@@ -15,7 +15,7 @@ use super::report::{DatagramId, write_held, write_ids};
 use super::report_schedule::Occasion;
 use super::retransmit::{Retransmitter, Untagged};
 use super::router::Audience;
-use super::soft::Soft;
+use super::soft::{Roomy, Soft};
 use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Wire};
 use crate::time::{Span, Time};
@@ -43,6 +43,8 @@ pub struct Outgoing {
     me: Header,
     link: LinkId,
     key: Option<Key>,
+    /// Largest datagram without its tags \[bytes\].
+    room: usize,
     setup: Setup,
     to_all: u32,
     direct: BTreeMap<HostId, u32>,
@@ -71,16 +73,17 @@ impl Outgoing {
     pub fn new(me: Header, link: LinkId, key: Option<Key>, setup: Setup, first_report: Span) -> Outgoing {
         let report_due = (setup.reports == Reports::On).then_some(Time::ZERO + first_report);
         let numbered = key.is_some() && setup.is_addressed();
-        let soft = Soft::default();
+        let room = key.as_ref().map_or(MAX_PLAIN_BYTES, Key::room);
         Outgoing {
             me,
             link,
             key,
+            room,
             setup,
             to_all: 0,
             direct: BTreeMap::new(),
             retransmitter: Retransmitter::default(),
-            soft,
+            soft: Soft::default(),
             data_sent: BTreeMap::new(),
             report_sent: None,
             report_due,
@@ -173,7 +176,7 @@ impl Outgoing {
         if self.key.is_none() && flags == 0 {
             return plain.clone();
         }
-        let mut bytes = Vec::with_capacity(plain.len() + MAX_FRAME_BYTES - MAX_PLAIN_BYTES);
+        let mut bytes = Vec::with_capacity(plain.len() + MAX_FRAME_BYTES - self.room);
         bytes.extend_from_slice(plain);
         bytes[FLAGS_AT] |= flags;
         if let Some(key) = &self.key {
@@ -200,7 +203,7 @@ impl Outgoing {
             return frame;
         }
         let mut bytes = frame.to_vec();
-        if !held.is_empty() && bytes.len() + BLOCK_BYTES + 4 * held.len() <= MAX_PLAIN_BYTES {
+        if !held.is_empty() && bytes.len() + BLOCK_BYTES + 4 * held.len() <= self.room {
             add(&mut bytes, Content::Held, |bytes| write_held(held, bytes));
         }
         self.piggyback(now, audience, &mut bytes, incoming);
@@ -212,9 +215,9 @@ impl Outgoing {
         let any = self.setup.piggyback == Piggyback::Any;
         // The loss that others report is only looked at where it matters: that takes a look at all of them.
         let twice = self.soft.has_heartbeat(audience) && self.is_sent_twice(now, audience, incoming);
-        self.soft.add_to(now, audience, bytes, twice);
+        self.soft.add_to(now, audience, Roomy { bytes, most: self.room }, twice);
         if any {
-            self.acks.add_to(bytes);
+            self.acks.add_to(bytes, self.room);
         }
         if audience == Audience::All && self.may_piggyback_report(now) {
             let (urgent, regular) = (self.urgent_due, self.report_due);
@@ -232,7 +235,7 @@ impl Outgoing {
             let audience = if self.setup.piggyback == Piggyback::Any { Audience::All } else { Audience::Host(host) };
             let mut bytes = codec::start(&self.header(audience, 0));
             match audience {
-                Audience::All => self.acks.add_to(&mut bytes),
+                Audience::All => self.acks.add_to(&mut bytes, self.room),
                 Audience::Host(host) => self.acks.add_for(host, &mut bytes),
             }
             self.send_alone(audience, bytes, counts, out);
@@ -252,7 +255,7 @@ impl Outgoing {
 
     /// Appends a report if it fits. An urgent one is only appended if it lists a host. Returns whether it was appended.
     fn report(&mut self, now: Time, bytes: &mut Vec<u8>, incoming: &mut Incoming, occasion: Occasion) -> bool {
-        let room = MAX_PLAIN_BYTES.saturating_sub(bytes.len() + BLOCK_BYTES);
+        let room = self.room.saturating_sub(bytes.len() + BLOCK_BYTES);
         let Some(mut report) = incoming.report(now, room, occasion) else { return false };
         if occasion == Occasion::Urgent && report.heard.is_empty() {
             return false;
@@ -270,7 +273,7 @@ impl Outgoing {
         self.report_pending = false;
         (self.report_sent, self.report_due) = (Some(now), Some(now + REPORT_PERIOD));
         let held = self.retransmitter.held(Audience::All);
-        if !held.is_empty() && bytes.len() + BLOCK_BYTES + 4 * held.len() <= MAX_PLAIN_BYTES {
+        if !held.is_empty() && bytes.len() + BLOCK_BYTES + 4 * held.len() <= self.room {
             add(bytes, Content::Held, |bytes| write_held(&held, bytes));
         }
         true

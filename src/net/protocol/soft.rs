@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::codec::{Frame, HEADER_BYTES, MAX_PLAIN_BYTES};
+use super::codec::{Frame, HEADER_BYTES};
 use super::retransmit::StreamId;
 use super::router::Audience;
 use crate::messages::ids::RobotId;
@@ -58,9 +58,9 @@ impl Repeats {
     }
 
     /// Appends what may leave at `now`, has the receivers `audience` and fits to a datagram.
-    fn add_to(&mut self, now: Time, audience: Audience, bytes: &mut Vec<u8>) {
+    fn add_to(&mut self, now: Time, audience: Audience, datagram: &mut Roomy) {
         let waits = |sent: Time| now.since(sent) < REPEAT_AFTER[0];
-        self.waiting.retain(|_, (sent, to, frame)| waits(*sent) || *to != audience || !append(frame, bytes));
+        self.waiting.retain(|_, (sent, to, frame)| waits(*sent) || *to != audience || !datagram.append(frame));
     }
 
     fn next(&mut self, now: Time) -> Option<(Audience, Frame)> {
@@ -69,14 +69,24 @@ impl Repeats {
     }
 }
 
-/// Appends the message in `frame` to a datagram if it fits. Returns whether it does.
-fn append(frame: &Frame, bytes: &mut Vec<u8>) -> bool {
-    let block = &frame[HEADER_BYTES..];
-    let fits = bytes.len() + block.len() <= MAX_PLAIN_BYTES;
-    if fits {
-        bytes.extend_from_slice(block);
+/// Datagram to which messages are appended, and its largest length \[bytes\].
+pub struct Roomy<'a> {
+    /// Bytes of the datagram so far.
+    pub bytes: &'a mut Vec<u8>,
+    /// Largest length of the datagram.
+    pub most: usize,
+}
+
+impl Roomy<'_> {
+    /// Appends the message in `frame` if it fits. Returns whether it does.
+    fn append(&mut self, frame: &Frame) -> bool {
+        let block = &frame[HEADER_BYTES..];
+        let fits = self.bytes.len() + block.len() <= self.most;
+        if fits {
+            self.bytes.extend_from_slice(block);
+        }
+        fits
     }
-    fits
 }
 
 impl Soft {
@@ -120,13 +130,13 @@ impl Soft {
         self.due.into_iter().chain(self.repeats.due()).min()
     }
 
-    /// Appends what has the receivers `audience` and fits to the datagram `bytes`, which leaves at `now`. `twice` says
-    /// whether heartbeats in it are to be retransmitted.
-    pub fn add_to(&mut self, now: Time, audience: Audience, bytes: &mut Vec<u8>, twice: bool) {
+    /// Appends what has the receivers `audience` and fits to the datagram, which leaves at `now`. `twice` says whether
+    /// heartbeats in it are to be retransmitted.
+    pub fn add_to(&mut self, now: Time, audience: Audience, mut datagram: Roomy, twice: bool) {
         let Soft { pending, repeats, .. } = self;
-        repeats.add_to(now, audience, bytes);
+        repeats.add_to(now, audience, &mut datagram);
         pending.retain(|stream, (to, frame)| {
-            let leaves = *to == audience && append(frame, bytes);
+            let leaves = *to == audience && datagram.append(frame);
             if leaves && twice {
                 repeats.note(now, *stream, audience, frame);
             }

@@ -8,12 +8,13 @@ use anyhow::{Context, Result};
 
 use crate::record::chosen;
 use murmurate::config::shown;
+use murmurate::net::protocol::key::Key;
 use murmurate_record::chosen::Chosen;
 use murmurate_record::identity::Identity;
 use murmurate_record::merge::{self, Merge, MergeError};
 use murmurate_robot::output::{print, talk};
 use murmurate_robot::temporary;
-use murmurate_robot::{Ended, bad};
+use murmurate_robot::{Ended, bad, key};
 
 /// Flags of `murmurate record merge`.
 #[derive(clap::Args)]
@@ -21,6 +22,9 @@ pub struct Args {
     /// Records of the hosts of one run, or their folder
     #[arg(required = true, value_name = "FILE|DIR")]
     records: Vec<PathBuf>,
+    /// File with the team's key, for records of a confidential team
+    #[arg(long, value_name = "FILE")]
+    key_file: Option<PathBuf>,
     /// The merged record
     #[arg(short, long, value_name = "FILE.mcap")]
     output: PathBuf,
@@ -37,7 +41,8 @@ pub fn run(args: &Args) -> Result<Ended> {
         return bad(format!("--output: '{}' is one of the records: name another file", args.output.display()));
     }
     let mut fresh = temporary::file_in(folder, 0o640).with_context(no_room)?;
-    let Merge { parts, alignment, whole } = into_file(records, fresh.as_file_mut())?;
+    let key = args.key_file.as_deref().map(key::read).transpose()?.map(|file| file.key().for_records());
+    let Merge { parts, alignment, whole } = into_file(records, key.as_ref(), fresh.as_file_mut())?;
     fresh.as_file().sync_all().with_context(no_room)?;
     fresh.persist(&args.output).map_err(|failed| failed.error).with_context(no_room)?;
     for part in &parts {
@@ -59,9 +64,9 @@ pub fn run(args: &Args) -> Result<Ended> {
 }
 
 /// Merges the records of the hosts of one run into the file `output`, and prints on stderr which are left out or
-/// damaged.
-pub fn into_file(records: Vec<(PathBuf, Identity)>, output: &mut File) -> Result<Merge> {
-    merge::merge(records, output, talk).map_err(|error| match error {
+/// damaged. What arrived encrypted is read with `key`.
+pub fn into_file(records: Vec<(PathBuf, Identity)>, key: Option<&Key>, output: &mut File) -> Result<Merge> {
+    merge::merge(records, key, output, talk).map_err(|error| match error {
         MergeError::Unusable(error) => chosen::wrong(error).into(),
         other => other.into(),
     })

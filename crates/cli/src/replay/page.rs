@@ -70,7 +70,7 @@ pub fn watch(args: &Args, registry: &Registry) -> Result<Ended> {
 fn read(args: &Args, registry: &Registry) -> Result<Shown> {
     let named = &args.records;
     let mut paths = first_files(named)?;
-    let of_team = args.key_file.as_deref().map(key::read).transpose()?.map(|file| file.key());
+    let of_team = args.key_file.as_deref().map(key::read).transpose()?.map(|file| file.key().for_records());
     let mut keys = Keys { of_team, ..Keys::default() };
     if paths.len() > 1 {
         let records = chosen::records(named)?.records;
@@ -82,7 +82,7 @@ fn read(args: &Args, registry: &Registry) -> Result<Shown> {
             return Ok(sights::read(only, &keys).map_err(wrong)?);
         }
         let mut merged = temporary::file_in(&std::env::temp_dir(), 0o600).context("cannot write a temporary file")?;
-        into_file(records, merged.as_file_mut())?;
+        into_file(records, keys.of_team.as_ref(), merged.as_file_mut())?;
         return Ok(sights::read(merged.path(), &keys).map_err(wrong)?);
     }
     let path = paths.remove(0);

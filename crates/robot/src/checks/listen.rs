@@ -162,6 +162,7 @@ fn open(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>]) -> Resu
     let mut identity = links::ProcessIdentity::draw()?;
     let file = team.key_file.as_deref().map(key::read).transpose()?;
     let key = file.map(|file| file.operator_key(team.number, &mut identity)).transpose()?;
+    let key = key.map(|key| key.confidential_if(team.confidential));
     let mut transports = Vec::new();
     for (at, place) in places.iter().enumerate() {
         let Some(place) = place else { continue };
@@ -312,7 +313,7 @@ fn phase_name(phase: Phase) -> &'static str {
 /// Returns warnings about datagrams that were refused because of a wrong key, another version of the wire format, or an
 /// invalid content: each indicates a mistake in the team's setup. Causes without a refused datagram give none.
 fn refusals(counts: &LinkCounts) -> Vec<Found> {
-    let unknown = counts.auth.saturating_sub(counts.other_key + counts.untagged + counts.keyed);
+    let unknown = counts.auth.saturating_sub(counts.other_key + counts.untagged + counts.keyed + counts.confidential);
     let compare = "compare the fingerprints that doctor shows on every host";
     let all = [
         (counts.other_key, "of this team with another key than the one here", compare),
@@ -321,6 +322,11 @@ fn refusals(counts: &LinkCounts) -> Vec<Found> {
             counts.keyed,
             "of this team with a key, and there is none here",
             "name the team's key by key_file or --key-file",
+        ),
+        (
+            counts.confidential,
+            "of this team that are encrypted, and those of this machine are not, or the reverse",
+            "give every host the same 'confidential' in the team file",
         ),
         (unknown, "with another key or none", compare),
         (counts.version, "of another version of the wire", "install one version of this program on all hosts"),
@@ -390,12 +396,13 @@ mod tests {
 
     #[test]
     fn refused_datagrams_are_warnings_by_their_cause() {
-        let counts = LinkCounts { auth: 7, other_key: 2, untagged: 4, malformed: 1, ..LinkCounts::default() };
+        let none = LinkCounts::default();
+        let counts = LinkCounts { auth: 8, other_key: 2, untagged: 4, confidential: 1, malformed: 1, ..none };
         let said: Vec<String> = refusals(&counts).into_iter().map(|(_, _, said, _)| said).collect();
-        assert_eq!(said.len(), 4, "{said:?}");
+        assert_eq!(said.len(), 5, "{said:?}");
         assert!(said[0].starts_with("2 datagrams of this team with another key"), "{said:?}");
         assert!(
-            said[2].starts_with("1 datagrams with another key or none"),
+            said[2].contains("encrypted") && said[3].starts_with("1 datagrams with another key or none"),
             "the rest of those without a tag: {said:?}"
         );
     }

@@ -39,7 +39,8 @@ fn check_key(team: &Team) -> Found {
                 if let (false, Err(error)) = (operator, file.check_host(team.number, (team.host, name))) {
                     return found(Fitness::Fail, error.to_string(), "");
                 }
-                let every = format!("fingerprint {print}, which every host of the team must have");
+                let encrypts = if team.confidential { "; datagrams are encrypted" } else { "" };
+                let every = format!("fingerprint {print}, which every host of the team must have{encrypts}");
                 match file.member() {
                     Some((_, name)) => {
                         found(Fitness::Ok, format!("{every}; it is that of '{name}', who can impersonate no other"), "")

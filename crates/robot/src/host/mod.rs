@@ -126,7 +126,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     if args.launched {
         team::leave_out_key_warning();
     }
-    let key = team::key(&team)?.map(|file| file.key());
+    let key = team::key(&team)?.map(|file| file.key().confidential_if(team.confidential));
     let policy = team::policy(&team, registry)?;
     let digest = policy.model.digest().to_owned();
     let trial = args.trial(registry, &team, policy.model)?;

@@ -78,7 +78,7 @@ impl StationProtocol for Linked {
         let admitted = self.state.admit(now, frame, &mut self.stream, &mut self.leaving);
         let mut heard = Vec::new();
         if let Some((header, plain)) = admitted {
-            for (content, body) in codec::blocks(plain).flatten() {
+            for (content, body) in codec::blocks(&plain).flatten() {
                 let Content::Message(kind) = content else { continue };
                 let Ok(message) = codec::message(kind, body) else { continue };
                 if self.state.accept(&header, &message)

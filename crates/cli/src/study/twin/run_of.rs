@@ -63,6 +63,10 @@ pub fn read(named: &[PathBuf], registry: &Registry) -> Result<Recorded> {
                 path.display()
             ));
         }
+        if log.traffic.is_encrypted() {
+            let record = path.display();
+            return bad(format!("what '{record}' has received is encrypted: give copies that 'record share' has made"));
+        }
         if !log.complete {
             notes.push(format!("'{}' was cut or is damaged: what is intact counts", path.display()));
         }

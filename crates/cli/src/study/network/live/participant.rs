@@ -124,7 +124,7 @@ fn wire(
     let identity = links::ProcessIdentity::draw().expect("the operating system gives random bytes");
     let end = HostEnd {
         me: network::Identity { host, team: participation.team.number, incarnation: identity.incarnation },
-        key: participation.key.map(Key::new),
+        key: participation.key.map(|key| Key::new(key).confidential_if(participation.team.confidential)),
         seed: identity.seed,
         links: vec![Some(linked::setup(task.case.addressing, task.case.reliability))],
         transports: vec![(LINK, open)],
