@@ -37,6 +37,7 @@ full-stop:
 # The safety filter under random and hostile policies: a million steps, 1000 episodes of each policy (5 minutes)
 full-safety:
     MURMURATE_FILTER_STEPS=1000000 MURMURATE_FILTER_EPISODES=1000 cargo test --release --test graph filter:: -- --nocapture
+    MURMURATE_LIAR_TRIALS=50 cargo test --release --test graph liars:: -- --nocapture
 
 # A hundred kills of processes under `launch`, each started again (8 minutes)
 full-kills:

@@ -7,6 +7,10 @@ use crate::messages::geometry::Vec2;
 use crate::random;
 use crate::random::Stream;
 
+/// Largest number of other robots that one robot keeps messages or readings of; far more than fit within any
+/// communication range.
+pub(crate) const MAX_NEIGHBOURS: usize = 256;
+
 /// Rule for how long a robot uses a received message of a neighbour: until it is too old, or for one control step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Handling {

@@ -332,8 +332,9 @@ impl Agent {
             Phase::Running => self.scenario.reached(&task, farther(own.position, task.goal, percept.deviation_m)),
             _ => (task.goal - own.position).norm() <= START_M,
         };
-        let known =
-            percept.heard.iter().map(|heard| OtherRobot { robot: heard.robot, motion: heard.motion, age: heard.age });
+        let said = percept.heard.iter().filter(|heard| !percept.measures(heard.robot));
+        let said = said.map(|heard| OtherRobot { robot: heard.robot, motion: heard.motion, age: heard.age });
+        let known = said.chain(percept.measured.iter().copied());
         let beside = companions.map(|other| OtherRobot { robot: other.robot, motion: other.motion, age: Span::ZERO });
         let near = |other: &OtherRobot| (other.motion.position - own.position).norm_squared() <= NEAR_M * NEAR_M;
         Some(Action {
@@ -459,7 +460,14 @@ mod tests {
 
     fn percept(robot: u16, x: f32, heard: Vec<NeighbourLatent>) -> In {
         let estimate = Motion { position: Vec2::new(x, -1.5), velocity: MEASURED };
-        In::Percept(Percept { robot: RobotId(robot), due: Time::ZERO, estimate, deviation_m: 0.0, heard })
+        In::Percept(Percept {
+            robot: RobotId(robot),
+            due: Time::ZERO,
+            estimate,
+            deviation_m: 0.0,
+            heard,
+            measured: Vec::new(),
+        })
     }
 
     fn speeds(out: &[Out]) -> Vec<(u16, f32)> {

@@ -1,21 +1,20 @@
 //! Cache: stores what one robot knows: its own estimate, and the newest latent of each neighbour within range.
 //!
 //! An arriving message only updates the Cache. At each tick of the robot's control period it sends a `Percept` to the
-//! Agent. Ages count from arrival, on this host's clock.
+//! Agent. Ages count from arrival, on this host's clock. Where a tracker measures the neighbours for the Cache, its
+//! witness holds what they say of their own motion against that.
 
 use std::collections::BTreeMap;
 
+use super::witness::{Finding, Witness};
 use crate::actor::Core;
 use crate::estimation::{self, Estimator};
-use crate::hearing::{CommRange, Handling};
+use crate::hearing::{CommRange, Handling, MAX_NEIGHBOURS};
 use crate::messages::ids::RobotId;
 use crate::messages::local::{NeighbourLatent, Percept};
 use crate::messages::wire::{Latent, Reading};
 use crate::random::Stream;
 use crate::time::{Span, Time};
-
-/// Largest number of neighbours whose latents a Cache stores; far more than fit within any communication range.
-pub(crate) const MAX_NEIGHBOURS: usize = 256;
 
 /// Input message of a Cache, the actor that stores one robot's readings and its neighbours' messages.
 #[derive(Clone, Debug)]
@@ -24,6 +23,8 @@ pub enum In {
     Reading(Reading),
     /// Latent (policy message) of another robot.
     Latent(Latent),
+    /// Reading of another robot, by a host other than that of its Agent.
+    Measured(Reading),
 }
 
 /// Configuration of a Cache, the actor that stores one robot's readings and its neighbours' messages.
@@ -48,6 +49,9 @@ pub struct Config {
     pub sensor_delay: Span,
     /// Largest age of the robot's newest reading. If it is older, the Cache sends no percept, so that the robot stops.
     pub own_age: Span,
+    /// Largest speed of the robots along each axis \[m/s\], by which readings of other robots are held against what
+    /// these say of themselves.
+    pub limit_m_s: f32,
 }
 
 /// Output message of a Cache, the actor that stores one robot's readings and its neighbours' messages.
@@ -57,6 +61,9 @@ pub enum Out {
     Percept(Percept),
     /// Notice to the robot's Controller that a new reading of the robot has arrived.
     Fresh,
+    /// Another robot whose latents contradict its readings, or no longer do, for the robot's Controller and the host's
+    /// Status.
+    Found(RobotId, Finding),
 }
 
 /// Cache of one robot: an actor that holds the robot's estimator and the newest latent of each neighbour, and sends
@@ -70,6 +77,7 @@ pub struct Cache {
     own: Option<(Time, u64)>,
     estimator: Box<dyn Estimator>,
     latents: BTreeMap<RobotId, (Time, Latent)>,
+    witness: Witness,
 }
 
 impl Cache {
@@ -78,7 +86,8 @@ impl Cache {
     pub fn new(config: Config, stream: Stream) -> Cache {
         let settings = estimation::Settings { delay: config.sensor_delay };
         let (next, estimator) = (Time::ZERO + config.phase, (config.estimator.make)(&settings));
-        Cache { config, stream, next, own: None, estimator, latents: BTreeMap::new() }
+        let witness = Witness::new(config.limit_m_s);
+        Cache { config, stream, next, own: None, estimator, latents: BTreeMap::new(), witness }
     }
 
     fn perceive(&self, now: Time) -> Option<Percept> {
@@ -91,13 +100,43 @@ impl Cache {
             robot: latent.robot,
             round: latent.round,
             phase: latent.phase,
-            motion: latent.motion,
+            motion: self.witness.believed(now, latent.robot, (*arrived, latent.motion)),
             features: latent.features.clone(),
             age: now.since(*arrived),
         });
         let robot = self.config.robot;
         let deviation_m = self.estimator.deviation_m(now);
-        Some(Percept { robot, due: self.next, estimate, deviation_m, heard: heard.collect() })
+        let measured = self.witness.obstacles(now);
+        Some(Percept { robot, due: self.next, estimate, deviation_m, heard: heard.collect(), measured })
+    }
+
+    fn hear(&mut self, now: Time, latent: Latent, out: &mut Vec<Out>) {
+        let robot = latent.robot;
+        if robot == self.config.robot {
+            return;
+        }
+        if let Some((found, distance_m)) = self.witness.heard(now, robot, latent.motion) {
+            report(robot, found, distance_m);
+            out.push(Out::Found(robot, found));
+        }
+        let Some(own) = self.estimator.at(now) else { return };
+        let motion = self.witness.believed(now, robot, (now, latent.motion));
+        let near = self.config.range.admits(own.position, motion.position, &mut self.stream);
+        let room = self.latents.len() < MAX_NEIGHBOURS || self.latents.contains_key(&robot);
+        if near && room {
+            self.latents.insert(robot, (now, latent));
+        }
+    }
+}
+
+/// Logs a change of what is thought of a robot that says it is `distance_m` \[m\] from where it is measured.
+fn report(robot: RobotId, found: Finding, distance_m: f32) {
+    match found {
+        Finding::Suspect => tracing::error!(
+            "{robot} says that it is {distance_m:.2} m from where it is measured; where it is measured counts: check \
+             {robot}, its host and its key"
+        ),
+        Finding::Cleared => tracing::warn!("{robot} is again where it says it is"),
     }
 }
 
@@ -116,14 +155,8 @@ impl Core for Cache {
                     out.push(Out::Fresh);
                 }
             }
-            In::Latent(latent) => {
-                let Some(own) = self.estimator.at(now) else { return };
-                let near = self.config.range.admits(own.position, latent.motion.position, &mut self.stream);
-                let room = self.latents.len() < MAX_NEIGHBOURS || self.latents.contains_key(&latent.robot);
-                if near && room && latent.robot != self.config.robot {
-                    self.latents.insert(latent.robot, (now, latent));
-                }
-            }
+            In::Latent(latent) => self.hear(now, latent, out),
+            In::Measured(reading) => self.witness.measured(now, &reading),
         }
     }
 
@@ -173,6 +206,7 @@ mod tests {
             estimator: estimation::REGISTRY[0],
             sensor_delay: Span::ZERO,
             own_age: Span::from_millis(100),
+            limit_m_s: 1.5,
         };
         Cache::new(config, Seed::of_run(0).stream("cache"))
     }

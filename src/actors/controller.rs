@@ -34,6 +34,8 @@ pub enum In {
     Permit(Permit),
     /// Whether the robot's pose is known to the host that measures it.
     Located(Whereabouts),
+    /// The messages of another robot have begun to contradict the tracker.
+    Suspect,
     /// The Controller's host is shutting down; the Controller stops the robot for good.
     Leave,
 }
@@ -209,6 +211,7 @@ impl Core for Controller {
                     self.give_up(out);
                 }
             }
+            In::Suspect => self.guard.suspect(),
             In::Leave => {
                 self.leaves = true;
                 self.give_up(out);
@@ -463,6 +466,7 @@ mod tests {
             estimator: estimation::REGISTRY[0],
             sensor_delay: Span::ZERO,
             own_age: Span::from_millis(100),
+            limit_m_s: 1.5,
         };
         let mut cache = Cache::new(config, Seed::of_run(0).stream("cache"));
         let (safety, half_extent, clamp) = (Safety::deployed(), Vec2::new(2.0, 3.0), Clamp::Training);
@@ -493,6 +497,7 @@ mod tests {
             for known in known {
                 let input = match known {
                     cache::Out::Fresh => In::Fresh,
+                    cache::Out::Found(..) => In::Suspect,
                     cache::Out::Percept(percept) => In::Action(Action {
                         robot,
                         round,

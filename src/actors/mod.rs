@@ -19,4 +19,5 @@ pub(crate) mod roster;
 pub(crate) mod state_server;
 pub(crate) mod status;
 pub mod wiggle;
+pub(crate) mod witness;
 pub(crate) mod world;

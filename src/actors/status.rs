@@ -6,6 +6,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use super::witness::Finding;
 use crate::actor::Core;
 use crate::messages::geometry::Pose;
 use crate::messages::ids::{HostId, RobotId};
@@ -63,6 +64,8 @@ pub enum In {
     Condition(RobotId, Hardware),
     /// Numbers of times that the guard of a robot whose agent runs on this host has stopped or slowed it.
     Guard(RobotId, SafetyCounts),
+    /// What a robot whose agent runs on this host has found of another one, by a tracker.
+    Found(RobotId, (RobotId, Finding)),
     /// A latent of this robot has arrived for the agents of this host.
     Latent(RobotId),
     /// Message of an observer, which asks for telemetry.
@@ -93,6 +96,8 @@ struct RobotTelemetry {
     phase: Option<Phase>,
     hardware: Option<Hardware>,
     guard: Option<(SafetyCounts, Option<Trigger>)>,
+    /// Other robots whose latents contradict the tracker.
+    suspects: BTreeSet<RobotId>,
     /// Time at which the reason of its fault was last sent; `None` if never.
     reason_sent: Option<Time>,
 }
@@ -172,7 +177,7 @@ impl Status {
         let places = (0..count.min(ROBOTS_PER_MESSAGE)).map(move |nth| (first + nth) % count);
         let explained = self.explain(now, places.clone());
         let condition = |place: usize| {
-            let RobotTelemetry { seen, phase, ref hardware, guard, .. } = self.telemetry[place];
+            let RobotTelemetry { seen, phase, ref hardware, guard, ref suspects, .. } = self.telemetry[place];
             let (robot, hardware) = (self.robots[place], hardware.as_ref());
             let (decides, (counts, last)) = (self.controllers.contains_key(&robot), guard.unwrap_or_default());
             let age_ms = |at: Time| u32::try_from(now.since(at).as_nanos() / 1_000_000).unwrap_or(u32::MAX);
@@ -190,6 +195,7 @@ impl Status {
                     last,
                 }),
                 link_age_ms: self.link_age_ms(now, robot).filter(|_| decides),
+                suspect: suspects.first().copied(),
             }
         };
         let robots: Vec<Condition> = places.map(condition).collect();
@@ -277,6 +283,12 @@ impl Core for Status {
             In::Guard(robot, counts) => self.update(robot, |telemetry| {
                 let (before, last) = telemetry.guard.unwrap_or_default();
                 telemetry.guard = Some((counts, counts.begun_since(&before).last().or(last)));
+            }),
+            In::Found(robot, (other, found)) => self.update(robot, |telemetry| {
+                match found {
+                    Finding::Suspect => telemetry.suspects.insert(other),
+                    Finding::Cleared => telemetry.suspects.remove(&other),
+                };
             }),
             In::Latent(robot) => {
                 self.latents.insert(robot, now);
@@ -382,6 +394,26 @@ mod tests {
         let unknown = &told[0].1[0];
         assert_eq!((unknown.phase, unknown.seen, unknown.health), (None, None, None), "unknown values stay unknown");
         assert_eq!((told[1].1[0].health, told[1].1[0].battery), (Some(Health::Faulty), Some(12)));
+    }
+
+    #[test]
+    fn telemetry_names_a_robot_that_is_suspected_until_it_is_cleared() {
+        let mut status = host(1);
+        handle(&mut status, 0, In::Controller(RobotId(0), Latch::default()));
+        handle(&mut status, 0, In::Observe);
+        let mut told = |found: Option<(u16, Finding)>| {
+            let (due, out) = woken(&mut status);
+            let Some(Out::Telemetry(telemetry)) = out.first() else { panic!("{out:?}") };
+            let suspect = telemetry.robots[0].suspect;
+            if let Some((robot, found)) = found {
+                status.handle(due, In::Found(RobotId(0), (RobotId(robot), found)), &mut Vec::new());
+            }
+            suspect.map(|robot| robot.0)
+        };
+        assert_eq!(told(Some((4, Finding::Suspect))), None);
+        assert_eq!(told(Some((3, Finding::Suspect))), Some(4));
+        assert_eq!(told(Some((3, Finding::Cleared))), Some(3), "the first of two");
+        assert_eq!((told(Some((4, Finding::Cleared))), told(None)), (Some(4), None));
     }
 
     #[test]

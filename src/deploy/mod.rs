@@ -28,6 +28,7 @@ use crate::messages::ids::RobotId;
 use crate::messages::wire::{KINDS, Kind};
 use crate::net::media::radio::{Radio, Topology};
 use crate::net::protocol::reliability::Reliabilities;
+use crate::safety::Switch;
 use crate::world::{self, Placement};
 
 /// Rule for the times, within the control period, at which Agents run their policies.
@@ -163,6 +164,10 @@ pub struct Deployment {
     /// Radius of the hull of all robots \[m\]; `None` for that of the paper's robots, 0.16 m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hull_m: Option<f32>,
+    /// Whether readings of every robot go to all hosts with Agents, which hold what the robot says of itself against
+    /// them and avoid it where it is measured. Of a robot that the host of its own Agent measures they do not.
+    #[serde(default = "off", skip_serializing_if = "is_off")]
+    pub witness: Switch,
     /// Chassis and hardware limits of all robots, unless `bodies` overrides them.
     #[serde(default, skip_serializing_if = "chassis::Settings::is_empty")]
     pub body: chassis::Settings,
@@ -175,6 +180,14 @@ pub struct Deployment {
     /// Links between the hosts; the index of a link is its id.
     #[serde(default, rename = "link", skip_serializing_if = "Vec::is_empty")]
     pub links: Vec<Link>,
+}
+
+fn off() -> Switch {
+    Switch::Off
+}
+
+fn is_off(switch: &Switch) -> bool {
+    *switch == Switch::Off
 }
 
 fn kinematic() -> String {
@@ -248,9 +261,20 @@ impl Deployment {
         if servers != 1 {
             return wrong("host.state_server", format!("{servers} hosts run a state server; exactly one must"));
         }
+        self.check_witness()?;
         self.links.iter().try_for_each(Link::check)?;
         self.links.iter().try_for_each(Link::check_radio)?;
         self.check_ways()
+    }
+
+    /// Checks that a witness has something to witness.
+    fn check_witness(&self) -> Result<(), ConfigError> {
+        let witnesses = |routes: Routes| RobotId::team(self.robots).any(|robot| routes.is_witnessed(robot));
+        if self.witness == Switch::On && !witnesses(Routes::of(self)) {
+            let reason = "no robot is measured by another host than that of its agent; set it to \"off\"";
+            return Err(ConfigError::field("witness", reason.to_owned()));
+        }
+        Ok(())
     }
 
     /// Checks that names of hosts and links are unique and not empty.
@@ -380,6 +404,7 @@ impl Deployment {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::messages::ids::HostId;
 
     #[test]
     fn every_preset_is_sound_and_survives_toml() {
@@ -425,6 +450,28 @@ mod tests {
         assert!(error(|d| d.hosts[1].name.clear()).starts_with("host.name"));
         assert!(error(|d| d.links[1].carries.push(Kind::Status)).contains("goes where 'stop' goes"));
         assert!(error(|d| d.links[0].impairs.push(Kind::Mode)).starts_with("link.impairs"));
+    }
+
+    #[test]
+    fn readings_go_to_all_agents_only_with_a_witness_and_only_of_robots_that_another_host_measures() {
+        let mut deployment = Deployment::preset("onboard-infra", 3).unwrap();
+        let readers = |deployment: &Deployment, robot: u16| -> Vec<u16> {
+            let routes = Routes::of(deployment);
+            (0..4).filter(|host| routes.router(HostId(*host)).route(Kind::Reading, RobotId(robot)).local).collect()
+        };
+        assert_eq!(readers(&deployment, 1), [1]);
+        assert!(!deployment.to_toml().contains("witness"));
+        deployment.witness = Switch::On;
+        assert_eq!((deployment.check(), readers(&deployment, 1)), (Ok(()), vec![0, 1, 2]));
+        assert_eq!(Deployment::from_toml(&deployment.to_toml()), Ok(deployment.clone()));
+        deployment.hosts[3].simulates = vec![0, 2];
+        deployment.hosts[1].simulates = vec![1];
+        // The World of the others needs its readings, and so does the judge.
+        assert_eq!(readers(&deployment, 1), [1, 3], "a host is no witness of a robot that it measures itself");
+        assert_eq!(readers(&deployment, 2), [0, 1, 2, 3]);
+        let mut alone = Deployment::preset("sim", 3).unwrap();
+        alone.witness = Switch::On;
+        assert!(alone.check().unwrap_err().to_string().starts_with("witness: no robot is measured"));
     }
 
     #[test]

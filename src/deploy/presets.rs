@@ -4,6 +4,7 @@ use super::{Deployment, Host, Link, LinkMedium, Stepping, kinematic};
 use crate::messages::ids::RobotId;
 use crate::messages::wire::Kind;
 use crate::net::protocol::reliability::Reliabilities;
+use crate::safety::Switch;
 use crate::world::Placement;
 
 /// Names of the preset deployment modes.
@@ -34,10 +35,7 @@ impl Deployment {
         };
         let world = Host { simulates: everyone.clone(), ..host("world") };
         let world_and_server = Host { state_server: true, ..world.clone() };
-        let and = |mut hosts: Vec<Host>, last: Host| {
-            hosts.push(last);
-            hosts
-        };
+        let and = |hosts: Vec<Host>, last: Host| -> Vec<Host> { hosts.into_iter().chain([last]).collect() };
         let (hosts, links) = match mode {
             "sim" => (vec![Host { agents: vec![everyone.clone()], ..world_and_server }], Vec::new()),
             "centralized" => (
@@ -77,6 +75,7 @@ impl Deployment {
             gap_m: None,
             scale: None,
             hull_m: None,
+            witness: Switch::Off,
             hosts,
             links,
         })

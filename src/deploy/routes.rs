@@ -8,6 +8,7 @@ use super::Deployment;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{KINDS, Kind, Publisher, Receiver};
 use crate::net::protocol::router::{Audience, Publishers, Route, Router};
+use crate::safety::Switch;
 
 /// For all actors of a checked deployment, the hosts on which they run; for all messages, the hosts and links between
 /// which they go.
@@ -24,6 +25,8 @@ pub struct Routes {
     world_host: Vec<Option<HostId>>,
     /// For each robot: hosts that receive its readings, sorted by id.
     reading_hosts: Vec<Vec<HostId>>,
+    /// Whether what robots say of themselves is held against the readings of them.
+    witness: Switch,
     server_host: HostId,
     /// For each host: robots whose Agents it runs, or which it drives or measures.
     robots_of: Vec<Vec<RobotId>>,
@@ -136,13 +139,20 @@ impl Routes {
         let judge = deployment.judge_of_readings();
         let simulates = |host: &usize| !deployment.hosts[*host].simulates.is_empty();
         let worlds: Vec<HostId> = (0..deployment.hosts.len()).filter(simulates).map(|at| HostId(number(at))).collect();
+        let agent_hosts = hosts(&agent_host, &[]);
+        let reading_hosts = |at: usize| {
+            let readers = readers(agent_host[at], actuator_host[at], world_host[at], &worlds);
+            // A host that measures its own robot is no witness of it: it would say the same twice.
+            let witnesses = deployment.witness == Switch::On && localizer_host[at] != agent_host[at];
+            let witnesses = agent_hosts.iter().filter(|_| witnesses).copied();
+            hosts(&readers, &judge.into_iter().chain(witnesses).collect::<Vec<_>>())
+        };
         Routes {
             robots: deployment.robots,
             agent_robots,
             server_host,
             robots_of,
             agent_counts: deployment.hosts.iter().map(|host| host.agents.iter().map(Vec::len).sum()).collect(),
-            agent_hosts: hosts(&agent_host, &[]),
             mode_hosts: (0..deployment.hosts.len()).filter_map(|host| u16::try_from(host).ok()).map(HostId).collect(),
             // All hosts that move robots, and the state server's.
             stop_hosts: hosts(&hosts(&agent_host, &actuator_host), &[server_host]),
@@ -155,9 +165,9 @@ impl Routes {
                 server: server_host,
             }),
             links: KINDS.iter().map(|&kind| link_of(kind).map(|index| LinkId(number(index)))).collect(),
-            reading_hosts: (0..deployment.robots)
-                .map(|at| hosts(&readers(agent_host[at], actuator_host[at], world_host[at], &worlds), judge.as_slice()))
-                .collect(),
+            reading_hosts: (0..deployment.robots).map(reading_hosts).collect(),
+            witness: deployment.witness,
+            agent_hosts,
             agent_host,
             actuator_host,
             localizer_host,
@@ -207,6 +217,12 @@ impl Routes {
     /// Returns the host whose Localizer publishes the robot's readings.
     pub(crate) fn localizer_host(&self, robot: RobotId) -> HostId {
         self.localizer_host[robot.index()]
+    }
+
+    /// Returns whether what the robot says of itself is held against its readings: another host than that of its Agent
+    /// measures it, and the deployment has a witness.
+    pub(crate) fn is_witnessed(&self, robot: RobotId) -> bool {
+        self.witness == Switch::On && self.localizer_host(robot) != self.agent_host(robot)
     }
 
     /// Returns the host whose World simulates the robot; `None` for a real robot.
@@ -272,7 +288,11 @@ impl Routes {
     /// Returns the routing table of a host: for each kind of message and robot, whether the host receives it and on
     /// which link it sends it.
     pub fn router(&self, host: HostId) -> Router {
-        let router = Router::of(self.robots, self.robots_of[usize::from(host.0)].clone(), |kind, robot| {
+        // With a witness, readings of others arrive here, but those of robots without one do not.
+        let alone = |robot: &RobotId| self.witness == Switch::On && !self.is_witnessed(*robot);
+        let apart = self.robots_of(usize::from(host.0)).iter().copied();
+        let apart = apart.chain(RobotId::team(self.robots).filter(alone)).collect();
+        let router = Router::of(self.robots, apart, |kind, robot| {
             let receivers = self.receivers(kind, robot);
             let local = receivers.has(host);
             let mut others = receivers.iter().filter(|&taker| taker != host);

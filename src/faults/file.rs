@@ -11,7 +11,7 @@
 //!
 //! [[link]]
 //! link = "ad-hoc"
-//! fault = "drop"           # drop, delay, duplicate, reorder, corrupt, partition
+//! fault = "drop"           # drop, delay, duplicate, reorder, corrupt, partition, misplace
 //! share = 0.5              # fraction of the frames that are affected
 //! from_s = 2.0             # times as at_s
 //! until_s = 6.0
@@ -21,6 +21,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::{self, ConfigError};
 use crate::faults::{ActorFault, ActorFaultKind, FaultPlan, LinkFault, LinkFaultKind, Role};
+use crate::messages::geometry::{Planar, Vec2, is_sound};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::Kind;
 use crate::time::{Span, Time};
@@ -62,6 +63,8 @@ struct LinkEntry {
     kinds: Vec<Kind>,
     #[serde(default)]
     hosts: Vec<u16>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    off_m: Option<[f32; 2]>,
     #[serde(default = "all_frames")]
     share: f64,
     #[serde(default)]
@@ -102,6 +105,7 @@ impl FaultPlan {
             fault: fault.kind,
             kinds: fault.kinds.clone(),
             hosts: fault.hosts.iter().map(|host| host.0).collect(),
+            off_m: (fault.kind == LinkFaultKind::Misplace).then(|| fault.off_m.to_array()),
             share: fault.share,
             by_s: fault.by.as_secs(),
             episode: fault.episode,
@@ -159,6 +163,11 @@ impl LinkEntry {
             let reason = "delayed or reordered frames need a delay; give seconds above 0".to_owned();
             return Err(ConfigError::field(field("by_s"), reason));
         }
+        let off_m = Vec2::from(self.off_m.unwrap_or_default());
+        if self.fault == LinkFaultKind::Misplace && (!is_sound(off_m) || off_m == Vec2::zeros()) {
+            let reason = "misplaced latents need a distance along x and y; give metres, such as [2.0, 0.0]".to_owned();
+            return Err(ConfigError::field(field("off_m"), reason));
+        }
         let (from, until) = (seconds(field("from_s"), self.from_s)?, seconds(field("until_s"), self.until_s)?);
         if until <= from {
             let reason = "the fault ends before it begins".to_owned();
@@ -169,6 +178,7 @@ impl LinkEntry {
             kind: self.fault,
             kinds: self.kinds,
             hosts: self.hosts.into_iter().map(HostId).collect(),
+            off_m,
             share: self.share,
             by: duration(field("by_s"), self.by_s, LONGEST_DELAY_S)?,
             from: Time::ZERO + from,
@@ -199,6 +209,15 @@ mod tests {
     }
 
     #[test]
+    fn a_plan_with_liars_survives_toml() {
+        let text = "[[link]]\nlink = \"infra\"\nfault = \"misplace\"\nhosts = [1]\noff_m = [2.0, -0.5]\nfrom_s = 0.0\n\
+                    until_s = 9.0\n";
+        let plan = FaultPlan::from_toml(text).unwrap();
+        assert_eq!((plan.links[0].off_m, &plan.links[0].hosts[..]), (Vec2::new(2.0, -0.5), &[HostId(1)][..]));
+        assert_eq!(FaultPlan::from_toml(&plan.to_toml()).unwrap(), plan);
+    }
+
+    #[test]
     fn an_error_in_a_plan_names_its_field() {
         let read = |text: &str| FaultPlan::from_toml(text).and_then(|plan| plan.check(&targets()).map(|()| plan));
         let error = |text: &str| read(text).unwrap_err().to_string();
@@ -218,5 +237,7 @@ mod tests {
         assert!(error(&format!("{link}share = 2.0\n")).contains("link[0].share"));
         assert!(error(&link.replace("drop", "partition")).contains("link[0].hosts"));
         assert!(error(&link.replace("2.0", "0.5")).contains("link[0].until_s"));
+        assert!(error(&link.replace("drop", "misplace")).contains("link[0].off_m"));
+        assert!(error(&format!("{}off_m = [0.0, nan]\n", link.replace("drop", "misplace"))).contains("link[0].off_m"));
     }
 }

@@ -11,6 +11,7 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use crate::config::ConfigError;
+use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::Kind;
 use crate::random::Seed;
@@ -87,6 +88,8 @@ pub enum LinkFaultKind {
     Corrupt,
     /// Frames between the hosts that the fault names and all other hosts are lost.
     Partition,
+    /// The positions that senders of latents say are moved by `off_m`, as captured hosts might move them.
+    Misplace,
 }
 
 /// One planned fault of one link between hosts, such as loss of frames, with its time.
@@ -98,8 +101,11 @@ pub struct LinkFault {
     pub kind: LinkFaultKind,
     /// Kinds of messages of which the frames are affected; an empty list means all kinds.
     pub kinds: Vec<Kind>,
-    /// Hosts on one side of a partition; used only by faults of kind `Partition`.
+    /// Hosts on one side of a partition, or senders of misplaced latents, for which an empty list means all; used only
+    /// by faults of kind `Partition` and `Misplace`.
     pub hosts: Vec<HostId>,
+    /// Vector by which faults of kind `Misplace` move positions \[m\]; unused otherwise.
+    pub off_m: Vec2,
     /// Probability, 0 to 1, that a frame sent during the fault is affected.
     pub share: f64,
     /// Additional delay of affected frames: the exact delay for kind `Delay`, the maximum for `Reorder`, unused
@@ -123,6 +129,7 @@ impl LinkFault {
             kind: LinkFaultKind::Drop,
             kinds: Vec::new(),
             hosts: Vec::new(),
+            off_m: Vec2::zeros(),
             share: 1.0,
             by: Span::ZERO,
             from: Time::ZERO,
@@ -140,9 +147,14 @@ impl LinkFault {
         };
         let elapsed = Time::ZERO + now.since(origin);
         let divides = self.hosts.contains(&ends.0) != self.hosts.contains(&ends.1);
+        let says = kind == Kind::Latent && (self.hosts.is_empty() || self.hosts.contains(&ends.0));
         (self.from <= elapsed && elapsed < self.until)
             && (self.kinds.is_empty() || self.kinds.contains(&kind))
-            && (self.kind != LinkFaultKind::Partition || divides)
+            && match self.kind {
+                LinkFaultKind::Partition => divides,
+                LinkFaultKind::Misplace => says,
+                _ => true,
+            }
     }
 }
 

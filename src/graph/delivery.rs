@@ -56,6 +56,8 @@ struct Delivery {
     simulated: BTreeSet<RobotId>,
     /// Real robots whose Bodies the host runs.
     real: BTreeSet<RobotId>,
+    /// Robots whose readings hold what they say of themselves against.
+    witnessed: BTreeSet<RobotId>,
     /// One entry per agent: its robots, and their caches.
     hearers: Vec<(Vec<RobotId>, Vec<Mailbox<cache::In>>)>,
     /// Mailboxes of all robots' actors, indexed by robot.
@@ -115,6 +117,9 @@ impl Delivery {
             }
             self.caches[m.robot.index()].send(cache::In::Reading(m.clone()));
         }
+        if self.witnessed.contains(&m.robot) {
+            self.hearers_of(m.robot).for_each(|cache| cache.send(cache::In::Measured(m.clone())));
+        }
         if !self.simulated.contains(&m.robot) {
             self.team.world.iter().for_each(|world| world.send(world::In::Reading(m.clone())));
         }
@@ -124,9 +129,13 @@ impl Delivery {
         if self.observed.get() && !self.decided.is_empty() {
             self.team.status.send(status::In::Latent(m.robot));
         }
-        for (_, caches) in self.hearers.iter().filter(|(robots, _)| robots.binary_search(&m.robot).is_err()) {
-            caches.iter().for_each(|cache| cache.send(cache::In::Latent(m.clone())));
-        }
+        self.hearers_of(m.robot).for_each(|cache| cache.send(cache::In::Latent(m.clone())));
+    }
+
+    /// Returns the Caches of the robots of this host that another Agent than that of `robot` drives.
+    fn hearers_of(&self, robot: RobotId) -> impl Iterator<Item = &Mailbox<cache::In>> {
+        let others = self.hearers.iter().filter(move |(robots, _)| robots.binary_search(&robot).is_err());
+        others.flat_map(|(_, caches)| caches)
     }
 
     fn located(&self, m: Located) {
@@ -157,6 +166,7 @@ pub(super) fn deliveries(
         decided: agents.iter().copied().collect(),
         simulated: simulated.iter().copied().collect(),
         real: driven.iter().copied().filter(|robot| !simulated.contains(robot)).collect(),
+        witnessed: RobotId::team(graph.bodies.len()).filter(|robot| graph.routes.is_witnessed(*robot)).collect(),
         hearers: firsts.iter().map(team_of).map(|robots| (robots.clone(), caches_of(&robots))).collect(),
         caches: graph.caches.clone(),
         controllers: graph.controllers.clone(),

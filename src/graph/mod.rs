@@ -27,6 +27,7 @@ use crate::actors::controller::{self, Controller};
 use crate::actors::network;
 use crate::actors::recorder::{self, Recorder};
 use crate::actors::status;
+use crate::actors::witness::Finding;
 use crate::chassis::Chassis;
 use crate::deploy::{Routes, Stepping};
 use crate::graph::delivery::{deliveries, wire_server, wire_status};
@@ -180,8 +181,7 @@ fn guard_config(trial: &Trial, robot: RobotId, chassis: &[Chassis]) -> filter::S
 /// Starts Cache and Controller of one robot, and its Agent if the robot is the first of that Agent. `chassis` has one
 /// entry for each robot of the team.
 fn wire_robot(clock: &Clock, trial: &Rc<Trial>, graph: &Graph, robot: RobotId, chassis: &[Chassis]) {
-    let at = robot.index();
-    let (id, seed) = (robot.0, trial.streams());
+    let (at, id, seed) = (robot.index(), robot.0, trial.streams());
     let first = graph.routes.agent_robots(robot)[0];
     let interface = trial.model.interface();
     let home = graph.network_of(graph.routes.agent_host(robot));
@@ -197,12 +197,14 @@ fn wire_robot(clock: &Clock, trial: &Rc<Trial>, graph: &Graph, robot: RobotId, c
         estimator: trial.estimator,
         sensor_delay: trial.reading_delay(),
         own_age: Span::from_secs(trial.safety.own_state_s),
+        limit_m_s: interface.limit_m_s,
     };
     let make = move |incarnation| Cache::new(config, seed.stream(&format!("cache/{id}/range/{incarnation}")));
     let (agent, controller) = (graph.agents[at].clone(), graph.controllers[at].clone());
     let watched = trial.safety.own_state == Switch::On;
     let (events, observed) = (Rc::clone(&graph.events), trial.steps.kept());
     let host = graph.routes.agent_host(robot);
+    let status = graph.status_of(host);
     start(clock, &graph.caches[at], info_span!("cache", robot = id), make, move |out| match out {
         cache::Out::Percept(percept) => {
             if observed {
@@ -214,6 +216,12 @@ fn wire_robot(clock: &Clock, trial: &Rc<Trial>, graph: &Graph, robot: RobotId, c
         // Not sent if the age of own state is not checked: it would be a fifth of all messages.
         cache::Out::Fresh if watched => controller.send(controller::In::Fresh),
         cache::Out::Fresh => {}
+        cache::Out::Found(other, found) => {
+            if found == Finding::Suspect {
+                controller.send(controller::In::Suspect);
+            }
+            status.send(status::In::Found(robot, (other, found)));
+        }
     });
 
     if first == robot {

@@ -21,6 +21,16 @@ pub struct Percept {
     pub(crate) deviation_m: f32,
     /// Newest messages of the neighbours, as far as the policy may still use them, in the order of robot ids.
     pub(crate) heard: Vec<NeighbourLatent>,
+    /// Motions of other robots that take the place of those in their messages for avoidance, as a tracker measures
+    /// them; in the order of robot ids, and several of one robot whose place is in doubt. Empty without a witness.
+    pub(crate) measured: Vec<OtherRobot>,
+}
+
+impl Percept {
+    /// Returns whether `measured` has the motion of this robot.
+    pub(crate) fn measures(&self, robot: RobotId) -> bool {
+        self.measured.binary_search_by_key(&robot, |other| other.robot).is_ok()
+    }
 }
 
 /// Newest latent (policy message with the sender's motion) of one neighbour, as stored by a robot's Cache.
@@ -32,7 +42,8 @@ pub(crate) struct NeighbourLatent {
     pub(crate) round: Round,
     /// Phase of the episode in which the neighbour computed the latent.
     pub(crate) phase: Phase,
-    /// The neighbour's estimate of its own position and velocity when it sent the latent, world frame.
+    /// The neighbour's estimate of its own position and velocity when it sent the latent, or its measured ones where a
+    /// tracker measures it for this host; world frame.
     pub(crate) motion: Motion,
     /// Numbers from the neighbour's policy, such as the encoder's output of a graph neural network.
     pub(crate) features: Features,
@@ -49,7 +60,8 @@ pub(crate) const NEAR_M: f32 = 5.0;
 pub struct OtherRobot {
     /// Number of the other robot.
     pub robot: RobotId,
-    /// The other robot's last received estimate of its own position and velocity, world frame.
+    /// The other robot's last received estimate of its own position and velocity, or a measurement of them, world
+    /// frame.
     pub motion: Motion,
     /// Time since the estimate arrived at this host.
     pub age: Span,
@@ -79,7 +91,8 @@ pub struct Action {
     pub velocity: Vec2,
     /// Estimated position and velocity of the robot in the world frame, from which the action was computed.
     pub estimate: Motion,
-    /// Last known motions of the other robots that are within `NEAR_M` (5 m) of this robot.
+    /// Last known motions of the other robots that are within `NEAR_M` (5 m) of this robot; several of one robot whose
+    /// place is in doubt.
     pub others: Vec<OtherRobot>,
     /// Whether the robot has reached its target: its start position in a reset, its goal in an episode.
     pub progress: Progress,

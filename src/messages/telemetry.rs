@@ -73,6 +73,10 @@ pub struct Condition {
     /// and from other hosts.
     #[serde(default)]
     pub link_age_ms: Option<u16>,
+    /// Another robot whose latents contradict the tracker, as the host of this robot's agent finds; the first of
+    /// several. `None` if there is none, without a tracker, and from other hosts. Each message gives at most two.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub suspect: Option<RobotId>,
 }
 
 /// Conditions (such as phase, pose and battery) of the robots of one host, for observers, which are processes that
@@ -97,6 +101,8 @@ impl Telemetry {
 
 /// Largest number of robots in one [`Telemetry`] message: 24 x 41 bytes and one reason fit into one datagram.
 pub const MAX_CONDITIONS: usize = 24;
+/// Largest number of robots in one [`Telemetry`] message whose hosts suspect another: hosts tell of two at once.
+const MAX_SUSPECTS: usize = 2;
 
 impl Body for Observe {
     fn author(&self) -> Option<HostId> {
@@ -110,12 +116,13 @@ impl Body for Telemetry {
     }
 
     fn check(&self) -> Result<(), Unfit> {
+        let suspects = self.robots.iter().filter(|robot| robot.suspect.is_some()).count();
         let reasons = self.robots.iter().filter(|robot| robot.reason.is_some()).count();
         match () {
             () if !self.robots.iter().filter_map(|robot| robot.seen).all(|seen| seen.pose.is_sound()) => {
                 Err(Unfit::Number)
             }
-            () if self.robots.len() > MAX_CONDITIONS || reasons > 1 => Err(Unfit::Length),
+            () if self.robots.len() > MAX_CONDITIONS || reasons > 1 || suspects > MAX_SUSPECTS => Err(Unfit::Length),
             () => Ok(()),
         }
     }
@@ -124,10 +131,11 @@ impl Body for Telemetry {
         Some(self.host)
     }
 
-    /// Of each robot, the host of its agent tells phase and pose, that of its motors health and battery.
+    /// Of each robot, the host of its agent tells phase, pose and suspect, that of its motors health and battery.
     fn is_for(&self, is: impl Fn(Publisher, RobotId) -> bool) -> bool {
         self.robots.iter().all(|told| {
-            let decided = told.phase.is_none() && told.seen.is_none() || is(Publisher::Agent, told.robot);
+            let unsaid = told.phase.is_none() && told.seen.is_none() && told.suspect.is_none();
+            let decided = unsaid || is(Publisher::Agent, told.robot);
             let moved = told.health.is_none() && told.battery.is_none() || is(Publisher::Actuator, told.robot);
             decided && moved
         })

@@ -38,11 +38,14 @@ pub enum Trigger {
     /// The robot's measured pose has jumped further than it can drive, so that nobody knows where it is. The guard
     /// stops the robot until its pose is known again and aborts a running episode.
     Jump,
+    /// What another robot says of its own motion has contradicted the tracker for a while. The guard keeps its distance
+    /// from where that robot is measured, and neither stops nor slows its own robot for it.
+    Claim,
 }
 
 impl Trigger {
     /// All triggers, in the order of their numbers.
-    pub(crate) const ALL: [Trigger; 11] = [
+    pub(crate) const ALL: [Trigger; 12] = [
         Trigger::Stop,
         Trigger::Silence,
         Trigger::Output,
@@ -54,6 +57,7 @@ impl Trigger {
         Trigger::Distance,
         Trigger::Walls,
         Trigger::Jump,
+        Trigger::Claim,
     ];
 
     /// Returns the short name of the trigger for reports and pages, such as `late ticks`.
@@ -70,6 +74,7 @@ impl Trigger {
             Trigger::Distance => "minimum distance",
             Trigger::Walls => "walls",
             Trigger::Jump => "pose has jumped",
+            Trigger::Claim => "another's false claims",
         }
     }
 }
@@ -95,6 +100,6 @@ mod tests {
     #[test]
     fn a_number_means_the_trigger_that_was_converted_to_it() {
         assert!(Trigger::ALL.into_iter().all(|trigger| Trigger::try_from(u8::from(trigger)) == Ok(trigger)));
-        assert!(Trigger::try_from(11).is_err());
+        assert!(Trigger::try_from(12).is_err());
     }
 }

@@ -34,6 +34,9 @@ pub struct SafetyCounts {
     /// Number of times that a robot's measured pose jumped further than it can drive, which stops the robot until its
     /// pose is known again.
     pub jump: u64,
+    /// Number of times that what another robot says of its own motion began to contradict the tracker, which stops
+    /// nobody.
+    pub claim: u64,
 }
 
 impl SafetyCounts {
@@ -51,6 +54,7 @@ impl SafetyCounts {
             Trigger::Distance => self.distance,
             Trigger::Walls => self.walls,
             Trigger::Jump => self.jump,
+            Trigger::Claim => self.claim,
         }
     }
 
@@ -68,6 +72,7 @@ impl SafetyCounts {
             Trigger::Distance => &mut self.distance,
             Trigger::Walls => &mut self.walls,
             Trigger::Jump => &mut self.jump,
+            Trigger::Claim => &mut self.claim,
         }
     }
 
@@ -103,6 +108,7 @@ impl Sum for SafetyCounts {
             distance: sum.distance + one.distance,
             walls: sum.walls + one.walls,
             jump: sum.jump + one.jump,
+            claim: sum.claim + one.claim,
         })
     }
 }

@@ -36,9 +36,12 @@ impl Trigger {
             | Trigger::Hardware
             | Trigger::Outside
             | Trigger::Jump => Decision::Abort,
-            Trigger::LateTick | Trigger::OwnState | Trigger::Fence | Trigger::Distance | Trigger::Walls => {
-                Decision::Stop
-            }
+            Trigger::LateTick
+            | Trigger::OwnState
+            | Trigger::Fence
+            | Trigger::Distance
+            | Trigger::Walls
+            | Trigger::Claim => Decision::Stop,
         }
     }
 }
@@ -196,6 +199,12 @@ impl Guard {
         whereabouts.is_lost() && !before.is_lost()
     }
 
+    /// Counts one more robot whose messages contradict the tracker. It is avoided where it is measured, so nothing else
+    /// changes for this robot.
+    pub(crate) fn suspect(&mut self) {
+        *self.counts.of_mut(Trigger::Claim) += 1;
+    }
+
     /// Returns the approved velocity zero, which is always granted, for the Controller to stop the robot.
     pub(crate) fn stop(&mut self) -> Granted {
         self.driving = None;
@@ -253,12 +262,16 @@ impl Guard {
         if self.settings.safety.distance == Switch::Off {
             return;
         }
+        // An action may have several motions of one robot, whose place is in doubt; all of them replace those before.
         for other in &action.others {
-            let known = (other.robot, now, other.age, other.motion);
-            match self.neighbours.binary_search_by_key(&other.robot, |known| known.0) {
-                Ok(at) => self.neighbours[at] = known,
-                Err(at) => self.neighbours.insert(at, known),
+            let place = |known: &(RobotId, Time, Span, Motion)| known.0;
+            while let Ok(at) = self.neighbours.binary_search_by_key(&other.robot, place) {
+                self.neighbours.remove(at);
             }
+        }
+        for other in &action.others {
+            let at = self.neighbours.partition_point(|known| known.0 <= other.robot);
+            self.neighbours.insert(at, (other.robot, now, other.age, other.motion));
         }
         let longest = Span::from_secs(self.settings.safety.distance_age_s);
         self.neighbours.retain(|(_, heard, age, _)| *age + now.since(*heard) <= longest);
@@ -349,6 +362,8 @@ fn log(trigger: Trigger, often: &str) {
         Trigger::OwnState => tracing::warn!("the robot's own state is too old; it stops{often}"),
         // Reported where it is learnt, with its reason.
         Trigger::Jump => {}
+        // Reported where it is found, with the robot.
+        Trigger::Claim => {}
         // The Body says which, and what to do.
         Trigger::Hardware => tracing::info!("battery or temperature is beyond its limit; the robot stops{often}"),
         Trigger::Outside => tracing::error!("the robot is far outside its ground; it stops: carry it back{often}"),
@@ -533,6 +548,26 @@ mod tests {
         assert_eq!(speed(900, Vec::new()), 0.0, "1 s old: it may have come nearer");
         assert!(speed(901, Vec::new()) > 0.49, "older than 1 s");
         assert_eq!(guard.counts().distance, 1);
+    }
+
+    #[test]
+    fn both_places_of_a_robot_in_doubt_are_avoided_until_it_is_known_where_it_is() {
+        let mut guard = guard(Safety { late_tick: Switch::Off, own_state: Switch::Off, ..Safety::deployed() });
+        let mut drive = |ms: u64, places: &[f32]| {
+            let other = |x: &f32| OtherRobot {
+                robot: RobotId(1),
+                motion: Motion::at_rest(Vec2::new(*x, 0.0)),
+                age: Span::ZERO,
+            };
+            let others = places.iter().map(other).collect();
+            match guard.decide(at_ms(ms), &Action { others, ..action(0, EAST) }) {
+                Decision::Drive(granted) => granted.velocity().x,
+                decision => panic!("{decision:?}"),
+            }
+        };
+        assert_eq!((drive(0, &[0.4, 3.0]), drive(50, &[3.0, 0.4])), (0.0, 0.0), "in whatever order");
+        assert!(drive(100, &[3.0]) > 0.49, "it is there alone");
+        assert_eq!(drive(150, &[0.4]), 0.0);
     }
 
     #[test]

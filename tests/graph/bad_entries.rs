@@ -251,6 +251,7 @@ fn ticks(kind: &Kind, robot: RobotId, readings: &[(u64, Reading)]) -> Vec<(u64, 
         estimator: estimation::REGISTRY[0],
         sensor_delay: Span::ZERO,
         own_age: kind.own_state,
+        limit_m_s: 1.5,
     };
     let mut cache = Cache::new(config, Seed::of_run(0).stream("cache"));
     let (mut next, mut ticks) = (readings.iter().peekable(), Vec::new());

@@ -12,6 +12,7 @@ mod faults;
 mod filter;
 mod gpsd;
 mod judged;
+mod liars;
 mod natnet;
 #[cfg(feature = "rigid")]
 mod physics;

@@ -123,7 +123,7 @@ fn message() -> impl Strategy<Value = Wire> {
     let health = (0u8..3).prop_map(Health::from);
     let temperature = prop::option::of((-40.0f32..215.0).prop_map(|c| Celsius::of(c).expect("it is in range")));
     let body = prop::option::of((health, any::<u8>()));
-    let trigger = prop::option::of((0u8..11).prop_map(|n| Trigger::try_from(n).expect("there are eleven")));
+    let trigger = prop::option::of((0u8..12).prop_map(|n| Trigger::try_from(n).expect("there are twelve")));
     let guard = (any::<u16>(), any::<u16>(), trigger);
     let guard = guard.prop_map(|(acted, late_ticks, last)| GuardReport { acted, late_ticks, last });
     let links = (prop::option::of(guard), prop::option::of(any::<u16>()));
@@ -131,11 +131,13 @@ fn message() -> impl Strategy<Value = Wire> {
     let condition = condition.prop_map(|(robot, mind, body, temperature, (guard, link_age_ms))| {
         let (phase, seen) = mind.unzip();
         let (health, battery) = body.unzip();
-        Condition { robot, phase, seen, health, battery, temperature, reason: None, guard, link_age_ms }
+        Condition { robot, phase, seen, health, battery, temperature, reason: None, guard, link_age_ms, suspect: None }
     });
     let conditions = prop::collection::vec(condition, 0..=MAX_CONDITIONS);
-    let telemetry = (any::<u16>(), conditions, "[a-z ]{0,90}").prop_map(|(host, mut robots, text)| {
+    let telemetry = (any::<u16>(), conditions, "[a-z ]{0,90}", prop::option::of(robot()));
+    let telemetry = telemetry.prop_map(|(host, mut robots, text, suspect)| {
         robots.iter_mut().take(1).for_each(|robot| robot.reason = Reason::new(&text));
+        robots.iter_mut().take(2).for_each(|robot| robot.suspect = suspect);
         Wire::Telemetry(Telemetry::of(HostId(host), robots))
     });
     let (place, located) = placements();

@@ -27,7 +27,7 @@ pub const GUARD: &str = r#"{"title":"murmurate.Guard","type":"object","propertie
 "robot":{"type":"integer"},"stop":{"type":"integer"},"silence":{"type":"integer"},"output":{"type":"integer"},
 "late_tick":{"type":"integer"},"own_state":{"type":"integer"},"hardware":{"type":"integer"},
 "outside":{"type":"integer"},"fence":{"type":"integer"},"distance":{"type":"integer"},
-"walls":{"type":"integer"},"jump":{"type":"integer"}},"required":["robot"]}"#;
+"walls":{"type":"integer"},"jump":{"type":"integer"},"claim":{"type":"integer"}},"required":["robot"]}"#;
 
 /// JSON schema of messages with the numbers of datagrams on a host's links, and of events that the record lacks.
 pub const COUNTS: &str = r#"{"title":"murmurate.Counts","type":"object","properties":{

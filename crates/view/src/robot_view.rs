@@ -1,8 +1,10 @@
 //! State of one robot of a team as a process knows it from the messages that it receives.
 
 use murmurate::messages::geometry::Vec2;
+use murmurate::messages::ids::RobotId;
 use murmurate::messages::latch::Latch;
 use murmurate::messages::place::Whereabouts;
+use murmurate::messages::telemetry::GuardReport;
 use murmurate::messages::trigger::Trigger;
 use murmurate::messages::wire::Phase;
 use murmurate::safety::guard::SafetyCounts;
@@ -57,6 +59,8 @@ pub struct RobotView {
     pub guarded: bool,
     /// Number of times that the guard has acted, from telemetry.
     pub acted: u16,
+    /// Another robot whose messages contradict the tracker, as this robot's host finds.
+    pub suspect: Option<RobotId>,
 }
 
 impl RobotView {
@@ -85,6 +89,28 @@ impl RobotView {
             false => ": its pose is known again".to_owned(),
         };
         (before != whereabouts).then_some(said)
+    }
+
+    /// Takes over a telemetry report of the robot's guard. Returns the cause of the newest action; `None` if nothing is
+    /// new. Of the actions between two reports only the last cause is known.
+    pub fn reported(&mut self, now: Time, report: GuardReport) -> Option<Trigger> {
+        let news = report.last.filter(|_| self.guarded && report.acted != self.acted);
+        let first = report.last.filter(|_| !self.guarded).map(|trigger| (trigger, None));
+        let guard = news.map(|trigger| (trigger, Some(now))).or(first).or(self.guard);
+        (self.acted, self.guarded, self.guard) = (report.acted, true, guard);
+        self.safety.late_tick = report.late_ticks.into();
+        news
+    }
+
+    /// Takes over which other robot this robot's host suspects of false claims. Returns what to log; `None` if nothing
+    /// is new.
+    pub fn suspects(&mut self, suspect: Option<RobotId>) -> Option<String> {
+        let before = std::mem::replace(&mut self.suspect, suspect);
+        let said = match (suspect, before) {
+            (Some(other), _) => format!("{other} is not where it says it is"),
+            (None, other) => format!("{} is again where it says it is", other?),
+        };
+        (before != suspect).then_some(said)
     }
 
     /// Returns the last action of the robot's guard with its age \[s\], as long as it is relevant.

@@ -129,7 +129,10 @@ impl TeamView {
                         let age = condition.link_age_ms.map(|age_ms| Span::from_millis(age_ms.into()));
                         robot.oldest_link = age.map(|age| (now, age)).or(robot.oldest_link);
                     });
-                    condition.guard.into_iter().for_each(|report| self.reported(now, condition.robot, report));
+                    // The host of its motors tells of neither.
+                    if let Some(report) = condition.guard {
+                        self.reported(now, condition.robot, report, condition.suspect);
+                    }
                 }
             }
             Wire::Located(m) => self.located(now, m),
@@ -242,15 +245,11 @@ impl TeamView {
         }
     }
 
-    /// Updates what is known of a robot's guard from a telemetry report. Of the guard's actions between two reports
-    /// only the last cause is known.
-    fn reported(&mut self, now: Time, id: RobotId, report: GuardReport) {
+    /// Updates what is known of a robot's guard from a telemetry report, and whom its host suspects of false claims.
+    fn reported(&mut self, now: Time, id: RobotId, report: GuardReport, suspect: Option<RobotId>) {
         let Some(robot) = self.robots.get_mut(id.index()) else { return };
-        let news = report.last.filter(|_| robot.guarded && report.acted != robot.acted);
-        let first = report.last.filter(|_| !robot.guarded).map(|trigger| (trigger, None));
-        let guard = news.map(|trigger| (trigger, Some(now))).or(first).or(robot.guard);
-        (robot.acted, robot.guarded, robot.guard) = (report.acted, true, guard);
-        robot.safety.late_tick = report.late_ticks.into();
+        let (news, said) = (robot.reported(now, report), robot.suspects(suspect));
+        said.into_iter().for_each(|said| self.note(now, &format!("{said}, by the tracker and {id}")));
         news.into_iter().for_each(|trigger| self.note_trigger(now, id, trigger));
     }
 
@@ -424,7 +423,7 @@ mod tests {
     use murmurate::messages::geometry::Motion;
     use murmurate::messages::wire;
     use murmurate::messages::wire::REVISION;
-    use murmurate::messages::wire::{Features, Following, Heartbeat, Latent, Round};
+    use murmurate::messages::wire::{Condition, Features, Following, Heartbeat, Latent, Round, Telemetry};
 
     fn view() -> TeamView {
         let scene = Scene { robots: 3, range_m: Some(1.0), hears_links: true, hears_results: true, ..Scene::default() };
@@ -509,6 +508,27 @@ mod tests {
     }
 
     #[test]
+    fn a_suspect_is_named_once_and_again_when_it_is_none_any_more() {
+        let mut view = view();
+        let told = |suspect, guard| {
+            let (robot, seen, health, temperature, reason) = (RobotId(0), None, None, None, None);
+            let (phase, battery, link_age_ms) = (None, None, None);
+            let all =
+                Condition { robot, phase, seen, health, battery, temperature, reason, guard, link_age_ms, suspect };
+            Wire::Telemetry(Telemetry::of(HostId(0), vec![all]))
+        };
+        let guard = Some(GuardReport::default());
+        for (suspect, guard) in [(Some(RobotId(1)), guard), (None, None), (Some(RobotId(1)), guard), (None, guard)] {
+            view.receive(at(0), &told(suspect, guard));
+        }
+        let said = [
+            "robot 1 is not where it says it is, by the tracker and robot 0",
+            "robot 1 is again where it says it is, by the tracker and robot 0",
+        ];
+        assert_eq!(lines(&view.status(at(0))), said, "the host of its motors tells of no suspects");
+    }
+
+    #[test]
     fn a_stop_is_no_guard_s_last_action_any_more_once_the_robot_may_move_again() {
         let mut view = view();
         let heartbeat = |latch| {
@@ -526,7 +546,7 @@ mod tests {
         assert!(view.status(at(300)).guard.is_empty());
         // A page that joins later hears of the stop in telemetry, which repeats it for ever.
         for ms in [400, 700] {
-            view.reported(at(ms), RobotId(0), report());
+            view.reported(at(ms), RobotId(0), report(), None);
             assert!(view.status(at(ms)).guard.is_empty());
         }
     }

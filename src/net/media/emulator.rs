@@ -9,9 +9,10 @@ use std::collections::BTreeMap;
 use rand::RngExt;
 
 use crate::faults::{LinkFault, LinkFaultKind, ManualLinkFault};
+use crate::messages::geometry::Vec2;
 use crate::messages::ids::HostId;
-use crate::messages::wire::Kind;
-use crate::net::protocol::codec::{Frame, HEADER_BYTES};
+use crate::messages::wire::{Kind, Wire};
+use crate::net::protocol::codec::{self, Content, Flags, Frame, HEADER_BYTES};
 use crate::random::Stream;
 use crate::time::{Span, Time};
 
@@ -96,6 +97,9 @@ impl LinkEmulator {
                     }
                 }
                 LinkFaultKind::Duplicate => arrivals.extend_from_within(first..),
+                LinkFaultKind::Misplace => {
+                    arrivals[first..].iter_mut().for_each(|(_, frame)| *frame = misplaced(frame, fault.off_m));
+                }
                 LinkFaultKind::Corrupt => {
                     for (_, frame) in &mut arrivals[first..] {
                         *frame = flip_a_bit(frame, &mut self.stream);
@@ -104,6 +108,29 @@ impl LinkEmulator {
             }
         }
     }
+}
+
+/// Returns the frame with the positions in its latents moved by `off_m` \[m\]. A frame with a tag is returned
+/// unchanged, and so is a block that is no latent.
+fn misplaced(frame: &Frame, off_m: Vec2) -> Frame {
+    let Some(header) = codec::peek(frame).ok().filter(|header| !header.flags.has(Flags::TAGGED)) else {
+        return Frame::clone(frame);
+    };
+    let mut bytes = codec::start(&header);
+    for (content, body) in codec::blocks(frame).map_while(Result::ok) {
+        let message = match content {
+            Content::Message(Kind::Latent) => codec::message(Kind::Latent, body).ok(),
+            _ => None,
+        };
+        codec::add(&mut bytes, content, |bytes| match message {
+            Some(Wire::Latent(mut latent)) => {
+                latent.motion.position += off_m;
+                rmp_serde::encode::write(bytes, &latent).expect("plain data is always MessagePack");
+            }
+            _ => bytes.extend_from_slice(body),
+        });
+    }
+    bytes.into()
 }
 
 /// Returns the frame with one random bit of its body flipped. The header stays as it is, since a changed header could
@@ -119,7 +146,13 @@ fn flip_a_bit(frame: &Frame, stream: &mut Stream) -> Frame {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
+    use crate::messages::geometry::Motion;
+    use crate::messages::ids::RobotId;
+    use crate::messages::wire::{Features, Latent, Phase, Round};
+    use crate::net::protocol::codec::Header;
     use crate::random::Seed;
 
     fn carry(emulator: &mut LinkEmulator, kind: Kind) -> Vec<(Time, Frame)> {
@@ -151,6 +184,27 @@ mod tests {
         assert!((900..1100).contains(&arrived), "{arrived} of 2000 arrived at 50 % loss");
         emulator.set_manual(ManualLinkFault::default());
         assert_eq!(carry(&mut emulator, Kind::Mode)[0].0, Time::ZERO);
+    }
+
+    #[test]
+    fn latents_of_the_named_hosts_alone_are_misplaced_and_stay_valid() {
+        let hosts = vec![HostId(0)];
+        let fault =
+            LinkFault { kind: LinkFaultKind::Misplace, hosts, off_m: Vec2::new(2.0, -1.0), ..LinkFault::always("any") };
+        let mut emulator = LinkEmulator::new(Impairment::default(), vec![fault], Seed::of_run(1).stream("link"));
+        let motion = Motion { position: Vec2::new(0.5, 0.5), velocity: Vec2::x() };
+        let (robot, round, phase) = (RobotId(0), Round::default(), Phase::Running);
+        let latent = Latent { robot, round, phase, motion, features: Features(Arc::new([1.0])) };
+        let header = Header { flags: Flags(0), team: 1, sender: HostId(0), incarnation: 2, sequence: 3 };
+        let frame = codec::encode(&header, &Wire::Latent(latent.clone())).unwrap();
+        let mut said = |from: u16| {
+            let mut arrivals = Vec::new();
+            emulator.carry(Time::ZERO, Kind::Latent, (HostId(from), HostId(2)), &frame, &mut arrivals);
+            codec::decode(&arrivals[0].1).unwrap()
+        };
+        let moved = Motion { position: Vec2::new(2.5, -0.5), ..motion };
+        assert_eq!(said(0), (header, Wire::Latent(Latent { motion: moved, ..latent.clone() })));
+        assert_eq!(said(1), (header, Wire::Latent(latent)));
     }
 
     #[test]

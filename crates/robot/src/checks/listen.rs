@@ -384,6 +384,7 @@ mod tests {
             reason: None,
             guard: None,
             link_age_ms: None,
+            suspect: None,
         };
         received.learn(&Condition { phase: Some(Phase::Running), ..none.clone() });
         received.learn(&Condition { health: Some(Health::Faulty), battery: Some(40), ..none.clone() });
