@@ -184,8 +184,6 @@ fn wire_robot(clock: &Clock, trial: &Rc<Trial>, graph: &Graph, robot: RobotId, c
     let (at, id, seed) = (robot.index(), robot.0, trial.streams());
     let first = graph.routes.agent_robots(robot)[0];
     let interface = trial.model.interface();
-    let home = graph.network_of(graph.routes.agent_host(robot));
-
     let config = cache::Config {
         robot,
         period: interface.period,
@@ -227,7 +225,12 @@ fn wire_robot(clock: &Clock, trial: &Rc<Trial>, graph: &Graph, robot: RobotId, c
     if first == robot {
         wire_agent(clock, trial, graph, robot);
     }
+    wire_controller(clock, trial, graph, robot, chassis);
+}
 
+/// Starts the Controller of one robot. `chassis` has one entry for each robot of the team.
+fn wire_controller(clock: &Clock, trial: &Trial, graph: &Graph, robot: RobotId, chassis: &[Chassis]) {
+    let (host, mailbox) = (graph.routes.agent_host(robot), &graph.controllers[robot.index()]);
     let config = controller::Config {
         robot,
         guard: guard_config(trial, robot, chassis),
@@ -235,10 +238,10 @@ fn wire_robot(clock: &Clock, trial: &Rc<Trial>, graph: &Graph, robot: RobotId, c
         phase: phase(trial, "controller", robot, controller::HEARTBEAT_PERIOD),
         signed: graph.signed,
     };
-    let (network, status) = (home, graph.status_of(host));
+    let (network, status) = (graph.network_of(host), graph.status_of(host));
     let events = Rc::clone(&graph.events);
     let make = move |_| Controller::new(config.clone());
-    start(clock, &graph.controllers[at], info_span!("controller", robot = id), make, move |out| match out {
+    start(clock, mailbox, info_span!("controller", robot = robot.0), make, move |out| match out {
         controller::Out::MotorCommand(m) => network.send(network::In::Publish(Wire::MotorCommand(m))),
         controller::Out::Heartbeat(m) => {
             status.send(status::In::Phase(robot, m.phase));
