@@ -677,7 +677,7 @@ fn a_re_arm_is_believed_of_an_operator_for_this_run_of_a_host_and_of_nobody_else
     rig.delivered[0].clear();
     rig.publish(1, Wire::Release(release.clone()));
     rig.run_ms(10);
-    assert_eq!(heard(&rig), [release.clone()]);
+    assert_eq!(heard(&rig), std::slice::from_ref(&release));
     rig.delivered[0].clear();
     lies.iter().for_each(|lie| rig.publish(1, lie.clone()));
     rig.run_ms(10);

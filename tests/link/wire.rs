@@ -141,13 +141,15 @@ fn message() -> impl Strategy<Value = Wire> {
         Wire::Telemetry(Telemetry::of(HostId(host), robots))
     });
     let (place, located) = placements();
+    prop_oneof![reading, latent, command, beat, mode, stop, status, observe, telemetry, place, located, release()]
+}
+
+fn release() -> impl Strategy<Value = Wire> {
     let hosts = prop::collection::vec((any::<u16>().prop_map(HostId), any::<u32>()), 0..=MAX_RELEASED);
-    let release = (any::<u16>(), latch(), hosts, prop::array::uniform32(any::<u8>()));
-    let release = release.prop_map(|(by, latch, hosts, half)| {
+    (any::<u16>(), latch(), hosts, prop::array::uniform32(any::<u8>())).prop_map(|(by, latch, hosts, half)| {
         let signature = Signature(std::array::from_fn(|at| half[at % 32]));
         Wire::Release(Release { by: HostId(by), latch, hosts, signature })
-    });
-    prop_oneof![reading, latent, command, beat, mode, stop, status, observe, telemetry, place, located, release]
+    })
 }
 
 fn latent(features: Vec<f32>) -> Wire {

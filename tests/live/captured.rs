@@ -283,7 +283,7 @@ fn speak(
                     false => usual(host, now, &heard),
                 };
                 network.send(network::In::Publish(message));
-                next = next + PERIOD;
+                next += PERIOD;
             }
             over.load(Ordering::Relaxed)
         },
