@@ -246,7 +246,7 @@ mod tests {
         let simulation = || (PathBuf::from("a.mcap"), Identity::here("1f", Vec::new(), ""));
         let mut warnings = Vec::new();
         let mut of = |records| {
-            let merged = merge(records, std::io::Cursor::new(Vec::new()), |line| warnings.push(line.to_owned()));
+            let merged = merge(records, None, std::io::Cursor::new(Vec::new()), |line| warnings.push(line.to_owned()));
             merged.err().map(|error| error.to_string())
         };
         let alone = "'a.mcap' is the record of a simulation, which has one time already";
