@@ -202,6 +202,29 @@ fn who_never_reads_is_let_go() {
 }
 
 #[test]
+fn who_falls_silent_is_let_go_and_a_stop_arrives_meanwhile() {
+    let (_server, publisher, at) = running();
+    let mut page = socket(at, "/control", &[shown(&token())]);
+    assert_eq!(read_kind(&mut page, "hello")["holder"], true);
+    // Before a request, within it, and after it.
+    let whole = format!("GET /healthz HTTP/1.1\r\nHost: {at}\r\n\r\n");
+    let mut silent = ["", &whole[..20], &whole].map(|text| {
+        let mut kept = Kept::open(at);
+        kept.send(text);
+        kept
+    });
+    assert_eq!(silent[2].read(true).map(|answer| answer.status), Some(200));
+    page.send(Message::text(r#"{"do":"stop"}"#)).unwrap();
+    assert_eq!(publisher.wait(Duration::from_secs(20)), Some(Command::Stop));
+    for kept in &silent {
+        let waits = kept.0.get_ref().read(&mut [0]).is_err_and(|error| error.kind() == ErrorKind::WouldBlock);
+        assert!(!waits, "it keeps its place");
+    }
+    page.send(Message::text(r#"{"do":"stop"}"#)).unwrap();
+    assert_eq!(publisher.wait(Duration::from_secs(20)), Some(Command::Stop), "one with the token keeps its place");
+}
+
+#[test]
 fn of_a_thousand_connections_the_stated_number_is_served() {
     let (server, publisher, at) = running();
     let mut page = socket(at, "/control", &[shown(&token())]);
