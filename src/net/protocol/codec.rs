@@ -15,6 +15,7 @@
 //! A block is a content byte, a length of 2 bytes and a body: a message as one MessagePack array, or a control block of
 //! the link layer (`report`). Decoding never panics, and never allocates more than the length of the datagram.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use serde::de::DeserializeSeed as _;
@@ -49,6 +50,9 @@ pub const MAX_PLAIN_BYTES: usize = MAX_FRAME_BYTES - (MAX_MEMBERS * SHORT_TAG_BY
 
 /// Bytes of an encoded datagram; clones share them.
 pub type Frame = Arc<[u8]>;
+
+/// Header of a datagram, and its bytes without the tag and in clear.
+pub type Opened<'a> = (Header, Cow<'a, [u8]>);
 
 /// Flags in the header of a datagram, one bit for each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -1,7 +1,6 @@
 //! State of one link of one host: transmission (`outgoing`), reception (`incoming`) and counters. Pure, without sockets
 //! and clock.
 
-use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
 
@@ -25,9 +24,6 @@ use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Stop, Wire};
 use crate::random::Stream;
 use crate::time::{Span, Time};
-
-/// Header of a datagram, and its bytes in clear without the tag.
-type Opened<'a> = (Header, Cow<'a, [u8]>);
 
 /// Identity of a host on its links.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -172,7 +168,7 @@ impl LinkState {
         frame: &'a [u8],
         stream: &mut Stream,
         out: &mut Vec<Outbound>,
-    ) -> Option<Opened<'a>> {
+    ) -> Option<codec::Opened<'a>> {
         (self.heard, self.refusal, self.urgent) = (None, None, None);
         let read = self.read(now, frame, stream, out);
         match read {
@@ -199,7 +195,7 @@ impl LinkState {
         frame: &'a [u8],
         stream: &mut Stream,
         out: &mut Vec<Outbound>,
-    ) -> Result<Option<Opened<'a>>, Refusal> {
+    ) -> Result<Option<codec::Opened<'a>>, Refusal> {
         let (header, plain) = self.open(frame)?;
         let blocks = ControlBlocks::read(&plain).map_err(|error| Refusal::of(&error))?;
         let report = blocks.report.as_ref();
@@ -262,7 +258,7 @@ impl LinkState {
 
     /// Checks the length and the tag of a datagram, and that another process of this team has sent it. Returns its
     /// header and its bytes without the tag.
-    fn open<'a>(&mut self, frame: &'a [u8]) -> Result<Opened<'a>, Refusal> {
+    fn open<'a>(&mut self, frame: &'a [u8]) -> Result<codec::Opened<'a>, Refusal> {
         let tagged = frame.get(codec::FLAGS_AT).is_some_and(|flags| flags & Flags::TAGGED != 0);
         let shortest = HEADER_BYTES + if self.key.is_some() { TAG_BYTES } else { 0 };
         if frame.len() < shortest || frame.len() > MAX_FRAME_BYTES {
