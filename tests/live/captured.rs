@@ -101,6 +101,8 @@ impl Link {
 struct Heard {
     round: Round,
     latch: Latch,
+    /// Where each robot says it is.
+    places: [Vec2; 3],
     releases: Vec<Release>,
 }
 
@@ -222,13 +224,13 @@ fn usual(host: HostId, now: Time, heard: &Heard) -> Wire {
     if host == ROBOT {
         return Wire::Heartbeat(Heartbeat::new(RobotId(1), heard.round, Phase::Running, heard.latch));
     }
-    // Another goal every two seconds, on one side of the wall and then on the other.
-    let turn = (now.as_nanos() / 2_000_000_000) as u32;
+    // To the right of where they are and then to the left, on their own side of the wall.
+    let turn = (now.as_nanos() / 1_000_000_000) as u32;
     let round = Round { term: heard.round.term.max(1) + 1, episode: turn + 1 };
-    let side = if turn.is_multiple_of(2) { 1.5 } else { -1.5 };
+    let side = if turn.is_multiple_of(2) { 0.6 } else { -0.6 };
     let mut mode = mode(round, heard.latch, Task { start: Vec2::zeros(), goal: Vec2::zeros() });
-    let goal = |at: usize| Task { start: Vec2::zeros(), goal: Vec2::new(at as f32 - 1.0, side) };
-    mode.tasks = (0..3).map(goal).collect();
+    let goal = |place: &Vec2| Task { start: *place, goal: Vec2::new((place.x + side).clamp(-1.5, 1.5), place.y) };
+    mode.tasks = heard.places.iter().map(goal).collect();
     Wire::Mode(mode)
 }
 
@@ -265,6 +267,9 @@ fn speak(
                     }
                     Event::Message(Wire::Heartbeat(beat)) if host == SERVER => {
                         (heard.round.term, heard.latch) = (heard.round.term.max(beat.round.term), beat.latch);
+                    }
+                    Event::Message(Wire::Latent(latent)) => {
+                        heard.places[latent.robot.index()] = latent.motion.position;
                     }
                     Event::Message(Wire::Release(release)) if !heard.releases.contains(release) => {
                         heard.releases.push(release.clone());

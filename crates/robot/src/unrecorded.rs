@@ -24,7 +24,7 @@ impl LiveRecord {
     pub fn of_host(
         _: &RecordFlags,
         (team, _): (&Team, &LiveHost),
-        _: (Instant, bool),
+        _: (Instant, bool, bool),
         _: (Vec<PathBuf>, &str),
     ) -> Result<Option<LiveRecord>> {
         match &team.record {
