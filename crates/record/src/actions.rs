@@ -1,7 +1,7 @@
 //! Compares two policies on the recorded inputs of one host: the motor commands in the record and those of the other
 //! policy, step by step.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use serde::Serialize;
 
@@ -77,16 +77,19 @@ impl Commands {
         Ok(commands)
     }
 
-    /// Pairs these recorded commands with those of the replay by equal time. Returns each paired step, and the
-    /// statistics of the differences for each robot that either of them commands.
+    /// Pairs these recorded commands with those of the replay by equal time; those of one time, such as a step and the
+    /// stop after it in one turn of a busy host, in their order. Returns each paired step, and the statistics of the
+    /// differences for each robot that either of them commands.
     pub fn beside(&self, replayed: &Commands) -> (Vec<StepDifference>, Vec<RobotDifference>) {
         let (mut steps, mut robots, none) = (Vec::new(), Vec::new(), Vec::new());
         let commanded: BTreeSet<&u16> = self.0.keys().chain(replayed.0.keys()).collect();
         for robot in commanded {
             let recorded = self.0.get(robot).unwrap_or(&none);
             let other = replayed.0.get(robot).unwrap_or(&none);
-            let by_time: BTreeMap<u64, Vec2> = other.iter().copied().collect();
-            let pairs = recorded.iter().filter_map(|(at, velocity)| Some((*at, *velocity, *by_time.get(at)?)));
+            let mut by_time: BTreeMap<u64, VecDeque<Vec2>> = BTreeMap::new();
+            other.iter().for_each(|(at, velocity)| by_time.entry(*at).or_default().push_back(*velocity));
+            let mut of = |at: &u64| by_time.get_mut(at)?.pop_front();
+            let pairs = recorded.iter().filter_map(|(at, velocity)| Some((*at, *velocity, of(at)?)));
             let pair = |(at, recorded, replayed): (u64, Vec2, Vec2)| StepDifference {
                 at_s: at as f64 / 1e9,
                 robot: *robot,
@@ -126,6 +129,9 @@ mod tests {
         let one = &robots[0];
         assert_eq!((one.steps, one.unpaired, one.first_s), (3, 2, Some(50e-9)));
         assert!((one.most_m_s - 0.25).abs() < 1e-9 && (one.mean_m_s - 0.25 / 3.0).abs() < 1e-9);
+        let twice = commands(&[(0, 1.0), (0, 0.0), (50, 1.0)]);
+        let one = &twice.beside(&twice).1[0];
+        assert_eq!((one.steps, one.unpaired, one.first_s), (3, 0, None), "two of one time");
     }
 
     #[test]
