@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use tungstenite::protocol::Role;
 use tungstenite::{Message, WebSocket};
 
-use crate::http::{ask, connect, own, server, server_for_foxglove, token, upgrade};
+use crate::http::{ask, connect, next, own, server, server_for_foxglove, token, upgrade};
 
 /// Header of the subprotocol.
 const PROTOCOL: &str = "Sec-WebSocket-Protocol: foxglove.sdk.v1";
@@ -36,13 +36,13 @@ fn connected(at: SocketAddr) -> WebSocket<std::net::TcpStream> {
 }
 
 fn text(client: &mut WebSocket<std::net::TcpStream>) -> Value {
-    serde_json::from_str(client.read().unwrap().to_text().unwrap()).unwrap()
+    serde_json::from_str(next(client).to_text().unwrap()).unwrap()
 }
 
 /// Reads messages of subscriptions until one of this; returns its content.
 fn data(client: &mut WebSocket<std::net::TcpStream>, subscription: u32) -> Vec<u8> {
     loop {
-        let Message::Binary(bytes) = client.read().unwrap() else { continue };
+        let Message::Binary(bytes) = next(client) else { continue };
         assert_eq!(bytes[0], 1, "data of a message");
         if bytes[1..5] == subscription.to_le_bytes() {
             return bytes[13..].to_vec();

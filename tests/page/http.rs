@@ -78,10 +78,20 @@ pub fn socket(to: SocketAddr, path: &str, more: &[String]) -> WebSocket<TcpStrea
     WebSocket::from_raw_socket(stream, Role::Client, None)
 }
 
+/// Returns the next message of a WebSocket. A machine that is halted and goes on interrupts a read with a time limit.
+pub fn next(socket: &mut WebSocket<TcpStream>) -> Message {
+    loop {
+        match socket.read() {
+            Err(tungstenite::Error::Io(error)) if error.kind() == std::io::ErrorKind::Interrupted => {}
+            read => return read.unwrap(),
+        }
+    }
+}
+
 /// Reads messages of a WebSocket until one of this kind.
 pub fn read_kind(socket: &mut WebSocket<TcpStream>, kind: &str) -> serde_json::Value {
     loop {
-        let Message::Text(text) = socket.read().unwrap() else { continue };
+        let Message::Text(text) = next(socket) else { continue };
         let message: serde_json::Value = serde_json::from_str(&text).unwrap();
         if message["kind"] == kind {
             return message["body"].clone();

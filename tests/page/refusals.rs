@@ -11,7 +11,7 @@ use murmurate_view::status::Scene;
 use tungstenite::Message;
 use tungstenite::http::{HeaderName, HeaderValue};
 
-use crate::http::{ask, connect, own, read_kind, server, shown, socket, token, upgrade};
+use crate::http::{ask, connect, next, own, read_kind, server, shown, socket, token, upgrade};
 
 #[test]
 fn requests_for_another_host_are_misdirected() {
@@ -140,7 +140,7 @@ fn a_server_that_others_reach_shows_nothing_without_the_token() {
     assert!(publisher.status(r#"{"kind":"status","body":{}}"#.to_owned()));
     let mut page = socket(at, "/control", &[]);
     page.send(Message::text(r#"{"do":"pause"}"#)).unwrap();
-    let kinds: Vec<String> = (0..2).map(|_| page.read().unwrap().into_text().unwrap().to_string()).collect();
+    let kinds: Vec<String> = (0..2).map(|_| next(&mut page).into_text().unwrap().to_string()).collect();
     assert!(kinds[0].contains("hello") && kinds[1].contains("refused"), "no scene and no status: {kinds:?}");
     page.send(Message::text(r#"{"do":"stop"}"#)).unwrap();
     assert_eq!(publisher.wait(Duration::from_secs(20)), Some(Command::Stop), "a stop is never refused");
