@@ -64,7 +64,7 @@ pub enum In {
     Condition(RobotId, Hardware),
     /// Numbers of times that the guard of a robot whose agent runs on this host has stopped or slowed it.
     Guard(RobotId, SafetyCounts),
-    /// What a robot whose agent runs on this host has found of another one, by a tracker.
+    /// Finding of a robot whose agent runs on this host about another robot, by a tracker.
     Found(RobotId, (RobotId, Finding)),
     /// A latent of this robot has arrived for the agents of this host.
     Latent(RobotId),

@@ -17,8 +17,8 @@ use crate::time::{Span, Time};
 
 /// Largest age of a reading that takes the place of what its robot says: three periods of a receiver at 10 Hz.
 const FRESH: Span = Span::from_millis(300);
-/// Age of a reading of a doubtful robot after which the robot counts as standing where it was last measured. Nobody
-/// knows where it is, and a guard forgets what is older.
+/// Age of a reading of a doubtful robot after which the robot counts as standing where it was last measured. Its
+/// place is not known then, and a guard forgets what is older.
 const KNOWN: Span = Span::from_millis(1000);
 /// Longest difference between the delays of a robot's reading and of its latent that an honest robot may have: the age
 /// of the reading from which it computed the latent, and the time for which links may hold messages back.
@@ -36,7 +36,7 @@ const SUSPECT_LATENTS: u32 = 5;
 /// Time for which the latents of a suspect have to agree with the readings until it is none.
 const CLEARED_AFTER: Span = Span::from_millis(2000);
 
-/// Change of what a witness thinks of another robot.
+/// Change of the standing of another robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Finding {
     /// The robot has contradicted the tracker for a while.
@@ -56,7 +56,7 @@ enum Standing {
     Suspect(Option<Time>),
 }
 
-/// What is known of one other robot.
+/// Reading, latent and standing of one other robot.
 #[derive(Clone, Copy, Debug)]
 struct Known {
     /// Arrival of the newest reading, its stamp \[ns\], measured motion and standard deviation of the position \[m\].
@@ -120,7 +120,7 @@ impl Witness {
     }
 
     /// Holds the motion in a latent of `robot`, which arrives at time `now`, against its readings. Returns a change of
-    /// what is thought of the robot, with the distance between what it says and what is measured \[m\].
+    /// its standing, with the distance between the said and the measured position \[m\].
     pub(super) fn heard(&mut self, now: Time, robot: RobotId, said: Motion) -> Option<(Finding, f32)> {
         // Of a robot that is never measured, there is nothing to hold against it.
         let known = self.others.get_mut(&robot)?;
@@ -155,7 +155,7 @@ impl Witness {
     }
 }
 
-/// Returns how a robot stands after one more latent at time `now`, and a change of what is thought of it.
+/// Returns the standing of a robot after one more latent at time `now`, and a change of it to report.
 fn judged(before: Standing, now: Time, agrees: bool) -> (Standing, Option<Finding>) {
     match (before, agrees) {
         (Standing::Suspect(since), true) => {
@@ -205,7 +205,7 @@ mod tests {
         Motion { position, velocity: Vec2::new(speed_m_s, 0.0) }
     }
 
-    /// The `motion` as somebody says it who is `off_m` \[m\] further north.
+    /// Returns the motion, moved north by `off_m` \[m\].
     fn off(motion: Motion, off_m: f32) -> Motion {
         Motion { position: motion.position + Vec2::new(0.0, off_m), ..motion }
     }
@@ -294,7 +294,7 @@ mod tests {
             assert_eq!(witness.believed(at_ms(ms), OTHER, (at_ms(ms), said)), said);
         }
         for ms in (500..9000).step_by(50) {
-            assert_eq!(witness.heard(at_ms(ms), OTHER, said), None, "nobody knows");
+            assert_eq!(witness.heard(at_ms(ms), OTHER, said), None, "its place is not known");
         }
         assert_eq!(witness.obstacles(at_ms(9000)), [], "in that time it can have driven there");
     }

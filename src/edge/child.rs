@@ -91,7 +91,7 @@ struct Life {
     progress: Progress,
 }
 
-/// What a program has read of its stdin.
+/// Amount of its stdin that a program has read.
 #[derive(Debug, Default)]
 struct Progress {
     /// Number of bytes that were written.

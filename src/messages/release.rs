@@ -11,8 +11,9 @@ use super::ids::HostId;
 use super::latch::Latch;
 use super::leading::Stop;
 
-/// Largest number of hosts that a release names: that of the members of a team with keys of their own.
-pub const MAX_RELEASED: usize = 12;
+/// Largest number of hosts and operators of a team whose members have keys of their own, and so of the hosts that a
+/// release names.
+pub const MAX_MEMBERS: usize = 12;
 /// Context of what is signed, so that a signature of something else is never one of a release.
 const CONTEXT: &[u8] = b"murmurate 2026-11-28 release";
 
@@ -58,7 +59,7 @@ impl Release {
 
 impl Body for Release {
     fn check(&self) -> Result<(), Unfit> {
-        if self.hosts.len() > MAX_RELEASED { Err(Unfit::Length) } else { Ok(()) }
+        if self.hosts.len() > MAX_MEMBERS { Err(Unfit::Length) } else { Ok(()) }
     }
 }
 

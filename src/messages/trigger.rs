@@ -38,7 +38,7 @@ pub enum Trigger {
     /// The robot's measured pose has jumped further than it can drive, so that nobody knows where it is. The guard
     /// stops the robot until its pose is known again and aborts a running episode.
     Jump,
-    /// What another robot says of its own motion has contradicted the tracker for a while. The guard keeps its distance
+    /// Messages of another robot about its own motion have contradicted the tracker. The guard keeps its distance
     /// from where that robot is measured, and neither stops nor slows its own robot for it.
     Claim,
 }

@@ -34,8 +34,8 @@ pub struct SafetyCounts {
     /// Number of times that a robot's measured pose jumped further than it can drive, which stops the robot until its
     /// pose is known again.
     pub jump: u64,
-    /// Number of times that what another robot says of its own motion began to contradict the tracker, which stops
-    /// nobody.
+    /// Number of times that messages of another robot about its own motion began to contradict the tracker, which stops
+    /// no robot.
     pub claim: u64,
 }
 

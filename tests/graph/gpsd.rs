@@ -89,7 +89,7 @@ fn a_gpsd_that_is_halted_gives_no_readings_and_is_asked_anew_after_five_seconds(
     gate.take(|packet| assert!(packet.starts_with(b"{\"class\":\"VERSION\""), "no reading is repeated"));
     fix(&mut other, 7);
     assert_eq!(next(&mut gate, &mut *source).stamp_ns - reading.stamp_ns, 6_000_000_000);
-    // What the halted one says when it goes on reaches nobody.
+    // Output of the halted one, once it goes on, arrives nowhere.
     let mut rest = Vec::new();
     assert!(halted.read_to_end(&mut rest).is_ok() && rest.is_empty(), "its connection is closed");
     // One that is halted does not keep its host from ending.

@@ -524,7 +524,7 @@ fn a_tracker_that_is_halted_gives_no_readings_and_is_asked_anew_from_new_sockets
     while halt.load(Ordering::Relaxed) {
         hears(Duration::from_millis(10));
     }
-    // What it has sent until then.
+    // Datagrams that it has sent until then.
     while hears(Duration::from_millis(500)) {}
     assert!(!hears(Duration::from_millis(6000)), "no reading is repeated");
     go_on.send(()).expect("it waits");

@@ -669,7 +669,7 @@ fn a_re_arm_is_believed_of_an_operator_for_this_run_of_a_host_and_of_nobody_else
     };
     let [release] = &heard(&rig)[..] else { panic!("it is heard once") };
     assert_eq!((release.stop(), &release.hosts[..]), (rearm, &[(HostId(0), 1), (HostId(1), 2)][..]));
-    // What a member repeats, unchanged, is as good; what it makes of it is not.
+    // An unchanged copy that a member sends is believed; an altered one is not.
     let mut altered = release.clone();
     altered.latch = Latch::clear(5);
     let lies = [Wire::Release(altered), Wire::Stop(Stop { by: operator, latch: Latch::clear(5) })];

@@ -1,4 +1,4 @@
-//! Confidential teams: what they exchange is as in clear, nobody reads it on the way, and no nonce is of two datagrams.
+//! Confidential teams: their messages arrive as in clear, cannot be read on the way, and no nonce is of two datagrams.
 
 use std::collections::BTreeMap;
 
@@ -139,7 +139,7 @@ fn a_host_that_encrypts_and_one_that_does_not_refuse_each_other() {
             assert!(counts.confidential > 20 && counts.auth == counts.confidential, "{name}: {counts:?}");
         }
         assert!(counts[1].key_trouble().is_some_and(|why| why.contains("'confidential'")), "{name}");
-        // What says that it is encrypted and is not, and the reverse.
+        // A flag of encryption on a datagram in clear, and the reverse.
         for host in [0, 1] {
             let mut lie = rig.last_of(1 - host);
             lie[FLAGS_AT] ^= Flags::ENCRYPTED;

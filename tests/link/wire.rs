@@ -9,7 +9,7 @@ use murmurate::messages::place::{Located, Place, PlaceAnswer, Placed, Whereabout
 use murmurate::messages::trigger::Trigger;
 use murmurate::messages::wire::{
     Celsius, Condition, Features, Following, GuardReport, Health, Heartbeat, Hindrance, Latent, Leading, MAX_BLOCK,
-    MAX_CONDITIONS, MAX_FEATURES, MAX_HINDRANCES, MAX_RELEASED, MAX_VALIDITY, Mode, MotorCommand, Observe, Phase,
+    MAX_CONDITIONS, MAX_FEATURES, MAX_HINDRANCES, MAX_MEMBERS, MAX_VALIDITY, Mode, MotorCommand, Observe, Phase,
     Reading, Reason, Release, Round, Seen, Signature, Status, Stop, Telemetry, Wire,
 };
 use murmurate::net::protocol::codec::{
@@ -145,7 +145,7 @@ fn message() -> impl Strategy<Value = Wire> {
 }
 
 fn release() -> impl Strategy<Value = Wire> {
-    let hosts = prop::collection::vec((any::<u16>().prop_map(HostId), any::<u32>()), 0..=MAX_RELEASED);
+    let hosts = prop::collection::vec((any::<u16>().prop_map(HostId), any::<u32>()), 0..=MAX_MEMBERS);
     (any::<u16>(), latch(), hosts, prop::array::uniform32(any::<u8>())).prop_map(|(by, latch, hosts, half)| {
         let signature = Signature(std::array::from_fn(|at| half[at % 32]));
         Wire::Release(Release { by: HostId(by), latch, hosts, signature })

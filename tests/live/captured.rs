@@ -1,5 +1,5 @@
-//! Captured members of a team: whoever has the key file of one host, a robot's or the state server's, prevents no stop
-//! and ends none.
+//! Captured members of a team: an attacker with the key file of one host, a robot's or the state server's, prevents no
+//! stop and ends none.
 //!
 //! `MURMURATE_CAPTURED="500 30000"` makes so many stops beside so many forged datagrams a second.
 
@@ -96,7 +96,7 @@ impl Link {
     }
 }
 
-/// What a captured member has heard, and recordings of releases, which it keeps from one run to the next.
+/// State that a captured member has heard, and releases that it has recorded, which it keeps for its next runs.
 #[derive(Default)]
 struct Heard {
     round: Round,
@@ -176,9 +176,9 @@ fn forge(
 
 /// Returns a lie: a message that belongs to another member, or one with a lesser latch.
 fn lie(stream: &mut Stream, (by, round, latch): (HostId, Round, Latch), releases: &[Release]) -> Wire {
-    let number = u64::from(latch) / 251 / 3;
-    let number = [number, number + 1, number + 2, number + 1000, 1 << 40][stream.random_range(0..5usize)];
-    let lesser = [Latch::clear, Latch::held][stream.random_range(0..2usize)](number);
+    let next = [Stop::rearm(by, latch).latch, Stop::resume(by, latch).latch];
+    let lesser = [next[0], next[1], Latch::clear(0), Latch::clear(1 << 40), Latch::held(1 << 40)];
+    let lesser = lesser[stream.random_range(0..lesser.len())];
     let robot = RobotId(stream.random_range(0..3));
     let task = Task { start: Vec2::zeros(), goal: Vec2::new(1.0, 1.0) };
     let far = Round { term: round.term + stream.random_range(0..2), episode: round.episode + 1 };
@@ -217,7 +217,7 @@ fn mode(round: Round, latch: Latch, task: Task) -> Mode {
     Mode { round, repeat: 0, phase: Phase::Running, first: RobotId(0), tasks: [task; 3].into(), latch }
 }
 
-/// Returns what the captured host says so that the team goes on driving.
+/// Returns a message of the captured host for which the team goes on driving.
 fn usual(host: HostId, now: Time, heard: &Heard) -> Wire {
     if host == ROBOT {
         return Wire::Heartbeat(Heartbeat::new(RobotId(1), heard.round, Phase::Running, heard.latch));
@@ -402,7 +402,7 @@ fn stops_hold(link: Link) {
         let captured = Captured::start(link, (host, team.key_file(name)), (rate, turn), &heard);
         // It is believed once its host has been silent for a while.
         team.crew.pass(Duration::from_millis(800));
-        // Nobody drives a captured robot.
+        // A captured robot is not driven.
         team.driven(if host == ROBOT { &[0, 2] } else { &ROBOTS });
         let (moved, machine) = team.stop(&captured);
         report(&format!("{name} captured: robots were driven for {moved:.0?} after the order, machine {machine:.0?}"));

@@ -1,5 +1,5 @@
 //! Programs of a host's driver and source that are halted: robots stand in time, an emergency stop works meanwhile,
-//! what has waited drives nobody, and the team goes on.
+//! commands that have waited drive no robot, and the team goes on.
 
 use std::net::UdpSocket;
 use std::path::Path;

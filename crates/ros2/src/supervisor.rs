@@ -402,7 +402,7 @@ done
             Bench { gate, running, folder }
         }
 
-        /// Waits until the active process says who it is, and is one that is meant.
+        /// Waits until the active process has told its number and is one that is meant.
         fn active(&mut self, is_meant: impl Fn(Pid) -> bool) -> Pid {
             let (begun, bell) = (Instant::now(), self.gate.bell());
             let mut found = None;

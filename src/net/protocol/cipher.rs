@@ -1,7 +1,7 @@
 //! Encryption of datagrams, for teams that ask for confidentiality. No other module encrypts.
 //!
-//! The header stays in clear, for the filter of the kernel and for whoever looks for the sender's key. The blocks after
-//! it are encrypted by XChaCha20-Poly1305 (RFC 8439; draft-irtf-cfrg-xchacha-03), and followed by 16 bytes of the nonce
+//! The header stays in clear, for the filter of the kernel and the choice of the sender's key. The blocks after it
+//! are encrypted by XChaCha20-Poly1305 (RFC 8439; draft-irtf-cfrg-xchacha-03), and followed by 16 bytes of the nonce
 //! and the tag of that cipher, which covers the header, the link and the receiver, too.
 //!
 //! A nonce is made from what it encrypts, as in RFC 8452: 16 bytes are a keyed hash of the datagram in clear, its link

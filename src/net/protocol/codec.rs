@@ -22,6 +22,7 @@ use serde::de::DeserializeSeed as _;
 
 use super::unpack::Reader;
 use crate::messages::ids::HostId;
+pub use crate::messages::release::MAX_MEMBERS;
 use crate::messages::wire::{KINDS, Kind, Unfit, Wire};
 
 /// Version of the wire format; a receiver refuses all others.
@@ -32,10 +33,8 @@ const FORMER: u8 = 4;
 /// Length of the authentication tag at the end of a datagram \[bytes\]: keyed BLAKE3, truncated to 128 bits.
 pub const TAG_BYTES: usize = 16;
 /// Length of the tag for one member in a datagram for each member \[bytes\]: keyed BLAKE3, truncated to 64 bits.
-/// Whoever guesses 30 000 a second finds one in ten million years.
+/// By guessing 30 000 a second one is found in ten million years.
 pub const SHORT_TAG_BYTES: usize = 8;
-/// Largest number of members of a team, hosts and operators, whose datagrams for all have a tag for each of them.
-pub const MAX_MEMBERS: usize = 12;
 /// Length of the header at the start of a datagram \[bytes\].
 pub const HEADER_BYTES: usize = 14;
 /// Offset of the flags within the header of a datagram \[bytes\].

@@ -90,7 +90,7 @@ impl Key {
     /// # Panics
     /// If there are more members than [`MAX_MEMBERS`](codec::MAX_MEMBERS).
     pub fn of_member(team: Bytes, pairs: BTreeMap<HostId, Bytes>) -> Key {
-        assert!(pairs.len() <= codec::MAX_MEMBERS, "whoever reads keys checks their number");
+        assert!(pairs.len() <= codec::MAX_MEMBERS, "the reader of keys checks their number");
         let pairs = pairs.into_iter().map(|(member, pair)| (member, Shared::new(pair))).collect();
         Key::of(Secret::Member(Arc::new(Member { team: Shared::new(team), pairs })))
     }
@@ -143,7 +143,7 @@ impl Key {
 
     /// Appends the authentication tag to a datagram on the link `link`, for the host `to`, or for all hosts if `to` is
     /// `None`, and encrypts its blocks first if they are confidential. What a member sends to a host that is no member
-    /// has a tag of zeros, which nobody accepts, and no block if blocks are confidential.
+    /// has a tag of zeros, which no host accepts, and no block if blocks are confidential.
     pub fn seal(&self, datagram: &mut Vec<u8>, link: LinkId, to: Option<HostId>) {
         datagram[FLAGS_AT] |= self.flags(datagram);
         let associated = associated(link, to);

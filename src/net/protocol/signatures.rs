@@ -8,7 +8,7 @@ use ed25519_dalek::{Signer, SigningKey, VerifyingKey};
 
 use super::codec::Header;
 use crate::messages::ids::HostId;
-use crate::messages::release::{MAX_RELEASED, Release, Signature};
+use crate::messages::release::{MAX_MEMBERS, Release, Signature};
 use crate::messages::wire::{Stop, Wire};
 
 /// Keys by which the releases of a team's operators are made and checked.
@@ -55,7 +55,7 @@ impl Signatures {
     /// a process says that is no operator, stays as it is.
     pub(crate) fn signed(&self, team: u16, stop: Stop, hosts: impl Iterator<Item = (HostId, u32)>) -> Wire {
         let Some(own) = self.own.as_ref().filter(|_| stop.releases()) else { return Wire::Stop(stop) };
-        let hosts: Vec<(HostId, u32)> = hosts.take(MAX_RELEASED).collect();
+        let hosts: Vec<(HostId, u32)> = hosts.take(MAX_MEMBERS).collect();
         let signature = Signature(own.sign(&Release::signed(team, &stop, &hosts)).to_bytes());
         Wire::Release(Release { by: stop.by, latch: stop.latch, hosts, signature })
     }
