@@ -503,6 +503,7 @@ fn wire(
         key: Some(key()),
         seed: Seed::of_run(u64::from(id)),
         links: vec![Some(setup)],
+        keep: None,
         transports: vec![(LINK, open)],
     };
     let inward = to_peer.clone();

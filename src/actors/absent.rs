@@ -1,22 +1,26 @@
-//! Hosts of a team that have announced their shutdown and are not back yet, as a state server knows them.
+//! Hosts of a team that have announced their shutdown and are not back yet, or that its roster does not name, as a state
+//! server knows them.
 
 use std::collections::BTreeSet;
 
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::Status;
+use crate::results::episode::AbortCause;
 
-/// Hosts that have left the team; those without robots do not count.
+/// Hosts that have left the team or were revoked; those without robots do not count.
 #[derive(Debug)]
 pub(super) struct Absent {
     /// For each host, by its id: its robots.
     hosts: Vec<Vec<RobotId>>,
     left: BTreeSet<HostId>,
+    /// Hosts that the team's roster does not name: nothing is heard of them, and nobody knows what their robots do.
+    revoked: BTreeSet<HostId>,
 }
 
 impl Absent {
     /// Returns the state before any host has left. `hosts` has the robots of each host, by its id.
     pub(super) fn new(hosts: Vec<Vec<RobotId>>) -> Absent {
-        Absent { hosts, left: BTreeSet::new() }
+        Absent { hosts, left: BTreeSet::new(), revoked: BTreeSet::new() }
     }
 
     fn robots_of(&self, host: HostId) -> &[RobotId] {
@@ -37,9 +41,35 @@ impl Absent {
         }
     }
 
-    /// Returns whether a host has left.
+    /// Takes the members of the roster in force, and logs which hosts it no longer names, or names again.
+    pub(super) fn take_members(&mut self, members: &BTreeSet<HostId>) {
+        let all = (0..=u16::MAX).map(HostId).take(self.hosts.len());
+        let revoked: BTreeSet<HostId> =
+            all.filter(|host| !members.contains(host) && !self.robots_of(*host).is_empty()).collect();
+        for host in revoked.difference(&self.revoked) {
+            let robots: Vec<String> = self.robots_of(*host).iter().map(RobotId::to_string).collect();
+            let robots = robots.join(", ");
+            tracing::error!(
+                "host {} was revoked; the team stands. {robots} may move uncontrolled: switch it off, and give it a new \
+                 key before the team goes on",
+                host.0
+            );
+        }
+        for host in self.revoked.difference(&revoked) {
+            tracing::warn!("host {} is in the roster again", host.0);
+        }
+        self.revoked = revoked;
+    }
+
+    /// Returns whether a host has left or was revoked.
     pub(super) fn any(&self) -> bool {
-        !self.left.is_empty()
+        !(self.left.is_empty() && self.revoked.is_empty())
+    }
+
+    /// Returns the robots of revoked hosts as causes of the end of an episode.
+    pub(super) fn causes(&self) -> Vec<(RobotId, AbortCause)> {
+        let robots: BTreeSet<RobotId> = self.revoked.iter().flat_map(|host| self.robots_of(*host)).copied().collect();
+        robots.into_iter().map(|robot| (robot, AbortCause::Revoked)).collect()
     }
 
     /// Returns the number of hosts that have left.
@@ -48,8 +78,8 @@ impl Absent {
         self.left.len()
     }
 
-    /// Returns whether a host of the robot has left.
+    /// Returns whether a host of the robot has left or was revoked.
     pub(super) fn has(&self, robot: RobotId) -> bool {
-        self.left.iter().any(|&host| self.robots_of(host).contains(&robot))
+        self.left.iter().chain(&self.revoked).any(|&host| self.robots_of(host).contains(&robot))
     }
 }

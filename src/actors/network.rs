@@ -3,7 +3,9 @@
 //!
 //! Each published message is encoded once; the same bytes go to the links and to the Recorder. An arriving datagram is
 //! checked, decoded and delivered, or counted and dropped. `net::protocol::link` handles transmission, retransmission
-//! and authentication.
+//! and authentication, and `rosters` the change of keys.
+
+mod rosters;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
@@ -17,8 +19,10 @@ pub use crate::net::protocol::link::Identity;
 use crate::net::protocol::link::{Arrival, DuplicateId, Guest, LinkCounts, LinkState, Refusal, Standing};
 use crate::net::protocol::outgoing::Outbound;
 use crate::net::protocol::reliability::{Piggyback, Setup};
+use crate::net::protocol::roster::Roster;
 use crate::net::protocol::router::{Audience, Router};
 use crate::net::protocol::sender::Peer;
+use crate::net::protocol::succession::Succession;
 use crate::random::Stream;
 use crate::time::{Span, Time};
 
@@ -33,6 +37,8 @@ pub enum In {
     Dropped(LinkId, u64),
     /// Number of datagrams that were refused on the link for this cause, in a replay: they had no other effect.
     Refused(LinkId, Refusal, u64),
+    /// The roster with this number, which the Network has put out, is on disk.
+    Kept(u32),
 }
 
 /// Output message of a Network, the actor that sends and receives one host's messages on its links.
@@ -54,6 +60,12 @@ pub enum Out {
     Duplicate(DuplicateId),
     /// Datagram that was refused on the link without any effect but its count, for the record of the host.
     Refused(LinkId, Refusal, Frame),
+    /// Roster with this number, as it was sent, that has to be on disk before it is in force.
+    Keep(u32, Frame),
+    /// Keys that are in force from now on.
+    Keys(Box<Key>),
+    /// Roster that is in force; said once a second, unless it is that of the key files.
+    Roster(Box<Roster>),
     /// Address from which a datagram of an operator (host outside the deployment) has arrived, or of a host of the team
     /// for the first time, at another address, or half a second after the last such output. The transport of the link
     /// then sends to that address.
@@ -109,6 +121,7 @@ pub struct Network {
     key_reported: bool,
     unauthorized: UnauthorizedPublishers,
     key: Option<Key>,
+    succession: Succession,
 }
 
 /// Addresses from which the hosts of a team were last accepted on links that send to single hosts, with the time at
@@ -197,6 +210,7 @@ impl Network {
             is_operator: host.is_operator(),
             key_reported: false,
             unauthorized: UnauthorizedPublishers::default(),
+            succession: Succession::new(key.as_ref()),
             key,
         }
     }
@@ -258,6 +272,9 @@ impl Network {
     }
 
     fn receive(&mut self, now: Time, (link, from): (LinkId, Option<SocketAddr>), frame: &Frame, out: &mut Vec<Out>) {
+        if codec::roster_of(frame).is_some() {
+            return self.take_roster(now, link, frame, out);
+        }
         let at = usize::from(link.0);
         let Some(state) = self.links.get_mut(at).and_then(Option::as_mut) else { return };
         let admitted = state.admit(now, frame, &mut self.stream, &mut self.outgoing);
@@ -273,7 +290,10 @@ impl Network {
             out.extend(guest.map(|guest| Out::Admit(link, guest)));
         }
         if let Some(cause) = state.refusal() {
-            return out.push(Out::Refused(link, cause, Frame::clone(frame)));
+            if !self.misses_roster(now, cause, frame) {
+                out.push(Out::Refused(link, cause, Frame::clone(frame)));
+            }
+            return;
         }
         if let Some(duplicate) = state.duplicate().filter(|_| !self.duplicate_reported) {
             self.duplicate_reported = true;
@@ -349,11 +369,13 @@ impl Core for Network {
                     state.counts().queue += count;
                 }
             }
+            In::Kept(number) => self.change_roster(now, number, out),
         }
     }
 
     fn wake_at(&self) -> Option<Time> {
-        Some(self.due.iter().flatten().copied().fold(self.next_counts, Time::min))
+        let due = self.due.iter().flatten().copied().chain(self.succession.due());
+        Some(due.fold(self.next_counts, Time::min))
     }
 
     fn tolerance(&self, ahead: Span) -> Span {
@@ -368,7 +390,11 @@ impl Core for Network {
             self.due[usize::from(id.0)] = state.due();
             transmit(id, &mut self.outgoing, out);
         }
+        if self.succession.due().is_some_and(|due| due <= now) {
+            self.go_on_with_roster(now, out);
+        }
         if self.next_counts <= now {
+            self.tell_roster(out);
             out.push(Out::Counts(Box::new(self.counts())));
             let peers: Vec<Peer> = self.links.iter().flatten().flat_map(|link| link.peers(now)).collect();
             if !peers.is_empty() {

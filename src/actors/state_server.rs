@@ -5,9 +5,11 @@
 //! robots; it stops the team while a host that announced its shutdown is away. A restarted server takes the team's
 //! state from heartbeats, aborts a running episode, and continues with the next.
 
+use std::collections::BTreeSet;
+
 use super::absent::Absent;
 use super::lost::Lost;
-use super::roster::{Roster, log_beyond_reach};
+use super::presence::{Presence, log_beyond_reach};
 use crate::actor::Core;
 use crate::messages::geometry::Task;
 use crate::messages::ids::{HostId, RobotId};
@@ -47,6 +49,8 @@ pub enum In {
     Release(Release),
     /// Status report of a host, which says whether the host shuts down or is present.
     Status(Status),
+    /// Members of the roster in force, once a second; not those of the key files.
+    Members(BTreeSet<HostId>),
     /// Robots whose poses are unknown, or known again, from a host that measures them.
     Located(Located),
     /// The host of the state server is shutting down; the team is told to wait.
@@ -91,7 +95,7 @@ pub struct Config {
 #[derive(Debug)]
 pub struct StateServer {
     config: Config,
-    roster: Roster,
+    presence: Presence,
     /// Number of this incarnation of the server; each later one begins with a higher term.
     incarnation: u32,
     /// Whether the server started its episodes without a heartbeat.
@@ -126,7 +130,7 @@ impl StateServer {
         let hosts = config.hosts.clone();
         StateServer {
             config,
-            roster: Roster::new(robots),
+            presence: Presence::new(robots),
             incarnation,
             started_unheard: false,
             latch: Latch::default(),
@@ -169,8 +173,8 @@ impl StateServer {
 
     /// Takes the team's state from heartbeats: begins the first episode, or goes on where an earlier server stopped.
     fn take_up(&mut self, now: Time) {
-        let beats: Vec<Heartbeat> = self.roster.present(now).cloned().collect();
-        let last = self.roster.latest_round(now, self.round);
+        let beats: Vec<Heartbeat> = self.presence.present(now).cloned().collect();
+        let last = self.presence.latest_round(now, self.round);
         let term = last.term.saturating_add(1).max(self.incarnation);
         self.round = Round { term, episode: last.episode.min(self.config.layouts.len()) };
         self.started_unheard = beats.is_empty();
@@ -195,7 +199,7 @@ impl StateServer {
 
     /// Takes a later term if a robot follows a later round, because that robot would refuse all earlier ones.
     fn overtake(&mut self, now: Time) {
-        let latest = self.roster.latest_round(now, self.round);
+        let latest = self.presence.latest_round(now, self.round);
         if self.round.term == 0 || latest <= self.round {
             return;
         }
@@ -209,7 +213,7 @@ impl StateServer {
 
     /// Returns the robots that prevent a resume, each with the reason.
     fn hindrances(&self, now: Time) -> Vec<(RobotId, Hindrance)> {
-        self.roster.hindrances(now, self.latch, |robot| self.absent.has(robot))
+        self.presence.hindrances(now, self.latch, |robot| self.absent.has(robot))
     }
 
     fn take_stop(&mut self, now: Time, stop: &Stop, out: &mut Vec<Out>) {
@@ -256,7 +260,7 @@ impl StateServer {
     /// Ends a reset that takes too long. Simulated robots are then placed at their next starts. A real robot may be
     /// stuck, so the team is held until a person resumes it.
     fn fail_reset(&mut self, now: Time) {
-        let late = self.roster.late(now, self.round);
+        let late = self.presence.late(now, self.round);
         let names: Vec<String> = late.iter().map(RobotId::to_string).collect();
         let (number, names) = (self.round.episode + 1, names.join(", "));
         tracing::warn!("the reset before episode {number} has failed: {names} not in place");
@@ -283,12 +287,17 @@ impl StateServer {
         if self.leaves {
             return self.wait(now);
         }
-        self.latched(self.roster.latch(now, self.latch, self.round.term > 0 || self.ordered));
+        self.latched(self.presence.latch(now, self.latch, self.round.term > 0 || self.ordered));
         self.overtake(now);
         if !self.latch.is_clear() {
             return self.hold(now);
         }
-        if self.absent.any() && self.phase != Phase::NeedReset || self.roster.is_unequal(now) {
+        let revoked = self.absent.causes();
+        if self.phase == Phase::Running && !revoked.is_empty() {
+            // What a revoked robot does is not known, so the episode does not count.
+            return self.give_up(now, &revoked);
+        }
+        if self.absent.any() && self.phase != Phase::NeedReset || self.presence.is_unequal(now) {
             return self.wait(now);
         }
         if self.lost.any(now) && self.phase != Phase::NeedReset {
@@ -301,11 +310,11 @@ impl StateServer {
         }
         let since = *self.since.get_or_insert(now);
         let lasted = now.since(since);
-        let all_are = |phase| self.roster.all_are(now, self.round, phase);
+        let all_are = |phase| self.presence.all_are(now, self.round, phase);
         let aborts =
-            if self.phase == Phase::Running { self.roster.reasons_to_abort(now, self.round) } else { Vec::new() };
+            if self.phase == Phase::Running { self.presence.reasons_to_abort(now, self.round) } else { Vec::new() };
         match self.phase {
-            Phase::NeedReset if self.roster.is_complete(now) || lasted >= MUSTER_LIMIT => {
+            Phase::NeedReset if self.presence.is_complete(now) || lasted >= MUSTER_LIMIT => {
                 self.take_up(now);
                 if self.absent.any() {
                     self.wait(now);
@@ -315,7 +324,7 @@ impl StateServer {
             Phase::Waiting if lasted >= MUSTER_LIMIT => {
                 self.since = Some(now);
                 let missing =
-                    self.roster.all(now).filter(|(_, beat)| beat.is_none_or(|beat| beat.phase != Phase::Waiting));
+                    self.presence.all(now).filter(|(_, beat)| beat.is_none_or(|beat| beat.phase != Phase::Waiting));
                 let names: Vec<String> = missing.map(|(robot, _)| robot.to_string()).collect();
                 tracing::warn!("the team stands and still waits for {}", names.join(", "));
             }
@@ -377,7 +386,7 @@ impl Core for StateServer {
                     self.beyond_reach += 1;
                     log_beyond_reach(&beat, self.beyond_reach);
                 }
-                if self.roster.take(now, beat) {
+                if self.presence.take(now, beat) {
                     self.latched(latch);
                 }
             }
@@ -387,6 +396,7 @@ impl Core for StateServer {
                 self.release = Some(release).filter(|release| release.latch == self.latch).or(self.release.take());
             }
             In::Status(status) => self.absent.take(&status),
+            In::Members(members) => self.absent.take_members(&members),
             In::Located(located) => self.lost.take(now, &located),
             In::Leave => {
                 self.leaves = true;

@@ -1,5 +1,6 @@
 //! End of a host on its links: its identity, key, setups and open transports, from which its Network is started.
 
+use std::cell::RefCell;
 use std::rc::Rc;
 
 use tracing::info_span;
@@ -19,6 +20,9 @@ use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
 use crate::runtime::shell::{Mailbox, start};
 
+/// Function that writes a roster to disk, and returns whether it is there.
+pub type Keep = Rc<dyn Fn(&[u8]) -> bool>;
+
 /// End of a host on the links of its team. The host is one of the deployment, or an operator, which is outside of it.
 pub struct HostEnd {
     /// Identity of the host on its links. At each start of the Network, the number of starts so far is added to the
@@ -30,6 +34,9 @@ pub struct HostEnd {
     pub seed: Seed,
     /// Setup of each link, in the order of the deployment; `None` for a link in which the host does not take part.
     pub links: Vec<Option<Setup>>,
+    /// Function that writes a roster to disk, at once, and returns whether it is there. For operators: a host has its
+    /// rosters written beside its control thread ([`Event::Roster`]).
+    pub keep: Option<Keep>,
     /// Open transports, each with its link; a link that is used on several network interfaces has several. Empty where
     /// links are emulated.
     pub transports: Vec<(LinkId, Box<dyn Transport>)>,
@@ -48,12 +55,16 @@ impl HostEnd {
         report: impl Fn(Event) + 'static,
     ) {
         let HostEnd { me, seed, .. } = *self;
-        let config = network::Config { me, key: self.key.clone(), links: self.links.clone(), router };
+        let config = network::Config { me, key: None, links: self.links.clone(), router };
+        // A Network that is started again goes on with the keys of the last roster.
+        let (key, present) = (Rc::new(RefCell::new(self.key.clone())), network.clone());
+        let (changed, keeps) = (Rc::clone(&key), self.keep.clone());
         let host = me.host;
         let stream = if host.is_operator() { "operator".to_owned() } else { format!("network/{}", host.0) };
         let make = move |restarts: u32| {
             let me = Identity { incarnation: me.incarnation.wrapping_add(restarts), ..me };
-            Network::new(network::Config { me, ..config.clone() }, seed.stream(&format!("{stream}/{restarts}")))
+            let key = key.borrow().clone();
+            Network::new(network::Config { me, key, ..config.clone() }, seed.stream(&format!("{stream}/{restarts}")))
         };
         start(clock, network, span, make, move |out| match out {
             network::Out::Deliver(message) => {
@@ -65,6 +76,14 @@ impl HostEnd {
             network::Out::Peers(peers) => report(Event::Peers(&peers)),
             network::Out::Duplicate(duplicate) => report(Event::Duplicate(duplicate)),
             network::Out::Refused(link, cause, frame) => report(Event::Refused(link, cause, &frame)),
+            network::Out::Keep(number, sealed) => {
+                report(Event::Roster(number, &sealed));
+                if keeps.as_ref().is_some_and(|keep| keep(&sealed)) {
+                    present.send(network::In::Kept(number));
+                }
+            }
+            network::Out::Keys(key) => drop(changed.replace(Some(*key))),
+            network::Out::Roster(roster) => report(Event::Members(&roster)),
             network::Out::Admit(link, guest) => transmit(link, transport::In::Admit(guest)),
             network::Out::Transmit(link, audience, frame) => {
                 report(Event::Sent(link, &frame));
@@ -87,7 +106,7 @@ impl HostEnd {
         let take: Take = Rc::new(move |input| match input {
             Input::Frame(link, frame, from) => arrived.send(network::In::Frame(link, frame, from)),
             Input::Dropped(link, count) => arrived.send(network::In::Dropped(link, count)),
-            Input::Refused(..) | Input::Packet(..) | Input::Ended(_) | Input::Leave | Input::Stop => {}
+            Input::Refused(..) | Input::Packet(..) | Input::Ended(_) | Input::Leave | Input::Stop | Input::Kept(_) => {}
         });
         // The transport logs the change; nobody else needs it here.
         let tell: Tell = Rc::new(|_, _| {});

@@ -10,6 +10,7 @@ use crate::messages::wire::{Hardware, Kind, Wire};
 use crate::net::media::radio::RadioCounts;
 use crate::net::protocol::codec::Frame;
 use crate::net::protocol::link::{DuplicateId, LinkCounts, Refusal};
+use crate::net::protocol::roster::Roster;
 use crate::net::protocol::sender::Peer;
 use crate::net::transport::Renewed;
 use crate::results::episode::AbortReason;
@@ -57,6 +58,11 @@ pub enum Event<'a> {
     Hardware(RobotId, &'a Hardware),
     /// The sockets of a link were closed or opened again, because a network interface or its address has changed.
     Link(LinkId, &'a Renewed),
+    /// A roster with this number has arrived. It is in force once it is on disk and the Network was told so
+    /// ([`Graph::roster_kept`](super::process::Graph::roster_kept)).
+    Roster(u32, &'a Frame),
+    /// Roster that is in force, once a second; not that of the key files.
+    Members(&'a Roster),
 }
 
 /// Function that is called with each event of a process, and with the host at which the event happened.
@@ -131,6 +137,8 @@ impl Events {
             | Event::Peers(_)
             | Event::Duplicate(_)
             | Event::Hardware(..)
+            | Event::Roster(..)
+            | Event::Members(_)
             | Event::Link(..) => return None,
         })
     }

@@ -36,11 +36,13 @@ pub enum Input {
     Leave,
     /// Order of the host's own process to engage the team's emergency stop.
     Stop,
+    /// Notice of the host's own process that the roster with this number is on disk.
+    Kept(u32),
 }
 
 impl Input {
-    /// Returns whether the input is an order of the host's own process: `Leave` or `Stop`.
+    /// Returns whether the input comes from the host's own process: `Leave`, `Stop` or `Kept`.
     pub fn is_order(&self) -> bool {
-        matches!(self, Input::Leave | Input::Stop)
+        matches!(self, Input::Leave | Input::Stop | Input::Kept(_))
     }
 }

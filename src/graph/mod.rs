@@ -26,6 +26,7 @@ use crate::actors::cache::{self, Cache};
 use crate::actors::controller::{self, Controller};
 use crate::actors::network;
 use crate::actors::recorder::{self, Recorder};
+use crate::actors::state_server;
 use crate::actors::status;
 use crate::actors::witness::Finding;
 use crate::chassis::Chassis;
@@ -314,7 +315,13 @@ fn wire_network(
     let (end, network) = (&process.ends[&host], &graph.networks[usize::from(host.0)]);
     let what = (graph.routes.router(host), info_span!("network", host = name));
     let events = Rc::clone(&graph.events);
-    let report = move |event: Event| events.emit(host, event);
+    let server = (graph.routes.server_host() == host).then(|| graph.server.clone());
+    let report = move |event: Event| {
+        if let (Event::Members(roster), Some(server)) = (event, &server) {
+            server.send(state_server::In::Members(roster.members.keys().copied().collect()));
+        }
+        events.emit(host, event);
+    };
     if process.emulated {
         end.start(clock, network, what, (deliver, emulated::to(Rc::clone(&graph.media))), report);
     } else {

@@ -49,6 +49,7 @@ impl Process {
             me: Identity { host, team: TEAM, incarnation: 0 },
             key: None,
             seed,
+            keep: None,
             links: deployment.links.iter().map(|link| emulated(link, routes, host)).collect(),
             transports: Vec::new(),
         };
@@ -226,6 +227,11 @@ impl Graph {
         self.take(host, Input::Leave);
     }
 
+    /// Puts the roster with this number in force on a host of this process: it is on disk.
+    pub fn roster_kept(&self, host: HostId, number: u32) {
+        self.take(host, Input::Kept(number));
+    }
+
     /// Injects a fault into an actor of this process now, for `fault.lasts`; the start in `fault` is ignored.
     pub fn inject(&self, fault: ActorFault) {
         self.change_fault(fault.role, fault.robot, Some(&fault));
@@ -301,6 +307,7 @@ impl Graph {
                 tracing::error!("the source of this host has ended, and is started again: no readings meanwhile");
             }
             Input::Leave => self.send_leave(host),
+            Input::Kept(number) => self.networks[usize::from(host.0)].send(network::In::Kept(number)),
             Input::Stop => {
                 let stop = Stop::engage(host, Latch::default());
                 self.networks[usize::from(host.0)].send(network::In::Publish(Wire::Stop(stop)));

@@ -89,7 +89,7 @@ impl LiveHost {
         let identity = ProcessIdentity::draw()?;
         let entry = &team.deployment.hosts[usize::from(team.host.0)];
         let (devices, workers) = devices::open(entry, team.deployment.robots, registry)?;
-        let end = HostEnd { me: identity.host_of(team), key, seed: identity.seed, links, transports };
+        let end = HostEnd { me: identity.host_of(team), key, seed: identity.seed, links, keep: None, transports };
         Ok(LiveHost { end, devices, workers, trial: trial.clone(), grace: grace(team), seed: identity.bytes })
     }
 

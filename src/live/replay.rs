@@ -59,7 +59,7 @@ impl LiveHost {
             (link, Box::new(Silent(Rc::new(never))) as Box<dyn Transport>)
         };
         let me = identity.host_of(team);
-        let end = HostEnd { me, key, seed: identity.seed, links, transports: ids.map(silent).collect() };
+        let end = HostEnd { me, key, seed: identity.seed, links, keep: None, transports: ids.map(silent).collect() };
         let (workers, trial) = (Workers::default(), trial.clone());
         Ok(LiveHost { end, devices, workers, trial, grace: grace(team), seed: identity.bytes })
     }

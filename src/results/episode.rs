@@ -35,6 +35,8 @@ pub enum AbortCause {
     ServerRestarted,
     /// The episode has exceeded its time limit.
     TimeLimit,
+    /// The robot's host was removed from the team's roster, so that nobody knows what the robot does.
+    Revoked,
     /// The robot's measured pose has jumped further than it can drive, so that nobody knows where it is.
     PoseJumped,
 }
@@ -75,6 +77,7 @@ impl fmt::Display for AbortReason {
             AbortCause::Stopped => f.write_str("emergency stop")?,
             AbortCause::ServerRestarted => f.write_str("the state server was restarted")?,
             AbortCause::TimeLimit => f.write_str("out of time")?,
+            AbortCause::Revoked => write!(f, "{who} was revoked and may move uncontrolled")?,
             AbortCause::PoseJumped => write!(f, "the pose of {who} has jumped")?,
         }
         match self.others {

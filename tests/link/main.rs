@@ -9,5 +9,6 @@ mod moved;
 mod reliability;
 mod repairs;
 mod rig;
+mod rosters;
 mod soft_state;
 mod wire;

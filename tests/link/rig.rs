@@ -102,6 +102,8 @@ pub struct Rig {
     pub counts: Vec<LinkCounts>,
     /// Host with the same id that each host has detected.
     pub duplicates: Vec<Option<DuplicateId>>,
+    /// Number of the roster that each host has kept last, with the time.
+    pub rosters: Vec<Option<(Time, u32)>>,
     /// Guests that each host has admitted, in order.
     pub admitted: Vec<Vec<Guest>>,
     /// Id of each host: its index, unless set otherwise.
@@ -148,6 +150,7 @@ impl Rig {
             peers: vec![Vec::new(); count],
             counts: vec![LinkCounts::default(); count],
             duplicates: vec![None; count],
+            rosters: vec![None; count],
             admitted: vec![Vec::new(); count],
             ids,
             runs: count as u64,
@@ -178,7 +181,7 @@ impl Rig {
     }
 
     fn act(&mut self, host: usize, act: impl FnOnce(&mut Network, Time, &mut Vec<Out>)) {
-        let mut out = Vec::new();
+        let (mut out, mut kept) = (Vec::new(), Vec::new());
         act(&mut self.networks[host], self.now, &mut out);
         self.plan(host);
         for said in out {
@@ -188,7 +191,8 @@ impl Rig {
                 Out::Peers(peers) => self.peers[host] = peers,
                 Out::Duplicate(duplicate) => self.duplicates[host] = Some(duplicate),
                 Out::Admit(_, guest) => self.admitted[host].push(guest),
-                Out::Tap(_) | Out::Refused(..) => {}
+                Out::Keep(number, _) => kept.push(number),
+                Out::Tap(_) | Out::Refused(..) | Out::Keys(_) | Out::Roster(_) => {}
                 Out::Transmit(_, audience, frame) => {
                     let bytes = frame.len();
                     self.sent.push(Flight { from: host, at: self.now, audience, frame: frame.clone(), bytes });
@@ -217,6 +221,10 @@ impl Rig {
                     }
                 }
             }
+        }
+        for number in kept {
+            self.rosters[host] = Some((self.now, number));
+            self.act(host, |network, now, out| network.handle(now, In::Kept(number), out));
         }
     }
 

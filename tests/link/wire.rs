@@ -234,7 +234,7 @@ fn another_version_and_another_kind_are_refused() {
     };
     assert_eq!(with(0, VERSION + 1), Err(DecodeError::Version(VERSION + 1)));
     assert_eq!(with(HEADER_BYTES, 200), Err(DecodeError::Link(Content::Other(200))));
-    assert_eq!(with(1, 0x80), Err(DecodeError::Flags(0x80)));
+    assert_eq!(with(1, 0x81), Err(DecodeError::Flags(0x81)));
     assert_eq!(decode(&[VERSION; 5]), Err(DecodeError::Length(5)));
     assert_eq!(peek(&vec![VERSION; MAX_FRAME_BYTES + 1]), Err(DecodeError::Length(MAX_FRAME_BYTES + 1)));
 }

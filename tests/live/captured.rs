@@ -249,6 +249,7 @@ fn speak(
         key: Some(key),
         seed: Seed::of_bytes(bytes),
         links: vec![Some(setup), None],
+        keep: None,
         transports: vec![(LinkId(0), open)],
     };
     let router = Router::new(3, |_, _| Route { local: true, leaves: Some((LinkId(0), Audience::All)) });

@@ -22,6 +22,7 @@ mod placed;
 mod program;
 mod restarts;
 mod robomaster;
+mod rosters;
 mod stop;
 
 use std::sync::{Condvar, Mutex, MutexGuard};

@@ -65,7 +65,16 @@ impl Writer {
         let path = folder.join(format!("{name}-00000001.mcap"));
         let id = HostId(number);
         let (seed, transports, keyed) = ("00".repeat(32), vec![1; 3], false);
-        identity.host = Some(HostIdentity { name, id, incarnation: 1, seed, transports, keyed, signed: false });
+        identity.host = Some(HostIdentity {
+            name,
+            id,
+            incarnation: 1,
+            seed,
+            transports,
+            keyed,
+            signed: false,
+            roster: String::new(),
+        });
         let content = std::fs::read(team).unwrap();
         let attached =
             vec![Attached { name: team.to_str().unwrap().to_owned(), media_type: "application/toml", content }];

@@ -11,12 +11,11 @@ use std::path::Path;
 
 use xxhash_rust::xxh3::xxh3_64;
 
+use super::keys::RecordedKey;
 use super::reader::{self, ReadError};
 use super::tape;
 use murmurate::graph::inputs::Input;
-use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::codec;
-use murmurate::net::protocol::key::Key;
 
 /// Length of the time window of one estimate of a clock offset \[ns\].
 const WINDOW_NS: i64 = 10_000_000_000;
@@ -34,8 +33,8 @@ pub struct Traffic {
 }
 
 impl Traffic {
-    /// Reads the datagrams of the host `host`, with their times, from its record. Encrypted ones are read with `key`.
-    pub fn read(path: &Path, host: HostId, key: Option<&Key>) -> Result<Traffic, ReadError> {
+    /// Reads the datagrams of a host, with their times, from its record. Encrypted ones are read with its key.
+    pub fn read(path: &Path, mut key: Option<RecordedKey>) -> Result<Traffic, ReadError> {
         let (_, mut messages) = reader::messages(path)?;
         let mut traffic = Traffic::default();
         while let Some(message) = messages.next_message()? {
@@ -44,10 +43,12 @@ impl Traffic {
             if message.channel.topic.starts_with("/wire/") {
                 traffic.publish(at, &message.data);
             } else if message.channel.topic == "/tape/turn" {
-                for input in tape::read(&message.data).into_iter().flat_map(|turn| turn.inputs) {
+                let Some(turn) = tape::read(&message.data) else { continue };
+                for input in turn.inputs {
+                    key.iter_mut().for_each(|key| key.follow(turn.now, &input));
                     let Input::Frame(link, frame, _) = input else { continue };
-                    let plain =
-                        key.filter(|_| codec::is_encrypted(&frame)).and_then(|key| key.open(&frame, link, host));
+                    let encrypted = key.as_ref().filter(|_| codec::is_encrypted(&frame));
+                    let plain = encrypted.and_then(|key| key.open(&frame, link));
                     traffic.arrive(at, plain.as_deref().unwrap_or(&frame));
                 }
             }

@@ -79,6 +79,10 @@ pub struct HostIdentity {
     /// Whether the team's operators signed what ended a stop or a hold.
     #[serde(default)]
     pub signed: bool,
+    /// Roster of the team's members with which the process began, as hexadecimal digits of the bytes that the root key
+    /// has signed; empty if that was the roster of its key file. It has no key in clear.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub roster: String,
 }
 
 impl HostIdentity {
@@ -177,6 +181,7 @@ mod tests {
                 transports: vec![1, 0, 2],
                 keyed: true,
                 signed: true,
+                roster: String::new(),
             }),
         ] {
             identity.host = host;

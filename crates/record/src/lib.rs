@@ -25,6 +25,7 @@ pub mod file;
 pub mod health;
 pub mod identity;
 pub mod info;
+pub mod keys;
 pub mod merge;
 pub mod queue;
 pub mod read_error;
@@ -155,6 +156,8 @@ impl Event {
             | event::Event::Radio(..)
             | event::Event::Aborted(..)
             | event::Event::Link(..)
+            | event::Event::Roster(..)
+            | event::Event::Members(_)
             | event::Event::Duplicate(_) => return None,
         })
     }

@@ -11,6 +11,7 @@ use mcap::{WriteOptions, Writer};
 use super::chosen::Unusable;
 use super::clocks::{Alignment, ClockDifference, Traffic, align};
 use super::identity::{Identity, MERGED, METADATA};
+use super::keys::RecordedKey;
 use super::reader::{self, Item, ReadError, Reader};
 use super::stage;
 use murmurate::net::protocol::key::Key;
@@ -74,7 +75,7 @@ pub fn merge(
                 let (_, messages) = reader::messages(&path).map_err(Unusable::from)?;
                 messages.health().lines(identity.anchor_ns).iter().for_each(|line| warn(line));
                 whole &= messages.health().is_whole();
-                let of_host = Traffic::read(&path, host.id, key)?;
+                let of_host = Traffic::read(&path, key.map(|key| RecordedKey::new(key, host)))?;
                 if of_host.is_encrypted() {
                     let why = format!(
                         "what '{at}' has received is encrypted, so its clock is not known: give the team's key with \

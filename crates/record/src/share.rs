@@ -4,11 +4,12 @@
 use std::collections::BTreeSet;
 use std::io::{Seek, Write};
 
+use super::keys::RecordedKey;
 use super::reader::{Attachment, Message, Messages, ReadError, Reader};
 use super::repair::{self, RepairError};
 use super::tape;
 use murmurate::graph::inputs::Input;
-use murmurate::messages::ids::{HostId, LinkId};
+use murmurate::messages::ids::LinkId;
 use murmurate::net::protocol::codec::{self, Frame};
 use murmurate::net::protocol::key::{Key, digest};
 
@@ -25,30 +26,32 @@ pub struct Found {
     pub refused: u64,
 }
 
-/// Checks the authentication tags of all datagrams that the host `host` has received, with the team's key. `messages`
-/// are those of the host's record.
-pub fn accepted(mut messages: Messages, key: &Key, host: HostId) -> Result<Found, ReadError> {
+/// Checks the authentication tags of all datagrams that a host has received, with its key. `messages` are those of the
+/// host's record.
+pub fn accepted(mut messages: Messages, mut key: RecordedKey) -> Result<Found, ReadError> {
     let mut found = Found::default();
     while let Some(message) = messages.next_message()? {
         if message.channel.topic != "/tape/turn" {
             continue;
         }
-        for input in tape::read(&message.data).into_iter().flat_map(|turn| turn.inputs) {
-            if let Input::Frame(link, frame, _) = input {
-                match opened((&frame, link), key, host) {
-                    Some(frame) => drop(found.accepted.insert(digest(&frame, link))),
+        let Some(turn) = tape::read(&message.data) else { continue };
+        for input in turn.inputs {
+            if let Input::Frame(link, frame, _) = &input {
+                match opened((frame, *link), &key) {
+                    Some(frame) => drop(found.accepted.insert(digest(&frame, *link))),
                     None => found.refused += 1,
                 }
             }
+            key.follow(turn.now, &input);
         }
     }
     Ok(found)
 }
 
-/// Returns a datagram that the host `host` has received as it is in a copy: unchanged, or if it is encrypted in clear,
+/// Returns a datagram that a host with the key `key` has received as it is in a copy: unchanged, or if it is encrypted in clear,
 /// with a tag of zeros. `None` if its tag is not valid.
-fn opened((frame, link): (&Frame, LinkId), key: &Key, host: HostId) -> Option<Frame> {
-    let plain = key.open(frame, link, host)?;
+fn opened((frame, link): (&Frame, LinkId), key: &RecordedKey) -> Option<Frame> {
+    let plain = key.open(frame, link)?;
     if !codec::is_encrypted(frame) {
         return Some(Frame::clone(frame));
     }
@@ -57,32 +60,33 @@ fn opened((frame, link): (&Frame, LinkId), key: &Key, host: HostId) -> Option<Fr
     Some(clear.into())
 }
 
-/// Copies the record of the host `host` to `to`, with `accepted`, the digests of the datagrams that had a valid
+/// Copies the record of a host with the key `key` to `to`, with `accepted`, the digests of the datagrams that had a valid
 /// authentication tag, as an attachment. What has arrived encrypted is in clear there.
 pub fn copy(
     from: &mut Reader,
-    (key, host): (&Key, HostId),
+    mut key: RecordedKey,
     accepted: &BTreeSet<[u8; 16]>,
     to: impl Write + Seek,
 ) -> Result<(), RepairError> {
     let data = accepted.iter().flatten().copied().collect();
     let (name, media_type) = (ACCEPTED.to_owned(), "application/octet-stream".to_owned());
     let list = Attachment { log_time: 0, create_time: 0, name, media_type, data };
-    repair::copy_changed(from, vec![list], to, |message| decrypt(message, key, host))?;
+    repair::copy_changed(from, vec![list], to, |message| decrypt(message, &mut key))?;
     Ok(())
 }
 
 /// Replaces the encrypted datagrams in a turn of the host's event loop by those in clear. Other messages are as before.
-fn decrypt(message: &mut Message, key: &Key, host: HostId) {
+fn decrypt(message: &mut Message, key: &mut RecordedKey) {
     if message.channel.topic != "/tape/turn" {
         return;
     }
     let Some(mut turn) = tape::read(&message.data) else { return };
     let mut changed = false;
     for input in &mut turn.inputs {
+        key.follow(turn.now, input);
         if let Input::Frame(link, frame, _) = input
             && codec::is_encrypted(frame)
-            && let Some(clear) = opened((frame, *link), key, host)
+            && let Some(clear) = opened((frame, *link), key)
         {
             (*frame, changed) = (clear, true);
         }

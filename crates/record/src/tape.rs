@@ -60,6 +60,7 @@ const SOURCE_ENDED: u8 = 6;
 const LEAVE: u8 = 7;
 const STOP: u8 = 8;
 const REFUSED: u8 = 9;
+const KEPT: u8 = 10;
 
 /// Appends the beginning of an encoded turn to `out`: its time, and the digest of the datagrams sent in it.
 pub fn begin(out: &mut Vec<u8>, now: Time, sent: u64) {
@@ -104,6 +105,10 @@ pub fn add(out: &mut Vec<u8>, input: &Input) {
         Input::Ended(DeviceId::Source) => out.push(SOURCE_ENDED),
         Input::Leave => out.push(LEAVE),
         Input::Stop => out.push(STOP),
+        Input::Kept(number) => {
+            out.push(KEPT);
+            out.extend(number.to_le_bytes());
+        }
     }
 }
 
@@ -176,6 +181,7 @@ fn input(rest: &mut &[u8]) -> Option<Input> {
         SOURCE_ENDED => Input::Ended(DeviceId::Source),
         LEAVE => Input::Leave,
         STOP => Input::Stop,
+        KEPT => Input::Kept(u32_of(rest)?),
         _ => return None,
     })
 }
@@ -190,12 +196,16 @@ fn u16_of(rest: &mut &[u8]) -> Option<u16> {
     Some(u16::from_le_bytes(take(rest, 2)?.try_into().ok()?))
 }
 
+fn u32_of(rest: &mut &[u8]) -> Option<u32> {
+    Some(u32::from_le_bytes(take(rest, 4)?.try_into().ok()?))
+}
+
 fn u64_of(rest: &mut &[u8]) -> Option<u64> {
     Some(u64::from_le_bytes(take(rest, 8)?.try_into().ok()?))
 }
 
 fn block_of<'a>(rest: &mut &'a [u8]) -> Option<&'a [u8]> {
-    let length = u32::from_le_bytes(take(rest, 4)?.try_into().ok()?);
+    let length = u32_of(rest)?;
     take(rest, length as usize)
 }
 
@@ -218,6 +228,7 @@ mod tests {
             Input::Ended(DeviceId::Driver(RobotId(5))),
             Input::Ended(DeviceId::Source),
             Input::Stop,
+            Input::Kept(7),
             Input::Leave,
         ];
         let turn = Turn { now: Time::from_nanos(77), sent: 5, inputs };

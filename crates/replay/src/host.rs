@@ -21,6 +21,7 @@ use murmurate::trial::Trial;
 use murmurate_record::actions::{Commands, RobotDifference, StepDifference};
 use murmurate_record::compare::{Compared, Comparison};
 use murmurate_record::identity::{HostIdentity, Identity};
+use murmurate_record::keys::first_roster;
 use murmurate_record::reader::{self, Messages};
 use murmurate_record::share::trusted;
 use murmurate_record::topics::{Stage, Topic, Topics};
@@ -52,11 +53,17 @@ impl Access {
             return Some(Access { key: None, trusts: false });
         }
         let list = match trusted(attached) {
-            Some(list) if of.signed => Some(list.with_signatures(Signatures::trusting())),
+            Some(list) if of.signed => {
+                Some(list.with_signatures(Signatures::trusting()).with_trusted_rosters(first_roster(of)))
+            }
             list => list,
         };
         let trusts = key.is_none() || confidential && list.is_some();
-        let key = if trusts { list } else { key }?;
+        let began = |key: Key| match first_roster(of) {
+            Some(sealed) if !trusts => key.by_roster(&sealed).unwrap_or(key),
+            _ => key,
+        };
+        let key = began(if trusts { list } else { key }?);
         Some(Access { key: Some(key.confidential_if(confidential)), trusts })
     }
 }
@@ -205,7 +212,16 @@ mod tests {
 
     fn identity(keyed: bool) -> HostIdentity {
         let (name, transports) = ("a".to_owned(), vec![1]);
-        HostIdentity { name, id: HostId(0), incarnation: 5, seed: "07".repeat(32), transports, keyed, signed: false }
+        HostIdentity {
+            name,
+            id: HostId(0),
+            incarnation: 5,
+            seed: "07".repeat(32),
+            transports,
+            keyed,
+            signed: false,
+            roster: String::new(),
+        }
     }
 
     #[test]

@@ -18,6 +18,7 @@ use murmurate::safety::guard::SafetyCounts;
 use murmurate::time::Time;
 use murmurate_record::chosen::Unusable;
 use murmurate_record::identity::{self, Identity};
+use murmurate_record::keys::RecordedKey;
 use murmurate_record::reader::{Item, Message, Reader};
 use murmurate_record::stage::{self, Stage};
 use murmurate_record::tape;
@@ -72,7 +73,7 @@ struct Reading<'a> {
     taped: BTreeSet<HostId>,
     keys: &'a Keys,
     /// Hosts of a team with a key, each with the key by which its arrivals are checked, if there is one.
-    keyed: BTreeMap<HostId, Option<Key>>,
+    keyed: BTreeMap<HostId, Option<RecordedKey>>,
     /// Numbers of datagrams of hosts with a key that had a valid tag, and that had not.
     tags: [u64; 2],
     /// Incarnation and sequence number of the newest datagram, by receiving host and sending host, by which repeated
@@ -197,7 +198,7 @@ impl Reading<'_> {
     fn note_key(&mut self, identity: &Identity) {
         if let Some(host) = identity.host.as_ref().filter(|host| host.keyed) {
             let of_record = self.keys.of_records.get(&host.process_name());
-            let key = self.keys.of_team.as_ref().or(of_record).cloned();
+            let key = self.keys.of_team.as_ref().or(of_record).map(|key| RecordedKey::new(key, host));
             self.keyed.entry(host.id).or_insert(None).clone_from(&key);
         }
     }
@@ -220,12 +221,15 @@ impl Reading<'_> {
     /// the turn; repeated datagrams are added once.
     fn turn(&mut self, now: Time, host: HostId, data: &[u8]) {
         for input in tape::read(data).into_iter().flat_map(|turn| turn.inputs) {
+            if let Some(Some(key)) = self.keyed.get_mut(&host) {
+                key.follow(now, &input);
+            }
             let Input::Frame(link, frame, _) = input else { continue };
             let plain = match self.keyed.get(&host) {
                 None => Cow::Borrowed(&*frame),
                 Some(None) => continue,
                 Some(Some(key)) => {
-                    let plain = key.open(&frame, link, host);
+                    let plain = key.open(&frame, link);
                     self.tags[usize::from(plain.is_none())] += 1;
                     let Some(plain) = plain else { continue };
                     plain
@@ -291,7 +295,16 @@ mod tests {
         let mut identity = Identity::here("1f", vec!["host".to_owned()], "");
         let name = stage.hosts[0].clone();
         let (seed, transports) = ("00".repeat(32), vec![1; 2]);
-        let host = HostIdentity { name, id: HostId(0), incarnation: 5, seed, transports, keyed: true, signed: false };
+        let host = HostIdentity {
+            name,
+            id: HostId(0),
+            incarnation: 5,
+            seed,
+            transports,
+            keyed: true,
+            signed: false,
+            roster: String::new(),
+        };
         identity.host = Some(host);
         let path = folder.join("host.mcap");
         let mut file = RecordFile::create(&path, &Beginning { identity, attached: Vec::new() }, &stage).unwrap();

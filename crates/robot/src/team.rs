@@ -1,6 +1,7 @@
 //! Flags of commands that take a team file, and loading of the file, its key and its policy.
 
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -8,7 +9,7 @@ use anyhow::Result;
 use murmurate::config::ConfigError;
 use murmurate::deploy::Routes;
 use murmurate::deploy::team::{Flag, Team, TeamFile};
-use murmurate::graph::end::HostEnd;
+use murmurate::graph::end::{HostEnd, Keep};
 use murmurate::graph::operator::Operator;
 use murmurate::live::links::{self, ProcessIdentity};
 use murmurate::messages::ids::{HostId, RobotId};
@@ -124,6 +125,7 @@ impl TeamArgs {
         let access = file.operator_access().map_err(|error| self.wrong(&error))?;
         let deployment = file.deployment();
         let file = key_of(access.key_file.as_deref())?;
+        let keep = file.as_ref().and_then(keep_of);
         let key = file.map(|file| file.operator_key(access.number, &mut identity)).transpose()?;
         let key = key.map(|key| key.confidential_if(access.confidential));
         let me = identity.operator_of(access.number);
@@ -134,6 +136,7 @@ impl TeamArgs {
                 key,
                 seed: identity.seed,
                 links: links::of_operator(deployment, links::places_of(&access, deployment)),
+                keep,
                 transports: links::join(&access, link, me.host, self.interface.is_some())?,
             },
             robots: deployment.robots,
@@ -191,6 +194,12 @@ pub fn key_of(file: Option<&Path>) -> Result<Option<KeyFile>> {
         ));
     }
     file.map(key::read).transpose()
+}
+
+/// Returns the function by which an operator with this key file keeps rosters; `None` with the key of a whole team.
+pub fn keep_of(file: &KeyFile) -> Option<Keep> {
+    let kept = file.kept()?;
+    Some(Rc::new(move |sealed: &[u8]| kept.keep(sealed)))
 }
 
 /// Returns the team's scenario, with the number of robots and the sizes of its deployment.

@@ -10,6 +10,7 @@ use murmurate::deploy::team::Team;
 use murmurate::graph::event::Event;
 use murmurate::live::LiveHost;
 use murmurate::messages::ids::HostId;
+use murmurate::net::protocol::key::Key;
 use murmurate::time::Time;
 
 /// Flags for the record of a run. There are none in a program without the feature `record`.
@@ -24,7 +25,7 @@ impl LiveRecord {
     pub fn of_host(
         _: &RecordFlags,
         (team, _): (&Team, &LiveHost),
-        _: (Instant, bool, bool),
+        _: (Instant, Option<&Key>),
         _: (Vec<PathBuf>, &str),
     ) -> Result<Option<LiveRecord>> {
         match &team.record {

@@ -1,6 +1,6 @@
 //! State of a team, built from the messages that a process receives. Pure. Values that were not received stay unknown.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::receptions::Receptions;
 use super::revisions::Revisions;
@@ -34,6 +34,8 @@ pub struct TeamView {
     scene: Scene,
     /// Host of each robot's agent, by robot id.
     homes: Vec<HostId>,
+    /// Hosts of agents that the team's roster does not name.
+    revoked: BTreeSet<HostId>,
     revisions: Revisions,
     robots: Vec<RobotView>,
     receptions: Receptions,
@@ -59,6 +61,7 @@ impl TeamView {
         TeamView {
             scene,
             homes,
+            revoked: BTreeSet::new(),
             revisions: Revisions::default(),
             robots: vec![RobotView::default(); robots],
             receptions: Receptions::new(robots, hosts),
@@ -264,6 +267,20 @@ impl TeamView {
     /// Sets the battery charge \[%\] of a robot.
     pub fn charged(&mut self, id: RobotId, percent: u8) {
         self.robot(id, |robot| robot.battery = Some(percent));
+    }
+
+    /// Takes the members of the roster that is in force, and adds a line to the log for each robot whose host is not
+    /// in it any more, or is in it again.
+    pub fn members(&mut self, now: Time, members: &BTreeSet<HostId>) {
+        let revoked: BTreeSet<HostId> = self.homes.iter().copied().filter(|host| !members.contains(host)).collect();
+        for (at, host) in self.homes.clone().into_iter().enumerate() {
+            match (revoked.contains(&host), self.revoked.contains(&host)) {
+                (true, false) => self.note(now, &format!("robot {at} was revoked: it may move uncontrolled")),
+                (false, true) => self.note(now, &format!("robot {at} is in the roster again")),
+                _ => {}
+            }
+        }
+        self.revoked = revoked;
     }
 
     /// Adds a line to the log, at the time `now`.

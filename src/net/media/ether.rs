@@ -83,9 +83,9 @@ impl Ether {
     }
 
     fn transmit(&mut self, now: Time, transmit: &Transmit, out: &mut Vec<Out>) {
-        let (kind, index) = match first(&transmit.frame).expect("a Network sends complete datagrams") {
-            Content::Message(kind) => (kind, kind as usize),
-            // The link layer's own soft state is impaired like the robots' soft state.
+        let (kind, index) = match first(&transmit.frame) {
+            Ok(Content::Message(kind)) => (kind, kind as usize),
+            // The link layer's own soft state is impaired like the robots' soft state, and so is what is encrypted.
             _ => (Kind::Heartbeat, KINDS.len()),
         };
         if let Some(radio) = &mut self.radio {

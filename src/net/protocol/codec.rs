@@ -72,6 +72,8 @@ impl Flags {
     pub const ENCRYPTED: u8 = 32;
     /// Flag bit: the first of the encrypted blocks is a link report, which a unicast link sends to more addresses.
     pub const REPORT: u8 = 64;
+    /// Flag bit: the datagram is a roster (`roster`), which is signed and has no tag.
+    pub const ROSTER: u8 = 128;
 
     /// Whether the flag `bit`, one of the constants of this type, is set.
     pub fn has(self, bit: u8) -> bool {
@@ -111,6 +113,8 @@ pub enum Content {
     Nack,
     /// Sequence numbers of earlier datagrams that their sender still keeps, so that receivers may request them.
     Held,
+    /// Roster of the team's members (`roster`), in a datagram of its own.
+    Roster,
     /// Content of a later version, with its byte; it is passed over.
     Other(u8),
 }
@@ -121,6 +125,7 @@ impl Content {
     const NACK: u8 = 0x82;
     const HELD: u8 = 0x83;
     const NUMBERED_REPORT: u8 = 0x84;
+    const ROSTER: u8 = 0x85;
 
     fn byte(self) -> u8 {
         match self {
@@ -130,6 +135,7 @@ impl Content {
             Content::Ack => Content::ACK,
             Content::Nack => Content::NACK,
             Content::Held => Content::HELD,
+            Content::Roster => Content::ROSTER,
             Content::Other(byte) => byte,
         }
     }
@@ -138,6 +144,7 @@ impl Content {
         match byte {
             Content::REPORT => Content::Report,
             Content::NUMBERED_REPORT => Content::NumberedReport,
+            Content::ROSTER => Content::Roster,
             Content::ACK => Content::Ack,
             Content::NACK => Content::Nack,
             Content::HELD => Content::Held,
@@ -166,7 +173,7 @@ pub enum DecodeError {
     /// The datagram has another version of the wire format, given here.
     #[error("version {0} of the wire format; this program speaks {VERSION}")]
     Version(u8),
-    /// The datagram has undefined flags; all flags are given here.
+    /// The datagram has flags that none has together; all are given here.
     #[error("no datagram has the flags {0:#04x}")]
     Flags(u8),
     /// The blocks are encrypted.
@@ -230,10 +237,6 @@ pub fn is_current(datagram: &[u8]) -> bool {
     datagram.first() == Some(&VERSION)
 }
 
-/// Flags that a datagram may have.
-const KNOWN_FLAGS: u8 =
-    Flags::TAGGED | Flags::DIRECT | Flags::COPY | Flags::ACK | Flags::FOR_EACH | Flags::ENCRYPTED | Flags::REPORT;
-
 /// Returns whether the blocks of a datagram are encrypted.
 pub fn is_encrypted(datagram: &[u8]) -> bool {
     datagram.get(FLAGS_AT).is_some_and(|flags| Flags(*flags).has(Flags::ENCRYPTED))
@@ -250,7 +253,8 @@ pub fn peek(datagram: &[u8]) -> Result<Header, DecodeError> {
         return Err(DecodeError::Version(version));
     }
     let flags = Flags(flags);
-    if flags.0 & !KNOWN_FLAGS != 0 || flags.has(Flags::REPORT) && !flags.has(Flags::ENCRYPTED) {
+    let mixed = flags.has(Flags::ROSTER) && flags.0 != Flags::ROSTER;
+    if mixed || flags.has(Flags::REPORT) && !flags.has(Flags::ENCRYPTED) {
         return Err(DecodeError::Flags(flags.0));
     }
     let (incarnation, sequence) = (u32::from_le_bytes([e0, e1, e2, e3]), u32::from_le_bytes([n0, n1, n2, n3]));
@@ -299,6 +303,27 @@ pub fn first(datagram: &[u8]) -> Result<Content, DecodeError> {
         return if report { Ok(Content::Report) } else { Err(DecodeError::Encrypted) };
     }
     split(datagram.get(HEADER_BYTES..).unwrap_or_default()).map(|(content, ..)| content)
+}
+
+/// Returns a datagram with the roster `sealed` from the sender `me`. It has no number and no tag: the roster's own
+/// signature is checked.
+pub fn with_roster(me: &Header, sealed: &[u8]) -> Frame {
+    let mut bytes = start(&Header { flags: Flags(Flags::ROSTER), sequence: 0, ..*me });
+    add(&mut bytes, Content::Roster, |bytes| bytes.extend_from_slice(sealed));
+    bytes.into()
+}
+
+/// Returns the roster in a datagram that says that it is one; `None` for any other datagram. Nothing is checked.
+pub fn roster_of(datagram: &[u8]) -> Option<&[u8]> {
+    if datagram.get(FLAGS_AT) != Some(&Flags::ROSTER) {
+        return None;
+    }
+    peek(datagram).ok()?;
+    let mut all = blocks(datagram);
+    match (all.next()?.ok()?, all.next()) {
+        ((Content::Roster, sealed), None) => Some(sealed),
+        _ => None,
+    }
 }
 
 /// Decodes the body of a message of kind `kind`, and checks that its values are in range.

@@ -26,6 +26,8 @@ impl ControlBlocks {
                 (content @ (Content::Report | Content::NumberedReport), body) => {
                     blocks.report = Some(Report::read(content, body)?);
                 }
+                // It is in a datagram of its own, without a tag.
+                (Content::Roster, _) => return Err(DecodeError::Link(Content::Roster)),
                 (Content::Held, body) => blocks.held.extend(read_held(body)?),
                 (content @ Content::Ack, body) => blocks.acks.extend(read_ids(content, body)?),
                 (content @ Content::Nack, body) => blocks.requests.extend(read_ids(content, body)?),

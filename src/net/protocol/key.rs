@@ -13,8 +13,10 @@ use std::fmt;
 use std::sync::Arc;
 
 use super::cipher::{ASSOCIATED_BYTES, Associated, Cipher, ENCRYPTION_BYTES};
-use super::codec::{self, Content, FLAGS_AT, Flags, HEADER_BYTES};
+use super::codec::{self, Content, FLAGS_AT, Flags, Frame, HEADER_BYTES};
 use super::codec::{MAX_FRAME_BYTES, MAX_PLAIN_BYTES, SHORT_TAG_BYTES, TAG_BYTES};
+use super::member::Member;
+use super::roster::{self, Roster, RosterError};
 use super::signatures::Signatures;
 use crate::messages::ids::{HostId, LinkId};
 
@@ -28,6 +30,24 @@ pub struct Key {
     secret: Secret,
     accepts: Accepts,
     signatures: Option<Arc<Signatures>>,
+    membership: Option<Arc<Membership>>,
+    former: Option<Arc<Former>>,
+}
+
+/// Roster that is in force for a member.
+struct Membership {
+    roster: Roster,
+    /// The roster as the root key has made it; `None` for that of the member's key file.
+    sealed: Option<Frame>,
+    /// Keys from which those of the next roster are made; `None` in a replay without them.
+    member: Option<Member>,
+}
+
+/// Keys of the roster before the present one, while they are valid, too.
+struct Former {
+    secret: Secret,
+    /// Whether datagrams still leave with these keys.
+    seals: bool,
 }
 
 /// Which datagrams are accepted: the others are those of an attacker, or of a host with another team file.
@@ -44,14 +64,14 @@ enum Secret {
     /// Key of all members of the team.
     Team(Shared),
     /// Keys of one member.
-    Member(Arc<Member>),
+    Member(Arc<Pairs>),
     /// In a replay: digests of the datagrams whose tags were valid when they were recorded.
     Accepted(Arc<BTreeSet<[u8; 16]>>),
 }
 
 /// Keys of one member of a team: that of all members, under which datagrams are hashed, and those of the pairs.
 #[derive(Clone)]
-struct Member {
+struct Pairs {
     team: Shared,
     /// For each member, this one included: the key that only the two have. Short tags are in this order.
     pairs: BTreeMap<HostId, Shared>,
@@ -66,12 +86,80 @@ struct Shared {
 
 impl Key {
     fn of(secret: Secret) -> Key {
-        Key { secret, accepts: Accepts::InClear, signatures: None }
+        Key { secret, accepts: Accepts::InClear, signatures: None, membership: None, former: None }
     }
 
     /// Returns the keys of a process of a team whose operators sign what ends a stop or a hold.
     pub fn with_signatures(self, signatures: Signatures) -> Key {
         Key { signatures: Some(Arc::new(signatures)), ..self }
+    }
+
+    /// Returns the keys of a process with what those of the next roster are made from.
+    pub(super) fn with_member(self, member: Member) -> Key {
+        let (roster, sealed) = (member.roster().clone(), member.sealed().cloned());
+        Key { membership: Some(Arc::new(Membership { roster, sealed, member: Some(member) })), ..self }
+    }
+
+    /// Returns the key of a replay that accepts the rosters among the datagrams that it accepts. `sealed` is the
+    /// roster with which the recorded process has begun; `None` if it was that of its key file.
+    pub fn with_trusted_rosters(self, sealed: Option<Frame>) -> Key {
+        let roster = sealed.as_ref().and_then(|sealed| roster::read(sealed).ok());
+        let roster = roster.unwrap_or(Roster { number: 1, ..Roster::default() });
+        Key { membership: Some(Arc::new(Membership { roster, sealed, member: None })), ..self }
+    }
+
+    /// Returns the roster that is in force; `None` in a team without one.
+    pub fn roster(&self) -> Option<&Roster> {
+        self.membership.as_ref().map(|membership| &membership.roster)
+    }
+
+    /// Returns the roster that is in force as the root key has made it; `None` for that of a key file.
+    pub fn sealed_roster(&self) -> Option<&Frame> {
+        self.membership.as_ref()?.sealed.as_ref()
+    }
+
+    /// Returns the key of this process by the roster `sealed`.
+    ///
+    /// # Errors
+    /// If the root key of the team has not made it, it is not newer than the present one, or the member is not in it.
+    pub fn by_roster(&self, sealed: &[u8]) -> Result<Key, RosterError> {
+        let membership = self.membership.as_ref().ok_or(RosterError::Absent)?;
+        match &membership.member {
+            Some(member) => Ok(member.take(sealed)?.key().with_ciphers_as(self.accepts)),
+            None => {
+                let roster = roster::read(sealed)?;
+                if roster.number <= membership.roster.number {
+                    return Err(RosterError::Known);
+                }
+                let membership = Membership { roster, sealed: Some(sealed.into()), member: None };
+                Ok(Key { membership: Some(Arc::new(membership)), former: None, ..self.clone() })
+            }
+        }
+    }
+
+    /// Returns the key of this process by the roster in a datagram that has arrived on the link `link`.
+    ///
+    /// # Errors
+    /// As [`Key::by_roster`]; in a replay without keys also if the recorded process has not accepted it.
+    pub fn successor(&self, datagram: &[u8], link: LinkId) -> Result<Key, RosterError> {
+        let sealed = codec::roster_of(datagram).ok_or(RosterError::Malformed)?;
+        let next = self.by_roster(sealed)?;
+        match &self.secret {
+            Secret::Accepted(accepted) if !accepted.contains(&digest(datagram, link)) => Err(RosterError::Unsigned),
+            _ => Ok(next),
+        }
+    }
+
+    /// Returns this key, which also accepts what has a tag by the keys of `former`, and makes tags by them if `seals`.
+    #[must_use]
+    pub fn beside(self, former: &Key, seals: bool) -> Key {
+        Key { former: Some(Arc::new(Former { secret: former.secret.clone(), seals })), ..self }
+    }
+
+    /// Returns this key, which accepts nothing by the keys of a former roster.
+    #[must_use]
+    pub fn alone(self) -> Key {
+        Key { former: None, ..self }
     }
 
     /// Returns the keys by which orders are signed and checked; `None` in a team whose operators sign nothing.
@@ -92,7 +180,7 @@ impl Key {
     pub fn of_member(team: Bytes, pairs: BTreeMap<HostId, Bytes>) -> Key {
         assert!(pairs.len() <= codec::MAX_MEMBERS, "the reader of keys checks their number");
         let pairs = pairs.into_iter().map(|(member, pair)| (member, Shared::new(pair))).collect();
-        Key::of(Secret::Member(Arc::new(Member { team: Shared::new(team), pairs })))
+        Key::of(Secret::Member(Arc::new(Pairs { team: Shared::new(team), pairs })))
     }
 
     /// Creates a substitute for a key, for replays of records only: it accepts exactly the datagrams with these
@@ -119,16 +207,20 @@ impl Key {
         self.with_ciphers(Accepts::Either)
     }
 
+    fn with_ciphers_as(self, accepts: Accepts) -> Key {
+        if accepts == Accepts::InClear { self } else { self.with_ciphers(accepts) }
+    }
+
     fn with_ciphers(self, accepts: Accepts) -> Key {
-        let secret = match self.secret {
+        let secret = match self.secret.clone() {
             Secret::Team(shared) => Secret::Team(shared.with_cipher()),
             Secret::Member(member) => {
                 let pairs = member.pairs.iter().map(|(host, pair)| (*host, pair.clone().with_cipher())).collect();
-                Secret::Member(Arc::new(Member { team: member.team.clone().with_cipher(), pairs }))
+                Secret::Member(Arc::new(Pairs { team: member.team.clone().with_cipher(), pairs }))
             }
             accepted @ Secret::Accepted(_) => accepted,
         };
-        Key { secret, accepts, signatures: self.signatures }
+        Key { secret, accepts, ..self }
     }
 
     /// Returns whether datagrams are encrypted, and what is not is refused.
@@ -147,7 +239,8 @@ impl Key {
     pub fn seal(&self, datagram: &mut Vec<u8>, link: LinkId, to: Option<HostId>) {
         datagram[FLAGS_AT] |= self.flags(datagram);
         let associated = associated(link, to);
-        match (&self.secret, to) {
+        let former = self.former.as_ref().filter(|former| former.seals);
+        match (former.map_or(&self.secret, |former| &former.secret), to) {
             (Secret::Team(team), _) => team.seal(datagram, associated),
             (Secret::Member(member), Some(host)) => match member.pairs.get(&host) {
                 Some(pair) => pair.seal(datagram, associated),
@@ -179,11 +272,16 @@ impl Key {
         if datagram.len() < HEADER_BYTES + TAG_BYTES || datagram.len() > MAX_FRAME_BYTES {
             return None;
         }
+        let by = |secret| self.open_by(secret, datagram, link, here);
+        by(&self.secret).or_else(|| by(&self.former.as_ref()?.secret))
+    }
+
+    fn open_by<'a>(&self, secret: &Secret, datagram: &'a [u8], link: LinkId, here: HostId) -> Option<Cow<'a, [u8]>> {
         // The flags are not authenticated yet; they only select the tag to expect.
         let flags = Flags(datagram[FLAGS_AT]);
         let to = flags.has(Flags::DIRECT).then_some(here);
         let associated = associated(link, to);
-        match &self.secret {
+        match secret {
             Secret::Accepted(accepted) => {
                 accepted.contains(&digest(datagram, link)).then(|| codec::untagged(datagram).into())
             }
@@ -249,7 +347,7 @@ impl Shared {
     }
 }
 
-impl Member {
+impl Pairs {
     /// Appends a short tag for each member to a datagram for all, after it has encrypted the blocks if the flags say
     /// so.
     fn seal(&self, datagram: &mut Vec<u8>, associated: Associated) {

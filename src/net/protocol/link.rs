@@ -370,6 +370,15 @@ impl LinkState {
         self.counts.refuse(Refusal::of(error), 1);
     }
 
+    /// Takes the keys of another roster. Of members that are not in it nothing is accepted from now on.
+    pub(crate) fn rekey(&mut self, key: &Key) {
+        (self.key, self.outgoing.key) = (Some(key.clone()), Some(key.clone()));
+        let members = key.roster().map(|roster| &roster.members);
+        if let Some(members) = members.filter(|members| !members.is_empty()) {
+            self.incoming.senders.keep(|host| members.contains_key(&host));
+        }
+    }
+
     /// Returns the hosts of the team that are accepted, each with its incarnation.
     pub(crate) fn hosts(&self) -> impl Iterator<Item = (HostId, u32)> {
         self.incoming.senders.iter().map(|(id, _)| id).filter(|(host, _)| *host < self.first_guest)

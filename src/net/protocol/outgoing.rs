@@ -42,7 +42,7 @@ pub type Outbound = (Audience, Frame);
 pub struct Outgoing {
     me: Header,
     link: LinkId,
-    key: Option<Key>,
+    pub(super) key: Option<Key>,
     /// Largest datagram without its tags \[bytes\].
     room: usize,
     setup: Setup,

@@ -83,6 +83,11 @@ impl Senders {
         self.all.remove(&id);
     }
 
+    /// Removes the senders of all hosts for which `stays` is false.
+    pub fn keep(&mut self, stays: impl Fn(HostId) -> bool) {
+        self.all.retain(|(host, _), _| stays(*host));
+    }
+
     /// Makes room in the table for a new sender of the host `host`; returns `false` if there is none. Among too many
     /// guests, the one that has been silent longest is removed; it is accepted again with its next datagram. Among too
     /// many hosts of the team, those that have been silent for 20 s are removed.

@@ -110,6 +110,7 @@ fn speak(
         key: Some(key),
         seed: Seed::of_bytes(bytes),
         links: vec![Some(setup), None],
+        keep: None,
         transports: vec![(LinkId(0), open)],
     };
     let (robots, publishers) = (deployment.robots, Routes::of(&deployment).publishers());

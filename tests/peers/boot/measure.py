@@ -25,7 +25,7 @@ import time
 LIMIT_S = 2.0
 # What an outage counts as of which the state server notices nothing [s].
 UNNOTICED_S = 1.0
-LOG = "warn,zenoh=error,murmurate::actors::roster=info,murmurate::net::transport::udp=debug"
+LOG = "warn,zenoh=error,murmurate::actors::presence=info,murmurate::net::transport::udp=debug"
 TAG = f"mb{os.getpid()}"
 PREFIX = "10.78.0."
 NETWORK = pathlib.Path(__file__).parents[2] / "cases/robots/lib_network.sh"

@@ -41,7 +41,7 @@ pub fn run(args: &Args) -> Result<Ended> {
         return bad(format!("--output: '{}' is one of the records: name another file", args.output.display()));
     }
     let mut fresh = temporary::file_in(folder, 0o640).with_context(no_room)?;
-    let key = args.key_file.as_deref().map(key::read).transpose()?.map(|file| file.key().for_records());
+    let key = args.key_file.as_deref().map(key::read).transpose()?.map(|file| file.key_of_records());
     let Merge { parts, alignment, whole } = into_file(records, key.as_ref(), fresh.as_file_mut())?;
     fresh.as_file().sync_all().with_context(no_room)?;
     fresh.persist(&args.output).map_err(|failed| failed.error).with_context(no_room)?;

@@ -10,6 +10,7 @@ use murmurate::config::shown;
 use murmurate::net::protocol::key::Key;
 use murmurate_record::chosen::Chosen;
 use murmurate_record::identity::Identity;
+use murmurate_record::keys::RecordedKey;
 use murmurate_record::reader::{self, Reader};
 use murmurate_record::repair;
 use murmurate_record::share::{accepted, copy};
@@ -36,7 +37,7 @@ pub struct Args {
 /// of the records with the lists of the datagrams that had a valid tag. Of a folder, records without a key are copied,
 /// too. Returns [`Ended::Unfit`] if a file of a folder was left out, or a record is damaged.
 pub fn run(args: &Args) -> Result<Ended> {
-    let key = key::read(&args.key_file)?.key().for_records();
+    let key = key::read(&args.key_file)?.key_of_records();
     let Chosen { records, left_out } = chosen::records(std::slice::from_ref(&args.record))?;
     let whole_folder = args.record.is_dir();
     let output_of = |path: &Path| match whole_folder {
@@ -108,12 +109,13 @@ fn one((path, identity): (&Path, &Identity), key: &Key, output: &Path, as_it_is:
         print(&format!("{}: made without a key, as it is", output.display()))?;
         return Ok(whole);
     };
-    let found = accepted(messages, key, host.id)?;
+    let key = RecordedKey::new(key, host);
+    let found = accepted(messages, key.clone())?;
     if found.accepted.is_empty() && found.refused > 0 {
         return bad(format!("--key-file: no datagram of '{}' has a tag of this key", path.display()));
     }
     let mut fresh = temporary::file_in(folder, 0o666).with_context(no_room)?;
-    copy(&mut Reader::open(path)?, (key, host.id), &found.accepted, BufWriter::new(fresh.as_file_mut()))?;
+    copy(&mut Reader::open(path)?, key, &found.accepted, BufWriter::new(fresh.as_file_mut()))?;
     fresh
         .as_file()
         .sync_all()

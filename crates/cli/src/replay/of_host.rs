@@ -31,7 +31,7 @@ pub fn prepare(
     })?;
     let of = identity.host.as_ref().expect("the caller has seen a host");
     // The path of the key file in the record is not used: the record may be from an untrusted source.
-    let given = args.key_file.as_deref().filter(|_| of.keyed).map(key::read).transpose()?.map(|file| file.key());
+    let given = args.key_file.as_deref().filter(|_| of.keyed).map(key::read).transpose()?.map(|file| file.own_key());
     let Some(access) = Access::of(of, &attached, given, team.confidential) else {
         let path = path.display();
         return bad(format!("'{path}' is of a team with a key, which is in no record: give it with --key-file"));

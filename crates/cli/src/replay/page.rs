@@ -70,7 +70,7 @@ pub fn watch(args: &Args, registry: &Registry) -> Result<Ended> {
 fn read(args: &Args, registry: &Registry) -> Result<Shown> {
     let named = &args.records;
     let mut paths = first_files(named)?;
-    let of_team = args.key_file.as_deref().map(key::read).transpose()?.map(|file| file.key().for_records());
+    let of_team = args.key_file.as_deref().map(key::read).transpose()?.map(|file| file.key_of_records());
     let mut keys = Keys { of_team, ..Keys::default() };
     if paths.len() > 1 {
         let records = chosen::records(named)?.records;

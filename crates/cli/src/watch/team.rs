@@ -188,6 +188,10 @@ impl Page {
                     if let Event::Counts(counts) = event {
                         counted.set(counts.key_trouble());
                     }
+                    if let Event::Members(roster) = event {
+                        let members = roster.members.keys().copied().collect();
+                        seen.borrow_mut().members(time.now(), &members);
+                    }
                     let Event::Message(message) = event else { return };
                     if let Wire::Status(status) = message {
                         given.borrow_mut().receive(time.now(), status);

@@ -24,6 +24,7 @@ use murmurate::time::{Span, Time};
 
 use super::finding::{Found, Subject};
 use crate::key;
+use crate::team;
 use murmurate::fitness::Fitness;
 use murmurate::live::links;
 
@@ -161,6 +162,7 @@ fn open(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>]) -> Resu
     let post = post.map(|at| LinkId(u16::try_from(at).expect("links are counted in u16")));
     let mut identity = links::ProcessIdentity::draw()?;
     let file = team.key_file.as_deref().map(key::read).transpose()?;
+    let keep = file.as_ref().and_then(team::keep_of);
     let key = file.map(|file| file.operator_key(team.number, &mut identity)).transpose()?;
     let key = key.map(|key| key.confidential_if(team.confidential));
     let mut transports = Vec::new();
@@ -171,7 +173,7 @@ fn open(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>]) -> Resu
     }
     let me = identity.operator_of(team.number);
     Ok(Operator {
-        end: HostEnd { me, key, seed: identity.seed, links: setups.to_vec(), transports },
+        end: HostEnd { me, key, seed: identity.seed, links: setups.to_vec(), keep, transports },
         robots: team.deployment.robots,
         publishers: Routes::of(&team.deployment).publishers(),
         stop: post,

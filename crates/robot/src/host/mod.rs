@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use self::patience::Patience;
 use self::seen::Seen;
-use anyhow::{Result, anyhow};
+use anyhow::{Context, Result, anyhow};
 use clap::ValueEnum;
 use murmurate::deploy::team::{Team, TeamFile};
 use murmurate::graph::process::Graph;
@@ -30,6 +30,8 @@ use signal_hook::consts::SIGINT;
 
 use crate::BadInput;
 use crate::Ended;
+use crate::key::KeyFile;
+use crate::key::kept::Keeper;
 #[cfg(feature = "watch")]
 use crate::metrics::MetricsFlags;
 use crate::outlets::Outlets;
@@ -126,14 +128,18 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     if args.launched {
         team::leave_out_key_warning();
     }
-    let key = team::key(&team)?.map(|file| file.key().confidential_if(team.confidential));
+    let file = team::key(&team)?;
+    let kept = file.as_ref().and_then(KeyFile::kept);
+    let key = file.map(|file| file.key().confidential_if(team.confidential));
     let policy = team::policy(&team, registry)?;
     let digest = policy.model.digest().to_owned();
     let trial = args.trial(registry, &team, policy.model)?;
     let links = team.deployment.links.iter().map(|link| link.name.clone()).collect();
-    let seen = Rc::new(Seen::new(Outlets::open(args.json, args.trajectories.as_deref())?, links));
+    let keeper = kept.map(Keeper::open).transpose().context("cannot start a thread to write rosters")?;
+    let outlets = Outlets::open(args.json, args.trajectories.as_deref())?;
+    let seen = Rc::new(Seen::new(outlets, links, keeper));
     let outlets = &seen.outlets;
-    let (keyed, signed) = (key.is_some(), key.as_ref().is_some_and(|key| key.signatures().is_some()));
+    let recorded = key.clone();
     let (signal, wake_reader) = signals::listen()?;
     let mut patience = Patience::new((&signal, &wake_reader), outlets, (args.json, args.launched));
     let live = match LiveHost::open_when_fit(&team, &trial, key, registry, &mut |error| patience.wait(error)) {
@@ -143,7 +149,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     };
     patience.end();
     let files = [Some(args.team.file.clone()), team.policy.clone()].into_iter().flatten().collect();
-    let about = (began, keyed, signed);
+    let about = (began, recorded.as_ref());
     seen.record.set(LiveRecord::of_host(&args.record, (&team, &live), about, (files, &digest))?).ok();
     #[cfg(feature = "watch")]
     seen.metrics.set(args.metrics.open(&team)?).ok();
@@ -281,6 +287,9 @@ impl Watch {
         }
         if self.keep.swap(false, Ordering::Relaxed) {
             seen.record().into_iter().for_each(LiveRecord::keep);
+        }
+        for number in seen.keeper.iter().filter_map(Keeper::kept) {
+            graph.roster_kept(self.id, number);
         }
         seen.end_turn(now, Some(graph.steps()));
         self.lost = outlets.failure();

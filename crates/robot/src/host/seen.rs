@@ -4,6 +4,7 @@ use std::cell::{Cell, OnceCell, RefCell};
 use std::collections::BTreeMap;
 
 #[cfg(feature = "watch")]
+use crate::key::kept::Keeper;
 use crate::metrics::HostMetrics;
 use crate::outlets::Outlets;
 use crate::recording::LiveRecord;
@@ -40,6 +41,8 @@ pub struct Seen {
     pub links: Vec<String>,
     /// Finding that another live host has the id of this one and started earlier; `None` if there is none.
     pub duplicate: Cell<Option<DuplicateId>>,
+    /// Writer of rosters, in a team whose members have keys of their own.
+    pub keeper: Option<Keeper>,
     /// Record of the run. It is `None` if nothing is recorded, and empty until the host begins.
     pub record: OnceCell<Option<LiveRecord>>,
     /// Metrics of the host. They are `None` if they are not served, and empty until the host begins.
@@ -49,8 +52,8 @@ pub struct Seen {
 
 impl Seen {
     /// Returns the state of a host that has not begun. `outlets` are its outputs, and `links` the names of the
-    /// deployment's links.
-    pub fn new(outlets: Outlets, links: Vec<String>) -> Seen {
+    /// deployment's links, and `keeper` writes rosters.
+    pub fn new(outlets: Outlets, links: Vec<String>, keeper: Option<Keeper>) -> Seen {
         let (report, over, messages, counts) = Default::default();
         let (safety, hardware, duplicate) = Default::default();
         Seen {
@@ -63,6 +66,7 @@ impl Seen {
             outlets,
             links,
             duplicate,
+            keeper,
             record: OnceCell::new(),
             #[cfg(feature = "watch")]
             metrics: OnceCell::new(),
@@ -103,7 +107,9 @@ impl Seen {
             | Event::Input(_)
             | Event::Refused(..)
             | Event::Truth(_)
+            | Event::Members(_)
             | Event::Recorded(_) => {}
+            Event::Roster(number, sealed) => self.keeper.iter().for_each(|keeper| keeper.keep(number, sealed)),
             Event::Counts(counts) => self.counts.set(*counts),
             Event::Safety(robot, counts) => drop(self.safety.borrow_mut().insert(robot, counts)),
             Event::Hardware(robot, hardware) => {

@@ -9,37 +9,62 @@ use anyhow::Result;
 use murmurate::live::links::ProcessIdentity;
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::key::Key;
+use murmurate::net::protocol::roster::RosterError;
 use nix::unistd::geteuid;
 
 use super::digits::{BYTES, fingerprint, is_guessable, parse, refuse};
-use super::member::Member;
+use super::kept::Kept;
+use super::member::OwnFile;
 use crate::own_name;
 
 /// Largest key file \[bytes\]: that of a member of a large team has some 2000.
 const MOST: u64 = 16_384;
 
-/// Content of a key file: the key that all members of the team have, and in a member's own file its keys with each.
+/// Content of a key file: the key that all members of the team have, and in a member's own file its keys with each, by
+/// the newest roster that this machine has.
 pub struct KeyFile {
     path: PathBuf,
     shared: [u8; BYTES],
-    member: Option<Member>,
+    member: Option<OwnFile>,
+    /// The key by the roster in the file itself.
+    own: Key,
 }
 
 impl KeyFile {
     /// Returns the key with which a process authenticates datagrams.
     pub fn key(&self) -> Key {
-        self.member.as_ref().map_or_else(|| Key::new(self.shared), |member| member.key(self.shared))
+        self.member.as_ref().map_or_else(|| Key::new(self.shared), |own| own.member.key())
+    }
+
+    /// Returns the key by the roster in the file itself, which later ones in a record follow.
+    pub fn own_key(&self) -> Key {
+        self.own.clone()
+    }
+
+    /// Returns the key for records, by the roster in the file itself.
+    pub fn key_of_records(&self) -> Key {
+        self.own_key().for_records()
     }
 
     /// Returns the bytes that all members of the team have.
     pub fn shared(&self) -> [u8; BYTES] {
-        self.shared
+        self.member.as_ref().map_or(self.shared, |own| own.member.shared())
     }
 
-    /// Returns the fingerprint of the team's key: 8 hexadecimal digits of a hash, equal in the files of all members,
+    /// Returns the fingerprint of the team's key: 8 hexadecimal digits of a hash, equal for all members of one roster,
     /// which reveal nothing else about it.
     pub fn fingerprint(&self) -> String {
-        fingerprint(&self.shared)
+        fingerprint(&self.shared())
+    }
+
+    /// Returns the number of the newest roster that this machine has; `None` for the key of a whole team.
+    pub fn roster(&self) -> Option<u32> {
+        self.member.as_ref().map(|own| own.member.roster().number)
+    }
+
+    /// Returns the place of the newest roster on this machine; `None` for the key of a whole team.
+    pub fn kept(&self) -> Option<Kept> {
+        self.member.as_ref().map(|own| Kept::of(&self.path, &own.root))
     }
 
     /// Returns the number and the name of the member whose file this is; `None` for the key of a whole team.
@@ -54,7 +79,7 @@ impl KeyFile {
     /// If it is another member's, or of another team.
     pub fn check_host(&self, team: u16, (host, name): (HostId, &str)) -> Result<()> {
         let Some(member) = &self.member else { return Ok(()) };
-        member.check_team(&self.path, team)?;
+        self.check_team(member, team)?;
         if member.number != host {
             let why = format!("is that of '{}' and this is host '{name}': name the host's own file", member.name);
             return refuse(&self.path, &why);
@@ -69,7 +94,7 @@ impl KeyFile {
     /// If the file is a host's, or of another team.
     pub fn operator_key(&self, team: u16, process: &mut ProcessIdentity) -> Result<Key> {
         if let Some(member) = &self.member {
-            member.check_team(&self.path, team)?;
+            self.check_team(member, team)?;
             if !member.number.is_operator() {
                 let why = format!(
                     "is that of host '{}': name an operator's with --key-file, from 'key new TEAM.toml'",
@@ -81,18 +106,59 @@ impl KeyFile {
         }
         Ok(self.key())
     }
+
+    fn check_team(&self, own: &OwnFile, team: u16) -> Result<()> {
+        if own.team == team {
+            return Ok(());
+        }
+        refuse(&self.path, &format!("is of team {}, and this is team {team}: name that of this team", own.team))
+    }
+
+    /// Takes the newest roster that this machine has.
+    fn take_kept(&mut self) -> Result<()> {
+        let Some(own) = &mut self.member else { return Ok(()) };
+        let kept = Kept::of(&self.path, &own.root);
+        let path = kept.path().display();
+        let sealed = match kept.read() {
+            Ok(None) => return Ok(()),
+            Ok(Some(sealed)) => sealed,
+            Err(error) => {
+                return refuse(&self.path, &format!("has a newer roster '{path}' that cannot be read: {error}"));
+            }
+        };
+        match own.member.take(&sealed) {
+            Ok(member) => own.member = member,
+            Err(RosterError::Known) => {}
+            Err(error) => {
+                let why = format!(
+                    "has a newer roster '{path}' that is not its own: {error}; get a new key file, made by '{} key add {}', \
+                     and remove that roster",
+                    own_name(),
+                    own.name
+                );
+                return refuse(&self.path, &why);
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Reads a key file. Fails unless it belongs to this process's user or to root, has mode 0600 or less, and contains a
 /// key. Symbolic links are followed; owner and mode are checked on the opened file.
 pub fn read(path: &Path) -> Result<KeyFile> {
     let text = read_text(path)?;
-    let file = |shared, member| KeyFile { path: path.to_owned(), shared, member };
+    let file = |shared, member, own| KeyFile { path: path.to_owned(), shared, member, own };
     if text.len() <= 4 * BYTES {
-        return Ok(file(plain(path, &text)?, None));
+        let shared = plain(path, &text)?;
+        return Ok(file(shared, None, Key::new(shared)));
     }
-    match std::str::from_utf8(&text).map_err(|_| "is no text".to_owned()).and_then(Member::parse) {
-        Ok((shared, member)) => Ok(file(shared, Some(member))),
+    match std::str::from_utf8(&text).map_err(|_| "is no text".to_owned()).and_then(OwnFile::parse) {
+        Ok(own) => {
+            let (shared, key) = (own.member.shared(), own.member.key());
+            let mut file = file(shared, Some(own), key);
+            file.take_kept()?;
+            Ok(file)
+        }
         Err(why) => refuse(path, &format!("{why}: copy it again, or make new ones with '{} key new'", own_name())),
     }
 }
@@ -115,7 +181,8 @@ fn plain(path: &Path, text: &[u8]) -> Result<[u8; BYTES]> {
 const GUESSABLE: &str = "holds a key that anybody can guess, such as zeros or a repeated pattern: make one with 'key \
                          new', and copy it to every host";
 
-fn read_text(path: &Path) -> Result<Vec<u8>> {
+/// Reads the bytes of a secret file. Fails as [`read`] does.
+pub fn read_text(path: &Path) -> Result<Vec<u8>> {
     // Non-blocking, since opening a pipe would wait for its writer.
     let opened = OpenOptions::new().read(true).custom_flags(nix::libc::O_NONBLOCK | nix::libc::O_NOCTTY).open(path);
     let file = match opened {

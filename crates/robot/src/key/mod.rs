@@ -1,10 +1,15 @@
 //! Keys of a team, in files that only their owner may read: `file` reads them, `member` has those of one host or
-//! operator, `digits` one key, and `new` is the command that makes them. Keys are never printed.
+//! operator, `root` that which says who the members are, `kept` the newest roster on disk, and `digits` one key. `new`,
+//! `change` and `spread` are the commands that make keys, change rosters and send them. Keys are never printed.
 
+mod change;
 mod digits;
 mod file;
+pub mod kept;
 mod member;
 pub mod new;
+mod root;
+mod spread;
 
 #[cfg(feature = "watch")]
 use std::path::Path;

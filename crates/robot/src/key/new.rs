@@ -1,6 +1,6 @@
-//! The command `murmurate key`: keys of a team, in files that only their owner may read. Either one key of all members
-//! (32 bytes as 64 hexadecimal digits), or a file for each host and each operator, none of which can impersonate
-//! another.
+//! The command `murmurate key`: keys of a team, in files that only their owner may read. `key new` makes either one key
+//! of all members (32 bytes as 64 hexadecimal digits), or a file for each host and each operator, none of which can
+//! impersonate another, and one for the root, which says who the members are.
 //!
 //! Keys are never printed. Fingerprints show whether two hosts are of one team.
 
@@ -15,8 +15,10 @@ use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::codec::MAX_MEMBERS;
 use murmurate::registry::Registry;
 
+use super::change::{Add, Change, Rotate};
 use super::digits::{BYTES, fingerprint};
-use super::member;
+use super::root::Root;
+use super::spread::Spread;
 use crate::BadInput;
 use crate::Ended;
 use crate::output;
@@ -29,6 +31,14 @@ use crate::temporary;
 pub enum Args {
     /// Makes new key files that only you can read
     New(New),
+    /// Makes a roster without a member, whose key ends at once
+    Revoke(Change),
+    /// Makes a roster with a new operator, or with a new key of a member
+    Add(Add),
+    /// Makes a roster with a new key of all members, for no other reason
+    Rotate(Rotate),
+    /// Sends a roster to a running team, and says who has it
+    Spread(Spread),
 }
 
 /// Flags of `murmurate key new`.
@@ -49,12 +59,18 @@ pub struct New {
     force: bool,
 }
 
-/// Runs `key new`: creates the key files. Fails if one exists and `--force` is missing, or if it cannot be written.
+/// Runs `key`: creates key files or a roster, or sends one. Fails if a file exists and `--force` is missing, or if one
+/// cannot be written.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
-    let Args::New(args) = args;
-    match &args.team {
-        Some(team) => of_members(args, team, registry),
-        None => of_team(args),
+    match args {
+        Args::New(args) => match &args.team {
+            Some(team) => of_members(args, team, registry),
+            None => of_team(args),
+        },
+        Args::Revoke(args) => args.run(),
+        Args::Add(args) => args.run(),
+        Args::Rotate(args) => args.run(),
+        Args::Spread(args) => args.run(registry),
     }
 }
 
@@ -94,14 +110,22 @@ fn of_members(args: &New, team: &Path, registry: &Registry) -> Result<Ended> {
     if let Some((_, name)) = members.iter().find(|(_, name)| name.contains('/')) {
         return Err(BadInput(format!("host '{name}' has a name that no file can have")).into());
     }
+    if members.iter().any(|(_, name)| name == ROOT) {
+        return Err(BadInput(format!("host '{ROOT}' has the name of the root's key file: give it another")).into());
+    }
+    let all = || members.iter().map(|(_, name)| &**name).chain([ROOT]);
     if !args.force
-        && let Some((_, name)) = members.iter().find(|(_, name)| path_of(name).symlink_metadata().is_ok())
+        && let Some(name) = all().find(|name| path_of(name).symlink_metadata().is_ok())
     {
         return Err(exists(&path_of(name)));
     }
     let no_folder = |error| BadInput(format!("cannot make the folder '{}': {error}", shown::value(folder.display())));
     std::fs::create_dir_all(folder).map_err(no_folder)?;
-    for ((number, name), text) in members.iter().zip(member::files(number, &members, draw)?) {
+    let (root, files) = Root::new(number, &members, &mut draw)?;
+    let path = path_of(ROOT);
+    write(&path, &root.text(), args.force)?;
+    output::print(&format!("{}: the root key, for no machine of the team", shown::value(path.display())))?;
+    for ((number, name), (_, text)) in members.iter().zip(files) {
         let path = path_of(name);
         write(&path, &text, args.force)?;
         let what = if number.is_operator() { "for who gives orders".to_owned() } else { format!("for host '{name}'") };
@@ -110,6 +134,9 @@ fn of_members(args: &New, team: &Path, registry: &Registry) -> Result<Ended> {
     output::talk(
         "Copy each to its own machine alone, readable by its owner only (mode 0600), and name it in the team file:",
     );
+    output::talk(&format!(
+        "Keep {ROOT}.key where no robot and no visitor gets at it: who has it says who the members are."
+    ));
     for (number, name) in &members {
         let file = path_of(name);
         let place =
@@ -119,7 +146,11 @@ fn of_members(args: &New, team: &Path, registry: &Registry) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
-fn draw() -> Result<[u8; BYTES]> {
+/// Name of the root's key file, without its ending.
+pub const ROOT: &str = "root";
+
+/// Draws a key at random.
+pub fn draw() -> Result<[u8; BYTES]> {
     let mut key = [0; BYTES];
     getrandom::fill(&mut key).map_err(|e| anyhow::anyhow!("the operating system gives no random bytes: {e}"))?;
     Ok(key)
@@ -134,7 +165,7 @@ fn exists(out: &Path) -> anyhow::Error {
 }
 
 /// Writes a key file with mode 0600, which gets its name once it is complete.
-fn write(out: &Path, text: &str, force: bool) -> Result<()> {
+pub fn write(out: &Path, text: &str, force: bool) -> Result<()> {
     if !force && out.symlink_metadata().is_ok() {
         return Err(exists(out));
     }

@@ -13,6 +13,7 @@ use murmurate::deploy::team::Team;
 use murmurate::graph::event;
 use murmurate::live::LiveHost;
 use murmurate::messages::ids::HostId;
+use murmurate::net::protocol::key::Key;
 use murmurate::time::Time;
 use murmurate_record::file::Beginning;
 use murmurate_record::identity::{HostIdentity, Identity};
@@ -35,13 +36,13 @@ pub struct LiveRecord {
 
 impl LiveRecord {
     /// Starts the record `NAME-INCARNATION.mcap` of a host, in the folder of the flag `--record`, or otherwise of the
-    /// team file; returns `None` if neither names a folder. `began` is the time at which the run began, `keyed` is
-    /// true if the team has a key, and `signed` if its operators sign orders. `files` are the team file and the policy
+    /// team file; returns `None` if neither names a folder. `began` is the time at which the run began, and `key`
+    /// is that of the host, of which the record says only whether there is one, and which roster is in force. `files` are the team file and the policy
     /// file, which are attached; `policy` is the digest of the policy file.
     pub fn of_host(
         flags: &RecordFlags,
         (team, live): (&Team, &LiveHost),
-        (began, keyed, signed): (Instant, bool, bool),
+        (began, key): (Instant, Option<&Key>),
         (files, policy): (Vec<PathBuf>, &str),
     ) -> Result<Option<LiveRecord>> {
         let Some(folder) = flags.record.as_ref().or(team.record.as_ref()) else {
@@ -53,7 +54,10 @@ impl LiveRecord {
         let (incarnation, seed, transports) = live.process();
         let file = format!("{name}-{incarnation:08x}");
         let seed = HEXLOWER.encode(&seed);
-        identity.host = Some(HostIdentity { name, id: team.host, incarnation, seed, transports, keyed, signed });
+        let (keyed, signed) = (key.is_some(), key.is_some_and(|key| key.signatures().is_some()));
+        let roster = key.and_then(Key::sealed_roster).map_or_else(String::new, |sealed| HEXLOWER.encode(sealed));
+        identity.host =
+            Some(HostIdentity { name, id: team.host, incarnation, seed, transports, keyed, signed, roster });
         let beginning = Beginning { identity, attached: attach(files)? };
         LiveRecord::start((folder, &file), Scope::Host, (beginning, Stage::of(live.trial())), retention).map(Some)
     }

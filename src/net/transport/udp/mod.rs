@@ -234,8 +234,8 @@ impl To {
                 for at in peers.all(now) {
                     all = all.and(socket.send_to(frame, at).map(drop));
                 }
-                // Candidates receive only reports, for the echoes in them.
-                if matches!(codec::first(frame), Ok(Content::Report | Content::NumberedReport)) {
+                // Candidates receive only reports, for the echoes in them, and rosters.
+                if matches!(codec::first(frame), Ok(Content::Report | Content::NumberedReport | Content::Roster)) {
                     for at in peers.candidates(now) {
                         all = all.and(socket.send_to(frame, at).map(drop));
                     }

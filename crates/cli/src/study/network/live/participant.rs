@@ -127,6 +127,7 @@ fn wire(
         key: participation.key.map(|key| Key::new(key).confidential_if(participation.team.confidential)),
         seed: identity.seed,
         links: vec![Some(linked::setup(task.case.addressing, task.case.reliability))],
+        keep: None,
         transports: vec![(LINK, open)],
     };
     let inward = to_peer.clone();

@@ -11,16 +11,16 @@ pub const MISSING_AFTER: Span = Span::from_millis(1000);
 
 /// Last heartbeat of each robot, by its id, with the time at which it arrived.
 #[derive(Debug)]
-pub(super) struct Roster {
+pub(super) struct Presence {
     last: Vec<Option<(Time, Heartbeat)>>,
     /// Robots whose hosts have messages of another revision, each with that revision.
     unequal: Vec<(RobotId, u16)>,
 }
 
-impl Roster {
-    /// Returns the roster of a team of `robots` before any heartbeat.
-    pub(super) fn new(robots: usize) -> Roster {
-        Roster { last: vec![None; robots], unequal: Vec::new() }
+impl Presence {
+    /// Returns the presence of a team of `robots` before any heartbeat.
+    pub(super) fn new(robots: usize) -> Presence {
+        Presence { last: vec![None; robots], unequal: Vec::new() }
     }
 
     /// Takes a heartbeat that arrived at time `now`. Returns whether it is of a robot of the team.
@@ -161,26 +161,26 @@ mod tests {
 
     const ROUND: Round = Round { term: 1, episode: 0 };
 
-    fn heard(phases: [Phase; 2], at: Time) -> Roster {
-        let mut roster = Roster::new(2);
+    fn heard(phases: [Phase; 2], at: Time) -> Presence {
+        let mut presence = Presence::new(2);
         for (robot, phase) in RobotId::team(2).zip(phases) {
-            assert!(roster.take(at, Heartbeat::new(robot, ROUND, phase, Latch::default())));
+            assert!(presence.take(at, Heartbeat::new(robot, ROUND, phase, Latch::default())));
         }
-        roster
+        presence
     }
 
     #[test]
     fn a_reason_to_abort_names_the_robot() {
-        let roster = heard([Phase::Running, Phase::AbortRunning], Time::ZERO);
-        assert_eq!(roster.reasons_to_abort(Time::ZERO, ROUND), [(RobotId(1), AbortCause::GaveUp)]);
+        let presence = heard([Phase::Running, Phase::AbortRunning], Time::ZERO);
+        assert_eq!(presence.reasons_to_abort(Time::ZERO, ROUND), [(RobotId(1), AbortCause::GaveUp)]);
         let later = Round { episode: 1, ..ROUND };
-        assert!(roster.reasons_to_abort(Time::ZERO, later).is_empty(), "it gave up in an earlier episode");
-        let mut roster = heard([Phase::Running; 2], Time::ZERO);
-        assert!(roster.reasons_to_abort(Time::ZERO, ROUND).is_empty());
+        assert!(presence.reasons_to_abort(Time::ZERO, later).is_empty(), "it gave up in an earlier episode");
+        let mut presence = heard([Phase::Running; 2], Time::ZERO);
+        assert!(presence.reasons_to_abort(Time::ZERO, ROUND).is_empty());
         let late = Time::ZERO + MISSING_AFTER;
         let running = Heartbeat::new(RobotId(1), ROUND, Phase::Running, Latch::default());
-        roster.take(late, running);
-        assert_eq!(roster.reasons_to_abort(late, ROUND), [(RobotId(0), AbortCause::Missing)]);
+        presence.take(late, running);
+        assert_eq!(presence.reasons_to_abort(late, ROUND), [(RobotId(0), AbortCause::Missing)]);
         assert_eq!(MISSING_AFTER, Span::from_millis(1000), "as the words of the cause say");
         let words = |robots: &[(RobotId, AbortCause)]| AbortReason::of_robots(robots).map(|reason| reason.to_string());
         let missing = (RobotId(0), AbortCause::Missing);
@@ -190,9 +190,9 @@ mod tests {
 
     #[test]
     fn a_robot_that_is_not_of_the_team_is_not_taken() {
-        let mut roster = heard([Phase::Running; 2], Time::ZERO);
+        let mut presence = heard([Phase::Running; 2], Time::ZERO);
         let stranger = Heartbeat::new(RobotId(2), ROUND, Phase::Waiting, Latch::default());
-        assert!(!roster.take(Time::ZERO, stranger));
-        assert!(roster.all_are(Time::ZERO, ROUND, Phase::Running));
+        assert!(!presence.take(Time::ZERO, stranger));
+        assert!(presence.all_are(Time::ZERO, ROUND, Phase::Running));
     }
 }

@@ -1,0 +1,71 @@
+//! Key of a recorded host, followed through the record: rosters of the team change it during a run.
+
+use std::borrow::Cow;
+
+use data_encoding::HEXLOWER_PERMISSIVE;
+use murmurate::graph::inputs::Input;
+use murmurate::messages::ids::{HostId, LinkId};
+use murmurate::net::protocol::codec::{self, Frame};
+use murmurate::net::protocol::key::Key;
+use murmurate::net::protocol::roster::ACCEPTS_FOR;
+use murmurate::time::Time;
+
+use super::identity::HostIdentity;
+
+/// Key of a recorded host at one moment of its record.
+#[derive(Clone)]
+pub struct RecordedKey {
+    host: HostId,
+    key: Key,
+    /// Number and keys of a roster that had arrived and was not on disk yet.
+    pending: Option<(u32, Key)>,
+    /// Time of a planned change, after which the keys before it are valid for a while.
+    planned: Option<Time>,
+}
+
+/// Returns the roster with which the recorded host `of` has begun; `None` if it was that of its key file.
+pub fn first_roster(of: &HostIdentity) -> Option<Frame> {
+    let sealed = HEXLOWER_PERMISSIVE.decode(of.roster.as_bytes()).ok().filter(|sealed| !sealed.is_empty())?;
+    Some(sealed.into())
+}
+
+impl RecordedKey {
+    /// Returns the key at the beginning of the record of the host `of`, from that of its key file.
+    pub fn new(key: &Key, of: &HostIdentity) -> RecordedKey {
+        let began = first_roster(of).and_then(|sealed| key.by_roster(&sealed).ok());
+        RecordedKey { host: of.id, key: began.unwrap_or_else(|| key.clone()), pending: None, planned: None }
+    }
+
+    /// Takes an input of the host at the time `now`, of which rosters change the key.
+    pub fn follow(&mut self, now: Time, input: &Input) {
+        if self.planned.is_some_and(|since| now.since(since) >= ACCEPTS_FOR) {
+            (self.key, self.planned) = (self.key.clone().alone(), None);
+        }
+        match input {
+            Input::Frame(link, frame, _) if codec::roster_of(frame).is_some() => {
+                let Ok(next) = self.key.successor(frame, *link) else { return };
+                let number = next.roster().map_or(0, |roster| roster.number);
+                if self.pending.as_ref().is_none_or(|(pending, _)| *pending < number) {
+                    self.pending = Some((number, next));
+                }
+            }
+            Input::Kept(number) => {
+                let Some((_, next)) = self.pending.take_if(|(pending, _)| pending == number) else { return };
+                let planned = next.roster().is_some_and(|roster| roster.planned);
+                let former = self.key.clone().alone();
+                self.planned = planned.then_some(now);
+                self.key = if planned { next.beside(&former, false) } else { next };
+            }
+            _ => {}
+        }
+    }
+
+    /// Returns a datagram that has arrived on the link `link` without its tag, and in clear; of a roster, which has no
+    /// tag, the datagram itself. `None` if the host has refused it.
+    pub fn open<'a>(&self, frame: &'a [u8], link: LinkId) -> Option<Cow<'a, [u8]>> {
+        if codec::roster_of(frame).is_some() {
+            return self.key.successor(frame, link).is_ok().then_some(frame.into());
+        }
+        self.key.open(frame, link, self.host)
+    }
+}

@@ -1,0 +1,153 @@
+//! The root key of a team, which says who its members are, in a file that is kept off the robots: the secret, the number
+//! of the newest roster, and all members that there are or were.
+
+use std::collections::BTreeMap;
+
+use anyhow::Result;
+use data_encoding::HEXLOWER;
+use murmurate::messages::ids::HostId;
+use murmurate::net::protocol::member::seal_roster;
+use murmurate::net::protocol::roster::{NONCE_BYTES, Roster};
+use serde::Deserialize;
+
+use super::digits::BYTES;
+use super::member::{self, FormMember, entry, key_of};
+
+/// The root of a team, as its file describes it.
+pub struct Root {
+    team: u16,
+    secret: [u8; BYTES],
+    /// Number of the newest roster.
+    roster: u32,
+    /// Name and public key of each member; a revoked one has no key.
+    members: BTreeMap<HostId, (String, Option<[u8; BYTES]>)>,
+}
+
+/// Form of the root's file (TOML).
+#[derive(Deserialize)]
+struct Form {
+    team: u16,
+    roster: u32,
+    root: String,
+    members: Vec<FormMember>,
+}
+
+/// Roster that the root has made, and the key file of the member that it has added, if any.
+pub struct Changed {
+    /// Number of the roster.
+    pub number: u32,
+    /// The roster as it is sent.
+    pub sealed: Vec<u8>,
+    /// Text of the key file of the added member.
+    pub file: Option<String>,
+}
+
+/// Function that draws a key at random.
+pub type Draw<'a> = &'a mut dyn FnMut() -> Result<[u8; BYTES]>;
+
+impl Root {
+    /// Makes a new root of the team `team` with these members. Returns the name and text of each member's key file,
+    /// too, in the same order.
+    pub fn new(team: u16, members: &[(HostId, String)], draw: Draw) -> Result<(Root, Vec<(String, String)>)> {
+        let (root, shared) = (draw()?, draw()?);
+        let secrets = members.iter().map(|_| draw()).collect::<Result<Vec<[u8; BYTES]>>>()?;
+        let publics = members.iter().zip(&secrets).map(|((number, _), secret)| (*number, member::public(secret)));
+        let roster = Roster { number: 1, planned: false, members: publics.collect() };
+        let names: BTreeMap<HostId, String> = members.iter().cloned().collect();
+        let of_team = (team, &member::public(&root));
+        let text = |((number, name), secret): (&(HostId, String), &[u8; BYTES])| {
+            (name.clone(), member::text(of_team, (*number, name, secret), (&roster, &names, &shared)))
+        };
+        let files = members.iter().zip(&secrets).map(text).collect();
+        let keyed = |(number, name): (HostId, String)| (number, (name, roster.members.get(&number).copied()));
+        let members = names.clone().into_iter().map(keyed).collect();
+        Ok((Root { team, secret: root, roster: 1, members }, files))
+    }
+
+    /// Reads the root's file. An error says what is wrong, and never shows a key.
+    pub fn parse(text: &str) -> Result<Root, String> {
+        // The library's message would show the line, which has a secret.
+        let form: Form = toml::from_str(text).map_err(|_| "is no root key: name root.key, as 'key new' has made it")?;
+        let mut members = BTreeMap::new();
+        for member in form.members {
+            let public = member.public.as_deref().map(|public| key_of("public", public)).transpose()?;
+            members.insert(HostId(member.number), (member.name, public));
+        }
+        Ok(Root { team: form.team, secret: key_of("root", &form.root)?, roster: form.roster, members })
+    }
+
+    /// Returns the text of the root's file.
+    pub fn text(&self) -> String {
+        let mut text = format!(
+            "# Secret: who has this file says who the members of team {} are. Keep it off the robots, with mode 0600.\n\
+             team = {}\nroster = {}\nroot = \"{}\"\n",
+            self.team,
+            self.team,
+            self.roster,
+            HEXLOWER.encode(&self.secret)
+        );
+        for (number, (name, public)) in &self.members {
+            text += &entry(*number, name, public.as_ref());
+        }
+        text
+    }
+
+    /// Returns the names of the members, each with whether it was revoked.
+    pub fn members(&self) -> impl Iterator<Item = (&str, bool)> {
+        self.members.values().map(|(name, public)| (&**name, public.is_none()))
+    }
+
+    fn number_of(&self, name: &str) -> Option<HostId> {
+        self.members.iter().find(|(_, (of, _))| of == name).map(|(number, _)| *number)
+    }
+
+    /// Removes the member `name`. An error says what is wrong.
+    pub fn revoke(&mut self, name: &str) -> Result<(), String> {
+        let all = self.members.values().filter(|(_, public)| public.is_some()).count();
+        let member = self.number_of(name).and_then(|number| self.members.get_mut(&number));
+        let Some((_, public)) = member else { return Err(self.unknown(name)) };
+        if all == 1 {
+            return Err(format!("'{name}' is the only member"));
+        }
+        public.take().map(drop).ok_or_else(|| format!("'{name}' was revoked before"))
+    }
+
+    /// Adds the member `name` with a new key, in place of a key that it has: one that is or was a member, or a new
+    /// operator (`operator-2`). Returns its number and secret. An error says what is wrong.
+    pub fn add(&mut self, name: &str, draw: Draw) -> Result<(HostId, [u8; BYTES]), String> {
+        let operator = name.strip_prefix("operator-").and_then(|nth| nth.parse().ok()).filter(|nth| *nth > 0);
+        let Some(number) = self.number_of(name).or(operator.map(HostId::operator)) else {
+            return Err(self.unknown(name));
+        };
+        let secret = draw().map_err(|error| error.to_string())?;
+        self.members.insert(number, (name.to_owned(), Some(member::public(&secret))));
+        Ok((number, secret))
+    }
+
+    fn unknown(&self, name: &str) -> String {
+        let names: Vec<&str> = self.members().map(|(name, _)| name).collect();
+        format!("'{name}' is no member of this team: {}; a new operator is called operator-N", names.join(", "))
+    }
+
+    /// Makes the next roster, with a new key of all members. `planned` says that the keys before it stay valid for a
+    /// while, and `added` which member is to get a key file. An error says what is wrong.
+    pub fn next(&mut self, planned: bool, added: Option<(HostId, [u8; BYTES])>, draw: Draw) -> Result<Changed, String> {
+        let mut drawn = || draw().map_err(|error| error.to_string());
+        let (shared, nonce) = (drawn()?, drawn()?);
+        let nonce = *nonce.first_chunk::<NONCE_BYTES>().expect("a key is longer");
+        let number = self.roster.checked_add(1).ok_or("has the last number of a roster: make new keys")?;
+        let members = self.members.iter().filter_map(|(number, (_, public))| Some((*number, (*public)?)));
+        let roster = Roster { number, planned, members: members.collect() };
+        let sealed = seal_roster((self.team, &roster), &self.secret, &shared, nonce);
+        let sealed = sealed.ok_or_else(|| format!("{} members are too many", roster.members.len()))?;
+        self.roster = number;
+        let names: BTreeMap<HostId, String> =
+            self.members.iter().map(|(number, (name, _))| (*number, name.clone())).collect();
+        let of_team = (self.team, &member::public(&self.secret));
+        let file = added.map(|(number, secret)| {
+            let name = names.get(&number).map_or("", String::as_str);
+            member::text(of_team, (number, name, &secret), (&roster, &names, &shared))
+        });
+        Ok(Changed { number, sealed, file })
+    }
+}

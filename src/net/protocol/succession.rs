@@ -1,0 +1,276 @@
+//! Change of a process from one roster to the next: which one it takes, when that is in force, and when it repeats it
+//! for those that have missed it. Pure.
+//!
+//! A roster is in force once it is on disk, so that a restart does not go back to an older one. If a member was removed,
+//! the keys before it end at once. Otherwise both are valid for a while, so that no message is lost.
+
+use super::codec::Frame;
+use super::counts::Refusal;
+use super::key::Key;
+use super::roster::{ACCEPTS_FOR, RosterError};
+use crate::messages::ids::LinkId;
+use crate::time::{Span, Time};
+
+/// Time after a planned change from which datagrams leave with the new keys: all hosts that are heard have them by
+/// then.
+const SEALS_AFTER: Span = Span::from_millis(2000);
+/// Period at which a roster is repeated, unless another member has just done so (RFC 6206).
+const PERIOD: Span = Span::from_millis(1000);
+/// Period of the first repetitions of a new roster, and their number.
+const FIRST: (Span, u32) = (Span::from_millis(40), 5);
+/// Shortest time between two rosters that are sent because a process seems to miss it, and between two arrivals of the
+/// present one that are noted: anybody can repeat it.
+const ANSWER: Span = Span::from_millis(200);
+/// Time after which a roster that is not on disk yet is kept once more when it arrives again.
+const KEEP_AGAIN: Span = Span::from_millis(1000);
+
+/// What has become of a datagram with a roster.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Taken {
+    /// The roster with this number has to be on disk before it is in force.
+    Keep(u32, Frame),
+    /// It was refused for this cause, and nothing has changed.
+    Refused(Refusal),
+    /// It is not new, and its arrival was noted.
+    Noted,
+}
+
+/// What is due.
+#[derive(Debug, Default)]
+pub(crate) struct Due {
+    /// Keys that are in force from now on.
+    pub key: Option<Key>,
+    /// Whether the present roster has to be sent.
+    pub repeat: bool,
+}
+
+/// Rosters of one process: that which is not in force yet, and the repetitions of the one that is.
+#[derive(Debug, Default)]
+pub(crate) struct Succession {
+    /// Number and keys of a roster that is not on disk yet, with the time at which it was last asked to be kept.
+    pending: Option<(u32, Key, Time)>,
+    /// Keys of the roster before the present one while they are valid, and the time of the change.
+    former: Option<(Key, Time)>,
+    /// Whether datagrams leave with the keys of `former`.
+    seals_former: bool,
+    /// Time of the next repetition; `None` as long as the roster is that of the key files.
+    next: Option<Time>,
+    /// Number of quick repetitions that are left.
+    quick: u32,
+    /// Time at which the roster was last sent, and last noted.
+    sent: Option<Time>,
+    noted: Option<Time>,
+}
+
+impl Succession {
+    /// Returns the state of a process that starts with `key`.
+    pub fn new(key: Option<&Key>) -> Succession {
+        let next = key.and_then(Key::sealed_roster).map(|_| Time::ZERO + PERIOD);
+        Succession { next, ..Succession::default() }
+    }
+
+    /// Takes a datagram with a roster, in a process with the key `key`.
+    pub fn take(&mut self, now: Time, key: Option<&Key>, (datagram, link): (&[u8], LinkId)) -> Taken {
+        let Some(key) = key else { return Taken::Refused(Refusal::Keyed) };
+        let next = match key.successor(datagram, link) {
+            Ok(next) => next,
+            Err(RosterError::Known) => return self.note(now, key, datagram),
+            Err(RosterError::Malformed) => return Taken::Refused(Refusal::Malformed),
+            Err(RosterError::Absent | RosterError::Unsigned) => return Taken::Refused(Refusal::Auth),
+        };
+        let number = next.roster().map_or(0, |roster| roster.number);
+        let newer = match &self.pending {
+            None => true,
+            Some((pending, _, asked)) => number > *pending || number == *pending && now.since(*asked) >= KEEP_AGAIN,
+        };
+        if !newer {
+            return Taken::Refused(Refusal::Duplicate);
+        }
+        let Some(sealed) = next.sealed_roster().map(Frame::clone) else { return Taken::Refused(Refusal::Auth) };
+        self.pending = Some((number, next, now));
+        Taken::Keep(number, sealed)
+    }
+
+    /// Notes a roster that is not newer than the present one: the same, which need not be repeated so soon, or an older
+    /// one, whose sender needs the present one.
+    fn note(&mut self, now: Time, key: &Key, datagram: &[u8]) -> Taken {
+        let Some(present) = key.sealed_roster() else { return Taken::Refused(Refusal::Duplicate) };
+        let same = super::codec::roster_of(datagram).is_some_and(|sealed| sealed == &**present);
+        if !same {
+            return if self.ask(now) { Taken::Noted } else { Taken::Refused(Refusal::Replay) };
+        }
+        if self.quick > 0 || self.noted.is_some_and(|at| now.since(at) < ANSWER) {
+            return Taken::Refused(Refusal::Duplicate);
+        }
+        (self.noted, self.next) = (Some(now), Some(now + PERIOD));
+        Taken::Noted
+    }
+
+    /// Notes that a process of the team seems to miss the present roster. Returns whether it is sent because of that.
+    pub fn ask(&mut self, now: Time) -> bool {
+        let due = self.next.is_some_and(|next| next > now) && self.sent.is_none_or(|at| now.since(at) >= ANSWER);
+        if due {
+            self.next = Some(now);
+        }
+        due
+    }
+
+    /// Notes that the roster with this number is on disk. Returns the keys that are in force from now on, in a process
+    /// with the key `key`; `None` if that is not the one that was to be kept.
+    pub fn kept(&mut self, now: Time, key: &Key, number: u32) -> Option<Key> {
+        let (_, next, _) = self.pending.take_if(|(pending, ..)| *pending == number)?;
+        (self.next, self.quick, self.sent) = (Some(now), FIRST.1, None);
+        if next.roster().is_some_and(|roster| roster.planned) {
+            let former = key.clone().alone();
+            let both = next.beside(&former, true);
+            (self.former, self.seals_former) = (Some((former, now)), true);
+            return Some(both);
+        }
+        self.former = None;
+        Some(next)
+    }
+
+    /// Returns the time at which `wake` has to be called next; `None` if nothing is due.
+    pub fn due(&self) -> Option<Time> {
+        let stage = if self.seals_former { SEALS_AFTER } else { ACCEPTS_FOR };
+        let change = self.former.as_ref().map(|(_, since)| *since + stage);
+        [self.next, change].into_iter().flatten().min()
+    }
+
+    /// Returns what is due at `now` in a process with the key `key`.
+    pub fn wake(&mut self, now: Time, key: &Key) -> Due {
+        let mut due = Due::default();
+        if let Some((former, since)) = &self.former {
+            let age = now.since(*since);
+            if age >= ACCEPTS_FOR {
+                (self.former, due.key) = (None, Some(key.clone().alone()));
+            } else if age >= SEALS_AFTER && self.seals_former {
+                (self.seals_former, due.key) = (false, Some(key.clone().beside(former, false)));
+            }
+        }
+        if self.next.is_some_and(|next| next <= now) {
+            let period = if self.quick > 0 { FIRST.0 } else { PERIOD };
+            self.quick = self.quick.saturating_sub(1);
+            (self.next, self.sent, due.repeat) = (Some(now + period), Some(now), true);
+        }
+        due
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::codec::{self, Flags, Header};
+    use super::super::member::{Member, public, seal_roster};
+    use super::super::roster::Roster;
+    use super::*;
+    use crate::messages::ids::HostId;
+
+    const LINK: LinkId = LinkId(0);
+    const ROOT: [u8; 32] = [99; 32];
+
+    fn secret(member: u16) -> [u8; 32] {
+        *blake3::hash(&member.to_le_bytes()).as_bytes()
+    }
+
+    fn roster(number: u32, planned: bool) -> Roster {
+        let members = (0..2).map(|member| (HostId(member), public(&secret(member)))).collect();
+        Roster { number, planned, members }
+    }
+
+    fn key(host: u16) -> Key {
+        let own = (HostId(host), secret(host));
+        Member::new(7, own, public(&ROOT), (roster(1, false), [1; 32])).expect("it is one of them").key()
+    }
+
+    fn header(sender: u16) -> Header {
+        Header { flags: Flags(0), team: 7, sender: HostId(sender), incarnation: 1, sequence: 1 }
+    }
+
+    fn datagram(number: u32, planned: bool) -> Frame {
+        let sealed = seal_roster((7, &roster(number, planned)), &ROOT, &[number as u8; 32], [number as u8; 24]);
+        codec::with_roster(&header(1), &sealed.expect("few members"))
+    }
+
+    fn at(ms: u64) -> Time {
+        Time::ZERO + Span::from_millis(ms)
+    }
+
+    fn hears(here: &Key, there: &Key) -> bool {
+        let mut sealed = codec::start(&header(1));
+        there.seal(&mut sealed, LINK, None);
+        here.open(&sealed, LINK, HostId(0)).is_some()
+    }
+
+    /// Takes the datagram and keeps its roster at once; returns the keys from then on.
+    fn changed(rosters: &mut Succession, ms: u64, key: &Key, datagram: &Frame) -> Key {
+        let Taken::Keep(number, _) = rosters.take(at(ms), Some(key), (datagram, LINK)) else { panic!("it is new") };
+        rosters.kept(at(ms), key, number).expect("it was to be kept")
+    }
+
+    #[test]
+    fn nothing_is_in_force_or_sent_before_a_roster_is_on_disk() {
+        let (key, mut rosters) = (key(0), Succession::default());
+        assert_eq!(rosters.due(), None);
+        let second = datagram(2, false);
+        assert!(matches!(rosters.take(at(0), Some(&key), (&second, LINK)), Taken::Keep(2, _)));
+        assert_eq!(rosters.due(), None);
+        let again = |rosters: &mut Succession, ms| rosters.take(at(ms), Some(&key), (&second, LINK));
+        assert_eq!(again(&mut rosters, 1), Taken::Refused(Refusal::Duplicate));
+        assert!(matches!(again(&mut rosters, 1000), Taken::Keep(2, _)), "it could not be written");
+        assert!(rosters.kept(at(1001), &key, 3).is_none(), "another one");
+        // A newer one takes its place.
+        assert!(matches!(rosters.take(at(1002), Some(&key), (&datagram(3, false), LINK)), Taken::Keep(3, _)));
+        assert!(rosters.kept(at(1003), &key, 2).is_none());
+        let third = rosters.kept(at(1004), &key, 3).expect("it is on disk");
+        assert_eq!(third.roster().map(|roster| roster.number), Some(3));
+        assert_eq!(rosters.take(at(1005), Some(&third), (&second, LINK)), Taken::Refused(Refusal::Replay));
+        assert_eq!(rosters.take(at(1005), None, (&second, LINK)), Taken::Refused(Refusal::Keyed));
+    }
+
+    #[test]
+    fn after_a_revocation_the_keys_before_it_end_at_once_and_after_a_planned_change_later() {
+        let (old, there) = (key(0), key(1));
+        let mut rosters = Succession::default();
+        let revoked = changed(&mut rosters, 0, &old, &datagram(2, false));
+        let other = changed(&mut Succession::default(), 0, &there, &datagram(2, false));
+        assert!(!hears(&revoked, &there) && !hears(&there, &revoked) && hears(&revoked, &other));
+
+        let planned = changed(&mut rosters, 0, &revoked, &datagram(3, true));
+        let other_third = changed(&mut Succession::default(), 0, &other, &datagram(3, true));
+        assert!(hears(&planned, &other) && hears(&other, &planned), "one that has missed it");
+        assert!(hears(&planned, &other_third));
+        let keys_at = |rosters: &mut Succession, ms, key: &Key| rosters.wake(at(ms), key).key.expect("it is due");
+        let seals = keys_at(&mut rosters, 2000, &planned);
+        assert!(hears(&seals, &other) && !hears(&other, &seals));
+        let alone = keys_at(&mut rosters, 10_000, &seals);
+        assert!(!hears(&alone, &other) && hears(&alone, &other_third.alone()));
+    }
+
+    #[test]
+    fn a_roster_is_repeated_soon_and_then_once_a_second_unless_another_member_has_done_so() {
+        let mut rosters = Succession::default();
+        let second = datagram(2, false);
+        let key = changed(&mut rosters, 0, &key(0), &second);
+        let mut sent = Vec::new();
+        let mut run = |rosters: &mut Succession, to: u64| {
+            sent.clear();
+            while let Some(due) = rosters.due().filter(|due| *due <= at(to)) {
+                if rosters.wake(due, &key).repeat {
+                    sent.push(due.since(Time::ZERO).as_nanos() / 1_000_000);
+                }
+            }
+            sent.clone()
+        };
+        assert_eq!(run(&mut rosters, 2500), [0, 40, 80, 120, 160, 200, 1200, 2200]);
+        assert_eq!(rosters.take(at(3000), Some(&key), (&second, LINK)), Taken::Noted);
+        for ms in 3001..3200 {
+            assert_eq!(rosters.take(at(ms), Some(&key), (&second, LINK)), Taken::Refused(Refusal::Duplicate));
+        }
+        assert_eq!(run(&mut rosters, 4100), [4000]);
+        // Who has an older one, or none, gets it.
+        assert_eq!(rosters.take(at(4210), Some(&key), (&datagram(1, false), LINK)), Taken::Noted);
+        assert_eq!(run(&mut rosters, 4300), [4210]);
+        assert!(!rosters.ask(at(4300)) && rosters.ask(at(4500)));
+        assert_eq!(run(&mut rosters, 4600), [4500]);
+    }
+}
