@@ -1,11 +1,14 @@
-//! Hosts of a team that have announced their shutdown and are not back yet, or that its roster does not name, as a state
-//! server knows them.
+//! Hosts of a team that have announced their shutdown and are not back yet, or that its roster does not name, as a
+//! state server knows them.
 
 use std::collections::BTreeSet;
 
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::Status;
 use crate::results::episode::AbortCause;
+
+/// Hosts and operators of the roster in force.
+pub(crate) type Members = BTreeSet<HostId>;
 
 /// Hosts that have left the team or were revoked; those without robots do not count.
 #[derive(Debug)]
@@ -42,7 +45,7 @@ impl Absent {
     }
 
     /// Takes the members of the roster in force, and logs which hosts it no longer names, or names again.
-    pub(super) fn take_members(&mut self, members: &BTreeSet<HostId>) {
+    pub(super) fn take_members(&mut self, members: &Members) {
         let all = (0..=u16::MAX).map(HostId).take(self.hosts.len());
         let revoked: BTreeSet<HostId> =
             all.filter(|host| !members.contains(host) && !self.robots_of(*host).is_empty()).collect();
@@ -50,8 +53,8 @@ impl Absent {
             let robots: Vec<String> = self.robots_of(*host).iter().map(RobotId::to_string).collect();
             let robots = robots.join(", ");
             tracing::error!(
-                "host {} was revoked; the team stands. {robots} may move uncontrolled: switch it off, and give it a new \
-                 key before the team goes on",
+                "host {} was revoked; the team stands. {robots} may move uncontrolled: switch it off; the team goes on \
+                 when it has a new key",
                 host.0
             );
         }
@@ -61,9 +64,9 @@ impl Absent {
         self.revoked = revoked;
     }
 
-    /// Returns whether a host has left or was revoked.
+    /// Returns whether a host has left.
     pub(super) fn any(&self) -> bool {
-        !(self.left.is_empty() && self.revoked.is_empty())
+        !self.left.is_empty()
     }
 
     /// Returns the robots of revoked hosts as causes of the end of an episode.

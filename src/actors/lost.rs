@@ -30,14 +30,9 @@ impl Lost {
         }
     }
 
-    /// Returns whether any robot's pose is unknown at time `now`.
-    pub(super) fn any(&mut self, now: Time) -> bool {
+    /// Returns the robots whose poses are unknown at time `now` as causes of the end of an episode.
+    pub(super) fn causes(&mut self, now: Time) -> Vec<(RobotId, AbortCause)> {
         self.0.retain(|_, (_, heard)| now.since(*heard) < LOST_FOR);
-        !self.0.is_empty()
-    }
-
-    /// Returns the robots as causes of the end of an episode.
-    pub(super) fn causes(&self) -> Vec<(RobotId, AbortCause)> {
         self.0.keys().map(|robot| (*robot, AbortCause::PoseJumped)).collect()
     }
 }

@@ -311,6 +311,7 @@ impl Network {
             return;
         }
         let Some((header, plain)) = admitted else { return };
+        let signatures = self.key.as_ref().and_then(Key::signatures);
         for (content, body) in codec::blocks(&plain).flatten() {
             let Content::Message(kind) = content else { continue };
             let message = match codec::message(kind, body) {
@@ -325,12 +326,7 @@ impl Network {
             }
             let robot = message.robot();
             if self.router.route(kind, robot).local {
-                if self
-                    .key
-                    .as_ref()
-                    .and_then(Key::signatures)
-                    .is_some_and(|of| !of.permit(&self.local_header, &message))
-                {
+                if signatures.is_some_and(|of| !of.permit(&self.local_header, &message)) {
                     state.counts().unsigned += 1;
                     continue;
                 }

@@ -15,12 +15,14 @@ pub(super) struct Presence {
     last: Vec<Option<(Time, Heartbeat)>>,
     /// Robots whose hosts have messages of another revision, each with that revision.
     unequal: Vec<(RobotId, u16)>,
+    /// Number of heartbeats whose term or latch number is too far ahead to be accepted.
+    pub(super) beyond_reach: u64,
 }
 
 impl Presence {
     /// Returns the presence of a team of `robots` before any heartbeat.
     pub(super) fn new(robots: usize) -> Presence {
-        Presence { last: vec![None; robots], unequal: Vec::new() }
+        Presence { last: vec![None; robots], unequal: Vec::new(), beyond_reach: 0 }
     }
 
     /// Takes a heartbeat that arrived at time `now`. Returns whether it is of a robot of the team.
@@ -30,6 +32,18 @@ impl Presence {
         }
         let last = self.last.get_mut(beat.robot.index());
         last.map(|last| *last = Some((now, beat))).is_some()
+    }
+
+    /// Notes a heartbeat whose term or latch number is too far ahead, and logs the counts 1, 2, 4, 8, ... of them.
+    pub(super) fn note_beyond_reach(&mut self, beat: &Heartbeat) {
+        self.beyond_reach += 1;
+        let times = self.beyond_reach;
+        if times.is_power_of_two() {
+            let (robot, term, number) = (beat.robot, beat.round.term, beat.latch.number());
+            tracing::error!(
+                "{robot} sent term {term} and stop number {number}, which are out of reach: ignored ({times} times)"
+            );
+        }
     }
 
     /// Returns whether a robot of the team is missing: no heartbeat of it has arrived for a second.
@@ -140,17 +154,6 @@ impl Presence {
             Some(_) => None,
         };
         self.all(now).filter_map(of).collect()
-    }
-}
-
-/// Logs a heartbeat whose term or latch number is too far ahead, of which there were so many `times`: the counts 1, 2,
-/// 4, 8, ...
-pub(super) fn log_beyond_reach(beat: &Heartbeat, times: u64) {
-    if times.is_power_of_two() {
-        let (robot, term, number) = (beat.robot, beat.round.term, beat.latch.number());
-        tracing::error!(
-            "{robot} sent term {term} and stop number {number}, which are out of reach: ignored ({times} times)"
-        );
     }
 }
 

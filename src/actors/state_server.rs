@@ -5,11 +5,9 @@
 //! robots; it stops the team while a host that announced its shutdown is away. A restarted server takes the team's
 //! state from heartbeats, aborts a running episode, and continues with the next.
 
-use std::collections::BTreeSet;
-
-use super::absent::Absent;
+use super::absent::{Absent, Members};
 use super::lost::Lost;
-use super::presence::{Presence, log_beyond_reach};
+use super::presence::Presence;
 use crate::actor::Core;
 use crate::messages::geometry::Task;
 use crate::messages::ids::{HostId, RobotId};
@@ -50,7 +48,7 @@ pub enum In {
     /// Status report of a host, which says whether the host shuts down or is present.
     Status(Status),
     /// Members of the roster in force, once a second; not those of the key files.
-    Members(BTreeSet<HostId>),
+    Members(Members),
     /// Robots whose poses are unknown, or known again, from a host that measures them.
     Located(Located),
     /// The host of the state server is shutting down; the team is told to wait.
@@ -109,8 +107,6 @@ pub struct StateServer {
     lost: Lost,
     /// Whether the server's own host is shutting down.
     leaves: bool,
-    /// Number of heartbeats whose term or latch number is too far ahead to be accepted.
-    beyond_reach: u64,
     round: Round,
     phase: Phase,
     /// Reason of an aborted episode that was not reported yet, with the episode's index.
@@ -139,7 +135,6 @@ impl StateServer {
             absent: Absent::new(hosts),
             lost: Lost::default(),
             leaves: false,
-            beyond_reach: 0,
             round: Round::default(),
             phase: Phase::NeedReset,
             aborted: None,
@@ -292,18 +287,14 @@ impl StateServer {
         if !self.latch.is_clear() {
             return self.hold(now);
         }
-        let revoked = self.absent.causes();
-        if self.phase == Phase::Running && !revoked.is_empty() {
-            // What a revoked robot does is not known, so the episode does not count.
-            return self.give_up(now, &revoked);
-        }
         if self.absent.any() && self.phase != Phase::NeedReset || self.presence.is_unequal(now) {
             return self.wait(now);
         }
-        if self.lost.any(now) && self.phase != Phase::NeedReset {
-            // The others could drive into a robot of which nobody knows where it is.
+        let unknown = [self.lost.causes(now), self.absent.causes()].concat();
+        if !unknown.is_empty() && self.phase != Phase::NeedReset {
+            // The others could drive into a robot of which nobody knows where it is, or what it does.
             return match self.phase {
-                Phase::Running => self.give_up(now, &self.lost.causes()),
+                Phase::Running => self.give_up(now, &unknown),
                 Phase::AbortRunning => self.since = Some(now),
                 _ => self.wait(now),
             };
@@ -383,8 +374,7 @@ impl Core for StateServer {
                 let fresh = self.round.term == 0;
                 let overshoots = self.latch.is_overshot_by(beat.latch) || self.round.is_overshot_by(beat.round);
                 if overshoots && !fresh {
-                    self.beyond_reach += 1;
-                    log_beyond_reach(&beat, self.beyond_reach);
+                    self.presence.note_beyond_reach(&beat);
                 }
                 if self.presence.take(now, beat) {
                     self.latched(latch);
@@ -494,6 +484,40 @@ mod tests {
         tick(&mut server, at_ms(250));
         beat(&mut server, at_ms(260), round(1, 1), [Phase::FinishedRunning; 2]);
         assert_eq!(tick(&mut server, at_ms(300)).1, Phase::EpisodesFinished);
+    }
+
+    #[test]
+    fn an_episode_with_a_revoked_robot_is_aborted_and_the_team_waits_for_its_new_key() {
+        let members = |server: &mut StateServer, ms: u64, hosts: &[u16]| {
+            let members = hosts.iter().copied().map(HostId).chain([HostId::operator(1)]).collect();
+            server.handle(at_ms(ms), In::Members(members), &mut Vec::new());
+        };
+        let mut server = server();
+        tick(&mut server, at_ms(0));
+        beat(&mut server, at_ms(10), round(0, 0), [Phase::NeedReset; 2]);
+        tick(&mut server, at_ms(50));
+        beat(&mut server, at_ms(60), round(1, 0), [Phase::FinishedResetting; 2]);
+        assert_eq!(tick(&mut server, at_ms(100)).1, Phase::Running);
+        members(&mut server, 110, &[0, 1, 2]);
+        assert_eq!(tick(&mut server, at_ms(150)).1, Phase::Running);
+        members(&mut server, 160, &[0, 2]);
+        let mut out = Vec::new();
+        server.wake(at_ms(200), &mut out);
+        let revoked = AbortReason::of_robots(&[(RobotId(1), AbortCause::Revoked)]);
+        let aborted = out.iter().find_map(|said| if let Out::Aborted(0, reason) = said { Some(*reason) } else { None });
+        assert_eq!((aborted, server.phase), (revoked, Phase::AbortRunning));
+        // For as long as it takes, whatever the robot says.
+        for ms in (250..20_000).step_by(50) {
+            beat(&mut server, at_ms(ms - 1), round(1, 0), [Phase::NeedReset; 2]);
+            assert_eq!(tick(&mut server, at_ms(ms)), (round(1, 0), Phase::AbortRunning));
+        }
+        assert_eq!(server.hindrances(at_ms(20_000)), [(RobotId(1), Hindrance::Left)]);
+        members(&mut server, 20_000, &[0, 1, 2]);
+        beat(&mut server, at_ms(20_010), round(1, 0), [Phase::NeedReset; 2]);
+        assert_eq!(tick(&mut server, at_ms(20_050)), (round(1, 1), Phase::Resetting));
+        // Between two episodes none is used up.
+        members(&mut server, 20_060, &[0, 2]);
+        assert_eq!(tick(&mut server, at_ms(20_100)), (round(1, 1), Phase::Waiting));
     }
 
     #[test]
@@ -945,7 +969,7 @@ mod tests {
             tick(&mut server, at_ms(ms));
         }
         assert_eq!((server.round.term, server.latch), (1, Latch::default()));
-        assert_eq!(server.beyond_reach, 16);
+        assert_eq!(server.presence.beyond_reach, 16);
         let two_say = 1 << 25;
         let mut fresh = super::tests::server();
         beat(&mut fresh, at_ms(0), round(two_say, 0), [Phase::NeedReset; 2]);

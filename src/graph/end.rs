@@ -20,8 +20,8 @@ use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
 use crate::runtime::shell::{Mailbox, start};
 
-/// Function that writes a roster to disk, and returns whether it is there.
-pub type Keep = Rc<dyn Fn(&[u8]) -> bool>;
+/// Function that writes a roster to disk.
+pub type Keep = Rc<dyn Fn(&[u8])>;
 
 /// End of a host on the links of its team. The host is one of the deployment, or an operator, which is outside of it.
 pub struct HostEnd {
@@ -34,8 +34,9 @@ pub struct HostEnd {
     pub seed: Seed,
     /// Setup of each link, in the order of the deployment; `None` for a link in which the host does not take part.
     pub links: Vec<Option<Setup>>,
-    /// Function that writes a roster to disk, at once, and returns whether it is there. For operators: a host has its
-    /// rosters written beside its control thread ([`Event::Roster`]).
+    /// Function that writes a roster to disk at once, for operators. It is in force even if it cannot be written: no
+    /// order waits for a disk. A host has its rosters written beside its control thread ([`Event::Roster`]), and none is
+    /// in force before.
     pub keep: Option<Keep>,
     /// Open transports, each with its link; a link that is used on several network interfaces has several. Empty where
     /// links are emulated.
@@ -78,7 +79,8 @@ impl HostEnd {
             network::Out::Refused(link, cause, frame) => report(Event::Refused(link, cause, &frame)),
             network::Out::Keep(number, sealed) => {
                 report(Event::Roster(number, &sealed));
-                if keeps.as_ref().is_some_and(|keep| keep(&sealed)) {
+                if let Some(keep) = &keeps {
+                    keep(&sealed);
                     present.send(network::In::Kept(number));
                 }
             }

@@ -224,7 +224,9 @@ impl Rig {
         }
         for number in kept {
             self.rosters[host] = Some((self.now, number));
-            self.act(host, |network, now, out| network.handle(now, In::Kept(number), out));
+            let kept =
+                |network: &mut Network, now: Time, out: &mut Vec<Out>| network.handle(now, In::Kept(number), out);
+            self.act(host, Box::new(kept) as Box<dyn FnOnce(&mut Network, Time, &mut Vec<Out>)>);
         }
     }
 

@@ -34,7 +34,7 @@ const REST: [u16; 4] = [0, 1, 2, 4];
 fn key(host: u16) -> Key {
     let own = (HostId(host), secret(host));
     let member = Member::new(TEAM, own, public(&ROOT), (roster(1, false, &ALL), [1; 32]));
-    member.expect("it is one of them").key().confidential()
+    Key::of(member.expect("it is one of them")).confidential()
 }
 
 fn header(sender: u16) -> Header {

@@ -3,6 +3,7 @@
 use std::fs::write;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
+use std::process::Stdio;
 
 use murmurate::graph::inputs::Input;
 use murmurate::net::protocol::codec;
@@ -11,7 +12,7 @@ use murmurate_record::tape::{self, Turn};
 use tempfile::TempDir;
 
 use crate::edited::{edit, is_latent};
-use crate::program::{refuses, run, text};
+use crate::program::{murmurate, refuses, run, text};
 use crate::records;
 
 /// Runs one episode of a team with a key, and returns the folder with its files and the folder with its records.
@@ -21,6 +22,11 @@ fn launched(number: u16) -> (TempDir, PathBuf) {
 
 /// Runs one episode of a team with keys: `keys` names them at the top of its file, `tables` in tables of hosts.
 fn launched_with(number: u16, keys: &str, tables: &str) -> (TempDir, PathBuf) {
+    launched_while(number, (keys, tables), |_| {})
+}
+
+/// Runs one episode as [`launched_with`], and does something meanwhile in the folder with its files.
+fn launched_while(number: u16, (keys, tables): (&str, &str), meanwhile: impl FnOnce(&Path)) -> (TempDir, PathBuf) {
     let folder = TempDir::new().unwrap();
     let path = |name: &str| folder.path().join(name);
     let link = |name: &str, last: u8| {
@@ -31,9 +37,10 @@ fn launched_with(number: u16, keys: &str, tables: &str) -> (TempDir, PathBuf) {
     write(path("team.toml"), team).expect("it can be written");
     let (team, one, each) = (path("team.toml"), path("team.key"), path("keys"));
     assert!(run(&["key", "new", "--out", one.to_str().unwrap()]).status.success());
-    assert!(run(&["key", "new", team.to_str().unwrap(), "--out", each.to_str().unwrap()]).status.success());
+    let members = ["key", "new", team.to_str().unwrap(), "--out", each.to_str().unwrap(), "--operators", "2"];
+    assert!(run(&members).status.success());
     let to = path("records");
-    let output = run(&[
+    let mut launch = murmurate(&[
         "launch",
         team.to_str().unwrap(),
         "--quiet",
@@ -43,6 +50,9 @@ fn launched_with(number: u16, keys: &str, tables: &str) -> (TempDir, PathBuf) {
         "--through",
         "env HOST={host}",
     ]);
+    let launch = launch.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts");
+    meanwhile(folder.path());
+    let output = launch.wait_with_output().expect("it ends");
     assert!(output.status.success(), "{}", text(&output.stderr));
     let said = text(&output.stdout) + &text(&output.stderr);
     for key in secrets(folder.path()) {
@@ -54,10 +64,14 @@ fn launched_with(number: u16, keys: &str, tables: &str) -> (TempDir, PathBuf) {
 /// Returns all secret keys of the team in this folder, as hexadecimal digits.
 fn secrets(folder: &Path) -> Vec<String> {
     let members = std::fs::read_dir(folder.join("keys")).expect("it was made");
-    let members = members.map(|file| std::fs::read_to_string(file.expect("a file").path()).expect("a key file"));
+    let files =
+        members.map(|file| file.expect("a file").path()).filter(|path| path.extension() == Some("key".as_ref()));
+    let members = files.map(|path| std::fs::read_to_string(path).expect("a key file"));
     let secret = |line: &str| Some(line.split_once("\"")?.1.trim_end_matches('"').to_owned());
     let of_member = |text: String| {
-        let lines = text.lines().filter(|line| line.starts_with("shared") || line.starts_with("secret"));
+        // The root key is public in the members' files.
+        let of_root = if text.contains("\nsecret") { "secret" } else { "root = " };
+        let lines = text.lines().filter(|line| line.starts_with("shared") || line.starts_with(of_root));
         lines.filter_map(secret).collect::<Vec<String>>()
     };
     let one = std::fs::read_to_string(folder.join("team.key")).expect("it was made").trim().to_owned();
@@ -282,6 +296,32 @@ fn records_of_confidential_members_run_again_each_with_its_own_key() {
         let record = records(&records_of).into_iter().find(of_host).expect("each host has one");
         let [encrypted, clear] = arrived(&record);
         assert!(encrypted > 50 && clear == 0, "{host}: {encrypted} and {clear}");
+        let key = folder.path().join("keys").join(host).with_extension("key");
+        let (status, said) = replayed(&record, &["--key-file", key.to_str().unwrap()]);
+        assert_eq!((status, said.matches("equal, ").count()), (0, 1), "{host}: {said}");
+        shares(&record, &key, &folder.path().join(host).with_extension("mcap"));
+    }
+}
+
+#[test]
+fn records_of_members_whose_roster_changes_run_again_with_and_without_their_keys() {
+    let hosts = ["agent-0", "agent-1", "agent-2", "world"];
+    let tables: String = hosts.iter().map(|host| format!("[host.{host}]\nkey_file = \"keys/{host}.key\"\n")).collect();
+    let keys = "key_file = \"keys/operator-1.key\"\nconfidential = true\n";
+    let change = |folder: &Path| {
+        let path = |name: &str| folder.join(name).to_string_lossy().into_owned();
+        for (change, roster) in [(&["rotate"][..], "keys/2.roster"), (&["revoke", "operator-2"], "keys/3.roster")] {
+            let made = run(&[&["key"], change, &["--root", &path("keys/root.key")]].concat());
+            assert!(made.status.success(), "{}", text(&made.stderr));
+            let spread = run(&["key", "spread", &path("team.toml"), &path(roster), "--wait", "60"]);
+            assert!(spread.status.success(), "{}", text(&spread.stderr));
+        }
+    };
+    let (folder, records_of) = launched_while(815, (keys, &tables), change);
+    have_no_key(&records_of, folder.path());
+    for host in hosts {
+        let of_host = |path: &PathBuf| path.file_name().unwrap().to_str().unwrap().starts_with(host);
+        let record = records(&records_of).into_iter().find(of_host).expect("each host has one");
         let key = folder.path().join("keys").join(host).with_extension("key");
         let (status, said) = replayed(&record, &["--key-file", key.to_str().unwrap()]);
         assert_eq!((status, said.matches("equal, ").count()), (0, 1), "{host}: {said}");

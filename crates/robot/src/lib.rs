@@ -105,7 +105,7 @@ pub fn program() -> Program {
         Command::of("stop", stop::run).logging(Logging::Urgent),
         Command::of("resume", stop::resume),
         Command::of("place", place::run),
-        Command::with_subcommands("key", key::new::run),
+        Command::with_subcommands("key", key::command::run),
         Command::with_subcommands("config", config::run),
     ];
     Program { commands, parts: features::OF_ROBOT, unknown: Some(features::WHOLE) }

@@ -199,7 +199,9 @@ pub fn key_of(file: Option<&Path>) -> Result<Option<KeyFile>> {
 /// Returns the function by which an operator with this key file keeps rosters; `None` with the key of a whole team.
 pub fn keep_of(file: &KeyFile) -> Option<Keep> {
     let kept = file.kept()?;
-    Some(Rc::new(move |sealed: &[u8]| kept.keep(sealed)))
+    Some(Rc::new(move |sealed: &[u8]| {
+        kept.keep(sealed);
+    }))
 }
 
 /// Returns the team's scenario, with the number of robots and the sizes of its deployment.

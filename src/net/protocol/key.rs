@@ -1,4 +1,4 @@
-//! Keys of a process, and the keyed tags of datagrams. No other module makes or checks tags.
+//! Keys of a process, by which its datagrams get their tags (`tags`) and those of others are checked.
 //!
 //! A team has one key of all its members, or each member has a key with each other one. In the first case any member
 //! can impersonate another. In the second none can: what goes to one host has a tag of that pair's key, what goes to
@@ -12,16 +12,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::Arc;
 
-use super::cipher::{ASSOCIATED_BYTES, Associated, Cipher, ENCRYPTION_BYTES};
+use super::cipher::ENCRYPTION_BYTES;
 use super::codec::{self, Content, FLAGS_AT, Flags, Frame, HEADER_BYTES};
-use super::codec::{MAX_FRAME_BYTES, MAX_PLAIN_BYTES, SHORT_TAG_BYTES, TAG_BYTES};
+use super::codec::{MAX_FRAME_BYTES, MAX_PLAIN_BYTES, TAG_BYTES};
 use super::member::Member;
 use super::roster::{self, Roster, RosterError};
 use super::signatures::Signatures;
+use super::tags::{Bytes, Pairs, Shared, associated};
 use crate::messages::ids::{HostId, LinkId};
-
-/// Key of 32 bytes.
-type Bytes = [u8; 32];
 
 /// Secret keys with which a process authenticates datagrams, and encrypts those of a team that asks for it. In a
 /// replay, a list of the datagrams that had a valid tag takes their place.
@@ -69,23 +67,8 @@ enum Secret {
     Accepted(Arc<BTreeSet<[u8; 16]>>),
 }
 
-/// Keys of one member of a team: that of all members, under which datagrams are hashed, and those of the pairs.
-#[derive(Clone)]
-struct Pairs {
-    team: Shared,
-    /// For each member, this one included: the key that only the two have. Short tags are in this order.
-    pairs: BTreeMap<HostId, Shared>,
-}
-
-/// Key that several members have, and its cipher if their datagrams are confidential.
-#[derive(Clone)]
-struct Shared {
-    bytes: Bytes,
-    cipher: Option<Cipher>,
-}
-
 impl Key {
-    fn of(secret: Secret) -> Key {
+    fn with(secret: Secret) -> Key {
         Key { secret, accepts: Accepts::InClear, signatures: None, membership: None, former: None }
     }
 
@@ -94,10 +77,12 @@ impl Key {
         Key { signatures: Some(Arc::new(signatures)), ..self }
     }
 
-    /// Returns the keys of a process with what those of the next roster are made from.
-    pub(super) fn with_member(self, member: Member) -> Key {
+    /// Creates the keys of the member `member`: those with each other member, those by which it signs orders and checks
+    /// them, and what the keys of the next roster are made from.
+    pub fn of(member: Member) -> Key {
+        let key = Key::of_member(member.shared(), member.pairs()).with_signatures(member.signatures());
         let (roster, sealed) = (member.roster().clone(), member.sealed().cloned());
-        Key { membership: Some(Arc::new(Membership { roster, sealed, member: Some(member) })), ..self }
+        Key { membership: Some(Arc::new(Membership { roster, sealed, member: Some(member) })), ..key }
     }
 
     /// Returns the key of a replay that accepts the rosters among the datagrams that it accepts. `sealed` is the
@@ -125,7 +110,7 @@ impl Key {
     pub fn by_roster(&self, sealed: &[u8]) -> Result<Key, RosterError> {
         let membership = self.membership.as_ref().ok_or(RosterError::Absent)?;
         match &membership.member {
-            Some(member) => Ok(member.take(sealed)?.key().with_ciphers_as(self.accepts)),
+            Some(member) => Ok(Key::of(member.take(sealed)?).with_ciphers_as(self.accepts)),
             None => {
                 let roster = roster::read(sealed)?;
                 if roster.number <= membership.roster.number {
@@ -169,7 +154,7 @@ impl Key {
 
     /// Creates the key of a team, known to all its members, from its 32 bytes.
     pub fn new(bytes: Bytes) -> Key {
-        Key::of(Secret::Team(Shared::new(bytes)))
+        Key::with(Secret::Team(Shared::new(bytes)))
     }
 
     /// Creates the keys of one member of a team whose members cannot impersonate each other: `team` is known to all of
@@ -180,13 +165,13 @@ impl Key {
     pub fn of_member(team: Bytes, pairs: BTreeMap<HostId, Bytes>) -> Key {
         assert!(pairs.len() <= codec::MAX_MEMBERS, "the reader of keys checks their number");
         let pairs = pairs.into_iter().map(|(member, pair)| (member, Shared::new(pair))).collect();
-        Key::of(Secret::Member(Arc::new(Pairs { team: Shared::new(team), pairs })))
+        Key::with(Secret::Member(Arc::new(Pairs { team: Shared::new(team), pairs })))
     }
 
     /// Creates a substitute for a key, for replays of records only: it accepts exactly the datagrams with these
     /// [`digest`]s, and makes tags of zeros. It gives no protection on a link.
     pub fn trusting(accepted: BTreeSet<[u8; 16]>) -> Key {
-        Key::of(Secret::Accepted(Arc::new(accepted)))
+        Key::with(Secret::Accepted(Arc::new(accepted)))
     }
 
     /// Returns the key of a team whose datagrams are confidential: it encrypts, and refuses what is not encrypted.
@@ -307,110 +292,6 @@ impl Key {
     }
 }
 
-impl Shared {
-    fn new(bytes: Bytes) -> Shared {
-        Shared { bytes, cipher: None }
-    }
-
-    fn with_cipher(self) -> Shared {
-        Shared { cipher: Some(Cipher::new(&self.bytes)), ..self }
-    }
-
-    /// Appends the one tag of a datagram, after it has encrypted the blocks if the flags say so.
-    fn seal(&self, datagram: &mut Vec<u8>, associated: Associated) {
-        if let Some(cipher) = self.cipher_of(datagram) {
-            return cipher.encrypt(datagram, associated);
-        }
-        let tag = tag_of(&self.bytes, datagram, associated);
-        datagram.extend_from_slice(&tag.as_bytes()[..TAG_BYTES]);
-    }
-
-    /// Returns a datagram without its one tag, and as it was in clear; `None` if the tag is not valid.
-    fn open<'a>(&self, datagram: &'a [u8], associated: Associated) -> Option<Cow<'a, [u8]>> {
-        // A short tag is a part of a datagram for each member.
-        if Flags(datagram[FLAGS_AT]).has(Flags::FOR_EACH) {
-            return None;
-        }
-        if codec::is_encrypted(datagram) {
-            return self.cipher_of(datagram)?.decrypt(datagram, associated).map(Cow::Owned);
-        }
-        let plain = codec::untagged(datagram);
-        let (expected, tag) = (hash_of(&self.bytes, plain, associated), &datagram[plain.len()..]);
-        // Hashes are compared in constant time.
-        let valid = tag.len() == TAG_BYTES && padded(&expected.as_bytes()[..TAG_BYTES]) == padded(tag);
-        valid.then_some(plain.into())
-    }
-
-    /// Returns the cipher if the flags of the datagram say that it is encrypted.
-    fn cipher_of(&self, datagram: &[u8]) -> Option<&Cipher> {
-        self.cipher.as_ref().filter(|_| codec::is_encrypted(datagram))
-    }
-}
-
-impl Pairs {
-    /// Appends a short tag for each member to a datagram for all, after it has encrypted the blocks if the flags say
-    /// so.
-    fn seal(&self, datagram: &mut Vec<u8>, associated: Associated) {
-        datagram[FLAGS_AT] |= Flags::FOR_EACH;
-        if let Some(cipher) = self.team.cipher_of(datagram) {
-            cipher.encrypt(datagram, associated);
-        }
-        let hash = tag_of(&self.team.bytes, datagram, associated);
-        for pair in self.pairs.values() {
-            datagram.extend_from_slice(&short_tag(&pair.bytes, &hash));
-        }
-        datagram.push(self.pairs.len() as u8);
-    }
-
-    /// Returns a datagram for all without its tags, and as it was in clear; `None` if the short tag that its sender
-    /// makes for this member `here` with the key `pair` of the two is not valid.
-    fn open<'a>(
-        &self,
-        datagram: &'a [u8],
-        (associated, here): (Associated, HostId),
-        pair: &Bytes,
-    ) -> Option<Cow<'a, [u8]>> {
-        let plain = codec::untagged(datagram);
-        let tags = &datagram[plain.len()..];
-        if !Flags(datagram[FLAGS_AT]).has(Flags::FOR_EACH) || tags.len() != self.pairs.len() * SHORT_TAG_BYTES + 1 {
-            return None;
-        }
-        let place = self.pairs.keys().position(|member| *member == here)?;
-        let expected = short_tag(pair, &hash_of(&self.team.bytes, plain, associated));
-        if padded(&expected) != padded(&tags[place * SHORT_TAG_BYTES..][..SHORT_TAG_BYTES]) {
-            return None;
-        }
-        if codec::is_encrypted(datagram) {
-            return self.team.cipher_of(datagram)?.decrypt(plain, associated).map(Cow::Owned);
-        }
-        Some(plain.into())
-    }
-}
-
-/// Returns the tag of a datagram for one of its receivers: a keyed hash of the datagram's hash under the team's key.
-fn short_tag(pair: &Bytes, hash: &blake3::Hash) -> [u8; SHORT_TAG_BYTES] {
-    let mut tag = [0; SHORT_TAG_BYTES];
-    tag.copy_from_slice(&blake3::keyed_hash(pair, hash.as_bytes()).as_bytes()[..SHORT_TAG_BYTES]);
-    tag
-}
-
-/// Returns the keyed hash of a datagram, as [`tag_of`] does, of bytes that cannot be changed.
-fn hash_of(secret: &Bytes, plain: &[u8], associated: Associated) -> blake3::Hash {
-    // This allocation is faster than clearing a buffer of the largest size.
-    let mut hashed = Vec::with_capacity(plain.len() + ASSOCIATED_BYTES);
-    hashed.extend_from_slice(plain);
-    tag_of(secret, &mut hashed, associated)
-}
-
-/// Returns the keyed hash of a datagram, its link and its receiver. `datagram` is the same afterwards.
-fn tag_of(secret: &Bytes, datagram: &mut Vec<u8>, associated: Associated) -> blake3::Hash {
-    let length = datagram.len();
-    datagram.extend_from_slice(&associated);
-    let hash = blake3::keyed_hash(secret, datagram);
-    datagram.truncate(length);
-    hash
-}
-
 /// Returns a digest of a datagram with its tag and of its link, by which a replay recognizes the datagram.
 pub fn digest(datagram: &[u8], link: LinkId) -> [u8; 16] {
     let mut all = datagram.to_vec();
@@ -418,18 +299,6 @@ pub fn digest(datagram: &[u8], link: LinkId) -> [u8; 16] {
     let mut short = [0; 16];
     short.copy_from_slice(&blake3::hash(&all).as_bytes()[..16]);
     short
-}
-
-fn associated(link: LinkId, to: Option<HostId>) -> Associated {
-    let ([a, b], [c, d]) = (link.0.to_le_bytes(), to.map_or(u16::MAX, |host| host.0).to_le_bytes());
-    [a, b, c, d]
-}
-
-/// Returns a tag as a hash, with zeros after it: hashes are compared in constant time.
-fn padded(tag: &[u8]) -> blake3::Hash {
-    let mut bytes = [0; 32];
-    bytes[..tag.len()].copy_from_slice(tag);
-    blake3::Hash::from_bytes(bytes)
 }
 
 impl fmt::Debug for Key {
@@ -440,6 +309,7 @@ impl fmt::Debug for Key {
 
 #[cfg(test)]
 mod tests {
+    use super::super::codec::SHORT_TAG_BYTES;
     use super::*;
 
     /// A key as it is, and with encryption.

@@ -73,12 +73,12 @@ pub struct Guest {
 pub struct LinkState {
     me: Identity,
     id: LinkId,
-    key: Option<Key>,
+    pub(super) key: Option<Key>,
     /// Smallest host id that is no host of the team.
     first_guest: HostId,
     reports: Reports,
     pub(super) incoming: Incoming,
-    outgoing: Outgoing,
+    pub(super) outgoing: Outgoing,
     pub(super) counts: LinkCounts,
     /// Time at which the next action is due; cached, since it is read far more often than it changes.
     due: Option<Time>,
@@ -368,15 +368,6 @@ impl LinkState {
     #[cold]
     pub(crate) fn refuse(&mut self, error: &DecodeError) {
         self.counts.refuse(Refusal::of(error), 1);
-    }
-
-    /// Takes the keys of another roster. Of members that are not in it nothing is accepted from now on.
-    pub(crate) fn rekey(&mut self, key: &Key) {
-        (self.key, self.outgoing.key) = (Some(key.clone()), Some(key.clone()));
-        let members = key.roster().map(|roster| &roster.members);
-        if let Some(members) = members.filter(|members| !members.is_empty()) {
-            self.incoming.senders.keep(|host| members.contains_key(&host));
-        }
     }
 
     /// Returns the hosts of the team that are accepted, each with its incarnation.

@@ -8,7 +8,6 @@ use std::fmt;
 use ed25519_dalek::{SigningKey, VerifyingKey};
 
 use super::codec::Frame;
-use super::key::Key;
 use super::roster::{self, NONCE_BYTES, Roster, RosterError};
 use super::signatures::Signatures;
 use crate::messages::ids::HostId;
@@ -100,18 +99,22 @@ impl Member {
         Ok(Member { roster, shared, sealed: Some(bytes.into()), ..self.clone() })
     }
 
-    /// Returns the member's keys with each other member, and those by which it signs orders and checks them.
-    pub fn key(&self) -> Key {
+    /// Returns for each member, this one included, the key that only the two have.
+    pub fn pairs(&self) -> BTreeMap<HostId, Bytes> {
         let own = public(&self.secret);
         let pairs = self.roster.members.iter().map(|(number, key)| {
             let agreed = agreed(&self.secret, key).expect("it was checked when the roster was taken");
             (*number, of_pair(&agreed, self.team, (self.number, &own), (*number, key)))
         });
+        pairs.collect()
+    }
+
+    /// Returns the keys by which the member signs orders, if it is an operator, and checks them.
+    pub fn signatures(&self) -> Signatures {
         let secret = self.number.is_operator().then_some(self.secret);
         let operators = self.roster.members.iter().filter(|(number, _)| number.is_operator());
         let operators: BTreeMap<HostId, Bytes> = operators.map(|(number, key)| (*number, *key)).collect();
-        let signatures = Signatures::new(secret, &operators).expect("they were checked when the roster was taken");
-        Key::of_member(self.shared, pairs.collect()).with_signatures(signatures).with_member(self.clone())
+        Signatures::new(secret, &operators).expect("they were checked when the roster was taken")
     }
 }
 
@@ -169,6 +172,7 @@ mod tests {
     use super::*;
     use crate::messages::ids::LinkId;
     use crate::net::protocol::codec::{self, Flags, Header};
+    use crate::net::protocol::key::Key;
 
     const TEAM: u16 = 7;
     const ROOT: Bytes = [99; 32];
@@ -199,8 +203,8 @@ mod tests {
         let flags = Flags::default();
         let mut datagram =
             codec::start(&Header { flags, team: TEAM, sender: from.number, incarnation: 1, sequence: 1 });
-        from.key().seal(&mut datagram, LinkId(0), None);
-        by.key().open(&datagram, LinkId(0), by.number).is_some()
+        Key::of(from.clone()).seal(&mut datagram, LinkId(0), None);
+        Key::of(by.clone()).open(&datagram, LinkId(0), by.number).is_some()
     }
 
     #[test]

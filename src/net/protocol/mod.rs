@@ -30,6 +30,7 @@ mod senders;
 pub mod signatures;
 mod soft;
 pub(crate) mod succession;
+mod tags;
 mod unpack;
 mod urgent;
 mod window;

@@ -7,6 +7,7 @@
 use super::codec::Frame;
 use super::counts::Refusal;
 use super::key::Key;
+use super::link::LinkState;
 use super::roster::{ACCEPTS_FOR, RosterError};
 use crate::messages::ids::LinkId;
 use crate::time::{Span, Time};
@@ -65,7 +66,7 @@ pub(crate) struct Succession {
 impl Succession {
     /// Returns the state of a process that starts with `key`.
     pub fn new(key: Option<&Key>) -> Succession {
-        let next = key.and_then(Key::sealed_roster).map(|_| Time::ZERO + PERIOD);
+        let next = key.and_then(Key::sealed_roster).map(|_| Time::ZERO);
         Succession { next, ..Succession::default() }
     }
 
@@ -157,6 +158,17 @@ impl Succession {
     }
 }
 
+impl LinkState {
+    /// Takes the keys of another roster. Of members that are not in it nothing is accepted from now on.
+    pub(crate) fn rekey(&mut self, key: &Key) {
+        (self.key, self.outgoing.key) = (Some(key.clone()), Some(key.clone()));
+        let members = key.roster().map(|roster| &roster.members);
+        if let Some(members) = members.filter(|members| !members.is_empty()) {
+            self.incoming.senders.keep(|host| members.contains_key(&host));
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::codec::{self, Flags, Header};
@@ -179,7 +191,7 @@ mod tests {
 
     fn key(host: u16) -> Key {
         let own = (HostId(host), secret(host));
-        Member::new(7, own, public(&ROOT), (roster(1, false), [1; 32])).expect("it is one of them").key()
+        Member::new(7, own, public(&ROOT), (roster(1, false), [1; 32])).map(Key::of).expect("it is one of them")
     }
 
     fn header(sender: u16) -> Header {
@@ -195,10 +207,14 @@ mod tests {
         Time::ZERO + Span::from_millis(ms)
     }
 
-    fn hears(here: &Key, there: &Key) -> bool {
-        let mut sealed = codec::start(&header(1));
-        there.seal(&mut sealed, LINK, None);
-        here.open(&sealed, LINK, HostId(0)).is_some()
+    /// Whether host 0 and host 1, with these keys, hear each other: the first the second, and the reverse.
+    fn hear(first: &Key, second: &Key) -> [bool; 2] {
+        let hears = |here: (u16, &Key), there: (u16, &Key)| {
+            let mut sealed = codec::start(&header(there.0));
+            there.1.seal(&mut sealed, LINK, None);
+            here.1.open(&sealed, LINK, HostId(here.0)).is_some()
+        };
+        [hears((0, first), (1, second)), hears((1, second), (0, first))]
     }
 
     /// Takes the datagram and keeps its roster at once; returns the keys from then on.
@@ -233,17 +249,21 @@ mod tests {
         let mut rosters = Succession::default();
         let revoked = changed(&mut rosters, 0, &old, &datagram(2, false));
         let other = changed(&mut Succession::default(), 0, &there, &datagram(2, false));
-        assert!(!hears(&revoked, &there) && !hears(&there, &revoked) && hears(&revoked, &other));
+        assert_eq!((hear(&revoked, &there), hear(&revoked, &other)), ([false; 2], [true; 2]));
 
         let planned = changed(&mut rosters, 0, &revoked, &datagram(3, true));
         let other_third = changed(&mut Succession::default(), 0, &other, &datagram(3, true));
-        assert!(hears(&planned, &other) && hears(&other, &planned), "one that has missed it");
-        assert!(hears(&planned, &other_third));
-        let keys_at = |rosters: &mut Succession, ms, key: &Key| rosters.wake(at(ms), key).key.expect("it is due");
+        assert_eq!(hear(&planned, &other), [true; 2], "one that has missed it");
+        assert_eq!(hear(&planned, &other_third), [true; 2]);
+        let keys_at = |rosters: &mut Succession, ms, key: &Key| {
+            let due =
+                std::iter::from_fn(|| rosters.due().filter(|due| *due <= at(ms)).map(|due| rosters.wake(due, key)));
+            due.filter_map(|due| due.key).last().expect("it is due")
+        };
         let seals = keys_at(&mut rosters, 2000, &planned);
-        assert!(hears(&seals, &other) && !hears(&other, &seals));
+        assert_eq!(hear(&seals, &other), [true, false]);
         let alone = keys_at(&mut rosters, 10_000, &seals);
-        assert!(!hears(&alone, &other) && hears(&alone, &other_third.alone()));
+        assert_eq!((hear(&alone, &other), hear(&alone, &other_third.alone())), ([false; 2], [true; 2]));
     }
 
     #[test]

@@ -43,7 +43,9 @@ fn check_key(team: &Team) -> Found {
                 let every = format!("fingerprint {print}, which every host of the team must have{encrypts}");
                 match file.member() {
                     Some((_, name)) => {
-                        found(Fitness::Ok, format!("{every}; it is that of '{name}', who can impersonate no other"), "")
+                        let roster = file.roster().unwrap_or(0);
+                        let own = format!("it is that of '{name}', who can impersonate no other, by roster {roster}");
+                        found(Fitness::Ok, format!("{every}; {own}"), "")
                     }
                     None => found(
                         Fitness::Warn,

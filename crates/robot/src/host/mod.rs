@@ -129,17 +129,14 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         team::leave_out_key_warning();
     }
     let file = team::key(&team)?;
-    let kept = file.as_ref().and_then(KeyFile::kept);
-    let key = file.map(|file| file.key().confidential_if(team.confidential));
+    let key = file.as_ref().map(|file| file.key().confidential_if(team.confidential));
     let policy = team::policy(&team, registry)?;
     let digest = policy.model.digest().to_owned();
     let trial = args.trial(registry, &team, policy.model)?;
     let links = team.deployment.links.iter().map(|link| link.name.clone()).collect();
-    let keeper = kept.map(Keeper::open).transpose().context("cannot start a thread to write rosters")?;
     let outlets = Outlets::open(args.json, args.trajectories.as_deref())?;
-    let seen = Rc::new(Seen::new(outlets, links, keeper));
-    let outlets = &seen.outlets;
-    let recorded = key.clone();
+    let seen = Rc::new(Seen::new(outlets, links, keeper(file.as_ref())?));
+    let (outlets, known) = (&seen.outlets, key.clone());
     let (signal, wake_reader) = signals::listen()?;
     let mut patience = Patience::new((&signal, &wake_reader), outlets, (args.json, args.launched));
     let live = match LiveHost::open_when_fit(&team, &trial, key, registry, &mut |error| patience.wait(error)) {
@@ -149,8 +146,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     };
     patience.end();
     let files = [Some(args.team.file.clone()), team.policy.clone()].into_iter().flatten().collect();
-    let about = (began, recorded.as_ref());
-    seen.record.set(LiveRecord::of_host(&args.record, (&team, &live), about, (files, &digest))?).ok();
+    let record = LiveRecord::of_host(&args.record, (&team, &live), (began, known.as_ref()), (files, &digest))?;
+    seen.record.set(record).ok();
     #[cfg(feature = "watch")]
     seen.metrics.set(args.metrics.open(&team)?).ok();
     tracing::info!(host = name, robots = team.deployment.robots, policy = policy.name, digest, "starts");
@@ -185,6 +182,12 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     outlets.close()?;
     written?;
     if interrupted { ended(&signal) } else { Ok(Ended::Done) }
+}
+
+/// Starts the writer of the rosters of a member with its own key file.
+fn keeper(file: Option<&KeyFile>) -> Result<Option<Keeper>> {
+    let kept = file.and_then(KeyFile::kept);
+    kept.map(Keeper::open).transpose().context("cannot start a thread to write rosters")
 }
 
 /// Prints the last event, with the counts of the host, and the table of results unless events are printed as JSON.

@@ -33,7 +33,7 @@ pub struct KeyFile {
 impl KeyFile {
     /// Returns the key with which a process authenticates datagrams.
     pub fn key(&self) -> Key {
-        self.member.as_ref().map_or_else(|| Key::new(self.shared), |own| own.member.key())
+        self.member.as_ref().map_or_else(|| Key::new(self.shared), |own| Key::of(own.member.clone()))
     }
 
     /// Returns the key by the roster in the file itself, which later ones in a record follow.
@@ -154,7 +154,7 @@ pub fn read(path: &Path) -> Result<KeyFile> {
     }
     match std::str::from_utf8(&text).map_err(|_| "is no text".to_owned()).and_then(OwnFile::parse) {
         Ok(own) => {
-            let (shared, key) = (own.member.shared(), own.member.key());
+            let (shared, key) = (own.member.shared(), Key::of(own.member.clone()));
             let mut file = file(shared, Some(own), key);
             file.take_kept()?;
             Ok(file)

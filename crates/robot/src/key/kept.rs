@@ -60,7 +60,10 @@ impl Kept {
         let written = self.write(sealed);
         if let Err(error) = &written {
             let path = self.0.display();
-            tracing::error!("a new roster is not in force here: it cannot be written to '{path}': {error}");
+            tracing::error!(
+                "a new roster cannot be written to '{path}': {error}; until it can, a host keeps its former keys, and hears \
+                 no one"
+            );
         }
         written.is_ok()
     }

@@ -141,7 +141,7 @@ mod tests {
     #[test]
     fn what_one_member_seals_the_others_open_and_none_of_another_team_does() {
         let keys = |files: &[String]| -> Vec<Key> {
-            files.iter().map(|text| OwnFile::parse(text).unwrap().member.key()).collect()
+            files.iter().map(|text| Key::of(OwnFile::parse(text).unwrap().member)).collect()
         };
         let ours = keys(&made());
         let header = Header { flags: Flags(0), team: 7, sender: HostId(0), incarnation: 1, sequence: 1 };

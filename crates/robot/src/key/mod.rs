@@ -3,11 +3,12 @@
 //! `change` and `spread` are the commands that make keys, change rosters and send them. Keys are never printed.
 
 mod change;
+pub mod command;
 mod digits;
 mod file;
 pub mod kept;
 mod member;
-pub mod new;
+mod new;
 mod root;
 mod spread;
 

@@ -1,4 +1,4 @@
-//! The command `murmurate key`: keys of a team, in files that only their owner may read. `key new` makes either one key
+//! The command `key new`: keys of a team, in files that only their owner may read. It makes either one key
 //! of all members (32 bytes as 64 hexadecimal digits), or a file for each host and each operator, none of which can
 //! impersonate another, and one for the root, which says who the members are.
 //!
@@ -8,38 +8,20 @@ use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use clap::Subcommand;
 use data_encoding::HEXLOWER;
 use murmurate::config::shown;
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::codec::MAX_MEMBERS;
 use murmurate::registry::Registry;
 
-use super::change::{Add, Change, Rotate};
 use super::digits::{BYTES, fingerprint};
 use super::root::Root;
-use super::spread::Spread;
 use crate::BadInput;
 use crate::Ended;
 use crate::output;
 use crate::own_name;
 use crate::team::TeamArgs;
 use crate::temporary;
-
-/// Makes the keys that a team's messages are authenticated with.
-#[derive(Subcommand)]
-pub enum Args {
-    /// Makes new key files that only you can read
-    New(New),
-    /// Makes a roster without a member, whose key ends at once
-    Revoke(Change),
-    /// Makes a roster with a new operator, or with a new key of a member
-    Add(Add),
-    /// Makes a roster with a new key of all members, for no other reason
-    Rotate(Rotate),
-    /// Sends a roster to a running team, and says who has it
-    Spread(Spread),
-}
 
 /// Flags of `murmurate key new`.
 #[derive(clap::Args)]
@@ -59,18 +41,11 @@ pub struct New {
     force: bool,
 }
 
-/// Runs `key`: creates key files or a roster, or sends one. Fails if a file exists and `--force` is missing, or if one
-/// cannot be written.
-pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
-    match args {
-        Args::New(args) => match &args.team {
-            Some(team) => of_members(args, team, registry),
-            None => of_team(args),
-        },
-        Args::Revoke(args) => args.run(),
-        Args::Add(args) => args.run(),
-        Args::Rotate(args) => args.run(),
-        Args::Spread(args) => args.run(registry),
+/// Runs `key new`: creates the key files. Fails if one exists and `--force` is missing, or if it cannot be written.
+pub fn run(args: &New, registry: &Registry) -> Result<Ended> {
+    match &args.team {
+        Some(team) => of_members(args, team, registry),
+        None => of_team(args),
     }
 }
 
