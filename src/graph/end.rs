@@ -35,8 +35,8 @@ pub struct HostEnd {
     /// Setup of each link, in the order of the deployment; `None` for a link in which the host does not take part.
     pub links: Vec<Option<Setup>>,
     /// Function that writes a roster to disk at once, for operators. It is in force even if it cannot be written: no
-    /// order waits for a disk. A host has its rosters written beside its control thread ([`Event::Roster`]), and none is
-    /// in force before.
+    /// order waits for a disk. Rosters of a host are written beside its control thread ([`Event::Roster`]), and none
+    /// is in force before.
     pub keep: Option<Keep>,
     /// Open transports, each with its link; a link that is used on several network interfaces has several. Empty where
     /// links are emulated.

@@ -1,5 +1,5 @@
-//! Rosters of a team that runs: keys are rotated and members are added, revoked and replaced, and no episode is lost but
-//! that of a revoked robot.
+//! Rosters of a team that runs: keys are rotated and members are added, revoked and replaced, and no episode is lost
+//! but that of a revoked robot.
 
 use std::fs;
 use std::net::{Ipv4Addr, UdpSocket};

@@ -48,8 +48,8 @@ pub fn accepted(mut messages: Messages, mut key: RecordedKey) -> Result<Found, R
     Ok(found)
 }
 
-/// Returns a datagram that a host with the key `key` has received as it is in a copy: unchanged, or if it is encrypted in clear,
-/// with a tag of zeros. `None` if its tag is not valid.
+/// Returns a datagram that a host with the key `key` has received as it is in a copy: unchanged, or if it is encrypted
+/// in clear, with a tag of zeros. `None` if its tag is not valid.
 fn opened((frame, link): (&Frame, LinkId), key: &RecordedKey) -> Option<Frame> {
     let plain = key.open(frame, link)?;
     if !codec::is_encrypted(frame) {
@@ -60,8 +60,8 @@ fn opened((frame, link): (&Frame, LinkId), key: &RecordedKey) -> Option<Frame> {
     Some(clear.into())
 }
 
-/// Copies the record of a host with the key `key` to `to`, with `accepted`, the digests of the datagrams that had a valid
-/// authentication tag, as an attachment. What has arrived encrypted is in clear there.
+/// Copies the record of a host with the key `key` to `to`, with `accepted`, the digests of the datagrams that had a
+/// valid authentication tag, as an attachment. What has arrived encrypted is in clear there.
 pub fn copy(
     from: &mut Reader,
     mut key: RecordedKey,

@@ -1,8 +1,8 @@
 //! Change of a process from one roster to the next: which one it takes, when that is in force, and when it repeats it
 //! for those that have missed it. Pure.
 //!
-//! A roster is in force once it is on disk, so that a restart does not go back to an older one. If a member was removed,
-//! the keys before it end at once. Otherwise both are valid for a while, so that no message is lost.
+//! A roster is in force once it is on disk, so that a restart does not go back to an older one. If a member was
+//! removed, the keys before it end at once. Otherwise both are valid for a while, so that no message is lost.
 
 use super::codec::Frame;
 use super::counts::Refusal;

@@ -1,5 +1,4 @@
-//! Tags of datagrams, and their encryption, under one key or under those of the pairs of members. Which keys these are is
-//! in `key`.
+//! Tags of datagrams, and their encryption, under one key or under those of the pairs of members. `key` has these keys.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;

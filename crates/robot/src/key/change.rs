@@ -27,7 +27,7 @@ pub struct Change {
 /// Flags of `key add`.
 #[derive(clap::Args)]
 pub struct Add {
-    /// New operator, such as operator-2, or a host or operator of the team that gets a new key; the key that it had ends
+    /// New operator, such as operator-2, or a member of the team that gets a new key; the key that it had ends
     #[arg(value_name = "NAME")]
     name: String,
     #[command(flatten)]

@@ -131,8 +131,8 @@ impl KeyFile {
             Err(RosterError::Known) => {}
             Err(error) => {
                 let why = format!(
-                    "has a newer roster '{path}' that is not its own: {error}; get a new key file, made by '{} key add {}', \
-                     and remove that roster",
+                    "has a newer roster '{path}' that is not its own: {error}; get a new key file, made by '{} key add \
+                     {}', and remove that roster",
                     own_name(),
                     own.name
                 );

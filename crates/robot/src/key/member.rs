@@ -1,5 +1,5 @@
-//! Form of the key file of one member of a team, a host or an operator: its secret, the public root key of the team, and
-//! the list of all members with their public keys. The root's own file, which is kept off the robots, is in `root`.
+//! Form of the key file of one member of a team, a host or an operator: its secret, the public root key of the team,
+//! and the list of all members with their public keys. The root's own file, which is kept off the robots, is in `root`.
 
 use std::collections::BTreeMap;
 

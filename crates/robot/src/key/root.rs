@@ -1,5 +1,5 @@
-//! The root key of a team, which says who its members are, in a file that is kept off the robots: the secret, the number
-//! of the newest roster, and all members that there are or were.
+//! The root key of a team, which says who its members are, in a file that is kept off the robots: the secret, the
+//! number of the newest roster, and all members that there are or were.
 
 use std::collections::BTreeMap;
 

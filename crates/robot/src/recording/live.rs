@@ -36,9 +36,9 @@ pub struct LiveRecord {
 
 impl LiveRecord {
     /// Starts the record `NAME-INCARNATION.mcap` of a host, in the folder of the flag `--record`, or otherwise of the
-    /// team file; returns `None` if neither names a folder. `began` is the time at which the run began, and `key`
-    /// is that of the host, of which the record says only whether there is one, and which roster is in force. `files` are the team file and the policy
-    /// file, which are attached; `policy` is the digest of the policy file.
+    /// team file; returns `None` if neither names a folder. `began` is the time at which the run began, and `key` is
+    /// that of the host, of which the record says only whether there is one, and which roster is in force. `files` are
+    /// the team file and the policy file, which are attached; `policy` is the digest of the policy file.
     pub fn of_host(
         flags: &RecordFlags,
         (team, live): (&Team, &LiveHost),
