@@ -69,9 +69,7 @@ fn secrets(folder: &Path) -> Vec<String> {
     let members = files.map(|path| std::fs::read_to_string(path).expect("a key file"));
     let secret = |line: &str| Some(line.split_once("\"")?.1.trim_end_matches('"').to_owned());
     let of_member = |text: String| {
-        // The root key is public in the members' files.
-        let of_root = if text.contains("\nsecret") { "secret" } else { "root = " };
-        let lines = text.lines().filter(|line| line.starts_with("shared") || line.starts_with(of_root));
+        let lines = text.lines().filter(|line| line.starts_with("shared") || line.starts_with("secret"));
         lines.filter_map(secret).collect::<Vec<String>>()
     };
     let one = std::fs::read_to_string(folder.join("team.key")).expect("it was made").trim().to_owned();

@@ -28,7 +28,8 @@ pub struct Root {
 struct Form {
     team: u16,
     roster: u32,
-    root: String,
+    /// The secret key. The files of members have the public one, by another name.
+    secret_root: String,
     members: Vec<FormMember>,
 }
 
@@ -73,14 +74,14 @@ impl Root {
             let public = member.public.as_deref().map(|public| key_of("public", public)).transpose()?;
             members.insert(HostId(member.number), (member.name, public));
         }
-        Ok(Root { team: form.team, secret: key_of("root", &form.root)?, roster: form.roster, members })
+        Ok(Root { team: form.team, secret: key_of("secret_root", &form.secret_root)?, roster: form.roster, members })
     }
 
     /// Returns the text of the root's file.
     pub fn text(&self) -> String {
         let mut text = format!(
             "# Secret: who has this file says who the members of team {} are. Keep it off the robots, with mode 0600.\n\
-             team = {}\nroster = {}\nroot = \"{}\"\n",
+             team = {}\nroster = {}\nsecret_root = \"{}\"\n",
             self.team,
             self.team,
             self.roster,
@@ -107,9 +108,9 @@ impl Root {
         let member = self.number_of(name).and_then(|number| self.members.get_mut(&number));
         let Some((_, public)) = member else { return Err(self.unknown(name)) };
         if all == 1 {
-            return Err(format!("'{name}' is the only member"));
+            return Err(format!("has no other member than '{name}'"));
         }
-        public.take().map(drop).ok_or_else(|| format!("'{name}' was revoked before"))
+        public.take().map(drop).ok_or_else(|| format!("says that '{name}' was revoked before"))
     }
 
     /// Adds the member `name` with a new key, in place of a key that it has: one that is or was a member, or a new
@@ -126,7 +127,7 @@ impl Root {
 
     fn unknown(&self, name: &str) -> String {
         let names: Vec<&str> = self.members().map(|(name, _)| name).collect();
-        format!("'{name}' is no member of this team: {}; a new operator is called operator-N", names.join(", "))
+        format!("has no member '{name}', but {}; a new operator is called operator-N", names.join(", "))
     }
 
     /// Makes the next roster, with a new key of all members. `planned` says that the keys before it stay valid for a
@@ -139,7 +140,7 @@ impl Root {
         let members = self.members.iter().filter_map(|(number, (_, public))| Some((*number, (*public)?)));
         let roster = Roster { number, planned, members: members.collect() };
         let sealed = seal_roster((self.team, &roster), &self.secret, &shared, nonce);
-        let sealed = sealed.ok_or_else(|| format!("{} members are too many", roster.members.len()))?;
+        let sealed = sealed.ok_or_else(|| format!("has {} members, which are too many", roster.members.len()))?;
         self.roster = number;
         let names: BTreeMap<HostId, String> =
             self.members.iter().map(|(number, (name, _))| (*number, name.clone())).collect();
@@ -149,5 +150,58 @@ impl Root {
             member::text(of_team, (number, name, &secret), (&roster, &names, &shared))
         });
         Ok(Changed { number, sealed, file })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use murmurate::net::protocol::roster;
+
+    use super::*;
+
+    fn draw() -> impl FnMut() -> Result<[u8; BYTES]> {
+        let mut drawn = 0u64;
+        move || {
+            drawn += 1;
+            Ok(*blake3::hash(&drawn.to_le_bytes()).as_bytes())
+        }
+    }
+
+    fn made() -> (Root, Vec<(String, String)>) {
+        let members = [(HostId(0), "pc".to_owned()), (HostId(1), "robot".to_owned())];
+        let operator = (HostId::operator(1), "operator-1".to_owned());
+        Root::new(7, &[&members[..], &[operator]].concat(), &mut draw()).expect("keys are drawn")
+    }
+
+    #[test]
+    fn members_are_removed_and_added_by_name_and_the_file_tells_the_rest() {
+        let (root, _) = made();
+        let mut root = Root::parse(&root.text()).expect("it is its own text");
+        let mut draw = draw();
+        assert!(root.revoke("nobody").unwrap_err().contains("pc, robot, operator-1"));
+        root.revoke("robot").expect("it is a member");
+        assert!(root.revoke("robot").unwrap_err().contains("before"));
+        let second = root.next(false, None, &mut draw).expect("few members");
+        let listed = |changed: &Changed| roster::read(&changed.sealed).expect("a roster").members;
+        assert_eq!((second.number, listed(&second).len(), second.file.is_none()), (2, 2, true));
+        let mut root = Root::parse(&root.text()).expect("it is its own text");
+        assert!(root.members().any(|member| member == ("robot", true)));
+        let added = root.add("robot", &mut draw).expect("it was one");
+        let third = root.next(false, Some(added), &mut draw).expect("few members");
+        let own = member::OwnFile::parse(third.file.as_deref().expect("it has a file")).expect("a key file");
+        assert_eq!((third.number, own.number, own.member.roster().number), (3, HostId(1), 3));
+        assert!(root.add("guest", &mut draw).unwrap_err().contains("operator-N"));
+        assert_eq!(root.add("operator-2", &mut draw).expect("a new one").0, HostId::operator(2));
+        ["pc", "operator-1", "operator-2"].map(|name| root.revoke(name).expect("it is a member"));
+        assert!(root.revoke("robot").unwrap_err().contains("no other member"));
+    }
+
+    #[test]
+    fn the_file_of_a_member_is_no_root_and_that_of_the_root_no_members() {
+        let (root, files) = made();
+        for (name, text) in &files {
+            assert!(Root::parse(text).is_err(), "{name}");
+        }
+        assert!(member::OwnFile::parse(&root.text()).is_err());
     }
 }

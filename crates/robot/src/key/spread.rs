@@ -40,7 +40,7 @@ pub struct Spread {
     /// Roster, as `key revoke`, `key add` or `key rotate` has made it
     #[arg(value_name = "ROSTER")]
     roster: PathBuf,
-    /// Longest time for which the hosts are waited for \[s\]
+    /// Longest time for which the hosts are waited for [s]
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0)]
     wait: f64,
     /// Prints one JSON object
