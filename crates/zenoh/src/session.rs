@@ -37,10 +37,6 @@ const REFRESH: Duration = Duration::from_secs(1);
 /// The same before the first frame: an operator has little time to be heard.
 const FIRST_REFRESH: Duration = Duration::from_millis(250);
 
-/// Time without a frame after which a session that has heard some is made again. One whose router was halted for longer
-/// than the lease, and went on, was set up again by the library and heard nothing ever after.
-const DEAF: Duration = Duration::from_secs(3);
-
 /// Settings in place of Zenoh's defaults, where its own file leaves them out. There is no discovery, since a team file
 /// says where everyone is. A handshake of which a packet is lost is repeated after a second and not after ten, a
 /// connection that has broken is set up again within 0.2 s, and a peer that is silent for two seconds counts as gone.
@@ -252,7 +248,7 @@ impl Subscription {
     }
 }
 
-/// Actor that keeps a session open, and makes it again when the machine's address has changed or it has gone deaf.
+/// Actor that keeps a session open, and makes it again when the machine's address has changed.
 struct Keeper {
     worker: Worker,
     port: Port,
@@ -267,8 +263,6 @@ struct Open {
     subscriptions: [Subscription; 2],
     session: Session,
     refreshed: Instant,
-    /// Time at which a frame was last known to have arrived.
-    heard: Instant,
 }
 
 impl Actor for Keeper {
@@ -329,7 +323,7 @@ impl Keeper {
         self.failed = 0;
         let config = &self.worker.config;
         let subscriptions = [config.key_of_all(), config.key_of(self.worker.host.0)].map(|key| Subscription::new(&key));
-        self.open = Some(Open { subscriptions, session, refreshed: Instant::now(), heard: Instant::now() });
+        self.open = Some(Open { subscriptions, session, refreshed: Instant::now() });
         self.refresh();
         self.worker.shared.open.store(true, Ordering::Release);
         if self.worker.opened.try_send(Ok(())).is_err() {
@@ -340,7 +334,7 @@ impl Keeper {
     /// Publishes a frame of the control thread, whose first two bytes are the number of its receiver.
     fn publish(&mut self, packet: &[u8], context: &mut Context<Self>) {
         if self.worker.shared.remake.swap(false, Ordering::Relaxed) {
-            return self.remake("this machine's address or interface has changed", context);
+            return self.remake(context);
         }
         let (Some(open), [low, high, frame @ ..]) = (&self.open, packet) else { return };
         let to = u16::from_le_bytes([*low, *high]);
@@ -349,9 +343,6 @@ impl Keeper {
         self.note(publish(&open.session, key, frame));
         // Every host sends link reports several times a second, so this is done as often as needed.
         let heard = open.subscriptions.iter().any(|one| one.ever_heard);
-        if heard && open.heard.elapsed() >= DEAF {
-            return self.remake("nothing has arrived for 3 s", context);
-        }
         if open.refreshed.elapsed() >= if heard { REFRESH } else { FIRST_REFRESH } {
             self.refresh();
         }
@@ -360,18 +351,15 @@ impl Keeper {
     fn refresh(&mut self) {
         let (sender, Some(open)) = (self.port.sender(), &mut self.open) else { return };
         open.refreshed = Instant::now();
-        if open.subscriptions.iter().any(|one| one.heard.load(Ordering::Relaxed)) {
-            open.heard = open.refreshed;
-        }
         let results = open.subscriptions.each_mut().map(|one| one.refresh(&open.session, &sender));
         results.into_iter().for_each(|result| self.note(result));
     }
 
-    /// Closes the session for this reason, and opens another.
-    fn remake(&mut self, why: &str, context: &mut Context<Self>) {
+    /// Closes the session, and opens another.
+    fn remake(&mut self, context: &mut Context<Self>) {
         let Some(open) = self.open.take() else { return };
         self.worker.shared.open.store(false, Ordering::Release);
-        self.worker.news.report(Renewed::Closed(why.to_owned()));
+        self.worker.news.report(Renewed::Closed("this machine's address or interface has changed".to_owned()));
         let closed = open.close();
         // A session that listens occupies its port. The end of any other may wait for a router that is not reached any
         // more, so the next session is opened beside it.
