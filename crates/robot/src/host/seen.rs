@@ -3,8 +3,8 @@
 use std::cell::{Cell, OnceCell, RefCell};
 use std::collections::BTreeMap;
 
-#[cfg(feature = "watch")]
 use crate::key::kept::Keeper;
+#[cfg(feature = "watch")]
 use crate::metrics::HostMetrics;
 use crate::outlets::Outlets;
 use crate::recording::LiveRecord;
