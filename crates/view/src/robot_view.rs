@@ -61,6 +61,8 @@ pub struct RobotView {
     pub acted: u16,
     /// Another robot whose messages contradict the tracker, as this robot's host finds.
     pub suspect: Option<RobotId>,
+    /// Whether the team's roster does not name the host of the robot's agent.
+    pub revoked: bool,
 }
 
 impl RobotView {
@@ -111,6 +113,14 @@ impl RobotView {
             (None, other) => format!("{} is again where it says it is", other?),
         };
         (before != suspect).then_some(said)
+    }
+
+    /// Takes over whether the team's roster names the host of the robot `at`. Returns what to log; `None` if nothing is
+    /// new.
+    pub fn is_revoked(&mut self, at: usize, revoked: bool) -> Option<String> {
+        let before = std::mem::replace(&mut self.revoked, revoked);
+        let said = if revoked { "was revoked: it may move uncontrolled" } else { "is in the roster again" };
+        (before != revoked).then(|| format!("robot {at} {said}"))
     }
 
     /// Returns the last action of the robot's guard with its age \[s\], as long as it is relevant.

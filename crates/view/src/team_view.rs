@@ -34,8 +34,6 @@ pub struct TeamView {
     scene: Scene,
     /// Host of each robot's agent, by robot id.
     homes: Vec<HostId>,
-    /// Hosts of agents that the team's roster does not name.
-    revoked: BTreeSet<HostId>,
     revisions: Revisions,
     robots: Vec<RobotView>,
     receptions: Receptions,
@@ -61,7 +59,6 @@ impl TeamView {
         TeamView {
             scene,
             homes,
-            revoked: BTreeSet::new(),
             revisions: Revisions::default(),
             robots: vec![RobotView::default(); robots],
             receptions: Receptions::new(robots, hosts),
@@ -157,21 +154,11 @@ impl TeamView {
         robots.for_each(|(robot, _)| robot.agent = Some(now));
     }
 
-    /// Updates the state with the death of the process of the host `host`, which the log names with `text`.
-    pub fn process_died(&mut self, now: Time, host: HostId, text: &str) {
-        self.set_down(host, true);
-        self.note(now, text);
-    }
-
-    /// Updates the state with the return of the process of the host `host`, which the log names with `text`.
-    pub fn process_back(&mut self, now: Time, host: HostId, text: &str) {
-        self.set_down(host, false);
-        self.note(now, text);
-    }
-
-    fn set_down(&mut self, host: HostId, down: bool) {
+    /// Updates the state with the death of the process of a host, or with its return; the log names it with `text`.
+    pub fn process(&mut self, now: Time, (host, down): (HostId, bool), text: &str) {
         let robots = self.robots.iter_mut().zip(&self.homes).filter(|(_, home)| **home == host);
         robots.for_each(|(robot, _)| robot.down = down);
+        self.note(now, text);
     }
 
     fn robot(&mut self, id: RobotId, change: impl FnOnce(&mut RobotView)) {
@@ -269,18 +256,11 @@ impl TeamView {
         self.robot(id, |robot| robot.battery = Some(percent));
     }
 
-    /// Takes the members of the roster that is in force, and adds a line to the log for each robot whose host is not
-    /// in it any more, or is in it again.
+    /// Takes the members of the roster that is in force. The log names the robots of hosts that are none.
     pub fn members(&mut self, now: Time, members: &BTreeSet<HostId>) {
-        let revoked: BTreeSet<HostId> = self.homes.iter().copied().filter(|host| !members.contains(host)).collect();
-        for (at, host) in self.homes.clone().into_iter().enumerate() {
-            match (revoked.contains(&host), self.revoked.contains(&host)) {
-                (true, false) => self.note(now, &format!("robot {at} was revoked: it may move uncontrolled")),
-                (false, true) => self.note(now, &format!("robot {at} is in the roster again")),
-                _ => {}
-            }
-        }
-        self.revoked = revoked;
+        let robots = self.robots.iter_mut().zip(&self.homes).enumerate();
+        let news = robots.filter_map(|(at, (robot, home))| robot.is_revoked(at, !members.contains(home)));
+        news.collect::<Vec<String>>().iter().for_each(|line| self.note(now, line));
     }
 
     /// Adds a line to the log, at the time `now`.
@@ -525,6 +505,20 @@ mod tests {
     }
 
     #[test]
+    fn a_robot_whose_host_the_roster_does_not_name_is_named_once_and_again_when_it_is() {
+        let mut view = view();
+        let all: BTreeSet<HostId> = view.homes.iter().copied().collect();
+        let none = BTreeSet::from([HostId::operator(1)]);
+        for members in [&all, &all, &none, &none, &all] {
+            view.members(at(0), members);
+        }
+        let (status, robots) = (view.status(at(0)), view.homes.len());
+        let said = lines(&status);
+        assert_eq!(said.iter().filter(|line| line.contains("it may move uncontrolled")).count(), robots, "{said:?}");
+        assert_eq!(said.iter().filter(|line| line.contains("in the roster again")).count(), robots, "{said:?}");
+    }
+
+    #[test]
     fn a_suspect_is_named_once_and_again_when_it_is_none_any_more() {
         let mut view = view();
         let told = |suspect, guard| {
@@ -614,9 +608,9 @@ mod tests {
     #[test]
     fn a_process_that_died_and_came_back_is_named_and_its_robot_is_down_meanwhile() {
         let mut view = view();
-        view.process_died(at(100), HostId(2), "the process 'agent-2' has died");
+        view.process(at(100), (HostId(2), true), "the process 'agent-2' has died");
         assert_eq!(view.status(at(100)).down, [2]);
-        view.process_back(at(500), HostId(2), "the process 'agent-2' is back");
+        view.process(at(500), (HostId(2), false), "the process 'agent-2' is back");
         let status = view.status(at(500));
         assert!(status.down.is_empty());
         assert_eq!(lines(&status), ["the process 'agent-2' has died", "the process 'agent-2' is back"]);

@@ -300,11 +300,11 @@ impl Desk {
             match self.events.as_ref().map(Receiver::try_recv) {
                 Some(Ok(TeamEvent::Episode(episode))) => self.view.borrow_mut().judged(now, &episode),
                 Some(Ok(TeamEvent::Died(host, text))) => {
-                    self.view.borrow_mut().process_died(now, id(host), &text);
+                    self.view.borrow_mut().process(now, (id(host), true), &text);
                     self.feed.status_at_once();
                 }
                 Some(Ok(TeamEvent::Back(host, text))) => {
-                    self.view.borrow_mut().process_back(now, id(host), &text);
+                    self.view.borrow_mut().process(now, (id(host), false), &text);
                     self.feed.status_at_once();
                 }
                 Some(Ok(TeamEvent::Over(ending))) => self.ending = Some(ending),
