@@ -41,6 +41,7 @@ const NOT_RUN: &[(&str, &str)] = &[
         "murmurate sim --deployment runs/twin/deployment.toml --conditions runs/twin/conditions.toml",
         "needs the files of a twin; tests/record/twin.rs has some",
     ),
+    ("murmurate key spread team.toml keys/2.roster", "needs a team that runs; tests/live/rosters.rs has one"),
     ("murmurate record merge runs/team -o runs/team.mcap", "needs the records of a team in real time"),
 ];
 
@@ -284,7 +285,7 @@ impl Args {
                 let small = self.without("--preset").without("--robots").with("--config", "small.toml");
                 small.without("--minutes").with("--steps", "160").quiet()
             }
-            ("key", _) => {
+            ("key", Some("new")) => {
                 let mut args = self;
                 args.0.push("--force".to_owned());
                 args

@@ -114,7 +114,11 @@ fn members_have_keys_of_their_own_and_only_an_operator_gives_orders() {
     let keys = folder.path().join("keys").to_string_lossy().into_owned();
     let made = run(&["key", "new", &file, "--out", &keys]);
     assert_eq!(made.status.code(), Some(0), "{}", text(&made.stderr));
-    assert_eq!(text(&made.stdout).lines().count(), hosts.len() + 1);
+    assert_eq!(
+        text(&made.stdout).lines().count(),
+        hosts.len() + 2,
+        "beside those of hosts the operator's and the root's"
+    );
     let refuses = |args: &[&str], words: &[&str]| {
         let output = run(args);
         let said = text(&output.stderr);
@@ -122,6 +126,10 @@ fn members_have_keys_of_their_own_and_only_an_operator_gives_orders() {
         assert!(words.iter().all(|word| said.contains(word)), "{args:?}: {said}");
     };
     refuses(&["key", "new", &file, "--out", &keys], &["agent-0.key", "--force"]);
+    // The file of a member makes no roster, and is as it was.
+    refuses(&["key", "revoke", "agent-1", "--root", &path("operator-1.key")], &["no root key", "root.key"]);
+    refuses(&["key", "revoke", "agent-9", "--root", &path("root.key")], &["no member 'agent-9'", "agent-0"]);
+    refuses(&["key", "spread", &file, &path("root.key")], &["no roster"]);
     refuses(&["key", "new", &file, "--out", &path("more"), "--operators", "8"], &["12 members"]);
     let run_file = file.clone();
     let mut crew = Crew::new(move |host| murmurate(&["host", &run_file, "--host", host, "--json"]));
