@@ -100,6 +100,9 @@ pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Reception> {
     if places.iter().all(Option::is_none) {
         return Ok(Reception::default());
     }
+    if let Some(found) = only_a_host(first)? {
+        return Ok(Reception { found: vec![found], ..Reception::default() });
+    }
     let setups = links::of_operator(&first.deployment, places.iter().map(Option::as_ref));
     let mut found = Vec::new();
     let received = hear(first, &places, &setups, seconds)?;
@@ -141,6 +144,17 @@ pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Reception> {
     let begins =
         begins.then(|| "the host of the state server is running, and will begin an episode: end it".to_owned());
     Ok(Reception { found, hosts, hindrance: received.hindrance.or(begins) })
+}
+
+/// Returns the finding that this machine cannot listen, if its key file is a host's own: that host may be running.
+fn only_a_host(team: &Team) -> Result<Option<Found>> {
+    let file = team.key_file.as_deref().map(key::read).transpose()?;
+    let member = file.as_ref().and_then(key::KeyFile::member).filter(|(number, _)| !number.is_operator());
+    Ok(member.map(|(_, name)| {
+        let said = format!("not listened to: the key file of '{name}' is a host's, and an operator listens");
+        let advice = "run this on a machine with an operator's key file, or name one with --key-file";
+        (Fitness::Warn, Subject::General("team".to_owned()), said, advice.to_owned())
+    }))
 }
 
 /// Opens the sockets of an operator (a host outside the deployment) on all links of the host `team.host`, so that it
