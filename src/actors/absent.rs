@@ -16,7 +16,7 @@ pub(super) struct Absent {
     /// For each host, by its id: its robots.
     hosts: Vec<Vec<RobotId>>,
     left: BTreeSet<HostId>,
-    /// Hosts that the team's roster does not name: nothing is heard of them, and nobody knows what their robots do.
+    /// Hosts that the team's roster does not name: nothing is heard of them, and what their robots do is unknown.
     revoked: BTreeSet<HostId>,
 }
 
@@ -30,6 +30,10 @@ impl Absent {
         self.hosts.get(usize::from(host.0)).map_or(&[], Vec::as_slice)
     }
 
+    fn names_of(&self, host: HostId) -> String {
+        self.robots_of(host).iter().map(RobotId::to_string).collect::<Vec<String>>().join(", ")
+    }
+
     /// Takes what a host says of itself, and logs if it leaves or is back.
     pub(super) fn take(&mut self, status: &Status) {
         let Status { host, leaves, .. } = *status;
@@ -37,8 +41,7 @@ impl Absent {
             return;
         }
         if leaves && self.left.insert(host) {
-            let robots: Vec<String> = self.robots_of(host).iter().map(RobotId::to_string).collect();
-            tracing::warn!("host {} has left; the team stands and waits for {}", host.0, robots.join(", "));
+            tracing::warn!("host {} has left; the team stands and waits for {}", host.0, self.names_of(host));
         } else if !leaves && self.left.remove(&host) {
             tracing::warn!("host {} is back", host.0);
         }
@@ -50,12 +53,11 @@ impl Absent {
         let revoked: BTreeSet<HostId> =
             all.filter(|host| !members.contains(host) && !self.robots_of(*host).is_empty()).collect();
         for host in revoked.difference(&self.revoked) {
-            let robots: Vec<String> = self.robots_of(*host).iter().map(RobotId::to_string).collect();
-            let robots = robots.join(", ");
             tracing::error!(
-                "host {} was revoked; the team stands. {robots} may move uncontrolled: switch it off; the team goes on \
-                 when it has a new key",
-                host.0
+                "host {} was revoked; the team stands. {} may move uncontrolled: switch it off; the team goes on when \
+                 it has a new key",
+                host.0,
+                self.names_of(*host)
             );
         }
         for host in self.revoked.difference(&revoked) {

@@ -292,7 +292,7 @@ impl StateServer {
         }
         let unknown = [self.lost.causes(now), self.absent.causes()].concat();
         if !unknown.is_empty() && self.phase != Phase::NeedReset {
-            // The others could drive into a robot of which nobody knows where it is, or what it does.
+            // The others could drive into a robot whose place, or whose intention, is unknown.
             return match self.phase {
                 Phase::Running => self.give_up(now, &unknown),
                 Phase::AbortRunning => self.since = Some(now),
@@ -492,12 +492,7 @@ mod tests {
             let members = hosts.iter().copied().map(HostId).chain([HostId::operator(1)]).collect();
             server.handle(at_ms(ms), In::Members(members), &mut Vec::new());
         };
-        let mut server = server();
-        tick(&mut server, at_ms(0));
-        beat(&mut server, at_ms(10), round(0, 0), [Phase::NeedReset; 2]);
-        tick(&mut server, at_ms(50));
-        beat(&mut server, at_ms(60), round(1, 0), [Phase::FinishedResetting; 2]);
-        assert_eq!(tick(&mut server, at_ms(100)).1, Phase::Running);
+        let mut server = running();
         members(&mut server, 110, &[0, 1, 2]);
         assert_eq!(tick(&mut server, at_ms(150)).1, Phase::Running);
         members(&mut server, 160, &[0, 2]);
@@ -733,15 +728,6 @@ mod tests {
 
     #[test]
     fn a_missing_robot_or_one_that_gives_up_ends_the_episode() {
-        let running = || {
-            let mut server = server();
-            tick(&mut server, at_ms(0));
-            beat(&mut server, at_ms(10), round(0, 0), [Phase::NeedReset; 2]);
-            tick(&mut server, at_ms(50));
-            beat(&mut server, at_ms(60), round(1, 0), [Phase::FinishedResetting; 2]);
-            assert_eq!(tick(&mut server, at_ms(100)).1, Phase::Running);
-            server
-        };
         assert_eq!(tick(&mut running(), at_ms(1100)).1, Phase::AbortRunning);
         let mut server = running();
         beat(&mut server, at_ms(110), round(1, 0), [Phase::Running, Phase::AbortRunning]);

@@ -35,7 +35,7 @@ pub enum AbortCause {
     ServerRestarted,
     /// The episode has exceeded its time limit.
     TimeLimit,
-    /// The robot's host was removed from the team's roster, so that nobody knows what the robot does.
+    /// The robot's host was removed from the team's roster, so what the robot does is unknown.
     Revoked,
     /// The robot's measured pose has jumped further than it can drive, so that nobody knows where it is.
     PoseJumped,

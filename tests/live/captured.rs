@@ -36,10 +36,10 @@ use nix::sys::signal::Signal;
 use rand::RngExt;
 
 use crate::alone;
-use crate::crew::{Crew, Said, folder, report};
+use crate::crew::{Crew, Said, of_members, report};
 use crate::kill::{self, ROBOTS};
 use crate::program::lateness::Lateness;
-use crate::program::{murmurate, run, text};
+use crate::program::{run, text};
 
 const TEAM: u16 = 793;
 const HOSTS: [&str; 5] = ["agent-0", "agent-1", "agent-2", "world", "server"];
@@ -307,9 +307,8 @@ struct Team {
 
 impl Team {
     fn start(link: Link) -> Team {
-        let mut written = kill::team(link.team()).replace("\"team.key\"", "\"keys/operator-1.key\"");
         // A robot that was led astray need not find its way back.
-        written = written.replace("placement = \"drive\"", "placement = \"exact\"");
+        let mut written = kill::team(link.team()).replace("placement = \"drive\"", "placement = \"exact\"");
         assert!(written.contains("exact"));
         if link == Link::Unicast {
             let peers = (0..).map(HostId).zip(HOSTS).map(|(host, name)| format!("{name} = \"{}\"", link.at(host)));
@@ -319,22 +318,7 @@ impl Team {
             assert!(written.contains(&group));
             written = written.replace(&group, &unicast);
         }
-        for host in HOSTS {
-            written += &format!("[host.{host}]\nkey_file = \"keys/{host}.key\"\n\n");
-        }
-        let (folder, file) = folder(&written);
-        let keys = folder.path().join("keys").to_string_lossy().into_owned();
-        assert_eq!(run(&["key", "new", &file, "--out", &keys]).status.code(), Some(0));
-        let run_file = file.clone();
-        let mut crew = Crew::new(move |host| {
-            let mut command = murmurate(&["host", &run_file, "--host", host, "--json"]);
-            if host == "world" {
-                command.args(["--trajectories", "/dev/stdout"]);
-            }
-            command
-        });
-        HOSTS.iter().for_each(|host| crew.start(host));
-        crew.ready(&HOSTS);
+        let (crew, folder, file) = of_members(&written, &HOSTS);
         Team { crew, file, folder }
     }
 

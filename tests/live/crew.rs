@@ -14,7 +14,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use tempfile::TempDir;
 
-use crate::program::run;
+use crate::program::{murmurate, run};
 
 /// Longest wait for anything.
 const PATIENCE: Duration = Duration::from_secs(90);
@@ -210,6 +210,27 @@ pub fn folder(team: &str) -> (TempDir, String) {
     assert_eq!(run(&["key", "new", "--out", &path("team.key")]).status.code(), Some(0));
     let file = path("team.toml");
     (folder, file)
+}
+
+/// Starts the team of this text, with key files of their own in the folder `keys` for these hosts; that of the World
+/// prints trajectories. Returns the folder and the path of the team file, too.
+pub fn of_members(team: &str, hosts: &[&str]) -> (Crew, TempDir, String) {
+    let tables = hosts.iter().map(|host| format!("[host.{host}]\nkey_file = \"keys/{host}.key\"\n\n"));
+    let team = team.replace("\"team.key\"", "\"keys/operator-1.key\"") + &tables.collect::<String>();
+    let (folder, file) = folder(&team);
+    let keys = folder.path().join("keys").to_string_lossy().into_owned();
+    assert_eq!(run(&["key", "new", &file, "--out", &keys]).status.code(), Some(0));
+    let of = file.clone();
+    let mut crew = Crew::new(move |host| {
+        let mut command = murmurate(&["host", &of, "--host", host, "--json"]);
+        if host == "world" {
+            command.args(["--trajectories", "/dev/stdout"]);
+        }
+        command
+    });
+    hosts.iter().for_each(|host| crew.start(host));
+    crew.ready(hosts);
+    (crew, folder, file)
 }
 
 /// Prints directly to stderr, because the output of a passing test is captured.

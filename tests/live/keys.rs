@@ -135,7 +135,7 @@ fn members_have_keys_of_their_own_and_only_an_operator_gives_orders() {
     let mut crew = Crew::new(move |host| murmurate(&["host", &run_file, "--host", host, "--json"]));
     hosts.iter().for_each(|host| crew.start(host));
     crew.ready(&hosts);
-    // On a host's machine there is that host's file alone, with which nobody listens.
+    // On a host's machine there is that host's file alone, which is not one to listen with.
     let checked = text(&run(&["doctor", &file, "--host", "agent-0"]).stdout);
     for said in ["is that of 'agent-0', who can impersonate no other, by roster 1", "not listened to: the key file"] {
         assert!(checked.contains(said), "{checked}");

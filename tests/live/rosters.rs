@@ -3,7 +3,7 @@
 
 use std::fs;
 use std::net::{Ipv4Addr, UdpSocket};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use murmurate::messages::ids::HostId;
@@ -12,9 +12,9 @@ use murmurate_report::event::HostEvent;
 use nix::sys::signal::Signal;
 
 use crate::alone;
-use crate::crew::{Crew, Said, folder, report};
+use crate::crew::{Crew, Said, of_members, report};
 use crate::kill::{self, ROBOTS};
-use crate::program::{murmurate, run, text};
+use crate::program::{run, text};
 
 const TEAM: u16 = 797;
 const HOSTS: [&str; 5] = ["agent-0", "agent-1", "agent-2", "world", "server"];
@@ -28,24 +28,8 @@ struct Team {
 
 impl Team {
     fn start() -> Team {
-        let mut written = kill::team(TEAM).replace("\"team.key\"", "\"keys/operator-1.key\"");
-        written = format!("confidential = true\n{}", written.replace("placement = \"drive\"", "placement = \"exact\""));
-        for host in HOSTS {
-            written += &format!("[host.{host}]\nkey_file = \"keys/{host}.key\"\n\n");
-        }
-        let (folder, file) = folder(&written);
-        let keys = folder.path().join("keys");
-        assert_eq!(run(&["key", "new", &file, "--out", &keys.to_string_lossy()]).status.code(), Some(0));
-        let of = file.clone();
-        let mut crew = Crew::new(move |host| {
-            let mut command = murmurate(&["host", &of, "--host", host, "--json"]);
-            if host == "world" {
-                command.args(["--trajectories", "/dev/stdout"]);
-            }
-            command
-        });
-        HOSTS.iter().for_each(|host| crew.start(host));
-        crew.ready(&HOSTS);
+        let written = kill::team(TEAM).replace("placement = \"drive\"", "placement = \"exact\"");
+        let (crew, folder, file) = of_members(&format!("confidential = true\n{written}"), &HOSTS);
         Team { crew, file, folder }
     }
 
@@ -120,21 +104,12 @@ impl Team {
     }
 }
 
-#[test]
-fn keys_are_rotated_and_members_added_revoked_and_replaced_while_a_team_runs() {
-    let _alone = alone();
-    let mut team = Team::start();
-    team.goes_on(&ROBOTS);
-    // A laptop that will miss all changes.
-    let stale = team.folder.path().join("stale.key");
-    fs::copy(team.key("operator-1.key"), &stale).expect("it can be copied");
-    let stale = stale.to_string_lossy().into_owned();
-
-    // Rotation: beyond the time for which the keys before it are valid.
-    let rotation_s = team.change(&["rotate"], 2);
+/// Rotates the keys, and adds and revokes an operator. Returns by when all hosts had each roster \[s\].
+fn changes_without_a_loss(team: &Team) -> [f64; 3] {
+    // Beyond the time for which the keys before it are valid.
+    let rotated = team.change(&["rotate"], 2);
     team.loses_nothing_for(Duration::from_secs(12));
-    // A new operator, and its end.
-    let addition_s = team.change(&["add", "operator-2"], 3);
+    let added = team.change(&["add", "operator-2"], 3);
     let second = team.key("operator-2.key").to_string_lossy().into_owned();
     team.goes_on(&ROBOTS);
     team.succeeds(&["stop", &team.file, "--key-file", &second, "--json"]);
@@ -142,48 +117,52 @@ fn keys_are_rotated_and_members_added_revoked_and_replaced_while_a_team_runs() {
     team.succeeds(&["stop", &team.file, "--rearm", "--key-file", &second]);
     team.succeeds(&["resume", &team.file, "--key-file", &second]);
     team.goes_on(&ROBOTS);
-    let revocation_s = team.change(&["revoke", "operator-2"], 4);
+    let revoked = team.change(&["revoke", "operator-2"], 4);
     let refused = run(&["stop", &team.file, "--key-file", &second, "--json"]);
     assert_eq!(refused.status.code(), Some(1), "{}", text(&refused.stdout));
     team.goes_on(&ROBOTS);
-    // The laptop gets the roster from the hosts.
+    [rotated, added, revoked]
+}
+
+/// Stops the team as an operator with an old key file, which gets the roster from the hosts. Returns how long it took.
+fn stale_operator_stops(team: &Team, key_file: &Path) -> Duration {
     let began = Instant::now();
-    team.succeeds(&["stop", &team.file, "--key-file", &stale, "--json"]);
-    let laptop = began.elapsed();
+    team.succeeds(&["stop", &team.file, "--key-file", &key_file.to_string_lossy(), "--json"]);
+    let took = began.elapsed();
     assert_eq!(team.aborted(), "emergency stop");
     team.succeeds(&["stop", &team.file, "--rearm"]);
     team.succeeds(&["resume", &team.file]);
     team.goes_on(&ROBOTS);
+    took
+}
 
-    // A robot is revoked, and replaced.
-    let robot_s = team.change(&["revoke", "agent-1"], 5);
+/// Revokes a robot, and gives it a new key. Returns by when all other hosts had the roster without it \[s\].
+fn robot_is_replaced(team: &mut Team) -> f64 {
+    let took_s = team.change(&["revoke", "agent-1"], 5);
     assert_eq!(team.aborted(), "robot 1 was revoked and may move uncontrolled");
     let mut driven = 0;
     let until = Instant::now() + Duration::from_millis(1500);
     let settled = until - Duration::from_millis(1000);
     team.crew.until("the team stands", |heard| {
-        if let Said::Row(row) = &heard.said
-            && heard.at >= settled
-            && row.is_driven()
-        {
-            driven += 1;
-        }
+        let drives = matches!(&heard.said, Said::Row(row) if heard.at >= settled && row.is_driven());
+        driven += u32::from(drives);
         (heard.at >= until).then_some(())
     });
     assert_eq!(driven, 0, "the team stands");
     team.crew.signal("agent-1", Signal::SIGKILL);
     team.crew.ended("agent-1");
-    let root = team.key("root.key").to_string_lossy().into_owned();
-    team.succeeds(&["key", "add", "agent-1", "--root", &root]);
+    team.succeeds(&["key", "add", "agent-1", "--root", &team.key("root.key").to_string_lossy()]);
     team.crew.start("agent-1");
     team.crew.ready(&["agent-1"]);
-    let roster = team.key("6.roster").to_string_lossy().into_owned();
-    team.succeeds(&["key", "spread", &team.file, &roster]);
+    team.succeeds(&["key", "spread", &team.file, &team.key("6.roster").to_string_lossy()]);
     team.goes_on(&ROBOTS);
+    took_s
+}
 
-    // A host that starts again does not go back to an older roster.
+/// Starts a host again, and repeats an older roster to it.
+fn old_roster_is_refused(team: &mut Team) {
     team.restart("agent-0");
-    let (old, present) = (fs::read(team.key("5.roster")).expect("a roster"), fs::read(team.key("6.roster")));
+    let [old, present] = ["5.roster", "6.roster"].map(|name| fs::read(team.key(name)).expect("a roster"));
     let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).expect("a socket");
     let interface: socket2::Socket = socket.try_clone().expect("a copy").into();
     interface.set_multicast_if_v4(&Ipv4Addr::LOCALHOST).expect("the loopback interface");
@@ -193,9 +172,22 @@ fn keys_are_rotated_and_members_added_revoked_and_replaced_while_a_team_runs() {
         socket.send_to(&datagram, (Ipv4Addr::new(239, 255, 79, 1), 40_000 + TEAM)).expect("it is sent");
     }
     team.goes_on(&ROBOTS);
-    assert_eq!(team.kept("agent-0"), present.expect("a roster"));
+    assert_eq!(team.kept("agent-0"), present);
+}
+
+#[test]
+fn keys_are_rotated_and_members_added_revoked_and_replaced_while_a_team_runs() {
+    let _alone = alone();
+    let mut team = Team::start();
+    team.goes_on(&ROBOTS);
+    let stale = team.folder.path().join("stale.key");
+    fs::copy(team.key("operator-1.key"), &stale).expect("it can be copied");
+    let [rotated, added, revoked] = changes_without_a_loss(&team);
+    let laptop = stale_operator_stops(&team, &stale);
+    let robot = robot_is_replaced(&mut team);
+    old_roster_is_refused(&mut team);
     report(&format!(
-        "rosters on all hosts after: rotation {rotation_s:.2} s, new operator {addition_s:.2} s, operator revoked \
-         {revocation_s:.2} s, robot revoked {robot_s:.2} s; a stop by a laptop that had missed three {laptop:.2?}"
+        "rosters on all hosts after: rotation {rotated:.2} s, new operator {added:.2} s, operator revoked \
+         {revoked:.2} s, robot revoked {robot:.2} s; a stop by a laptop that had missed three {laptop:.2?}"
     ));
 }

@@ -29,11 +29,15 @@ pub fn first_roster(of: &HostIdentity) -> Option<Frame> {
     Some(sealed.into())
 }
 
+/// Returns the key with which the recorded host `of` has begun, from that of its key file.
+pub fn first_key(key: &Key, of: &HostIdentity) -> Key {
+    first_roster(of).and_then(|sealed| key.by_roster(&sealed).ok()).unwrap_or_else(|| key.clone())
+}
+
 impl RecordedKey {
     /// Returns the key at the beginning of the record of the host `of`, from that of its key file.
     pub fn new(key: &Key, of: &HostIdentity) -> RecordedKey {
-        let began = first_roster(of).and_then(|sealed| key.by_roster(&sealed).ok());
-        RecordedKey { host: of.id, key: began.unwrap_or_else(|| key.clone()), pending: None, planned: None }
+        RecordedKey { host: of.id, key: first_key(key, of), pending: None, planned: None }
     }
 
     /// Takes an input of the host at the time `now`, of which rosters change the key.

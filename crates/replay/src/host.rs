@@ -21,7 +21,7 @@ use murmurate::trial::Trial;
 use murmurate_record::actions::{Commands, RobotDifference, StepDifference};
 use murmurate_record::compare::{Compared, Comparison};
 use murmurate_record::identity::{HostIdentity, Identity};
-use murmurate_record::keys::first_roster;
+use murmurate_record::keys::{first_key, first_roster};
 use murmurate_record::reader::{self, Messages};
 use murmurate_record::share::trusted;
 use murmurate_record::topics::{Stage, Topic, Topics};
@@ -59,11 +59,7 @@ impl Access {
             list => list,
         };
         let trusts = key.is_none() || confidential && list.is_some();
-        let began = |key: Key| match first_roster(of) {
-            Some(sealed) if !trusts => key.by_roster(&sealed).unwrap_or(key),
-            _ => key,
-        };
-        let key = began(if trusts { list } else { key }?);
+        let key = if trusts { list } else { key.map(|key| first_key(&key, of)) }?;
         Some(Access { key: Some(key.confidential_if(confidential)), trusts })
     }
 }

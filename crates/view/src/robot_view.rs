@@ -117,7 +117,7 @@ impl RobotView {
 
     /// Takes over whether the team's roster names the host of the robot `at`. Returns what to log; `None` if nothing is
     /// new.
-    pub fn is_revoked(&mut self, at: usize, revoked: bool) -> Option<String> {
+    pub fn membership(&mut self, at: usize, revoked: bool) -> Option<String> {
         let before = std::mem::replace(&mut self.revoked, revoked);
         let said = if revoked { "was revoked: it may move uncontrolled" } else { "is in the roster again" };
         (before != revoked).then(|| format!("robot {at} {said}"))

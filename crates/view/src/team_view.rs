@@ -259,7 +259,7 @@ impl TeamView {
     /// Takes the members of the roster that is in force. The log names the robots of hosts that are none.
     pub fn members(&mut self, now: Time, members: &BTreeSet<HostId>) {
         let robots = self.robots.iter_mut().zip(&self.homes).enumerate();
-        let news = robots.filter_map(|(at, (robot, home))| robot.is_revoked(at, !members.contains(home)));
+        let news = robots.filter_map(|(at, (robot, home))| robot.membership(at, !members.contains(home)));
         news.collect::<Vec<String>>().iter().for_each(|line| self.note(now, line));
     }
 

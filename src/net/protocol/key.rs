@@ -110,7 +110,7 @@ impl Key {
     pub fn by_roster(&self, sealed: &[u8]) -> Result<Key, RosterError> {
         let membership = self.membership.as_ref().ok_or(RosterError::Absent)?;
         match &membership.member {
-            Some(member) => Ok(Key::of(member.take(sealed)?).with_ciphers_as(self.accepts)),
+            Some(member) => Ok(Key::of(member.take(sealed)?).with_ciphers(self.accepts)),
             None => {
                 let roster = roster::read(sealed)?;
                 if roster.number <= membership.roster.number {
@@ -192,12 +192,11 @@ impl Key {
         self.with_ciphers(Accepts::Either)
     }
 
-    fn with_ciphers_as(self, accepts: Accepts) -> Key {
-        if accepts == Accepts::InClear { self } else { self.with_ciphers(accepts) }
-    }
-
     fn with_ciphers(self, accepts: Accepts) -> Key {
-        let secret = match self.secret.clone() {
+        if accepts == Accepts::InClear {
+            return self;
+        }
+        let secret = match self.secret {
             Secret::Team(shared) => Secret::Team(shared.with_cipher()),
             Secret::Member(member) => {
                 let pairs = member.pairs.iter().map(|(host, pair)| (*host, pair.clone().with_cipher())).collect();

@@ -1,5 +1,5 @@
 //! Members of a team, hosts and operators, each with one pair of keys of its own (Ed25519, RFC 8032), and the root key
-//! that says who they are. Two members have a key that nobody else has, agreed on from their pairs (X25519, RFC 7748,
+//! that signs their list. Two members have a key that no third has, agreed on from their pairs (X25519, RFC 7748,
 //! with the keys in Montgomery's form), so that none can impersonate another. Generation and storage are elsewhere.
 
 use std::collections::BTreeMap;
@@ -10,6 +10,7 @@ use ed25519_dalek::{SigningKey, VerifyingKey};
 use super::codec::Frame;
 use super::roster::{self, NONCE_BYTES, Roster, RosterError};
 use super::signatures::Signatures;
+use super::tags::Bytes;
 use crate::messages::ids::HostId;
 
 /// Context string for the derivation of the key of a pair of members, unique to it.
@@ -17,10 +18,7 @@ const OF_PAIR: &str = "murmurate 2026-11-28 key of a pair of members";
 /// Context string for the derivation of the key by which rosters are encrypted for a member, unique to it.
 const OF_ROSTERS: &str = "murmurate 2026-11-28 key of a member's rosters";
 
-/// Key of 32 bytes.
-type Bytes = [u8; 32];
-
-/// What a member of a team knows: its own secret, the public root key, and the roster.
+/// Member of a team, with its own secret, the public root key, and the roster.
 #[derive(Clone)]
 pub struct Member {
     team: u16,

@@ -19,6 +19,7 @@ use std::collections::BTreeMap;
 use chacha20poly1305::{AeadInOut, KeyInit, XChaCha20Poly1305};
 use ed25519_dalek::{Signer, SigningKey, VerifyingKey};
 
+use super::tags::Bytes;
 use crate::messages::ids::HostId;
 use crate::messages::release::MAX_MEMBERS;
 use crate::time::Span;
@@ -39,9 +40,6 @@ const HEAD: usize = 4 + 1 + NONCE_BYTES + 1;
 
 /// Context of what is signed, so that a signature of something else is never one of a roster.
 const SIGNED: &[u8] = b"murmurate 2026-11-28 roster";
-
-/// Key of 32 bytes.
-type Bytes = [u8; KEY];
 
 /// List of the members of a team, hosts and operators.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

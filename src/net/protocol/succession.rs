@@ -20,7 +20,7 @@ const PERIOD: Span = Span::from_millis(1000);
 /// Period of the first repetitions of a new roster, and their number.
 const FIRST: (Span, u32) = (Span::from_millis(40), 5);
 /// Shortest time between two rosters that are sent because a process seems to miss it, and between two arrivals of the
-/// present one that are noted: anybody can repeat it.
+/// present one that are noted: an outsider can repeat it.
 const ANSWER: Span = Span::from_millis(200);
 /// Time after which a roster that is not on disk yet is kept once more when it arrives again.
 const KEEP_AGAIN: Span = Span::from_millis(1000);
@@ -287,7 +287,7 @@ mod tests {
             assert_eq!(rosters.take(at(ms), Some(&key), (&second, LINK)), Taken::Refused(Refusal::Duplicate));
         }
         assert_eq!(run(&mut rosters, 4100), [4000]);
-        // Who has an older one, or none, gets it.
+        // A process with an older one, or none, gets it.
         assert_eq!(rosters.take(at(4210), Some(&key), (&datagram(1, false), LINK)), Taken::Noted);
         assert_eq!(run(&mut rosters, 4300), [4210]);
         assert!(!rosters.ask(at(4300)) && rosters.ask(at(4500)));

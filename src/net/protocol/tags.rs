@@ -133,7 +133,8 @@ fn tag_of(secret: &Bytes, datagram: &mut Vec<u8>, associated: Associated) -> bla
     hash
 }
 
-/// Returns what a datagram is authenticated with and does not contain: its link, and its receiver if it has one.
+/// Returns the associated data of a datagram, which is authenticated and not sent: its link, and its receiver if it
+/// has one.
 pub fn associated(link: LinkId, to: Option<HostId>) -> Associated {
     let ([a, b], [c, d]) = (link.0.to_le_bytes(), to.map_or(u16::MAX, |host| host.0).to_le_bytes());
     [a, b, c, d]

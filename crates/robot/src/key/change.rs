@@ -1,7 +1,8 @@
 //! The commands `key revoke`, `key add` and `key rotate`: make the next roster of a team by its root key. They need no
 //! network; `key spread` sends the roster.
 
-use std::path::{Path, PathBuf};
+use std::io::Write;
+use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use murmurate::config::shown;
@@ -11,8 +12,10 @@ use super::digits::{BYTES, refuse};
 use super::file::read_text;
 use super::new::{ROOT, draw, write};
 use super::root::Root;
+use crate::destination::folder;
 use crate::output::{print, talk};
-use crate::{Ended, own_name, temporary};
+use crate::whole_file::WholeFile;
+use crate::{Ended, own_name};
 
 /// Flags of `key revoke`.
 #[derive(clap::Args)]
@@ -96,20 +99,21 @@ impl RootFlag {
         found.or_else(|why| refuse(&self.root, &why))
     }
 
-    /// Makes the next roster, and writes it, the key file of the added member, and the root's file, in this order: one
-    /// that was interrupted is made again with the same number, and none of it was sent.
+    /// Makes the next roster, and writes the root's file, the key file of the added member, and the roster. The root's
+    /// is first, so that two rosters never have one number: after an interruption one number is left out.
     fn write(&self, mut root: Root, (planned, added): (bool, Option<Added>)) -> Result<()> {
         let changed = self.check(root.next(planned, added.map(|(_, added)| added), &mut draw))?;
-        let folder = self.root.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let path = folder.join(format!("{}.roster", changed.number));
-        write_roster(folder, &path, &changed.sealed)
-            .with_context(|| format!("cannot write the roster '{}'", path.display()))?;
+        write(&self.root, &root.text(), true)?;
+        let folder = folder(&self.root);
         if let (Some((name, _)), Some(text)) = (added, &changed.file) {
             let file = folder.join(format!("{name}.key"));
             write(&file, text, true)?;
             print(&format!("{}: for '{name}' alone", shown::value(file.display())))?;
         }
-        write(&self.root, &root.text(), true)?;
+        let path = folder.join(format!("{}.roster", changed.number));
+        let mut file = WholeFile::create(&path)?;
+        file.write_all(&changed.sealed).with_context(|| format!("cannot write '{}'", path.display()))?;
+        file.keep()?;
         let shown = shown::value(path.display());
         print(&format!("{shown}: roster {}, which is no secret", changed.number))?;
         talk(&format!(
@@ -119,12 +123,4 @@ impl RootFlag {
         ));
         Ok(())
     }
-}
-
-fn write_roster(folder: &Path, path: &Path, sealed: &[u8]) -> std::io::Result<()> {
-    use std::io::Write as _;
-    let mut file = temporary::file_in(folder, 0o644)?;
-    file.as_file_mut().write_all(sealed)?;
-    file.as_file_mut().sync_all()?;
-    file.persist(path).map(drop).map_err(|error| error.error)
 }

@@ -20,7 +20,7 @@ pub enum Args {
     Add(Add),
     /// Makes a roster with a new key of all members, for no other reason
     Rotate(Rotate),
-    /// Sends a roster to a running team, and says who has it
+    /// Sends a roster to a running team, and says which hosts have it
     Spread(Spread),
 }
 

@@ -9,6 +9,7 @@ use anyhow::Result;
 use murmurate::live::links::ProcessIdentity;
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::key::Key;
+use murmurate::net::protocol::member::Member;
 use murmurate::net::protocol::roster::RosterError;
 use nix::unistd::geteuid;
 
@@ -20,25 +21,35 @@ use crate::own_name;
 /// Largest key file \[bytes\]: that of a member of a large team has some 2000.
 const MOST: u64 = 16_384;
 
-/// Content of a key file: the key that all members of the team have, and in a member's own file its keys with each, by
-/// the newest roster that this machine has.
+/// Key file that was read, with the newest roster of this machine beside it.
 pub struct KeyFile {
     path: PathBuf,
-    shared: [u8; BYTES],
-    member: Option<OwnFile>,
-    /// The key by the roster in the file itself.
-    own: Key,
+    content: Content,
+}
+
+/// Content of a key file.
+enum Content {
+    /// Key of all members of the team.
+    Team([u8; BYTES]),
+    /// File of one member, and its keys by the newest roster that this machine has.
+    Member(Box<OwnFile>, Box<Member>),
 }
 
 impl KeyFile {
     /// Returns the key with which a process authenticates datagrams.
     pub fn key(&self) -> Key {
-        self.member.as_ref().map_or_else(|| Key::new(self.shared), |own| Key::of(own.member.clone()))
+        match &self.content {
+            Content::Team(shared) => Key::new(*shared),
+            Content::Member(_, newest) => Key::of(Member::clone(newest)),
+        }
     }
 
     /// Returns the key by the roster in the file itself, which later ones in a record follow.
     pub fn own_key(&self) -> Key {
-        self.own.clone()
+        match &self.content {
+            Content::Team(shared) => Key::new(*shared),
+            Content::Member(own, _) => Key::of(own.member.clone()),
+        }
     }
 
     /// Returns the key for records, by the roster in the file itself.
@@ -48,7 +59,10 @@ impl KeyFile {
 
     /// Returns the bytes that all members of the team have.
     pub fn shared(&self) -> [u8; BYTES] {
-        self.member.as_ref().map_or(self.shared, |own| own.member.shared())
+        match &self.content {
+            Content::Team(shared) => *shared,
+            Content::Member(_, newest) => newest.shared(),
+        }
     }
 
     /// Returns the fingerprint of the team's key: 8 hexadecimal digits of a hash, equal for all members of one roster,
@@ -59,17 +73,27 @@ impl KeyFile {
 
     /// Returns the number of the newest roster that this machine has; `None` for the key of a whole team.
     pub fn roster(&self) -> Option<u32> {
-        self.member.as_ref().map(|own| own.member.roster().number)
+        match &self.content {
+            Content::Team(_) => None,
+            Content::Member(_, newest) => Some(newest.roster().number),
+        }
     }
 
     /// Returns the place of the newest roster on this machine; `None` for the key of a whole team.
     pub fn kept(&self) -> Option<Kept> {
-        self.member.as_ref().map(|own| Kept::of(&self.path, &own.root))
+        self.own().map(|own| Kept::of(&self.path, &own.root))
     }
 
     /// Returns the number and the name of the member whose file this is; `None` for the key of a whole team.
     pub fn member(&self) -> Option<(HostId, &str)> {
-        self.member.as_ref().map(|member| (member.number, &*member.name))
+        self.own().map(|own| (own.number, &*own.name))
+    }
+
+    fn own(&self) -> Option<&OwnFile> {
+        match &self.content {
+            Content::Team(_) => None,
+            Content::Member(own, _) => Some(own),
+        }
     }
 
     /// Checks that the host `host` of the team with the number `team` may use the file: it is the host's own, or that
@@ -78,7 +102,7 @@ impl KeyFile {
     /// # Errors
     /// If it is another member's, or of another team.
     pub fn check_host(&self, team: u16, (host, name): (HostId, &str)) -> Result<()> {
-        let Some(member) = &self.member else { return Ok(()) };
+        let Some(member) = self.own() else { return Ok(()) };
         self.check_team(member, team)?;
         if member.number != host {
             let why = format!("is that of '{}' and this is host '{name}': name the host's own file", member.name);
@@ -93,7 +117,7 @@ impl KeyFile {
     /// # Errors
     /// If the file is a host's, or of another team.
     pub fn operator_key(&self, team: u16, process: &mut ProcessIdentity) -> Result<Key> {
-        if let Some(member) = &self.member {
+        if let Some(member) = self.own() {
             self.check_team(member, team)?;
             if !member.number.is_operator() {
                 let why = format!(
@@ -113,33 +137,29 @@ impl KeyFile {
         }
         refuse(&self.path, &format!("is of team {}, and this is team {team}: name that of this team", own.team))
     }
+}
 
-    /// Takes the newest roster that this machine has.
-    fn take_kept(&mut self) -> Result<()> {
-        let Some(own) = &mut self.member else { return Ok(()) };
-        let kept = Kept::of(&self.path, &own.root);
-        let path = kept.path().display();
-        let sealed = match kept.read() {
-            Ok(None) => return Ok(()),
-            Ok(Some(sealed)) => sealed,
-            Err(error) => {
-                return refuse(&self.path, &format!("has a newer roster '{path}' that cannot be read: {error}"));
-            }
-        };
-        match own.member.take(&sealed) {
-            Ok(member) => own.member = member,
-            Err(RosterError::Known) => {}
-            Err(error) => {
-                let why = format!(
-                    "has a newer roster '{path}' that is not its own: {error}; get a new key file, made by '{} key add \
-                     {}', and remove that roster",
-                    own_name(),
-                    own.name
-                );
-                return refuse(&self.path, &why);
-            }
+/// Returns the member with the key file `own` at `path`, by the newest roster that this machine has.
+fn newest(path: &Path, own: &OwnFile) -> Result<Member> {
+    let kept = Kept::of(path, &own.root);
+    let shown = kept.path().display();
+    let sealed = match kept.read() {
+        Ok(None) => return Ok(own.member.clone()),
+        Ok(Some(sealed)) => sealed,
+        Err(error) => return refuse(path, &format!("has a newer roster '{shown}' that cannot be read: {error}")),
+    };
+    match own.member.take(&sealed) {
+        Ok(member) => Ok(member),
+        Err(RosterError::Known) => Ok(own.member.clone()),
+        Err(error) => {
+            let why = format!(
+                "has a newer roster '{shown}' that is not its own: {error}; get a new key file, made by '{} key add {}', \
+                 and remove that roster",
+                own_name(),
+                own.name
+            );
+            refuse(path, &why)
         }
-        Ok(())
     }
 }
 
@@ -147,17 +167,14 @@ impl KeyFile {
 /// key. Symbolic links are followed; owner and mode are checked on the opened file.
 pub fn read(path: &Path) -> Result<KeyFile> {
     let text = read_text(path)?;
-    let file = |shared, member, own| KeyFile { path: path.to_owned(), shared, member, own };
+    let file = |content| KeyFile { path: path.to_owned(), content };
     if text.len() <= 4 * BYTES {
-        let shared = plain(path, &text)?;
-        return Ok(file(shared, None, Key::new(shared)));
+        return Ok(file(Content::Team(plain(path, &text)?)));
     }
     match std::str::from_utf8(&text).map_err(|_| "is no text".to_owned()).and_then(OwnFile::parse) {
         Ok(own) => {
-            let (shared, key) = (own.member.shared(), Key::of(own.member.clone()));
-            let mut file = file(shared, Some(own), key);
-            file.take_kept()?;
-            Ok(file)
+            let newest = newest(path, &own)?;
+            Ok(file(Content::Member(Box::new(own), Box::new(newest))))
         }
         Err(why) => refuse(path, &format!("{why}: copy it again, or make new ones with '{} key new'", own_name())),
     }

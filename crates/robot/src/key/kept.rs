@@ -7,10 +7,12 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread;
 
+use anyhow::Result;
 use murmurate::net::protocol::codec::Frame;
 
 use super::digits::{BYTES, fingerprint};
-use crate::temporary;
+use crate::destination::folder;
+use crate::whole_file::WholeFile;
 
 /// Number of rosters that wait to be written; further ones arrive again.
 const WAITING: usize = 4;
@@ -45,14 +47,12 @@ impl Kept {
     }
 
     /// Writes the roster, whole or not at all, and waits until it is on disk.
-    pub fn write(&self, sealed: &[u8]) -> io::Result<()> {
-        let folder = self.0.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let mut file = temporary::file_in(folder, 0o600)?;
-        let open = file.as_file_mut();
-        open.write_all(sealed)?;
-        open.sync_all()?;
-        file.persist(&self.0)?;
-        fs::File::open(folder)?.sync_all()
+    pub fn write(&self, sealed: &[u8]) -> Result<()> {
+        let mut file = WholeFile::create(&self.0)?;
+        file.write_all(sealed)?;
+        file.keep()?;
+        // The name, too.
+        Ok(fs::File::open(folder(&self.0))?.sync_all()?)
     }
 
     /// Writes the roster, and returns whether it is on disk. If not, an error is logged.
@@ -61,8 +61,8 @@ impl Kept {
         if let Err(error) = &written {
             let path = self.0.display();
             tracing::error!(
-                "a new roster cannot be written to '{path}': {error}; until it can, a host keeps its former keys, and \
-                 hears no one"
+                "a new roster cannot be written to '{path}': {error:#}; until it can, a host keeps its former keys, and \
+                 hears no other"
             );
         }
         written.is_ok()

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use data_encoding::HEXLOWER;
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::codec::MAX_MEMBERS;
-use murmurate::net::protocol::member::{self, Member};
+use murmurate::net::protocol::member::Member;
 use murmurate::net::protocol::roster::Roster;
 use serde::Deserialize;
 
@@ -93,7 +93,7 @@ pub fn text(
     (roster, names, shared): (&Roster, &BTreeMap<HostId, String>, &[u8; BYTES]),
 ) -> String {
     let mut text = format!(
-        "# Secret: who has this file is '{name}' of team {team}. Copy it there alone, with mode 0600.\n\
+        "# Secret: the owner of this file is '{name}' of team {team}. Copy it there alone, with mode 0600.\n\
          team = {team}\nnumber = {}\nname = {name:?}\nroster = {}\nroot = \"{}\"\nshared = \"{}\"\nsecret = \"{}\"\n",
         number.0,
         roster.number,
@@ -113,11 +113,6 @@ pub fn entry(number: HostId, name: &str, public: Option<&[u8; BYTES]>) -> String
     format!("\n[[members]]\nnumber = {}\nname = {name:?}\n{public}", number.0)
 }
 
-/// Returns the public key that belongs to the secret one of a member or of the root.
-pub fn public(secret: &[u8; BYTES]) -> [u8; BYTES] {
-    member::public(secret)
-}
-
 #[cfg(test)]
 mod tests {
     use murmurate::messages::ids::LinkId;
@@ -135,13 +130,14 @@ mod tests {
             drawn += 1;
             Ok(*blake3::hash(&drawn.to_le_bytes()).as_bytes())
         };
-        Root::new(7, &members, &mut draw).unwrap().1.into_iter().map(|(_, text)| text).collect()
+        let (_, files) = Root::new(7, &members, &mut draw).expect("keys are drawn");
+        files.into_iter().map(|(_, text)| text).collect()
     }
 
     #[test]
     fn what_one_member_seals_the_others_open_and_none_of_another_team_does() {
         let keys = |files: &[String]| -> Vec<Key> {
-            files.iter().map(|text| Key::of(OwnFile::parse(text).unwrap().member)).collect()
+            files.iter().map(|text| Key::of(OwnFile::parse(text).expect("a key file").member)).collect()
         };
         let ours = keys(&made());
         let header = Header { flags: Flags(0), team: 7, sender: HostId(0), incarnation: 1, sequence: 1 };

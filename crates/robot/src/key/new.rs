@@ -1,6 +1,6 @@
 //! The command `key new`: keys of a team, in files that only their owner may read. It makes either one key
 //! of all members (32 bytes as 64 hexadecimal digits), or a file for each host and each operator, none of which can
-//! impersonate another, and one for the root, which says who the members are.
+//! impersonate another, and one for the root, which signs the lists of members.
 //!
 //! Keys are never printed. Fingerprints show whether two hosts are of one team.
 
@@ -110,7 +110,7 @@ fn of_members(args: &New, team: &Path, registry: &Registry) -> Result<Ended> {
         "Copy each to its own machine alone, readable by its owner only (mode 0600), and name it in the team file:",
     );
     output::talk(&format!(
-        "Keep {ROOT}.key where no robot and no visitor gets at it: who has it says who the members are."
+        "Keep {ROOT}.key off the robots, where no visitor gets at it: its owner decides on the members of the team."
     ));
     for (number, name) in &members {
         let file = path_of(name);

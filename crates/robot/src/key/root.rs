@@ -1,4 +1,4 @@
-//! The root key of a team, which says who its members are, in a file that is kept off the robots: the secret, the
+//! The root key of a team, which signs the lists of its members, in a file that is kept off the robots: the secret, the
 //! number of the newest roster, and all members that there are or were.
 
 use std::collections::BTreeMap;
@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use anyhow::Result;
 use data_encoding::HEXLOWER;
 use murmurate::messages::ids::HostId;
-use murmurate::net::protocol::member::seal_roster;
+use murmurate::net::protocol::member::{public, seal_roster};
 use murmurate::net::protocol::roster::{NONCE_BYTES, Roster};
 use serde::Deserialize;
 
@@ -52,10 +52,10 @@ impl Root {
     pub fn new(team: u16, members: &[(HostId, String)], draw: Draw) -> Result<(Root, Vec<(String, String)>)> {
         let (root, shared) = (draw()?, draw()?);
         let secrets = members.iter().map(|_| draw()).collect::<Result<Vec<[u8; BYTES]>>>()?;
-        let publics = members.iter().zip(&secrets).map(|((number, _), secret)| (*number, member::public(secret)));
+        let publics = members.iter().zip(&secrets).map(|((number, _), secret)| (*number, public(secret)));
         let roster = Roster { number: 1, planned: false, members: publics.collect() };
         let names: BTreeMap<HostId, String> = members.iter().cloned().collect();
-        let of_team = (team, &member::public(&root));
+        let of_team = (team, &public(&root));
         let text = |((number, name), secret): (&(HostId, String), &[u8; BYTES])| {
             (name.clone(), member::text(of_team, (*number, name, secret), (&roster, &names, &shared)))
         };
@@ -80,7 +80,7 @@ impl Root {
     /// Returns the text of the root's file.
     pub fn text(&self) -> String {
         let mut text = format!(
-            "# Secret: who has this file says who the members of team {} are. Keep it off the robots, with mode 0600.\n\
+            "# Secret: the owner of this file decides on the members of team {}. Keep it off the robots, with mode 0600.\n\
              team = {}\nroster = {}\nsecret_root = \"{}\"\n",
             self.team,
             self.team,
@@ -121,7 +121,7 @@ impl Root {
             return Err(self.unknown(name));
         };
         let secret = draw().map_err(|error| error.to_string())?;
-        self.members.insert(number, (name.to_owned(), Some(member::public(&secret))));
+        self.members.insert(number, (name.to_owned(), Some(public(&secret))));
         Ok((number, secret))
     }
 
@@ -144,7 +144,7 @@ impl Root {
         self.roster = number;
         let names: BTreeMap<HostId, String> =
             self.members.iter().map(|(number, (name, _))| (*number, name.clone())).collect();
-        let of_team = (self.team, &member::public(&self.secret));
+        let of_team = (self.team, &public(&self.secret));
         let file = added.map(|(number, secret)| {
             let name = names.get(&number).map_or("", String::as_str);
             member::text(of_team, (number, name, &secret), (&roster, &names, &shared))

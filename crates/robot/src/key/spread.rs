@@ -12,7 +12,8 @@ use murmurate::graph::event::Event;
 use murmurate::graph::operator;
 use murmurate::messages::ids::HostId;
 use murmurate::messages::wire::{Stop, Wire};
-use murmurate::net::protocol::roster;
+use murmurate::net::protocol::key::Key;
+use murmurate::net::protocol::roster::{self, Roster};
 use murmurate::registry::Registry;
 use murmurate::runtime::clock::Clock;
 use murmurate::runtime::real::run_real;
@@ -57,24 +58,21 @@ impl Spread {
         let wait = Span::from_secs(self.wait);
         let file = self.team.read(registry)?;
         self.take(&file)?;
-        let mut operator = self.team.operator(&file)?;
-        let key = operator.end.key.take().ok_or_else(|| anyhow!("a team without a key has no rosters"))?;
-        let number = key.roster().map_or(0, |roster| roster.number);
-        let members: Vec<HostId> = key.roster().into_iter().flat_map(|roster| roster.members.keys()).copied().collect();
-        operator.end.key = Some(key);
+        let operator = self.team.operator(&file)?;
+        let roster = operator.end.key.as_ref().and_then(Key::roster);
+        let Roster { number, members, .. } = roster.expect("an operator with a roster has a key").clone();
         let hosts: Vec<(HostId, &str)> = file
             .hosts()
             .zip(&file.deployment().hosts)
             .map(|(host, about)| (host, &*about.name))
-            .filter(|(host, _)| members.contains(host))
+            .filter(|(host, _)| members.contains_key(host))
             .collect();
         let me = operator.end.me.host;
         let heard: Rc<RefCell<BTreeSet<HostId>>> = Rc::default();
         let (told, expected) = (Rc::clone(&heard), hosts.len());
-        let (begun, ended) = (Instant::now(), Rc::new(RefCell::new(None)));
-        let last = Rc::clone(&ended);
+        let mut ended = Time::ZERO;
         run_real(
-            begun,
+            Instant::now(),
             move |clock, readers| {
                 let network = operator::wire((clock, readers), operator, move |event| {
                     if let Event::Message(Wire::Status(status)) = event {
@@ -84,12 +82,11 @@ impl Spread {
                 ask(clock, &network, me);
             },
             |(), now| {
-                *last.borrow_mut() = Some(now);
+                ended = now;
                 heard.borrow().len() >= expected || now.since(Time::ZERO) >= wait
             },
         );
-        let took_s = ended.borrow().map_or(0.0, |now: Time| now.as_secs());
-        let heard = heard.borrow();
+        let (took_s, heard) = (ended.as_secs(), heard.borrow());
         let missing: Vec<&str> =
             hosts.iter().filter(|(host, _)| !heard.contains(host)).map(|(_, name)| *name).collect();
         if self.json {
