@@ -153,8 +153,8 @@ fn newest(path: &Path, own: &OwnFile) -> Result<Member> {
         Err(RosterError::Known) => Ok(own.member.clone()),
         Err(error) => {
             let why = format!(
-                "has a newer roster '{shown}' that is not its own: {error}; get a new key file, made by '{} key add {}', \
-                 and remove that roster",
+                "has a newer roster '{shown}' that is not its own: {error}; get a new key file, made by '{} key add \
+                 {}', and remove that roster",
                 own_name(),
                 own.name
             );

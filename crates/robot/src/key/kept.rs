@@ -61,8 +61,8 @@ impl Kept {
         if let Err(error) = &written {
             let path = self.0.display();
             tracing::error!(
-                "a new roster cannot be written to '{path}': {error:#}; until it can, a host keeps its former keys, and \
-                 hears no other"
+                "a new roster cannot be written to '{path}': {error:#}; until it can, a host keeps its former keys, \
+                 and hears no other"
             );
         }
         written.is_ok()

@@ -1,6 +1,6 @@
 //! Keys of a team, in files that only their owner may read: `file` reads them, `member` has those of one host or
-//! operator, `root` that which signs the lists of members, `kept` the newest roster on disk, and `digits` one key. `new`,
-//! `change` and `spread` are the commands that make keys, change rosters and send them. Keys are never printed.
+//! operator, `root` that which signs the lists of members, `kept` the newest roster on disk, and `digits` one key.
+//! `new`, `change` and `spread` are the commands that make keys, change rosters and send them. Keys are never printed.
 
 mod change;
 pub mod command;

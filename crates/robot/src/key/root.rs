@@ -80,7 +80,8 @@ impl Root {
     /// Returns the text of the root's file.
     pub fn text(&self) -> String {
         let mut text = format!(
-            "# Secret: the owner of this file decides on the members of team {}. Keep it off the robots, with mode 0600.\n\
+            "# Secret: the owner of this file decides on the members of team {}. Keep it off the robots, \
+             with mode 0600.\n\
              team = {}\nroster = {}\nsecret_root = \"{}\"\n",
             self.team,
             self.team,
