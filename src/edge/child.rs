@@ -16,10 +16,11 @@ use tokio::task::JoinSet;
 use tokio::time::timeout;
 
 use super::group::Group;
-use super::{Input, Packet, PacketSender, Port, Seat, Worker};
+use super::lines::Lines;
+use super::{Input, Port, Seat, Worker};
 use crate::config::shown;
 
-/// Longest line of the program's output \[bytes\]. A longer line is split, so its reader refuses the parts.
+/// Longest line of the program's stderr \[bytes\]. A longer line is split.
 const LONGEST: u64 = 4096;
 /// Longest time for a program to end once its stdin is closed; then it is killed.
 const END: Duration = Duration::from_millis(500);
@@ -82,12 +83,13 @@ struct Runner {
     look: Option<SpawnHandle>,
 }
 
-/// A running program, its stdin, and the tasks that read its output.
+/// A running program, its stdin, and what reads its output.
 struct Life {
     began: Instant,
     group: Group,
     stdin: PipeWriter,
-    readers: JoinSet<()>,
+    lines: Lines,
+    stderr: JoinSet<()>,
     progress: Progress,
 }
 
@@ -174,12 +176,12 @@ impl Runner {
 
     fn launch(&self) -> std::io::Result<Life> {
         let (group, [stdin, stdout, stderr]) = Group::start(&self.command)?;
-        let (sender, mut readers) = (self.port.sender(), JoinSet::new());
-        let (stdout, stderr) = (pipe::Receiver::from_owned_fd(stdout)?, pipe::Receiver::from_owned_fd(stderr)?);
+        let lines = Lines::start(stdout, self.port.sender(), self.port.name())?;
         let stdin = PipeWriter::from(pipe::Sender::from_owned_fd(stdin)?.into_nonblocking_fd()?);
-        readers.spawn_local(read(stdout, sender));
-        readers.spawn_local(pass_on(stderr));
-        Ok(Life { began: Instant::now(), group, stdin, readers, progress: Progress::default() })
+        let mut stderr_reader = JoinSet::new();
+        stderr_reader.spawn_local(pass_on(pipe::Receiver::from_owned_fd(stderr)?));
+        let (began, progress) = (Instant::now(), Progress::default());
+        Ok(Life { began, group, stdin, lines, stderr: stderr_reader, progress })
     }
 
     /// Writes a packet to the program's stdin. One for which it has no room is dropped and counted: the program does
@@ -226,7 +228,7 @@ impl Runner {
 
     /// Does what `end` does, and gives the program this long to end by itself.
     fn finish(&mut self, longest: Duration, context: &mut Context<Self>) {
-        let Some(Life { began, group, stdin, mut readers, .. }) = self.life.take() else {
+        let Some(Life { began, group, stdin, mut lines, mut stderr, .. }) = self.life.take() else {
             if !self.ends {
                 context.stop();
             }
@@ -249,7 +251,11 @@ impl Runner {
                 );
             }
             // What has escaped may hold its stdout and stderr open for ever.
-            let _ = timeout(LAST_LINES, async { while readers.join_next().await.is_some() {} }).await;
+            let last = async {
+                lines.ended().await;
+                while stderr.join_next().await.is_some() {}
+            };
+            let _ = timeout(LAST_LINES, last).await;
         };
         context.spawn(ending.into_actor(self).map(|(), _, context| context.stop()));
     }
@@ -273,18 +279,6 @@ fn unread(pipe: &PipeWriter) -> u64 {
 #[cfg(not(target_os = "linux"))]
 fn unread(_: &PipeWriter) -> u64 {
     0
-}
-
-/// Reads lines from the program's stdout and sends each as a packet, until the program closes it.
-async fn read(stdout: impl AsyncRead + Unpin, sender: PacketSender) {
-    let mut stdout = BufReader::new(stdout);
-    loop {
-        let mut line = Vec::new();
-        match (&mut stdout).take(LONGEST).read_until(b'\n', &mut line).await {
-            Ok(0) | Err(_) => return,
-            Ok(_) => sender.send(Packet::from(line)),
-        }
-    }
 }
 
 /// Writes the lines of the program's stderr to that of this process, until the program closes it.
@@ -311,7 +305,7 @@ mod tests {
     use nix::unistd::{Pid, getsid};
 
     use super::*;
-    use crate::edge::{Gate, WorkerState, start};
+    use crate::edge::{Gate, Packet, WorkerState, start};
 
     /// Longest wait for a worker to end: only one that hangs takes so long.
     const HANGS: Duration = Duration::from_secs(60);

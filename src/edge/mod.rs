@@ -12,6 +12,7 @@ mod channel;
 pub(crate) mod child;
 pub(crate) mod exclusive;
 mod group;
+mod lines;
 pub(crate) mod panic;
 pub mod sender_clock;
 mod settings;

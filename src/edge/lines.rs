@@ -1,0 +1,74 @@
+//! Reader of the lines that a program writes to its stdout, on a thread that waits for nothing else.
+//!
+//! A line comes every few milliseconds. By then the code of an asynchronous runtime has left the processor's caches, so
+//! that a line would arrive some 30 us later, and every tenth 100 us later.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, PipeReader, PipeWriter, Read};
+use std::os::fd::{AsFd, OwnedFd};
+use std::thread;
+
+use nix::errno::Errno;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use tokio::sync::oneshot;
+
+use super::panic::EndsProcess;
+use super::{Packet, PacketSender};
+
+/// Longest line of a program's output \[bytes\]. A longer line is split, so its reader refuses the parts.
+const LONGEST: u64 = 4096;
+
+/// Lines of a running program's stdout, which are sent as packets until the program closes it, or this is dropped.
+#[derive(Debug)]
+pub(super) struct Lines {
+    ended: oneshot::Receiver<()>,
+    /// Closed when this is dropped, upon which the thread ends: what the program has started may keep its stdout open.
+    _end: PipeWriter,
+}
+
+impl Lines {
+    /// Starts to read `stdout`; each line is sent by `sender`. `name` is that of the worker, by which logs know it.
+    pub(super) fn start(stdout: OwnedFd, sender: PacketSender, name: &str) -> io::Result<Lines> {
+        let ((end, _end), (alive, ended)) = (io::pipe()?, oneshot::channel());
+        thread::Builder::new().name(name.to_owned()).spawn(move || {
+            let _guard = EndsProcess("the reader of a program's output");
+            // Dropped at the end.
+            let _alive: oneshot::Sender<()> = alive;
+            pass_on(Output { stdout: stdout.into(), end }, &sender);
+        })?;
+        Ok(Lines { ended, _end })
+    }
+
+    /// Waits until the program, and all to which it has given its stdout, have closed it.
+    pub(super) async fn ended(&mut self) {
+        let _ = (&mut self.ended).await;
+    }
+}
+
+/// Stdout of a program, which counts as closed once the other end of `end` is closed.
+struct Output {
+    stdout: File,
+    end: PipeReader,
+}
+
+impl Read for Output {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        let mut both = [&self.end.as_fd(), &self.stdout.as_fd()].map(|end| PollFd::new(*end, PollFlags::POLLIN));
+        match poll(&mut both, PollTimeout::NONE) {
+            Err(Errno::EINTR) => return Err(io::ErrorKind::Interrupted.into()),
+            polled => polled?,
+        };
+        if both[0].any() == Some(true) { Ok(0) } else { self.stdout.read(into) }
+    }
+}
+
+fn pass_on(output: Output, sender: &PacketSender) {
+    let mut output = BufReader::new(output);
+    loop {
+        let mut line = Vec::new();
+        match (&mut output).take(LONGEST).read_until(b'\n', &mut line) {
+            Ok(0) | Err(_) => return,
+            Ok(_) => sender.send(Packet::from(line)),
+        }
+    }
+}
