@@ -18,7 +18,7 @@ fuzz_target!(|bytes: &[u8]| {
             }
             (content @ (Content::Report | Content::NumberedReport), body) => drop(Report::read(content, body)),
             (Content::Held, body) => drop(read_held(body)),
-            (Content::Roster, body) => drop(roster::read(body)),
+            (Content::Roster, body) => drop((roster::read(body), roster::read_page(body).map(drop))),
             (content, body) => drop(read_ids(content, body)),
         }
     }

@@ -13,7 +13,7 @@ use std::net::SocketAddr;
 use crate::actor::Core;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{Kind, Wire};
-use crate::net::protocol::codec::{self, Content, Flags, Frame, Header};
+use crate::net::protocol::codec::{self, Flags, Frame, Header};
 use crate::net::protocol::key::Key;
 pub use crate::net::protocol::link::Identity;
 use crate::net::protocol::link::{Arrival, DuplicateId, Guest, LinkCounts, LinkState, Refusal, Standing};
@@ -311,9 +311,7 @@ impl Network {
             return;
         }
         let Some((header, plain)) = admitted else { return };
-        let signatures = self.key.as_ref().and_then(Key::signatures);
-        for (content, body) in codec::blocks(&plain).flatten() {
-            let Content::Message(kind) = content else { continue };
+        for (kind, body, proof) in codec::messages(&plain) {
             let message = match codec::message(kind, body) {
                 Ok(message) => message,
                 // The rest of a datagram is not accepted after a malformed message.
@@ -326,11 +324,7 @@ impl Network {
             }
             let robot = message.robot();
             if self.router.route(kind, robot).local {
-                if signatures.is_some_and(|of| !of.permit(&self.local_header, &message)) {
-                    state.counts().unsigned += 1;
-                    continue;
-                }
-                if state.accept(&header, &message) {
+                if state.believes(now, &header, &message, (body, proof)) && state.accept(&header, &message) {
                     out.push(Out::Deliver(message));
                 }
             } else if self.shared[at] || !header.flags.has(Flags::DIRECT) {

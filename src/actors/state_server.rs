@@ -12,9 +12,7 @@ use crate::actor::Core;
 use crate::messages::geometry::Task;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::Latch;
-use crate::messages::wire::{
-    Heartbeat, Hindrance, Leading, Located, MAX_BLOCK, Mode, Phase, Release, Round, Status, Stop,
-};
+use crate::messages::wire::{Heartbeat, Hindrance, Leading, Located, Mode, Phase, Release, Round, Status, Stop};
 use crate::results::episode::{AbortCause, AbortReason};
 use crate::scenario::cost::Ending;
 use crate::scenario::layout::Layouts;
@@ -23,7 +21,8 @@ use crate::world::Placement;
 
 /// Period at which the state server decides whether to enter another phase: one step of a World.
 pub const TICK: Span = Span::from_millis(50);
-/// Period at which an unchanged instruction is repeated, with the tasks of 64 robots in turn if the team is larger.
+/// Period at which an unchanged instruction is repeated, with the tasks of one block of robots in turn if the team is
+/// larger.
 pub const MODE_PERIOD: Span = Span::from_millis(100);
 /// Number of times that a new instruction is sent with the tasks of all robots, in case copies are lost.
 pub const NEW_MODE_REPEATS: u32 = 3;
@@ -87,6 +86,8 @@ pub struct Config {
     pub hosts: Vec<Vec<RobotId>>,
     /// Robots that no World simulates, in ascending order of ids. They reach their starts only by driving or by hand.
     pub real: Vec<RobotId>,
+    /// Largest number of robots in one instruction.
+    pub block: usize,
 }
 
 /// State server: the actor that decides when resets and episodes begin and end, and sends instructions to robots.
@@ -345,12 +346,13 @@ impl StateServer {
     fn send_mode(&mut self, out: &mut Vec<Out>) {
         let last = self.config.layouts.len() - 1;
         let tasks = self.config.layouts.episode(self.round.episode.min(last));
-        let blocks = tasks.len().div_ceil(MAX_BLOCK);
+        let size = self.config.block;
+        let blocks = tasks.len().div_ceil(size);
         self.times_sent = if self.sent_at.is_none() { 1 } else { self.times_sent.saturating_add(1) };
         let turn = if self.times_sent <= NEW_MODE_REPEATS { 0..blocks } else { self.turn..self.turn + 1 };
         self.turn = turn.end % blocks;
-        for (index, block) in tasks.chunks(MAX_BLOCK).enumerate().filter(|(index, _)| turn.contains(index)) {
-            let first = u16::try_from(index * MAX_BLOCK).expect("a team has at most 65 535 robots");
+        for (index, block) in tasks.chunks(size).enumerate().filter(|(index, _)| turn.contains(index)) {
+            let first = u16::try_from(index * size).expect("a team has at most 65 535 robots");
             out.push(Out::Mode(Mode {
                 round: self.round,
                 repeat: self.config.repeat,
@@ -441,6 +443,7 @@ mod tests {
                 host: HostId(2),
                 hosts,
                 real: Vec::new(),
+                block: 64,
             },
             2,
             1,
@@ -681,6 +684,7 @@ mod tests {
             host: HostId(0),
             hosts: Vec::new(),
             real: Vec::new(),
+            block: 64,
         };
         let mut server = StateServer::new(config, 150, 1);
         let blocks = |server: &mut StateServer, ms: u64, phase: Phase| -> Vec<u16> {

@@ -13,7 +13,7 @@ use crate::actors::status::{self, Status};
 use crate::actors::{agent, body, cache, controller, localizer, network, world};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::phase::Phase;
-use crate::messages::wire::{Latent, Located, Mode, Reading, Stop, Wire};
+use crate::messages::wire::{Latent, Located, MAX_BLOCK, MAX_SIGNED_BLOCK, Mode, Reading, Stop, Wire};
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::{Mailbox, start};
 use crate::scenario::cost::Ending;
@@ -213,6 +213,7 @@ pub(super) fn wire_server(clock: &Clock, trial: &Trial, graph: &Graph) {
         real: RobotId::team(trial.deployment.robots)
             .filter(|robot| graph.routes.world_host(*robot).is_none())
             .collect(),
+        block: if graph.signed { MAX_SIGNED_BLOCK } else { MAX_BLOCK },
     };
     let (host, robots) = (graph.routes.server_host(), trial.deployment.robots);
     let (network, status) = (graph.network_of(host), graph.status_of(host));

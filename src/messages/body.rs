@@ -9,6 +9,9 @@ pub const REVISION: u16 = 1;
 /// Largest number of robots in one `Mode` or `Status` message. The starts and goals of so many robots take 64 x 16
 /// bytes and fit into one datagram.
 pub const MAX_BLOCK: usize = 64;
+/// Largest number of robots in one `Mode` message that is signed, so that it fits into one datagram with its signature,
+/// and with the tags and the encryption of the largest team.
+pub const MAX_SIGNED_BLOCK: usize = 32;
 
 /// Who may publish a message, by what the deployment gives to each host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

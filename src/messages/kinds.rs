@@ -23,10 +23,11 @@ struct Row {
     and_operators: bool,
     soft: bool,
     with_the_stop: bool,
+    proved: bool,
 }
 
 const fn row(publisher: Publisher, receiver: Receiver) -> Row {
-    Row { publisher, receiver, and_operators: false, soft: false, with_the_stop: false }
+    Row { publisher, receiver, and_operators: false, soft: false, with_the_stop: false, proved: false }
 }
 
 impl Row {
@@ -43,6 +44,11 @@ impl Row {
     /// It travels on the link of the emergency stop, whatever a deployment says.
     const fn with_the_stop(self) -> Row {
         Row { with_the_stop: true, ..self }
+    }
+
+    /// It is signed by its publisher where members have keys of their own.
+    const fn proved(self) -> Row {
+        Row { proved: true, ..self }
     }
 }
 
@@ -129,9 +135,9 @@ kinds! {
     /// Progress of a robot in the episode, from the robot's Controller to the state server.
     Heartbeat = row(Publisher::Agent, Receiver::StateServer).soft();
     /// Instruction for the team's episode, from the state server (the team's coordinator) to every host.
-    Mode = row(Publisher::StateServer, Receiver::All).soft();
+    Mode = row(Publisher::StateServer, Receiver::All).soft().proved();
     /// Emergency stop, re-arm or resume, from an operator or any host to every host.
-    Stop = row(Publisher::Anyone, Receiver::Movers);
+    Stop = row(Publisher::Anyone, Receiver::Movers).proved();
     /// Emergency stop states of a host's robots, from the host to operators and the state server.
     Status = row(Publisher::Member, Receiver::StateServer).and_operators().with_the_stop();
     /// Request for telemetry, from an observer to every host.
@@ -188,6 +194,12 @@ impl Kind {
     pub fn follows_the_stop(self) -> bool {
         self.row().with_the_stop
     }
+
+    /// Whether messages of this kind are signed by their publisher, and believed with its signature alone, where
+    /// members have keys of their own.
+    pub fn is_proved(self) -> bool {
+        self.row().proved
+    }
 }
 
 #[cfg(test)]
@@ -222,14 +234,16 @@ mod tests {
     #[test]
     fn the_page_on_the_wire_has_the_table_of_kinds() {
         let mut table = String::from(
-            "| byte | kind | publisher | receivers | soft state | with the stop |\n|---|---|---|---|---|---|\n",
+            "| byte | kind | publisher | receivers | soft state | with the stop | signed |\n\
+             |---|---|---|---|---|---|---|\n",
         );
         for (byte, kind) in KINDS.into_iter().enumerate() {
             let yes = |is: bool| if is { "yes" } else { "" };
             let operators = if kind.is_for_operators() { "; operators" } else { "" };
             let (from, to) = (publisher(kind), receiver(kind));
             let (soft, with) = (yes(kind.is_soft()), yes(kind.follows_the_stop()));
-            table += &format!("| {byte} | `{kind:?}` | {from} | {to}{operators} | {soft} | {with} |\n");
+            let signed = yes(kind.is_proved());
+            table += &format!("| {byte} | `{kind:?}` | {from} | {to}{operators} | {soft} | {with} | {signed} |\n");
         }
         let page = include_str!("../../docs/wire.md");
         assert!(page.contains(&table), "docs/wire.md needs this table:\n{table}");

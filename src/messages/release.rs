@@ -13,7 +13,7 @@ use super::leading::Stop;
 
 /// Largest number of hosts and operators of a team whose members have keys of their own, and so of the hosts that a
 /// release names.
-pub const MAX_MEMBERS: usize = 12;
+pub const MAX_MEMBERS: usize = 24;
 /// Context of what is signed, so that a signature of something else is never one of a release.
 const CONTEXT: &[u8] = b"murmurate 2026-11-28 release";
 

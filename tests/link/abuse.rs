@@ -14,6 +14,7 @@ use murmurate::net::protocol::codec::TAG_BYTES;
 use murmurate::net::protocol::codec::{self, Content, Flags, Header};
 use murmurate::net::protocol::key::Key;
 use murmurate::net::protocol::link::{Guest, LinkCounts, Standing};
+use murmurate::net::protocol::member::public;
 use murmurate::net::protocol::reliability::{Reliabilities, Setup};
 use murmurate::net::protocol::report::{Entry, Report, Stamp};
 use murmurate::net::protocol::router::{Audience, Publishers, Route, Router};
@@ -650,11 +651,12 @@ proptest! {
 #[test]
 fn a_re_arm_is_believed_of_an_operator_for_this_run_of_a_host_and_of_nobody_else() {
     let operator = HostId::operator(1);
-    let signers = [(operator, Signatures::public([5; 32]))].into();
-    let keys = |own: Option<[u8; 32]>| key().with_signatures(Signatures::new(own, &signers).expect("a public key"));
+    let secret = |member: u16| *blake3::hash(&member.to_le_bytes()).as_bytes();
+    let members = [0, 1, operator.0].map(|member| (HostId(member), public(&secret(member)))).into();
+    let keys = |own| key().with_signatures(Signatures::new(Some(own), &members).expect("public keys"));
     let host = |host: u16, incarnation: u32| {
         let router = Router::new(3, |_, _| Route { local: host != operator.0, leaves: Some((LINK, Audience::All)) });
-        let key = Some(keys((host == operator.0).then_some([5; 32])));
+        let key = Some(keys(secret(host)));
         Config { router, ..config(host, 3, incarnation, key, multicast(Reliabilities::new())) }
     };
     let mut rig = Rig::new([host(0, 1), host(1, 2), host(operator.0, 3)]);

@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use crate::fuzz_decoders::{corpus, mutate};
 use crate::rig::{LINK, Rig, TEAM, config, latent, multicast};
+use ed25519_dalek::{Signer, SigningKey};
 use murmurate::actor::Core;
 use murmurate::actors::network::{Config, In, Out};
 use murmurate::messages::geometry::{Motion, Pose, Task, Vec2};
@@ -19,6 +20,7 @@ use murmurate::messages::wire::{
 };
 use murmurate::net::protocol::codec::{self, Flags, Header};
 use murmurate::net::protocol::key::Key;
+use murmurate::net::protocol::member::public;
 use murmurate::net::protocol::reliability::Reliabilities;
 use murmurate::net::protocol::router::{Audience, Publishers, Route, Router};
 use murmurate::net::protocol::signatures::Signatures;
@@ -29,9 +31,18 @@ use rand::RngExt;
 /// Host of robot 1 and of nothing else, which sends.
 const MEMBER: HostId = HostId(1);
 const OPERATOR: HostId = HostId::operator(1);
-const SECRET: [u8; 32] = [5; 32];
+const MEMBERS: [HostId; 4] = [HostId(0), MEMBER, HostId(2), OPERATOR];
 /// Number of datagrams that a team gets before it is a new one: its rate limit and its window begin anew.
 const EPOCH: usize = 5000;
+
+fn secret(of: HostId) -> [u8; 32] {
+    *blake3::hash(&of.0.to_le_bytes()).as_bytes()
+}
+
+fn signatures(of: HostId) -> Signatures {
+    let members = MEMBERS.map(|member| (member, public(&secret(member)))).into();
+    Signatures::new(Some(secret(of)), &members).expect("they are public keys")
+}
 
 fn key(of: HostId) -> Key {
     let pair = |one: HostId, other: HostId| {
@@ -40,11 +51,8 @@ fn key(of: HostId) -> Key {
         bytes[2..4].copy_from_slice(&one.max(other).0.to_le_bytes());
         bytes
     };
-    let pairs = [HostId(0), MEMBER, HostId(2), OPERATOR].into_iter().map(|other| (other, pair(of, other)));
-    let signers = [(OPERATOR, Signatures::public(SECRET))].into();
-    let own = (of == OPERATOR).then_some(SECRET);
-    let signatures = Signatures::new(own, &signers).expect("it is a public key");
-    Key::of_member([9; 32], pairs.collect()).with_signatures(signatures)
+    let pairs = MEMBERS.map(|other| (other, pair(of, other))).into();
+    Key::of_member([9; 32], pairs).with_signatures(signatures(of))
 }
 
 fn host(id: HostId) -> Config {
@@ -118,12 +126,28 @@ fn team() -> (Rig, Wire) {
     (rig, recorded)
 }
 
+/// Appends the member's proof of the one message in a datagram, as docs/wire.md says: the message counts with it alone.
+fn prove(frame: &mut Vec<u8>, edition: u32) {
+    let mut signed = b"murmurate 2026-11-28 message".to_vec();
+    signed.extend_from_slice(&frame[2..10]);
+    signed.extend_from_slice(&edition.to_le_bytes());
+    signed.push(frame[codec::HEADER_BYTES]);
+    signed.extend_from_slice(&frame[codec::HEADER_BYTES + codec::BLOCK_BYTES..]);
+    let signature = SigningKey::from_bytes(&secret(MEMBER)).sign(&signed).to_bytes();
+    frame.extend_from_slice(&[0x86, 68, 0]);
+    frame.extend_from_slice(&edition.to_le_bytes());
+    frame.extend_from_slice(&signature);
+}
+
 /// Returns a datagram of the member, whose content is mutated before it is sealed; `None` if that is too long.
 fn sealed(stream: &mut Stream, seal: &Key, (message, sequence): (&Wire, u32), others: &[Vec<u8>]) -> Option<Vec<u8>> {
     let direct = stream.random_range(0..4u8) == 0;
     let flags = Flags(if direct { Flags::DIRECT } else { 0 });
     let header = Header { flags, team: TEAM, sender: MEMBER, incarnation: 1, sequence };
     let mut frame = codec::encode(&header, message).expect("a sound message").to_vec();
+    if message.kind().is_proved() && stream.random_range(0..8u8) > 0 {
+        prove(&mut frame, sequence);
+    }
     if stream.random_range(0..3u8) > 0 {
         let mut body = frame.split_off(codec::HEADER_BYTES);
         mutate(&mut body, &others[stream.random_range(0..others.len())], stream);

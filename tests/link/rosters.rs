@@ -7,7 +7,7 @@ use murmurate::net::protocol::codec::{self, Flags, Frame, Header};
 use murmurate::net::protocol::key::Key;
 use murmurate::net::protocol::member::{Member, public, seal_roster};
 use murmurate::net::protocol::reliability::Reliabilities;
-use murmurate::net::protocol::roster::Roster;
+use murmurate::net::protocol::roster::{self, Roster};
 use murmurate::random::Seed;
 use murmurate::time::{Span, Time};
 use rand::RngExt;
@@ -32,8 +32,12 @@ const ALL: [u16; 5] = [0, 1, 2, 3, 4];
 const REST: [u16; 4] = [0, 1, 2, 4];
 
 fn key(host: u16) -> Key {
+    key_of(host, &ALL)
+}
+
+fn key_of(host: u16, members: &[u16]) -> Key {
     let own = (HostId(host), secret(host));
-    let member = Member::new(TEAM, own, public(&ROOT), (roster(1, false, &ALL), [1; 32]));
+    let member = Member::new(TEAM, own, public(&ROOT), (roster(1, false, members), [1; 32]));
     Key::of(member.expect("it is one of them")).confidential()
 }
 
@@ -47,7 +51,7 @@ fn sealed(number: u32, planned: bool, members: &[u16]) -> Vec<u8> {
 }
 
 fn datagram(number: u32, planned: bool, members: &[u16]) -> Frame {
-    codec::with_roster(&header(7), &sealed(number, planned, members))
+    codec::with_roster(&header(7), &roster::pages(&sealed(number, planned, members))[0])
 }
 
 fn team(loss: f64) -> Rig {
@@ -123,6 +127,47 @@ fn a_planned_change_loses_no_message_and_a_revocation_few_on_a_link_that_loses_a
 }
 
 #[test]
+fn a_roster_of_two_pages_reaches_all_of_twenty_members_whatever_comes_between() {
+    const MEMBERS: u16 = 20;
+    let all: Vec<u16> = (0..MEMBERS).collect();
+    let of = |host| config(host, MEMBERS.into(), 1, Some(key_of(host, &all)), multicast(Reliabilities::new()));
+    let mut rig = Rig::new((0..MEMBERS).map(of));
+    rig.loss = 0.2;
+    (0..3).for_each(|_| rig.meet());
+    let pages = |number: u32, members: &[u16]| roster::pages(&sealed(number, false, members));
+    let arrive = |rig: &mut Rig, page: &[u8]| rig.arrive(0, &codec::with_roster(&header(7), page));
+    let [first, second] = &pages(2, &all)[..] else { panic!("there are two") };
+    let mut forged = second.clone();
+    *forged.last_mut().expect("it is not empty") ^= 1;
+    // Its own page comes last, and what claims to belong to it does not.
+    for page in [second, &forged, first, &forged] {
+        arrive(&mut rig, page);
+    }
+    assert_eq!(rig.rosters[0], None, "a page is missing");
+    let changed = rig.now;
+    arrive(&mut rig, second);
+    rig.run_ms(1000);
+    let took = spread(&rig, 2, &all, changed);
+    assert!(took <= Span::from_millis(400), "{took:?}");
+    let rest: Vec<u16> = all.iter().copied().filter(|member| *member != 13).collect();
+    let revoked = rig.now;
+    pages(3, &rest).iter().for_each(|page| arrive(&mut rig, page));
+    rig.run_ms(1000);
+    let took = spread(&rig, 3, &rest, revoked);
+    assert!(took <= Span::from_millis(400), "{took:?}");
+    assert!(rig.rosters[13].is_some_and(|(_, number)| number == 2));
+    // They hear each other by the new keys.
+    let heard = rig.now;
+    (0..10).for_each(|episode| {
+        rest.iter().for_each(|host| rig.publish(usize::from(*host), latent(*host, episode)));
+        rig.run_ms(PERIOD_MS);
+    });
+    for (here, there) in rest.iter().flat_map(|here| rest.iter().map(move |there| (*here, *there))) {
+        assert!(here == there || silence(&rig, (here, there), heard).1 > heard, "host {here} of host {there}");
+    }
+}
+
+#[test]
 fn a_host_that_was_away_gets_the_roster_and_an_old_one_takes_nobody_back() {
     let mut rig = team(0.0);
     speak(&mut rig, 1000);
@@ -164,7 +209,7 @@ fn what_is_no_roster_of_the_root_changes_nothing_and_is_answered_rarely() {
             rig.arrive(0, &junk);
             // By a member that makes one with its own secret in place of the root's.
             let own = seal_roster((TEAM, &roster(9, false, &ALL)), &secret(3), &[1; 32], [round; 24]);
-            rig.arrive(0, &codec::with_roster(&header(3), &own.expect("few members")));
+            rig.arrive(0, &codec::with_roster(&header(3), &roster::pages(&own.expect("few members"))[0]));
         }
         rig.arrive(0, &datagram(1, false, &ALL));
         rig.run_ms(10);

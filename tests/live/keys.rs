@@ -130,7 +130,7 @@ fn members_have_keys_of_their_own_and_only_an_operator_gives_orders() {
     refuses(&["key", "revoke", "agent-1", "--root", &path("operator-1.key")], &["no root key", "root.key"]);
     refuses(&["key", "revoke", "agent-9", "--root", &path("root.key")], &["no member 'agent-9'", "agent-0"]);
     refuses(&["key", "spread", &file, &path("root.key")], &["no roster"]);
-    refuses(&["key", "new", &file, "--out", &path("more"), "--operators", "8"], &["12 members"]);
+    refuses(&["key", "new", &file, "--out", &path("more"), "--operators", "20"], &["24 members"]);
     let run_file = file.clone();
     let mut crew = Crew::new(move |host| murmurate(&["host", &run_file, "--host", host, "--json"]));
     hosts.iter().for_each(|host| crew.start(host));

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::codec::{self, Flags, Header};
+use murmurate::net::protocol::roster;
 use murmurate_report::event::HostEvent;
 use nix::sys::signal::Signal;
 
@@ -168,7 +169,7 @@ fn old_roster_is_refused(team: &mut Team) {
     interface.set_multicast_if_v4(&Ipv4Addr::LOCALHOST).expect("the loopback interface");
     let header = Header { flags: Flags(0), team: TEAM, sender: HostId(1), incarnation: 5, sequence: 0 };
     for _ in 0..50 {
-        let datagram = codec::with_roster(&header, &old);
+        let datagram = codec::with_roster(&header, &roster::pages(&old)[0]);
         socket.send_to(&datagram, (Ipv4Addr::new(239, 255, 79, 1), 40_000 + TEAM)).expect("it is sent");
     }
     team.goes_on(&ROBOTS);

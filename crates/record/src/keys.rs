@@ -7,7 +7,7 @@ use murmurate::graph::inputs::Input;
 use murmurate::messages::ids::{HostId, LinkId};
 use murmurate::net::protocol::codec::{self, Frame};
 use murmurate::net::protocol::key::Key;
-use murmurate::net::protocol::roster::ACCEPTS_FOR;
+use murmurate::net::protocol::roster::{ACCEPTS_FOR, Collected};
 use murmurate::time::Time;
 
 use super::identity::HostIdentity;
@@ -17,6 +17,8 @@ use super::identity::HostIdentity;
 pub struct RecordedKey {
     host: HostId,
     key: Key,
+    /// Pages of the next roster that had arrived.
+    collected: Collected,
     /// Number and keys of a roster that had arrived and was not on disk yet.
     pending: Option<(u32, Key)>,
     /// Time of a planned change, after which the keys before it are valid for a while.
@@ -37,7 +39,13 @@ pub fn first_key(key: &Key, of: &HostIdentity) -> Key {
 impl RecordedKey {
     /// Returns the key at the beginning of the record of the host `of`, from that of its key file.
     pub fn new(key: &Key, of: &HostIdentity) -> RecordedKey {
-        RecordedKey { host: of.id, key: first_key(key, of), pending: None, planned: None }
+        RecordedKey {
+            host: of.id,
+            key: first_key(key, of),
+            collected: Collected::default(),
+            pending: None,
+            planned: None,
+        }
     }
 
     /// Takes an input of the host at the time `now`, of which rosters change the key.
@@ -47,7 +55,7 @@ impl RecordedKey {
         }
         match input {
             Input::Frame(link, frame, _) if codec::roster_of(frame).is_some() => {
-                let Ok(next) = self.key.successor(frame, *link) else { return };
+                let Ok(Some(next)) = self.key.successor(frame, *link, &mut self.collected) else { return };
                 let number = next.roster().map_or(0, |roster| roster.number);
                 if self.pending.as_ref().is_none_or(|(pending, _)| *pending < number) {
                     self.pending = Some((number, next));
@@ -68,7 +76,8 @@ impl RecordedKey {
     /// tag, the datagram itself. `None` if the host has refused it.
     pub fn open<'a>(&self, frame: &'a [u8], link: LinkId) -> Option<Cow<'a, [u8]>> {
         if codec::roster_of(frame).is_some() {
-            return self.key.successor(frame, link).is_ok().then_some(frame.into());
+            let taken = self.key.successor(frame, link, &mut self.collected.clone());
+            return taken.is_ok().then_some(frame.into());
         }
         self.key.open(frame, link, self.host)
     }

@@ -7,6 +7,7 @@ use crate::net::protocol::codec::{self, Frame};
 use crate::net::protocol::counts::Refusal;
 use crate::net::protocol::key::Key;
 use crate::net::protocol::link::LinkState;
+use crate::net::protocol::roster;
 use crate::net::protocol::router::Audience;
 use crate::net::protocol::succession::Taken;
 use crate::time::Time;
@@ -24,13 +25,22 @@ impl Network {
         match taken {
             Taken::Keep(number, sealed) => out.push(Out::Keep(number, sealed)),
             Taken::Noted => {}
-            Taken::Refused(cause) => {
-                if let Some(state) = self.link(link) {
-                    state.counts().refuse(cause, 1);
-                }
-                out.push(Out::Refused(link, cause, Frame::clone(frame)));
+            Taken::Removed(number) => {
+                tracing::error!(
+                    "the key of this process was revoked: it is not in roster {number} of its team, and no member \
+                     hears it any more. Make a new key with 'key add', or end it"
+                );
+                self.refuse_roster((link, Refusal::Auth), frame, out);
             }
+            Taken::Refused(cause) => self.refuse_roster((link, cause), frame, out),
         }
+    }
+
+    fn refuse_roster(&mut self, (link, cause): (LinkId, Refusal), frame: &Frame, out: &mut Vec<Out>) {
+        if let Some(state) = self.link(link) {
+            state.counts().refuse(cause, 1);
+        }
+        out.push(Out::Refused(link, cause, Frame::clone(frame)));
     }
 
     /// Returns whether a datagram that was refused for `cause` seems to be of a member with the keys of an older
@@ -56,9 +66,10 @@ impl Network {
         let Some(key) = &self.key else { return };
         let due = self.succession.wake(now, key);
         if let Some(sealed) = key.sealed_roster().filter(|_| due.repeat) {
-            let datagram = codec::with_roster(&self.local_header, sealed);
+            let pages = roster::pages(sealed).into_iter().map(|page| codec::with_roster(&self.local_header, &page));
+            let datagrams: Vec<Frame> = pages.collect();
             for (link, _) in (0..=u16::MAX).map(LinkId).zip(&self.links).filter(|(_, state)| state.is_some()) {
-                self.outgoing.push((Audience::All, Frame::clone(&datagram)));
+                self.outgoing.extend(datagrams.iter().map(|datagram| (Audience::All, Frame::clone(datagram))));
                 transmit(link, &mut self.outgoing, out);
             }
         }

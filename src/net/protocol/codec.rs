@@ -44,8 +44,9 @@ pub const BLOCK_BYTES: usize = 3;
 /// Largest datagram with its authentication tags \[bytes\]: with the headers of IPv6 and UDP the 1280 bytes that every
 /// IPv6 link carries (RFC 8200, section 5).
 pub const MAX_FRAME_BYTES: usize = 1232;
-/// Largest datagram without its authentication tags \[bytes\]; a confidential one is smaller (`key`).
-pub const MAX_PLAIN_BYTES: usize = MAX_FRAME_BYTES - (MAX_MEMBERS * SHORT_TAG_BYTES + 1);
+/// Largest datagram without its authentication tags \[bytes\]: beside it there is room for a tag for each of 12
+/// members. That of a larger team or a confidential one is smaller (`key`).
+pub const MAX_PLAIN_BYTES: usize = MAX_FRAME_BYTES - (12 * SHORT_TAG_BYTES + 1);
 
 /// Bytes of an encoded datagram; clones share them.
 pub type Frame = Arc<[u8]>;
@@ -115,6 +116,8 @@ pub enum Content {
     Held,
     /// Roster of the team's members (`roster`), in a datagram of its own.
     Roster,
+    /// Signature of the message in the block before it (`proofs`).
+    Proof,
     /// Content of a later version, with its byte; it is passed over.
     Other(u8),
 }
@@ -126,6 +129,7 @@ impl Content {
     const HELD: u8 = 0x83;
     const NUMBERED_REPORT: u8 = 0x84;
     const ROSTER: u8 = 0x85;
+    const PROOF: u8 = 0x86;
 
     fn byte(self) -> u8 {
         match self {
@@ -136,6 +140,7 @@ impl Content {
             Content::Nack => Content::NACK,
             Content::Held => Content::HELD,
             Content::Roster => Content::ROSTER,
+            Content::Proof => Content::PROOF,
             Content::Other(byte) => byte,
         }
     }
@@ -145,6 +150,7 @@ impl Content {
             Content::REPORT => Content::Report,
             Content::NUMBERED_REPORT => Content::NumberedReport,
             Content::ROSTER => Content::Roster,
+            Content::PROOF => Content::Proof,
             Content::ACK => Content::Ack,
             Content::NACK => Content::Nack,
             Content::HELD => Content::Held,
@@ -159,9 +165,9 @@ pub enum EncodeError {
     /// The message is outside the ranges of its kind.
     #[error("a {0:?} is unfit to send: {1}")]
     Unfit(Kind, Unfit),
-    /// The message takes the given number of bytes, too many for one datagram.
-    #[error("a {0:?} takes {1} bytes; there is room for {MAX_PLAIN_BYTES}")]
-    TooLong(Kind, usize),
+    /// The message takes the first number of bytes, and there is room for the second.
+    #[error("a {0:?} takes {1} bytes; there is room for {2}")]
+    TooLong(Kind, usize, usize),
 }
 
 /// Reason why bytes are not a valid datagram.
@@ -226,7 +232,7 @@ pub fn encode(header: &Header, message: &Wire) -> Result<Frame, EncodeError> {
         rmp_serde::encode::write(bytes, message).expect("plain data is always MessagePack");
     });
     if bytes.len() > MAX_PLAIN_BYTES {
-        return Err(EncodeError::TooLong(kind, bytes.len()));
+        return Err(EncodeError::TooLong(kind, bytes.len(), MAX_PLAIN_BYTES));
     }
     Ok(bytes.into())
 }
@@ -288,6 +294,20 @@ pub fn blocks(plain: &[u8]) -> impl Iterator<Item = Result<(Content, &[u8]), Dec
     })
 }
 
+/// Returns the messages of a datagram without authentication tag, each as its kind, its body, and the body of the proof
+/// that follows it, if one does.
+pub fn messages(plain: &[u8]) -> impl Iterator<Item = (Kind, &[u8], Option<&[u8]>)> {
+    let mut blocks = blocks(plain).flatten().peekable();
+    std::iter::from_fn(move || {
+        let (kind, body) = blocks.by_ref().find_map(|(content, body)| match content {
+            Content::Message(kind) => Some((kind, body)),
+            _ => None,
+        })?;
+        let proof = blocks.next_if(|(content, _)| *content == Content::Proof).map(|(_, proof)| proof);
+        Some((kind, body, proof))
+    })
+}
+
 fn split(bytes: &[u8]) -> Result<(Content, &[u8], &[u8]), DecodeError> {
     let (&[content, low, high], rest) = bytes.split_first_chunk().ok_or(DecodeError::Blocks)?;
     let content = Content::of(content);
@@ -305,15 +325,16 @@ pub fn first(datagram: &[u8]) -> Result<Content, DecodeError> {
     split(datagram.get(HEADER_BYTES..).unwrap_or_default()).map(|(content, ..)| content)
 }
 
-/// Returns a datagram with the roster `sealed` from the sender `me`. It has no number and no tag: the roster's own
-/// signature is checked.
-pub fn with_roster(me: &Header, sealed: &[u8]) -> Frame {
+/// Returns a datagram with the page `page` of a roster (`roster`) from the sender `me`. It has no number and no tag:
+/// the roster's own signature is checked.
+pub fn with_roster(me: &Header, page: &[u8]) -> Frame {
     let mut bytes = start(&Header { flags: Flags(Flags::ROSTER), sequence: 0, ..*me });
-    add(&mut bytes, Content::Roster, |bytes| bytes.extend_from_slice(sealed));
+    add(&mut bytes, Content::Roster, |bytes| bytes.extend_from_slice(page));
     bytes.into()
 }
 
-/// Returns the roster in a datagram that says that it is one; `None` for any other datagram. Nothing is checked.
+/// Returns the page of a roster in a datagram that says that it is one; `None` for any other datagram. Nothing is
+/// checked.
 pub fn roster_of(datagram: &[u8]) -> Option<&[u8]> {
     if datagram.get(FLAGS_AT) != Some(&Flags::ROSTER) {
         return None;

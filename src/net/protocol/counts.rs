@@ -91,7 +91,8 @@ counts! {
     malformed,
     /// Messages refused: from a host that may not publish them, or about a robot that is not on this host.
     misrouted,
-    /// Messages refused: re-arms and resumes without the signature of an operator for this run of the host.
+    /// Messages refused: without the signature that they need, such as a re-arm without that of an operator for this
+    /// run of the host; or with more new signatures than are checked of one sender.
     unsigned,
 }
 
@@ -242,7 +243,7 @@ impl LinkCounts {
             (self.queue, "by full queues"),
             (self.malformed, "malformed"),
             (self.misrouted, "from a host that may not send them"),
-            (self.unsigned, "without the signature of an operator"),
+            (self.unsigned, "without the signature that they need"),
         ];
         all.into_iter().filter(|(count, _)| *count > 0)
     }

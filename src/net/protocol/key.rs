@@ -14,9 +14,9 @@ use std::sync::Arc;
 
 use super::cipher::ENCRYPTION_BYTES;
 use super::codec::{self, Content, FLAGS_AT, Flags, Frame, HEADER_BYTES};
-use super::codec::{MAX_FRAME_BYTES, MAX_PLAIN_BYTES, TAG_BYTES};
+use super::codec::{MAX_FRAME_BYTES, MAX_PLAIN_BYTES, SHORT_TAG_BYTES, TAG_BYTES};
 use super::member::Member;
-use super::roster::{self, Roster, RosterError};
+use super::roster::{self, Collected, Roster, RosterError};
 use super::signatures::Signatures;
 use super::tags::{Bytes, Pairs, Shared, associated};
 use crate::messages::ids::{HostId, LinkId};
@@ -122,17 +122,47 @@ impl Key {
         }
     }
 
-    /// Returns the key of this process by the roster in a datagram that has arrived on the link `link`.
+    /// Takes the page of a roster in a datagram that has arrived on the link `link`, beside those that were `collected`
+    /// before. Returns the key of this process by that roster; `None` as long as a page is missing. The page that names
+    /// this process has to be the first, since the others are checked by it.
     ///
     /// # Errors
     /// As [`Key::by_roster`]; in a replay without keys also if the recorded process has not accepted it.
-    pub fn successor(&self, datagram: &[u8], link: LinkId) -> Result<Key, RosterError> {
-        let sealed = codec::roster_of(datagram).ok_or(RosterError::Malformed)?;
-        let next = self.by_roster(sealed)?;
-        match &self.secret {
-            Secret::Accepted(accepted) if !accepted.contains(&digest(datagram, link)) => Err(RosterError::Unsigned),
-            _ => Ok(next),
+    pub fn successor(
+        &self,
+        datagram: &[u8],
+        link: LinkId,
+        collected: &mut Collected,
+    ) -> Result<Option<Key>, RosterError> {
+        let (head, index, page) = roster::read_page(codec::roster_of(datagram).ok_or(RosterError::Malformed)?)?;
+        let membership = self.membership.as_ref().ok_or(RosterError::Absent)?;
+        if head.number <= membership.roster.number || head.number < collected.number() {
+            return Err(RosterError::Known);
         }
+        if !collected.is_of(&head) {
+            match (&membership.member, &self.secret) {
+                (Some(member), _) => member.check(&head, (index, &page))?,
+                (None, Secret::Accepted(accepted)) if !accepted.contains(&digest(datagram, link)) => {
+                    return Err(RosterError::Unsigned);
+                }
+                (None, _) => {}
+            }
+            *collected = Collected::of(&head);
+        }
+        collected.take((index, &page))?.map(|sealed| self.by_roster(&sealed)).transpose()
+    }
+
+    /// Takes the page of a roster that does not name this process, beside those that were `collected` before. Returns
+    /// the number of the roster if none of its pages does, and the root key has made it: this process was removed. The
+    /// signature of another roster than the collected one is only looked at if `checks`.
+    pub(super) fn removal(&self, datagram: &[u8], collected: &mut Collected, checks: bool) -> Option<u32> {
+        let (head, index, page) = roster::read_page(codec::roster_of(datagram)?).ok()?;
+        let member = self.membership.as_ref()?.member.as_ref()?;
+        if !collected.is_of(&head) {
+            (checks && member.is_by_root(&head)).then(|| *collected = Collected::of(&head))?;
+        }
+        let sealed = collected.take((index, &page)).ok()??;
+        (member.take(&sealed).err() == Some(RosterError::Absent)).then_some(head.number)
     }
 
     /// Returns this key, which also accepts what has a tag by the keys of `former`, and makes tags by them if `seals`.
@@ -214,7 +244,12 @@ impl Key {
 
     /// Returns the length of the largest datagram that may be sealed \[bytes\].
     pub fn room(&self) -> usize {
-        MAX_PLAIN_BYTES - if self.is_confidential() { ENCRYPTION_BYTES } else { 0 }
+        let tags = match &self.secret {
+            Secret::Member(member) => member.pairs.len() * SHORT_TAG_BYTES + 1,
+            Secret::Team(_) | Secret::Accepted(_) => TAG_BYTES,
+        };
+        let room = MAX_PLAIN_BYTES.min(MAX_FRAME_BYTES - tags);
+        room - if self.is_confidential() { ENCRYPTION_BYTES } else { 0 }
     }
 
     /// Appends the authentication tag to a datagram on the link `link`, for the host `to`, or for all hosts if `to` is
@@ -308,7 +343,6 @@ impl fmt::Debug for Key {
 
 #[cfg(test)]
 mod tests {
-    use super::super::codec::SHORT_TAG_BYTES;
     use super::*;
 
     /// A key as it is, and with encryption.

@@ -71,7 +71,7 @@ pub struct Guest {
 /// State of one link of one host: transmission, reception and counters.
 #[derive(Clone, Debug)]
 pub struct LinkState {
-    me: Identity,
+    pub(super) me: Identity,
     id: LinkId,
     pub(super) key: Option<Key>,
     /// Smallest host id that is no host of the team.
@@ -211,7 +211,7 @@ impl LinkState {
                 self.heard = Some(Arrival { host: header.sender, standing: Standing::Candidate, proves: false });
             }
             if refusal != Refusal::Unproven {
-                self.urgent = self.new_stop(&header, &plain);
+                self.urgent = self.new_stop(now, &header, &plain);
             }
             if self.urgent.is_some() {
                 self.counts.refuse(refusal, 1);
@@ -237,7 +237,7 @@ impl LinkState {
         let proves = self.key.is_none() || self.incoming.has_proved();
         self.heard = standing.map(|standing| Arrival { host: header.sender, standing, proves });
         if matches!(verdict, Admission::Duplicate | Admission::Refused) {
-            self.urgent = self.new_stop(&header, &plain);
+            self.urgent = self.new_stop(now, &header, &plain);
         }
         if matches!(verdict, Admission::Candidate(_) | Admission::Refused) {
             return Ok(None);

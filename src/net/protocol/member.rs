@@ -8,7 +8,7 @@ use std::fmt;
 use ed25519_dalek::{SigningKey, VerifyingKey};
 
 use super::codec::Frame;
-use super::roster::{self, NONCE_BYTES, Roster, RosterError};
+use super::roster::{self, Head, NONCE_BYTES, Page, Roster, RosterError};
 use super::signatures::Signatures;
 use super::tags::Bytes;
 use crate::messages::ids::HostId;
@@ -86,15 +86,31 @@ impl Member {
     /// # Errors
     /// If the root key has not made it, it is not newer than the present one, or the member is not in it.
     pub fn take(&self, bytes: &[u8]) -> Result<Member, RosterError> {
-        let public = public(&self.secret);
-        let wrap = agreed(&self.secret, &self.root).ok_or(RosterError::Unsigned)?;
-        let wrap = of_rosters(&wrap, self.team, &self.root, (self.number, &public));
+        let (public, wrap) = self.of_rosters()?;
         let who = (self.team, self.number, &public);
         let (roster, shared) = roster::open(bytes, who, self.roster.number, (&self.root, &wrap))?;
         if !roster.members.values().all(|key| agreed(&self.secret, key).is_some()) {
             return Err(RosterError::Malformed);
         }
         Ok(Member { roster, shared, sealed: Some(bytes.into()), ..self.clone() })
+    }
+
+    /// Checks by the page of a roster that names this member that the root key has made its head.
+    pub(super) fn check(&self, head: &Head, page: (usize, &Page)) -> Result<(), RosterError> {
+        let (public, wrap) = self.of_rosters()?;
+        roster::open_page(head, page, (self.team, self.number, &public), (&self.root, &wrap)).map(drop)
+    }
+
+    /// Returns whether the root key has made the head of a roster, whoever is in it.
+    pub(super) fn is_by_root(&self, head: &Head) -> bool {
+        head.is_signed(self.team, &self.root)
+    }
+
+    /// Returns the public key of this member, and the key by which rosters are encrypted for it.
+    fn of_rosters(&self) -> Result<(Bytes, Bytes), RosterError> {
+        let public = public(&self.secret);
+        let wrap = agreed(&self.secret, &self.root).ok_or(RosterError::Unsigned)?;
+        Ok((public, of_rosters(&wrap, self.team, &self.root, (self.number, &public))))
     }
 
     /// Returns for each member, this one included, the key that only the two have.
@@ -107,12 +123,9 @@ impl Member {
         pairs.collect()
     }
 
-    /// Returns the keys by which the member signs orders, if it is an operator, and checks them.
+    /// Returns the keys by which the member signs, and checks what others have signed.
     pub fn signatures(&self) -> Signatures {
-        let secret = self.number.is_operator().then_some(self.secret);
-        let operators = self.roster.members.iter().filter(|(number, _)| number.is_operator());
-        let operators: BTreeMap<HostId, Bytes> = operators.map(|(number, key)| (*number, *key)).collect();
-        Signatures::new(secret, &operators).expect("they were checked when the roster was taken")
+        Signatures::new(Some(self.secret), &self.roster.members).expect("they were checked when the roster was taken")
     }
 }
 
@@ -222,19 +235,25 @@ mod tests {
         }
     }
 
-    #[test]
-    fn a_roster_is_that_of_the_root_key_of_this_team_for_this_member_or_none() {
-        let honest = sealed(2, &ALL);
-        let me = member(HostId(0), &ALL);
-        assert_eq!(me.take(&honest).expect("it is whole").shared(), [42; 32]);
+    fn is_of_the_root_key_or_none(me: &Member, honest: &[u8]) {
+        assert_eq!(me.take(honest).expect("it is whole").shared(), [42; 32]);
         for bit in 0..honest.len() * 8 {
-            let mut turned = honest.clone();
+            let mut turned = honest.to_vec();
             turned[bit / 8] ^= 1 << (bit % 8);
             assert!(me.take(&turned).is_err(), "bit {bit}");
         }
         for cut in 0..honest.len() {
             assert_eq!(me.take(&honest[..cut]).unwrap_err(), RosterError::Malformed);
         }
+    }
+
+    #[test]
+    fn a_roster_is_that_of_the_root_key_of_this_team_for_this_member_or_none() {
+        let many: Vec<HostId> = (0..13).map(HostId).collect();
+        for members in [&ALL[..], &many] {
+            is_of_the_root_key_or_none(&member(HostId(0), members), &sealed(2, members));
+        }
+        let me = member(HostId(0), &ALL);
         // A member that makes one for the others by its own secret, as if that were the root key.
         let others = seal_roster((TEAM, &roster(2, &ALL)), &secret(HostId(1)), &[1; 32], [1; 24]).expect("few");
         assert_eq!(me.take(&others).unwrap_err(), RosterError::Unsigned);
@@ -262,10 +281,14 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_roster_fits_into_a_datagram_and_a_larger_one_is_not_made() {
+    fn the_pages_of_the_largest_roster_fit_into_datagrams_and_a_larger_one_is_not_made() {
         let numbers = |count: usize| (0..count as u16).map(HostId).collect::<Vec<HostId>>();
-        let most = sealed(2, &numbers(codec::MAX_MEMBERS));
-        assert!(most.len() + codec::HEADER_BYTES + codec::BLOCK_BYTES <= codec::MAX_FRAME_BYTES, "{}", most.len());
+        for (members, pages) in [(1, 1), (12, 1), (13, 2), (codec::MAX_MEMBERS, 2)] {
+            let sheets = roster::pages(&sealed(2, &numbers(members)));
+            assert_eq!(sheets.len(), pages);
+            let longest = sheets.iter().map(Vec::len).max().expect("there is one");
+            assert!(longest + codec::HEADER_BYTES + codec::BLOCK_BYTES <= codec::MAX_FRAME_BYTES, "{longest}");
+        }
         let many = roster(2, &numbers(codec::MAX_MEMBERS + 1));
         assert!(seal_roster((TEAM, &many), &ROOT, &[1; 32], [1; 24]).is_none());
     }

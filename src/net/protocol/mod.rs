@@ -1,6 +1,7 @@
 //! Protocol between hosts: encoding, authentication, retransmission and routing. Pure.
 
 mod acks;
+mod belief;
 mod bucket;
 mod candidates;
 pub mod cipher;
@@ -18,6 +19,7 @@ pub mod link;
 pub mod member;
 mod offset;
 pub(crate) mod outgoing;
+mod proofs;
 mod refusal;
 pub mod reliability;
 pub mod report;

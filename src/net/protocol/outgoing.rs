@@ -10,6 +10,7 @@ use super::codec::{MAX_FRAME_BYTES, MAX_PLAIN_BYTES, add};
 use super::counts::LinkCounts;
 use super::incoming::{Incoming, Urgency};
 use super::key::Key;
+use super::proofs::Proofs;
 use super::reliability::{Heartbeats, Piggyback, Reliability, Reports, Setup};
 use super::report::{DatagramId, write_held, write_ids};
 use super::report_schedule::Occasion;
@@ -65,6 +66,7 @@ pub struct Outgoing {
     /// Whether report entries contain the number of the next unicast datagram to their host.
     numbered: bool,
     acks: Acks,
+    proofs: Proofs,
 }
 
 impl Outgoing {
@@ -94,6 +96,7 @@ impl Outgoing {
             urgent_bucket: Bucket::full(Time::ZERO, &URGENT_RATE),
             numbered,
             acks: Acks::default(),
+            proofs: Proofs::default(),
         }
     }
 
@@ -114,11 +117,17 @@ impl Outgoing {
         let soft = kind.is_soft();
         let reliability = self.setup.of(kind);
         let flags = if reliability == Reliability::Ack { Flags::ACK } else { 0 };
-        let frame = codec::encode(&self.header(audience, flags), message)?;
+        let encoded = codec::encode(&self.header(audience, flags), message)?;
+        if encoded.len() > self.room {
+            return Err(EncodeError::TooLong(kind, encoded.len(), self.room));
+        }
+        let signatures = self.key.as_ref().and_then(Key::signatures).filter(|_| kind.is_proved());
+        let proved = signatures.and_then(|of| self.proofs.prove(of, &self.me, stream, &encoded));
+        let frame = proved.unwrap_or_else(|| Frame::clone(&encoded));
         if soft && self.setup.piggyback != Piggyback::Never {
             self.soft.put(now, stream, (audience, frame.clone()), self.data_sent.get(&audience).copied());
             self.send_soft(now, incoming, counts, out);
-            return Ok(frame);
+            return Ok(encoded);
         }
         // A pending repeat of the same stream is sent before the new message, since after it the repeat would be stale.
         if let Some(datagram) = self.retransmitter.supersede(now, stream) {
@@ -141,7 +150,7 @@ impl Outgoing {
             counts.sent += 1;
             self.data_sent.insert(audience, now);
         }
-        Ok(frame)
+        Ok(encoded)
     }
 
     /// Whether a heartbeat that leaves at `now` is to be retransmitted.

@@ -11,6 +11,7 @@ use super::congestion::BaseDelay;
 use super::lateness::Lateness;
 use super::limits::{FRESH, LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE};
 use super::offset::Offsets;
+use super::proofs::Checked;
 use super::report::Stamp;
 use super::window::{LOSS_SPAN, Window};
 use crate::messages::ids::{HostId, LinkId, RobotId};
@@ -52,6 +53,8 @@ pub(crate) struct Sender {
     pub(crate) bucket: Bucket,
     /// Latest emergency stop of this incarnation; clear before its first.
     pub(crate) stop: Latch,
+    /// Signatures in its messages that were checked.
+    pub(crate) checked: Checked,
     /// Newest stamp in the sender's link reports, and its arrival time; `None` before the first report.
     pub(crate) stamp: Option<(Stamp, Time)>,
     /// Measurements of the offset between the sender's stamps and this host's.
@@ -97,6 +100,7 @@ impl Sender {
             lateness: Lateness::default(),
             bucket: Bucket::full(now, rate.unwrap_or(&super::reliability::RATE)),
             stop: Latch::default(),
+            checked: Checked::new(now),
             stamp: None,
             offsets: Offsets::default(),
             base_delay: BaseDelay::new(now),

@@ -8,7 +8,7 @@ use super::codec::Frame;
 use super::counts::Refusal;
 use super::key::Key;
 use super::link::LinkState;
-use super::roster::{ACCEPTS_FOR, RosterError};
+use super::roster::{self, ACCEPTS_FOR, Collected, RosterError};
 use crate::messages::ids::LinkId;
 use crate::time::{Span, Time};
 
@@ -22,6 +22,8 @@ const FIRST: (Span, u32) = (Span::from_millis(40), 5);
 /// Shortest time between two rosters that are sent because a process seems to miss it, and between two arrivals of the
 /// present one that are noted: an outsider can repeat it.
 const ANSWER: Span = Span::from_millis(200);
+/// Shortest time between two looks at a roster that does not name this process.
+const LOOK: Span = Span::from_millis(10);
 /// Time after which a roster that is not on disk yet is kept once more when it arrives again.
 const KEEP_AGAIN: Span = Span::from_millis(1000);
 
@@ -32,6 +34,8 @@ pub(crate) enum Taken {
     Keep(u32, Frame),
     /// It was refused for this cause, and nothing has changed.
     Refused(Refusal),
+    /// It does not name this process any more: the roster with this number has removed it.
+    Removed(u32),
     /// It is not new, and its arrival was noted.
     Noted,
 }
@@ -48,6 +52,13 @@ pub(crate) struct Due {
 /// Rosters of one process: that which is not in force yet, and the repetitions of the one that is.
 #[derive(Debug, Default)]
 pub(crate) struct Succession {
+    /// Pages of the next roster that have arrived.
+    collected: Collected,
+    /// Pages of a roster that does not name this process, the number of the last such roster, and the time of the last
+    /// look at one: an outsider can alter it, and each look may cost the check of a signature.
+    without: Collected,
+    removed: u32,
+    looked: Option<Time>,
     /// Number and keys of a roster that is not on disk yet, with the time at which it was last asked to be kept.
     pending: Option<(u32, Key, Time)>,
     /// Keys of the roster before the present one while they are valid, and the time of the change.
@@ -73,11 +84,13 @@ impl Succession {
     /// Takes a datagram with a roster, in a process with the key `key`.
     pub fn take(&mut self, now: Time, key: Option<&Key>, (datagram, link): (&[u8], LinkId)) -> Taken {
         let Some(key) = key else { return Taken::Refused(Refusal::Keyed) };
-        let next = match key.successor(datagram, link) {
-            Ok(next) => next,
+        let next = match key.successor(datagram, link, &mut self.collected) {
+            Ok(Some(next)) => next,
+            Ok(None) => return Taken::Noted,
             Err(RosterError::Known) => return self.note(now, key, datagram),
             Err(RosterError::Malformed) => return Taken::Refused(Refusal::Malformed),
-            Err(RosterError::Absent | RosterError::Unsigned) => return Taken::Refused(Refusal::Auth),
+            Err(RosterError::Absent) => return self.without(now, key, datagram),
+            Err(RosterError::Unsigned) => return Taken::Refused(Refusal::Auth),
         };
         let number = next.roster().map_or(0, |roster| roster.number);
         let newer = match &self.pending {
@@ -92,11 +105,22 @@ impl Succession {
         Taken::Keep(number, sealed)
     }
 
+    /// Takes a page of a roster that does not name this process: it may have been removed.
+    fn without(&mut self, now: Time, key: &Key, datagram: &[u8]) -> Taken {
+        let checks = self.looked.is_none_or(|at| now.since(at) >= LOOK);
+        if checks {
+            self.looked = Some(now);
+        }
+        let removed = key.removal(datagram, &mut self.without, checks).filter(|number| *number > self.removed);
+        self.removed = removed.unwrap_or(self.removed);
+        removed.map_or(Taken::Refused(Refusal::Auth), Taken::Removed)
+    }
+
     /// Notes a roster that is not newer than the present one: the same, which need not be repeated so soon, or an older
     /// one, whose sender needs the present one.
     fn note(&mut self, now: Time, key: &Key, datagram: &[u8]) -> Taken {
         let Some(present) = key.sealed_roster() else { return Taken::Refused(Refusal::Duplicate) };
-        let same = super::codec::roster_of(datagram).is_some_and(|sealed| sealed == &**present);
+        let same = super::codec::roster_of(datagram).is_some_and(|page| roster::is_of(page, present));
         if !same {
             return if self.ask(now) { Taken::Noted } else { Taken::Refused(Refusal::Replay) };
         }
@@ -200,7 +224,7 @@ mod tests {
 
     fn datagram(number: u32, planned: bool) -> Frame {
         let sealed = seal_roster((7, &roster(number, planned)), &ROOT, &[number as u8; 32], [number as u8; 24]);
-        codec::with_roster(&header(1), &sealed.expect("few members"))
+        codec::with_roster(&header(1), &roster::pages(&sealed.expect("few members"))[0])
     }
 
     fn at(ms: u64) -> Time {
@@ -292,5 +316,32 @@ mod tests {
         assert_eq!(run(&mut rosters, 4300), [4210]);
         assert!(!rosters.ask(at(4300)) && rosters.ask(at(4500)));
         assert_eq!(run(&mut rosters, 4600), [4500]);
+    }
+
+    #[test]
+    fn a_process_that_was_removed_learns_it_once_from_the_root_key_alone() {
+        let (key, mut rosters) = (key(0), Succession::default());
+        let without = |number: u32, root: &[u8; 32], members: &[u16]| {
+            let members = members.iter().map(|member| (HostId(*member), public(&secret(*member)))).collect();
+            let roster = Roster { number, planned: false, members };
+            let sealed = seal_roster((7, &roster), root, &[1; 32], [1; 24]).expect("few members");
+            roster::pages(&sealed).iter().map(|page| codec::with_roster(&header(1), page)).collect::<Vec<Frame>>()
+        };
+        let take = |rosters: &mut Succession, ms: u64, frames: &[Frame]| -> Vec<Taken> {
+            frames.iter().map(|frame| rosters.take(at(ms), Some(&key), (frame, LINK))).collect()
+        };
+        let refused = [Taken::Refused(Refusal::Auth)];
+        assert_eq!(take(&mut rosters, 0, &without(2, &[98; 32], &[1])), refused, "of another root");
+        assert_eq!(take(&mut rosters, 1, &without(2, &ROOT, &[1])), refused, "no more looks for a while");
+        assert_eq!(take(&mut rosters, 20, &without(2, &ROOT, &[1])), [Taken::Removed(2)]);
+        assert_eq!(take(&mut rosters, 40, &without(2, &ROOT, &[1])), refused, "it is said once");
+        let many: Vec<u16> = (1..20).collect();
+        assert_eq!(
+            take(&mut rosters, 60, &without(3, &ROOT, &many)),
+            [Taken::Refused(Refusal::Auth), Taken::Removed(3)]
+        );
+        let all: Vec<u16> = (0..20).collect();
+        let named = take(&mut rosters, 80, &without(4, &ROOT, &all));
+        assert!(matches!(&named[..], [Taken::Noted, Taken::Keep(4, _)]), "it is back: {named:?}");
     }
 }

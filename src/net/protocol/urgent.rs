@@ -1,9 +1,10 @@
 //! Emergency stops in datagrams that are refused for their number: they hold all the same.
 
-use super::codec::{self, Content, Header};
+use super::codec::{self, Header};
 use super::incoming::Incoming;
 use super::link::LinkState;
 use crate::messages::wire::{Kind, Stop, Wire};
+use crate::time::Time;
 
 impl Incoming {
     /// Returns whether an emergency stop is a new one of its sender, whatever the number of its datagram is, and
@@ -22,11 +23,15 @@ impl Incoming {
 impl LinkState {
     /// Returns the emergency stop in a datagram whose number is refused, if it is a new one of an accepted sender.
     #[cold]
-    pub(super) fn new_stop(&mut self, header: &Header, plain: &[u8]) -> Option<Stop> {
-        let stops = codec::blocks(plain).flatten().filter(|(content, _)| *content == Content::Message(Kind::Stop));
-        let stops = stops.filter_map(|(_, body)| codec::message(Kind::Stop, body).ok());
-        let mut stops = stops.filter_map(|message| if let Wire::Stop(stop) = message { Some(stop) } else { None });
-        let new = stops.find(|stop| self.incoming.is_new_stop(header, *stop));
+    pub(super) fn new_stop(&mut self, now: Time, header: &Header, plain: &[u8]) -> Option<Stop> {
+        let mut stops = codec::messages(plain).filter(|(kind, ..)| *kind == Kind::Stop);
+        let new = stops.find_map(|(kind, body, proof)| match codec::message(kind, body) {
+            Ok(Wire::Stop(stop)) => {
+                let believed = stop.latch.is_engaged() && self.believes(now, header, &Wire::Stop(stop), (body, proof));
+                (believed && self.incoming.is_new_stop(header, stop)).then_some(stop)
+            }
+            _ => None,
+        });
         self.counts.urgent += u64::from(new.is_some());
         new
     }
