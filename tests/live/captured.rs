@@ -1,7 +1,8 @@
 //! Captured members of a team: an attacker with the key file of one host, a robot's or the state server's, prevents no
 //! stop and ends none.
 //!
-//! `MURMURATE_CAPTURED="500 30000"` makes so many stops beside so many forged datagrams a second.
+//! `MURMURATE_CAPTURED="500 30000"` makes so many stops beside so many forged datagrams a second, and
+//! `MURMURATE_ROUTER=udp/127.0.0.1:7447` names a Zenoh router for the test through one.
 
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
 use std::path::{Path, PathBuf};
@@ -26,12 +27,13 @@ use murmurate::net::protocol::key::Key;
 use murmurate::net::protocol::reliability::{Reliabilities, Setup};
 use murmurate::net::protocol::router::{Audience, Route, Router};
 use murmurate::net::transport::udp::{multicast, unicast};
-use murmurate::net::transport::{Filter, Transport};
+use murmurate::net::transport::{self, Endpoint, Filter, Transmit, Transport};
 use murmurate::random::{Seed, Stream};
 use murmurate::runtime::clock::Clock;
 use murmurate::runtime::real::run_real;
 use murmurate::runtime::shell::Mailbox;
 use murmurate::time::{Span, Time};
+use murmurate_zenoh::{SessionConfig, Streams};
 use nix::sys::signal::Signal;
 use rand::RngExt;
 
@@ -39,6 +41,7 @@ use crate::alone;
 use crate::crew::{Crew, Said, of_members, report};
 use crate::kill::{self, ROBOTS};
 use crate::program::lateness::Lateness;
+use crate::program::skip::skip;
 use crate::program::{run, text};
 
 const TEAM: u16 = 793;
@@ -56,6 +59,7 @@ const ATTACKED: Duration = Duration::from_millis(1000);
 enum Link {
     Multicast,
     Unicast,
+    Zenoh,
 }
 
 impl Link {
@@ -78,6 +82,7 @@ impl Link {
         match self {
             Link::Multicast => vec![self.group()],
             Link::Unicast => (0..5).map(|host| self.at(HostId(host))).collect(),
+            Link::Zenoh => Vec::new(),
         }
     }
 
@@ -90,9 +95,51 @@ impl Link {
                 let peers = peers.map(|other| (other, self.at(other).into())).collect();
                 (Setup::unicast(none()), unicast::endpoint(self.at(host).into(), peers, "lo", 4 << 20))
             }
+            Link::Zenoh => {
+                let session = SessionConfig {
+                    key: format!("murmurate/{}/loopback", self.team()),
+                    mode: Some("client".to_owned()),
+                    connect: router().into_iter().collect(),
+                    listen: Vec::new(),
+                    config: None,
+                    streams: Streams::Refuse,
+                    guest: false,
+                };
+                (session.setup(none()), Arc::new(session) as Arc<dyn Endpoint>)
+            }
         };
         let open = endpoint.open(host, Filter::All).expect("it can be opened");
         (Setup { report_piggyback_age: Span::ZERO, ..setup }, open)
+    }
+}
+
+/// Returns where a Zenoh router listens, if there is one.
+fn router() -> Option<String> {
+    std::env::var("MURMURATE_ROUTER").ok()
+}
+
+/// Sends datagrams to all hosts of the team.
+struct Sender {
+    link: Link,
+    socket: UdpSocket,
+    session: Option<Box<dyn Transport>>,
+}
+
+impl Sender {
+    fn open(link: Link, host: HostId) -> Sender {
+        let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).expect("a socket");
+        socket.set_multicast_loop_v4(true).expect("loopback");
+        let interface: socket2::Socket = socket.try_clone().expect("a copy").into();
+        interface.set_multicast_if_v4(&Ipv4Addr::LOCALHOST).expect("the loopback interface");
+        Sender { link, socket, session: (link == Link::Zenoh).then(|| link.open(host).1) }
+    }
+
+    fn send(&mut self, from: HostId, frame: &[u8]) {
+        self.link.targets().iter().for_each(|to| drop(self.socket.send_to(frame, to)));
+        if let Some(session) = &mut self.session {
+            let transmit = Transmit { from, audience: Audience::All, frame: frame.into() };
+            session.handle(Time::ZERO, transport::In::Transmit(transmit));
+        }
     }
 }
 
@@ -149,10 +196,7 @@ fn forge(
     (rate, seed): (u64, u64),
     (attacks, over): (&AtomicBool, &AtomicBool),
 ) {
-    let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).expect("a socket");
-    socket.set_multicast_loop_v4(true).expect("loopback");
-    let interface: socket2::Socket = socket.try_clone().expect("a copy").into();
-    interface.set_multicast_if_v4(&Ipv4Addr::LOCALHOST).expect("the loopback interface");
+    let mut sender_to_all = Sender::open(link, host);
     let mut stream = Seed::of_run(seed).stream("forger");
     let (mut sent, began) = (0u64, Instant::now());
     while !over.load(Ordering::Relaxed) {
@@ -170,7 +214,7 @@ fn forge(
         let Ok(frame) = codec::encode(&header, &lie) else { continue };
         let mut frame = frame.to_vec();
         key.seal(&mut frame, LinkId(0), None);
-        link.targets().iter().for_each(|to| drop(socket.send_to(&frame, to)));
+        sender_to_all.send(host, &frame);
     }
 }
 
@@ -318,6 +362,12 @@ impl Team {
             assert!(written.contains(&group));
             written = written.replace(&group, &unicast);
         }
+        if link == Link::Zenoh {
+            let group = format!("interface = \"lo\"\ngroup = \"{}\"", link.group());
+            assert!(written.contains(&group));
+            let router = router().expect("the test was not skipped");
+            written = written.replace(&group, &format!("transport = \"zenoh\"\nconnect = \"{router}\""));
+        }
         let (crew, folder, file) = of_members(&written, &HOSTS);
         Team { crew, file, folder }
     }
@@ -414,4 +464,12 @@ fn a_captured_robot_or_state_server_prevents_no_stop_and_ends_none() {
 #[test]
 fn nor_does_one_on_a_unicast_link() {
     stops_hold(Link::Unicast);
+}
+
+#[test]
+fn nor_does_one_through_a_zenoh_router() {
+    if router().is_none() || !murmurate_zenoh::BUILT {
+        return skip("zenoh", "there is no Zenoh router, or the program is built without Zenoh");
+    }
+    stops_hold(Link::Zenoh);
 }
