@@ -311,7 +311,7 @@ impl Network {
             return;
         }
         let Some((header, plain)) = admitted else { return };
-        for (kind, body, proof) in codec::messages(&plain) {
+        for (kind, body, signature) in codec::messages(&plain) {
             let message = match codec::message(kind, body) {
                 Ok(message) => message,
                 // The rest of a datagram is not accepted after a malformed message.
@@ -324,7 +324,7 @@ impl Network {
             }
             let robot = message.robot();
             if self.router.route(kind, robot).local {
-                if state.believes(now, &header, &message, (body, proof)) && state.accept(&header, &message) {
+                if state.accept(now, &header, &message, (body, signature)) {
                     out.push(Out::Deliver(message));
                 }
             } else if self.shared[at] || !header.flags.has(Flags::DIRECT) {

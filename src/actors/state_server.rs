@@ -21,8 +21,7 @@ use crate::world::Placement;
 
 /// Period at which the state server decides whether to enter another phase: one step of a World.
 pub const TICK: Span = Span::from_millis(50);
-/// Period at which an unchanged instruction is repeated, with the tasks of one block of robots in turn if the team is
-/// larger.
+/// Period at which an unchanged instruction is repeated, with the tasks of one block of robots in turn.
 pub const MODE_PERIOD: Span = Span::from_millis(100);
 /// Number of times that a new instruction is sent with the tasks of all robots, in case copies are lost.
 pub const NEW_MODE_REPEATS: u32 = 3;
@@ -346,8 +345,7 @@ impl StateServer {
     fn send_mode(&mut self, out: &mut Vec<Out>) {
         let last = self.config.layouts.len() - 1;
         let tasks = self.config.layouts.episode(self.round.episode.min(last));
-        let size = self.config.block;
-        let blocks = tasks.len().div_ceil(size);
+        let (size, blocks) = (self.config.block, tasks.len().div_ceil(self.config.block));
         self.times_sent = if self.sent_at.is_none() { 1 } else { self.times_sent.saturating_add(1) };
         let turn = if self.times_sent <= NEW_MODE_REPEATS { 0..blocks } else { self.turn..self.turn + 1 };
         self.turn = turn.end % blocks;

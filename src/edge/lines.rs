@@ -3,7 +3,6 @@
 //! A line comes every few milliseconds. By then the code of an asynchronous runtime has left the processor's caches, so
 //! that a line would arrive some 30 us later, and every tenth 100 us later.
 
-use std::fs::File;
 use std::io::{self, BufRead, BufReader, PipeReader, PipeWriter, Read};
 use std::os::fd::{AsFd, OwnedFd};
 use std::thread;
@@ -34,7 +33,7 @@ impl Lines {
             let _guard = EndsProcess("the reader of a program's output");
             // Dropped at the end.
             let _alive: oneshot::Sender<()> = alive;
-            pass_on(Output { stdout: stdout.into(), end }, &sender);
+            pass_on(Output { stdout, end }, &sender);
         })?;
         Ok(Lines { ended, _end })
     }
@@ -47,7 +46,7 @@ impl Lines {
 
 /// Stdout of a program, which counts as closed once the other end of `end` is closed.
 struct Output {
-    stdout: File,
+    stdout: OwnedFd,
     end: PipeReader,
 }
 
@@ -58,7 +57,7 @@ impl Read for Output {
             Err(Errno::EINTR) => return Err(io::ErrorKind::Interrupted.into()),
             polled => polled?,
         };
-        if both[0].any() == Some(true) { Ok(0) } else { self.stdout.read(into) }
+        if both[0].any() == Some(true) { Ok(0) } else { Ok(nix::unistd::read(&self.stdout, into)?) }
     }
 }
 
@@ -69,6 +68,35 @@ fn pass_on(output: Output, sender: &PacketSender) {
         match (&mut output).take(LONGEST).read_until(b'\n', &mut line) {
             Ok(0) | Err(_) => return,
             Ok(_) => sender.send(Packet::from(line)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+    use std::time::Duration;
+
+    use super::super::channel::channel;
+    use super::*;
+
+    #[test]
+    fn the_thread_ends_when_it_is_dropped_although_a_process_keeps_the_output_open() {
+        let (mut gate, port) = channel("a program").expect("there are descriptors");
+        let (stdout, mut program) = io::pipe().expect("a pipe");
+        let lines = Lines::start(stdout.into(), port.sender(), "a program").expect("a thread");
+        program.write_all(b"one\ntwo").expect("it is read");
+        let mut heard = Vec::new();
+        while heard.is_empty() {
+            let bell = gate.bell();
+            poll(&mut [PollFd::new(bell.as_fd(), PollFlags::POLLIN)], PollTimeout::NONE).expect("it is rung");
+            gate.take(|packet| heard.push(packet));
+        }
+        assert_eq!(heard, [Packet::from(*b"one\n")]);
+        drop(lines);
+        // The other end of the pipe is closed by the thread alone.
+        while program.write_all(b"three\n").is_ok() {
+            thread::park_timeout(Duration::from_millis(5));
         }
     }
 }

@@ -110,7 +110,7 @@ pub struct Graph {
     pub(super) episodes: EpisodeNotice,
     /// Sink of all events of this process.
     pub(super) events: Rc<Events>,
-    /// Whether operators sign their orders where these end a stop or a hold.
+    /// Whether members sign what others may pass on, and operators what ends a stop or a hold.
     pub(super) signed: bool,
 }
 

@@ -23,11 +23,11 @@ struct Row {
     and_operators: bool,
     soft: bool,
     with_the_stop: bool,
-    proved: bool,
+    signed: bool,
 }
 
 const fn row(publisher: Publisher, receiver: Receiver) -> Row {
-    Row { publisher, receiver, and_operators: false, soft: false, with_the_stop: false, proved: false }
+    Row { publisher, receiver, and_operators: false, soft: false, with_the_stop: false, signed: false }
 }
 
 impl Row {
@@ -47,8 +47,8 @@ impl Row {
     }
 
     /// It is signed by its publisher where members have keys of their own.
-    const fn proved(self) -> Row {
-        Row { proved: true, ..self }
+    const fn signed(self) -> Row {
+        Row { signed: true, ..self }
     }
 }
 
@@ -135,9 +135,9 @@ kinds! {
     /// Progress of a robot in the episode, from the robot's Controller to the state server.
     Heartbeat = row(Publisher::Agent, Receiver::StateServer).soft();
     /// Instruction for the team's episode, from the state server (the team's coordinator) to every host.
-    Mode = row(Publisher::StateServer, Receiver::All).soft().proved();
+    Mode = row(Publisher::StateServer, Receiver::All).soft().signed();
     /// Emergency stop, re-arm or resume, from an operator or any host to every host.
-    Stop = row(Publisher::Anyone, Receiver::Movers).proved();
+    Stop = row(Publisher::Anyone, Receiver::Movers).signed();
     /// Emergency stop states of a host's robots, from the host to operators and the state server.
     Status = row(Publisher::Member, Receiver::StateServer).and_operators().with_the_stop();
     /// Request for telemetry, from an observer to every host.
@@ -197,8 +197,8 @@ impl Kind {
 
     /// Whether messages of this kind are signed by their publisher, and believed with its signature alone, where
     /// members have keys of their own.
-    pub fn is_proved(self) -> bool {
-        self.row().proved
+    pub fn is_signed(self) -> bool {
+        self.row().signed
     }
 }
 
@@ -242,7 +242,7 @@ mod tests {
             let operators = if kind.is_for_operators() { "; operators" } else { "" };
             let (from, to) = (publisher(kind), receiver(kind));
             let (soft, with) = (yes(kind.is_soft()), yes(kind.follows_the_stop()));
-            let signed = yes(kind.is_proved());
+            let signed = yes(kind.is_signed());
             table += &format!("| {byte} | `{kind:?}` | {from} | {to}{operators} | {soft} | {with} | {signed} |\n");
         }
         let page = include_str!("../../docs/wire.md");

@@ -9,16 +9,14 @@ use murmurate::actor::Core;
 use murmurate::actors::network::{Config, Identity, In, Network, Out};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::latch::Latch;
-use murmurate::messages::wire::{Heartbeat, Kind, Phase, Release, Round, Stop, Wire};
+use murmurate::messages::wire::{Heartbeat, Kind, Phase, Round, Stop, Wire};
 use murmurate::net::protocol::codec::TAG_BYTES;
 use murmurate::net::protocol::codec::{self, Content, Flags, Header};
 use murmurate::net::protocol::key::Key;
 use murmurate::net::protocol::link::{Guest, LinkCounts, Standing};
-use murmurate::net::protocol::member::public;
 use murmurate::net::protocol::reliability::{Reliabilities, Setup};
 use murmurate::net::protocol::report::{Entry, Report, Stamp};
 use murmurate::net::protocol::router::{Audience, Publishers, Route, Router};
-use murmurate::net::protocol::signatures::Signatures;
 use murmurate::time::{Span, Time};
 use proptest::prelude::*;
 
@@ -646,50 +644,4 @@ proptest! {
             network.wake(Time::ZERO, &mut Vec::new());
         }
     }
-}
-
-#[test]
-fn a_re_arm_is_believed_of_an_operator_for_this_run_of_a_host_and_of_nobody_else() {
-    let operator = HostId::operator(1);
-    let secret = |member: u16| *blake3::hash(&member.to_le_bytes()).as_bytes();
-    let members = [0, 1, operator.0].map(|member| (HostId(member), public(&secret(member)))).into();
-    let keys = |own| key().with_signatures(Signatures::new(Some(own), &members).expect("public keys"));
-    let host = |host: u16, incarnation: u32| {
-        let router = Router::new(3, |_, _| Route { local: host != operator.0, leaves: Some((LINK, Audience::All)) });
-        let key = Some(keys(secret(host)));
-        Config { router, ..config(host, 3, incarnation, key, multicast(Reliabilities::new())) }
-    };
-    let mut rig = Rig::new([host(0, 1), host(1, 2), host(operator.0, 3)]);
-    rig.meet();
-    rig.delivered[0].clear();
-    let rearm = Stop { by: operator, latch: Latch::held(4) };
-    rig.publish(2, Wire::Stop(rearm));
-    rig.run_ms(10);
-    let heard = |rig: &Rig| -> Vec<Release> {
-        let release = |message: &Wire| if let Wire::Release(release) = message { Some(release.clone()) } else { None };
-        rig.delivered[0].iter().filter_map(|(_, message)| release(message)).collect()
-    };
-    let [release] = &heard(&rig)[..] else { panic!("it is heard once") };
-    assert_eq!((release.stop(), &release.hosts[..]), (rearm, &[(HostId(0), 1), (HostId(1), 2)][..]));
-    // An unchanged copy that a member sends is believed; an altered one is not.
-    let mut altered = release.clone();
-    altered.latch = Latch::clear(5);
-    let lies = [Wire::Release(altered), Wire::Stop(Stop { by: operator, latch: Latch::clear(5) })];
-    let release = release.clone();
-    rig.delivered[0].clear();
-    rig.publish(1, Wire::Release(release.clone()));
-    rig.run_ms(10);
-    assert_eq!(heard(&rig), std::slice::from_ref(&release));
-    rig.delivered[0].clear();
-    lies.iter().for_each(|lie| rig.publish(1, lie.clone()));
-    rig.run_ms(10);
-    assert!(rig.delivered[0].is_empty() && rig.counted(0).unsigned == 2, "{:?}", rig.counted(0));
-    // Another run of the host believes no recording of it.
-    rig.restart(0, host(0, 9));
-    rig.run_ms(1000);
-    rig.meet();
-    rig.delivered[0].clear();
-    rig.publish(1, Wire::Release(release));
-    rig.run_ms(10);
-    assert!(heard(&rig).is_empty() && rig.counted(0).unsigned == 1, "{:?}", rig.counted(0));
 }

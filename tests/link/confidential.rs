@@ -167,6 +167,6 @@ fn confidentiality_takes_16_bytes_of_a_latent_with_one_tag_and_32_of_one_with_a_
         let clear = length(key.clone(), to);
         assert_eq!(length(key.confidential(), to), clear + more);
     }
-    // The largest messages fit beside what encryption and the tags of all members take.
+    // The largest messages fit beside what encryption and the tags of twelve members take.
     const { assert!(MAX_PLAIN_BYTES + 12 * SHORT_TAG_BYTES < MAX_FRAME_BYTES) };
 }

@@ -15,8 +15,8 @@ use murmurate::messages::geometry::{Motion, Pose, Task, Vec2};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::latch::Latch;
 use murmurate::messages::wire::{
-    Heartbeat, Located, Mode, MotorCommand, Observe, Phase, Place, Reading, Release, Round, Signature, Status, Stop,
-    Telemetry, Whereabouts, Wire,
+    Heartbeat, KINDS, Located, Mode, MotorCommand, Observe, Phase, Place, Reading, Release, Round, Signature, Status,
+    Stop, Telemetry, Whereabouts, Wire,
 };
 use murmurate::net::protocol::codec::{self, Flags, Header};
 use murmurate::net::protocol::key::Key;
@@ -75,7 +75,7 @@ fn may_say(message: &Wire, recorded: &Wire) -> bool {
         Wire::Heartbeat(beat) => beat.robot == own,
         Wire::Latent(latent) => latent.robot == own,
         Wire::MotorCommand(command) => command.robot == own,
-        Wire::Stop(stop) => stop.latch.is_engaged() || (stop.latch.is_held() && stop.by == MEMBER),
+        Wire::Stop(stop) => stop.by == MEMBER && !stop.latch.is_clear(),
         Wire::Status(status) => status.host == MEMBER,
         Wire::Telemetry(telemetry) => telemetry.host == MEMBER,
         Wire::Located(located) => located.host == MEMBER && located.robots.is_empty(),
@@ -126,13 +126,23 @@ fn team() -> (Rig, Wire) {
     (rig, recorded)
 }
 
-/// Appends the member's proof of the one message in a datagram, as docs/wire.md says: the message counts with it alone.
-fn prove(frame: &mut Vec<u8>, edition: u32) {
+/// Appends the member's signature to a datagram that begins with a message which counts with it alone, as docs/wire.md
+/// says. All that follows the header of its block is the body of the message then.
+fn sign(frame: &mut Vec<u8>, edition: u32) {
+    const BODY: usize = codec::HEADER_BYTES + codec::BLOCK_BYTES;
+    let kind = frame.get(codec::HEADER_BYTES).and_then(|byte| KINDS.get(usize::from(*byte)));
+    if frame.len() < BODY || !kind.is_some_and(|kind| kind.is_signed()) {
+        return;
+    }
+    let length = (frame.len() - BODY) as u16;
+    frame[BODY - 2..BODY].copy_from_slice(&length.to_le_bytes());
     let mut signed = b"murmurate 2026-11-28 message".to_vec();
-    signed.extend_from_slice(&frame[2..10]);
+    signed.extend_from_slice(&frame[2..4]);
+    signed.extend_from_slice(&LINK.0.to_le_bytes());
+    signed.extend_from_slice(&frame[4..10]);
     signed.extend_from_slice(&edition.to_le_bytes());
     signed.push(frame[codec::HEADER_BYTES]);
-    signed.extend_from_slice(&frame[codec::HEADER_BYTES + codec::BLOCK_BYTES..]);
+    signed.extend_from_slice(&frame[BODY..]);
     let signature = SigningKey::from_bytes(&secret(MEMBER)).sign(&signed).to_bytes();
     frame.extend_from_slice(&[0x86, 68, 0]);
     frame.extend_from_slice(&edition.to_le_bytes());
@@ -145,13 +155,13 @@ fn sealed(stream: &mut Stream, seal: &Key, (message, sequence): (&Wire, u32), ot
     let flags = Flags(if direct { Flags::DIRECT } else { 0 });
     let header = Header { flags, team: TEAM, sender: MEMBER, incarnation: 1, sequence };
     let mut frame = codec::encode(&header, message).expect("a sound message").to_vec();
-    if message.kind().is_proved() && stream.random_range(0..8u8) > 0 {
-        prove(&mut frame, sequence);
-    }
     if stream.random_range(0..3u8) > 0 {
         let mut body = frame.split_off(codec::HEADER_BYTES);
         mutate(&mut body, &others[stream.random_range(0..others.len())], stream);
         frame.extend_from_slice(&body);
+    }
+    if stream.random_range(0..8u8) > 0 {
+        sign(&mut frame, sequence);
     }
     let fits = frame.len() <= codec::MAX_PLAIN_BYTES - 40;
     fits.then(|| seal.seal(&mut frame, LINK, direct.then_some(HostId(0))));

@@ -10,5 +10,6 @@ mod reliability;
 mod repairs;
 mod rig;
 mod rosters;
+mod signed;
 mod soft_state;
 mod wire;

@@ -76,7 +76,7 @@ pub struct HostIdentity {
     pub transports: Vec<usize>,
     /// Whether the team had a key. The key itself is never in a record.
     pub keyed: bool,
-    /// Whether the team's operators signed what ended a stop or a hold.
+    /// Whether the team's members signed what others may pass on, and its operators what ended a stop or a hold.
     #[serde(default)]
     pub signed: bool,
     /// Roster of the team's members with which the process began, as hexadecimal digits of the bytes that the root key

@@ -125,7 +125,8 @@ pub fn read(
 
 /// Returns episode and phase that the instruction in a datagram gives; `None` for another datagram.
 fn followed(datagram: &[u8]) -> Option<(Json, String)> {
-    let (_, Wire::Mode(mode)) = codec::decode(datagram).ok()? else { return None };
+    let (kind, body, _) = codec::messages(datagram).next()?;
+    let Wire::Mode(mode) = codec::message(kind, body).ok()? else { return None };
     Some((mode.round.episode.into(), name_of(mode.phase).to_owned()))
 }
 

@@ -235,18 +235,21 @@ impl Reading<'_> {
                     plain
                 }
             };
-            let Ok((header, message)) = codec::decode(&plain) else { continue };
+            let Ok(header) = codec::peek(&plain) else { continue };
             let number = (header.incarnation, header.sequence);
             let newest = self.newest.get(&(host, header.sender));
             if newest.is_some_and(|(incarnation, sequence)| *incarnation == number.0 && *sequence >= number.1) {
                 continue;
             }
             self.newest.insert((host, header.sender), number);
-            let latent_of = if let Wire::Latent(latent) = &message { Some(latent.robot) } else { None };
-            if !self.published.contains(&header.sender) {
-                self.sights.push((now, Sight::Message(slim(message))));
+            for (kind, body, _) in codec::messages(&plain) {
+                let Ok(message) = codec::message(kind, body) else { break };
+                let latent_of = if let Wire::Latent(latent) = &message { Some(latent.robot) } else { None };
+                if !self.published.contains(&header.sender) {
+                    self.sights.push((now, Sight::Message(slim(message))));
+                }
+                self.sights.extend(latent_of.map(|robot| (now, Sight::Arrived(host, robot))));
             }
-            self.sights.extend(latent_of.map(|robot| (now, Sight::Arrived(host, robot))));
         }
     }
 }

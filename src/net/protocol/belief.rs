@@ -1,13 +1,14 @@
-//! Which messages of an accepted sender are believed where members have keys of their own: those with the signature
-//! that they need. `proofs` checks signatures.
+//! Which messages of an accepted sender are taken: those that are newer than others of their stream, and, where members
+//! have keys of their own, have the signature that they need. `signing` checks signatures.
 
-use super::codec::Header;
+use super::codec::{Flags, Header};
 use super::incoming::Incoming;
 use super::key::Key;
 use super::link::LinkState;
-use super::proofs;
 use super::retransmit::StreamId;
 use super::signatures::{Signatures, Signed};
+use super::signing;
+use crate::messages::ids::LinkId;
 use crate::messages::wire::Wire;
 use crate::time::Time;
 
@@ -21,16 +22,17 @@ enum Claim {
     Signed(Signed),
 }
 
-/// Returns what the process with the header `me` has to check of a message with this body, and the proof after it, from
-/// the process with the header `sender`. No order without a signature in the name of an operator is believed.
+/// Returns what the process with the header `me` has to check of a message with this body, and the signature after it,
+/// from the process with the header `sender` on a link. A stop in the name of another member is not believed, and no
+/// order without a signature in the name of an operator.
 fn claim(
     by: &Signatures,
-    (me, sender): (&Header, &Header),
+    (me, sender, link): (&Header, &Header, LinkId),
     message: &Wire,
-    (body, proof): (&[u8], Option<&[u8]>),
+    (body, signature): (&[u8], Option<&[u8]>),
 ) -> Claim {
     match message {
-        Wire::Stop(stop) if stop.releases() && stop.by.is_operator() => Claim::Refused,
+        Wire::Stop(stop) if stop.by != sender.sender || stop.releases() && stop.by.is_operator() => Claim::Refused,
         Wire::Release(release) => {
             // An operator only shows it.
             let is_for_me = me.sender.is_operator() || release.names(me.sender, me.incarnation);
@@ -40,14 +42,21 @@ fn claim(
                 Claim::Refused
             }
         }
-        _ if !message.kind().is_proved() || by.are_trusted() => Claim::Plain,
-        _ => proof
-            .and_then(|proof| proofs::claimed(sender, message.kind(), body, proof))
+        _ if !message.kind().is_signed() || by.are_trusted() => Claim::Plain,
+        _ => signature
+            .and_then(|block| signing::claimed((sender, link), message.kind(), body, block))
             .map_or(Claim::Refused, Claim::Signed),
     }
 }
 
 impl Incoming {
+    /// Returns whether a message about `robot` is newer than all others of its stream (kind and robot).
+    pub(super) fn is_newest(&self, header: &Header, (kind, robot): StreamId) -> bool {
+        let Some(sender) = self.senders.get((header.sender, header.incarnation)) else { return false };
+        let newest = sender.spaces[usize::from(header.flags.has(Flags::DIRECT))].newest.get(&(kind, robot));
+        newest.is_none_or(|newest| (1..=u32::MAX / 2).contains(&header.sequence.wrapping_sub(*newest)))
+    }
+
     fn checks(&mut self, now: Time, header: &Header, stream: StreamId, (signed, by): (&Signed, &Signatures)) -> bool {
         let sender = self.senders.get_mut((header.sender, header.incarnation));
         sender.is_some_and(|sender| sender.checked.check(now, stream, signed, by))
@@ -62,11 +71,11 @@ impl LinkState {
         now: Time,
         header: &Header,
         message: &Wire,
-        (body, proof): (&[u8], Option<&[u8]>),
+        body: (&[u8], Option<&[u8]>),
     ) -> bool {
         let Some(by) = self.key.as_ref().and_then(Key::signatures) else { return true };
         let me = Header { sender: self.me.host, incarnation: self.me.incarnation, ..*header };
-        let believed = match claim(by, (&me, header), message, (body, proof)) {
+        let believed = match claim(by, (&me, header, self.id), message, body) {
             Claim::Plain => true,
             Claim::Refused => false,
             Claim::Signed(signed) => {
@@ -83,7 +92,7 @@ impl LinkState {
 mod tests {
     use super::super::codec::{self, BLOCK_BYTES, Flags, Frame, HEADER_BYTES, MAX_MEMBERS};
     use super::super::member::public;
-    use super::super::proofs::{Checked, Proofs};
+    use super::super::signing::{Checked, Signing};
     use super::super::tags::Bytes;
     use super::*;
     use crate::messages::geometry::{Task, Vec2};
@@ -93,9 +102,10 @@ mod tests {
     use crate::time::Span;
 
     const SERVER: HostId = HostId(4);
+    const LINK: LinkId = LinkId(2);
     const OPERATOR: HostId = HostId::operator(1);
-    /// Length of a proof with the header of its block \[bytes\].
-    const PROOF_BYTES: usize = BLOCK_BYTES + 4 + 64;
+    /// Length of a signature with edition and the header of its block \[bytes\].
+    const SIGNED_BYTES: usize = BLOCK_BYTES + 4 + 64;
 
     fn secret(member: HostId) -> Bytes {
         *blake3::hash(&member.0.to_le_bytes()).as_bytes()
@@ -121,20 +131,20 @@ mod tests {
         Wire::Stop(Stop { by: SERVER, latch: Latch::engaged(number) })
     }
 
-    fn proved(proofs: &mut Proofs, me: &Header, message: &Wire) -> Frame {
+    fn signed(signing: &mut Signing, me: &Header, message: &Wire) -> Frame {
         let encoded = codec::encode(me, message).expect("it is sound");
         let stream = (message.kind(), message.robot());
-        proofs.prove(&of(me.sender), me, stream, &encoded).expect("it has a key")
+        signing.sign(&of(me.sender), (me, LINK), stream, &encoded).expect("it has a key")
     }
 
     /// Whether a host that has checked `checked` believes the only message of a datagram.
     fn believed(checked: &mut Checked, ms: u64, datagram: &[u8]) -> bool {
         let header = codec::peek(datagram).expect("it is one");
-        let (kind, body, proof) = codec::messages(datagram).next().expect("it has a message");
+        let (kind, body, signature) = codec::messages(datagram).next().expect("it has a message");
         let message = codec::message(kind, body).expect("it is sound");
         let now = Time::ZERO + Span::from_millis(ms);
         let by = of(HostId(0));
-        match claim(&by, (&self::header(0, 1), &header), &message, (body, proof)) {
+        match claim(&by, (&self::header(0, 1), &header, LINK), &message, (body, signature)) {
             Claim::Signed(signed) => checked.check(now, (kind, message.robot()), &signed, &by),
             Claim::Plain => true,
             Claim::Refused => false,
@@ -148,7 +158,7 @@ mod tests {
     /// Whether a process believes a release that any member has sent it.
     fn takes(me: &Header, message: &Wire) -> bool {
         let by = of(HostId(0));
-        match claim(&by, (me, &header(3, 3)), message, (&[], None)) {
+        match claim(&by, (me, &header(3, 3), LINK), message, (&[], None)) {
             Claim::Plain => true,
             Claim::Refused => false,
             Claim::Signed(signed) => by.verify(&signed),
@@ -186,7 +196,7 @@ mod tests {
     fn a_stop_and_an_instruction_are_believed_of_their_signer_as_they_are_or_not_at_all() {
         let me = header(4, 9);
         for message in [mode(3, 5), stop(1)] {
-            let sound = proved(&mut Proofs::default(), &me, &message);
+            let sound = signed(&mut Signing::default(), &me, &message);
             let fresh = || Checked::new(Time::ZERO);
             assert!(believed(&mut fresh(), 0, &sound));
             let in_name_of = |header: &Header| {
@@ -198,52 +208,52 @@ mod tests {
             assert!(others.iter().all(|header| !believed(&mut fresh(), 0, &in_name_of(header))));
             assert!(believed(&mut fresh(), 0, &in_name_of(&Header { sequence: 77, ..me })), "it is repeated");
             let bare = codec::encode(&me, &message).expect("it is sound");
-            assert!(!believed(&mut fresh(), 0, &bare), "without a proof");
-            for bit in 0..8 * (PROOF_BYTES - BLOCK_BYTES) {
+            assert!(!believed(&mut fresh(), 0, &bare), "without a signature");
+            for bit in 0..8 * (SIGNED_BYTES - BLOCK_BYTES) {
                 let mut turned = sound.to_vec();
                 let at = turned.len() - 1 - bit / 8;
                 turned[at] ^= 1 << (bit % 8);
                 assert!(!believed(&mut fresh(), 0, &turned), "bit {bit} from the end");
             }
         }
-        // The proof of one message after another one.
-        let [first, second] = [mode(3, 5), mode(4, 5)].map(|mode| proved(&mut Proofs::default(), &me, &mode));
-        let mut mixed = first[..first.len() - PROOF_BYTES].to_vec();
-        mixed.extend_from_slice(&second[second.len() - PROOF_BYTES..]);
+        // The signature of one message after another one.
+        let [first, second] = [mode(3, 5), mode(4, 5)].map(|mode| signed(&mut Signing::default(), &me, &mode));
+        let mut mixed = first[..first.len() - SIGNED_BYTES].to_vec();
+        mixed.extend_from_slice(&second[second.len() - SIGNED_BYTES..]);
         assert!(!believed(&mut Checked::new(Time::ZERO), 0, &mixed));
     }
 
     #[test]
-    fn what_is_repeated_has_the_same_proof_and_an_older_instruction_is_not_believed_again_but_a_stop_is() {
-        let (me, mut proofs, mut checked) = (header(4, 9), Proofs::default(), Checked::new(Time::ZERO));
-        let first = proved(&mut proofs, &me, &mode(3, 5));
-        assert_eq!(proved(&mut proofs, &me, &mode(3, 5)), first);
-        let second = proved(&mut proofs, &me, &mode(4, 5));
-        let back = proved(&mut proofs, &me, &mode(3, 5));
+    fn what_is_repeated_has_the_same_signature_and_an_older_instruction_is_not_believed_again_but_a_stop_is() {
+        let (me, mut signing, mut checked) = (header(4, 9), Signing::default(), Checked::new(Time::ZERO));
+        let first = signed(&mut signing, &me, &mode(3, 5));
+        assert_eq!(signed(&mut signing, &me, &mode(3, 5)), first);
+        let second = signed(&mut signing, &me, &mode(4, 5));
+        let back = signed(&mut signing, &me, &mode(3, 5));
         assert_ne!(back, first, "it is said anew");
         assert!([&first, &second, &back].iter().all(|frame| believed(&mut checked, 0, frame)));
         assert!(!believed(&mut checked, 0, &first) && !believed(&mut checked, 0, &second));
-        let [one, two] = [stop(1), stop(3)].map(|stop| proved(&mut proofs, &me, &stop));
+        let [one, two] = [stop(1), stop(3)].map(|stop| signed(&mut signing, &me, &stop));
         assert!([&two, &one, &two].iter().all(|frame| believed(&mut checked, 0, frame)));
     }
 
     #[test]
     fn a_sender_that_signs_without_pause_is_checked_at_a_rate_and_what_was_checked_stays_believed() {
-        let (me, mut proofs, mut checked) = (header(4, 9), Proofs::default(), Checked::new(Time::ZERO));
-        let first = proved(&mut proofs, &me, &stop(1));
+        let (me, mut signing, mut checked) = (header(4, 9), Signing::default(), Checked::new(Time::ZERO));
+        let first = signed(&mut signing, &me, &stop(1));
         assert!(believed(&mut checked, 0, &first));
-        let flood = (2..=1000u64).filter(|at| believed(&mut checked, *at, &proved(&mut proofs, &me, &stop(*at))));
+        let flood = (2..=1000u64).filter(|at| believed(&mut checked, *at, &signed(&mut signing, &me, &stop(*at))));
         let checks = flood.count();
         assert!((190..=200).contains(&checks), "{checks} in a second");
-        let last = proved(&mut proofs, &me, &stop(2000));
+        let last = signed(&mut signing, &me, &stop(2000));
         assert!(believed(&mut checked, 2000, &last) && believed(&mut checked, 2000, &last));
     }
 
     #[test]
-    fn the_largest_instruction_fits_with_its_proof_into_a_confidential_datagram_of_the_largest_team() {
+    fn the_largest_instruction_fits_with_its_signature_into_a_confidential_datagram_of_the_largest_team() {
         let pairs = (0..MAX_MEMBERS as u16).map(|host| (HostId(host), [host as u8; 32])).collect();
         let room = Key::of_member([1; 32], pairs).confidential().room();
-        let largest = proved(&mut Proofs::default(), &header(4, u32::MAX), &mode(u32::MAX, MAX_SIGNED_BLOCK));
+        let largest = signed(&mut Signing::default(), &header(4, u32::MAX), &mode(u32::MAX, MAX_SIGNED_BLOCK));
         assert!(largest.len() <= room, "{} of {room}", largest.len());
     }
 }

@@ -116,8 +116,8 @@ pub enum Content {
     Held,
     /// Roster of the team's members (`roster`), in a datagram of its own.
     Roster,
-    /// Signature of the message in the block before it (`proofs`).
-    Proof,
+    /// Signature of the message in the block before it (`signing`).
+    Signature,
     /// Content of a later version, with its byte; it is passed over.
     Other(u8),
 }
@@ -129,7 +129,7 @@ impl Content {
     const HELD: u8 = 0x83;
     const NUMBERED_REPORT: u8 = 0x84;
     const ROSTER: u8 = 0x85;
-    const PROOF: u8 = 0x86;
+    const SIGNATURE: u8 = 0x86;
 
     fn byte(self) -> u8 {
         match self {
@@ -140,7 +140,7 @@ impl Content {
             Content::Nack => Content::NACK,
             Content::Held => Content::HELD,
             Content::Roster => Content::ROSTER,
-            Content::Proof => Content::PROOF,
+            Content::Signature => Content::SIGNATURE,
             Content::Other(byte) => byte,
         }
     }
@@ -150,7 +150,7 @@ impl Content {
             Content::REPORT => Content::Report,
             Content::NUMBERED_REPORT => Content::NumberedReport,
             Content::ROSTER => Content::Roster,
-            Content::PROOF => Content::Proof,
+            Content::SIGNATURE => Content::Signature,
             Content::ACK => Content::Ack,
             Content::NACK => Content::Nack,
             Content::HELD => Content::Held,
@@ -294,8 +294,8 @@ pub fn blocks(plain: &[u8]) -> impl Iterator<Item = Result<(Content, &[u8]), Dec
     })
 }
 
-/// Returns the messages of a datagram without authentication tag, each as its kind, its body, and the body of the proof
-/// that follows it, if one does.
+/// Returns the messages of a datagram without authentication tag, each as its kind, its body, and the body of
+/// the signature that follows it, if one does.
 pub fn messages(plain: &[u8]) -> impl Iterator<Item = (Kind, &[u8], Option<&[u8]>)> {
     let mut blocks = blocks(plain).flatten().peekable();
     std::iter::from_fn(move || {
@@ -303,8 +303,8 @@ pub fn messages(plain: &[u8]) -> impl Iterator<Item = (Kind, &[u8], Option<&[u8]
             Content::Message(kind) => Some((kind, body)),
             _ => None,
         })?;
-        let proof = blocks.next_if(|(content, _)| *content == Content::Proof).map(|(_, proof)| proof);
-        Some((kind, body, proof))
+        let signature = blocks.next_if(|(content, _)| *content == Content::Signature).map(|(_, body)| body);
+        Some((kind, body, signature))
     })
 }
 

@@ -288,6 +288,8 @@ impl Incoming {
             self.senders.remove(current_id);
         } else if let Some(before) = self.senders.get(id) {
             (sender.duplicate_ids, sender.predecessor) = (before.duplicate_ids, before.predecessor);
+            // It is the same run: a recording of its stops is none of a new one.
+            (sender.stop, sender.checked) = (before.stop, before.checked.clone());
         } else if !self.senders.make_room(now, header.sender) {
             counts.crowd += 1;
             return Err(Admission::Refused);

@@ -72,13 +72,14 @@ impl Key {
         Key { secret, accepts: Accepts::InClear, signatures: None, membership: None, former: None }
     }
 
-    /// Returns the keys of a process of a team whose operators sign what ends a stop or a hold.
+    /// Returns the keys of a process of a team whose members sign what others may pass on, and its operators what ends
+    /// a stop or a hold.
     pub fn with_signatures(self, signatures: Signatures) -> Key {
         Key { signatures: Some(Arc::new(signatures)), ..self }
     }
 
-    /// Creates the keys of the member `member`: those with each other member, those by which it signs orders and checks
-    /// them, and what the keys of the next roster are made from.
+    /// Creates the keys of the member `member`: those with each other member, those by which it signs and checks what
+    /// others have signed, and what the keys of the next roster are made from.
     pub fn of(member: Member) -> Key {
         let key = Key::of_member(member.shared(), member.pairs()).with_signatures(member.signatures());
         let (roster, sealed) = (member.roster().clone(), member.sealed().cloned());
@@ -177,7 +178,7 @@ impl Key {
         Key { former: None, ..self }
     }
 
-    /// Returns the keys by which orders are signed and checked; `None` in a team whose operators sign nothing.
+    /// Returns the keys by which messages are signed and checked; `None` in a team whose members sign nothing.
     pub fn signatures(&self) -> Option<&Signatures> {
         self.signatures.as_deref()
     }
@@ -244,11 +245,12 @@ impl Key {
 
     /// Returns the length of the largest datagram that may be sealed \[bytes\].
     pub fn room(&self) -> usize {
-        let tags = match &self.secret {
+        let tags = |secret: &Secret| match secret {
             Secret::Member(member) => member.pairs.len() * SHORT_TAG_BYTES + 1,
             Secret::Team(_) | Secret::Accepted(_) => TAG_BYTES,
         };
-        let room = MAX_PLAIN_BYTES.min(MAX_FRAME_BYTES - tags);
+        let former = self.former.as_ref().map_or(0, |former| tags(&former.secret));
+        let room = MAX_PLAIN_BYTES.min(MAX_FRAME_BYTES - tags(&self.secret).max(former));
         room - if self.is_confidential() { ENCRYPTION_BYTES } else { 0 }
     }
 

@@ -72,7 +72,7 @@ pub struct Guest {
 #[derive(Clone, Debug)]
 pub struct LinkState {
     pub(super) me: Identity,
-    id: LinkId,
+    pub(super) id: LinkId,
     pub(super) key: Option<Key>,
     /// Smallest host id that is no host of the team.
     first_guest: HostId,
@@ -210,14 +210,11 @@ impl LinkState {
             if waits {
                 self.heard = Some(Arrival { host: header.sender, standing: Standing::Candidate, proves: false });
             }
-            if refusal != Refusal::Unproven {
-                self.urgent = self.new_stop(now, &header, &plain);
-            }
-            if self.urgent.is_some() {
-                self.counts.refuse(refusal, 1);
-                return Ok(None);
-            }
-            return Err(refusal);
+            let stop = if refusal == Refusal::Unproven { None } else { self.new_stop(now, &header, &plain) };
+            let Some(stop) = stop else { return Err(refusal) };
+            self.urgent = stop;
+            self.counts.refuse(refusal, 1);
+            return Ok(None);
         }
         self.incoming.duplicate_ids.uptime(now);
         if own_id {
@@ -237,7 +234,7 @@ impl LinkState {
         let proves = self.key.is_none() || self.incoming.has_proved();
         self.heard = standing.map(|standing| Arrival { host: header.sender, standing, proves });
         if matches!(verdict, Admission::Duplicate | Admission::Refused) {
-            self.urgent = self.new_stop(now, &header, &plain);
+            self.urgent = self.new_stop(now, &header, &plain).flatten();
         }
         if matches!(verdict, Admission::Candidate(_) | Admission::Refused) {
             return Ok(None);
@@ -342,11 +339,23 @@ impl LinkState {
         self.incoming.duplicate_ids.duplicate()
     }
 
-    /// Returns whether a decoded message is newer than all others of its stream (kind and robot), and records it if so.
-    /// A new emergency stop of its sender always is.
-    pub fn accept(&mut self, header: &Header, message: &Wire) -> bool {
-        let stops = matches!(message, Wire::Stop(stop) if self.incoming.is_new_stop(header, *stop));
-        self.incoming.accept(header, message.kind(), message.robot(), &mut self.counts) || stops
+    /// Returns whether a decoded message is newer than all others of its stream (kind and robot) and believed, and
+    /// records it if so. A new emergency stop of its sender counts as newer. `body` is that of the message, and the
+    /// signature that which follows it.
+    pub fn accept(&mut self, now: Time, header: &Header, message: &Wire, body: (&[u8], Option<&[u8]>)) -> bool {
+        let (kind, robot) = (message.kind(), message.robot());
+        let stop = if let Wire::Stop(stop) = message { Some(*stop) } else { None };
+        let stop = stop.filter(|stop| self.incoming.is_new_stop(header, *stop));
+        if stop.is_none() && !self.incoming.is_newest(header, (kind, robot)) {
+            return self.incoming.accept(header, kind, robot, &mut self.counts);
+        }
+        if !self.believes(now, header, message, body) {
+            return false;
+        }
+        if let Some(stop) = stop {
+            self.incoming.note_stop(header, stop);
+        }
+        self.incoming.accept(header, kind, robot, &mut self.counts) || stop.is_some()
     }
 
     /// Returns the sender of the last datagram, and whether it is accepted or has to prove its liveness first. `None`

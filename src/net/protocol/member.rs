@@ -24,8 +24,11 @@ pub struct Member {
     team: u16,
     number: HostId,
     secret: Bytes,
-    /// Public root key of the team.
+    /// Its own public key.
+    public: Bytes,
+    /// Public root key of the team, and the key by which rosters are encrypted for the member.
     root: Bytes,
+    wrap: Bytes,
     /// Key that all members have.
     shared: Bytes,
     roster: Roster,
@@ -63,7 +66,10 @@ impl Member {
         if !all.into_iter().all(|key| agreed(&secret, key).is_some()) {
             return Err(MemberError::Public);
         }
-        Ok(Member { team, number, secret, root, shared, roster, sealed: None })
+        let public = public(&secret);
+        let wrap = agreed(&secret, &root).ok_or(MemberError::Public)?;
+        let wrap = of_rosters(&wrap, team, &root, (number, &public));
+        Ok(Member { team, number, secret, public, root, wrap, shared, roster, sealed: None })
     }
 
     /// Returns the roster that is in force for the member.
@@ -86,9 +92,8 @@ impl Member {
     /// # Errors
     /// If the root key has not made it, it is not newer than the present one, or the member is not in it.
     pub fn take(&self, bytes: &[u8]) -> Result<Member, RosterError> {
-        let (public, wrap) = self.of_rosters()?;
-        let who = (self.team, self.number, &public);
-        let (roster, shared) = roster::open(bytes, who, self.roster.number, (&self.root, &wrap))?;
+        let who = (self.team, self.number, &self.public);
+        let (roster, shared) = roster::open(bytes, who, self.roster.number, (&self.root, &self.wrap))?;
         if !roster.members.values().all(|key| agreed(&self.secret, key).is_some()) {
             return Err(RosterError::Malformed);
         }
@@ -97,8 +102,8 @@ impl Member {
 
     /// Checks by the page of a roster that names this member that the root key has made its head.
     pub(super) fn check(&self, head: &Head, page: (usize, &Page)) -> Result<(), RosterError> {
-        let (public, wrap) = self.of_rosters()?;
-        roster::open_page(head, page, (self.team, self.number, &public), (&self.root, &wrap)).map(drop)
+        let who = (self.team, self.number, &self.public);
+        roster::open_page(head, page, who, (&self.root, &self.wrap)).map(drop)
     }
 
     /// Returns whether the root key has made the head of a roster, whoever is in it.
@@ -106,16 +111,9 @@ impl Member {
         head.is_signed(self.team, &self.root)
     }
 
-    /// Returns the public key of this member, and the key by which rosters are encrypted for it.
-    fn of_rosters(&self) -> Result<(Bytes, Bytes), RosterError> {
-        let public = public(&self.secret);
-        let wrap = agreed(&self.secret, &self.root).ok_or(RosterError::Unsigned)?;
-        Ok((public, of_rosters(&wrap, self.team, &self.root, (self.number, &public))))
-    }
-
     /// Returns for each member, this one included, the key that only the two have.
     pub fn pairs(&self) -> BTreeMap<HostId, Bytes> {
-        let own = public(&self.secret);
+        let own = self.public;
         let pairs = self.roster.members.iter().map(|(number, key)| {
             let agreed = agreed(&self.secret, key).expect("it was checked when the roster was taken");
             (*number, of_pair(&agreed, self.team, (self.number, &own), (*number, key)))

@@ -10,12 +10,12 @@ use super::codec::{MAX_FRAME_BYTES, MAX_PLAIN_BYTES, add};
 use super::counts::LinkCounts;
 use super::incoming::{Incoming, Urgency};
 use super::key::Key;
-use super::proofs::Proofs;
 use super::reliability::{Heartbeats, Piggyback, Reliability, Reports, Setup};
 use super::report::{DatagramId, write_held, write_ids};
 use super::report_schedule::Occasion;
 use super::retransmit::{Retransmitter, Untagged};
 use super::router::Audience;
+use super::signing::Signing;
 use super::soft::{Roomy, Soft};
 use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Wire};
@@ -45,7 +45,7 @@ pub struct Outgoing {
     link: LinkId,
     pub(super) key: Option<Key>,
     /// Largest datagram without its tags \[bytes\].
-    room: usize,
+    pub(super) room: usize,
     setup: Setup,
     to_all: u32,
     direct: BTreeMap<HostId, u32>,
@@ -66,7 +66,7 @@ pub struct Outgoing {
     /// Whether report entries contain the number of the next unicast datagram to their host.
     numbered: bool,
     acks: Acks,
-    proofs: Proofs,
+    signing: Signing,
 }
 
 impl Outgoing {
@@ -96,7 +96,7 @@ impl Outgoing {
             urgent_bucket: Bucket::full(Time::ZERO, &URGENT_RATE),
             numbered,
             acks: Acks::default(),
-            proofs: Proofs::default(),
+            signing: Signing::default(),
         }
     }
 
@@ -118,12 +118,12 @@ impl Outgoing {
         let reliability = self.setup.of(kind);
         let flags = if reliability == Reliability::Ack { Flags::ACK } else { 0 };
         let encoded = codec::encode(&self.header(audience, flags), message)?;
-        if encoded.len() > self.room {
-            return Err(EncodeError::TooLong(kind, encoded.len(), self.room));
+        let signatures = self.key.as_ref().and_then(Key::signatures).filter(|_| kind.is_signed());
+        let signed = signatures.and_then(|by| self.signing.sign(by, (&self.me, self.link), stream, &encoded));
+        let frame = signed.unwrap_or_else(|| Frame::clone(&encoded));
+        if frame.len() > self.room {
+            return Err(EncodeError::TooLong(kind, frame.len(), self.room));
         }
-        let signatures = self.key.as_ref().and_then(Key::signatures).filter(|_| kind.is_proved());
-        let proved = signatures.and_then(|of| self.proofs.prove(of, &self.me, stream, &encoded));
-        let frame = proved.unwrap_or_else(|| Frame::clone(&encoded));
         if soft && self.setup.piggyback != Piggyback::Never {
             self.soft.put(now, stream, (audience, frame.clone()), self.data_sent.get(&audience).copied());
             self.send_soft(now, incoming, counts, out);

@@ -81,6 +81,9 @@ pub enum RosterError {
     /// The root key of this team has not made it.
     #[error("the root key of this team has not signed it")]
     Unsigned,
+    /// This page of it has arrived before, and another one is missing.
+    #[error("this page of it is known")]
+    Repeated,
 }
 
 /// Head of a roster.
@@ -275,6 +278,11 @@ pub fn read_page(bytes: &[u8]) -> Result<(Head<'_>, usize, Page<'_>), RosterErro
     Ok((head, usize::from(*index), page))
 }
 
+/// Returns the number of the roster of a page, as a datagram has it; `None` if it has not the form of one.
+pub(super) fn number_of(page: &[u8]) -> Option<u32> {
+    Head::read(page).ok().map(|(head, _)| head.number)
+}
+
 /// Returns whether a page, as a datagram has it, is of the roster `whole`.
 pub(super) fn is_of(page: &[u8], whole: &[u8]) -> bool {
     let head = |bytes| Head::read(bytes).map(|(head, _)| head.bytes);
@@ -310,9 +318,13 @@ impl Collected {
         if !head.has(index, page) {
             return Err(RosterError::Unsigned);
         }
+        let known = !self.pages[index].is_empty();
         self.pages[index] = page.bytes.to_vec();
-        let whole = self.pages.iter().all(|page| !page.is_empty());
-        Ok(whole.then(|| [self.head.clone(), self.pages.concat()].concat()))
+        match self.pages.iter().all(|page| !page.is_empty()) {
+            true => Ok(Some([self.head.clone(), self.pages.concat()].concat())),
+            false if known => Err(RosterError::Repeated),
+            false => Ok(None),
+        }
     }
 }
 

@@ -84,6 +84,12 @@ impl Succession {
     /// Takes a datagram with a roster, in a process with the key `key`.
     pub fn take(&mut self, now: Time, key: Option<&Key>, (datagram, link): (&[u8], LinkId)) -> Taken {
         let Some(key) = key else { return Taken::Refused(Refusal::Keyed) };
+        let number = super::codec::roster_of(datagram).and_then(roster::number_of);
+        // To make its keys takes milliseconds, and every member repeats it.
+        if self.pending.as_ref().is_some_and(|(pending, _, at)| Some(*pending) == number && now.since(*at) < KEEP_AGAIN)
+        {
+            return Taken::Refused(Refusal::Duplicate);
+        }
         let next = match key.successor(datagram, link, &mut self.collected) {
             Ok(Some(next)) => next,
             Ok(None) => return Taken::Noted,
@@ -91,13 +97,10 @@ impl Succession {
             Err(RosterError::Malformed) => return Taken::Refused(Refusal::Malformed),
             Err(RosterError::Absent) => return self.without(now, key, datagram),
             Err(RosterError::Unsigned) => return Taken::Refused(Refusal::Auth),
+            Err(RosterError::Repeated) => return Taken::Refused(Refusal::Duplicate),
         };
         let number = next.roster().map_or(0, |roster| roster.number);
-        let newer = match &self.pending {
-            None => true,
-            Some((pending, _, asked)) => number > *pending || number == *pending && now.since(*asked) >= KEEP_AGAIN,
-        };
-        if !newer {
+        if self.pending.as_ref().is_some_and(|(pending, ..)| number < *pending) {
             return Taken::Refused(Refusal::Duplicate);
         }
         let Some(sealed) = next.sealed_roster().map(Frame::clone) else { return Taken::Refused(Refusal::Auth) };
@@ -186,6 +189,7 @@ impl LinkState {
     /// Takes the keys of another roster. Of members that are not in it nothing is accepted from now on.
     pub(crate) fn rekey(&mut self, key: &Key) {
         (self.key, self.outgoing.key) = (Some(key.clone()), Some(key.clone()));
+        self.outgoing.room = key.room();
         let members = key.roster().map(|roster| &roster.members);
         if let Some(members) = members.filter(|members| !members.is_empty()) {
             self.incoming.senders.keep(|host| members.contains_key(&host));

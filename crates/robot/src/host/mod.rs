@@ -131,8 +131,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     }
     let file = team::key(&team)?;
     let key = file.as_ref().map(|file| file.key().confidential_if(team.confidential));
-    let policy = team::policy(&team, registry)?;
-    room::check(&policy.name, policy.model.interface().features, key.as_ref())?;
+    let policy = room::checked(team::policy(&team, registry)?, key.as_ref())?;
     let digest = policy.model.digest().to_owned();
     let trial = args.trial(registry, &team, policy.model)?;
     let links = team.deployment.links.iter().map(|link| link.name.clone()).collect();

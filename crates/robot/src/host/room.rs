@@ -9,9 +9,18 @@ use murmurate::net::protocol::codec::{self, Flags, Header};
 use murmurate::net::protocol::key::Key;
 
 use crate::BadInput;
+use crate::policy::Loaded;
 
-/// Checks that a message of `features` floats of the policy `name` fits into a datagram that is sealed with `key`.
-pub fn check(name: &str, features: usize, key: Option<&Key>) -> Result<()> {
+/// Returns a policy whose messages fit into datagrams that are sealed with `key`.
+///
+/// # Errors
+/// If they do not fit.
+pub fn checked(policy: Loaded, key: Option<&Key>) -> Result<Loaded> {
+    check(&policy.name, policy.model.interface().features, key)?;
+    Ok(policy)
+}
+
+fn check(name: &str, features: usize, key: Option<&Key>) -> Result<()> {
     let Some(key) = key else { return Ok(()) };
     let (needs, room) = (bytes(features), key.room());
     if needs <= room {

@@ -5,7 +5,7 @@ use super::endpoint::{Output, StationProtocol};
 use super::traffic;
 use murmurate::messages::ids::{HostId, LinkId};
 use murmurate::messages::wire::{Kind, Wire};
-use murmurate::net::protocol::codec::{self, Content, Frame};
+use murmurate::net::protocol::codec::{self, Frame};
 use murmurate::net::protocol::key::Key;
 use murmurate::net::protocol::link::{Identity, LinkState};
 use murmurate::net::protocol::reliability::{Reliabilities, Reliability, Setup};
@@ -78,10 +78,9 @@ impl StationProtocol for Linked {
         let admitted = self.state.admit(now, frame, &mut self.stream, &mut self.leaving);
         let mut heard = Vec::new();
         if let Some((header, plain)) = admitted {
-            for (content, body) in codec::blocks(&plain).flatten() {
-                let Content::Message(kind) = content else { continue };
+            for (kind, body, signature) in codec::messages(&plain) {
                 let Ok(message) = codec::message(kind, body) else { continue };
-                if self.state.accept(&header, &message)
+                if self.state.accept(now, &header, &message, (body, signature))
                     && let Wire::Latent(latent) = message
                 {
                     heard.push(Output::Deliver { from: latent.robot.0, sequence: latent.round.episode });
