@@ -140,11 +140,12 @@ full-twin:
     cargo build --release
     bash tests/peers/twin/full.sh target/release/murmurate
 
-# Teams through a real Zenoh router with loss, beside multicast, with the router killed. PYTHON has eclipse-zenoh and mcap
-# (10 minutes and 10 more to build, root, apt: nftables)
+# Teams through a real Zenoh router with loss, beside multicast, with the router killed, and with a captured member. PYTHON has
+# eclipse-zenoh and mcap (12 minutes and 20 more to build, root, apt: nftables)
 full-zenoh python="python3":
     cargo build --release --features zenoh
     bash tests/peers/zenoh/full.sh {{python}} target/release/murmurate
+    bash tests/peers/zenoh/captured.sh {{python}}
 
 # Peers of netpeer/lab.py into BUILD: those of NETPEERS, and ROS 2 and Zenoh from PyPI (5 minutes, 350 MB)
 lab-peers:

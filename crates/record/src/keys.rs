@@ -82,3 +82,59 @@ impl RecordedKey {
         self.key.open(frame, link, self.host)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use murmurate::messages::ids::HostId;
+    use murmurate::net::protocol::codec::{Flags, Header};
+    use murmurate::net::protocol::key::digest;
+    use murmurate::net::protocol::member::{Member, public, seal_roster};
+    use murmurate::net::protocol::roster::{self, Roster};
+
+    use super::*;
+
+    const ROOT: [u8; 32] = [99; 32];
+
+    fn secret(member: u16) -> [u8; 32] {
+        [member as u8 + 1; 32]
+    }
+
+    /// Roster of 20 members, which has two pages.
+    fn roster(number: u32) -> Roster {
+        let members = (0..20).map(|member| (HostId(member), public(&secret(member)))).collect();
+        Roster { number, planned: false, members }
+    }
+
+    #[test]
+    fn a_roster_of_two_pages_changes_the_key_once_both_have_arrived_and_it_is_on_disk() {
+        let own = Member::new(7, (HostId(3), secret(3)), public(&ROOT), (roster(1), [1; 32])).expect("a member");
+        let key = Key::of(own);
+        let mut recorded = RecordedKey {
+            host: HostId(3),
+            key: key.clone(),
+            collected: Collected::default(),
+            pending: None,
+            planned: None,
+        };
+        let header = Header { flags: Flags::default(), team: 7, sender: HostId(1), incarnation: 1, sequence: 0 };
+        let sealed = seal_roster((7, &roster(2)), &ROOT, &[2; 32], [2; 24]).expect("few members");
+        let pages: Vec<Frame> = roster::pages(&sealed).iter().map(|page| codec::with_roster(&header, page)).collect();
+        let link = LinkId(0);
+        let number = |recorded: &RecordedKey| recorded.key.roster().map(|roster| roster.number);
+        assert!(recorded.open(&pages[1], link).is_none(), "the page that names it has to be the first");
+        for at in [1, 0, 1] {
+            recorded.follow(Time::ZERO, &Input::Frame(link, Frame::clone(&pages[at]), None));
+        }
+        assert_eq!(number(&recorded), Some(1), "it is not on disk");
+        recorded.follow(Time::ZERO, &Input::Kept(2));
+        assert_eq!(number(&recorded), Some(2));
+        // In a replay without keys the datagrams that were accepted take their place.
+        let accepted = pages.iter().map(|page| digest(page, link)).collect();
+        let mut trusting = RecordedKey { key: Key::trusting(accepted).with_trusted_rosters(None), ..recorded };
+        for at in [0, 1] {
+            trusting.follow(Time::ZERO, &Input::Frame(link, Frame::clone(&pages[at]), None));
+        }
+        trusting.follow(Time::ZERO, &Input::Kept(2));
+        assert_eq!(number(&trusting), Some(2));
+    }
+}

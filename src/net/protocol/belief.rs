@@ -64,6 +64,25 @@ impl Incoming {
 }
 
 impl LinkState {
+    /// Returns whether a decoded message is newer than all others of its stream (kind and robot) and believed, and
+    /// records it if so. A new emergency stop of its sender counts as newer. `body` is that of the message, and the
+    /// signature that which follows it.
+    pub fn accept(&mut self, now: Time, header: &Header, message: &Wire, body: (&[u8], Option<&[u8]>)) -> bool {
+        let (kind, robot) = (message.kind(), message.robot());
+        let stop = if let Wire::Stop(stop) = message { Some(*stop) } else { None };
+        let stop = stop.filter(|stop| self.incoming.is_new_stop(header, *stop));
+        if stop.is_none() && !self.incoming.is_newest(header, (kind, robot)) {
+            return self.incoming.accept(header, kind, robot, &mut self.counts);
+        }
+        if !self.believes(now, header, message, body) {
+            return false;
+        }
+        if let Some(stop) = stop {
+            self.incoming.note_stop(header, stop);
+        }
+        self.incoming.accept(header, kind, robot, &mut self.counts) || stop.is_some()
+    }
+
     /// Returns whether a message of an accepted sender is believed: always in a team with one key, and with the
     /// signature that it needs where members have keys of their own. Counts one that is not.
     pub(crate) fn believes(

@@ -339,25 +339,6 @@ impl LinkState {
         self.incoming.duplicate_ids.duplicate()
     }
 
-    /// Returns whether a decoded message is newer than all others of its stream (kind and robot) and believed, and
-    /// records it if so. A new emergency stop of its sender counts as newer. `body` is that of the message, and the
-    /// signature that which follows it.
-    pub fn accept(&mut self, now: Time, header: &Header, message: &Wire, body: (&[u8], Option<&[u8]>)) -> bool {
-        let (kind, robot) = (message.kind(), message.robot());
-        let stop = if let Wire::Stop(stop) = message { Some(*stop) } else { None };
-        let stop = stop.filter(|stop| self.incoming.is_new_stop(header, *stop));
-        if stop.is_none() && !self.incoming.is_newest(header, (kind, robot)) {
-            return self.incoming.accept(header, kind, robot, &mut self.counts);
-        }
-        if !self.believes(now, header, message, body) {
-            return false;
-        }
-        if let Some(stop) = stop {
-            self.incoming.note_stop(header, stop);
-        }
-        self.incoming.accept(header, kind, robot, &mut self.counts) || stop.is_some()
-    }
-
     /// Returns the sender of the last datagram, and whether it is accepted or has to prove its liveness first. `None`
     /// if the datagram was a duplicate, or refused for another reason.
     pub(crate) fn heard(&self) -> Option<Arrival> {

@@ -3,8 +3,8 @@
 //!
 //! The root key is on no robot. A roster is checked without any other key, so hosts repeat it as it is, also to members
 //! that know the roster before it alone. It consists of a head and pages, since more than 12 members are too many for
-//! one datagram: each datagram has the head, the index of a page in one byte, and that page. Files have the head and all
-//! pages. Little-endian, the head:
+//! one datagram: each datagram has the head, the index of a page in one byte, and that page. Files have the head and
+//! all pages. Little-endian, the head:
 //!
 //! | bytes | field |
 //! |---|---|

@@ -1,5 +1,5 @@
-//! Signatures of members: each one signs what it says to all and others may pass on (`signing`), an operator its re-arms
-//! and resumes, and every host checks them (Ed25519, RFC 8032). Generation and storage of keys are elsewhere.
+//! Signatures of members: each one signs what it says to all and others may pass on (`signing`), an operator its
+//! re-arms and resumes, and every host checks them (Ed25519, RFC 8032). Generation and storage of keys are elsewhere.
 
 use std::collections::BTreeMap;
 use std::fmt;
