@@ -502,7 +502,7 @@ mod tests {
         let revoked = AbortReason::of_robots(&[(RobotId(1), AbortCause::Revoked)]);
         let aborted = out.iter().find_map(|said| if let Out::Aborted(0, reason) = said { Some(*reason) } else { None });
         assert_eq!((aborted, server.phase), (revoked, Phase::AbortRunning));
-        // For as long as it takes, whatever the robot says.
+        // For as long as it takes, in spite of the robot's heartbeats.
         for ms in (250..20_000).step_by(50) {
             beat(&mut server, at_ms(ms - 1), round(1, 0), [Phase::NeedReset; 2]);
             assert_eq!(tick(&mut server, at_ms(ms)), (round(1, 0), Phase::AbortRunning));

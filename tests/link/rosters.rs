@@ -127,7 +127,7 @@ fn a_planned_change_loses_no_message_and_a_revocation_few_on_a_link_that_loses_a
 }
 
 #[test]
-fn a_roster_of_two_pages_reaches_all_of_twenty_members_whatever_comes_between() {
+fn a_roster_of_two_pages_reaches_all_of_twenty_members_beside_forged_pages() {
     const MEMBERS: u16 = 20;
     let all: Vec<u16> = (0..MEMBERS).collect();
     let of = |host| config(host, MEMBERS.into(), 1, Some(key_of(host, &all)), multicast(Reliabilities::new()));

@@ -112,7 +112,7 @@ fn a_run_that_was_silent_and_is_accepted_again_has_said_its_stops_already() {
 }
 
 #[test]
-fn a_re_arm_is_believed_of_an_operator_for_this_run_of_a_host_and_of_nobody_else() {
+fn a_re_arm_is_believed_of_operators_alone_and_for_this_run_of_a_host() {
     let mut rig = team();
     let rearm = Stop { by: OPERATOR, latch: Latch::held(4) };
     rig.publish(2, Wire::Stop(rearm));

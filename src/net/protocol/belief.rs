@@ -12,7 +12,7 @@ use crate::messages::ids::LinkId;
 use crate::messages::wire::Wire;
 use crate::time::Time;
 
-/// What has to be checked before a message is believed.
+/// Signature check that a message needs before it is believed.
 enum Claim {
     /// Nothing: it needs no signature.
     Plain,
@@ -85,7 +85,7 @@ impl LinkState {
 
     /// Returns whether a message of an accepted sender is believed: always in a team with one key, and with the
     /// signature that it needs where members have keys of their own. Counts one that is not.
-    pub(crate) fn believes(
+    pub(super) fn believes(
         &mut self,
         now: Time,
         header: &Header,
@@ -193,7 +193,10 @@ mod tests {
         assert!(!takes(&header(2, 5), &signed), "of a host that it does not name");
         assert!(!takes(&Header { team: 8, ..header(0, 5) }, &signed), "of another team");
         assert!(!takes(&header(0, 5), &release(OPERATOR, Latch::held(4), HostId(3))), "with another key");
-        assert!(!takes(&header(0, 5), &release(HostId::operator(2), Latch::held(4), OPERATOR)), "of nobody");
+        assert!(
+            !takes(&header(0, 5), &release(HostId::operator(2), Latch::held(4), OPERATOR)),
+            "of an unknown operator"
+        );
         let Wire::Release(signed) = signed else { panic!("an operator signs") };
         let altered = [
             Release { latch: Latch::held(5), ..signed.clone() },

@@ -106,7 +106,7 @@ impl Member {
         roster::open_page(head, page, who, (&self.root, &self.wrap)).map(drop)
     }
 
-    /// Returns whether the root key has made the head of a roster, whoever is in it.
+    /// Returns whether the root key has made the head of a roster.
     pub(super) fn is_by_root(&self, head: &Head) -> bool {
         head.is_signed(self.team, &self.root)
     }

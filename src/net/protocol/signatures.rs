@@ -21,11 +21,11 @@ pub struct Signatures {
 enum Members {
     /// Those with these public keys.
     Known(BTreeMap<HostId, VerifyingKey>),
-    /// In a replay without keys: all. What the recorded host has refused makes such a replay differ.
+    /// In a replay without keys: all. A signature that the recorded host has refused makes such a replay differ.
     Trusted,
 }
 
-/// What a member is said to have signed.
+/// Signed bytes with their signature, and the member that they name as the signer.
 pub struct Signed {
     /// Member that has signed.
     pub by: HostId,
@@ -38,7 +38,7 @@ pub struct Signed {
 }
 
 impl Signed {
-    /// Returns what the operator of a release of the team with the number `team` is said to have signed.
+    /// Returns the signed bytes of a release of the team with the number `team`, in the name of its operator.
     pub fn release(team: u16, release: &Release) -> Signed {
         let bytes = Release::signed(team, &release.stop(), &release.hosts);
         Signed { by: release.by, edition: 0, bytes, signature: release.signature.0 }
@@ -103,7 +103,7 @@ mod tests {
     use crate::messages::latch::Latch;
 
     #[test]
-    fn an_operator_signs_what_ends_a_stop_and_nobody_else_does() {
+    fn operators_alone_sign_releases() {
         let (operator, host) = (HostId::operator(1), HostId(3));
         let of = |secret: Option<[u8; 32]>| Signatures::new(secret, &BTreeMap::new()).expect("there is no wrong key");
         let own = of(Some([7; 32]));

@@ -1,5 +1,5 @@
-//! Signatures of what a member says to all and others may pass on as it is: emergency stops and the state server's
-//! instructions. Each host checks them, whoever has delivered the message. Pure.
+//! Signatures of the messages to all that other members may pass on unchanged: emergency stops and the state server's
+//! instructions. Each host checks them, independently of the tag of the datagram. Pure.
 //!
 //! A signature is a block after its message, little-endian:
 //!
@@ -8,7 +8,7 @@
 //! | 4 | edition: how many messages this run of the signer has signed on the link, this one included |
 //! | 64 | signature (Ed25519) of team, link, signer, incarnation, edition, kind and body of the message |
 //!
-//! What is repeated unchanged has the same signature: it is signed once, and checked once by each host.
+//! An unchanged message has the same signature: it is signed once, and checked once by each host.
 
 use std::collections::BTreeMap;
 
@@ -80,8 +80,8 @@ fn signed((signer, link): (&Header, LinkId), edition: u32, kind: Kind, body: &[u
     bytes
 }
 
-/// Returns what the process with the header `signer` is said to have signed, by the block after its message; `None` if
-/// that has not the form of one.
+/// Returns the signed bytes of a message from the process with the header `signer`, with the signature in the block
+/// after it; `None` if that has not the form of one.
 pub(super) fn claimed(from: (&Header, LinkId), kind: Kind, body: &[u8], block: &[u8]) -> Option<Signed> {
     let (edition, signature) = block.split_first_chunk()?;
     let edition = u32::from_le_bytes(*edition);
@@ -105,7 +105,7 @@ impl Checked {
     }
 
     /// Returns whether the signature in a message of the stream `stream` is valid. An instruction that is older than
-    /// the newest one is not believed, whoever has kept it; a stop is.
+    /// the newest one is not believed; a stop is.
     pub fn check(&mut self, now: Time, stream: StreamId, signed: &Signed, by: &Signatures) -> bool {
         let mut digest = blake3::Hasher::new();
         let digest = digest.update(&signed.bytes).update(&signed.signature).finalize();

@@ -7,8 +7,8 @@ use crate::messages::wire::{Kind, Stop, Wire};
 use crate::time::Time;
 
 impl Incoming {
-    /// Returns whether an emergency stop is a new one of its sender, whatever the number of its datagram is. A stop
-    /// that engages is never refused for a number: whoever has the team's key can raise the numbers that are expected
+    /// Returns whether an emergency stop is a new one of its sender, for any number of its datagram. A stop that
+    /// engages is never refused for a number: a member with the team's key can raise the numbers that are expected
     /// of another.
     pub(super) fn is_new_stop(&self, header: &Header, stop: Stop) -> bool {
         let sender = self.senders.get((header.sender, header.incarnation));

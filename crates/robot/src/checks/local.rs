@@ -9,7 +9,7 @@ use murmurate::net::transport::Place;
 use murmurate::registry::Registry;
 
 use super::finding::{Found, Subject};
-use crate::{key, own_name, team};
+use crate::{key, own_name, policy, team};
 
 /// Checks key, policy and links of the host `team.host`.
 pub fn check(team: &Team, registry: &Registry) -> Vec<Found> {
@@ -64,7 +64,10 @@ fn check_key(team: &Team) -> Found {
 
 fn check_policy(team: &Team, registry: &Registry) -> Found {
     let found = |status, found: String| (status, Subject::General("policy".to_owned()), found, String::new());
-    match team::policy(team, registry) {
+    // A key that cannot be read is the finding of its own check.
+    let key = team.key_file.as_deref().and_then(|path| key::read(path).ok());
+    let key = key.map(|file| file.key().confidential_if(team.confidential));
+    match team::policy(team, registry).and_then(|policy| policy::room::checked(policy, key.as_ref())) {
         Ok(policy) if policy.warnings.is_empty() => found(Fitness::Ok, policy.name),
         Ok(policy) => found(Fitness::Warn, policy.warnings.join("; ")),
         Err(error) => found(Fitness::Fail, error.to_string()),

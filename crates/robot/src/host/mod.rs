@@ -1,7 +1,6 @@
 //! The command `murmurate host`: runs one host of a team in real time on its sockets. This runs on robots.
 
 mod patience;
-mod room;
 mod seen;
 
 use std::cell::Cell;
@@ -131,7 +130,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     }
     let file = team::key(&team)?;
     let key = file.as_ref().map(|file| file.key().confidential_if(team.confidential));
-    let policy = room::checked(team::policy(&team, registry)?, key.as_ref())?;
+    let policy = crate::policy::room::checked(team::policy(&team, registry)?, key.as_ref())?;
     let digest = policy.model.digest().to_owned();
     let trial = args.trial(registry, &team, policy.model)?;
     let links = team.deployment.links.iter().map(|link| link.name.clone()).collect();

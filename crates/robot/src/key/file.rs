@@ -18,7 +18,7 @@ use super::kept::Kept;
 use super::member::OwnFile;
 use crate::own_name;
 
-/// Largest key file \[bytes\]: that of a member of a large team has some 2000.
+/// Largest key file \[bytes\]: that of a member of the largest team has some 3000.
 const MOST: u64 = 16_384;
 
 /// Key file that was read, with the newest roster of this machine beside it.

@@ -179,7 +179,7 @@ mod tests {
         let (root, _) = made();
         let mut root = Root::parse(&root.text()).expect("it is its own text");
         let mut draw = draw();
-        assert!(root.revoke("nobody").unwrap_err().contains("pc, robot, operator-1"));
+        assert!(root.revoke("stranger").unwrap_err().contains("pc, robot, operator-1"));
         root.revoke("robot").expect("it is a member");
         assert!(root.revoke("robot").unwrap_err().contains("before"));
         let second = root.next(false, None, &mut draw).expect("few members");

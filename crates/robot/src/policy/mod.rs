@@ -3,6 +3,7 @@
 mod check;
 mod check_hops;
 mod facts;
+pub mod room;
 
 use std::path::Path;
 

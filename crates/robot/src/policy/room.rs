@@ -1,4 +1,4 @@
-//! Whether the messages of a policy fit into datagrams beside the tags of a team's members.
+//! Check that the messages of a policy fit into datagrams beside the tags of a team's members.
 
 use anyhow::Result;
 
@@ -8,8 +8,8 @@ use murmurate::messages::wire::{Features, Latent, Phase, Round, Wire};
 use murmurate::net::protocol::codec::{self, Flags, Header};
 use murmurate::net::protocol::key::Key;
 
+use super::Loaded;
 use crate::BadInput;
-use crate::policy::Loaded;
 
 /// Returns a policy whose messages fit into datagrams that are sealed with `key`.
 ///
