@@ -17,6 +17,7 @@ impl Drop for EndsProcess {
 /// Ends the process if this thread is panicking, and reports it as the fault of `who`, an actor's name or its name and
 /// the time. It is for `Drop` of a guard object: without it, the actor library would continue without the actor or its
 /// message.
+#[inline(always)] // It is asked after every message of every actor.
 pub(crate) fn end_if_panicking(who: impl FnOnce() -> (String, String)) {
     if std::thread::panicking() {
         let (name, when) = who();
