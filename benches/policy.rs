@@ -7,6 +7,7 @@ use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::local::{Action, OtherRobot, Progress};
 use murmurate::messages::wire::{Phase, Round};
+use murmurate::observation::Observation;
 use murmurate::policy::gnn::Gnn;
 use murmurate::policy::mlp::Instructions;
 use murmurate::policy::{self, Draw, Model, Neighbour, Policy};
@@ -14,7 +15,7 @@ use murmurate::random::Seed;
 use murmurate::safety::filter::Settings;
 use murmurate::safety::guard::Guard;
 use murmurate::safety::{Clamp, Safety};
-use murmurate::scenario::{self, Observation};
+use murmurate::scenario::{self};
 use murmurate::time::{Span, Time};
 
 #[global_allocator]

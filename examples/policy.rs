@@ -4,9 +4,9 @@
 //!     cargo run --release --example policy
 
 use murmurate::messages::geometry::{Planar, Vec2};
+use murmurate::observation::Observation;
 use murmurate::policy::{Interface, Model, Neighbour, Policy};
 use murmurate::random::Stream;
-use murmurate::scenario::Observation;
 use murmurate::time::Span;
 use murmurate::trial::Trial;
 

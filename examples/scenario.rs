@@ -6,8 +6,9 @@
 use std::sync::Arc;
 
 use murmurate::messages::geometry::{Task, Vec2};
+use murmurate::observation::PolicyFrame;
 use murmurate::registry::Registry;
-use murmurate::scenario::{Arena, Entry, PolicyFrame, Rules, Scenario, ScenarioError, Settings, TeamSizes};
+use murmurate::scenario::{Arena, Entry, Rules, Scenario, ScenarioError, Settings, TeamSizes};
 use murmurate::time::Span;
 use murmurate::trial::Trial;
 

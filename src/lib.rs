@@ -34,6 +34,7 @@ pub mod live;
 pub mod localization;
 pub mod messages;
 pub mod net;
+pub mod observation;
 pub mod observers;
 pub mod policy;
 pub mod random;

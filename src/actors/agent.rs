@@ -4,20 +4,23 @@
 //! one synchronous step. Robots of one Agent exchange latents within the step. Latents of all others arrive through the
 //! Caches.
 
+mod slot;
+
+pub use slot::RobotPolicies;
+
 use std::sync::Arc;
 
+use self::slot::Slot;
 use super::neighbours::{SharedData, Step};
 use crate::actor::Core;
 use crate::cells::{self, Cells};
 use crate::hearing::CommRange;
-use crate::messages::geometry::{Motion, Task, Vec2, is_finite};
-use crate::messages::ids::RobotId;
+use crate::messages::geometry::{Task, Vec2, is_finite};
 use crate::messages::local::{Action, NEAR_M, OtherRobot, Percept, Progress};
 use crate::messages::round::RoundFollower;
-use crate::messages::wire::{Features, Latent, MAX_FEATURES, Mode, Phase, Round, all_sound};
-use crate::policy::Policy;
-use crate::random::Stream;
-use crate::scenario::{Dynamics, Observation, Scenario};
+use crate::messages::wire::{Features, Latent, Mode, Phase, Round};
+use crate::observation::{Known, Observation};
+use crate::scenario::Scenario;
 use crate::time::{Span, Time};
 
 /// Largest distance between a robot and its start at which the robot counts as ready for the episode \[m\].
@@ -45,73 +48,6 @@ pub enum Out {
     Action(Action),
 }
 
-/// Policies with which an Agent drives one of its robots, and the random streams of that robot.
-pub struct RobotPolicies {
-    /// Robot that the policies control.
-    pub robot: RobotId,
-    /// How the robot follows the velocities that the policies command; a part of their observation.
-    pub dynamics: Dynamics,
-    /// Policy under test, used in running episodes.
-    pub run: Box<dyn Policy>,
-    /// Policy that drives the robot to its start in a reset.
-    pub reset: Box<dyn Policy>,
-    /// Random stream from which both policies sample their actions.
-    pub actions: Stream,
-    /// Random stream of the communication ranges between this robot and the others of the same Agent.
-    pub ranges: Stream,
-}
-
-impl RobotPolicies {
-    /// Returns the policy that is used in `phase`.
-    fn of(&mut self, phase: Phase) -> &mut dyn Policy {
-        if phase == Phase::Running { &mut *self.run } else { &mut *self.reset }
-    }
-
-    /// Returns the observation of the robot, which is bound for the goal of `task`; `estimate` is its motion.
-    fn observe(&self, scenario: &dyn Scenario, task: &Task, estimate: &Motion) -> Observation {
-        Observation { dynamics: self.dynamics, ..scenario.observe(task, estimate) }
-    }
-}
-
-/// State of one robot within an Agent: its policies, task, newest percept and latent.
-struct Slot {
-    policies: RobotPolicies,
-    task: Option<Task>,
-    percept: Option<Percept>,
-    /// Latent features that the robot broadcasts in the current step.
-    features: Vec<f32>,
-    /// Whether `features` is a valid latent: finite and of the declared length. If not, the policy has failed and its
-    /// actions are not used.
-    valid: bool,
-    /// Whether the log has said that the latent is invalid, since it was last valid.
-    reported: bool,
-    /// Expected lengths of the latent features: of the policy under test, and of the reset policy.
-    widths: [usize; 2],
-}
-
-impl Slot {
-    fn new(policies: RobotPolicies) -> Slot {
-        let widths = [&policies.run, &policies.reset].map(|policy| policy.interface().features);
-        Slot { policies, task: None, percept: None, features: Vec::new(), valid: true, reported: false, widths }
-    }
-
-    fn width(&self, phase: Phase) -> usize {
-        self.widths[usize::from(phase != Phase::Running)]
-    }
-
-    /// Checks and returns whether `features` is a valid latent of a policy that has declared `declared` floats, and now
-    /// `width`.
-    fn check(&mut self, width: usize, declared: usize) -> bool {
-        let valid = width == declared && width <= MAX_FEATURES && all_sound(&self.features);
-        if !valid && !self.reported {
-            tracing::error!(width, declared, "the policy's output is not a valid latent; its robot stops");
-            self.reported = true;
-        }
-        self.valid = valid;
-        valid
-    }
-}
-
 /// Agent: the actor that computes the latents (policy messages) and actions of one or more robots from their percepts,
 /// with their policies.
 pub struct Agent {
@@ -126,6 +62,8 @@ pub struct Agent {
     phase: Phase,
     /// Time at which the Agent began to follow the round.
     began: Time,
+    /// Time at which the Agent heard that the present episode runs.
+    episode_began: Time,
     waiting_since: Option<Time>,
     /// Number of the Agent's robots whose percept for the next step has not arrived yet.
     missing: usize,
@@ -159,6 +97,7 @@ impl Agent {
             round: Round::default(),
             phase: Phase::NeedReset,
             began: Time::ZERO,
+            episode_began: Time::ZERO,
             waiting_since: None,
         }
     }
@@ -171,6 +110,11 @@ impl Agent {
         if mode.round > self.round {
             self.slots.iter_mut().for_each(|slot| slot.task = None);
             self.began = now;
+        }
+        let ran = self.phase == Phase::Running && mode.round == self.round;
+        if mode.phase == Phase::Running && !ran {
+            self.episode_began = now;
+            self.slots.iter_mut().for_each(Slot::begin);
         }
         (self.round, self.phase) = (mode.round, mode.phase);
         let block = mode.first.index()..mode.first.index() + mode.tasks.len();
@@ -187,13 +131,12 @@ impl Agent {
         if matches!(self.phase, Phase::Resetting | Phase::Running) {
             self.shared.clear();
             self.features.clear();
-            (0..self.slots.len()).for_each(|at| self.share(at));
+            (0..self.slots.len()).for_each(|at| self.share(now, at));
             self.grid = self.locate();
-            self.relay();
-            let latents: Vec<Latent> = (0..self.slots.len()).filter_map(|at| self.latent(at)).collect();
+            self.relay(now);
             // Send actions before latents: actuation latency matters more. Both leave in one visit to the Network.
             out.extend((0..self.slots.len()).filter_map(|at| self.act(now, at)).map(Out::Action));
-            out.extend(latents.into_iter().map(Out::Latent));
+            out.extend((0..self.slots.len()).filter_map(|at| self.latent(at)).map(Out::Latent));
         }
         self.slots.iter_mut().for_each(|slot| slot.percept = None);
         self.missing = self.slots.len();
@@ -212,8 +155,8 @@ impl Agent {
 
     /// Encodes the observation of the robot in slot `at` and stores the data that the Agent's other robots read of this
     /// robot.
-    fn share(&mut self, at: usize) {
-        let encoded = self.encode(at).is_some();
+    fn share(&mut self, now: Time, at: usize) {
+        let encoded = self.encode(now, at).is_some();
         let Slot { policies, percept, features, .. } = &self.slots[at];
         let place = |at: usize| u32::try_from(at).expect("the latents of a step take less than four gigabytes");
         let range = encoded.then(|| [self.features.len(), self.features.len() + features.len()].map(place));
@@ -231,11 +174,11 @@ impl Agent {
     /// Completes the latents of policies with several hops: the input of each hop is computed from the neighbours'
     /// newest input of the hop before. Those of the Agent's own robots are of this step, all others of the messages
     /// that have arrived, so nothing waits.
-    fn relay(&mut self) {
+    fn relay(&mut self, now: Time) {
         let phase = self.phase;
         let hops = self.slots.iter_mut().map(|slot| slot.policies.of(phase).hops()).max().unwrap_or(1);
         for hop in 1..hops {
-            (0..self.slots.len()).for_each(|at| self.relay_hop(hop, at));
+            (0..self.slots.len()).for_each(|at| self.relay_hop(now, hop, at));
             // All robots have read what the others shared; now the new inputs replace it.
             for (slot, shared) in self.slots.iter_mut().zip(&mut self.shared) {
                 let Some(SharedData { features, .. }) = shared else { continue };
@@ -249,13 +192,13 @@ impl Agent {
         }
     }
 
-    fn relay_hop(&mut self, hop: usize, at: usize) {
+    fn relay_hop(&mut self, now: Time, hop: usize, at: usize) {
         let Some(SharedData { motion, features: Some(_), .. }) = self.shared[at] else { return };
         self.find_near(motion.position);
         let phase = self.phase;
         let slot = &mut self.slots[at];
         let width = slot.width(phase);
-        let Slot { policies, task: Some(task), percept: Some(percept), features, .. } = slot else { return };
+        let Slot { policies, task: Some(task), percept: Some(percept), values, features, .. } = slot else { return };
         let task = bound_for(phase, task);
         let frame = self.scenario.frame(&task);
         let step = Step { range: self.range, round: self.round, phase, width, frame, shared: &self.features };
@@ -263,7 +206,8 @@ impl Agent {
         // A message is drawn as received or not once a step, whatever the number of hops: by the same numbers.
         let mut ranges = policies.ranges.clone();
         let neighbours = step.neighbours(percept, companions, &mut ranges);
-        let seen = policies.observe(&*self.scenario, &task, &percept.estimate);
+        let seen = policies.observe(&*self.scenario, &task, percept, now.since(self.episode_began));
+        let seen = Observation { values, ..seen };
         let policy = policies.of(phase);
         if hop < policy.hops() {
             policy.relay(hop, &seen, features, &neighbours);
@@ -273,20 +217,25 @@ impl Agent {
     /// Returns the latent of the robot in slot `at`; `None` if it broadcasts none in this step.
     fn latent(&mut self, at: usize) -> Option<Latent> {
         let SharedData { robot, motion, features } = self.shared[at]?;
-        features?;
+        features.filter(|_| self.slots[at].valid)?;
         self.slots[at].reported = false;
         let features = Features(self.slots[at].features.as_slice().into());
         Some(Latent { robot, round: self.round, phase: self.phase, motion, features })
     }
 
     /// Encodes the observation of the robot in slot `at`; `None` if it broadcasts nothing in this step.
-    fn encode(&mut self, at: usize) -> Option<()> {
+    fn encode(&mut self, now: Time, at: usize) -> Option<()> {
         let phase = self.phase;
         let slot = &mut self.slots[at];
         let declared = slot.width(phase);
         let (percept, task) = (slot.percept.as_ref()?, slot.task.as_ref()?);
         let task = bound_for(phase, task);
-        let seen = slot.policies.observe(&*self.scenario, &task, &percept.estimate);
+        let own = slot.policies.observe(&*self.scenario, &task, percept, now.since(self.episode_began));
+        if phase == Phase::Running {
+            let frame = self.scenario.frame(&task);
+            slot.steps(now, &Known { task: &task, own: &own, frame });
+        }
+        let seen = Observation { values: &slot.values, ..own };
         let policy = slot.policies.of(phase);
         let width = policy.interface().features;
         // The policy declares its width anew in each step; it may differ from that at the start.
@@ -315,12 +264,14 @@ impl Agent {
         let (percept, task) = (slot.percept.as_ref()?, slot.task.as_ref()?);
         let task = bound_for(phase, task);
         let own = percept.estimate;
+        let elapsed = now.since(self.episode_began);
         let frame = self.scenario.frame(&task);
         let step = Step { range: self.range, round, phase, width, frame, shared: &self.features };
         let companions = self.near.iter().filter(|other| **other != at).filter_map(|&other| self.shared[other]);
         let neighbours = step.neighbours(percept, companions.clone(), &mut slot.policies.ranges);
 
-        let seen = slot.policies.observe(&*self.scenario, &task, &own);
+        let seen = slot.policies.observe(&*self.scenario, &task, percept, elapsed);
+        let seen = Observation { values: &slot.values, ..seen };
         let policy = if phase == Phase::Running { &mut slot.policies.run } else { &mut slot.policies.reset };
         let velocity = match slot.valid {
             true => policy.act(&seen, &slot.features, &neighbours, &mut slot.policies.actions),
@@ -337,7 +288,7 @@ impl Agent {
         let known = said.chain(percept.measured.iter().copied());
         let beside = companions.map(|other| OtherRobot { robot: other.robot, motion: other.motion, age: Span::ZERO });
         let near = |other: &OtherRobot| (other.motion.position - own.position).norm_squared() <= NEAR_M * NEAR_M;
-        Some(Action {
+        let action = Action {
             robot: slot.policies.robot,
             round,
             phase,
@@ -346,7 +297,9 @@ impl Agent {
             estimate: own,
             others: known.chain(beside).filter(near).collect(),
             progress: if there && settled { Progress::Reached } else { Progress::Underway },
-        })
+        };
+        slot.take_broadcast(phase);
+        Some(action)
     }
 }
 
@@ -408,10 +361,13 @@ impl Core for Agent {
 mod tests {
     use super::*;
     use crate::messages::geometry::Motion;
+    use crate::messages::ids::RobotId;
     use crate::messages::latch::Latch;
     use crate::messages::local::NeighbourLatent;
-    use crate::policy::{Interface, Neighbour};
-    use crate::random::Seed;
+    use crate::messages::wire::MAX_FEATURES;
+    use crate::observation::{Bound, Dynamics, Request, Unit};
+    use crate::policy::{Interface, Neighbour, Policy};
+    use crate::random::{Seed, Stream};
     use crate::scenario::{Settings, build};
 
     /// Test policy that moves at as many m/s as it has neighbours.
@@ -443,6 +399,7 @@ mod tests {
         let policies = |&robot: &u16| RobotPolicies {
             robot: RobotId(robot),
             dynamics: Dynamics::default(),
+            channels: Bound::default(),
             run: Box::new(Counting),
             reset: Box::new(Counting),
             actions: stream(),
@@ -465,6 +422,8 @@ mod tests {
             due: Time::ZERO,
             estimate,
             deviation_m: 0.0,
+            heading: None,
+            yaw_rate: None,
             heard,
             measured: Vec::new(),
         })
@@ -656,5 +615,111 @@ mod tests {
         assert_eq!(latents(&out), [[2.0, 3.0, 3.0]]);
         assert!(speeds(&out)[0].1.is_nan());
         assert_eq!(speeds(&out)[1], (1, 0.0));
+    }
+
+    /// Test policy that counts its steps, moves at their number in cm/s and broadcasts it after the step.
+    struct Remembering {
+        steps: f32,
+        said: [f32; 1],
+    }
+
+    impl Policy for Remembering {
+        fn interface(&self) -> Interface {
+            Counting.interface()
+        }
+        fn reset(&mut self) {
+            (self.steps, self.said) = (0.0, [0.0]);
+        }
+        fn forgets_after(&self) -> Option<Span> {
+            Some(Span::from_millis(500))
+        }
+        fn encode(&mut self, _: &Observation, features: &mut [f32]) {
+            features.copy_from_slice(&self.said);
+        }
+        fn act(&mut self, own: &Observation, _: &[f32], _: &[Neighbour], _: &mut Stream) -> Vec2 {
+            self.steps += 1.0;
+            self.said = [self.steps];
+            let values: [f32; 1] = own.values.try_into().expect("it takes one value");
+            Vec2::new(self.steps / 100.0, values[0] / 10.0)
+        }
+        fn broadcast(&self) -> Option<&[f32]> {
+            Some(&self.said)
+        }
+    }
+
+    /// Returns what the robots move at along both axes and what they broadcast, in their order.
+    fn step_of(agent: &mut Agent, ms: u64) -> Vec<([f32; 2], f32)> {
+        let (now, mut out) = (Time::ZERO + Span::from_millis(ms), Vec::new());
+        for robot in [0, 1] {
+            agent.handle(now, percept(robot, f32::from(robot), Vec::new()), &mut out);
+        }
+        let actions = out.iter().filter_map(|out| match out {
+            Out::Action(action) => Some([action.velocity.x, action.velocity.y]),
+            Out::Latent(_) => None,
+        });
+        let latents = out.iter().filter_map(|out| match out {
+            Out::Latent(latent) => Some(latent.features.0[0]),
+            Out::Action(_) => None,
+        });
+        actions.zip(latents).collect()
+    }
+
+    #[test]
+    fn a_policy_remembers_within_an_episode_and_begins_anew_after_it_and_after_a_gap() {
+        let mut agent = agent(&[0, 1]);
+        let time = Request {
+            input: "time".to_owned(),
+            channel: "time-in-episode".to_owned(),
+            shape: vec![1],
+            unit: Unit::Second,
+            frame: None,
+        };
+        for slot in &mut agent.slots {
+            let channels = Bound::new(std::slice::from_ref(&time), &[]).expect("every team has it");
+            slot.policies.run = Box::new(Remembering { steps: 0.0, said: [0.0] });
+            slot.policies.channels = channels;
+            slot.values = vec![0.0];
+        }
+        assert_eq!(step_of(&mut agent, 100), [([0.01, 0.1_f32 / 10.0], 1.0); 2], "what act has computed is broadcast");
+        let elapsed = 0.6_f32 / 10.0;
+        assert_eq!(step_of(&mut agent, 600), [([0.02, elapsed], 2.0); 2], "half a second is no gap");
+        assert_eq!(step_of(&mut agent, 1101), [([0.01, 1.101_f32 / 10.0], 1.0); 2], "it begins anew");
+        let round = Round { episode: 1, ..ROUND };
+        let mode = |phase| {
+            let tasks = [agent.slots[0].task.expect("it has one"); 3].into();
+            In::Mode(Mode { round, repeat: 0, phase, first: RobotId(0), tasks, latch: Latch::default() })
+        };
+        let (resetting, running) = (mode(Phase::Resetting), mode(Phase::Running));
+        agent.handle(Time::ZERO + Span::from_millis(1150), resetting, &mut Vec::new());
+        assert_eq!(step_of(&mut agent, 1200)[0].1, 7.0, "the policy of resets drives");
+        agent.handle(Time::ZERO + Span::from_millis(1250), running, &mut Vec::new());
+        assert_eq!(step_of(&mut agent, 1300), [([0.01, 0.05_f32 / 10.0], 1.0); 2], "a new episode, and its time");
+    }
+
+    #[test]
+    fn robots_of_one_agent_hear_a_broadcast_of_act_in_the_next_step() {
+        /// Test policy that broadcasts after each step how often it has stepped, and moves at what it has heard.
+        struct Echo(Remembering);
+        impl Policy for Echo {
+            fn interface(&self) -> Interface {
+                self.0.interface()
+            }
+            fn encode(&mut self, own: &Observation, features: &mut [f32]) {
+                self.0.encode(own, features);
+            }
+            fn act(&mut self, _: &Observation, _: &[f32], neighbours: &[Neighbour], _: &mut Stream) -> Vec2 {
+                self.0.said[0] += 1.0;
+                Vec2::new(neighbours[0].features[0] / 100.0, 0.0)
+            }
+            fn broadcast(&self) -> Option<&[f32]> {
+                self.0.broadcast()
+            }
+        }
+        let mut agent = agent(&[0, 1]);
+        for slot in &mut agent.slots {
+            slot.policies.run = Box::new(Echo(Remembering { steps: 0.0, said: [0.0] }));
+        }
+        let steps = [100, 150, 200].map(|ms| step_of(&mut agent, ms)[1]);
+        assert_eq!(steps, [([0.0, 0.0], 1.0), ([0.01, 0.0], 2.0), ([0.02, 0.0], 3.0)]);
     }
 }

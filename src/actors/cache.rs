@@ -75,6 +75,8 @@ pub struct Cache {
     next: Time,
     /// Arrival time and measurement stamp \[ns\] of the robot's newest reading; `None` before the first.
     own: Option<(Time, u64)>,
+    /// Heading \[rad\] and yaw rate \[rad/s\] of the robot's newest reading, as far as it has them.
+    turning: (Option<f32>, Option<f32>),
     estimator: Box<dyn Estimator>,
     latents: BTreeMap<RobotId, (Time, Latent)>,
     witness: Witness,
@@ -87,7 +89,7 @@ impl Cache {
         let settings = estimation::Settings { delay: config.sensor_delay };
         let (next, estimator) = (Time::ZERO + config.phase, (config.estimator.make)(&settings));
         let witness = Witness::new(config.limit_m_s);
-        Cache { config, stream, next, own: None, estimator, latents: BTreeMap::new(), witness }
+        Cache { config, stream, next, own: None, turning: (None, None), estimator, latents: BTreeMap::new(), witness }
     }
 
     fn perceive(&self, now: Time) -> Option<Percept> {
@@ -107,7 +109,8 @@ impl Cache {
         let robot = self.config.robot;
         let deviation_m = self.estimator.deviation_m(now);
         let measured = self.witness.obstacles(now);
-        Some(Percept { robot, due: self.next, estimate, deviation_m, heard: heard.collect(), measured })
+        let (due, heard, (heading, yaw_rate)) = (self.next, heard.collect(), self.turning);
+        Some(Percept { robot, due, estimate, deviation_m, heading, yaw_rate, heard, measured })
     }
 
     fn hear(&mut self, now: Time, latent: Latent, out: &mut Vec<Out>) {
@@ -148,6 +151,7 @@ impl Core for Cache {
         match input {
             In::Reading(reading) => {
                 self.estimator.take(now, &reading);
+                self.turning = (reading.pose.heading, reading.twist.yaw_rate);
                 // A repeated stamp is the same measurement and does not make the state newer. (A robot that is placed
                 // is measured twice at one instant, at two places.)
                 if self.own.is_none_or(|(_, stamp_ns)| stamp_ns != reading.stamp_ns) {

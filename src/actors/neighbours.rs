@@ -5,9 +5,9 @@ use crate::messages::geometry::Motion;
 use crate::messages::ids::RobotId;
 use crate::messages::local::{NeighbourLatent, Percept};
 use crate::messages::wire::{Phase, Round};
+use crate::observation::PolicyFrame;
 use crate::policy::Neighbour;
 use crate::random::Stream;
-use crate::scenario::PolicyFrame;
 use crate::time::Span;
 
 /// Data of one robot that the other robots of its Agent read in the current step. Small and contiguous, because each

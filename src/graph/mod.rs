@@ -272,6 +272,7 @@ fn wire_agent(clock: &Clock, trial: &Rc<Trial>, graph: &Graph, robot: RobotId) {
             RobotPolicies {
                 robot,
                 dynamics: trial.dynamics(robot),
+                channels: trial.channels().unwrap_or_else(|error| panic!("the policy was checked: {error}")),
                 run: trial.model.instance(&arena),
                 reset: RESET.instance(&arena),
                 actions: seed.stream(&format!("agent/{}/action/{incarnation}", robot.0)),

@@ -19,6 +19,11 @@ pub struct Percept {
     pub estimate: Motion,
     /// Standard deviation of the estimated position along each axis \[m\]; 0 if unknown.
     pub(crate) deviation_m: f32,
+    /// Heading \[rad\] of the robot's newest reading, world frame, counter-clockwise from the x axis; `None` if it has
+    /// none.
+    pub heading: Option<f32>,
+    /// Yaw rate \[rad/s\] of the robot's newest reading, counter-clockwise; `None` if it has none.
+    pub yaw_rate: Option<f32>,
     /// Newest messages of the neighbours, as far as the policy may still use them, in the order of robot ids.
     pub(crate) heard: Vec<NeighbourLatent>,
     /// Motions of other robots that take the place of those in their messages for avoidance, as a tracker measures

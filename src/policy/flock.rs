@@ -13,8 +13,9 @@
 
 use super::{Interface, Model, ModelError, Neighbour, Policy};
 use crate::messages::geometry::Vec2;
+use crate::observation::Observation;
 use crate::random::Stream;
-use crate::scenario::{Observation, Scenario};
+use crate::scenario::Scenario;
 use crate::time::Span;
 
 /// Name of scripted flocking in which each robot knows all others.

@@ -16,9 +16,9 @@ use super::mlp::{Instructions, Layer, Mlp, Relu, Scratch};
 use super::weights::PolicyFile;
 use super::{Draw, Interface, Neighbour, Policy};
 use crate::messages::geometry::{Planar, Vec2};
+use crate::observation::Observation;
 use crate::random;
 use crate::random::Stream;
-use crate::scenario::Observation;
 use crate::time::Span;
 
 /// Weights and parameters of a trained message-passing network, which all robots of a team share.

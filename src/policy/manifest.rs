@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::Draw;
 use crate::chassis::{self, Chassis};
 use crate::messages::geometry::Vec2;
-use crate::scenario::{Dynamics, Observation};
+use crate::observation::{Dynamics, Observation};
 
 /// Key of the safetensors metadata under which a policy file stores its manifest.
 pub const KEY: &str = "murmurate";

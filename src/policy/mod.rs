@@ -18,7 +18,7 @@ mod safetensors;
 pub mod shipped;
 pub mod weights;
 
-pub use model::{Model, ModelError};
+pub use model::{Model, ModelError, Origin};
 
 use std::sync::Arc;
 
@@ -26,8 +26,9 @@ use crate::messages::geometry::{Motion, Vec2};
 use rand::RngExt;
 
 use self::manifest::Manifest;
+use crate::observation::Observation;
 use crate::random::{Seed, Stream};
-use crate::scenario::{Observation, Scenario};
+use crate::scenario::Scenario;
 use crate::time::Span;
 
 /// Last message of a neighbour, as input to a robot's policy. A neighbour is another robot within communication range.
@@ -60,7 +61,15 @@ pub struct Interface {
 }
 
 /// One robot's instance of a message-passing policy. At each step, `encode` makes the robot's broadcast, then `act`
-/// computes its velocity. An instance may keep scratch space, but no state from one step to the next.
+/// computes its velocity.
+///
+/// # Order of calls
+/// A new instance is at its start: it remembers nothing. `reset` puts it back there. The robot's Agent calls it when an
+/// episode begins (an emergency stop ends the episode, so the next one begins anew), and after a gap longer than
+/// `Policy::forgets_after`. An Agent or a process that is started again, on this host or another, has a new instance.
+/// In each step of a running episode follow one call of `encode`, calls of `relay` for the hops 1 to `hops() - 1`, and
+/// one call of `act`. A step in which the robot's own state is too old does not take place, and a robot whose broadcast
+/// is invalid skips `act`.
 pub trait Policy {
     /// Returns the parameters that the rest of the system needs to run the policy, such as message size and period.
     fn interface(&self) -> Interface;
@@ -69,6 +78,16 @@ pub trait Policy {
     /// policy whose action depends on the observations of the robot and of its direct neighbours only.
     fn hops(&self) -> usize {
         1
+    }
+
+    /// Puts the policy back to its start, so that it remembers nothing of the steps before. The default does nothing,
+    /// for a policy whose instance keeps no state from one step to the next.
+    fn reset(&mut self) {}
+
+    /// Returns the longest time between two steps after which the policy still goes on from its state; after a longer
+    /// gap it is reset. `None`, the default, is no bound, for a policy without state.
+    fn forgets_after(&self) -> Option<Span> {
+        None
     }
 
     /// Writes the robot's broadcast for this step into `features`, which has the length `Interface::features`. `own` is
@@ -83,12 +102,20 @@ pub trait Policy {
     /// that it broadcast for lower hops: in this step if the robots step together, otherwise in its newest message.
     fn relay(&mut self, _hop: usize, _own: &Observation, _features: &mut [f32], _neighbours: &[Neighbour]) {}
 
-    /// Returns the robot's wanted velocity \[m/s\], policy frame. `own` is the robot's own state and goal, and
-    /// `features` are those that `encode` and `relay` have just written for the same step.
+    /// Returns the robot's wanted velocity \[m/s\], policy frame; NaN if there is none in this step, so that the robot
+    /// stands. `own` is the robot's own state and goal, and `features` are those that `encode` and `relay` have just
+    /// written for the same step.
     ///
     /// `neighbours` has the last message of each neighbour in range, in the order of robot ids; it may be empty.
     /// `stream` is the source of random numbers for a policy that samples its actions.
     fn act(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour], stream: &mut Stream) -> Vec2;
+
+    /// Returns the broadcast that the last call of `act` has computed together with its action; `None`, the default, if
+    /// the broadcast is what `encode` and `relay` have written. It takes the place of that for other hosts. Robots of the
+    /// same Agent get it in the next step, when `encode` has written it: as late as robots of other Agents do.
+    fn broadcast(&self) -> Option<&[f32]> {
+        None
+    }
 }
 
 /// Method of drawing an action from the probability distribution that a trained policy's network outputs.

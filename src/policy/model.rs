@@ -10,6 +10,7 @@ use super::weights::{self, WeightsError};
 use super::{Draw, Interface, Policy, SHIPPED, orca, probe, shipped};
 use crate::chassis::Chassis;
 use crate::messages::wire::MAX_FEATURES;
+use crate::observation::Request;
 use crate::scenario::Arena;
 use crate::time::Span;
 
@@ -26,21 +27,57 @@ pub enum Model {
     Custom(Custom),
 }
 
-/// Policy that another crate implements in code: its name, its interface, and the constructor of one robot's instance.
-/// [`Model::custom`] makes it.
+/// Policy that another crate implements in code or reads from a file: its name, its interface, what it takes and where
+/// it comes from, and the constructor of one robot's instance. [`Model::custom`] and [`Model::of_file`] make it.
 #[derive(Clone)]
 pub struct Custom {
     name: &'static str,
     interface: Interface,
+    origin: Origin,
+    /// How actions are drawn from the policy's output distribution; `None` if it has none.
+    draw: Option<Draw>,
     instance: Arc<Instance>,
 }
 
-/// Constructor of one robot's instance, for an arena in the policy frame.
-type Instance = dyn Fn(&Arena) -> Box<dyn Policy> + Send + Sync;
+/// What is known of a policy from its file, for a policy that another crate reads.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Origin {
+    /// Digest of the policy's files (16 hexadecimal digits); empty without files.
+    pub digest: String,
+    /// Channels of the observation that the policy takes, in the order in which it gets their values.
+    pub requests: Vec<Request>,
+}
+
+/// Constructor of one robot's instance, for an arena in the policy frame. The second argument says how actions are
+/// drawn, which only a policy with an output distribution reads.
+type Instance = dyn Fn(&Arena, Draw) -> Box<dyn Policy> + Send + Sync;
 
 impl fmt::Debug for Custom {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Custom").field("name", &self.name).field("interface", &self.interface).finish_non_exhaustive()
+    }
+}
+
+impl Interface {
+    /// Checks that a team can run a policy with this interface. The features have to fit into a message, and the period
+    /// has to be 1 to 100 ms, so that motor commands do not expire between two steps. The hold time is at least one
+    /// period, and radius and speed limit are above zero. An error says which is not so.
+    pub fn check(&self) -> Result<(), String> {
+        let Interface { features, radius_m, period, limit_m_s, hold } = *self;
+        let periods = Span::from_millis(1)..=Span::from_millis(100);
+        let above_zero = |value: f32| value > 0.0 && value.is_finite();
+        let wrong = if features > MAX_FEATURES {
+            format!("its message has {features} floats, and a message carries at most {MAX_FEATURES}")
+        } else if !periods.contains(&period) {
+            "its period is not 1 to 100 ms (10 to 1000 steps a second), so motor commands would expire".to_owned()
+        } else if hold < period {
+            "its hold time is less than one period".to_owned()
+        } else if !(above_zero(radius_m) && above_zero(limit_m_s)) {
+            "its radius and its speed limit are not above zero".to_owned()
+        } else {
+            return Ok(());
+        };
+        Err(wrong)
     }
 }
 
@@ -116,13 +153,25 @@ impl Model {
         interface: Interface,
         instance: impl Fn(&Arena) -> Box<dyn Policy> + Send + Sync + 'static,
     ) -> Model {
-        let Interface { features, radius_m, period, limit_m_s, hold } = interface;
-        assert!(features <= MAX_FEATURES, "policy '{name}': a message carries {MAX_FEATURES} features");
-        let period_is_valid = (Span::from_millis(1)..=Span::from_millis(100)).contains(&period);
-        assert!(period_is_valid, "policy '{name}': its period is not 1 to 100 ms, so motor commands would expire");
-        assert!(hold >= period, "policy '{name}': its hold time must be at least one period");
-        assert!(radius_m > 0.0 && limit_m_s > 0.0, "policy '{name}': its radius and its speed must be above zero");
-        Model::Custom(Custom { name, interface, instance: Arc::new(instance) })
+        interface.check().unwrap_or_else(|reason| panic!("policy '{name}': {reason}"));
+        let instance = move |arena: &Arena, _: Draw| instance(arena);
+        Model::Custom(Custom { name, interface, origin: Origin::default(), draw: None, instance: Arc::new(instance) })
+    }
+
+    /// Makes a model of a policy whose file another crate reads. `name` is the name of its kind in reports, `origin` what
+    /// is known from the file, and `draw` how actions are drawn unless the user says otherwise; `None` if the policy has
+    /// no output distribution. `instance` makes one robot's instance for an arena in the policy frame.
+    ///
+    /// # Errors
+    /// No team could run the interface; the text says why.
+    pub fn of_file(
+        (name, interface): (&'static str, Interface),
+        origin: Origin,
+        draw: Option<Draw>,
+        instance: impl Fn(&Arena, Draw) -> Box<dyn Policy> + Send + Sync + 'static,
+    ) -> Result<Model, String> {
+        interface.check()?;
+        Ok(Model::Custom(Custom { name, interface, origin, draw, instance: Arc::new(instance) }))
     }
 
     /// Returns the model's name in reports, such as `orca`, `gnn` or the name of a custom policy.
@@ -145,7 +194,7 @@ impl Model {
             Model::Orca => Box::new(orca::Orca::new(arena)),
             Model::Gnn(network, draw) => Box::new(Gnn::new(Arc::clone(network), *draw)),
             Model::Hops(network, draw) => Box::new(Hops::new(Arc::clone(network), *draw)),
-            Model::Custom(custom) => (custom.instance)(arena),
+            Model::Custom(custom) => (custom.instance)(arena, custom.draw.unwrap_or(Draw::Mean)),
         }
     }
 
@@ -165,7 +214,8 @@ impl Model {
         match self {
             Model::Gnn(network, _) => Some(Model::Gnn(network, draw)),
             Model::Hops(network, _) => Some(Model::Hops(network, draw)),
-            Model::Orca | Model::Custom(_) => None,
+            Model::Custom(custom) => custom.draw.map(|_| Model::Custom(Custom { draw: Some(draw), ..custom })),
+            Model::Orca => None,
         }
     }
 
@@ -174,7 +224,17 @@ impl Model {
         match self {
             Model::Gnn(network, _) => network.digest(),
             Model::Hops(network, _) => network.digest(),
-            Model::Orca | Model::Custom(_) => "",
+            Model::Custom(custom) => &custom.origin.digest,
+            Model::Orca => "",
+        }
+    }
+
+    /// Returns the channels of the observation that the policy takes by name, in the order in which it gets their
+    /// values; empty for a policy that reads the fields of its observation.
+    pub fn requests(&self) -> &[Request] {
+        match self {
+            Model::Custom(custom) => &custom.origin.requests,
+            Model::Orca | Model::Gnn(..) | Model::Hops(..) => &[],
         }
     }
 

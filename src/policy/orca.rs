@@ -17,8 +17,9 @@ use super::roadmap::Roadmap;
 use super::route::{self, Crossing};
 use super::{Interface, Neighbour, Policy};
 use crate::messages::geometry::{Motion, Vec2};
+use crate::observation::Observation;
 use crate::random::Stream;
-use crate::scenario::{Arena, Observation};
+use crate::scenario::Arena;
 use crate::time::Span;
 
 /// Number of floats of a broadcast: radius and preferred velocity.

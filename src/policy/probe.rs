@@ -7,7 +7,7 @@ use super::gnn::{Gnn, GnnWeights};
 use super::weights::{PolicyFile, Probe, WeightsError};
 use super::{Draw, Neighbour, Policy};
 use crate::messages::geometry::{Motion, Vec2};
-use crate::scenario::Observation;
+use crate::observation::Observation;
 use crate::time::Span;
 
 /// Largest differences between the test data (probe) of a policy file and the numbers that the loaded network computes.

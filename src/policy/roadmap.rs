@@ -152,10 +152,11 @@ mod tests {
 
     use super::*;
     use crate::messages::geometry::Motion;
+    use crate::observation::Observation;
     use crate::policy::Policy;
     use crate::policy::orca::Orca;
     use crate::random::Seed;
-    use crate::scenario::{Observation, Settings, build};
+    use crate::scenario::{Settings, build};
     use crate::world::{Physics, kinematic};
 
     fn arena(half: f32, blocks: &[[f32; 4]]) -> Arena {

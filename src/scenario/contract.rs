@@ -8,6 +8,7 @@ use std::fmt::Display;
 use super::{Entry, Progress, Scenario, Settings, build_of};
 use crate::messages::geometry::{Motion, Planar, Task, Vec2, is_finite};
 use crate::messages::local::Contacts;
+use crate::observation::{Bound, Channel, Known, Request, builtin};
 use crate::time::Span;
 
 /// Team sizes with which the contract test builds a scenario, if the scenario accepts them; `None` is the scenario's
@@ -34,6 +35,7 @@ const SCALES_AND_HULLS: [(Option<f32>, Option<f32>); 9] = [
 /// - Tasks: one for each robot, the same for equal seeds and others for other seeds; each episode starts where the
 ///   one before has ended; goals are inside the arena, apart from each other, and not yet reached at the start.
 ///   Without goals, these hold for the starts.
+/// - Channels: each has a name of its own, and its values are finite at the start.
 /// - Frames: `steer` inverts the transformation of velocities by `observe`.
 /// - Distance to go: never less than the straight distance to the goal, and zero at the goal.
 /// - Reward: finite; stages never decrease; at the goal, the reward with contacts is less than without.
@@ -62,6 +64,7 @@ pub fn check(entry: &Entry) -> Result<(), String> {
         tasks(scenario).map_err(named)?;
         for task in (0..4).flat_map(|episode| scenario.tasks(5, episode)) {
             frames(scenario, &task).map_err(named)?;
+            channels(scenario, &task).map_err(named)?;
             match scenario.cost() {
                 None => distance(scenario, &task).map_err(named)?,
                 Some(_) => no_goal(scenario, &task).map_err(named)?,
@@ -112,6 +115,23 @@ fn tasks(scenario: &dyn Scenario) -> Result<(), String> {
         }
     }
     require(scenario.tasks(1, 0) != scenario.tasks(2, 0), || "seeds 1 and 2 give equal tasks")
+}
+
+/// Checks that each channel of the scenario has a name of its own, and finite values for a robot with this `task`.
+fn channels(scenario: &dyn Scenario, task: &Task) -> Result<(), String> {
+    let own = scenario.channels();
+    let mut names: Vec<String> = builtin::channels().iter().map(|channel| channel.name.to_string()).collect();
+    for channel in &own {
+        let name = channel.name.to_string();
+        require(!names.contains(&name), || format!("a second channel '{name}' of the observation"))?;
+        names.push(name);
+    }
+    let requests: Vec<Request> = own.iter().map(Channel::request).collect();
+    let bound = Bound::new(&requests, &own).map_err(|error| error.to_string())?;
+    let seen = scenario.observe(task, &Motion::at_rest(task.start));
+    let mut values = vec![f32::NAN; bound.floats()];
+    bound.write(&Known { task, own: &seen, frame: scenario.frame(task) }, &mut values);
+    require(values.iter().all(|value| value.is_finite()), || "a channel of the observation is not finite at the start")
 }
 
 fn frames(scenario: &dyn Scenario, task: &Task) -> Result<(), String> {
@@ -196,7 +216,8 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::scenario::{Arena, PolicyFrame, Rules, ScenarioError, swap};
+    use crate::observation::PolicyFrame;
+    use crate::scenario::{Arena, Rules, ScenarioError, swap};
 
     /// A scenario whose robots all have the same goal.
     #[derive(Debug)]

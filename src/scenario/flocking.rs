@@ -17,11 +17,10 @@ use std::sync::Arc;
 use rand::RngExt;
 
 use super::cost::velocity_variance;
-use super::{
-    Arena, Cost, PolicyFrame, Progress, Rules, Scenario, ScenarioError, Settings, Size, TeamAfterStep, TeamSizes,
-};
+use super::{Arena, Cost, Progress, Rules, Scenario, ScenarioError, Settings, Size, TeamAfterStep, TeamSizes};
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
+use crate::observation::PolicyFrame;
 use crate::random::{Seed, Stream};
 use crate::time::Span;
 

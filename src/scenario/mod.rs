@@ -24,60 +24,8 @@ pub use size::Size;
 
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
+use crate::observation::{Channel, Observation, PolicyFrame};
 use crate::time::Span;
-
-/// Transformation between the world frame and the policy frame. A policy's inputs and outputs are given in the policy
-/// frame, which is the world frame, possibly rotated by half a turn. Each transformation is its own inverse.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PolicyFrame {
-    /// Identity: the policy frame is the world frame.
-    World,
-    /// Rotation by half a turn (180 degrees) about the origin of the world frame.
-    HalfTurn,
-}
-
-impl PolicyFrame {
-    /// Transforms a point \[m\] or a velocity \[m/s\] from the world frame to the policy frame, or back.
-    pub fn turn(self, v: Vec2) -> Vec2 {
-        match self {
-            PolicyFrame::World => v,
-            PolicyFrame::HalfTurn => -v,
-        }
-    }
-
-    /// Transforms position and velocity of a robot from the world frame to the policy frame, or back.
-    pub(crate) fn turn_motion(self, motion: &Motion) -> Motion {
-        Motion { position: self.turn(motion.position), velocity: self.turn(motion.velocity) }
-    }
-}
-
-/// Input of a policy about its own robot, in the policy frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Observation {
-    /// Estimated position \[m\] and velocity \[m/s\] of the robot, in the policy frame (the world frame, possibly
-    /// rotated by half a turn).
-    pub motion: Motion,
-    /// Position of the robot's goal \[m\], in the policy frame.
-    pub goal: Vec2,
-    /// How the robot follows the velocities that its policy commands.
-    pub dynamics: Dynamics,
-}
-
-impl Observation {
-    /// Returns the observation of a robot without safety filter and without lag.
-    pub fn new(motion: Motion, goal: Vec2) -> Observation {
-        Observation { motion, goal, dynamics: Dynamics::default() }
-    }
-}
-
-/// How a robot follows the velocities that its policy commands, as its team file says or its simulator knows it.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Dynamics {
-    /// Whether the safety filter may change the commands, so that the robot keeps its distance from others and walls.
-    pub filtered: bool,
-    /// Time constant of the first-order lag of the robot's velocity behind its commands \[s\].
-    pub lag_s: f32,
-}
 
 /// Stage of a robot's progress in an episode, as a number that only the reward uses. It is zero at the start of an
 /// episode, and the scenario increments it, for example when the robot reaches a waypoint.
@@ -152,10 +100,16 @@ pub trait Scenario: Debug + Send + Sync {
     /// turn. In this frame the robot's policy observes and commands.
     fn frame(&self, task: &Task) -> PolicyFrame;
 
+    /// Returns the channels that the scenario adds to the observation, besides the built-in ones. A policy takes them by
+    /// their names. The default is none.
+    fn channels(&self) -> Vec<Channel> {
+        Vec::new()
+    }
+
     /// Returns the policy's observation for a robot with start and goal `task`, whose estimated state is `estimate` in
     /// the world frame. The default implementation transforms the estimate and the goal to the policy frame. The
-    /// caller sets the observation's `dynamics`.
-    fn observe(&self, task: &Task, estimate: &Motion) -> Observation {
+    /// caller sets all other fields of the observation.
+    fn observe(&self, task: &Task, estimate: &Motion) -> Observation<'static> {
         let frame = self.frame(task);
         Observation::new(frame.turn_motion(estimate), frame.turn(task.goal))
     }

@@ -11,11 +11,10 @@ use std::sync::Arc;
 
 use rand::RngExt;
 
-use super::{
-    Arena, KeepOut, PolicyFrame, Portal, Progress, Rules, Scenario, ScenarioError, Settings, Size, TeamSizes, size,
-};
+use super::{Arena, KeepOut, Portal, Progress, Rules, Scenario, ScenarioError, Settings, Size, TeamSizes, size};
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
+use crate::observation::{Channel, PolicyFrame, Quantity, Unit};
 use crate::random::{Seed, Stream};
 use crate::time::Span;
 
@@ -204,6 +203,19 @@ impl Scenario for Passage {
     fn tasks(&self, seed: u64, episode: u32) -> Vec<Task> {
         let (starts, goals) = (self.placement(seed, episode), self.placement(seed, episode + 1));
         starts.into_iter().zip(goals).map(|(start, goal)| Task { start, goal }).collect()
+    }
+
+    fn channels(&self) -> Vec<Channel> {
+        let shape = (vec![2, 2], Unit::Metre, Quantity::Vector);
+        let [left, right] = [self.arena.keep_outs[1].max.x, self.arena.keep_outs[0].min.x];
+        let gap =
+            Channel::new("gap", "from the robot to both ends of the wall at the gap", shape, move |known, out| {
+                let position = known.own.motion.position;
+                for (end, values) in [left, right].into_iter().zip(out.chunks_exact_mut(2)) {
+                    values.copy_from_slice((Vec2::new(end, 0.0) - position).as_slice());
+                }
+            });
+        vec![gap]
     }
 
     fn frame(&self, task: &Task) -> PolicyFrame {

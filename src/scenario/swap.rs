@@ -8,9 +8,10 @@ use std::sync::Arc;
 use rand::RngExt;
 use rand::seq::SliceRandom;
 
-use super::{Arena, PolicyFrame, Progress, Rules, Scenario, ScenarioError, Settings, Size, TeamSizes};
+use super::{Arena, Progress, Rules, Scenario, ScenarioError, Settings, Size, TeamSizes};
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
+use crate::observation::PolicyFrame;
 use crate::random::Seed;
 use crate::time::Span;
 

@@ -27,13 +27,14 @@ use crate::hearing::CommRange;
 use crate::hearing::Handling;
 use crate::messages::ids::RobotId;
 use crate::messages::wire::Stop;
+use crate::observation::{Bound, ChannelError, Dynamics};
 use crate::policy::{self, Model};
 use crate::random::Seed;
 use crate::registry::Registry;
 use crate::results::totals::Steps;
 use crate::safety::{Clamp, Safety, Switch};
 use crate::scenario::layout::Layouts;
-use crate::scenario::{Arena, Dynamics, Scenario, Settings};
+use crate::scenario::{Arena, Scenario, Settings};
 use crate::time::{Span, Time};
 use crate::world::{self, Physics, Placement, kinematic};
 
@@ -258,6 +259,7 @@ impl Trial {
         let plant = self.registry.plant(&deployment.plant);
         deployment.check_drives(plant.map_err(|error| ConfigError::field("plant", error.to_string()))?)?;
         self.safety.check()?;
+        self.channels().map_err(|error| ConfigError::field("policy", error.to_string()))?;
         if let Some((_, stop)) = self.stops.iter().find(|(_, stop)| usize::from(stop.by.0) >= deployment.hosts.len()) {
             let reason = format!("there is no host {}; there are {}, from 0", stop.by.0, deployment.hosts.len());
             return Err(ConfigError::field("stops", reason));
@@ -280,6 +282,12 @@ impl Trial {
     /// Returns the range within which robots use each other's messages: the trial's own, or that of the policy.
     pub fn comm_range(&self) -> CommRange {
         self.range.unwrap_or(CommRange::fixed(self.model.interface().radius_m))
+    }
+
+    /// Returns the channels of the observation that the policy takes, joined with those of the scenario. An error names
+    /// a channel that the scenario has not, or has otherwise.
+    pub fn channels(&self) -> Result<Bound, ChannelError> {
+        Bound::new(self.model.requests(), &self.scenario.channels())
     }
 
     /// Returns the delay from a measurement to the arrival of its reading, for which the estimator can compensate.

@@ -4,11 +4,12 @@
 use murmurate::chassis::{self, DriveKind};
 use murmurate::deploy::{Deployment, MODES};
 use murmurate::messages::geometry::{Motion, Vec2, is_finite};
+use murmurate::observation::Observation;
 use murmurate::policy::{self, Model, Neighbour};
 use murmurate::random::Seed;
 use murmurate::scenario::judge::Verdict;
 use murmurate::scenario::layout::Layouts;
-use murmurate::scenario::{self, Observation, Settings};
+use murmurate::scenario::{self, Settings};
 use murmurate::time::Span;
 use murmurate::trial::Trial;
 use murmurate::world::{self, Plant};
@@ -98,7 +99,7 @@ fn layouts_that_do_not_chain_are_placed_exactly_in_every_mode() {
 }
 
 /// Observation of a robot, and its neighbours' messages.
-type Situation = (Observation, Vec<(Motion, Vec<f32>)>);
+type Situation = (Observation<'static>, Vec<(Motion, Vec<f32>)>);
 
 /// Returns a few observations, with messages of two neighbours.
 fn situations(model: &Model) -> Vec<Situation> {

@@ -2,9 +2,10 @@
 //! more than was reckoned.
 
 use murmurate::messages::geometry::{Motion, Vec2};
+use murmurate::observation::Observation;
 use murmurate::policy::{self, Model, Neighbour};
 use murmurate::random::Seed;
-use murmurate::scenario::{self, Observation, Settings};
+use murmurate::scenario::{self, Settings};
 use murmurate::time::Span;
 use murmurate_train::config::Config;
 use murmurate_train::vector::{Autoreset, Buffers, Content, Options, VectorEnvironment};

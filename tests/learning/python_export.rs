@@ -6,11 +6,11 @@ use std::path::Path;
 use std::sync::Arc;
 
 use murmurate::messages::geometry::{Motion, Vec2};
+use murmurate::observation::Observation;
 use murmurate::policy::gnn::{Gnn, GnnWeights};
 use murmurate::policy::manifest::{Architecture, EdgeField};
 use murmurate::policy::weights::{self, WeightsError};
 use murmurate::policy::{Draw, Model, Neighbour, Policy};
-use murmurate::scenario::Observation;
 use murmurate::time::Span;
 
 /// Case of a fully connected team: inputs, messages and actions, one entry per robot.

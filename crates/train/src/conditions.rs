@@ -4,10 +4,11 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use super::config::{Conditions, Range};
+use murmurate::observation::Dynamics;
 use murmurate::random::Stream;
 use murmurate::safety::Clamp;
+use murmurate::scenario::Arena;
 use murmurate::scenario::size::HULL_M;
-use murmurate::scenario::{Arena, Dynamics};
 use murmurate::world::kinematic::{MAX_ACCELERATION_M_S2, PERIOD};
 use murmurate::world::{ContactRule, Physics};
 

@@ -2,8 +2,9 @@
 //! information.
 
 use murmurate::messages::geometry::{Motion, Planar, Task};
+use murmurate::observation::{Dynamics, Observation};
 use murmurate::policy::manifest::Field;
-use murmurate::scenario::{Dynamics, Observation, Progress, Scenario};
+use murmurate::scenario::{Progress, Scenario};
 
 /// Number of inputs of the critic per robot in addition to the policy's observation.
 pub const PRIVILEGED: usize = 8;

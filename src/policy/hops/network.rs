@@ -8,11 +8,11 @@ use super::hop::{Hop, Space};
 use super::manifest::{Deviation, Distribution, Manifest, OUTPUTS};
 use super::perceptron::{Buffers, Perceptron};
 use crate::messages::geometry::{Planar, Vec2};
+use crate::observation::Observation;
 use crate::policy::flock::accelerated;
 use crate::policy::mlp::Instructions;
 use crate::policy::{Draw, Interface, Neighbour, Policy};
 use crate::random::{self, Stream};
-use crate::scenario::Observation;
 use crate::time::Span;
 
 /// Weights and parameters of a policy of several hops, which all robots of a team share.

@@ -5,10 +5,10 @@ use std::sync::Arc;
 use super::file::{PolicyFile, TeamProbe};
 use super::network::{Hops, HopsWeights};
 use crate::messages::geometry::{Motion, Vec2};
+use crate::observation::Observation;
 use crate::policy::probe::{Difference, largest};
 use crate::policy::weights::{Probe, WeightsError};
 use crate::policy::{Draw, Neighbour, Policy};
-use crate::scenario::Observation;
 use crate::time::Span;
 
 impl TeamProbe {

@@ -2,9 +2,9 @@
 //! their goals, and the one nearer to its goal goes first.
 
 use murmurate::messages::geometry::{Planar, Vec2};
+use murmurate::observation::Observation;
 use murmurate::policy::{Entry, Interface, Model, Neighbour, Policy};
 use murmurate::random::Stream;
-use murmurate::scenario::Observation;
 use murmurate::time::Span;
 
 /// Entry in a registry.

@@ -5,8 +5,9 @@ use std::sync::Arc;
 
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::local::Contacts;
+use murmurate::observation::PolicyFrame;
 use murmurate::random::{Rng, Seed};
-use murmurate::scenario::{Arena, Entry, PolicyFrame, Progress, Rules, Scenario, ScenarioError, Settings, TeamSizes};
+use murmurate::scenario::{Arena, Entry, Progress, Rules, Scenario, ScenarioError, Settings, TeamSizes};
 use murmurate::time::Span;
 
 /// Entry in a registry.

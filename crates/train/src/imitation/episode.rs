@@ -12,13 +12,14 @@ use super::graph::Graph;
 use super::network::{Space, TrainableHops};
 use murmurate::messages::geometry::{Motion, Planar, Task, Vec2};
 use murmurate::messages::local::Contacts;
+use murmurate::observation::Observation;
 use murmurate::policy::flock::MAX_ACCELERATION_M_S2;
 use murmurate::policy::hops::hop::write_edge;
 use murmurate::policy::hops::manifest::Manifest;
 use murmurate::policy::{Model, Neighbour, Policy};
 use murmurate::random::Stream;
+use murmurate::scenario::Scenario;
 use murmurate::scenario::judge::{Judge, JudgedRobot, Judgement};
-use murmurate::scenario::{Observation, Scenario};
 use murmurate::time::Span;
 use murmurate::world::Physics;
 use murmurate::world::kinematic::{self, PERIOD};
@@ -105,7 +106,7 @@ pub fn most_age(manifest: &Manifest) -> u8 {
 }
 
 impl TaughtTeam<'_> {
-    fn observation(&self, robot: usize) -> Observation {
+    fn observation(&self, robot: usize) -> Observation<'static> {
         self.setting.scenario.observe(&self.tasks[robot], &self.motion[robot])
     }
 

@@ -5,7 +5,7 @@ use super::episode::{Setting, TaughtEpisode, limited, write_features};
 use super::graph::Graph;
 use super::network::Space;
 use murmurate::messages::geometry::{Planar, Vec2};
-use murmurate::scenario::Observation;
+use murmurate::observation::Observation;
 
 /// Steps of an episode that are learnt together.
 #[derive(Clone, Copy, Debug)]

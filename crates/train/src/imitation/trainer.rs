@@ -16,6 +16,7 @@ use crate::checkpoint::vector_instructions;
 use crate::parallel::in_parallel;
 use crate::trainer::Diverged;
 use murmurate::config::kinds::FileKind;
+use murmurate::observation::PolicyFrame;
 use murmurate::policy::hops::file;
 use murmurate::policy::hops::manifest::Manifest;
 use murmurate::policy::manifest::Training;
@@ -23,7 +24,7 @@ use murmurate::policy::{Model, ModelError};
 use murmurate::random::{Seed, Stream};
 use murmurate::registry::Registry;
 use murmurate::scenario::judge::Verdict;
-use murmurate::scenario::{PolicyFrame, Scenario, ScenarioError, Settings};
+use murmurate::scenario::{Scenario, ScenarioError, Settings};
 use murmurate_report::outcomes::CostOutcomes;
 use murmurate_report::statistics::mean_95;
 

@@ -1,0 +1,130 @@
+//! Robots of an Agent: their policies, and what each keeps from one step to the next.
+
+use crate::messages::geometry::Task;
+use crate::messages::ids::RobotId;
+use crate::messages::local::Percept;
+use crate::messages::wire::{MAX_FEATURES, Phase, all_sound};
+use crate::observation::{Bound, Dynamics, Known, Observation};
+use crate::policy::Policy;
+use crate::random::Stream;
+use crate::scenario::Scenario;
+use crate::time::{Span, Time};
+
+/// Policies with which an Agent drives one of its robots, and the random streams of that robot.
+pub struct RobotPolicies {
+    /// Robot that the policies control.
+    pub robot: RobotId,
+    /// How the robot follows the velocities that the policies command; a part of their observation.
+    pub dynamics: Dynamics,
+    /// Channels that the policy under test takes.
+    pub channels: Bound,
+    /// Policy under test, used in running episodes.
+    pub run: Box<dyn Policy>,
+    /// Policy that drives the robot to its start in a reset.
+    pub reset: Box<dyn Policy>,
+    /// Random stream from which both policies sample their actions.
+    pub actions: Stream,
+    /// Random stream of the communication ranges between this robot and the others of the same Agent.
+    pub ranges: Stream,
+}
+
+impl RobotPolicies {
+    /// Returns the policy that is used in `phase`.
+    pub(super) fn of(&mut self, phase: Phase) -> &mut dyn Policy {
+        if phase == Phase::Running { &mut *self.run } else { &mut *self.reset }
+    }
+
+    /// Returns the observation of the robot, which is bound for the goal of `task`, without values of channels.
+    pub(super) fn observe(
+        &self,
+        scenario: &dyn Scenario,
+        task: &Task,
+        percept: &Percept,
+        elapsed: Span,
+    ) -> Observation<'static> {
+        let heading = percept.heading.map(|heading| scenario.frame(task).turn_angle(heading));
+        let (dynamics, yaw_rate) = (self.dynamics, percept.yaw_rate);
+        Observation { dynamics, heading, yaw_rate, elapsed, ..scenario.observe(task, &percept.estimate) }
+    }
+}
+
+/// State of one robot within an Agent: its policies, task, newest percept and latent.
+pub(super) struct Slot {
+    pub policies: RobotPolicies,
+    pub task: Option<Task>,
+    pub percept: Option<Percept>,
+    /// Values of the channels that the policy under test takes, in the current step.
+    pub values: Vec<f32>,
+    /// Time of the robot's last step in a running episode; `None` before the first one.
+    stepped: Option<Time>,
+    /// Latent features that the robot broadcasts in the current step.
+    pub features: Vec<f32>,
+    /// Whether `features` is a valid latent: finite and of the declared length. If not, the policy has failed and its
+    /// actions are not used.
+    pub valid: bool,
+    /// Whether the log has said that the latent is invalid, since it was last valid.
+    pub reported: bool,
+    /// Expected lengths of the latent features: of the policy under test, and of the reset policy.
+    pub widths: [usize; 2],
+}
+
+impl Slot {
+    pub fn new(policies: RobotPolicies) -> Slot {
+        let widths = [&policies.run, &policies.reset].map(|policy| policy.interface().features);
+        let values = vec![0.0; policies.channels.floats()];
+        Slot {
+            policies,
+            task: None,
+            percept: None,
+            values,
+            stepped: None,
+            features: Vec::new(),
+            valid: true,
+            reported: false,
+            widths,
+        }
+    }
+
+    pub fn width(&self, phase: Phase) -> usize {
+        self.widths[usize::from(phase != Phase::Running)]
+    }
+
+    /// Takes the broadcast that the policy has computed together with its action in `phase`, if it has.
+    pub fn take_broadcast(&mut self, phase: Phase) {
+        let Some(broadcast) = self.policies.of(phase).broadcast() else { return };
+        self.features.clear();
+        self.features.extend_from_slice(broadcast);
+        if self.valid {
+            self.check(self.features.len(), self.width(phase));
+        }
+    }
+
+    /// Checks and returns whether `features` is a valid latent of a policy that has declared `declared` floats, and now
+    /// `width`.
+    pub fn check(&mut self, width: usize, declared: usize) -> bool {
+        let valid = width == declared && width <= MAX_FEATURES && all_sound(&self.features);
+        if !valid && !self.reported {
+            tracing::error!(width, declared, "the policy's output is not a valid latent; its robot stops");
+            self.reported = true;
+        }
+        self.valid = valid;
+        valid
+    }
+
+    /// Puts the policy under test back to its start, for a new episode.
+    pub fn begin(&mut self) {
+        self.stepped = None;
+        self.policies.run.reset();
+    }
+
+    /// Notes a step of a running episode at `now`, in which the robot's observation is `own` without the values of
+    /// channels, and computes these. Puts the policy back to its start if its last step is too long ago.
+    pub fn steps(&mut self, now: Time, known: &Known) {
+        self.policies.channels.write(known, &mut self.values);
+        let before = self.stepped.replace(now);
+        let Some((before, longest)) = before.zip(self.policies.run.forgets_after()) else { return };
+        if now.since(before) > longest {
+            self.policies.run.reset();
+        }
+    }
+}

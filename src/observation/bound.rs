@@ -1,0 +1,238 @@
+//! Join of the channels that a policy takes with those that a team has.
+
+use super::channel::{Channel, Frame, Known, Quantity, Unit, floats};
+use super::{builtin, wrapped};
+use crate::messages::geometry::Vec2;
+
+/// Largest number of values of all channels that a policy takes together.
+pub const MAX_FLOATS: usize = 65_536;
+
+/// Channel that a policy takes, as its file describes it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Request {
+    /// Name of the policy's input.
+    pub input: String,
+    /// Name of the channel.
+    pub channel: String,
+    /// Number of values along each axis of the array that the policy takes.
+    pub shape: Vec<usize>,
+    /// Unit in which the policy takes the values.
+    pub unit: Unit,
+    /// Frame in which the policy takes the values; `None` if the policy does not say, which only values that are the
+    /// same in every frame permit.
+    pub frame: Option<Frame>,
+}
+
+impl Channel {
+    /// Returns the request of a policy that takes this channel as it is, in the policy frame.
+    pub(crate) fn request(&self) -> Request {
+        Request {
+            input: self.name.to_string(),
+            channel: self.name.to_string(),
+            shape: self.shape.clone(),
+            unit: self.unit,
+            frame: Some(Frame::Policy),
+        }
+    }
+}
+
+impl Request {
+    /// Returns the number of values.
+    pub fn floats(&self) -> usize {
+        floats(&self.shape)
+    }
+}
+
+/// Error: a policy takes a channel that the team has not, or has otherwise.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("its observation '{input}': {reason}")]
+pub struct ChannelError {
+    /// Name of the policy's input.
+    pub input: String,
+    /// What the policy takes and what there is.
+    pub reason: String,
+}
+
+/// Channels that a policy takes, joined with those that compute their values.
+#[derive(Clone, Debug, Default)]
+pub struct Bound {
+    parts: Vec<(Channel, Frame)>,
+    floats: usize,
+}
+
+impl Bound {
+    /// Joins the channels that a policy takes with those of the team: the built-in ones, and `others` of its scenario.
+    /// An error names the first channel that does not exist, or that has another shape or unit.
+    pub fn new(requests: &[Request], others: &[Channel]) -> Result<Bound, ChannelError> {
+        let all: Vec<Channel> = builtin::channels().into_iter().chain(others.iter().cloned()).collect();
+        let mut bound = Bound::default();
+        for request in requests {
+            let refuse = |reason: String| ChannelError { input: request.input.clone(), reason };
+            let Some(channel) = all.iter().find(|channel| channel.name == request.channel) else {
+                let known: Vec<&str> = all.iter().map(|channel| &*channel.name).collect();
+                let (wanted, known) = (&request.channel, known.join(", "));
+                return Err(refuse(format!("there is no channel '{wanted}' here; there are: {known}")));
+            };
+            let (theirs, ours) = (&request.shape, &channel.shape);
+            if theirs != ours {
+                let name = &channel.name;
+                return Err(refuse(format!(
+                    "the policy takes an array {theirs:?}, and the channel '{name}' is {ours:?}"
+                )));
+            }
+            if request.unit != channel.unit {
+                let (theirs, ours) = (request.unit, channel.unit);
+                return Err(refuse(format!(
+                    "the policy takes it in {theirs}, and the channel '{}' is in {ours}",
+                    channel.name
+                )));
+            }
+            let frame = match (request.frame, channel.quantity) {
+                (Some(frame), _) => frame,
+                (None, Quantity::Number) => Frame::Policy,
+                (None, _) => {
+                    let why = "its frame is missing: world, policy or body";
+                    return Err(refuse(why.to_owned()));
+                }
+            };
+            bound.floats += request.floats();
+            if bound.floats > MAX_FLOATS {
+                return Err(refuse(format!("with it the policy takes more than {MAX_FLOATS} values")));
+            }
+            bound.parts.push((channel.clone(), frame));
+        }
+        Ok(bound)
+    }
+
+    /// Returns the number of values of all channels together.
+    pub fn floats(&self) -> usize {
+        self.floats
+    }
+
+    /// Writes the values of all channels, one channel after the other, into `values`, which has the length
+    /// `Bound::floats`. A value that is not known is NaN, as are all directions in the robot's own frame if its heading
+    /// is not known.
+    pub fn write(&self, known: &Known, values: &mut [f32]) {
+        let mut rest = values;
+        for (channel, frame) in &self.parts {
+            let (own, later) = rest.split_at_mut(floats(&channel.shape));
+            (channel.write)(known, own);
+            transform(channel.quantity, *frame, known, own);
+            rest = later;
+        }
+    }
+}
+
+/// Transforms values from the policy frame into `frame`.
+fn transform(quantity: Quantity, frame: Frame, known: &Known, values: &mut [f32]) {
+    if quantity == Quantity::Number || frame == Frame::Policy {
+        return;
+    }
+    let (heading, here) = (known.own.heading.unwrap_or(f32::NAN), known.own.motion.position);
+    let (sin, cos) = libm::sincosf(heading);
+    let in_body = |v: Vec2| Vec2::new(cos * v.x + sin * v.y, cos * v.y - sin * v.x);
+    let pair = |v: Vec2| match (frame, quantity) {
+        (Frame::Body, Quantity::Point) => in_body(v - here),
+        (Frame::Body, _) => in_body(v),
+        _ => known.frame.turn(v),
+    };
+    if quantity == Quantity::Angle {
+        for angle in values {
+            *angle = match frame {
+                Frame::Body => wrapped(*angle - heading),
+                _ => known.frame.turn_angle(*angle),
+            };
+        }
+        return;
+    }
+    for values in values.chunks_exact_mut(2) {
+        let turned = pair(Vec2::new(values[0], values[1]));
+        values.copy_from_slice(turned.as_slice());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::geometry::{Motion, Task};
+    use crate::observation::{Dynamics, Observation, PolicyFrame};
+    use crate::time::Span;
+
+    fn request(channel: &str, shape: &[usize], unit: Unit, frame: Option<Frame>) -> Request {
+        Request { input: "x".to_owned(), channel: channel.to_owned(), shape: shape.to_vec(), unit, frame }
+    }
+
+    fn own(heading: Option<f32>) -> Observation<'static> {
+        let motion = Motion { position: Vec2::new(1.0, 2.0), velocity: Vec2::new(0.5, 0.0) };
+        let dynamics = Dynamics { filtered: true, lag_s: 0.25 };
+        Observation {
+            dynamics,
+            heading,
+            elapsed: Span::from_millis(1500),
+            ..Observation::new(motion, Vec2::new(1.0, 4.0))
+        }
+    }
+
+    fn values(bound: &Bound, own: &Observation, frame: PolicyFrame) -> Vec<f32> {
+        let task = Task { start: Vec2::zeros(), goal: frame.turn(own.goal) };
+        let mut values = vec![0.0; bound.floats()];
+        bound.write(&Known { task: &task, own, frame }, &mut values);
+        values
+    }
+
+    #[test]
+    fn values_are_in_the_frame_that_the_policy_takes() {
+        let goal = |frame| request("goal-minus-position", &[2], Unit::Metre, Some(frame));
+        let all = [goal(Frame::Policy), goal(Frame::World), goal(Frame::Body)];
+        let bound = Bound::new(&all, &[]).expect("there is such a channel");
+        // The goal is two metres along y, and the robot looks along y: it is straight ahead.
+        let found = values(&bound, &own(Some(std::f32::consts::FRAC_PI_2)), PolicyFrame::HalfTurn);
+        let expected = [0.0, 2.0, 0.0, -2.0, 2.0, 0.0];
+        assert!(found.iter().zip(expected).all(|(one, other)| (one - other).abs() < 1e-6), "{found:?}");
+        let unknown = values(&bound, &own(None), PolicyFrame::HalfTurn);
+        assert_eq!(unknown[..4], [0.0, 2.0, -0.0, -2.0], "no heading is needed for it");
+        assert!(unknown[4..].iter().all(|value| value.is_nan()), "{unknown:?}");
+    }
+
+    #[test]
+    fn points_and_angles_are_relative_to_the_robot_in_its_own_frame() {
+        let all = [
+            request("goal", &[2], Unit::Metre, Some(Frame::Body)),
+            request("heading", &[1], Unit::Radian, Some(Frame::Body)),
+            request("heading", &[1], Unit::Radian, Some(Frame::World)),
+            request("filter", &[1], Unit::One, None),
+            request("lag", &[1], Unit::Second, None),
+            request("time-in-episode", &[1], Unit::Second, None),
+        ];
+        let bound = Bound::new(&all, &[]).expect("there are such channels");
+        let found = values(&bound, &own(Some(0.0)), PolicyFrame::HalfTurn);
+        assert_eq!(found[..3], [0.0, 2.0, 0.0]);
+        assert!((found[3].abs() - std::f32::consts::PI).abs() < 1e-6, "{found:?}");
+        assert_eq!(found[4..], [1.0, 0.25, 1.5]);
+    }
+
+    #[test]
+    fn what_does_not_fit_is_refused_with_both_sides() {
+        let refused = |request: Request| Bound::new(&[request], &[]).expect_err("it does not fit").to_string();
+        let unknown = refused(request("lidar", &[32], Unit::Metre, None));
+        assert!(unknown.starts_with("its observation 'x': there is no channel 'lidar' here; there are: position, "));
+        assert_eq!(
+            refused(request("velocity", &[3], Unit::MetrePerSecond, Some(Frame::World))),
+            "its observation 'x': the policy takes an array [3], and the channel 'velocity' is [2]"
+        );
+        assert_eq!(
+            refused(request("velocity", &[2], Unit::Metre, Some(Frame::World))),
+            "its observation 'x': the policy takes it in m, and the channel 'velocity' is in m/s"
+        );
+        assert!(refused(request("velocity", &[2], Unit::MetrePerSecond, None)).contains("its frame is missing"));
+    }
+
+    #[test]
+    fn a_channel_of_a_scenario_is_taken_by_its_name() {
+        let shape = (vec![3], Unit::One, Quantity::Number);
+        let own_channel = Channel::new("level", "a number", shape, |known, out| out.fill(known.own.motion.position.x));
+        let all = [request("level", &[3], Unit::One, None)];
+        let bound = Bound::new(&all, &[own_channel]).expect("the scenario has it");
+        assert_eq!(values(&bound, &own(None), PolicyFrame::World), [1.0; 3]);
+    }
+}

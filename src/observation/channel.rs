@@ -1,0 +1,137 @@
+//! Channels of the observation that a team has: named arrays with a unit, computed at each step.
+
+use std::borrow::Cow;
+use std::fmt;
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Observation, PolicyFrame};
+use crate::messages::geometry::Task;
+
+/// Unit of a channel's values.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Unit {
+    /// Metres.
+    #[serde(rename = "m")]
+    Metre,
+    /// Metres per second.
+    #[serde(rename = "m/s")]
+    MetrePerSecond,
+    /// Metres per second squared.
+    #[serde(rename = "m/s2")]
+    MetrePerSecondSquared,
+    /// Radians.
+    #[serde(rename = "rad")]
+    Radian,
+    /// Radians per second.
+    #[serde(rename = "rad/s")]
+    RadianPerSecond,
+    /// Seconds.
+    #[serde(rename = "s")]
+    Second,
+    /// A number without a unit.
+    #[serde(rename = "1")]
+    One,
+}
+
+impl fmt::Display for Unit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Unit::Metre => "m",
+            Unit::MetrePerSecond => "m/s",
+            Unit::MetrePerSecondSquared => "m/s2",
+            Unit::Radian => "rad",
+            Unit::RadianPerSecond => "rad/s",
+            Unit::Second => "s",
+            Unit::One => "1",
+        })
+    }
+}
+
+/// Frame in which a policy takes a channel's values.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Frame {
+    /// The policy frame of the scenario: the world frame, possibly rotated by half a turn.
+    #[default]
+    Policy,
+    /// The world frame.
+    World,
+    /// The robot's own frame: x ahead, y to the left, and points relative to the robot's position.
+    Body,
+}
+
+/// What a channel's values are, which decides how they are transformed into another frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
+    /// Numbers that are the same in every frame.
+    Number,
+    /// Pairs (x, y) that are directions with a length, such as velocities and differences of positions.
+    Vector,
+    /// Pairs (x, y) that are positions.
+    Point,
+    /// Angles \[rad\], counter-clockwise from the x axis.
+    Angle,
+}
+
+/// State of a robot at a step, from which the values of channels are computed.
+#[derive(Clone, Copy, Debug)]
+pub struct Known<'a> {
+    /// Start and goal of the robot \[m\], world frame.
+    pub task: &'a Task,
+    /// Observation of the robot in the policy frame; its `values` are empty.
+    pub own: &'a Observation<'a>,
+    /// Policy frame of the robot.
+    pub frame: PolicyFrame,
+}
+
+/// Function that writes a channel's values in the policy frame; NaN is written for a value that is not known.
+type Write = dyn Fn(&Known, &mut [f32]) + Send + Sync;
+
+/// Channel of the observation that a team has: its name, shape, unit, and the function that computes its values.
+#[derive(Clone)]
+pub struct Channel {
+    /// Name by which a policy asks for the channel, such as `velocity`.
+    pub name: Cow<'static, str>,
+    /// Description in one line, for lists of channels.
+    pub about: &'static str,
+    /// Number of values along each axis of the array.
+    pub shape: Vec<usize>,
+    /// Unit of all values.
+    pub unit: Unit,
+    /// What the values are.
+    pub quantity: Quantity,
+    pub(super) write: Arc<Write>,
+}
+
+impl fmt::Debug for Channel {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Channel").field("name", &self.name).field("shape", &self.shape).finish_non_exhaustive()
+    }
+}
+
+impl Channel {
+    /// Makes a channel of arrays of the given `shape`. `write` computes its values in the policy frame, one after the
+    /// other with the last axis running fastest; `quantity` says how they are transformed into other frames.
+    ///
+    /// # Panics
+    /// If the array is empty, or if pairs do not fill the last axis.
+    pub fn new(
+        name: impl Into<Cow<'static, str>>,
+        about: &'static str,
+        (shape, unit, quantity): (Vec<usize>, Unit, Quantity),
+        write: impl Fn(&Known, &mut [f32]) + Send + Sync + 'static,
+    ) -> Channel {
+        let name = name.into();
+        assert!(floats(&shape) > 0, "the channel '{name}' has no values");
+        let pairs = matches!(quantity, Quantity::Vector | Quantity::Point);
+        assert!(!pairs || shape.last() == Some(&2), "the last axis of the channel '{name}' is not 2, for x and y");
+        Channel { name, about, shape, unit, quantity, write: Arc::new(write) }
+    }
+}
+
+/// Returns the number of values of an array of this shape.
+pub(super) fn floats(shape: &[usize]) -> usize {
+    shape.iter().try_fold(1, |product: usize, axis| product.checked_mul(*axis)).unwrap_or(usize::MAX)
+}
