@@ -232,8 +232,7 @@ impl Agent {
         let task = bound_for(phase, task);
         let own = slot.policies.observe(&*self.scenario, &task, percept, now.since(self.episode_began));
         if phase == Phase::Running {
-            let frame = self.scenario.frame(&task);
-            slot.steps(now, &Known { task: &task, own: &own, frame });
+            slot.steps(now, &Known { task: &task, own: &own });
         }
         let seen = Observation { values: &slot.values, ..own };
         let policy = slot.policies.of(phase);

@@ -12,7 +12,7 @@ use super::round::{MAX_TERM, Round};
 use crate::time::Span;
 
 /// Largest absolute value of a number in the features that a policy sends. A policy that exceeds it counts as diverged.
-pub(crate) const MAX_FEATURE: f32 = 1e6;
+pub const MAX_FEATURE: f32 = 1e6;
 /// Longest validity of a motor command: 1 s. A robot that no longer receives commands must stop within this time.
 pub const MAX_VALIDITY: Span = Span::from_millis(1000);
 

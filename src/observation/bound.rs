@@ -134,13 +134,13 @@ fn transform(quantity: Quantity, frame: Frame, known: &Known, values: &mut [f32]
     let pair = |v: Vec2| match (frame, quantity) {
         (Frame::Body, Quantity::Point) => in_body(v - here),
         (Frame::Body, _) => in_body(v),
-        _ => known.frame.turn(v),
+        _ => known.own.frame.turn(v),
     };
     if quantity == Quantity::Angle {
         for angle in values {
             *angle = match frame {
                 Frame::Body => wrapped(*angle - heading),
-                _ => known.frame.turn_angle(*angle),
+                _ => known.own.frame.turn_angle(*angle),
             };
         }
         return;
@@ -164,7 +164,7 @@ mod tests {
 
     fn own(heading: Option<f32>) -> Observation<'static> {
         let motion = Motion { position: Vec2::new(1.0, 2.0), velocity: Vec2::new(0.5, 0.0) };
-        let dynamics = Dynamics { filtered: true, lag_s: 0.25 };
+        let dynamics = Dynamics { filtered: true, lag_s: 0.25, point_ahead_m: 0.0 };
         Observation {
             dynamics,
             heading,
@@ -176,7 +176,7 @@ mod tests {
     fn values(bound: &Bound, own: &Observation, frame: PolicyFrame) -> Vec<f32> {
         let task = Task { start: Vec2::zeros(), goal: frame.turn(own.goal) };
         let mut values = vec![0.0; bound.floats()];
-        bound.write(&Known { task: &task, own, frame }, &mut values);
+        bound.write(&Known { task: &task, own: &Observation { frame, ..*own } }, &mut values);
         values
     }
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Observation, PolicyFrame};
+use super::Observation;
 use crate::messages::geometry::Task;
 
 /// Unit of a channel's values.
@@ -82,8 +82,6 @@ pub struct Known<'a> {
     pub task: &'a Task,
     /// Observation of the robot in the policy frame; its `values` are empty.
     pub own: &'a Observation<'a>,
-    /// Policy frame of the robot.
-    pub frame: PolicyFrame,
 }
 
 /// Function that writes a channel's values in the policy frame; NaN is written for a value that is not known.

@@ -63,6 +63,8 @@ pub struct Observation<'a> {
     pub goal: Vec2,
     /// How the robot follows the velocities that its policy commands.
     pub dynamics: Dynamics,
+    /// Policy frame of the robot.
+    pub frame: PolicyFrame,
     /// Heading of the robot \[rad\] in the policy frame, counter-clockwise from its x axis, as it was last measured;
     /// `None` if the readings of the robot have none.
     pub heading: Option<f32>,
@@ -84,6 +86,7 @@ impl Observation<'_> {
             motion,
             goal,
             dynamics: Dynamics::default(),
+            frame: PolicyFrame::World,
             heading: None,
             yaw_rate: None,
             elapsed: Span::ZERO,
@@ -99,4 +102,7 @@ pub struct Dynamics {
     pub filtered: bool,
     /// Time constant of the first-order lag of the robot's velocity behind its commands \[s\].
     pub lag_s: f32,
+    /// Distance of the commanded point ahead of the robot's axle \[m\]; zero for a holonomic drive, whose commanded
+    /// point is its centre.
+    pub point_ahead_m: f32,
 }

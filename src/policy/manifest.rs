@@ -58,7 +58,7 @@ impl Field {
             Field::PositionPlusVelocity => observation.motion.position + observation.motion.velocity,
             Field::Velocity => observation.motion.velocity,
             Field::FilterAndLag => {
-                let Dynamics { filtered, lag_s } = observation.dynamics;
+                let Dynamics { filtered, lag_s, .. } = observation.dynamics;
                 Vec2::new(if filtered { 1.0 } else { 0.0 }, lag_s)
             }
         }
@@ -377,7 +377,7 @@ mod tests {
     #[test]
     fn entries_of_an_observation_are_what_they_say() {
         let motion = Motion { position: Vec2::new(0.5, -1.0), velocity: Vec2::new(0.25, 0.75) };
-        let dynamics = Dynamics { filtered: true, lag_s: 0.5 };
+        let dynamics = Dynamics { filtered: true, lag_s: 0.5, point_ahead_m: 0.0 };
         let own = Observation { dynamics, ..Observation::new(motion, Vec2::new(1.0, 1.0)) };
         let entries = [
             ("goal-minus-position", [0.5, 2.0]),

@@ -46,6 +46,8 @@ pub struct Origin {
     pub digest: String,
     /// Channels of the observation that the policy takes, in the order in which it gets their values.
     pub requests: Vec<Request>,
+    /// Whether the policy commands a yaw rate, which only a robot with a differential drive follows.
+    pub turns: bool,
 }
 
 /// Constructor of one robot's instance, for an arena in the policy frame. The second argument says how actions are
@@ -227,6 +229,11 @@ impl Model {
             Model::Custom(custom) => &custom.origin.digest,
             Model::Orca => "",
         }
+    }
+
+    /// Returns whether the policy commands a yaw rate, which only a robot with a differential drive follows.
+    pub fn turns(&self) -> bool {
+        matches!(self, Model::Custom(custom) if custom.origin.turns)
     }
 
     /// Returns the channels of the observation that the policy takes by name, in the order in which it gets their

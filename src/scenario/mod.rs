@@ -111,7 +111,7 @@ pub trait Scenario: Debug + Send + Sync {
     /// caller sets all other fields of the observation.
     fn observe(&self, task: &Task, estimate: &Motion) -> Observation<'static> {
         let frame = self.frame(task);
-        Observation::new(frame.turn_motion(estimate), frame.turn(task.goal))
+        Observation { frame, ..Observation::new(frame.turn_motion(estimate), frame.turn(task.goal)) }
     }
 
     /// Transforms a policy's output `velocity` \[m/s\] from the policy frame to the world frame, for a robot with start

@@ -259,6 +259,12 @@ impl Trial {
         let plant = self.registry.plant(&deployment.plant);
         deployment.check_drives(plant.map_err(|error| ConfigError::field("plant", error.to_string()))?)?;
         self.safety.check()?;
+        let holonomic = |robot: &RobotId| self.deployment.chassis(*robot).point_ahead_m == 0.0;
+        if let Some(robot) = RobotId::team(self.deployment.robots).find(|robot| self.model.turns() && holonomic(robot))
+        {
+            let why = format!("it commands a yaw rate, and {robot} has a holonomic drive: it needs 'differential'");
+            return Err(ConfigError::field("policy", why));
+        }
         self.channels().map_err(|error| ConfigError::field("policy", error.to_string()))?;
         if let Some((_, stop)) = self.stops.iter().find(|(_, stop)| usize::from(stop.by.0) >= deployment.hosts.len()) {
             let reason = format!("there is no host {}; there are {}, from 0", stop.by.0, deployment.hosts.len());
@@ -313,6 +319,7 @@ impl Trial {
     pub(crate) fn dynamics(&self, robot: RobotId) -> Dynamics {
         let real = self.deployment.hosts.iter().any(|host| host.actuates.contains(&robot.0));
         let lag_s = if real { self.safety.lag_s } else { self.physics.lag_s };
-        Dynamics { filtered: self.safety.distance == Switch::On, lag_s }
+        let point_ahead_m = self.deployment.chassis(robot).point_ahead_m;
+        Dynamics { filtered: self.safety.distance == Switch::On, lag_s, point_ahead_m }
     }
 }

@@ -322,7 +322,11 @@ fn a_policy_observes_whether_the_filter_is_on_and_the_lag_of_its_robot() {
         trial.run();
         let seen = seen.lock().expect("no thread has panicked");
         assert!(!seen.is_empty(), "the episode has begun");
-        assert!(seen.iter().all(|dynamics| *dynamics == Dynamics { filtered, lag_s }), "{:?}", seen[0]);
+        assert!(
+            seen.iter().all(|dynamics| *dynamics == Dynamics { filtered, lag_s, point_ahead_m: 0.0 }),
+            "{:?}",
+            seen[0]
+        );
     }
 }
 

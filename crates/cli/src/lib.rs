@@ -65,6 +65,7 @@ const DIGESTS: &[&str] = &[
     #[cfg(feature = "lab")]
     murmurate_lab::DIGEST,
     murmurate_launch::DIGEST,
+    murmurate_onnx::DIGEST,
     murmurate_record::DIGEST,
     murmurate_replay::DIGEST,
     murmurate_robot::DIGEST,

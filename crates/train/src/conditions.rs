@@ -151,7 +151,7 @@ impl EpisodeConditions {
 
     /// Returns how the robots follow their policy's commands in this episode.
     pub fn dynamics(&self) -> Dynamics {
-        Dynamics { filtered: self.filtered, lag_s: self.lag_s.unwrap_or(0.0) }
+        Dynamics { filtered: self.filtered, lag_s: self.lag_s.unwrap_or(0.0), ..Dynamics::default() }
     }
 
     /// Returns the mean delay \[s\] and the mean loss probability over all entries of `edges`.

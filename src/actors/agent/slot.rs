@@ -42,9 +42,9 @@ impl RobotPolicies {
         percept: &Percept,
         elapsed: Span,
     ) -> Observation<'static> {
-        let heading = percept.heading.map(|heading| scenario.frame(task).turn_angle(heading));
-        let (dynamics, yaw_rate) = (self.dynamics, percept.yaw_rate);
-        Observation { dynamics, heading, yaw_rate, elapsed, ..scenario.observe(task, &percept.estimate) }
+        let seen = scenario.observe(task, &percept.estimate);
+        let heading = percept.heading.map(|heading| seen.frame.turn_angle(heading));
+        Observation { dynamics: self.dynamics, heading, yaw_rate: percept.yaw_rate, elapsed, ..seen }
     }
 }
 

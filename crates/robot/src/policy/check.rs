@@ -7,8 +7,8 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use serde::Serialize;
 
-use super::check_hops;
 use super::facts::{Facts, ProbeFacts, drawn, lines, list, made, observation, probe as probe_row};
+use super::{check_hops, check_onnx, onnx};
 use crate::output::{print, read_bytes, talk};
 use crate::{BadInput, Ended};
 use murmurate::policy::hops;
@@ -29,6 +29,9 @@ pub struct Args {
     /// Prints one JSON object instead of the table
     #[arg(long)]
     json: bool,
+    /// Checks a policy of format 3 in this process, for the one that has started it
+    #[arg(long, hide = true)]
+    here: bool,
 }
 
 /// Runs `policy check`: prints a description of a policy file.
@@ -36,6 +39,9 @@ pub struct Args {
 /// # Errors
 /// If the file cannot be read or this program cannot run it.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
+    if onnx::is_format_3(&args.policy) {
+        return format_3(args);
+    }
     let name = args.policy.display().to_string();
     let refuse = |why: String| BadInput(format!("the policy file '{name}': {why}"));
     let bytes = bytes(args, registry)?;
@@ -70,6 +76,28 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         warnings: network.assumed().map(str::to_owned).into_iter().collect(),
     };
     show(args, &facts, table)
+}
+
+/// Runs `policy check` for a policy of format 3.
+fn format_3(args: &Args) -> Result<Ended> {
+    if args.here {
+        print(&serde_json::to_string(&onnx::check_here(&args.policy)?).context("a result is JSON")?)?;
+        return Ok(Ended::Done);
+    }
+    let (network, sound) = onnx::load(&args.policy)?;
+    let facts = check_onnx::Facts {
+        file: args.policy.display().to_string(),
+        digest: network.digest(),
+        manifest: network.contract(),
+        engine: murmurate_onnx::engine::NAME,
+        sound,
+    };
+    print(&if args.json {
+        serde_json::to_string(&facts).context("facts are JSON")?
+    } else {
+        check_onnx::table(&facts)
+    })?;
+    Ok(Ended::Done)
 }
 
 /// Prints the facts, as JSON or as the text that `table` makes of them.

@@ -2,7 +2,9 @@
 
 mod check;
 mod check_hops;
+mod check_onnx;
 mod facts;
+mod onnx;
 pub mod room;
 
 use std::path::Path;
@@ -59,6 +61,10 @@ pub fn load(registry: &Registry, named: Option<&Path>, draw: Option<Draw>, scena
     let name = named.display().to_string();
     let (model, place) = match named.to_str().and_then(|name| registry.policy(name)) {
         Some(entry) => ((entry.build)(scenario), format!("--policy {name}")),
+        None if onnx::is_format_3(named) => {
+            let (network, _) = onnx::load(named)?;
+            (Ok(network.model()), format!("the policy file '{name}'"))
+        }
         None => {
             let known: Vec<&str> = registry.policies().iter().map(|entry| entry.name).collect();
             let bytes = read_bytes(named, &format!("policy file (or name a policy: {})", known.join(", ")))?;

@@ -1,0 +1,409 @@
+//! Contract of a policy of format 3: what its graphs take and give, with units and frames, as a person writes it.
+
+use std::collections::BTreeMap;
+
+use murmurate::config::{self, ConfigError};
+use murmurate::messages::wire::MAX_FEATURES;
+use murmurate::observation::{Frame, Request, Unit};
+use murmurate::policy::Interface;
+use murmurate::time::Span;
+use serde::{Deserialize, Serialize};
+
+/// Version of the policy format that this crate reads.
+pub const FORMAT: u32 = 3;
+/// Key of the metadata of an ONNX file under which its contract is stored.
+pub const METADATA: &str = "murmurate";
+/// Names of the inputs of a graph that are no observations.
+pub const ROLES: [&str; 5] = ["messages", "edges", "heard", "own_message", "state"];
+/// Largest number of floats that a policy keeps from one step to the next.
+pub const MAX_STATE: usize = 65_536;
+/// Largest number of neighbours that one call of a graph takes.
+pub const MAX_NEIGHBOURS: usize = 64;
+/// Longest name that reports show \[characters\].
+const MAX_NAME: usize = 80;
+
+/// Contract of a policy: what its graphs take and give. Lengths are in metres, times in seconds.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Contract {
+    /// Version of the policy format: 3.
+    pub format: u32,
+    /// Name of the policy in reports.
+    pub name: String,
+    /// File of the one graph that makes a whole step, beside the contract; left out in the metadata of the graph
+    /// itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub graph: Option<String>,
+    /// File of the graph that makes the message, if that and the action are computed by two graphs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub encode: Option<String>,
+    /// File of the graph that makes the action, if that and the message are computed by two graphs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub act: Option<String>,
+    /// SHA-256 of the graph's file, or of both files one after the other, as hexadecimal digits.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sha256: Option<String>,
+    /// Licence of the policy, for people.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub license: Option<String>,
+    /// Origin of the policy, for people.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub source: Option<String>,
+    /// Steps in a second: 10 to 1000.
+    pub rate_hz: f64,
+    /// Distance within which neighbours are heard \[m\].
+    pub radius_m: f32,
+    /// Age up to which a neighbour's message is used \[s\].
+    pub hold_s: f64,
+    /// Largest number of neighbours in a call: the nearest count.
+    #[serde(default = "default_neighbours")]
+    pub max_neighbours: usize,
+    /// Number of places for neighbours in a call.
+    #[serde(default)]
+    pub pad: Pad,
+    /// Observations that the graphs take, by the names of their inputs.
+    #[serde(default)]
+    pub observation: BTreeMap<String, Observed>,
+    /// Features of the edges, the connections from neighbours to the robot: the input `edges`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub edges: Option<Edges>,
+    /// Message that a robot broadcasts in each step.
+    #[serde(default)]
+    pub message: Message,
+    /// State that the policy keeps from one step to the next.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub state: Option<State>,
+    /// What the output `action` means.
+    pub action: Action,
+}
+
+fn default_neighbours() -> usize {
+    8
+}
+
+/// Number of places for neighbours in a call of a graph.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Pad {
+    /// As many places as there are neighbours, and one that is empty without any.
+    #[default]
+    Exact,
+    /// Always `max_neighbours` places, of which those without a neighbour are empty.
+    Max,
+}
+
+/// Observation that a graph takes, a channel of the robot.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Observed {
+    /// Name of the channel; the name of the input if it is left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub source: Option<String>,
+    /// Number of values along each axis, without the axis of robots.
+    pub shape: Vec<usize>,
+    /// Unit of the values.
+    pub unit: Unit,
+    /// Frame of the values; needed for all that has a direction.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<Frame>,
+}
+
+/// Features of an edge, the connection from a neighbour to the robot.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Edges {
+    /// Features in their order.
+    pub features: Vec<Feature>,
+    /// Sign of relative positions and velocities, and the end from which a bearing is taken. There is no default, since
+    /// both are in use.
+    pub sign: Sign,
+    /// Frame of relative positions, velocities and bearings.
+    pub frame: Frame,
+}
+
+/// Feature of an edge.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Feature {
+    /// Difference of the positions \[m\]; two floats.
+    RelativePosition,
+    /// Difference of the velocities \[m/s\]; two floats.
+    RelativeVelocity,
+    /// Time since the neighbour's message has arrived \[s\]; one float.
+    Age,
+    /// Distance \[m\]; one float.
+    Distance,
+    /// Direction of the relative position \[rad\], from -pi to pi; one float.
+    Bearing,
+}
+
+impl Feature {
+    /// Returns the number of floats of the feature.
+    pub fn floats(self) -> usize {
+        match self {
+            Feature::RelativePosition | Feature::RelativeVelocity => 2,
+            Feature::Age | Feature::Distance | Feature::Bearing => 1,
+        }
+    }
+}
+
+/// Sign of relative positions and velocities.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Sign {
+    /// The robot's own value minus the neighbour's.
+    OwnMinusTheirs,
+    /// The neighbour's value minus the robot's own.
+    TheirsMinusOwn,
+}
+
+/// Message that a robot broadcasts in each step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Message {
+    /// Number of floats; zero if a robot's position and velocity are all that its neighbours use.
+    pub floats: usize,
+}
+
+/// State that a policy keeps from one step to the next. It is at its start when an episode begins, when the robot's
+/// Agent is started again, and after a gap.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct State {
+    /// Number of floats, all of which are zero at the start.
+    pub floats: usize,
+    /// Longest time between two steps after which the policy goes on from its state \[s\].
+    pub after_gap_s: f64,
+}
+
+/// What the output `action` means.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Action {
+    /// Kind of action.
+    pub kind: Kind,
+    /// Unit of the output: m/s for velocities and twists, m/s2 for accelerations; left out for a choice.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unit: Option<Unit>,
+    /// Frame of the output, or of the velocities of a choice.
+    #[serde(default)]
+    pub frame: Frame,
+    /// Largest value along each axis, in the unit of the output; what is larger is clamped. For a twist it is the speed
+    /// ahead. Left out for a choice.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub limit: Option<f32>,
+    /// Largest speed along each axis that is commanded \[m/s\]; `limit` for velocities if it is left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub speed_limit: Option<f32>,
+    /// Distribution of which the outputs are the parameters.
+    #[serde(default)]
+    pub distribution: Distribution,
+    /// Velocities \[m/s\] of a choice, in the order of the outputs; the largest output is taken.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub choices: Vec<[f32; 2]>,
+}
+
+/// Kind of action.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kind {
+    /// Velocity: x and y.
+    Velocity,
+    /// Acceleration: x and y, added to the measured velocity over one period.
+    Acceleration,
+    /// Speed ahead and yaw rate \[rad/s\] of a robot with a differential drive.
+    Twist,
+    /// One of several velocities.
+    Choice,
+}
+
+/// Distribution of which the outputs of a policy are the parameters.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Distribution {
+    /// None: the output is the action.
+    #[default]
+    None,
+    /// Independent normal distributions: the means, then the natural logarithms of the standard deviations.
+    DiagonalNormal,
+}
+
+impl Contract {
+    /// Reads a contract from TOML, or from JSON as it may stand in a graph's metadata, and checks it. An error names the
+    /// wrong field.
+    pub fn parse(text: &str) -> Result<Contract, ConfigError> {
+        let json = text.trim_start().starts_with('{');
+        #[derive(Deserialize)]
+        struct Version {
+            format: u32,
+        }
+        let wrong = |error: &serde_json::Error| ConfigError::Syntax(config::json(error));
+        // Of another format the other fields are not known.
+        let Version { format } = match json {
+            true => serde_json::from_str(text).map_err(|error| wrong(&error))?,
+            false => config::from_toml(text)?,
+        };
+        if format != FORMAT {
+            return Err(ConfigError::field(
+                "format",
+                format!("{format}; this program reads contracts of format {FORMAT}"),
+            ));
+        }
+        let contract: Contract = match json {
+            true => serde_json::from_str(text).map_err(|error| wrong(&error))?,
+            false => config::from_toml(text)?,
+        };
+        contract.check()?;
+        Ok(contract)
+    }
+
+    /// Returns the parameters that the rest of the system needs to run the policy.
+    pub fn interface(&self) -> Interface {
+        Interface {
+            features: self.message.floats,
+            radius_m: self.radius_m,
+            period: Span::from_secs(1.0 / self.rate_hz),
+            limit_m_s: self.speed_limit(),
+            hold: Span::from_secs(self.hold_s),
+        }
+    }
+
+    /// Returns the channels that the policy takes, in the order of the names of its inputs.
+    pub fn requests(&self) -> Vec<Request> {
+        let request = |(input, observed): (&String, &Observed)| Request {
+            input: input.clone(),
+            channel: observed.source.as_ref().unwrap_or(input).clone(),
+            shape: observed.shape.clone(),
+            unit: observed.unit,
+            frame: observed.frame,
+        };
+        self.observation.iter().map(request).collect()
+    }
+
+    /// Returns the number of floats of an edge; zero without edges.
+    pub fn edge_floats(&self) -> usize {
+        self.edges.as_ref().map_or(0, |edges| edges.features.iter().map(|feature| feature.floats()).sum())
+    }
+
+    /// Returns the number of floats of the state; zero without one.
+    pub fn state_floats(&self) -> usize {
+        self.state.map_or(0, |state| state.floats)
+    }
+
+    /// Returns the number of floats of the output `action`.
+    pub fn action_floats(&self) -> usize {
+        match (self.action.kind, self.action.distribution) {
+            (Kind::Choice, _) => self.action.choices.len(),
+            (_, Distribution::None) => 2,
+            (_, Distribution::DiagonalNormal) => 4,
+        }
+    }
+
+    fn speed_limit(&self) -> f32 {
+        let largest = self.action.choices.iter().flatten().fold(0.0_f32, |most, axis| most.max(axis.abs()));
+        let own = if self.action.kind == Kind::Choice { Some(largest) } else { self.action.limit };
+        self.action.speed_limit.or(own).unwrap_or(f32::NAN)
+    }
+
+    /// Checks what no type says. An error names the first wrong field.
+    fn check(&self) -> Result<(), ConfigError> {
+        let refuse = |field: &str, why: String| Err(ConfigError::field(field, why));
+        if self.name.is_empty() || self.name.chars().count() > MAX_NAME || self.name.chars().any(char::is_control) {
+            return refuse("name", format!("it is not 1 to {MAX_NAME} printable characters"));
+        }
+        if self.graph.is_some() && (self.encode.is_some() || self.act.is_some()) {
+            return refuse(
+                "graph",
+                "one graph makes a whole step; leave out 'encode' and 'act', or 'graph'".to_owned(),
+            );
+        }
+        if self.encode.is_some() != self.act.is_some() {
+            return refuse("encode", "two graphs make a step: 'encode' and 'act' are both needed".to_owned());
+        }
+        if self.encode.is_some() && self.message.floats == 0 {
+            return refuse("message.floats", "0, and a graph 'encode' has a message to make".to_owned());
+        }
+        if !(1..=MAX_NEIGHBOURS).contains(&self.max_neighbours) {
+            return refuse("max_neighbours", format!("{} is not 1 to {MAX_NEIGHBOURS}", self.max_neighbours));
+        }
+        if self.message.floats > MAX_FEATURES {
+            let floats = self.message.floats;
+            return refuse("message.floats", format!("{floats}; a message of this version has at most {MAX_FEATURES}"));
+        }
+        for (input, observed) in &self.observation {
+            let field = format!("observation.{input}");
+            if ROLES.contains(&input.as_str()) {
+                return refuse(
+                    &field,
+                    format!("the names {} are for inputs that are no observations", ROLES.join(", ")),
+                );
+            }
+            let floats = observed.shape.iter().try_fold(1, |floats: usize, axis| floats.checked_mul(*axis));
+            if !(1..=3).contains(&observed.shape.len())
+                || !floats.is_some_and(|floats| (1..=MAX_STATE).contains(&floats))
+            {
+                return refuse(
+                    &format!("{field}.shape"),
+                    format!("it is not 1 to 3 numbers above zero for at most {MAX_STATE} values"),
+                );
+            }
+        }
+        if self.edges.as_ref().is_some_and(|edges| edges.features.is_empty()) {
+            return refuse("edges.features", "there are none; leave the table out".to_owned());
+        }
+        if let Some(State { floats, after_gap_s }) = self.state {
+            if !(1..=MAX_STATE).contains(&floats) {
+                return refuse(
+                    "state.floats",
+                    format!("{floats} is not 1 to {MAX_STATE}; leave the table out for none"),
+                );
+            }
+            if !(after_gap_s >= 1.0 / self.rate_hz && after_gap_s.is_finite()) {
+                return refuse("state.after_gap_s", format!("{after_gap_s} is less than one period"));
+            }
+        }
+        self.check_action()?;
+        if !(10.0..=1000.0).contains(&self.rate_hz) {
+            return refuse("rate_hz", format!("{} is not 10 to 1000", self.rate_hz));
+        }
+        self.interface().check().map_err(ConfigError::Syntax)
+    }
+
+    fn check_action(&self) -> Result<(), ConfigError> {
+        let refuse = |field: &str, why: &str| Err(ConfigError::field(format!("action.{field}"), why));
+        let Action { kind, unit, limit, speed_limit, distribution, choices, .. } = &self.action;
+        let wanted = match kind {
+            Kind::Velocity | Kind::Twist => Some(Unit::MetrePerSecond),
+            Kind::Acceleration => Some(Unit::MetrePerSecondSquared),
+            Kind::Choice => None,
+        };
+        let above_zero = |value: &f32| *value > 0.0 && value.is_finite();
+        if *unit != wanted {
+            let why =
+                wanted.map_or("a choice has none".to_owned(), |unit| format!("it has to be {unit} for this kind"));
+            return refuse("unit", &why);
+        }
+        if *kind == Kind::Choice {
+            if choices.is_empty() || choices.len() > 256 || choices.iter().flatten().any(|axis| !axis.is_finite()) {
+                return refuse("choices", "a choice needs 1 to 256 velocities [x, y] in m/s");
+            }
+            if limit.is_some() || *distribution != Distribution::None {
+                return refuse("limit", "a choice has neither a limit nor a distribution");
+            }
+        } else if !choices.is_empty() {
+            return refuse("choices", "only a choice has them");
+        } else if !limit.as_ref().is_some_and(above_zero) {
+            return refuse("limit", "it is missing or not above zero");
+        }
+        if *kind == Kind::Acceleration && speed_limit.is_none() {
+            return refuse("speed_limit", "it is missing: the largest speed along each axis [m/s]");
+        }
+        if speed_limit.as_ref().is_some_and(|limit| !above_zero(limit)) {
+            return refuse("speed_limit", "it is not above zero");
+        }
+        if *kind == Kind::Twist && self.action.frame != Frame::Body {
+            return refuse("frame", "a twist is in the frame 'body'");
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,38 @@
+//! Engines: what runs a graph. An engine is one file here, and takes and gives arrays of 32-bit floats.
+
+#[cfg(feature = "rten")]
+mod rten;
+
+use std::sync::Arc;
+
+/// Array of 32-bit floats, the last axis running fastest.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Array {
+    /// Sizes along the axes.
+    pub shape: Vec<usize>,
+    /// All values.
+    pub values: Vec<f32>,
+}
+
+/// Graph that is ready to run.
+pub trait Engine: Send + Sync {
+    /// Runs the graph on `inputs`, in the order of the names at loading, and returns the outputs in the order of
+    /// theirs. An error is a sentence, also if the engine has panicked.
+    fn run(&self, inputs: &[Array]) -> Result<Vec<Array>, String>;
+}
+
+/// Name and version of the engine of this program; `None` if it was built without one.
+pub const NAME: Option<&str> = if cfg!(feature = "rten") { Some("rten 0.24.0") } else { None };
+
+/// Loads the graph with the content `bytes`, whose inputs and outputs have these names. An error is a sentence.
+pub fn load(bytes: Vec<u8>, inputs: &[String], outputs: &[String]) -> Result<Arc<dyn Engine>, String> {
+    #[cfg(feature = "rten")]
+    return rten::load(bytes, inputs, outputs);
+    #[cfg(not(feature = "rten"))]
+    {
+        let _ = (bytes, inputs, outputs);
+        Err("policies of format 3 need an engine, and this program was built without one: build one that has it with \
+             'cargo build --release --features onnx'"
+            .to_owned())
+    }
+}

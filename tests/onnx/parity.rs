@@ -1,0 +1,136 @@
+//! A policy against the same computation in numpy: `data/make.py` has made both.
+
+use std::sync::Arc;
+
+use murmurate::messages::geometry::{Motion, Vec2};
+use murmurate::observation::{Bound, Known, Observation};
+use murmurate::policy::{Draw, Neighbour, Policy};
+use murmurate::random::Seed;
+use murmurate::time::Span;
+use murmurate_onnx::check;
+use murmurate_onnx::policy::Network;
+use serde::Deserialize;
+
+/// One step of a robot, and what it answers.
+#[derive(Deserialize)]
+struct Step {
+    /// Position \[m\] and velocity \[m/s\].
+    own: [f32; 4],
+    goal: [f32; 2],
+    others: Vec<Other>,
+    /// Whether the state is at its start.
+    reset: bool,
+    action: [f32; 2],
+    message: Vec<f32>,
+}
+
+#[derive(Deserialize)]
+struct Other {
+    motion: [f32; 4],
+    age: f64,
+    message: Vec<f32>,
+}
+
+fn motion([x, y, vx, vy]: [f32; 4]) -> Motion {
+    Motion { position: Vec2::new(x, y), velocity: Vec2::new(vx, vy) }
+}
+
+fn network(name: &str) -> Arc<Network> {
+    let parts = super::parts(&super::contract(name)).expect("its files fit");
+    Arc::new(Network::load(parts).expect("it loads"))
+}
+
+/// Returns what a policy with this observation of its own robot gets.
+fn values(network: &Network, own: &Observation) -> Vec<f32> {
+    let bound = Bound::new(&network.contract().requests(), &[]).expect("every team has these channels");
+    let mut values = vec![0.0; bound.floats()];
+    let task = murmurate::messages::geometry::Task { start: Vec2::zeros(), goal: own.goal };
+    bound.write(&Known { task: &task, own }, &mut values);
+    values
+}
+
+#[test]
+fn a_recurrent_policy_with_attention_answers_as_numpy_does() {
+    let network = network("recurrent");
+    check::check(&network).expect("it is sound");
+    let steps: Vec<Step> = serde_json::from_slice(&super::bytes("recurrent.json")).expect("steps");
+    let mut robot = network.robot(Draw::Mean);
+    let (mut worst, mut said) = (0.0_f32, vec![0.0; 6]);
+    for step in &steps {
+        if step.reset {
+            robot.reset();
+            said.fill(0.0);
+        }
+        let own = Observation::new(motion(step.own), Vec2::from(step.goal));
+        let values = values(&network, &own);
+        let own = Observation { values: &values, ..own };
+        let neighbours: Vec<Neighbour> = step
+            .others
+            .iter()
+            .map(|other| Neighbour {
+                motion: motion(other.motion),
+                features: &other.message,
+                age: Span::from_secs(other.age),
+            })
+            .collect();
+        let mut features = vec![f32::NAN; 6];
+        robot.encode(&own, &mut features);
+        assert_eq!(features, said, "other robots of the Agent are given the message of the step before");
+        let velocity = robot.act(&own, &features, &neighbours, &mut Seed::of_run(0).stream("draw"));
+        said = robot.broadcast().expect("its step makes it").to_vec();
+        let found = velocity.iter().chain(&said);
+        let expected = step.action.iter().chain(&step.message);
+        worst = found.zip(expected).map(|(one, other)| (one - other).abs()).fold(worst, f32::max);
+    }
+    assert!(worst <= 1e-5, "{worst:e}");
+}
+
+#[test]
+fn a_step_with_a_number_that_is_not_finite_counts_as_none() {
+    let network = network("recurrent");
+    let mut robot = network.robot(Draw::Mean);
+    let mut stream = Seed::of_run(0).stream("draw");
+    let own = Observation::new(motion([0.0, 0.0, 0.1, 0.0]), Vec2::new(1.0, 0.0));
+    let good = values(&network, &own);
+    let step = |robot: &mut dyn Policy, values: &[f32], neighbours: &[Neighbour], stream: &mut _| {
+        robot.act(&Observation { values, ..own }, &[], neighbours, stream)
+    };
+    step(&mut robot, &good, &[], &mut stream);
+    let said = robot.broadcast().expect("it has one").to_vec();
+    for at in 0..good.len() {
+        for wrong in [f32::NAN, f32::INFINITY] {
+            let mut bad = good.clone();
+            bad[at] = wrong;
+            assert!(step(&mut robot, &bad, &[], &mut stream).x.is_nan(), "value {at} is {wrong}");
+        }
+    }
+    let message = [0.1, 0.2, f32::NAN, 0.0, 0.0, 0.0];
+    let neighbour = Neighbour { motion: Motion::default(), features: &message, age: Span::ZERO };
+    assert!(step(&mut robot, &good, &[neighbour], &mut stream).x.is_nan());
+    let away = Motion { position: Vec2::new(f32::NAN, 0.0), velocity: Vec2::zeros() };
+    let neighbour = Neighbour { motion: away, features: &[0.0; 6], age: Span::ZERO };
+    assert!(step(&mut robot, &good, &[neighbour], &mut stream).x.is_nan());
+    assert_eq!(robot.broadcast().expect("it has one"), said, "the message is that of the last step that succeeded");
+    let mut other = self::network("recurrent").robot(Draw::Mean);
+    let mut fresh = Seed::of_run(0).stream("draw");
+    step(&mut other, &good, &[], &mut fresh);
+    let both = [&mut robot as &mut dyn Policy, &mut other].map(|robot| step(robot, &good, &[], &mut fresh));
+    assert_eq!(both[0], both[1], "the state is, too");
+}
+
+#[test]
+fn equal_inputs_give_equal_bits() {
+    let network = network("recurrent");
+    let own = Observation::new(motion([0.3, -0.2, 0.1, 0.0]), Vec2::new(1.0, 0.5));
+    let values = values(&network, &own);
+    let own = Observation { values: &values, ..own };
+    let message = [0.25; 6];
+    let neighbours = [Neighbour { motion: Motion::default(), features: &message, age: Span::from_millis(20) }; 3];
+    let run = || -> Vec<[u32; 2]> {
+        let (mut robot, mut stream) = (network.robot(Draw::Mean), Seed::of_run(0).stream("draw"));
+        let velocities = (0..100).map(|at| robot.act(&own, &[], &neighbours[..at % 4], &mut stream));
+        velocities.map(|velocity| [velocity.x.to_bits(), velocity.y.to_bits()]).collect()
+    };
+    let (here, there) = (run(), std::thread::scope(|scope| scope.spawn(run).join().expect("it ends")));
+    assert_eq!(here, there, "on another thread, too");
+}
