@@ -88,7 +88,7 @@ fn guard_tick(bencher: Bencher) {
         round: Round::default(),
         phase: Phase::Running,
         due: Time::ZERO,
-        velocity: Vec2::new(0.6, 1.2),
+        velocity: Some(Vec2::new(0.6, 1.2)),
         estimate: Motion { position: Vec2::new(0.0, -0.3), velocity: Vec2::new(0.1, 0.5) },
         others: (1..5).zip(at).map(other).collect(),
         progress: Progress::Underway,

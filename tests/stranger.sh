@@ -31,6 +31,11 @@ has "$("$program" sim --scenario square --quiet 2>&1 || true)" square round pass
 
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
+# A policy of format 3 takes the channel of the crate's scenario, which no other scenario has.
+cp tests/onnx/data/field-*.onnx "$folder"
+sed 's/"goal-minus-position"/"chord"/' tests/onnx/data/field.policy.toml >"$folder/chord.policy.toml"
+has "$("$program" sim --scenario round --policy "$folder/chord.policy.toml" --episodes 1 --repeats 1 --quiet)" '1 of 1'
+has "$("$program" sim --policy "$folder/chord.policy.toml" --quiet 2>&1 || true)" "there is no channel 'chord' here"
 cat >"$folder/team.toml" <<'TOML'
 team = 77
 mode = "centralized"

@@ -4,6 +4,7 @@
 //! one synchronous step. Robots of one Agent exchange latents within the step. Latents of all others arrive through the
 //! Caches.
 
+pub mod apart;
 mod slot;
 
 pub use slot::RobotPolicies;
@@ -14,6 +15,7 @@ use self::slot::Slot;
 use super::neighbours::{SharedData, Step};
 use crate::actor::Core;
 use crate::cells::{self, Cells};
+use crate::edge::Packet;
 use crate::hearing::CommRange;
 use crate::messages::geometry::{Task, Vec2, is_finite};
 use crate::messages::local::{Action, NEAR_M, OtherRobot, Percept, Progress};
@@ -37,6 +39,10 @@ pub enum In {
     Percept(Percept),
     /// Instruction of the state server: phase of the episode, and the robots' starts and goals.
     Mode(Mode),
+    /// Answer of the worker that computes the policies, for an Agent whose policies are computed by one.
+    Answer(Packet),
+    /// Notice that the worker has ended or begins again.
+    Ended,
 }
 
 /// Output message of an Agent, the actor that runs the policy of one or more robots.
@@ -124,6 +130,11 @@ impl Agent {
         }
     }
 
+    /// Takes back the last step of all policies, which counts as none.
+    fn undo(&mut self) {
+        self.slots.iter_mut().for_each(Slot::undo);
+    }
+
     /// Runs one step of the policies: computes latents and actions of all robots with a percept, and appends them to
     /// `out`.
     fn step(&mut self, now: Time, out: &mut Vec<Out>) {
@@ -131,6 +142,7 @@ impl Agent {
         if matches!(self.phase, Phase::Resetting | Phase::Running) {
             self.shared.clear();
             self.features.clear();
+            self.slots.iter_mut().for_each(|slot| slot.fresh = false);
             (0..self.slots.len()).for_each(|at| self.share(now, at));
             self.grid = self.locate();
             self.relay(now);
@@ -216,8 +228,11 @@ impl Agent {
 
     /// Returns the latent of the robot in slot `at`; `None` if it broadcasts none in this step.
     fn latent(&mut self, at: usize) -> Option<Latent> {
-        let SharedData { robot, motion, features } = self.shared[at]?;
-        features.filter(|_| self.slots[at].valid)?;
+        let SharedData { robot, motion, .. } = self.shared[at]?;
+        let slot = &self.slots[at];
+        if !(slot.valid && slot.says) {
+            return None;
+        }
         self.slots[at].reported = false;
         let features = Features(self.slots[at].features.as_slice().into());
         Some(Latent { robot, round: self.round, phase: self.phase, motion, features })
@@ -240,7 +255,11 @@ impl Agent {
         // The policy declares its width anew in each step; it may differ from that at the start.
         slot.features.resize(width, 0.0);
         policy.encode(&seen, &mut slot.features);
-        slot.check(width, declared).then_some(())
+        slot.failed = policy.failed();
+        slot.says = !slot.failed && policy.broadcasts();
+        // What a failed step has written is not looked at.
+        slot.valid = slot.failed || slot.check(width, declared);
+        (slot.says && slot.valid).then_some(())
     }
 
     /// Stores the slots of the robots near `position`, and perhaps others, in `near`.
@@ -273,9 +292,13 @@ impl Agent {
         let seen = Observation { values: &slot.values, ..seen };
         let policy = if phase == Phase::Running { &mut slot.policies.run } else { &mut slot.policies.reset };
         let velocity = match slot.valid {
-            true => policy.act(&seen, &slot.features, &neighbours, &mut slot.policies.actions),
+            true if slot.failed => None,
+            true => {
+                let velocity = policy.act(&seen, &slot.features, &neighbours, &mut slot.policies.actions);
+                Some(velocity).filter(|_| !policy.failed())
+            }
             // The Controller stops the robot for it, as for any output that is not finite.
-            false => Vec2::repeat(f32::NAN),
+            false => Some(Vec2::repeat(f32::NAN)),
         };
         let limit = policy.interface().limit_m_s;
         let there = match phase {
@@ -292,7 +315,7 @@ impl Agent {
             round,
             phase,
             due: percept.due,
-            velocity: self.scenario.steer(&task, limited(velocity, limit)),
+            velocity: velocity.map(|velocity| self.scenario.steer(&task, limited(velocity, limit))),
             estimate: own,
             others: known.chain(beside).filter(near).collect(),
             progress: if there && settled { Progress::Reached } else { Progress::Underway },
@@ -330,6 +353,8 @@ impl Core for Agent {
     fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         match input {
             In::Mode(mode) => self.follow(now, &mode),
+            // This Agent computes its policies itself.
+            In::Answer(_) | In::Ended => {}
             In::Percept(percept) => {
                 let place = self.slots.binary_search_by_key(&percept.robot, |slot| slot.policies.robot);
                 let Some(slot) = place.ok().map(|place| &mut self.slots[place]) else { return };
@@ -432,7 +457,7 @@ mod tests {
         let action = |out: &Out| match out {
             Out::Action(action) => {
                 assert_eq!(action.estimate.velocity, MEASURED, "it has the measured velocity");
-                Some((action.robot.0, action.velocity.x))
+                Some((action.robot.0, action.velocity.expect("no step has failed").x))
             }
             Out::Latent(_) => None,
         };
@@ -653,7 +678,7 @@ mod tests {
             agent.handle(now, percept(robot, f32::from(robot), Vec::new()), &mut out);
         }
         let actions = out.iter().filter_map(|out| match out {
-            Out::Action(action) => Some([action.velocity.x, action.velocity.y]),
+            Out::Action(action) => action.velocity.map(|velocity| [velocity.x, velocity.y]),
             Out::Latent(_) => None,
         });
         let latents = out.iter().filter_map(|out| match out {

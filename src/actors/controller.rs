@@ -292,7 +292,16 @@ mod tests {
         let round = Round { term: 1, episode };
         let estimate = Motion { velocity: MEASURED, ..Motion::default() };
         let (robot, velocity, others) = (RobotId(1), Vec2::new(x, 0.0), Vec::new());
-        In::Action(Action { robot, round, phase, due: Time::ZERO, velocity, estimate, others, progress })
+        In::Action(Action {
+            robot,
+            round,
+            phase,
+            due: Time::ZERO,
+            velocity: Some(velocity),
+            estimate,
+            others,
+            progress,
+        })
     }
 
     fn commanded(controller: &mut Controller, input: In) -> Option<f32> {
@@ -503,7 +512,7 @@ mod tests {
                         round,
                         phase,
                         due: percept.due,
-                        velocity: Vec2::x(),
+                        velocity: Some(Vec2::x()),
                         estimate: percept.estimate,
                         others: Vec::new(),
                         progress: Progress::Underway,

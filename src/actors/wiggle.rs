@@ -246,7 +246,7 @@ impl Wiggle {
             round: Round::default(),
             phase: Phase::Running,
             due: now,
-            velocity,
+            velocity: Some(velocity),
             estimate: motion.unwrap_or_default(),
             others: self.others(now, robot),
             progress: Progress::Underway,

@@ -23,7 +23,7 @@ pub use channel::{Gate, Input, PacketSender, Port, WorkerState};
 pub use panic::EndsProcess;
 pub use settings::Settings;
 pub(crate) use worker::join_all;
-pub use worker::{Running, Seat, Worker, start};
+pub use worker::{Answering, Running, Seat, Worker, start};
 
 /// One message between the control thread and a worker, as bytes.
 pub type Packet = Box<[u8]>;

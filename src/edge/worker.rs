@@ -74,6 +74,34 @@ impl Seat {
     }
 }
 
+/// Worker that answers each packet of the control thread by a function, for what takes long and needs no I/O.
+pub struct Answering<M>(M);
+
+impl<M> Answering<M> {
+    /// Creates a worker that answers by the function that `make` returns on the worker's thread.
+    pub fn new<F>(make: M) -> Answering<M>
+    where
+        M: FnOnce() -> F + Send + 'static,
+        F: FnMut(Packet) -> Packet + Unpin + 'static,
+    {
+        Answering(make)
+    }
+}
+
+impl<M, F> Worker for Answering<M>
+where
+    M: FnOnce() -> F + Send + 'static,
+    F: FnMut(Packet) -> Packet + Unpin + 'static,
+{
+    fn start(self: Box<Self>, seat: Seat) -> Recipient<Input> {
+        let sender = seat.sender();
+        seat.serve(move || {
+            let mut answer = (self.0)();
+            move |packet: Packet| sender.send(answer(packet))
+        })
+    }
+}
+
 /// Actor that calls a function with each packet.
 struct Server<F> {
     handle: F,

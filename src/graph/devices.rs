@@ -2,10 +2,12 @@
 //! workers, which do the I/O, are actors on threads of their own.
 
 use std::cell::{Cell, RefCell};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::rc::Rc;
 use std::time::Duration;
 
+use super::agents::agent_of;
+use crate::actors::agent::apart;
 use crate::config::ConfigError;
 use crate::deploy::Host;
 use crate::drivers::Driver;
@@ -18,6 +20,7 @@ use crate::observers::Observer;
 use crate::registry::Registry;
 use crate::runtime::real::Readers;
 use crate::time::Time;
+use crate::trial::Trial;
 
 /// Longest time that all workers together have to end.
 const PATIENCE: Duration = Duration::from_secs(1);
@@ -31,23 +34,36 @@ pub(crate) struct Device<T: ?Sized> {
     pub(crate) gate: Option<Rc<RefCell<Gate>>>,
 }
 
+/// Registers a worker with the event loop of `readers`: it calls `take` with each packet from the worker, and `ended`
+/// when the worker has ended or begins again. `gate` is the channel to the worker.
+pub(super) fn watch(
+    gate: &Rc<RefCell<Gate>>,
+    readers: &mut Readers,
+    take: impl Fn(Packet) + 'static,
+    ended: impl Fn() + 'static,
+) {
+    let gate = Rc::clone(gate);
+    let (bell, over) = (gate.borrow().bell(), Cell::new(false));
+    readers.watch(Rc::new(bell), move || {
+        let state = gate.borrow_mut().take(&take);
+        let over = match state {
+            WorkerState::Running => true,
+            WorkerState::Restarted => false,
+            WorkerState::Ended => over.replace(true),
+        };
+        if !over {
+            ended();
+        }
+    });
+}
+
 impl<T: ?Sized> Device<T> {
-    /// Registers the device with the event loop of `readers`: it calls `take` with each packet from the worker (I/O
-    /// thread), and `ended` when the worker has ended or begins again. Does nothing if there is no worker.
+    /// Registers the device's worker with the event loop of `readers`, as [`watch`] does. Does nothing without a
+    /// worker.
     pub(crate) fn watch(&self, readers: &mut Readers, take: impl Fn(Packet) + 'static, ended: impl Fn() + 'static) {
-        let Some(gate) = self.gate.clone() else { return };
-        let (bell, over) = (gate.borrow().bell(), Cell::new(false));
-        readers.watch(Rc::new(bell), move || {
-            let state = gate.borrow_mut().take(&take);
-            let over = match state {
-                WorkerState::Running => true,
-                WorkerState::Restarted => false,
-                WorkerState::Ended => over.replace(true),
-            };
-            if !over {
-                ended();
-            }
-        });
+        if let Some(gate) = &self.gate {
+            watch(gate, readers, take, ended);
+        }
     }
 }
 
@@ -64,6 +80,9 @@ pub struct Devices {
     pub(crate) drivers: BTreeMap<RobotId, Device<dyn Driver>>,
     /// Source of readings of the robots that this process localizes; `None` if there is none.
     pub(crate) source: Option<Device<dyn Source>>,
+    /// Channels to the workers that compute policies, by the first robot of each Agent; `None` in a replay, which has
+    /// their answers. Empty if Agents compute their policies themselves.
+    pub(crate) agents: BTreeMap<RobotId, Option<Rc<RefCell<Gate>>>>,
     /// Observer of the messages that reach this process; `None` if it is not configured.
     pub(crate) observer: Option<Observed>,
 }
@@ -127,8 +146,16 @@ pub enum DeviceError {
 
 /// Creates the drivers and the source of one host of a checked deployment, without workers and so without access to
 /// hardware, for a replay. An error names the wrong setting.
-pub(crate) fn closed(host: &Host, registry: &Registry) -> Result<Devices, DeviceError> {
-    make(host, registry, |_, _, _| Ok(None))
+pub(crate) fn closed(host: &Host, trial: &Trial, registry: &Registry) -> Result<Devices, DeviceError> {
+    let mut devices = make(host, registry, |_, _, _| Ok(None))?;
+    devices.agents = agents_apart(host, trial).map(|robots| (robots[0], None)).collect();
+    Ok(devices)
+}
+
+/// Returns the robots of each Agent of a host whose policies are computed by a worker.
+fn agents_apart(host: &Host, trial: &Trial) -> impl Iterator<Item = Vec<RobotId>> {
+    let all = host.agents.iter().filter(|_| trial.model.runs_apart());
+    all.map(|robots| robots.iter().copied().map(RobotId).collect::<BTreeSet<_>>().into_iter().collect())
 }
 
 /// A program that a host runs, for a driver or a source.
@@ -168,6 +195,22 @@ pub fn open(host: &Host, robots: usize, registry: &Registry) -> Result<(Devices,
         devices.observer = Some(Observed { observer: Rc::new(RefCell::new(parts.observer)), gate });
     }
     Ok((devices, workers))
+}
+
+/// Starts the workers that compute the policies of a host's Agents, if those of `trial` are computed apart. An error
+/// says that a worker cannot be started.
+pub(crate) fn open_agents(
+    host: &Host,
+    trial: &Trial,
+    (devices, workers): (&mut Devices, &mut Workers),
+) -> Result<(), DeviceError> {
+    for robots in agents_apart(host, trial) {
+        let (first, trial) = (robots[0], trial.clone());
+        let worker = apart::worker(move || agent_of(&trial, &robots, 1));
+        let gate = start_worker(worker, format!("policy {}", first.0), workers)?;
+        devices.agents.insert(first, Some(gate));
+    }
+    Ok(())
 }
 
 /// Makes the drivers and the source of one host. `start` gets each worker with the field of the deployment that it

@@ -1,10 +1,11 @@
 //! One host of a deployment as a process: its part of the actor graph, in real time, on sockets.
 
+use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
 use super::bodies::wire_source;
-use super::devices::{Device, Devices};
+use super::devices::{self, Devices};
 use super::end::HostEnd;
 use super::event::Event;
 use super::inputs::{DeviceId, Input};
@@ -12,6 +13,7 @@ use super::process::{Graph, Process};
 use super::sockets::{self, Take, Tell};
 use crate::actors::recorder;
 use crate::deploy::Routes;
+use crate::edge::Gate;
 use crate::graph::{wire_hosts, wire_recorder};
 use crate::messages::ids::HostId;
 use crate::runtime::clock::Clock;
@@ -54,15 +56,19 @@ pub fn wire(
 /// source. The event loop that watches `readers` then reads the packets.
 fn wire_gates((clock, readers): (&Clock, &mut Readers), trial: &Trial, graph: &Graph, process: &Process, take: &Take) {
     for (robot, device) in &process.devices.drivers {
-        watch(readers, device, DeviceId::Driver(*robot), take);
+        watch(readers, device.gate.as_ref(), DeviceId::Driver(*robot), take);
+    }
+    for (robot, gate) in &process.devices.agents {
+        watch(readers, gate.as_ref(), DeviceId::Agent(*robot), take);
     }
     if let Some(device) = &process.devices.source {
         wire_source(clock, trial, graph, process);
-        watch(readers, device, DeviceId::Source, take);
+        watch(readers, device.gate.as_ref(), DeviceId::Source, take);
     }
 }
 
-fn watch<T: ?Sized>(readers: &mut Readers, device: &Device<T>, id: DeviceId, take: &Take) {
+fn watch(readers: &mut Readers, gate: Option<&Rc<RefCell<Gate>>>, id: DeviceId, take: &Take) {
+    let Some(gate) = gate else { return };
     let (packets, end) = (Rc::clone(take), Rc::clone(take));
-    device.watch(readers, move |packet| packets(Input::Packet(id, packet)), move || end(Input::Ended(id)));
+    devices::watch(gate, readers, move |packet| packets(Input::Packet(id, packet)), move || end(Input::Ended(id)));
 }

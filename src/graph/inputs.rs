@@ -8,13 +8,15 @@ use crate::messages::ids::{LinkId, RobotId};
 use crate::net::protocol::codec::Frame;
 use crate::net::protocol::counts::Refusal;
 
-/// Identity of a device of a host: a driver or the source.
+/// Identity of a device of a host: a driver, the source, or the worker of an Agent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DeviceId {
     /// The driver that moves this robot's motors.
     Driver(RobotId),
     /// The host's source of readings (measured poses and velocities of robots).
     Source,
+    /// The worker that computes the policies of an Agent, whose first robot is this one.
+    Agent(RobotId),
 }
 
 /// Input of a host from outside its actors: datagrams, packets of its devices, and orders of its own process.

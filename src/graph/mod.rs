@@ -1,6 +1,7 @@
 //! Wiring of the whole actor graph: which actors run, with which settings and phases, and what each output becomes.
 //! Only this module connects actors.
 
+mod agents;
 pub mod bench;
 mod bodies;
 mod delivery;
@@ -17,11 +18,11 @@ pub mod sockets;
 
 use std::collections::BTreeSet;
 use std::rc::Rc;
-use std::sync::Arc;
 
 use tracing::info_span;
 
-use crate::actors::agent::{self, Agent, RobotPolicies};
+use crate::actors::agent;
+use crate::actors::agent::apart::{self, Apart};
 use crate::actors::cache::{self, Cache};
 use crate::actors::controller::{self, Controller};
 use crate::actors::network;
@@ -31,13 +32,13 @@ use crate::actors::status;
 use crate::actors::witness::Finding;
 use crate::chassis::Chassis;
 use crate::deploy::{Routes, Stepping};
+use crate::graph::agents::{agent_of, deadline, max_wait};
 use crate::graph::delivery::{deliveries, wire_server, wire_status};
 use crate::graph::emulated::wire_links;
 use crate::graph::event::{Event, Report};
 use crate::graph::process::{Graph, Process};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::Wire;
-use crate::policy::Model;
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::start;
 use crate::safety::{Switch, filter};
@@ -45,8 +46,6 @@ use crate::time::Span;
 use crate::trial::Trial;
 use crate::world::Placement;
 
-/// Policy that drives the robots to their starts before an episode.
-const RESET: Model = Model::Orca;
 /// Time after its arrival at the Body for which a motor command is valid: four control periods of the paper's system,
 /// of 50 ms each.
 pub const COMMAND_VALIDITY: Span = Span::from_millis(200);
@@ -96,7 +95,7 @@ pub(super) fn wire_hosts(clock: &Clock, trial: &Rc<Trial>, graph: &Graph, proces
     let chassis = trial.deployment.team_chassis();
     for robot in RobotId::team(trial.deployment.robots) {
         if here(graph.routes.agent_host(robot)) {
-            wire_robot(clock, trial, graph, robot, &chassis);
+            wire_robot(clock, trial, graph, robot, (&chassis, process));
         }
         if here(graph.routes.actuator_host(robot)) {
             bodies::wire_body(clock, trial, graph, robot, process);
@@ -181,7 +180,13 @@ fn guard_config(trial: &Trial, robot: RobotId, chassis: &[Chassis]) -> filter::S
 
 /// Starts Cache and Controller of one robot, and its Agent if the robot is the first of that Agent. `chassis` has one
 /// entry for each robot of the team.
-fn wire_robot(clock: &Clock, trial: &Rc<Trial>, graph: &Graph, robot: RobotId, chassis: &[Chassis]) {
+fn wire_robot(
+    clock: &Clock,
+    trial: &Rc<Trial>,
+    graph: &Graph,
+    robot: RobotId,
+    (chassis, process): (&[Chassis], &Process),
+) {
     let (at, id, seed) = (robot.index(), robot.0, trial.streams());
     let first = graph.routes.agent_robots(robot)[0];
     let interface = trial.model.interface();
@@ -224,7 +229,7 @@ fn wire_robot(clock: &Clock, trial: &Rc<Trial>, graph: &Graph, robot: RobotId, c
     });
 
     if first == robot {
-        wire_agent(clock, trial, graph, robot);
+        wire_agent(clock, trial, graph, robot, process);
     }
     wire_controller(clock, trial, graph, robot, chassis);
 }
@@ -257,33 +262,25 @@ fn wire_controller(clock: &Clock, trial: &Trial, graph: &Graph, robot: RobotId, 
 }
 
 /// Starts the Agent, the actor that runs the policy of one or more robots, whose first robot is `robot`.
-fn wire_agent(clock: &Clock, trial: &Rc<Trial>, graph: &Graph, robot: RobotId) {
-    let id = robot.0;
+fn wire_agent(clock: &Clock, trial: &Rc<Trial>, graph: &Graph, robot: RobotId, process: &Process) {
     let network = graph.network_of(graph.routes.agent_host(robot));
     let controllers = graph.controllers.clone();
     let robots = graph.routes.agent_robots(robot).to_vec();
-    let (period, range, seed) = (trial.model.interface().period, trial.comm_range(), trial.streams());
-    let max_wait = Span::from_nanos(period.as_nanos() / 4);
+    let (mailbox, span) = (&graph.agents[robot.index()], info_span!("agent", robot = robot.0));
     let trial = Rc::clone(trial);
-    let make = move |incarnation: u32| {
-        let policies = |&robot: &RobotId| {
-            // A policy sees the commanded point, so the hull of a differential drive is wider for it.
-            let arena = trial.scenario.arena().about_point(trial.deployment.chassis(robot).point_ahead_m);
-            RobotPolicies {
-                robot,
-                dynamics: trial.dynamics(robot),
-                channels: trial.channels().unwrap_or_else(|error| panic!("the policy was checked: {error}")),
-                run: trial.model.instance(&arena),
-                reset: RESET.instance(&arena),
-                actions: seed.stream(&format!("agent/{}/action/{incarnation}", robot.0)),
-                ranges: seed.stream(&format!("agent/{}/range/{incarnation}", robot.0)),
-            }
-        };
-        Agent::new(Arc::clone(&trial.scenario), range, max_wait, robots.iter().map(policies).collect())
-    };
-    start(clock, &graph.agents[robot.index()], info_span!("agent", robot = id), make, move |out| match out {
+    let sink = move |out| match out {
         agent::Out::Latent(latent) => network.send(network::In::Publish(Wire::Latent(latent))),
         agent::Out::Action(action) => controllers[action.robot.index()].send(controller::In::Action(action)),
+    };
+    let Some(gate) = process.devices.agents.get(&robot).cloned() else {
+        start(clock, mailbox, span, move |incarnation| agent_of(&trial, &robots, incarnation), sink);
+        return;
+    };
+    let deadline = deadline(&trial);
+    let make = move |_| Apart::new(&robots, max_wait(&trial), deadline);
+    start(clock, mailbox, span, make, move |out| match out {
+        apart::Out::Agent(out) => sink(out),
+        apart::Out::Ask(packet) => gate.iter().for_each(|gate| gate.borrow_mut().send(packet.clone())),
     });
 }
 

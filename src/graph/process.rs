@@ -302,6 +302,17 @@ impl Graph {
                 self.bodies[robot.index()].send(body::In::Packet(packet));
             }
             Input::Packet(DeviceId::Source, packet) => self.source.send(localizer::In::Packet(packet)),
+            Input::Packet(DeviceId::Agent(robot), packet) => {
+                if let Some(agent) = self.agents.get(robot.index()) {
+                    agent.send(agent::In::Answer(packet));
+                }
+            }
+            Input::Ended(DeviceId::Agent(robot)) => {
+                tracing::error!("the worker that computes the policy of {robot} has ended; its robots stand");
+                if let Some(agent) = self.agents.get(robot.index()) {
+                    agent.send(agent::In::Ended);
+                }
+            }
             Input::Ended(DeviceId::Driver(robot)) => self.bodies[robot.index()].send(body::In::WorkerEnded),
             Input::Ended(DeviceId::Source) => {
                 tracing::error!("the source of this host has ended, and is started again: no readings meanwhile");

@@ -52,7 +52,7 @@ impl LiveHost {
     ) -> Result<LiveHost, OpenError> {
         let links = links::setups(&team.deployment, team.links.iter().map(Option::as_ref));
         let entry = &team.deployment.hosts[usize::from(team.host.0)];
-        let devices = devices::closed(entry, registry)?;
+        let devices = devices::closed(entry, trial, registry)?;
         let ids = (0..=u16::MAX).map(LinkId).zip(transports).flat_map(|(link, count)| (0..*count).map(move |_| link));
         let silent = |link| {
             let never = UnixDatagram::unbound().expect("a process may have a descriptor");

@@ -180,6 +180,20 @@ impl<'de> Deserialize<'de> for Features {
 }
 
 /// Serde functions (for `serde(with)`) that encode one [`Vec2`], such as a velocity \[m/s\], as 8 bytes.
+pub(super) mod optional_vec2 {
+    use super::*;
+
+    /// Encodes a vector that may be missing.
+    pub fn serialize<S: Serializer>(v: &Option<Vec2>, s: S) -> Result<S::Ok, S::Error> {
+        v.map(|v| v.to_array()).serialize(s)
+    }
+
+    /// Decodes a vector that may be missing.
+    pub fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<Option<Vec2>, D::Error> {
+        Ok(Option::<[f32; 2]>::deserialize(d)?.map(Vec2::from))
+    }
+}
+
 pub(super) mod vec2 {
     use super::*;
 

@@ -2,6 +2,9 @@
 
 use std::sync::Arc;
 
+use serde::{Deserialize, Serialize};
+
+use super::floats;
 use super::geometry::{Motion, Vec2};
 use super::ids::RobotId;
 use super::wire::{Features, Phase, Round};
@@ -9,7 +12,7 @@ use crate::time::{Span, Time};
 
 /// Inputs of a robot's policy at one control tick, sent from the robot's Cache (store of received messages) to its
 /// Agent.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Percept {
     /// Number of the robot whose policy gets these inputs.
     pub(crate) robot: RobotId,
@@ -39,7 +42,7 @@ impl Percept {
 }
 
 /// Newest latent (policy message with the sender's motion) of one neighbour, as stored by a robot's Cache.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct NeighbourLatent {
     /// Number of the neighbour that sent the latent.
     pub(crate) robot: RobotId,
@@ -61,7 +64,7 @@ pub(crate) const NEAR_M: f32 = 5.0;
 
 /// Last known position and velocity of another robot. It is kept even if that robot is in another round or phase of the
 /// episode, since the two may still collide.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct OtherRobot {
     /// Number of the other robot.
     pub robot: RobotId,
@@ -73,7 +76,7 @@ pub struct OtherRobot {
 }
 
 /// Whether a robot has reached its target: its start position during a reset, its goal while an episode runs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Progress {
     /// The robot has not reached its target (start position in a reset, goal in an episode) yet.
     Underway,
@@ -82,7 +85,7 @@ pub enum Progress {
 }
 
 /// Output of the policy for one robot, sent from the robot's Agent to its Controller.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Action {
     /// Number of the robot that is to be driven.
     pub robot: RobotId,
@@ -93,7 +96,9 @@ pub struct Action {
     /// Time at which the control tick of this action was due, on this host's clock.
     pub due: Time,
     /// Desired velocity \[m/s\] in the world frame, before the Controller limits it; NaN if the policy has diverged.
-    pub velocity: Vec2,
+    /// `None` if the policy's step counts as none, because it has failed or was late: the robot stands for this tick.
+    #[serde(with = "floats::optional_vec2")]
+    pub velocity: Option<Vec2>,
     /// Estimated position and velocity of the robot in the world frame, from which the action was computed.
     pub estimate: Motion,
     /// Last known motions of the other robots that are within `NEAR_M` (5 m) of this robot; several of one robot whose

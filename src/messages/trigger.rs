@@ -16,8 +16,8 @@ pub enum Trigger {
     /// The policy's output was not finite. The guard stops the robot until the state server's next instruction and
     /// aborts a running episode.
     Output,
-    /// A control tick (periodic step of the policy) is late or missing. The guard stops the robot until a tick is in
-    /// time.
+    /// A control tick (periodic step of the policy) is late or missing, or its step has failed. The guard stops the
+    /// robot until a tick is in time.
     LateTick,
     /// The newest reading of the robot's own state is too old. The guard stops the robot until a new reading has led to
     /// an action.

@@ -46,6 +46,11 @@ pub struct Origin {
     pub digest: String,
     /// Channels of the observation that the policy takes, in the order in which it gets their values.
     pub requests: Vec<Request>,
+    /// Name and version of the engine that computes the policy, and the kind of processor, on which the last digits of
+    /// its numbers depend; empty for what computes the same bits everywhere.
+    pub engine: String,
+    /// Whether the policy is computed on a thread of its own on real hosts, because a step may take long or never end.
+    pub apart: bool,
     /// Whether the policy commands a yaw rate, which only a robot with a differential drive follows.
     pub turns: bool,
 }
@@ -67,7 +72,8 @@ impl Interface {
     pub fn check(&self) -> Result<(), String> {
         let Interface { features, radius_m, period, limit_m_s, hold } = *self;
         let periods = Span::from_millis(1)..=Span::from_millis(100);
-        let above_zero = |value: f32| value > 0.0 && value.is_finite();
+        // A radius may have no bound.
+        let above_zero = |value: f32| value > 0.0;
         let wrong = if features > MAX_FEATURES {
             format!("its message has {features} floats, and a message carries at most {MAX_FEATURES}")
         } else if !periods.contains(&period) {
@@ -160,9 +166,9 @@ impl Model {
         Model::Custom(Custom { name, interface, origin: Origin::default(), draw: None, instance: Arc::new(instance) })
     }
 
-    /// Makes a model of a policy whose file another crate reads. `name` is the name of its kind in reports, `origin` what
-    /// is known from the file, and `draw` how actions are drawn unless the user says otherwise; `None` if the policy has
-    /// no output distribution. `instance` makes one robot's instance for an arena in the policy frame.
+    /// Makes a model of a policy whose file another crate reads. `name` is the name of its kind in reports, `origin`
+    /// what is known from the file, and `draw` how actions are drawn unless the user says otherwise; `None` if the
+    /// policy has no output distribution. `instance` makes one robot's instance for an arena in the policy frame.
     ///
     /// # Errors
     /// No team could run the interface; the text says why.
@@ -229,6 +235,31 @@ impl Model {
             Model::Custom(custom) => &custom.origin.digest,
             Model::Orca => "",
         }
+    }
+
+    /// Returns the name and version of the engine that computes the policy, and the kind of processor; empty for a
+    /// policy that computes the same bits on every machine.
+    pub fn engine(&self) -> &str {
+        match self {
+            Model::Custom(custom) => &custom.origin.engine,
+            Model::Orca | Model::Gnn(..) | Model::Hops(..) => "",
+        }
+    }
+
+    /// Returns the same model, computed by its Agents themselves on real hosts, too: for a replay that asks another
+    /// policy than the recorded one.
+    pub fn computed_inline(self) -> Model {
+        match self {
+            Model::Custom(custom) => {
+                Model::Custom(Custom { origin: Origin { apart: false, ..custom.origin }, ..custom })
+            }
+            other => other,
+        }
+    }
+
+    /// Returns whether the policy is computed on a thread of its own on real hosts. Under virtual time no policy is.
+    pub fn runs_apart(&self) -> bool {
+        matches!(self, Model::Custom(custom) if custom.origin.apart)
     }
 
     /// Returns whether the policy commands a yaw rate, which only a robot with a differential drive follows.

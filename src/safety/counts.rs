@@ -16,7 +16,7 @@ pub struct SafetyCounts {
     pub silence: u64,
     /// Number of times that a policy's output became not finite.
     pub output: u64,
-    /// Number of times that control ticks began to be late or missing.
+    /// Number of times that control ticks began to be late or missing, or to fail.
     pub late_tick: u64,
     /// Number of times that a robot's own state became too old.
     pub own_state: u64,

@@ -225,8 +225,10 @@ impl Guard {
         self.now = now;
         self.remember(now, action);
         let Settings { clamp, limit_m_s, .. } = self.settings;
-        let wanted = clamp.limit(action.velocity, action.estimate.velocity, limit_m_s);
-        self.invalid_output |= !is_finite(action.velocity) || !is_finite(wanted);
+        // Without a velocity the tick counts as missing, and the robot stands.
+        let velocity = action.velocity.unwrap_or_default();
+        let wanted = clamp.limit(velocity, action.estimate.velocity, limit_m_s);
+        self.invalid_output |= !is_finite(velocity) || !is_finite(wanted);
         if let Some(trigger) = self.blocking_trigger(now, action) {
             self.begin(trigger);
             self.driving = None;
@@ -250,7 +252,7 @@ impl Guard {
             (Trigger::Output, self.invalid_output),
             (Trigger::Hardware, self.unfit),
             (Trigger::Jump, self.whereabouts.is_lost()),
-            (Trigger::LateTick, safety.late_tick == Switch::On && late),
+            (Trigger::LateTick, action.velocity.is_none() || safety.late_tick == Switch::On && late),
             (Trigger::OwnState, safety.own_state == Switch::On && old),
             (Trigger::Outside, safety.geofence == Switch::On && beyond),
         ]
@@ -409,7 +411,7 @@ mod tests {
             round: Round::default(),
             phase: Phase::Running,
             due: at_ms(due_ms),
-            velocity,
+            velocity: Some(velocity),
             estimate: Motion::default(),
             others: Vec::new(),
             progress: Progress::Underway,
@@ -578,5 +580,16 @@ mod tests {
         let estimate = Motion::at_rest(Vec2::new(9.0, 0.0));
         assert_eq!(guard.decide(at_ms(900), &Action { estimate, others, ..action(0, EAST) }), DRIVE);
         assert_eq!((guard.counts(), guard.wake_at()), (SafetyCounts::default(), Some(at_ms(1000))));
+    }
+
+    #[test]
+    fn a_tick_whose_step_counts_as_none_stops_the_robot_for_that_tick_alone() {
+        let mut guard = guard(Safety::emulated());
+        let none = |ms: u64| Action { velocity: None, ..action(ms, EAST) };
+        assert_eq!(guard.decide(at_ms(50), &none(50)), Decision::Stop);
+        assert_eq!(guard.decide(at_ms(100), &none(100)), Decision::Stop);
+        assert_eq!(guard.decide(at_ms(150), &action(150, EAST)), DRIVE);
+        assert_eq!(guard.counts().late_tick, 1, "counted once until a step succeeds");
+        assert_eq!(guard.counts().output, 0);
     }
 }

@@ -100,8 +100,8 @@ pub trait Scenario: Debug + Send + Sync {
     /// turn. In this frame the robot's policy observes and commands.
     fn frame(&self, task: &Task) -> PolicyFrame;
 
-    /// Returns the channels that the scenario adds to the observation, besides the built-in ones. A policy takes them by
-    /// their names. The default is none.
+    /// Returns the channels that the scenario adds to the observation, besides the built-in ones. A policy takes them
+    /// by their names. The default is none.
     fn channels(&self) -> Vec<Channel> {
         Vec::new()
     }

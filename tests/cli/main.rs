@@ -3,6 +3,7 @@
 mod commands;
 mod devices;
 mod keys;
+mod onnx;
 mod outside;
 mod pages;
 mod pictures;

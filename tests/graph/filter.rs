@@ -162,7 +162,7 @@ impl Bench {
                 phase: Phase::Running,
                 due: self.now,
                 others: others.collect(),
-                velocity: wish(self, step, robot),
+                velocity: Some(wish(self, step, robot)),
                 estimate: points[robot],
                 progress: Progress::Underway,
             };
@@ -409,7 +409,7 @@ fn a_tick_of_a_guard_with_four_neighbours_allocates_nothing() {
         phase: Phase::Running,
         due: Time::ZERO,
         others,
-        velocity: Vec2::new(1.0, 0.5),
+        velocity: Some(Vec2::new(1.0, 0.5)),
         estimate,
         progress: Progress::Underway,
     };
@@ -419,7 +419,7 @@ fn a_tick_of_a_guard_with_four_neighbours_allocates_nothing() {
     let counted = allocation_counter::measure(|| {
         for tick in 1..15 {
             let now = Time::ZERO + Span::from_millis(50 * tick);
-            (action.due, action.velocity.x) = (now, -action.velocity.x);
+            (action.due, action.velocity) = (now, action.velocity.map(|velocity| -velocity));
             std::hint::black_box(guard.decide(now, &action));
         }
     });

@@ -7,8 +7,8 @@ use murmurate::observation::{Bound, Known, Observation};
 use murmurate::policy::{Draw, Neighbour, Policy};
 use murmurate::random::Seed;
 use murmurate::time::Span;
+use murmurate_onnx::Network;
 use murmurate_onnx::check;
-use murmurate_onnx::policy::Network;
 use serde::Deserialize;
 
 /// One step of a robot, and what it answers.
@@ -93,7 +93,9 @@ fn a_step_with_a_number_that_is_not_finite_counts_as_none() {
     let own = Observation::new(motion([0.0, 0.0, 0.1, 0.0]), Vec2::new(1.0, 0.0));
     let good = values(&network, &own);
     let step = |robot: &mut dyn Policy, values: &[f32], neighbours: &[Neighbour], stream: &mut _| {
-        robot.act(&Observation { values, ..own }, &[], neighbours, stream)
+        let own = Observation { values, ..own };
+        robot.encode(&own, &mut [0.0; 6]);
+        robot.act(&own, &[], neighbours, stream)
     };
     step(&mut robot, &good, &[], &mut stream);
     let said = robot.broadcast().expect("it has one").to_vec();
@@ -101,15 +103,18 @@ fn a_step_with_a_number_that_is_not_finite_counts_as_none() {
         for wrong in [f32::NAN, f32::INFINITY] {
             let mut bad = good.clone();
             bad[at] = wrong;
-            assert!(step(&mut robot, &bad, &[], &mut stream).x.is_nan(), "value {at} is {wrong}");
+            step(&mut robot, &bad, &[], &mut stream);
+            assert!(robot.failed(), "value {at} is {wrong}");
         }
     }
     let message = [0.1, 0.2, f32::NAN, 0.0, 0.0, 0.0];
     let neighbour = Neighbour { motion: Motion::default(), features: &message, age: Span::ZERO };
-    assert!(step(&mut robot, &good, &[neighbour], &mut stream).x.is_nan());
+    step(&mut robot, &good, &[neighbour], &mut stream);
+    assert!(robot.failed());
     let away = Motion { position: Vec2::new(f32::NAN, 0.0), velocity: Vec2::zeros() };
     let neighbour = Neighbour { motion: away, features: &[0.0; 6], age: Span::ZERO };
-    assert!(step(&mut robot, &good, &[neighbour], &mut stream).x.is_nan());
+    step(&mut robot, &good, &[neighbour], &mut stream);
+    assert!(robot.failed());
     assert_eq!(robot.broadcast().expect("it has one"), said, "the message is that of the last step that succeeded");
     let mut other = self::network("recurrent").robot(Draw::Mean);
     let mut fresh = Seed::of_run(0).stream("draw");

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use murmurate::random::Seed;
+use murmurate_onnx::Network;
 use murmurate_onnx::check;
-use murmurate_onnx::policy::Network;
 use murmurate_onnx::structure::Structure;
 use rand::RngExt;
 
@@ -48,7 +48,7 @@ fn a_contract_that_does_not_fit_its_graph_is_refused_with_both_sides() {
             "its contract: action.unit: it has to be m/s for this kind",
         ),
         ("limit = 1.5", "", "its contract: action.limit: it is missing or not above zero"),
-        ("hold_s = 0.2", "hold_s = 0.01", "its contract: its hold time is less than one period"),
+        ("hold_s = 0.2", "hold_s = 0.01", "its contract: hold_s: 0.01 is not one period to 60 s"),
         ("after_gap_s = 0.5", "after_gap_s = 0.01", "its contract: state.after_gap_s: 0.01 is less than one period"),
         ("max_neighbours = 4", "max_neighbours = 0", "its contract: max_neighbours: 0 is not 1 to 64"),
         (

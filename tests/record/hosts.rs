@@ -5,7 +5,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
-use murmurate::graph::inputs::Input;
+use murmurate::graph::inputs::{DeviceId, Input};
 use murmurate::net::protocol::codec;
 use murmurate::time::Span;
 use murmurate_record::tape::{self, Turn};
@@ -337,6 +337,29 @@ fn differs_with_another_policy(agent: &Path, key: &Path, folder: &Path) {
     assert!(std::fs::read_to_string(&figure).unwrap().starts_with("<svg"));
     let (_, same) = replayed(agent, &["--key-file", key.to_str().unwrap(), "--policy", "shipped"]);
     assert!(same.contains("none differs"), "the same policy acts the same: {same}");
+}
+
+#[test]
+fn a_policy_that_a_worker_computes_runs_again_from_its_recorded_answers() {
+    let policy = Path::new(crate::program::ROOT).join("tests/onnx/data/field.policy.toml");
+    let policy = policy.canonicalize().expect("it is there");
+    let head = format!("key_file = \"team.key\"\nscenario = \"swap\"\npolicy = '{}'\n", policy.display());
+    let (folder, records_of) = launched_with(814, &head, "");
+    let key = folder.path().join("team.key");
+    let (status, said) = replayed(&records_of, &["--key-file", key.to_str().unwrap()]);
+    assert_eq!((status, said.matches("equal, ").count()), (0, 4), "{said}");
+    // What the worker has answered decides what the robot does.
+    let agent = records(&records_of).into_iter().find(|path| path.to_str().unwrap().contains("agent-0")).unwrap();
+    let changed = folder.path().join("changed.mcap");
+    let mut left_out = 0;
+    edit(&agent, &changed, |turn| {
+        let before = turn.inputs.len();
+        turn.inputs.retain(|input| !matches!(input, Input::Packet(DeviceId::Agent(_), _)));
+        left_out += before - turn.inputs.len();
+    });
+    assert!(left_out > 20, "{left_out}");
+    let (status, said) = replayed(&changed, &["--key-file", key.to_str().unwrap()]);
+    assert!(status == 1 && said.contains("first difference at "), "{said}");
 }
 
 #[test]

@@ -103,6 +103,7 @@ impl Simulated {
         let mut beginning = self.beginning.clone();
         let identity = &mut beginning.identity;
         (identity.repeat, identity.policy, identity.job) = (trial.repeat, recorded.policy.clone(), recorded.job);
+        identity.engine = trial.model.engine().to_owned();
         let topics = Topics::new(Stage::of(trial), Scope::Simulation, 0);
         let path = Simulated::path(&self.folder, &recorded.name);
         let recording = match Recording::start(&path, &beginning, topics, (WhenFull::Wait, self.retention)) {

@@ -7,8 +7,8 @@ use murmurate::random::{self, Seed, Stream};
 
 use crate::contract::Pad;
 use crate::engine::Array;
+use crate::network::{Graph, Network, Output, Source};
 use crate::parts::Refused;
-use crate::policy::{Graph, Network, Output, Source};
 use crate::structure::Role;
 
 /// Largest difference between outputs that have to be equal but for rounding; relative for outputs above 1.
@@ -102,7 +102,7 @@ impl Checked<'_> {
         }
         self.alone(places, &mut stream, remarks)?;
         if hears {
-            self.nobody(counts[0], &mut stream)?;
+            self.without_neighbours(counts[0], &mut stream)?;
             self.order(&inputs, &outputs, places, remarks)?;
         }
         if self.has(&Source::State) && self.graph.outputs.iter().any(|(_, output, _)| *output == Output::State) {
@@ -143,7 +143,7 @@ impl Checked<'_> {
     }
 
     /// Checks that what stands in an empty place changes nothing.
-    fn nobody(&self, places: usize, stream: &mut Stream) -> Result<(), String> {
+    fn without_neighbours(&self, places: usize, stream: &mut Stream) -> Result<(), String> {
         let junk: Vec<Array> = self.with(self.draw(1, places, stream), |source, values| {
             if *source == Source::Heard {
                 values.fill(0.0);

@@ -229,8 +229,8 @@ pub enum Distribution {
 }
 
 impl Contract {
-    /// Reads a contract from TOML, or from JSON as it may stand in a graph's metadata, and checks it. An error names the
-    /// wrong field.
+    /// Reads a contract from TOML, or from JSON as it may stand in a graph's metadata, and checks it. An error names
+    /// the wrong field.
     pub fn parse(text: &str) -> Result<Contract, ConfigError> {
         let json = text.trim_start().starts_with('{');
         #[derive(Deserialize)]
@@ -311,6 +311,15 @@ impl Contract {
         if self.name.is_empty() || self.name.chars().count() > MAX_NAME || self.name.chars().any(char::is_control) {
             return refuse("name", format!("it is not 1 to {MAX_NAME} printable characters"));
         }
+        if !(10.0..=1000.0).contains(&self.rate_hz) {
+            return refuse("rate_hz", format!("{} is not 10 to 1000", self.rate_hz));
+        }
+        if !(self.hold_s >= 1.0 / self.rate_hz && self.hold_s <= 60.0) {
+            return refuse("hold_s", format!("{} is not one period to 60 s", self.hold_s));
+        }
+        if !(self.radius_m > 0.0 && self.radius_m.is_finite()) {
+            return refuse("radius_m", format!("{} is not above zero", self.radius_m));
+        }
         if self.graph.is_some() && (self.encode.is_some() || self.act.is_some()) {
             return refuse(
                 "graph",
@@ -363,9 +372,6 @@ impl Contract {
             }
         }
         self.check_action()?;
-        if !(10.0..=1000.0).contains(&self.rate_hz) {
-            return refuse("rate_hz", format!("{} is not 10 to 1000", self.rate_hz));
-        }
         self.interface().check().map_err(ConfigError::Syntax)
     }
 

@@ -1,4 +1,5 @@
-//! Messages of the ONNX file format, as far as a check of a graph needs them: onnx.proto of ONNX, IR version 3 and later.
+//! Messages of the ONNX file format, as far as a check of a graph needs them: onnx.proto of ONNX, IR version 3 and
+//! later.
 
 use prost::Message;
 
@@ -38,6 +39,8 @@ pub(crate) struct GraphProto {
 pub(crate) struct NodeProto {
     #[prost(string, repeated, tag = "1")]
     pub(crate) input: Vec<String>,
+    #[prost(string, repeated, tag = "2")]
+    pub(crate) output: Vec<String>,
     #[prost(string, tag = "4")]
     pub(crate) op_type: String,
     #[prost(message, repeated, tag = "5")]

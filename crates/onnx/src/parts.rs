@@ -22,7 +22,7 @@ pub enum Refused {
     /// The contract is wrong.
     #[error("its contract: {0}")]
     Contract(#[from] ConfigError),
-    /// A graph cannot be used, whatever the contract says.
+    /// A graph cannot be used with any contract.
     #[error(transparent)]
     Structure(#[from] StructureError),
     /// Contract and graph do not agree, or the graph does not run as a policy has to.

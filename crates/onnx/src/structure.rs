@@ -178,6 +178,7 @@ impl Structure {
         let Ok(model) = ModelProto::decode(bytes) else { return refuse("it is no ONNX file, or its end is missing") };
         let Some(graph) = &model.graph else { return refuse("it is no ONNX file: it has no graph") };
         check_nodes(graph)?;
+        check_sizes(graph)?;
         let constants = graph.node.iter().flat_map(|node| &node.attribute).filter_map(|attribute| attribute.t.as_ref());
         graph.initializer.iter().chain(constants).try_for_each(check_weights)?;
         let weights: BTreeSet<&str> = graph.initializer.iter().map(|tensor| tensor.name.as_str()).collect();
@@ -273,6 +274,9 @@ impl Structure {
             "messages" => of_neighbours(Some(needs(message, "message")?)),
             "edges" => of_neighbours(Some(needs(edges, "edges")?)),
             "heard" => of_neighbours(None),
+            "own_message" if role == Role::Encode => {
+                refuse("a graph 'encode' takes no 'own_message': it makes the message".to_owned())
+            }
             "own_message" => fits(port, &[needs(message, "message")?], "input"),
             "state" => fits(port, &[needs(state, "state")?], "input"),
             other => match contract.observation.get(other) {
@@ -301,9 +305,46 @@ fn check_nodes(graph: &GraphProto) -> Result<(), StructureError> {
         if !known || node.attribute.iter().any(|attribute| attribute.g.is_some() || !attribute.graphs.is_empty()) {
             let operator = shown(operator);
             return refuse(format!(
-                "its operator '{operator}' is not in the list of those that a policy may have: no loops, branches, random \
-                 numbers or sizes that depend on values (docs/policy-format-3.md)"
+                "its operator '{operator}' is not in the list of those that a policy may have: no loops, branches, \
+                 random numbers or sizes that depend on values (docs/policy-format-3.md)"
             ));
+        }
+    }
+    Ok(())
+}
+
+/// Inputs of operators that are sizes or places, by their numbers; of all other operators none are.
+const SIZES: [(&str, &[usize]); 13] = [
+    ("ConstantOfShape", &[0]),
+    ("Range", &[0, 1, 2]),
+    ("Expand", &[1]),
+    ("Tile", &[1]),
+    ("OneHot", &[1]),
+    ("TopK", &[1]),
+    ("Pad", &[1, 3]),
+    ("Reshape", &[1]),
+    ("Slice", &[1, 2, 3, 4]),
+    ("Split", &[1]),
+    ("Squeeze", &[1]),
+    ("Unsqueeze", &[1]),
+    ("CumSum", &[1]),
+];
+
+/// Checks that no size within the graph depends on the values of its inputs, but on their shapes alone: such a graph
+/// could take any memory in a run that a check has not seen.
+fn check_sizes(graph: &GraphProto) -> Result<(), StructureError> {
+    let weights: BTreeSet<&str> = graph.initializer.iter().map(|tensor| tensor.name.as_str()).collect();
+    let given = graph.input.iter().map(|input| input.name.as_str()).filter(|name| !weights.contains(name));
+    let mut depends: BTreeSet<&str> = given.collect();
+    for node in &graph.node {
+        let operator = node.op_type.as_str();
+        let sizes = SIZES.iter().find(|(name, _)| *name == operator).map_or(&[][..], |(_, sizes)| *sizes);
+        let axes = if operator.starts_with("Reduce") { &[1][..] } else { sizes };
+        if axes.iter().any(|at| node.input.get(*at).is_some_and(|input| depends.contains(input.as_str()))) {
+            return refuse(format!("a size of its operator '{operator}' depends on the values of its inputs"));
+        }
+        if !matches!(operator, "Shape" | "Size") && node.input.iter().any(|input| depends.contains(input.as_str())) {
+            depends.extend(node.output.iter().map(String::as_str));
         }
     }
     Ok(())

@@ -33,6 +33,10 @@ pub struct Identity {
     pub anchor_ns: u64,
     /// Digest of the policy's file; empty for scripted navigation.
     pub policy: String,
+    /// Name and version of the engine that computed the policy, and the kind of processor; empty for a policy that
+    /// computes the same bits everywhere.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub engine: String,
     /// Index of the recorded repeat, from 0, in a record of a simulation; otherwise 0.
     pub repeat: u32,
     /// The recorded host process; `None` in a record of a simulation or of an operator.
@@ -110,6 +114,7 @@ impl Identity {
             variables: Vec::new(),
             anchor_ns: 0,
             policy: policy.to_owned(),
+            engine: String::new(),
             repeat: 0,
             host: None,
             job: None,
@@ -139,7 +144,7 @@ impl Identity {
     /// Reads the identity from the MCAP metadata of a record. Fails if the record has another format or a field is
     /// wrong.
     pub fn of_metadata(metadata: &BTreeMap<String, String>) -> Result<Identity, WrongIdentity> {
-        const TEXTS: [&str; 3] = ["version", "build", "policy"];
+        const TEXTS: [&str; 4] = ["version", "build", "policy", "engine"];
         let format = metadata.get("format").map_or("", String::as_str);
         if !(1..=FORMAT).any(|known| known.to_string() == format) {
             let format: String = format.chars().take(20).collect();
@@ -185,6 +190,7 @@ mod tests {
             }),
         ] {
             identity.host = host;
+            identity.engine = if identity.host.is_some() { "an engine 1.0".to_owned() } else { String::new() };
             assert_eq!(Identity::of_metadata(&identity.to_metadata()).unwrap(), identity);
         }
         let mut other = identity.to_metadata();

@@ -61,6 +61,8 @@ const LEAVE: u8 = 7;
 const STOP: u8 = 8;
 const REFUSED: u8 = 9;
 const KEPT: u8 = 10;
+const AGENT: u8 = 11;
+const AGENT_ENDED: u8 = 12;
 
 /// Appends the beginning of an encoded turn to `out`: its time, and the digest of the datagrams sent in it.
 pub fn begin(out: &mut Vec<u8>, now: Time, sent: u64) {
@@ -103,6 +105,15 @@ pub fn add(out: &mut Vec<u8>, input: &Input) {
             out.extend(robot.0.to_le_bytes());
         }
         Input::Ended(DeviceId::Source) => out.push(SOURCE_ENDED),
+        Input::Packet(DeviceId::Agent(robot), packet) => {
+            out.push(AGENT);
+            out.extend(robot.0.to_le_bytes());
+            block(out, packet);
+        }
+        Input::Ended(DeviceId::Agent(robot)) => {
+            out.push(AGENT_ENDED);
+            out.extend(robot.0.to_le_bytes());
+        }
         Input::Leave => out.push(LEAVE),
         Input::Stop => out.push(STOP),
         Input::Kept(number) => {
@@ -153,6 +164,7 @@ pub fn read(bytes: &[u8]) -> Option<Turn> {
 
 fn input(rest: &mut &[u8]) -> Option<Input> {
     let robot = |rest: &mut &[u8]| Some(DeviceId::Driver(RobotId(u16_of(rest)?)));
+    let agent = |rest: &mut &[u8]| Some(DeviceId::Agent(RobotId(u16_of(rest)?)));
     Some(match *take(rest, 1)?.first()? {
         FRAME => {
             let link = LinkId(u16_of(rest)?);
@@ -179,6 +191,8 @@ fn input(rest: &mut &[u8]) -> Option<Input> {
         SOURCE => Input::Packet(DeviceId::Source, Packet::from(block_of(rest)?)),
         DRIVER_ENDED => Input::Ended(robot(rest)?),
         SOURCE_ENDED => Input::Ended(DeviceId::Source),
+        AGENT => Input::Packet(agent(rest)?, Packet::from(block_of(rest)?)),
+        AGENT_ENDED => Input::Ended(agent(rest)?),
         LEAVE => Input::Leave,
         STOP => Input::Stop,
         KEPT => Input::Kept(u32_of(rest)?),
@@ -227,6 +241,8 @@ mod tests {
             Input::Packet(DeviceId::Source, b"z"[..].into()),
             Input::Ended(DeviceId::Driver(RobotId(5))),
             Input::Ended(DeviceId::Source),
+            Input::Packet(DeviceId::Agent(RobotId(2)), b"step"[..].into()),
+            Input::Ended(DeviceId::Agent(RobotId(2))),
             Input::Stop,
             Input::Kept(7),
             Input::Leave,

@@ -26,13 +26,24 @@ impl Files {
             .tempdir()
             .map_err(|error| failed(&error, "cannot make a folder for the record's files"))?;
         let mut files = Files { folder, files: Vec::new() };
-        let named = opened.attached.iter().filter(|(name, _)| name != ACCEPTED);
-        for (index, (name, content)) in named.enumerate() {
+        let named: Vec<_> = opened.attached.iter().filter(|(name, _)| name != ACCEPTED).collect();
+        let mut folders: Vec<&Path> = Vec::new();
+        for (index, (name, content)) in named.into_iter().enumerate() {
             let last = Path::new(name).file_name().map_or("file".into(), |last| last.to_string_lossy().into_owned());
             // The name comes from the record, which may be from an untrusted source.
             let last: String = last.chars().filter(|c| c.is_ascii_alphanumeric() || "-_.".contains(*c)).collect();
             let last = &last[last.len().saturating_sub(100)..];
-            let path = files.folder().join(format!("{index}-{last}"));
+            // Files that were beside each other stay so: a policy's contract names its graphs.
+            let parent = Path::new(name).parent().unwrap_or(Path::new(""));
+            let place = folders.iter().position(|folder| *folder == parent).unwrap_or_else(|| {
+                folders.push(parent);
+                folders.len() - 1
+            });
+            let folder = files.folder().join(place.to_string());
+            std::fs::create_dir_all(&folder)
+                .map_err(|error| failed(&error, &format!("cannot make '{}'", folder.display())))?;
+            let path = Some(folder.join(last)).filter(|path| !last.is_empty() && !path.exists());
+            let path = path.unwrap_or_else(|| folder.join(format!("{index}-{last}")));
             std::fs::write(&path, content)
                 .map_err(|error| failed(&error, &format!("cannot write '{}'", path.display())))?;
             files.files.push((name.clone(), path));
@@ -107,10 +118,10 @@ mod tests {
         assert_eq!(files.team_file(), Some("teams/a.toml"));
         let policy = files.policy().unwrap().to_owned();
         assert_eq!(std::fs::read_to_string(&policy).unwrap(), "policy");
-        assert!(policy.starts_with(files.folder()) && policy.ends_with("1-bc.toml"), "{}", policy.display());
+        assert!(policy.starts_with(files.folder()) && policy.ends_with("1/bc.toml"), "{}", policy.display());
         let given = ["--team=teams/a.toml", "../../b c.toml@held", "teams/a.toml.old"].map(str::to_owned);
         let placed = files.in_place(&given);
-        assert_eq!(placed[0], format!("--team={}", files.folder().join("0-a.toml").display()));
+        assert_eq!(placed[0], format!("--team={}", files.folder().join("0/a.toml").display()));
         assert_eq!(placed[1], format!("{}@held", policy.display()));
         assert_eq!(placed[2], given[2]);
         drop(files);

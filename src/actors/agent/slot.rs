@@ -55,13 +55,19 @@ pub(super) struct Slot {
     pub percept: Option<Percept>,
     /// Values of the channels that the policy under test takes, in the current step.
     pub values: Vec<f32>,
-    /// Time of the robot's last step in a running episode; `None` before the first one.
-    stepped: Option<Time>,
+    /// Times of the robot's last step in a running episode, and of the one before it; `None` if there is none.
+    stepped: [Option<Time>; 2],
     /// Latent features that the robot broadcasts in the current step.
     pub features: Vec<f32>,
     /// Whether `features` is a valid latent: finite and of the declared length. If not, the policy has failed and its
     /// actions are not used.
     pub valid: bool,
+    /// Whether the step counts as none, because the policy says that it has failed.
+    pub failed: bool,
+    /// Whether the robot broadcasts `features` in this step.
+    pub says: bool,
+    /// Whether the policy under test has begun a step in the Agent's last step, which can be taken back.
+    pub fresh: bool,
     /// Whether the log has said that the latent is invalid, since it was last valid.
     pub reported: bool,
     /// Expected lengths of the latent features: of the policy under test, and of the reset policy.
@@ -77,9 +83,12 @@ impl Slot {
             task: None,
             percept: None,
             values,
-            stepped: None,
+            stepped: [None; 2],
             features: Vec::new(),
             valid: true,
+            failed: false,
+            says: false,
+            fresh: false,
             reported: false,
             widths,
         }
@@ -89,14 +98,20 @@ impl Slot {
         self.widths[usize::from(phase != Phase::Running)]
     }
 
-    /// Takes the broadcast that the policy has computed together with its action in `phase`, if it has.
+    /// Takes the broadcast that the policy has computed together with its action in `phase`, if it has; none if the
+    /// step has failed.
     pub fn take_broadcast(&mut self, phase: Phase) {
-        let Some(broadcast) = self.policies.of(phase).broadcast() else { return };
+        if self.failed || !self.valid {
+            return;
+        }
+        let policy = self.policies.of(phase);
+        self.failed = policy.failed();
+        self.says &= !self.failed;
+        let Some(broadcast) = policy.broadcast().filter(|_| !self.failed) else { return };
         self.features.clear();
         self.features.extend_from_slice(broadcast);
-        if self.valid {
-            self.check(self.features.len(), self.width(phase));
-        }
+        self.says = true;
+        self.check(self.features.len(), self.width(phase));
     }
 
     /// Checks and returns whether `features` is a valid latent of a policy that has declared `declared` floats, and now
@@ -113,7 +128,7 @@ impl Slot {
 
     /// Puts the policy under test back to its start, for a new episode.
     pub fn begin(&mut self) {
-        self.stepped = None;
+        self.stepped = [None; 2];
         self.policies.run.reset();
     }
 
@@ -121,10 +136,21 @@ impl Slot {
     /// channels, and computes these. Puts the policy back to its start if its last step is too long ago.
     pub fn steps(&mut self, now: Time, known: &Known) {
         self.policies.channels.write(known, &mut self.values);
-        let before = self.stepped.replace(now);
+        self.fresh = true;
+        let before = self.stepped[0];
+        self.stepped = [Some(now), before];
         let Some((before, longest)) = before.zip(self.policies.run.forgets_after()) else { return };
         if now.since(before) > longest {
             self.policies.run.reset();
         }
+    }
+
+    /// Takes back the step of the policy under test in the Agent's last step, which counts as none, if there was one.
+    pub fn undo(&mut self) {
+        if !std::mem::take(&mut self.fresh) {
+            return;
+        }
+        self.stepped[0] = self.stepped[1];
+        self.policies.run.undo();
     }
 }

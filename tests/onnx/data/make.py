@@ -158,6 +158,12 @@ def bad():
     nodes = [node("RandomNormalLike", ["goal"], "noise"), node("Add", ["goal", "noise"], "action")]
     made = model("chance", nodes, [value("goal", "R", 2)], [value("action", "R", 2)], {})
     save(made, "bad-chance")
+    # 14 GB in a file of 300 bytes.
+    nodes = [node("Unsqueeze", ["goal", "one"], "g"), node("Expand", ["g", "size"], "large"),
+             node("ReduceSum", ["large", "one"], "action", keepdims=0)]
+    made = model("memory", nodes, [value("goal", "R", 2)], [value("action", "R", 2)],
+                 {"one": np.array([1]), "size": np.array([1, 1_800_000_000, 2])})
+    save(made, "bad-memory")
 
 
 recurrent()

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::local::Contacts;
-use murmurate::observation::PolicyFrame;
+use murmurate::observation::{Channel, PolicyFrame, Quantity, Unit};
 use murmurate::random::{Rng, Seed};
 use murmurate::scenario::{Arena, Entry, Progress, Rules, Scenario, ScenarioError, Settings, TeamSizes};
 use murmurate::time::Span;
@@ -57,6 +57,13 @@ impl Scenario for Round {
     fn tasks(&self, seed: u64, episode: u32) -> Vec<Task> {
         let place = |episode, robot| self.place(seed, episode, robot);
         (0..self.robots).map(|robot| Task { start: place(episode, robot), goal: place(episode + 1, robot) }).collect()
+    }
+
+    fn channels(&self) -> Vec<Channel> {
+        let shape = (vec![2], Unit::Metre, Quantity::Vector);
+        vec![Channel::new("chord", "from the robot to its goal", shape, |known, out| {
+            out.copy_from_slice((known.own.goal - known.own.motion.position).as_slice());
+        })]
     }
 
     fn frame(&self, _: &Task) -> PolicyFrame {

@@ -201,6 +201,14 @@ fn check(args: &Args, path: &Path, Opened { identity, messages, .. }: &Opened) -
         }
         talk(&format!("warning: '{at}' was made by another build ({theirs}; this is {this}) and may differ for that"));
     }
+    // Of a host the answers of the engine are in the record.
+    let (theirs, this) = (&identity.engine, murmurate_onnx::engine::about());
+    if identity.is_of_simulation() && !theirs.is_empty() && *theirs != this {
+        talk(&format!(
+            "warning: the policy of '{at}' was computed by {theirs}, and here it is {this}: the last digits of its \
+             numbers may be others, and the run with them"
+        ));
+    }
     Ok(())
 }
 

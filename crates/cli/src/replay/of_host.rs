@@ -41,7 +41,9 @@ pub fn prepare(
     }
     let policy = team::policy(&team, registry)?;
     drop(confined);
-    let prepared = Prepared::new((path, identity, messages), (&team, policy.model), access, registry);
+    // The recorded answers are those of the recorded policy.
+    let model = if args.policy.is_some() { policy.model.computed_inline() } else { policy.model };
+    let prepared = Prepared::new((path, identity, messages), (&team, model), access, registry);
     Ok((prepared.map_err(sorted)?, policy.name))
 }
 

@@ -24,6 +24,31 @@ pub trait Engine: Send + Sync {
 /// Name and version of the engine of this program; `None` if it was built without one.
 pub const NAME: Option<&str> = if cfg!(feature = "rten") { Some("rten 0.24.0") } else { None };
 
+/// Returns the name and version of the engine of this program, and the kind of processor that it runs on, on which the
+/// last digits of its numbers depend; empty without an engine.
+pub fn about() -> String {
+    let Some(name) = NAME else { return String::new() };
+    #[cfg(target_arch = "x86_64")]
+    let kind = {
+        let [wide, fused] = [std::is_x86_feature_detected!("avx512f"), std::is_x86_feature_detected!("fma")];
+        if wide {
+            " with AVX-512"
+        } else if fused {
+            " with AVX2"
+        } else {
+            ""
+        }
+    };
+    #[cfg(not(target_arch = "x86_64"))]
+    let kind = "";
+    let family = match () {
+        () if cfg!(target_arch = "x86_64") => "x86-64",
+        () if cfg!(target_arch = "aarch64") => "aarch64",
+        () => "another processor",
+    };
+    format!("{name} on {family}{kind}")
+}
+
 /// Loads the graph with the content `bytes`, whose inputs and outputs have these names. An error is a sentence.
 pub fn load(bytes: Vec<u8>, inputs: &[String], outputs: &[String]) -> Result<Arc<dyn Engine>, String> {
     #[cfg(feature = "rten")]
@@ -31,8 +56,8 @@ pub fn load(bytes: Vec<u8>, inputs: &[String], outputs: &[String]) -> Result<Arc
     #[cfg(not(feature = "rten"))]
     {
         let _ = (bytes, inputs, outputs);
-        Err("policies of format 3 need an engine, and this program was built without one: build one that has it with \
-             'cargo build --release --features onnx'"
+        Err("policies of format 3 need an engine, and this program was built without the feature 'onnx': build one that \
+             has it (docs/run-a-team.md)"
             .to_owned())
     }
 }

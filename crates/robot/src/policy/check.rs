@@ -87,7 +87,6 @@ fn format_3(args: &Args) -> Result<Ended> {
     let (network, sound) = onnx::load(&args.policy)?;
     let facts = check_onnx::Facts {
         file: args.policy.display().to_string(),
-        digest: network.digest(),
         manifest: network.contract(),
         engine: murmurate_onnx::engine::NAME,
         sound,

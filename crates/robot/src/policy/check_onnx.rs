@@ -13,8 +13,6 @@ use super::onnx::Sound;
 pub(super) struct Facts<'a> {
     /// Name of the file.
     pub file: String,
-    /// First 64 bits of the BLAKE3 hash of contract and graphs, in hexadecimal.
-    pub digest: &'a str,
     /// Contract of the policy.
     pub manifest: &'a Contract,
     /// Name and version of the engine that runs its graphs.
@@ -64,7 +62,7 @@ pub(super) fn table(facts: &Facts) -> String {
     rows.extend(facts.sound.remarks.iter().map(|remark| ("remark", remark.clone())));
     rows.extend(contract.source.iter().map(|source| ("source", source.clone())));
     rows.extend(contract.license.iter().map(|license| ("licence", license.clone())));
-    rows.push(("digest", facts.digest.to_owned()));
+    rows.push(("digest", facts.sound.digest.clone()));
     lines(&facts.file, &rows)
 }
 

@@ -4,7 +4,7 @@ mod check;
 mod check_hops;
 mod check_onnx;
 mod facts;
-mod onnx;
+pub mod onnx;
 pub mod room;
 
 use std::path::Path;
@@ -59,10 +59,12 @@ impl Loaded {
 pub fn load(registry: &Registry, named: Option<&Path>, draw: Option<Draw>, scenario: &dyn Scenario) -> Result<Loaded> {
     let named = named.unwrap_or_else(|| Path::new(registry.default_policy(scenario)));
     let name = named.display().to_string();
+    let mut slow = None;
     let (model, place) = match named.to_str().and_then(|name| registry.policy(name)) {
         Some(entry) => ((entry.build)(scenario), format!("--policy {name}")),
         None if onnx::is_format_3(named) => {
-            let (network, _) = onnx::load(named)?;
+            let (network, sound) = onnx::load(named)?;
+            slow = onnx::too_slow(&network, &sound);
             (Ok(network.model()), format!("the policy file '{name}'"))
         }
         None => {
@@ -81,7 +83,7 @@ pub fn load(registry: &Registry, named: Option<&Path>, draw: Option<Draw>, scena
     let larger = model.largest_team().filter(|largest| robots > *largest).map(|largest| {
         format!("it was trained in teams of at most {largest} robots, and the team has {robots}: train it for these")
     });
-    let warnings = model.assumed().map(str::to_owned).into_iter().chain(larger);
+    let warnings = model.assumed().map(str::to_owned).into_iter().chain(larger).chain(slow);
     let warnings = warnings.map(|warning| format!("{place}: {warning}")).collect();
     Ok(Loaded { model, name, warnings })
 }

@@ -2,7 +2,7 @@
 
 use std::ffi::OsStr;
 use std::io::Read;
-use std::path::{Component, Path};
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::sync::mpsc::{RecvTimeoutError, channel};
@@ -14,18 +14,20 @@ use murmurate::observation::Observation;
 use murmurate::policy::{Draw, Neighbour, Policy};
 use murmurate::random::Seed;
 use murmurate::time::Span;
+use murmurate_onnx::Network;
 use murmurate_onnx::parts::Refused;
-use murmurate_onnx::policy::Network;
-use murmurate_onnx::{Parts, check};
+use murmurate_onnx::{Contract, Parts, check};
 use serde::{Deserialize, Serialize};
 
-use crate::BadInput;
 use crate::output::{read_bytes, read_text};
+use crate::{BadInput, bad, this_program};
 
 /// Longest time that the check of a policy may take.
 const CHECK_TIMEOUT: Duration = Duration::from_secs(60);
 /// Most memory that the process of a check may address \[bytes\].
 const CHECK_MEMORY: u64 = 4 << 30;
+/// Variable that is set for the process of a check.
+const CHILD: &str = "CHECKS_A_POLICY_OF_MURMURATE";
 /// Number of steps of which the time is measured.
 const TIMED_STEPS: usize = 200;
 
@@ -42,6 +44,8 @@ pub enum Checked {
 /// What the check of a policy has found that is no fault.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Sound {
+    /// Digest of the files that were checked.
+    pub digest: String,
     /// Remarks, a sentence each.
     pub remarks: Vec<String>,
     /// Median time of a step of one robot with the most neighbours \[us\], on this machine.
@@ -64,13 +68,29 @@ pub fn parts(path: &Path) -> Result<Result<Parts, Refused>> {
     let text = read_text(path, "policy file")?;
     let folder = path.parent().unwrap_or(Path::new(""));
     Parts::of_contract(&text, |file| {
-        let plain = Path::new(file).components().all(|part| matches!(part, Component::Normal(_)));
-        if !plain || file.is_empty() {
-            let why = "it names a graph that is not beside it: give a path below the contract's folder";
+        if !is_beside(file) {
+            let why = "it names a graph that is not beside it: give the name of a file in its folder, of letters, \
+                       digits and '-_.'";
             return Err(BadInput(format!("the policy file '{}': {why}", path.display())).into());
         }
         read_bytes(&folder.join(file), "graph of the policy")
     })
+}
+
+/// Returns whether the name of a graph is that of a file in the contract's folder.
+fn is_beside(file: &str) -> bool {
+    let plain = file.chars().all(|c| c.is_ascii_alphanumeric() || "-_.".contains(c));
+    plain && file.len() <= 100 && !file.starts_with('.') && !file.is_empty()
+}
+
+/// Returns the paths of the graphs that a policy's contract names; empty if `path` is no such contract.
+pub fn graphs(path: &Path) -> Vec<PathBuf> {
+    let toml = path.extension() == Some(OsStr::new("toml"));
+    let text = if toml { read_text(path, "policy file").ok() } else { None };
+    let Some(contract) = text.and_then(|text| Contract::parse(&text).ok()) else { return Vec::new() };
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let names = [contract.graph, contract.encode, contract.act].into_iter().flatten();
+    names.filter(|name| is_beside(name)).map(|name| folder.join(name)).collect()
 }
 
 /// Loads the policy `path` after a check of it in a process of its own, within limits of memory and time: a graph is a
@@ -78,13 +98,29 @@ pub fn parts(path: &Path) -> Result<Result<Parts, Refused>> {
 pub fn load(path: &Path) -> Result<(Arc<Network>, Sound)> {
     let refuse = |why: String| BadInput(format!("the policy file '{}': {why}", path.display()));
     // What is wrong with a file is said before a process is started for it.
-    parts(path)?.map_err(|why| refuse(why.to_string()))?;
+    let parts = parts(path)?.map_err(|why| refuse(why.to_string()))?;
     let sound = match in_own_process(path)? {
         Checked::Sound(sound) => sound,
         Checked::Refused(why) => return Err(refuse(why).into()),
     };
-    let network = parts(path)?.and_then(Network::load).map_err(|why| refuse(why.to_string()))?;
+    if sound.digest != parts.digest {
+        return Err(refuse("it was changed while it was checked; try again".to_owned()).into());
+    }
+    let network = Network::load(parts).map_err(|why| refuse(why.to_string()))?;
     Ok((Arc::new(network), sound))
+}
+
+/// Returns a warning if a step of a policy takes so long that on a robot it would be late, always or now and then.
+pub fn too_slow(network: &Network, sound: &Sound) -> Option<String> {
+    let half_us = 0.5e6 / network.contract().rate_hz;
+    (sound.step_us > half_us / 2.0).then(|| {
+        format!(
+            "a step takes {:.1} ms on this machine, and on a robot one that takes more than {:.1} ms counts as none: \
+             take a smaller network or a lower rate_hz",
+            sound.step_us / 1e3,
+            half_us / 1e3
+        )
+    })
 }
 
 /// Checks the policy `path` in this process, for the one that has started it.
@@ -93,7 +129,10 @@ pub fn check_here(path: &Path) -> Result<Checked> {
     let loaded = parts(path)?.and_then(Network::load).map(Arc::new);
     let checked = loaded.and_then(|network| check::check(&network).map(|remarks| (network, remarks)));
     Ok(match checked {
-        Ok((network, remarks)) => Checked::Sound(Sound { remarks, step_us: step_us(&network) }),
+        Ok((network, remarks)) => {
+            let digest = network.digest().to_owned();
+            Checked::Sound(Sound { digest, remarks, step_us: step_us(&network) })
+        }
         Err(why) => Checked::Refused(why.to_string()),
     })
 }
@@ -114,9 +153,15 @@ fn limit_memory() -> Result<()> {
 
 /// Starts this program again for the check of the policy `path`, and returns what it says.
 fn in_own_process(path: &Path) -> Result<Checked> {
-    let program = std::env::current_exe().context("cannot find this program to check a policy with it")?;
-    let mut command = Command::new(program);
-    command.args(["policy", "check", "--here"]).arg("--").arg(path);
+    // A program without the command `policy check` would load the policy again, and so on.
+    if std::env::var_os(CHILD).is_some() {
+        return bad(
+            "this program checks a policy within the check of one: it lacks the command 'policy check'".to_owned()
+        );
+    }
+    let program = this_program()?;
+    let mut command = Command::new(&program[0]);
+    command.args(&program[1..]).args(["policy", "check", "--here"]).arg("--").arg(path).env(CHILD, "1");
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null()).env("RUST_BACKTRACE", "0");
     let child = command.spawn().context("cannot start a process for the check of a policy")?;
     let ended = |why: &str| Checked::Refused(format!("its check {why}"));

@@ -51,6 +51,7 @@ impl LiveRecord {
         let retention = flags.retention(team.record_last_s, team.record_size_mb)?;
         let name = team.deployment.hosts[usize::from(team.host.0)].name.clone();
         let mut identity = here(began, policy);
+        identity.engine = live.trial().model.engine().to_owned();
         let (incarnation, seed, transports) = live.process();
         let file = format!("{name}-{incarnation:08x}");
         let seed = HEXLOWER.encode(&seed);

@@ -13,6 +13,7 @@ use anyhow::Result;
 
 use crate::destination::check_folder;
 use crate::output::read_bytes;
+use crate::policy;
 use crate::{BadInput, bad};
 use murmurate::time::Span;
 use murmurate_record::file::Attached;
@@ -114,10 +115,13 @@ pub fn make(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Reads the files to attach to a record. Paths that are not files, such as names of built-in policies, are ignored.
+/// Reads the files to attach to a record, and after them the graphs of those that are contracts of policies. Paths that
+/// are not files, such as names of built-in policies, are ignored.
 pub fn attach(names: impl IntoIterator<Item = PathBuf>) -> Result<Vec<Attached>> {
-    let files = names.into_iter().filter(|name| name.is_file());
-    let attached = files.map(|path| {
+    let mut files: Vec<PathBuf> = names.into_iter().filter(|name| name.is_file()).collect();
+    let graphs: Vec<PathBuf> = files.iter().flat_map(|file| policy::onnx::graphs(file)).collect();
+    files.extend(graphs);
+    let attached = files.into_iter().map(|path| {
         let name = path.to_string_lossy().into_owned();
         let media_type = if name.ends_with(".toml") { "application/toml" } else { "application/octet-stream" };
         Ok(Attached { content: read_bytes(&path, "file")?, name, media_type })

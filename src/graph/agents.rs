@@ -1,0 +1,44 @@
+//! Agents as a trial makes them: their policies, and how long a step waits.
+
+use std::sync::Arc;
+
+use crate::actors::agent::{Agent, RobotPolicies};
+use crate::messages::ids::RobotId;
+use crate::policy::Model;
+use crate::time::Span;
+use crate::trial::Trial;
+
+/// Policy that drives the robots to their starts before an episode.
+const RESET: Model = Model::Orca;
+
+/// Returns the longest time for which a joint step of an Agent waits for late percepts.
+pub(super) fn max_wait(trial: &Trial) -> Span {
+    Span::from_nanos(trial.model.interface().period.as_nanos() / 4)
+}
+
+/// Makes an Agent of `robots`, which are in the order of their ids, at the start number `incarnation` of the actor.
+pub(super) fn agent_of(trial: &Trial, robots: &[RobotId], incarnation: u32) -> Agent {
+    let seed = trial.streams();
+    let policies = |&robot: &RobotId| {
+        // A policy sees the commanded point, so the hull of a differential drive is wider for it.
+        let arena = trial.scenario.arena().about_point(trial.deployment.chassis(robot).point_ahead_m);
+        RobotPolicies {
+            robot,
+            dynamics: trial.dynamics(robot),
+            channels: trial.channels().unwrap_or_else(|error| panic!("the policy was checked: {error}")),
+            run: trial.model.instance(&arena),
+            reset: RESET.instance(&arena),
+            actions: seed.stream(&format!("agent/{}/action/{incarnation}", robot.0)),
+            ranges: seed.stream(&format!("agent/{}/range/{incarnation}", robot.0)),
+        }
+    };
+    let robots = robots.iter().map(policies).collect();
+    Agent::new(Arc::clone(&trial.scenario), trial.comm_range(), max_wait(trial), robots)
+}
+
+/// Returns the longest time until the answer of a worker that computes an Agent's policies. An answer in the second
+/// half of a period would come when the next step is due, and the guard takes none that is later than `late_tick_s`.
+pub(super) fn deadline(trial: &Trial) -> Span {
+    let half = Span::from_nanos(trial.model.interface().period.as_nanos() / 2);
+    half.min(Span::from_secs(0.8 * trial.safety.late_tick_s))
+}
