@@ -145,7 +145,7 @@ impl Agent {
             self.slots.iter_mut().for_each(|slot| slot.fresh = false);
             (0..self.slots.len()).for_each(|at| self.share(now, at));
             self.grid = self.locate();
-            self.relay(now);
+            self.relay();
             // Send actions before latents: actuation latency matters more. Both leave in one visit to the Network.
             out.extend((0..self.slots.len()).filter_map(|at| self.act(now, at)).map(Out::Action));
             out.extend((0..self.slots.len()).filter_map(|at| self.latent(at)).map(Out::Latent));
@@ -186,11 +186,11 @@ impl Agent {
     /// Completes the latents of policies with several hops: the input of each hop is computed from the neighbours'
     /// newest input of the hop before. Those of the Agent's own robots are of this step, all others of the messages
     /// that have arrived, so nothing waits.
-    fn relay(&mut self, now: Time) {
+    fn relay(&mut self) {
         let phase = self.phase;
         let hops = self.slots.iter_mut().map(|slot| slot.policies.of(phase).hops()).max().unwrap_or(1);
         for hop in 1..hops {
-            (0..self.slots.len()).for_each(|at| self.relay_hop(now, hop, at));
+            (0..self.slots.len()).for_each(|at| self.relay_hop(hop, at));
             // All robots have read what the others shared; now the new inputs replace it.
             for (slot, shared) in self.slots.iter_mut().zip(&mut self.shared) {
                 let Some(SharedData { features, .. }) = shared else { continue };
@@ -204,22 +204,20 @@ impl Agent {
         }
     }
 
-    fn relay_hop(&mut self, now: Time, hop: usize, at: usize) {
+    fn relay_hop(&mut self, hop: usize, at: usize) {
         let Some(SharedData { motion, features: Some(_), .. }) = self.shared[at] else { return };
         self.find_near(motion.position);
         let phase = self.phase;
         let slot = &mut self.slots[at];
         let width = slot.width(phase);
-        let Slot { policies, task: Some(task), percept: Some(percept), values, features, .. } = slot else { return };
-        let task = bound_for(phase, task);
-        let frame = self.scenario.frame(&task);
+        let Slot { policies, percept: Some(percept), own, values, features, .. } = slot else { return };
+        let frame = own.frame;
         let step = Step { range: self.range, round: self.round, phase, width, frame, shared: &self.features };
         let companions = self.near.iter().filter(|other| **other != at).filter_map(|&other| self.shared[other]);
         // A message is drawn as received or not once a step, whatever the number of hops: by the same numbers.
         let mut ranges = policies.ranges.clone();
         let neighbours = step.neighbours(percept, companions, &mut ranges);
-        let seen = policies.observe(&*self.scenario, &task, percept, now.since(self.episode_began));
-        let seen = Observation { values, ..seen };
+        let seen = Observation { values, ..*own };
         let policy = policies.of(phase);
         if hop < policy.hops() {
             policy.relay(hop, &seen, features, &neighbours);
@@ -246,6 +244,7 @@ impl Agent {
         let (percept, task) = (slot.percept.as_ref()?, slot.task.as_ref()?);
         let task = bound_for(phase, task);
         let own = slot.policies.observe(&*self.scenario, &task, percept, now.since(self.episode_began));
+        slot.own = own;
         if phase == Phase::Running {
             slot.steps(now, &Known { task: &task, own: &own });
         }
@@ -282,14 +281,12 @@ impl Agent {
         let (percept, task) = (slot.percept.as_ref()?, slot.task.as_ref()?);
         let task = bound_for(phase, task);
         let own = percept.estimate;
-        let elapsed = now.since(self.episode_began);
-        let frame = self.scenario.frame(&task);
+        let frame = slot.own.frame;
         let step = Step { range: self.range, round, phase, width, frame, shared: &self.features };
         let companions = self.near.iter().filter(|other| **other != at).filter_map(|&other| self.shared[other]);
         let neighbours = step.neighbours(percept, companions.clone(), &mut slot.policies.ranges);
 
-        let seen = slot.policies.observe(&*self.scenario, &task, percept, elapsed);
-        let seen = Observation { values: &slot.values, ..seen };
+        let seen = Observation { values: &slot.values, ..slot.own };
         let policy = if phase == Phase::Running { &mut slot.policies.run } else { &mut slot.policies.reset };
         let velocity = match slot.valid {
             true if slot.failed => None,

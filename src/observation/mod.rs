@@ -33,12 +33,13 @@ impl PolicyFrame {
         }
     }
 
-    /// Transforms an angle \[rad\], counter-clockwise from the x axis, from the world frame to the policy frame, or
-    /// back. The result is from -pi to pi.
+    /// Transforms an angle \[rad\] from -pi to pi, counter-clockwise from the x axis, from the world frame to the
+    /// policy frame, or back. The result is from -pi to pi.
     pub fn turn_angle(self, angle: f32) -> f32 {
+        use std::f32::consts::PI;
         match self {
             PolicyFrame::World => angle,
-            PolicyFrame::HalfTurn => wrapped(angle + std::f32::consts::PI),
+            PolicyFrame::HalfTurn => angle + if angle > 0.0 { -PI } else { PI },
         }
     }
 

@@ -1,6 +1,6 @@
 //! Robots of an Agent: their policies, and what each keeps from one step to the next.
 
-use crate::messages::geometry::Task;
+use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::ids::RobotId;
 use crate::messages::local::Percept;
 use crate::messages::wire::{MAX_FEATURES, Phase, all_sound};
@@ -53,6 +53,8 @@ pub(super) struct Slot {
     pub policies: RobotPolicies,
     pub task: Option<Task>,
     pub percept: Option<Percept>,
+    /// Observation of the robot in the current step, without values of channels.
+    pub own: Observation<'static>,
     /// Values of the channels that the policy under test takes, in the current step.
     pub values: Vec<f32>,
     /// Times of the robot's last step in a running episode, and of the one before it; `None` if there is none.
@@ -82,6 +84,7 @@ impl Slot {
             policies,
             task: None,
             percept: None,
+            own: Observation::new(Motion::default(), Vec2::zeros()),
             values,
             stepped: [None; 2],
             features: Vec::new(),

@@ -56,8 +56,8 @@ pub fn load(bytes: Vec<u8>, inputs: &[String], outputs: &[String]) -> Result<Arc
     #[cfg(not(feature = "rten"))]
     {
         let _ = (bytes, inputs, outputs);
-        Err("policies of format 3 need an engine, and this program was built without the feature 'onnx': build one that \
-             has it (docs/run-a-team.md)"
+        Err("policies of format 3 need an engine, and this program was built without the feature 'onnx': build one \
+             that has it (docs/run-a-team.md)"
             .to_owned())
     }
 }
