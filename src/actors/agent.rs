@@ -241,6 +241,7 @@ impl Agent {
         let phase = self.phase;
         let slot = &mut self.slots[at];
         let declared = slot.width(phase);
+        (slot.failed, slot.says) = (false, false);
         let (percept, task) = (slot.percept.as_ref()?, slot.task.as_ref()?);
         let task = bound_for(phase, task);
         let own = slot.policies.observe(&*self.scenario, &task, percept, now.since(self.episode_began));
@@ -254,8 +255,11 @@ impl Agent {
         // The policy declares its width anew in each step; it may differ from that at the start.
         slot.features.resize(width, 0.0);
         policy.encode(&seen, &mut slot.features);
-        slot.failed = policy.failed();
-        slot.says = !slot.failed && policy.broadcasts();
+        let (failed, broadcasts) = (policy.failed(), policy.broadcasts());
+        if failed {
+            slot.fail(phase);
+        }
+        slot.says = !failed && broadcasts;
         // What a failed step has written is not looked at.
         slot.valid = slot.failed || slot.check(width, declared);
         (slot.says && slot.valid).then_some(())
@@ -742,5 +746,66 @@ mod tests {
         }
         let steps = [100, 150, 200].map(|ms| step_of(&mut agent, ms)[1]);
         assert_eq!(steps, [([0.0, 0.0], 1.0), ([0.01, 0.0], 2.0), ([0.02, 0.0], 3.0)]);
+    }
+
+    #[test]
+    fn a_robot_without_a_task_in_the_round_says_nothing() {
+        let (mut agent, mut out) = (agent(&[0, 1]), Vec::new());
+        (0..2).for_each(|robot| agent.handle(Time::ZERO, percept(robot, f32::from(robot), Vec::new()), &mut out));
+        let latents = |out: &[Out]| out.iter().filter(|out| matches!(out, Out::Latent(_))).count();
+        assert_eq!(latents(&out), 2);
+        // The instruction of the next round has come for the first robot alone.
+        let task = agent.slots[0].task.expect("it has one");
+        let round = Round { episode: 1, ..ROUND };
+        let (phase, first, latch) = (Phase::Running, RobotId(0), Latch::default());
+        let mode = Mode { round, repeat: 0, phase, first, tasks: [task].into(), latch };
+        agent.handle(Time::ZERO, In::Mode(mode), &mut out);
+        out.clear();
+        (0..2).for_each(|robot| agent.handle(Time::ZERO, percept(robot, f32::from(robot), Vec::new()), &mut out));
+        assert_eq!(latents(&out), 1, "{out:?}");
+    }
+
+    /// Test policy that counts steps like [`Remembering`], and whose steps fail while told so.
+    struct Failing(Remembering, std::rc::Rc<std::cell::Cell<bool>>);
+
+    impl Policy for Failing {
+        fn interface(&self) -> Interface {
+            Counting.interface()
+        }
+        fn reset(&mut self) {
+            self.0.reset();
+        }
+        fn forgets_after(&self) -> Option<Span> {
+            self.0.forgets_after()
+        }
+        fn failed(&self) -> bool {
+            self.1.get()
+        }
+        fn encode(&mut self, own: &Observation, features: &mut [f32]) {
+            self.0.encode(own, features);
+        }
+        fn act(&mut self, _: &Observation, _: &[f32], _: &[Neighbour], _: &mut Stream) -> Vec2 {
+            self.0.steps += 1.0;
+            Vec2::new(self.0.steps / 100.0, 0.0)
+        }
+    }
+
+    #[test]
+    fn steps_that_fail_move_and_say_nothing_and_count_as_a_gap() {
+        let mut agent = agent(&[0]);
+        let fails = std::rc::Rc::new(std::cell::Cell::new(false));
+        agent.slots[0].policies.run = Box::new(Failing(Remembering { steps: 0.0, said: [0.0] }, fails.clone()));
+        let mut step = |ms: u64| {
+            let mut out = Vec::new();
+            agent.handle(Time::ZERO + Span::from_millis(ms), percept(0, 0.0, Vec::new()), &mut out);
+            let said = out.iter().any(|out| matches!(out, Out::Latent(_)));
+            let Some(Out::Action(action)) = out.into_iter().next() else { panic!("it acts in each step") };
+            (action.velocity.map(|velocity| velocity.x), said)
+        };
+        assert_eq!([step(100), step(150)], [(Some(0.01), true), (Some(0.02), true)]);
+        fails.set(true);
+        (4..14).for_each(|at| assert_eq!(step(50 * at), (None, false)));
+        fails.set(false);
+        assert_eq!(step(700), (Some(0.01), true), "550 ms after the last step that counted it begins anew");
     }
 }

@@ -36,9 +36,9 @@ pub(super) fn agent_of(trial: &Trial, robots: &[RobotId], incarnation: u32) -> A
     Agent::new(Arc::clone(&trial.scenario), trial.comm_range(), max_wait(trial), robots)
 }
 
-/// Returns the longest time until the answer of a worker that computes an Agent's policies. An answer in the second
-/// half of a period would come when the next step is due, and the guard takes none that is later than `late_tick_s`.
-pub(super) fn deadline(trial: &Trial) -> Span {
+/// Returns the longest times until the answer of a worker that computes an Agent's policies: from the step, after which
+/// the next one is near, and from the control tick, after which the guard takes no action any more.
+pub(super) fn deadlines(trial: &Trial) -> [Span; 2] {
     let half = Span::from_nanos(trial.model.interface().period.as_nanos() / 2);
-    half.min(Span::from_secs(0.8 * trial.safety.late_tick_s))
+    [half, Span::from_secs(0.8 * trial.safety.late_tick_s)]
 }

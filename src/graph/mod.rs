@@ -32,7 +32,7 @@ use crate::actors::status;
 use crate::actors::witness::Finding;
 use crate::chassis::Chassis;
 use crate::deploy::{Routes, Stepping};
-use crate::graph::agents::{agent_of, deadline, max_wait};
+use crate::graph::agents::{agent_of, deadlines, max_wait};
 use crate::graph::delivery::{deliveries, wire_server, wire_status};
 use crate::graph::emulated::wire_links;
 use crate::graph::event::{Event, Report};
@@ -276,8 +276,8 @@ fn wire_agent(clock: &Clock, trial: &Rc<Trial>, graph: &Graph, robot: RobotId, p
         start(clock, mailbox, span, move |incarnation| agent_of(&trial, &robots, incarnation), sink);
         return;
     };
-    let deadline = deadline(&trial);
-    let make = move |_| Apart::new(&robots, max_wait(&trial), deadline);
+    let deadlines = deadlines(&trial);
+    let make = move |_| Apart::new(&robots, max_wait(&trial), deadlines);
     start(clock, mailbox, span, make, move |out| match out {
         apart::Out::Agent(out) => sink(out),
         apart::Out::Ask(packet) => gate.iter().for_each(|gate| gate.borrow_mut().send(packet.clone())),

@@ -179,7 +179,7 @@ impl<'de> Deserialize<'de> for Features {
     }
 }
 
-/// Serde functions (for `serde(with)`) that encode one [`Vec2`], such as a velocity \[m/s\], as 8 bytes.
+/// Functions for serde's attribute `with` that encode one `Vec2` that may be missing, as an array or as nothing.
 pub(super) mod optional_vec2 {
     use super::*;
 
@@ -194,6 +194,7 @@ pub(super) mod optional_vec2 {
     }
 }
 
+/// Serde functions (for `serde(with)`) that encode one [`Vec2`], such as a velocity \[m/s\], as 8 bytes.
 pub(super) mod vec2 {
     use super::*;
 

@@ -72,7 +72,7 @@ pub struct Observation<'a> {
     /// Yaw rate of the robot \[rad/s\], counter-clockwise, as it was last measured; `None` if the readings of the robot
     /// have none.
     pub yaw_rate: Option<f32>,
-    /// Time since the episode began for the robot's Agent.
+    /// Time since the robot's Agent heard that the episode runs.
     pub elapsed: Span,
     /// Values of the channels that the policy takes, one channel after the other in the policy's order. A value that is
     /// not known is NaN. Empty for a policy that takes no channel.

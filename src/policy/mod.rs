@@ -68,8 +68,8 @@ pub struct Interface {
 /// episode begins (an emergency stop ends the episode, so the next one begins anew), and after a gap longer than
 /// `Policy::forgets_after`. An Agent or a process that is started again, on this host or another, has a new instance.
 /// In each step of a running episode follow one call of `encode`, calls of `relay` for the hops 1 to `hops() - 1`, and
-/// one call of `act`. A step in which the robot's own state is too old does not take place, and a robot whose broadcast
-/// is invalid skips `act`.
+/// one call of `act`. A step in which the robot's own state is too old does not take place. A robot whose broadcast is
+/// invalid, or whose `encode` has failed, skips `act`; one that broadcasts nothing skips `relay`.
 pub trait Policy {
     /// Returns the parameters that the rest of the system needs to run the policy, such as message size and period.
     fn interface(&self) -> Interface;

@@ -360,7 +360,9 @@ fn log(trigger: Trigger, often: &str) {
         Trigger::Stop => {}
         Trigger::Silence => tracing::warn!("the state server has fallen silent; the robot stops{often}"),
         Trigger::Output => tracing::error!("the policy's output is not finite; the robot stops for the episode{often}"),
-        Trigger::LateTick => tracing::warn!("a control tick is late; the robot stops until one is in time{often}"),
+        Trigger::LateTick => {
+            tracing::warn!("a control tick is late or failed; the robot stops until one is in time{often}")
+        }
         Trigger::OwnState => tracing::warn!("the robot's own state is too old; it stops{often}"),
         // Reported where it is learnt, with its reason.
         Trigger::Jump => {}

@@ -107,8 +107,8 @@ pub trait Scenario: Debug + Send + Sync {
     }
 
     /// Returns the policy's observation for a robot with start and goal `task`, whose estimated state is `estimate` in
-    /// the world frame. The default implementation transforms the estimate and the goal to the policy frame. The
-    /// caller sets all other fields of the observation.
+    /// the world frame. The default implementation transforms the estimate and the goal to the policy frame. The caller
+    /// sets all fields but `motion` and `goal`.
     fn observe(&self, task: &Task, estimate: &Motion) -> Observation<'static> {
         let frame = self.frame(task);
         Observation { frame, ..Observation::new(frame.turn_motion(estimate), frame.turn(task.goal)) }

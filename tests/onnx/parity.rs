@@ -124,6 +124,44 @@ fn a_step_with_a_number_that_is_not_finite_counts_as_none() {
 }
 
 #[test]
+fn a_policy_without_a_message_is_heard_by_its_motion_from_the_first_step() {
+    let network = network("silent");
+    check::check(&network).expect("it is sound");
+    let mut robot = network.robot(Draw::Mean);
+    let own = Observation::new(Motion::default(), Vec2::zeros());
+    let values = values(&network, &own);
+    let own = Observation { values: &values, ..own };
+    robot.encode(&own, &mut []);
+    assert!(robot.broadcasts() && !robot.failed(), "robots of the same Agent hear it");
+    let at = Motion::at_rest(Vec2::new(-0.5, 0.25));
+    let neighbour = Neighbour { motion: at, features: &[], age: Span::ZERO };
+    let velocity = robot.act(&own, &[], &[neighbour], &mut Seed::of_run(0).stream("draw"));
+    assert!((velocity - Vec2::new(0.05, -0.025)).norm() < 1e-6, "{velocity}");
+}
+
+#[test]
+fn a_robot_whose_step_has_failed_says_nothing_until_one_succeeds() {
+    let network = network("recurrent");
+    let (mut robot, mut stream) = (network.robot(Draw::Mean), Seed::of_run(0).stream("draw"));
+    let own = Observation::new(motion([0.0, 0.0, 0.1, 0.0]), Vec2::new(1.0, 0.0));
+    let good = values(&network, &own);
+    let bad = vec![f32::NAN; good.len()];
+    let mut says = |values: &[f32]| {
+        let own = Observation { values, ..own };
+        robot.encode(&own, &mut [0.0; 6]);
+        let says = robot.broadcasts();
+        robot.act(&own, &[], &[], &mut stream);
+        (says, robot.failed())
+    };
+    assert_eq!(says(&good), (false, false), "there is no message before the first step");
+    assert_eq!(says(&good), (true, false));
+    assert_eq!(says(&bad), (true, true), "what it says is of the step before");
+    assert_eq!(says(&bad), (false, true));
+    assert_eq!(says(&good), (false, false));
+    assert_eq!(says(&good), (true, false));
+}
+
+#[test]
 fn equal_inputs_give_equal_bits() {
     let network = network("recurrent");
     let own = Observation::new(motion([0.3, -0.2, 0.1, 0.0]), Vec2::new(1.0, 0.5));

@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 
+use murmurate::messages::wire::MAX_FEATURE;
 use murmurate::random::{self, Seed, Stream};
 
 use crate::contract::Pad;
@@ -72,13 +73,17 @@ impl Checked<'_> {
     /// inputs.
     fn run(&self, inputs: &[Array], robots: usize, what: &str) -> Result<Vec<Array>, String> {
         let outputs = self.graph.engine.run(inputs).map_err(|why| format!("with {what}: {why}"))?;
-        for ((name, _, floats), array) in self.graph.outputs.iter().zip(&outputs) {
+        for ((name, output, floats), array) in self.graph.outputs.iter().zip(&outputs) {
             if array.shape != [robots, *floats] {
                 let found = &array.shape;
                 return Err(format!("with {what} its output '{name}' is {found:?}: [{robots}, {floats}] is expected"));
             }
             if !array.values.iter().all(|value| value.is_finite()) {
                 return Err(format!("with {what} its output '{name}' is not finite"));
+            }
+            let largest = array.values.iter().fold(0.0_f32, |most, value| most.max(value.abs()));
+            if *output == Output::Message && largest > MAX_FEATURE {
+                return Err(format!("with {what} its message is up to {largest:e}: at most {MAX_FEATURE:e} is sent"));
             }
         }
         Ok(outputs)
@@ -88,7 +93,7 @@ impl Checked<'_> {
         let mut stream = Seed::of_run(1).stream("policy/check");
         let contract = &self.network.contract;
         let most = contract.max_neighbours;
-        let counts = if contract.pad == Pad::Max { vec![most] } else { vec![1, 2.min(most), most] };
+        let counts = if contract.pad == Pad::Max { vec![most] } else { (1..=most).collect() };
         let hears = self.has(&Source::Heard);
         for &places in if hears { &counts } else { &counts[..1] } {
             let what = if hears { format!("{places} places for neighbours") } else { "one robot".to_owned() };

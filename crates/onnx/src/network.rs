@@ -153,6 +153,10 @@ impl Network {
             }
             _ => mean,
         };
+        if !(drawn.x.is_finite() && drawn.y.is_finite()) {
+            // Clamped, it would be full speed.
+            return Vec2::repeat(f32::NAN);
+        }
         let limit = said.limit.expect("a contract has a limit for all but choices");
         match said.kind {
             Kind::Twist => {

@@ -135,12 +135,13 @@ impl Robot {
             }
         }
         let outputs = graph.engine.run(&self.arrays[at])?;
-        for ((name, _, floats), array) in graph.outputs.iter().zip(&outputs) {
+        for ((name, output, floats), array) in graph.outputs.iter().zip(&outputs) {
             if array.shape != [1, *floats] {
                 return Err(format!("its output '{name}' has the shape {:?}, not [1, {floats}]", array.shape));
             }
-            if !array.values.iter().all(|value| value.abs() <= MAX_FEATURE) {
-                return Err(format!("its output '{name}' is not finite, or above {MAX_FEATURE:e}"));
+            let most = if *output == Output::Message { MAX_FEATURE } else { f32::MAX };
+            if !array.values.iter().all(|value| value.abs() <= most) {
+                return Err(format!("its output '{name}' is not finite, or above {most:e}"));
             }
         }
         Ok(outputs)
@@ -155,6 +156,8 @@ impl Robot {
     /// Says once in the log that a step has failed, and why.
     fn fail(&mut self, why: &str) {
         self.failed = true;
+        // Robots of the same Agent would hear the message of an older step as if it were new.
+        self.said = false;
         if !self.reported {
             let policy = &self.network.contract.name;
             tracing::error!(policy, why, "a step of the policy failed; its robot stands until one succeeds");
@@ -218,7 +221,8 @@ impl Policy for Robot {
     }
 
     fn broadcasts(&self) -> bool {
-        self.said || self.network.graphs[0].role != Role::Step
+        // Without a message its motion is all that its neighbours use.
+        self.said || self.message.is_empty() || self.network.graphs[0].role != Role::Step
     }
 
     fn undo(&mut self) {

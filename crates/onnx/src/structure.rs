@@ -336,7 +336,13 @@ fn check_sizes(graph: &GraphProto) -> Result<(), StructureError> {
     let weights: BTreeSet<&str> = graph.initializer.iter().map(|tensor| tensor.name.as_str()).collect();
     let given = graph.input.iter().map(|input| input.name.as_str()).filter(|name| !weights.contains(name));
     let mut depends: BTreeSet<&str> = given.collect();
+    let later: BTreeSet<&str> = graph.node.iter().flat_map(|node| &node.output).map(String::as_str).collect();
+    let mut known = BTreeSet::new();
     for node in &graph.node {
+        if node.input.iter().any(|input| later.contains(input.as_str()) && !known.contains(input.as_str())) {
+            return refuse("an operator comes before the one that makes its input, which ONNX does not permit");
+        }
+        known.extend(node.output.iter().map(String::as_str));
         let operator = node.op_type.as_str();
         let sizes = SIZES.iter().find(|(name, _)| *name == operator).map_or(&[][..], |(_, sizes)| *sizes);
         let axes = if operator.starts_with("Reduce") { &[1][..] } else { sizes };

@@ -69,8 +69,9 @@ struct Asked {
 /// Part of an Agent on the control thread, whose policies are computed by a worker.
 #[derive(Debug)]
 pub struct Apart {
-    /// Longest wait of a joint step for the last percept, and longest time until the answer.
-    waits: [Span; 2],
+    /// Longest wait of a joint step for the last percept, longest time until the answer, and longest time from the
+    /// control tick to the answer.
+    waits: [Span; 3],
     /// Newest percept of each robot of the Agent for the next step.
     percepts: BTreeMap<RobotId, Option<Percept>>,
     waiting_since: Option<Time>,
@@ -93,10 +94,11 @@ pub struct Apart {
 
 impl Apart {
     /// Creates the part on the control thread of an Agent of `robots`. A joint step waits at most `max_wait` for late
-    /// percepts. An answer that comes more than `deadline` after the step is late.
-    pub fn new(robots: &[RobotId], max_wait: Span, deadline: Span) -> Apart {
+    /// percepts. An answer is late that comes more than the first of `deadlines` after the step, or more than the
+    /// second after its control tick was due.
+    pub fn new(robots: &[RobotId], max_wait: Span, deadlines: [Span; 2]) -> Apart {
         Apart {
-            waits: [max_wait, deadline],
+            waits: [max_wait, deadlines[0], deadlines[1]],
             percepts: robots.iter().map(|robot| (*robot, None)).collect(),
             waiting_since: None,
             modes: VecDeque::new(),
@@ -119,7 +121,9 @@ impl Apart {
             return;
         }
         let (round, phase) = (self.rounds.round(), self.phase);
-        let asked = Asked { until: now + self.waits[1], round, phase, percepts };
+        let due = percepts.iter().map(|percept| percept.due).min().unwrap_or(now);
+        let until = (now + self.waits[1]).min(due + self.waits[2]).max(now);
+        let asked = Asked { until, round, phase, percepts };
         if self.busy {
             self.miss(&asked, out);
             return;
@@ -297,7 +301,7 @@ mod tests {
     use crate::scenario::{Settings, build};
 
     const PERIOD: Span = Span::from_millis(50);
-    const DEADLINE: Span = Span::from_millis(25);
+    const DEADLINES: [Span; 2] = [Span::from_millis(25), Span::from_millis(40)];
     const ROUND: Round = Round { term: 1, episode: 0 };
 
     /// Test policy that counts its steps and moves at their number in cm/s. Each step first waits for the test.
@@ -374,7 +378,7 @@ mod tests {
             let (gate, running) = start(worker, "policy").expect("a thread");
             let ids: Vec<RobotId> = robots.iter().copied().map(RobotId).collect();
             let mut rig =
-                Rig { apart: Apart::new(&ids, Span::from_millis(12), DEADLINE), gate, go_on, _running: running };
+                Rig { apart: Apart::new(&ids, Span::from_millis(12), DEADLINES), gate, go_on, _running: running };
             rig.mode(0, ROUND, Phase::Running);
             rig
         }

@@ -42,9 +42,10 @@ impl RobotPolicies {
         percept: &Percept,
         elapsed: Span,
     ) -> Observation<'static> {
-        let seen = scenario.observe(task, &percept.estimate);
-        let heading = percept.heading.map(|heading| seen.frame.turn_angle(heading));
-        Observation { dynamics: self.dynamics, heading, yaw_rate: percept.yaw_rate, elapsed, ..seen }
+        let frame = scenario.frame(task);
+        let heading = percept.heading.map(|heading| frame.turn_angle(heading));
+        let (dynamics, yaw_rate) = (self.dynamics, percept.yaw_rate);
+        Observation { dynamics, frame, heading, yaw_rate, elapsed, ..scenario.observe(task, &percept.estimate) }
     }
 }
 
@@ -108,9 +109,11 @@ impl Slot {
             return;
         }
         let policy = self.policies.of(phase);
-        self.failed = policy.failed();
-        self.says &= !self.failed;
-        let Some(broadcast) = policy.broadcast().filter(|_| !self.failed) else { return };
+        if policy.failed() {
+            self.fail(phase);
+            return;
+        }
+        let Some(broadcast) = policy.broadcast() else { return };
         self.features.clear();
         self.features.extend_from_slice(broadcast);
         self.says = true;
@@ -145,6 +148,14 @@ impl Slot {
         let Some((before, longest)) = before.zip(self.policies.run.forgets_after()) else { return };
         if now.since(before) > longest {
             self.policies.run.reset();
+        }
+    }
+
+    /// Notes that the step of the policy that is used in `phase` has failed, so that it counts as none.
+    pub fn fail(&mut self, phase: Phase) {
+        (self.failed, self.says) = (true, false);
+        if phase == Phase::Running {
+            self.stepped[0] = self.stepped[1];
         }
     }
 

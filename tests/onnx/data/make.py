@@ -149,6 +149,16 @@ def field():
     save(model("act", act, inputs, [value("action", "R", 2)], tensors), "field-act")
 
 
+def silent():
+    """A policy without a message: what is heard of a neighbour is where it is."""
+    nodes = [node("Tanh", ["goal"], "wish"), node("Unsqueeze", ["heard", "two"], "h"), node("Mul", ["edges", "h"], "there"),
+             node("ReduceSum", ["there", "one"], "sum", keepdims=0), node("Mul", ["sum", "gain"], "away"),
+             node("Add", ["wish", "away"], "action")]
+    tensors = {"two": np.array([2]), "one": np.array([1]), "gain": np.array([0.1], np.float32)}
+    inputs = [value("goal", "R", 2), value("edges", "R", "K", 2), value("heard", "R", "K")]
+    save(model("silent", nodes, inputs, [value("action", "R", 2)], tensors), "silent")
+
+
 def bad():
     """What a loader has to refuse: a division by the number of neighbours, and a loop."""
     nodes = [node("ReduceSum", ["heard", "one"], "n", keepdims=1), node("Div", ["goal", "n"], "action")]
@@ -168,4 +178,5 @@ def bad():
 
 recurrent()
 field()
+silent()
 bad()
