@@ -11,7 +11,7 @@ pub use slot::RobotPolicies;
 
 use std::sync::Arc;
 
-use self::slot::Slot;
+use self::slot::{Outcome, Slot};
 use super::neighbours::{SharedData, Step};
 use crate::actor::Core;
 use crate::cells::{self, Cells};
@@ -71,6 +71,8 @@ pub struct Agent {
     /// Time at which the Agent heard that the present episode runs.
     episode_began: Time,
     waiting_since: Option<Time>,
+    /// Time of the last step.
+    stepped: Time,
     /// Number of the Agent's robots whose percept for the next step has not arrived yet.
     missing: usize,
     /// For each slot, the data that its robot shares with the Agent's other robots in the current step; `None` without
@@ -105,6 +107,7 @@ impl Agent {
             began: Time::ZERO,
             episode_began: Time::ZERO,
             waiting_since: None,
+            stepped: Time::ZERO,
         }
     }
 
@@ -132,17 +135,16 @@ impl Agent {
 
     /// Takes back the last step of all policies, which counts as none.
     fn undo(&mut self) {
-        self.slots.iter_mut().for_each(Slot::undo);
+        self.slots.iter_mut().for_each(|slot| slot.undo(self.stepped));
     }
 
     /// Runs one step of the policies: computes latents and actions of all robots with a percept, and appends them to
     /// `out`.
     fn step(&mut self, now: Time, out: &mut Vec<Out>) {
-        self.waiting_since = None;
+        (self.waiting_since, self.stepped) = (None, now);
         if matches!(self.phase, Phase::Resetting | Phase::Running) {
             self.shared.clear();
             self.features.clear();
-            self.slots.iter_mut().for_each(|slot| slot.fresh = false);
             (0..self.slots.len()).for_each(|at| self.share(now, at));
             self.grid = self.locate();
             self.relay();
@@ -195,7 +197,8 @@ impl Agent {
             for (slot, shared) in self.slots.iter_mut().zip(&mut self.shared) {
                 let Some(SharedData { features, .. }) = shared else { continue };
                 let Some([begins, ends]) = features.map(|range| range.map(|at| at as usize)) else { continue };
-                if slot.check(slot.features.len(), slot.width(phase)) {
+                slot.check(phase);
+                if slot.outcome == Outcome::Sound {
                     self.features[begins..ends].copy_from_slice(&slot.features);
                 } else {
                     *features = None;
@@ -227,12 +230,12 @@ impl Agent {
     /// Returns the latent of the robot in slot `at`; `None` if it broadcasts none in this step.
     fn latent(&mut self, at: usize) -> Option<Latent> {
         let SharedData { robot, motion, .. } = self.shared[at]?;
-        let slot = &self.slots[at];
-        if !(slot.valid && slot.says) {
+        let slot = &mut self.slots[at];
+        if slot.outcome != Outcome::Sound {
             return None;
         }
-        self.slots[at].reported = false;
-        let features = Features(self.slots[at].features.as_slice().into());
+        slot.reported = false;
+        let features = Features(slot.features.as_slice().into());
         Some(Latent { robot, round: self.round, phase: self.phase, motion, features })
     }
 
@@ -240,8 +243,7 @@ impl Agent {
     fn encode(&mut self, now: Time, at: usize) -> Option<()> {
         let phase = self.phase;
         let slot = &mut self.slots[at];
-        let declared = slot.width(phase);
-        (slot.failed, slot.says) = (false, false);
+        slot.outcome = Outcome::Silent;
         let (percept, task) = (slot.percept.as_ref()?, slot.task.as_ref()?);
         let task = bound_for(phase, task);
         let own = slot.policies.observe(&*self.scenario, &task, percept, now.since(self.episode_began));
@@ -255,14 +257,8 @@ impl Agent {
         // The policy declares its width anew in each step; it may differ from that at the start.
         slot.features.resize(width, 0.0);
         policy.encode(&seen, &mut slot.features);
-        let (failed, broadcasts) = (policy.failed(), policy.broadcasts());
-        if failed {
-            slot.fail(phase);
-        }
-        slot.says = !failed && broadcasts;
-        // What a failed step has written is not looked at.
-        slot.valid = slot.failed || slot.check(width, declared);
-        (slot.says && slot.valid).then_some(())
+        slot.encoded(phase);
+        (slot.outcome == Outcome::Sound).then_some(())
     }
 
     /// Stores the slots of the robots near `position`, and perhaps others, in `near`.
@@ -292,16 +288,10 @@ impl Agent {
 
         let seen = Observation { values: &slot.values, ..slot.own };
         let policy = if phase == Phase::Running { &mut slot.policies.run } else { &mut slot.policies.reset };
-        let velocity = match slot.valid {
-            true if slot.failed => None,
-            true => {
-                let velocity = policy.act(&seen, &slot.features, &neighbours, &mut slot.policies.actions);
-                Some(velocity).filter(|_| !policy.failed())
-            }
-            // The Controller stops the robot for it, as for any output that is not finite.
-            false => Some(Vec2::repeat(f32::NAN)),
-        };
         let limit = policy.interface().limit_m_s;
+        let acts = matches!(slot.outcome, Outcome::Sound | Outcome::Silent);
+        let act = || policy.act(&seen, &slot.features, &neighbours, &mut slot.policies.actions);
+        let velocity = acts.then(act).unwrap_or_default();
         let there = match phase {
             Phase::Running => self.scenario.reached(&task, farther(own.position, task.goal, percept.deviation_m)),
             _ => (task.goal - own.position).norm() <= START_M,
@@ -311,18 +301,26 @@ impl Agent {
         let known = said.chain(percept.measured.iter().copied());
         let beside = companions.map(|other| OtherRobot { robot: other.robot, motion: other.motion, age: Span::ZERO });
         let near = |other: &OtherRobot| (other.motion.position - own.position).norm_squared() <= NEAR_M * NEAR_M;
-        let action = Action {
+        let (due, others) = (percept.due, known.chain(beside).filter(near).collect());
+        if acts {
+            slot.acted(phase);
+        }
+        let velocity = match slot.outcome {
+            Outcome::Sound | Outcome::Silent => Some(limited(velocity, limit)),
+            Outcome::Failed => None,
+            // The Controller stops the robot for it, as for any output that is not finite.
+            Outcome::Invalid => Some(Vec2::repeat(f32::NAN)),
+        };
+        Some(Action {
             robot: slot.policies.robot,
             round,
             phase,
-            due: percept.due,
-            velocity: velocity.map(|velocity| self.scenario.steer(&task, limited(velocity, limit))),
+            due,
+            velocity: velocity.map(|velocity| self.scenario.steer(&task, velocity)),
             estimate: own,
-            others: known.chain(beside).filter(near).collect(),
+            others,
             progress: if there && settled { Progress::Reached } else { Progress::Underway },
-        };
-        slot.take_broadcast(phase);
-        Some(action)
+        })
     }
 }
 
@@ -391,7 +389,7 @@ mod tests {
     use crate::messages::local::NeighbourLatent;
     use crate::messages::wire::MAX_FEATURES;
     use crate::observation::{Bound, Dynamics, Request, Unit};
-    use crate::policy::{Interface, Neighbour, Policy};
+    use crate::policy::{Broadcast, Interface, Neighbour, Policy};
     use crate::random::{Seed, Stream};
     use crate::scenario::{Settings, build};
 
@@ -667,8 +665,20 @@ mod tests {
             let values: [f32; 1] = own.values.try_into().expect("it takes one value");
             Vec2::new(self.steps / 100.0, values[0] / 10.0)
         }
-        fn broadcast(&self) -> Option<&[f32]> {
-            Some(&self.said)
+        fn broadcast(&self) -> Broadcast<'_> {
+            Broadcast::Computed(&self.said)
+        }
+    }
+
+    /// Gives each robot of an Agent the policy under test that `make` returns, with the channels that it takes.
+    fn replace(agent: &mut Agent, make: impl Fn() -> (Box<dyn Policy>, Bound)) {
+        for slot in &mut agent.slots {
+            let (run, channels) = make();
+            let stream = || Seed::of_run(0).stream("agent");
+            let (robot, task, reset) = (slot.policies.robot, slot.task, Box::new(Counting));
+            let (dynamics, actions, ranges) = (Dynamics::default(), stream(), stream());
+            *slot = Slot::new(RobotPolicies { robot, dynamics, channels, run, reset, actions, ranges });
+            slot.task = task;
         }
     }
 
@@ -699,12 +709,10 @@ mod tests {
             unit: Unit::Second,
             frame: None,
         };
-        for slot in &mut agent.slots {
+        replace(&mut agent, || {
             let channels = Bound::new(std::slice::from_ref(&time), &[]).expect("every team has it");
-            slot.policies.run = Box::new(Remembering { steps: 0.0, said: [0.0] });
-            slot.policies.channels = channels;
-            slot.values = vec![0.0];
-        }
+            (Box::new(Remembering { steps: 0.0, said: [0.0] }), channels)
+        });
         assert_eq!(step_of(&mut agent, 100), [([0.01, 0.1_f32 / 10.0], 1.0); 2], "what act has computed is broadcast");
         let elapsed = 0.6_f32 / 10.0;
         assert_eq!(step_of(&mut agent, 600), [([0.02, elapsed], 2.0); 2], "half a second is no gap");
@@ -736,7 +744,7 @@ mod tests {
                 self.0.said[0] += 1.0;
                 Vec2::new(neighbours[0].features[0] / 100.0, 0.0)
             }
-            fn broadcast(&self) -> Option<&[f32]> {
+            fn broadcast(&self) -> Broadcast<'_> {
                 self.0.broadcast()
             }
         }
@@ -778,8 +786,8 @@ mod tests {
         fn forgets_after(&self) -> Option<Span> {
             self.0.forgets_after()
         }
-        fn failed(&self) -> bool {
-            self.1.get()
+        fn broadcast(&self) -> Broadcast<'_> {
+            if self.1.get() { Broadcast::Failed } else { Broadcast::Encoded }
         }
         fn encode(&mut self, own: &Observation, features: &mut [f32]) {
             self.0.encode(own, features);
@@ -794,7 +802,10 @@ mod tests {
     fn steps_that_fail_move_and_say_nothing_and_count_as_a_gap() {
         let mut agent = agent(&[0]);
         let fails = std::rc::Rc::new(std::cell::Cell::new(false));
-        agent.slots[0].policies.run = Box::new(Failing(Remembering { steps: 0.0, said: [0.0] }, fails.clone()));
+        replace(&mut agent, || {
+            let policy = Failing(Remembering { steps: 0.0, said: [0.0] }, fails.clone());
+            (Box::new(policy), Bound::default())
+        });
         let mut step = |ms: u64| {
             let mut out = Vec::new();
             agent.handle(Time::ZERO + Span::from_millis(ms), percept(0, 0.0, Vec::new()), &mut out);

@@ -1,8 +1,9 @@
 //! Join of the channels that a policy takes with those that a team has.
 
-use super::channel::{Channel, Frame, Known, Quantity, Unit, floats};
-use super::{builtin, wrapped};
-use crate::messages::geometry::Vec2;
+use super::channel::{Channel, Known, Quantity, Unit, floats};
+use super::frame::Frame;
+use super::{Observation, builtin};
+use crate::messages::geometry::{Vec2, wrapped};
 
 /// Largest number of values of all channels that a policy takes together.
 pub const MAX_FLOATS: usize = 65_536;
@@ -49,7 +50,7 @@ impl Request {
 pub struct ChannelError {
     /// Name of the policy's input.
     pub input: String,
-    /// What the policy takes and what there is.
+    /// Channel that the policy takes, and what there is in its place.
     pub reason: String,
 }
 
@@ -117,36 +118,30 @@ impl Bound {
         for (channel, frame) in &self.parts {
             let (own, later) = rest.split_at_mut(floats(&channel.shape));
             (channel.write)(known, own);
-            transform(channel.quantity, *frame, known, own);
+            transform(channel.quantity, *frame, known.own, own);
             rest = later;
         }
     }
 }
 
 /// Transforms values from the policy frame into `frame`.
-fn transform(quantity: Quantity, frame: Frame, known: &Known, values: &mut [f32]) {
+fn transform(quantity: Quantity, frame: Frame, own: &Observation, values: &mut [f32]) {
     if quantity == Quantity::Number || frame == Frame::Policy {
         return;
     }
-    let (heading, here) = (known.own.heading.unwrap_or(f32::NAN), known.own.motion.position);
-    let (sin, cos) = libm::sincosf(heading);
-    let in_body = |v: Vec2| Vec2::new(cos * v.x + sin * v.y, cos * v.y - sin * v.x);
-    let pair = |v: Vec2| match (frame, quantity) {
-        (Frame::Body, Quantity::Point) => in_body(v - here),
-        (Frame::Body, _) => in_body(v),
-        _ => known.own.frame.turn(v),
-    };
     if quantity == Quantity::Angle {
         for angle in values {
-            *angle = match frame {
-                Frame::Body => wrapped(*angle - heading),
-                _ => known.own.frame.turn_angle(*angle),
+            *angle = match (frame, own.heading) {
+                (Frame::Body, heading) => wrapped(f64::from(*angle - heading.unwrap_or(f32::NAN))) as f32,
+                _ => own.frame.turn_angle(*angle),
             };
         }
         return;
     }
+    let from_robot = frame == Frame::Body && quantity == Quantity::Point;
+    let origin = if from_robot { own.motion.position } else { Vec2::zeros() };
     for values in values.chunks_exact_mut(2) {
-        let turned = pair(Vec2::new(values[0], values[1]));
+        let turned = own.into_frame(frame, Vec2::new(values[0], values[1]) - origin);
         values.copy_from_slice(turned.as_slice());
     }
 }
@@ -155,7 +150,7 @@ fn transform(quantity: Quantity, frame: Frame, known: &Known, values: &mut [f32]
 mod tests {
     use super::*;
     use crate::messages::geometry::{Motion, Task};
-    use crate::observation::{Dynamics, Observation, PolicyFrame};
+    use crate::observation::{Dynamics, PolicyFrame};
     use crate::time::Span;
 
     fn request(channel: &str, shape: &[usize], unit: Unit, frame: Option<Frame>) -> Request {

@@ -49,20 +49,7 @@ impl fmt::Display for Unit {
     }
 }
 
-/// Frame in which a policy takes a channel's values.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Frame {
-    /// The policy frame of the scenario: the world frame, possibly rotated by half a turn.
-    #[default]
-    Policy,
-    /// The world frame.
-    World,
-    /// The robot's own frame: x ahead, y to the left, and points relative to the robot's position.
-    Body,
-}
-
-/// What a channel's values are, which decides how they are transformed into another frame.
+/// Kind of a channel's values, by which they are transformed into another frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quantity {
     /// Numbers that are the same in every frame.
@@ -98,7 +85,7 @@ pub struct Channel {
     pub shape: Vec<usize>,
     /// Unit of all values.
     pub unit: Unit,
-    /// What the values are.
+    /// Kind of the values.
     pub quantity: Quantity,
     pub(super) write: Arc<Write>,
 }

@@ -7,52 +7,14 @@
 pub mod bound;
 pub mod builtin;
 pub mod channel;
+pub mod frame;
 
 pub use bound::{Bound, ChannelError, Request};
-pub use channel::{Channel, Frame, Known, Quantity, Unit};
+pub use channel::{Channel, Known, Quantity, Unit};
+pub use frame::{Frame, PolicyFrame};
 
-use crate::messages::geometry::{Motion, Vec2};
+use crate::messages::geometry::{Motion, Pose, Vec2, rotated};
 use crate::time::Span;
-
-/// Transformation between the world frame and the policy frame. A policy's inputs and outputs are given in the policy
-/// frame, which is the world frame, possibly rotated by half a turn. Each transformation is its own inverse.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PolicyFrame {
-    /// Identity: the policy frame is the world frame.
-    World,
-    /// Rotation by half a turn (180 degrees) about the origin of the world frame.
-    HalfTurn,
-}
-
-impl PolicyFrame {
-    /// Transforms a point \[m\] or a velocity \[m/s\] from the world frame to the policy frame, or back.
-    pub fn turn(self, v: Vec2) -> Vec2 {
-        match self {
-            PolicyFrame::World => v,
-            PolicyFrame::HalfTurn => -v,
-        }
-    }
-
-    /// Transforms an angle \[rad\] from -pi to pi, counter-clockwise from the x axis, from the world frame to the
-    /// policy frame, or back. The result is from -pi to pi.
-    pub fn turn_angle(self, angle: f32) -> f32 {
-        use std::f32::consts::PI;
-        match self {
-            PolicyFrame::World => angle,
-            PolicyFrame::HalfTurn => angle + if angle > 0.0 { -PI } else { PI },
-        }
-    }
-
-    /// Transforms position and velocity of a robot from the world frame to the policy frame, or back.
-    pub(crate) fn turn_motion(self, motion: &Motion) -> Motion {
-        Motion { position: self.turn(motion.position), velocity: self.turn(motion.velocity) }
-    }
-}
-
-/// Reduces an angle \[rad\] by whole turns to the range from -pi to pi.
-fn wrapped(angle: f32) -> f32 {
-    crate::messages::geometry::wrapped(f64::from(angle)) as f32
-}
 
 /// Input of a policy about its own robot, in the policy frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -92,6 +54,30 @@ impl Observation<'_> {
             yaw_rate: None,
             elapsed: Span::ZERO,
             values: &[],
+        }
+    }
+
+    /// Transforms a direction from the policy frame into `frame`. It is NaN in the robot's own frame if the heading is
+    /// not known.
+    pub fn into_frame(&self, frame: Frame, direction: Vec2) -> Vec2 {
+        let pose = Pose { position: self.motion.position, heading: self.heading };
+        match frame {
+            Frame::Policy => direction,
+            Frame::World => self.frame.turn(direction),
+            Frame::Body => pose.in_body_frame(direction).unwrap_or(Vec2::repeat(f32::NAN)),
+        }
+    }
+
+    /// Transforms a direction from `frame` into the policy frame; the inverse of [`Observation::into_frame`].
+    pub fn out_of_frame(&self, frame: Frame, direction: Vec2) -> Vec2 {
+        match frame {
+            Frame::Policy => direction,
+            Frame::World => self.frame.turn(direction),
+            Frame::Body => {
+                let heading = self.heading.unwrap_or(f32::NAN);
+                let (x, y) = rotated(f64::from(heading), f64::from(direction.x), f64::from(direction.y));
+                Vec2::new(x as f32, y as f32)
+            }
         }
     }
 }

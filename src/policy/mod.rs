@@ -84,24 +84,12 @@ pub trait Policy {
     /// for a policy whose instance keeps no state from one step to the next.
     fn reset(&mut self) {}
 
-    /// Returns whether the present step has failed, so that it counts as none: the robot stands and broadcasts nothing,
-    /// and the state is that before the step. The Agent asks after `encode` and after `act`. The default is false.
-    fn failed(&self) -> bool {
-        false
-    }
-
-    /// Returns whether the robot broadcasts what `encode` and `relay` have written. The default is true. It is false in
-    /// the first step of a policy that computes its broadcast together with its action.
-    fn broadcasts(&self) -> bool {
-        true
-    }
-
     /// Takes back the last step, whose action came too late and was not used: the state is that before the step. Called
     /// at most once after each step. The default does nothing, for a policy without state.
     fn undo(&mut self) {}
 
     /// Returns the longest time between two steps after which the policy still goes on from its state; after a longer
-    /// gap it is reset. `None`, the default, is no bound, for a policy without state.
+    /// gap it is reset. `None`, the default, is no bound, for a policy without state. It is the same for all steps.
     fn forgets_after(&self) -> Option<Span> {
         None
     }
@@ -119,19 +107,32 @@ pub trait Policy {
     fn relay(&mut self, _hop: usize, _own: &Observation, _features: &mut [f32], _neighbours: &[Neighbour]) {}
 
     /// Returns the robot's wanted velocity \[m/s\], policy frame. One that is not finite ends the episode for the whole
-    /// team; for a step that has failed, see `failed`. `own` is the robot's own state and goal, and `features` are
+    /// team; a step that has failed is told by `broadcast`. `own` is the robot's own state and goal, and `features` are
     /// those that `encode` and `relay` have just written for the same step.
     ///
     /// `neighbours` has the last message of each neighbour in range, in the order of robot ids; it may be empty.
     /// `stream` is the source of random numbers for a policy that samples its actions.
     fn act(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour], stream: &mut Stream) -> Vec2;
 
-    /// Returns the broadcast that the last call of `act` has computed together with its action; `None`, the default, if
-    /// the broadcast is what `encode` and `relay` have written. It takes the place of that for other hosts. Robots of
-    /// the same Agent get it in the next step, when `encode` has written it: as late as robots of other Agents do.
-    fn broadcast(&self) -> Option<&[f32]> {
-        None
+    /// Returns the robot's broadcast in the present step; the Agent asks after `encode` and after `act`. The default is
+    /// [`Broadcast::Encoded`], for a policy whose steps do not fail and which broadcasts before it acts.
+    fn broadcast(&self) -> Broadcast<'_> {
+        Broadcast::Encoded
     }
+}
+
+/// Broadcast of a robot in one step of its policy.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Broadcast<'a> {
+    /// Floats that `Policy::encode` and `Policy::relay` have written.
+    Encoded,
+    /// Floats that `Policy::act` has computed together with its action, for other hosts. Robots of the same Agent get
+    /// them in the next step, when `encode` has written them: as late as robots of other Agents do.
+    Computed(&'a [f32]),
+    /// None, as in the first step of a policy that computes its broadcast together with its action.
+    Nothing,
+    /// None, because the step has failed. It counts as none: the robot stands, and the state is that before the step.
+    Failed,
 }
 
 /// Method of drawing an action from the probability distribution that a trained policy's network outputs.

@@ -39,7 +39,7 @@ pub struct Custom {
     instance: Arc<Instance>,
 }
 
-/// What is known of a policy from its file, for a policy that another crate reads.
+/// Properties of a policy from its file, for a policy that another crate reads.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Origin {
     /// Digest of the policy's files (16 hexadecimal digits); empty without files.

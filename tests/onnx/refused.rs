@@ -1,4 +1,4 @@
-//! What is refused when a policy is loaded, each with one sentence that names the field or the tensor.
+//! Refusals of policies when they are loaded, each one sentence that names the field or the tensor.
 
 use std::sync::Arc;
 
@@ -116,8 +116,8 @@ fn a_graph_that_is_cut_off_or_changed_is_read_or_refused_by_a_sentence() {
         let read = |_: &str| -> Result<Vec<u8>, std::convert::Infallible> { Ok(bytes.clone()) };
         let Ok(parts) = murmurate_onnx::Parts::of_contract(&contract, read);
         let checked = parts.and_then(|parts| {
-            let (role, graph) = &parts.graphs[0];
-            Ok(Structure::read(graph)?.check(&parts.contract, *role)?)
+            let graph = &parts.graphs[0];
+            Ok(graph.structure.check(&parts.contract, graph.role)?)
         });
         // What runs is run in a process of its own, with limits: tests/cli/onnx.rs.
         if let Err(error) = checked {

@@ -76,6 +76,13 @@ fn secrets(folder: &Path) -> Vec<String> {
     members.flat_map(of_member).chain([one]).collect()
 }
 
+/// Returns the record of the host with this name in a folder.
+fn record_of(folder: &Path, host: &str) -> PathBuf {
+    let all = records(folder).into_iter();
+    let mut named = all.filter(|path| path.file_name().is_some_and(|name| name.to_string_lossy().contains(host)));
+    named.next().unwrap_or_else(|| panic!("no record of {host}"))
+}
+
 fn replayed(record: &Path, more: &[&str]) -> (i32, String) {
     let output = run(&[&["replay", "--host", record.to_str().unwrap()], more].concat());
     (output.status.code().expect("it ends"), text(&output.stdout) + &text(&output.stderr))
@@ -97,7 +104,7 @@ fn hosts_of_a_team_with_a_key_run_again_to_the_bit_and_each_change_is_noticed() 
         let bytes = std::fs::read(record).unwrap();
         assert!(!bytes.windows(16).any(|part| secret.as_bytes().windows(16).any(|key| key == part)), "no key in it");
     }
-    let agent = records(&records_of).into_iter().find(|path| path.to_str().unwrap().contains("agent-0")).unwrap();
+    let agent = record_of(&records_of, "agent-0");
     let changed = folder.path().join("changed.mcap");
     type Change = fn(&mut Turn) -> bool;
     let changes: [(&str, Change); 3] = [
@@ -345,11 +352,11 @@ fn a_policy_that_a_worker_computes_runs_again_from_its_recorded_answers() {
     let policy = policy.canonicalize().expect("it is there");
     let head = format!("key_file = \"team.key\"\nscenario = \"swap\"\npolicy = '{}'\n", policy.display());
     let (folder, records_of) = launched_with(814, &head, "");
-    let key = folder.path().join("team.key");
-    let (status, said) = replayed(&records_of, &["--key-file", key.to_str().unwrap()]);
+    let key = folder.path().join("team.key").to_string_lossy().into_owned();
+    let (status, said) = replayed(&records_of, &["--key-file", &key]);
     assert_eq!((status, said.matches("equal, ").count()), (0, 4), "{said}");
     // What the worker has answered decides what the robot does.
-    let agent = records(&records_of).into_iter().find(|path| path.to_str().unwrap().contains("agent-0")).unwrap();
+    let agent = record_of(&records_of, "agent-0");
     let changed = folder.path().join("changed.mcap");
     let mut left_out = 0;
     edit(&agent, &changed, |turn| {
@@ -358,7 +365,7 @@ fn a_policy_that_a_worker_computes_runs_again_from_its_recorded_answers() {
         left_out += before - turn.inputs.len();
     });
     assert!(left_out > 20, "{left_out}");
-    let (status, said) = replayed(&changed, &["--key-file", key.to_str().unwrap()]);
+    let (status, said) = replayed(&changed, &["--key-file", &key]);
     assert!(status == 1 && said.contains("first difference at "), "{said}");
 }
 

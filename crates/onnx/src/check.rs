@@ -19,7 +19,7 @@ const STEPS: usize = 2000;
 /// Standard deviation of made-up observations, messages and states.
 const DEVIATION: f32 = 0.5;
 
-/// Runs the graphs of a policy on made-up inputs: for one robot and three, with one neighbour, two and the most, with
+/// Runs the graphs of a policy on made-up inputs: for one robot and three, with each number of neighbours and with
 /// none, and step after step with the state. Returns remarks, which are no faults.
 ///
 /// # Errors

@@ -73,7 +73,7 @@ pub struct Contract {
     /// State that the policy keeps from one step to the next.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub state: Option<State>,
-    /// What the output `action` means.
+    /// Meaning of the output `action`.
     pub action: Action,
 }
 
@@ -176,7 +176,7 @@ pub struct State {
     pub after_gap_s: f64,
 }
 
-/// What the output `action` means.
+/// Meaning of the output `action`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Action {

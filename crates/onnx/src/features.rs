@@ -1,35 +1,10 @@
 //! Features of edges: how a neighbour's motion enters a graph.
 
 use murmurate::messages::geometry::Vec2;
-use murmurate::observation::{Frame, Observation};
+use murmurate::observation::Observation;
 use murmurate::policy::Neighbour;
 
 use crate::contract::{Edges, Feature, Sign};
-
-/// Transforms a direction from the policy frame into `frame`, for the robot with the observation `own`; NaN if that is
-/// the robot's own frame and its heading is not known.
-pub(crate) fn into_frame(own: &Observation, frame: Frame, v: Vec2) -> Vec2 {
-    match frame {
-        Frame::Policy => v,
-        Frame::World => own.frame.turn(v),
-        Frame::Body => rotated(-own.heading.unwrap_or(f32::NAN), v),
-    }
-}
-
-/// Transforms a direction from `frame` into the policy frame; the inverse of [`into_frame`].
-pub(crate) fn out_of_frame(own: &Observation, frame: Frame, v: Vec2) -> Vec2 {
-    match frame {
-        Frame::Policy => v,
-        Frame::World => own.frame.turn(v),
-        Frame::Body => rotated(own.heading.unwrap_or(f32::NAN), v),
-    }
-}
-
-/// Rotates `v` counter-clockwise by `angle` \[rad\].
-fn rotated(angle: f32, v: Vec2) -> Vec2 {
-    let (sin, cos) = libm::sincosf(angle);
-    Vec2::new(cos * v.x - sin * v.y, sin * v.x + cos * v.y)
-}
 
 /// Writes the features of the edge from `neighbour` to the robot with the observation `own` into `out`, which has the
 /// length of all features together.
@@ -39,7 +14,7 @@ pub(crate) fn write(edges: &Edges, own: &Observation, neighbour: &Neighbour, out
             Sign::TheirsMinusOwn => theirs - own_value,
             Sign::OwnMinusTheirs => own_value - theirs,
         };
-        into_frame(own, edges.frame, difference)
+        own.into_frame(edges.frame, difference)
     };
     let position = || signed(neighbour.motion.position, own.motion.position);
     let mut rest = out;
@@ -63,7 +38,7 @@ mod tests {
     use std::f32::consts::FRAC_PI_2;
 
     use murmurate::messages::geometry::Motion;
-    use murmurate::observation::PolicyFrame;
+    use murmurate::observation::{Frame, PolicyFrame};
     use murmurate::time::Span;
 
     use super::*;
@@ -96,7 +71,7 @@ mod tests {
         near(written(Sign::TheirsMinusOwn, Frame::Policy), [0.0, 2.0, -0.5, 0.0, 0.1, 2.0, FRAC_PI_2]);
         near(written(Sign::OwnMinusTheirs, Frame::World), [0.0, 2.0, -0.5, 0.0, 0.1, 2.0, FRAC_PI_2]);
         near(written(Sign::TheirsMinusOwn, Frame::Body), [2.0, 0.0, 0.0, 0.5, 0.1, 2.0, 0.0]);
-        let back = out_of_frame(&own, Frame::Body, into_frame(&own, Frame::Body, Vec2::new(0.3, -0.7)));
+        let back = own.out_of_frame(Frame::Body, own.into_frame(Frame::Body, Vec2::new(0.3, -0.7)));
         assert!((back - Vec2::new(0.3, -0.7)).norm() < 1e-6);
     }
 }

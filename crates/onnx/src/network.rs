@@ -11,11 +11,10 @@ use murmurate::random::{self, Stream};
 
 use crate::contract::{Contract, Distribution, Kind};
 use crate::engine::{self, Engine};
-use crate::features;
-use crate::parts::{Parts, Refused};
-use crate::structure::{Role, Structure};
+use crate::parts::{GraphFile, Parts, Refused};
+use crate::structure::Role;
 
-/// What an input of a graph is.
+/// Meaning of an input of a graph.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Source {
     /// Observation: its range within the values of all channels, and its shape.
@@ -32,7 +31,7 @@ pub(crate) enum Source {
     State,
 }
 
-/// What an output of a graph is.
+/// Meaning of an output of a graph.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Output {
     /// Action.
@@ -72,8 +71,7 @@ impl Network {
         let Parts { contract, graphs: files, digest } = parts;
         let mut graphs = Vec::new();
         let mut missing: Vec<&String> = contract.observation.keys().collect();
-        for (role, bytes) in files {
-            let structure = Structure::read(&bytes)?;
+        for GraphFile { role, structure, bytes } in files {
             structure.check(&contract, role)?;
             missing.retain(|name| structure.inputs.iter().all(|port| port.name != **name));
             let inputs: Vec<String> = structure.inputs.iter().map(|port| port.name.clone()).collect();
@@ -104,7 +102,7 @@ impl Network {
     }
 }
 
-/// Returns what the input called `name` is. The structure was checked, so every name is known.
+/// Returns the meaning of the input called `name`. The structure was checked, so every name is known.
 fn source(contract: &Contract, name: &str) -> Source {
     match name {
         "messages" => Source::Messages,
@@ -126,7 +124,7 @@ fn source(contract: &Contract, name: &str) -> Source {
     }
 }
 
-/// Returns what the output called `name` is.
+/// Returns the meaning of the output called `name`.
 fn output(name: &str) -> Output {
     match name {
         "action" => Output::Action,
@@ -142,7 +140,7 @@ impl Network {
         if said.kind == Kind::Choice {
             let largest =
                 action.iter().enumerate().fold(0, |best, (at, value)| if *value > action[best] { at } else { best });
-            return features::out_of_frame(own, said.frame, Vec2::from(said.choices[largest]));
+            return own.out_of_frame(said.frame, Vec2::from(said.choices[largest]));
         }
         let mean = Vec2::new(action[0], action[1]);
         let drawn = match (said.distribution, draw) {
@@ -162,11 +160,11 @@ impl Network {
             Kind::Twist => {
                 let (speed, yaw_rate) = (drawn.x.clamp(-limit, limit), drawn.y);
                 let ahead = Vec2::new(speed, yaw_rate * own.dynamics.point_ahead_m);
-                features::out_of_frame(own, said.frame, ahead)
+                own.out_of_frame(said.frame, ahead)
             }
             kind => {
                 let clamped = drawn.map(|axis| axis.clamp(-limit, limit));
-                let turned = features::out_of_frame(own, said.frame, clamped);
+                let turned = own.out_of_frame(said.frame, clamped);
                 match kind {
                     Kind::Acceleration => own.motion.velocity + turned * self.interface.period.as_secs() as f32,
                     _ => turned,

@@ -10,10 +10,27 @@ use crate::structure::{Role, Structure, StructureError};
 pub struct Parts {
     /// Contract of the policy.
     pub contract: Contract,
-    /// Graphs in the order of their calls, each with what it computes.
-    pub graphs: Vec<(Role, Vec<u8>)>,
+    /// Graphs in the order of their calls.
+    pub graphs: Vec<GraphFile>,
     /// Digest of the contract and all graphs: the first 64 bits of a BLAKE3 hash, as hexadecimal digits.
     pub digest: String,
+}
+
+/// File of a graph.
+#[derive(Clone, Debug)]
+pub struct GraphFile {
+    /// Part of a step that the graph computes.
+    pub role: Role,
+    /// Inputs, outputs and metadata of the graph.
+    pub structure: Structure,
+    /// Content of the file.
+    pub bytes: Vec<u8>,
+}
+
+impl GraphFile {
+    fn read(role: Role, bytes: Vec<u8>) -> Result<GraphFile, StructureError> {
+        Ok(GraphFile { role, structure: Structure::read(&bytes)?, bytes })
+    }
 }
 
 /// Error of a policy of format 3 that cannot be used.
@@ -55,12 +72,15 @@ impl Parts {
             let missing = ConfigError::field("graph", "it is missing: the file of the graph, beside this one");
             return Ok(Err(missing.into()));
         }
-        Ok(Parts::new(contract, text, graphs))
+        let graphs = graphs.into_iter().map(|(role, bytes)| GraphFile::read(role, bytes));
+        let graphs: Result<Vec<GraphFile>, _> = graphs.collect();
+        Ok(graphs.map_err(Refused::from).and_then(|graphs| Parts::new(contract, text, graphs)))
     }
 
     /// Puts a policy together from the content of one ONNX file, whose metadata hold the contract.
     pub fn of_graph(bytes: Vec<u8>) -> Result<Parts, Refused> {
-        let Some(text) = Structure::read(&bytes)?.contract else {
+        let graph = GraphFile::read(Role::Step, bytes)?;
+        let Some(text) = graph.structure.contract.clone() else {
             let why = format!(
                 "its metadata '{METADATA}' are missing: the file says neither units nor rate. Write a contract, \
                  NAME.policy.toml, that names it (docs/policy-format-3.md)"
@@ -74,28 +94,26 @@ impl Parts {
                 return Err(ConfigError::field(field, why).into());
             }
         }
-        Parts::new(contract, &text, vec![(Role::Step, bytes)])
+        Parts::new(contract, &text, vec![graph])
     }
 
-    fn new(contract: Contract, text: &str, graphs: Vec<(Role, Vec<u8>)>) -> Result<Parts, Refused> {
+    fn new(contract: Contract, text: &str, graphs: Vec<GraphFile>) -> Result<Parts, Refused> {
         let mut hash = blake3::Hasher::new();
-        let mut sum = hmac_sha256::Hash::new();
-        for bytes in std::iter::once(text.as_bytes()).chain(graphs.iter().map(|(_, bytes)| bytes.as_slice())) {
+        for bytes in std::iter::once(text.as_bytes()).chain(graphs.iter().map(|graph| graph.bytes.as_slice())) {
             hash.update(&(bytes.len() as u64).to_le_bytes());
             hash.update(bytes);
         }
-        graphs.iter().for_each(|(_, bytes)| sum.update(bytes));
+        let mut sum = hmac_sha256::Hash::new();
+        graphs.iter().for_each(|graph| sum.update(&graph.bytes));
         let found = data_encoding::HEXLOWER.encode(&sum.finalize());
         if contract.sha256.as_ref().is_some_and(|wanted| *wanted != found) {
             let why = "the graphs are not those of the contract: their SHA-256 is another";
             return Err(ConfigError::field("sha256", why).into());
         }
-        for (_, bytes) in &graphs {
-            let inside = Structure::read(bytes)?.contract;
-            if inside.is_some_and(|inside| !same(&inside, &contract)) {
-                let why = format!("a graph has another contract in its metadata '{METADATA}'; take one of both out");
-                return Err(Refused::Disagree(why));
-            }
+        let inside = graphs.iter().filter_map(|graph| graph.structure.contract.as_deref());
+        if inside.into_iter().any(|inside| !same(inside, &contract)) {
+            let why = format!("a graph has another contract in its metadata '{METADATA}'; take one of both out");
+            return Err(Refused::Disagree(why));
         }
         let digest = data_encoding::HEXLOWER.encode(&hash.finalize().as_bytes()[..8]);
         Ok(Parts { contract, graphs, digest })

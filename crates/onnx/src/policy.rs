@@ -8,7 +8,7 @@ use std::sync::Arc;
 use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::messages::wire::MAX_FEATURE;
 use murmurate::observation::Observation;
-use murmurate::policy::{Draw, Interface, Model, Neighbour, Origin, Policy};
+use murmurate::policy::{Broadcast, Draw, Interface, Model, Neighbour, Origin, Policy};
 use murmurate::random::Stream;
 use murmurate::time::Span;
 
@@ -22,25 +22,51 @@ use crate::structure::Role;
 pub(crate) struct Robot {
     network: Arc<Network>,
     draw: Draw,
-    /// Message of the last step that succeeded; zeros at the start.
-    message: Vec<f32>,
-    /// State after the last step that succeeded; zeros at the start.
-    state: Vec<f32>,
-    /// Message and state before the last step, whether it succeeded or not.
-    before: [Vec<f32>; 2],
+    /// Memory after the last step that succeeded.
+    memory: Memory,
+    /// Memory before the last step, whether it succeeded or not.
+    before: Memory,
     /// State after `encode` of the present step.
     encoded: Vec<f32>,
     /// Inputs of the graphs, kept for the next call.
     arrays: Vec<Vec<Array>>,
     /// Indices of the neighbours in the call.
     chosen: Vec<usize>,
-    /// Whether the present step has failed.
-    failed: bool,
-    /// Whether there is a message of a step since the start, now and before the last step.
-    said: bool,
-    said_before: bool,
+    /// Progress of the present step.
+    progress: Progress,
     /// Whether the log has said why a step has failed, since the last one that succeeded.
     reported: bool,
+}
+
+/// Numbers that a policy keeps from one step to the next; zeros at the start.
+#[derive(Clone)]
+struct Memory {
+    /// Message of the last step, in a policy whose one graph makes it.
+    message: Vec<f32>,
+    state: Vec<f32>,
+    /// Whether the message is that of the last step: there is one, and it has not failed.
+    is_new: bool,
+}
+
+/// Progress of a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Progress {
+    Encoded,
+    Acted,
+    Failed,
+}
+
+impl Memory {
+    fn new(message: usize, state: usize) -> Memory {
+        Memory { message: vec![0.0; message], state: vec![0.0; state], is_new: false }
+    }
+
+    /// Takes over the numbers of `other`, a memory of the same policy.
+    fn copy(&mut self, other: &Memory) {
+        self.message.copy_from_slice(&other.message);
+        self.state.copy_from_slice(&other.state);
+        self.is_new = other.is_new;
+    }
 }
 
 impl Robot {
@@ -52,17 +78,19 @@ impl Robot {
         Robot {
             network,
             draw,
-            message: vec![0.0; message],
-            state: vec![0.0; state],
-            before: [vec![0.0; message], vec![0.0; state]],
+            memory: Memory::new(message, state),
+            before: Memory::new(message, state),
             encoded: vec![0.0; state],
             arrays,
             chosen: Vec::new(),
-            failed: false,
-            said: false,
-            said_before: false,
+            progress: Progress::Encoded,
             reported: false,
         }
+    }
+
+    /// Returns whether one graph computes a whole step, so that the message of a step is heard in the next one.
+    fn is_one_graph(&self) -> bool {
+        self.network.graphs[0].role == Role::Step
     }
 
     /// Chooses the neighbours of a call: the nearest ones, in the order of the robots' ids.
@@ -88,7 +116,7 @@ impl Robot {
     ) -> Result<Vec<Array>, String> {
         let Network { contract, graphs, .. } = &*self.network;
         let graph = &graphs[at];
-        let state = if graph.role == Role::Act { &self.encoded } else { &self.state };
+        let state = if graph.role == Role::Act { &self.encoded } else { &self.memory.state };
         let heard = self.chosen.len();
         let places = if contract.pad == Pad::Max { contract.max_neighbours } else { heard.max(1) };
         for ((name, source), array) in graph.inputs.iter().zip(&mut self.arrays[at]) {
@@ -153,11 +181,10 @@ impl Robot {
         Some(&outputs[index].values)
     }
 
-    /// Says once in the log that a step has failed, and why.
+    /// Notes that the step has failed; the log has the reason `why` once.
     fn fail(&mut self, why: &str) {
-        self.failed = true;
         // Robots of the same Agent would hear the message of an older step as if it were new.
-        self.said = false;
+        (self.progress, self.memory.is_new) = (Progress::Failed, false);
         if !self.reported {
             let policy = &self.network.contract.name;
             tracing::error!(policy, why, "a step of the policy failed; its robot stands until one succeeds");
@@ -171,7 +198,7 @@ impl Robot {
         self.encoded.clear();
         match self.pick(0, &outputs, Output::State) {
             Some(state) => self.encoded.extend_from_slice(state),
-            None => self.encoded.extend_from_slice(&self.state),
+            None => self.encoded.extend_from_slice(&self.memory.state),
         }
         Ok(message)
     }
@@ -193,11 +220,11 @@ impl Robot {
             return Err(why.to_owned());
         }
         if let Some(message) = self.pick(at, &outputs, Output::Message) {
-            self.message.copy_from_slice(message);
-            self.said = true;
+            self.memory.message.copy_from_slice(message);
+            self.memory.is_new = true;
         }
         if let Some(state) = self.pick(at, &outputs, Output::State) {
-            self.state.copy_from_slice(state);
+            self.memory.state.copy_from_slice(state);
         }
         self.reported = false;
         Ok(velocity)
@@ -210,25 +237,12 @@ impl Policy for Robot {
     }
 
     fn reset(&mut self) {
-        let [message, state] = &mut self.before;
-        let all = [&mut self.message, &mut self.state, &mut self.encoded, message, state];
-        all.into_iter().for_each(|floats| floats.fill(0.0));
-        (self.said, self.said_before) = (false, false);
-    }
-
-    fn failed(&self) -> bool {
-        self.failed
-    }
-
-    fn broadcasts(&self) -> bool {
-        // Without a message its motion is all that its neighbours use.
-        self.said || self.message.is_empty() || self.network.graphs[0].role != Role::Step
+        self.memory = Memory::new(self.memory.message.len(), self.memory.state.len());
+        self.before.copy(&self.memory);
     }
 
     fn undo(&mut self) {
-        self.message.copy_from_slice(&self.before[0]);
-        self.state.copy_from_slice(&self.before[1]);
-        self.said = self.said_before;
+        self.memory.copy(&self.before);
     }
 
     fn forgets_after(&self) -> Option<Span> {
@@ -236,11 +250,10 @@ impl Policy for Robot {
     }
 
     fn encode(&mut self, own: &Observation, features: &mut [f32]) {
-        self.before[0].copy_from_slice(&self.message);
-        self.before[1].copy_from_slice(&self.state);
-        (self.failed, self.said_before) = (false, self.said);
-        if self.network.graphs[0].role == Role::Step {
-            features.copy_from_slice(&self.message);
+        self.before.copy(&self.memory);
+        self.progress = Progress::Encoded;
+        if self.is_one_graph() {
+            features.copy_from_slice(&self.memory.message);
             return;
         }
         match self.encoded_message(own) {
@@ -251,7 +264,10 @@ impl Policy for Robot {
 
     fn act(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour], stream: &mut Stream) -> Vec2 {
         match self.velocity(own, features, neighbours, stream) {
-            Ok(velocity) => velocity,
+            Ok(velocity) => {
+                self.progress = Progress::Acted;
+                velocity
+            }
             Err(why) => {
                 self.fail(&why);
                 Vec2::zeros()
@@ -259,8 +275,16 @@ impl Policy for Robot {
         }
     }
 
-    fn broadcast(&self) -> Option<&[f32]> {
-        (self.network.graphs[0].role == Role::Step).then_some(&self.message)
+    fn broadcast(&self) -> Broadcast<'_> {
+        match self.progress {
+            Progress::Failed => Broadcast::Failed,
+            Progress::Acted if self.is_one_graph() => Broadcast::Computed(&self.memory.message),
+            // Without a message its motion is all that its neighbours use.
+            Progress::Encoded if self.is_one_graph() && !self.memory.is_new && !self.memory.message.is_empty() => {
+                Broadcast::Nothing
+            }
+            Progress::Encoded | Progress::Acted => Broadcast::Encoded,
+        }
     }
 }
 

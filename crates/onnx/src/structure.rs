@@ -9,7 +9,7 @@ use crate::onnx::{DimensionProto, EXTERNAL, FLOAT, GraphProto, ModelProto, Tenso
 
 /// Operators that a graph may have: those of feed-forward and recurrent networks, without loops, branches, random
 /// numbers and sizes that depend on values.
-pub const OPERATORS: [&str; 98] = [
+pub const OPERATORS: [&str; 104] = [
     "Abs",
     "Acos",
     "Add",
@@ -96,6 +96,7 @@ pub const OPERATORS: [&str; 98] = [
     "Sigmoid",
     "Sign",
     "Sin",
+    "Size",
     "Slice",
     "Softmax",
     "Softplus",
@@ -106,18 +107,21 @@ pub const OPERATORS: [&str; 98] = [
     "Sum",
     "Tan",
     "Tanh",
+    "Tile",
+    "TopK",
     "Transpose",
+    "Trilu",
+    "Unsqueeze",
     "Where",
+    "Xor",
 ];
-/// Operators of the same kind that the engine has under other names, or that only change shapes.
-const FURTHER: [&str; 6] = ["Unsqueeze", "Tile", "TopK", "Trilu", "Size", "Xor"];
 /// Largest number of operators in a graph.
 const MAX_NODES: usize = 20_000;
 
 /// Largest size of a weight along an axis, and of all axes together.
 const MAX_SIZE: [u64; 2] = [1 << 20, 1 << 26];
 
-/// What a graph of a policy computes.
+/// Part of a step that a graph of a policy computes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
     /// A whole step: action, message and next state, from the observation, what was heard, and the state.
@@ -301,7 +305,7 @@ fn check_nodes(graph: &GraphProto) -> Result<(), StructureError> {
             let (domain, operator) = (shown(domain), shown(operator));
             return refuse(format!("its operator '{domain}.{operator}' is not one of ONNX's own"));
         }
-        let known = OPERATORS.contains(&operator) || FURTHER.contains(&operator);
+        let known = OPERATORS.contains(&operator);
         if !known || node.attribute.iter().any(|attribute| attribute.g.is_some() || !attribute.graphs.is_empty()) {
             let operator = shown(operator);
             return refuse(format!(

@@ -69,9 +69,10 @@ struct Asked {
 /// Part of an Agent on the control thread, whose policies are computed by a worker.
 #[derive(Debug)]
 pub struct Apart {
-    /// Longest wait of a joint step for the last percept, longest time until the answer, and longest time from the
-    /// control tick to the answer.
-    waits: [Span; 3],
+    /// Longest wait of a joint step for the last percept.
+    max_wait: Span,
+    /// Longest times to an answer: from the step, and from the control tick.
+    deadlines: [Span; 2],
     /// Newest percept of each robot of the Agent for the next step.
     percepts: BTreeMap<RobotId, Option<Percept>>,
     waiting_since: Option<Time>,
@@ -98,7 +99,8 @@ impl Apart {
     /// second after its control tick was due.
     pub fn new(robots: &[RobotId], max_wait: Span, deadlines: [Span; 2]) -> Apart {
         Apart {
-            waits: [max_wait, deadlines[0], deadlines[1]],
+            max_wait,
+            deadlines,
             percepts: robots.iter().map(|robot| (*robot, None)).collect(),
             waiting_since: None,
             modes: VecDeque::new(),
@@ -122,7 +124,8 @@ impl Apart {
         }
         let (round, phase) = (self.rounds.round(), self.phase);
         let due = percepts.iter().map(|percept| percept.due).min().unwrap_or(now);
-        let until = (now + self.waits[1]).min(due + self.waits[2]).max(now);
+        let [of_step, of_tick] = self.deadlines;
+        let until = (now + of_step).min(due + of_tick).max(now);
         let asked = Asked { until, round, phase, percepts };
         if self.busy {
             self.miss(&asked, out);
@@ -231,7 +234,7 @@ impl Core for Apart {
     }
 
     fn wake_at(&self) -> Option<Time> {
-        let joint = self.waiting_since.map(|since| since + self.waits[0]);
+        let joint = self.waiting_since.map(|since| since + self.max_wait);
         joint.into_iter().chain(self.asked.as_ref().map(|asked| asked.until)).min()
     }
 
@@ -241,7 +244,7 @@ impl Core for Apart {
             self.undo = true;
             self.miss(&asked, out);
         }
-        if self.waiting_since.is_some_and(|since| since + self.waits[0] <= now) {
+        if self.waiting_since.is_some_and(|since| since + self.max_wait <= now) {
             self.ask(now, out);
         }
     }
@@ -290,6 +293,7 @@ pub fn worker(make: impl FnOnce() -> Agent + Send + 'static) -> Box<dyn Worker> 
 mod tests {
     use std::sync::mpsc::{Receiver, Sender, channel};
 
+    use super::super::RobotPolicies;
     use super::*;
     use crate::edge::{Gate, Running, start};
     use crate::hearing::CommRange;
@@ -304,9 +308,10 @@ mod tests {
     const DEADLINES: [Span; 2] = [Span::from_millis(25), Span::from_millis(40)];
     const ROUND: Round = Round { term: 1, episode: 0 };
 
-    /// Test policy that counts its steps and moves at their number in cm/s. Each step first waits for the test.
+    /// Test policy that counts its steps and moves at their number in cm/s. With a receiver, each step first waits for
+    /// the test.
     struct Waiting {
-        go_on: Receiver<()>,
+        go_on: Option<Receiver<()>>,
         steps: f32,
     }
 
@@ -325,7 +330,7 @@ mod tests {
         }
         fn act(&mut self, _: &Observation, _: &[f32], _: &[Neighbour], _: &mut Stream) -> Vec2 {
             // At the end of the test nothing is said any more.
-            let _ = self.go_on.recv();
+            let _ = self.go_on.as_ref().map(Receiver::recv);
             self.steps += 1.0;
             Vec2::new(self.steps / 100.0, 0.0)
         }
@@ -334,23 +339,17 @@ mod tests {
     /// Agent of these robots, of which the last one waits for the test; the others never do.
     fn agent(robots: &[u16], go_on: Receiver<()>) -> Agent {
         let passage = build("passage", &Settings::of(3)).expect("it takes three robots");
-        let mut last = Some(go_on);
-        let mut all: Vec<_> = robots.iter().rev().map(|robot| (*robot, last.take())).collect();
-        all.reverse();
-        let policies = all.into_iter().map(|(robot, go_on)| {
-            let free = || {
-                let (sender, receiver) = channel();
-                (0..1000).for_each(|_| sender.send(()).expect("it is open"));
-                std::mem::forget(sender);
-                receiver
-            };
+        let mut go_on = Some(go_on);
+        let last = robots.last().copied();
+        let policies = robots.iter().map(|&robot| {
+            let waits = if Some(robot) == last { go_on.take() } else { None };
             let stream = || Seed::of_run(0).stream("agent");
-            super::super::RobotPolicies {
+            RobotPolicies {
                 robot: RobotId(robot),
                 dynamics: Dynamics::default(),
                 channels: Bound::default(),
-                run: Box::new(Waiting { go_on: go_on.unwrap_or_else(free), steps: 0.0 }),
-                reset: Box::new(Waiting { go_on: free(), steps: 0.0 }),
+                run: Box::new(Waiting { go_on: waits, steps: 0.0 }),
+                reset: Box::new(Waiting { go_on: None, steps: 0.0 }),
                 actions: stream(),
                 ranges: stream(),
             }

@@ -5,7 +5,7 @@ use crate::messages::ids::RobotId;
 use crate::messages::local::Percept;
 use crate::messages::wire::{MAX_FEATURES, Phase, all_sound};
 use crate::observation::{Bound, Dynamics, Known, Observation};
-use crate::policy::Policy;
+use crate::policy::{Broadcast, Policy};
 use crate::random::Stream;
 use crate::scenario::Scenario;
 use crate::time::{Span, Time};
@@ -62,25 +62,34 @@ pub(super) struct Slot {
     stepped: [Option<Time>; 2],
     /// Latent features that the robot broadcasts in the current step.
     pub features: Vec<f32>,
-    /// Whether `features` is a valid latent: finite and of the declared length. If not, the policy has failed and its
-    /// actions are not used.
-    pub valid: bool,
-    /// Whether the step counts as none, because the policy says that it has failed.
-    pub failed: bool,
-    /// Whether the robot broadcasts `features` in this step.
-    pub says: bool,
-    /// Whether the policy under test has begun a step in the Agent's last step, which can be taken back.
-    pub fresh: bool,
+    /// Outcome of the current step so far.
+    pub outcome: Outcome,
     /// Whether the log has said that the latent is invalid, since it was last valid.
     pub reported: bool,
     /// Expected lengths of the latent features: of the policy under test, and of the reset policy.
     pub widths: [usize; 2],
+    /// Longest time between two steps after which the policy under test goes on from its state.
+    forgets_after: Option<Span>,
+}
+
+/// Outcome of a robot's step, which decides whether it acts and what it broadcasts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Outcome {
+    /// The robot acts, and broadcasts its latent features.
+    Sound,
+    /// The robot acts, and broadcasts nothing.
+    Silent,
+    /// The step counts as none: the robot stands for this tick and broadcasts nothing.
+    Failed,
+    /// The latent features are not finite or not of the declared length: the policy has diverged, which ends the
+    /// episode.
+    Invalid,
 }
 
 impl Slot {
     pub fn new(policies: RobotPolicies) -> Slot {
         let widths = [&policies.run, &policies.reset].map(|policy| policy.interface().features);
-        let values = vec![0.0; policies.channels.floats()];
+        let (values, forgets_after) = (vec![0.0; policies.channels.floats()], policies.run.forgets_after());
         Slot {
             policies,
             task: None,
@@ -89,12 +98,10 @@ impl Slot {
             values,
             stepped: [None; 2],
             features: Vec::new(),
-            valid: true,
-            failed: false,
-            says: false,
-            fresh: false,
+            outcome: Outcome::Silent,
             reported: false,
             widths,
+            forgets_after,
         }
     }
 
@@ -102,34 +109,46 @@ impl Slot {
         self.widths[usize::from(phase != Phase::Running)]
     }
 
-    /// Takes the broadcast that the policy has computed together with its action in `phase`, if it has; none if the
-    /// step has failed.
-    pub fn take_broadcast(&mut self, phase: Phase) {
-        if self.failed || !self.valid {
-            return;
+    /// Takes the outcome of the step from the policy that is used in `phase`, after its `encode`.
+    pub fn encoded(&mut self, phase: Phase) {
+        match self.policies.of(phase).broadcast() {
+            Broadcast::Nothing => self.outcome = Outcome::Silent,
+            Broadcast::Failed => self.fail(phase),
+            Broadcast::Encoded | Broadcast::Computed(_) => self.check(phase),
         }
-        let policy = self.policies.of(phase);
-        if policy.failed() {
-            self.fail(phase);
-            return;
-        }
-        let Some(broadcast) = policy.broadcast() else { return };
-        self.features.clear();
-        self.features.extend_from_slice(broadcast);
-        self.says = true;
-        self.check(self.features.len(), self.width(phase));
     }
 
-    /// Checks and returns whether `features` is a valid latent of a policy that has declared `declared` floats, and now
-    /// `width`.
-    pub fn check(&mut self, width: usize, declared: usize) -> bool {
+    /// Takes the outcome of the step from the policy that is used in `phase`, after its `act`.
+    pub fn acted(&mut self, phase: Phase) {
+        match self.policies.of(phase).broadcast() {
+            Broadcast::Encoded | Broadcast::Nothing => {}
+            Broadcast::Failed => self.fail(phase),
+            Broadcast::Computed(features) => {
+                self.features.clear();
+                self.features.extend_from_slice(features);
+                self.check(phase);
+            }
+        }
+    }
+
+    /// Notes whether the latent features are valid: finite, and as many as the policy that is used in `phase` has
+    /// declared at its start.
+    pub fn check(&mut self, phase: Phase) {
+        let (width, declared) = (self.features.len(), self.width(phase));
         let valid = width == declared && width <= MAX_FEATURES && all_sound(&self.features);
         if !valid && !self.reported {
             tracing::error!(width, declared, "the policy's output is not a valid latent; its robot stops");
             self.reported = true;
         }
-        self.valid = valid;
-        valid
+        self.outcome = if valid { Outcome::Sound } else { Outcome::Invalid };
+    }
+
+    /// Notes that the step of the policy that is used in `phase` counts as none.
+    fn fail(&mut self, phase: Phase) {
+        self.outcome = Outcome::Failed;
+        if phase == Phase::Running {
+            self.stepped[0] = self.stepped[1];
+        }
     }
 
     /// Puts the policy under test back to its start, for a new episode.
@@ -142,29 +161,19 @@ impl Slot {
     /// channels, and computes these. Puts the policy back to its start if its last step is too long ago.
     pub fn steps(&mut self, now: Time, known: &Known) {
         self.policies.channels.write(known, &mut self.values);
-        self.fresh = true;
         let before = self.stepped[0];
         self.stepped = [Some(now), before];
-        let Some((before, longest)) = before.zip(self.policies.run.forgets_after()) else { return };
+        let Some((before, longest)) = before.zip(self.forgets_after) else { return };
         if now.since(before) > longest {
             self.policies.run.reset();
         }
     }
 
-    /// Notes that the step of the policy that is used in `phase` has failed, so that it counts as none.
-    pub fn fail(&mut self, phase: Phase) {
-        (self.failed, self.says) = (true, false);
-        if phase == Phase::Running {
+    /// Takes back the step of the policy under test at `at`, which counts as none, if there was one that succeeded.
+    pub fn undo(&mut self, at: Time) {
+        if self.stepped[0] == Some(at) {
             self.stepped[0] = self.stepped[1];
+            self.policies.run.undo();
         }
-    }
-
-    /// Takes back the step of the policy under test in the Agent's last step, which counts as none, if there was one.
-    pub fn undo(&mut self) {
-        if !std::mem::take(&mut self.fresh) {
-            return;
-        }
-        self.stepped[0] = self.stepped[1];
-        self.policies.run.undo();
     }
 }

@@ -17,7 +17,7 @@ pub(super) struct Facts<'a> {
     pub manifest: &'a Contract,
     /// Name and version of the engine that runs its graphs.
     pub engine: Option<&'static str>,
-    /// What the check has found.
+    /// Remarks and times of the check.
     #[serde(flatten)]
     pub sound: Sound,
 }

@@ -59,18 +59,17 @@ impl Loaded {
 pub fn load(registry: &Registry, named: Option<&Path>, draw: Option<Draw>, scenario: &dyn Scenario) -> Result<Loaded> {
     let named = named.unwrap_or_else(|| Path::new(registry.default_policy(scenario)));
     let name = named.display().to_string();
-    let mut slow = None;
-    let (model, place) = match named.to_str().and_then(|name| registry.policy(name)) {
-        Some(entry) => ((entry.build)(scenario), format!("--policy {name}")),
+    let (model, place, slow) = match named.to_str().and_then(|name| registry.policy(name)) {
+        Some(entry) => ((entry.build)(scenario), format!("--policy {name}"), None),
         None if onnx::is_format_3(named) => {
             let (network, sound) = onnx::load(named)?;
-            slow = onnx::too_slow(&network, &sound);
-            (Ok(network.model()), format!("the policy file '{name}'"))
+            let slow = onnx::too_slow(&network, &sound);
+            (Ok(network.model()), format!("the policy file '{name}'"), slow)
         }
         None => {
             let known: Vec<&str> = registry.policies().iter().map(|entry| entry.name).collect();
             let bytes = read_bytes(named, &format!("policy file (or name a policy: {})", known.join(", ")))?;
-            (Model::from_file(&bytes, scenario.name()), format!("the policy file '{name}'"))
+            (Model::from_file(&bytes, scenario.name()), format!("the policy file '{name}'"), None)
         }
     };
     let mut model = model.map_err(|error| BadInput(format!("{place}: {error}")))?;

@@ -41,7 +41,7 @@ pub enum Checked {
     Refused(String),
 }
 
-/// What the check of a policy has found that is no fault.
+/// Findings of the check of a sound policy.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Sound {
     /// Digest of the files that were checked.
@@ -94,7 +94,7 @@ pub fn graphs(path: &Path) -> Vec<PathBuf> {
 }
 
 /// Loads the policy `path` after a check of it in a process of its own, within limits of memory and time: a graph is a
-/// program, and may take all of both. Returns also what the check has found.
+/// program, and may take all of both. Returns the findings of the check, too.
 pub fn load(path: &Path) -> Result<(Arc<Network>, Sound)> {
     let refuse = |why: String| BadInput(format!("the policy file '{}': {why}", path.display()));
     // What is wrong with a file is said before a process is started for it.
