@@ -54,7 +54,7 @@ fn policy_check_refuses_what_the_program_cannot_run() {
     refuses(&["policy", "check", "orca"], &["orca", "code"]);
     refuses(&["policy", "check", "robust", "--scenario", "swap"], &["robust", "swap"]);
     refuses(&["policy", "check", "nowhere.safetensors"], &["nowhere.safetensors"]);
-    refuses(&["policy", "check", &path("Cargo.toml")], &["Cargo.toml", "its contract", "missing field `format`"]);
+    refuses(&["policy", "check", &path("Cargo.toml")], &["Cargo.toml", "its contract", "format: it is missing"]);
 }
 
 /// Writes a copy of the policy file `name` with the manifest as `change` leaves it; without one if it returns false.

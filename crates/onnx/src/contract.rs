@@ -235,13 +235,18 @@ impl Contract {
         let json = text.trim_start().starts_with('{');
         #[derive(Deserialize)]
         struct Version {
-            format: u32,
+            format: Option<u32>,
         }
         let wrong = |error: &serde_json::Error| ConfigError::Syntax(config::json(error));
         // Of another format the other fields are not known.
         let Version { format } = match json {
             true => serde_json::from_str(text).map_err(|error| wrong(&error))?,
             false => config::from_toml(text)?,
+        };
+        let Some(format) = format else {
+            let why =
+                "it is missing, so this is no contract of a policy, which says 'format = 3' (docs/policy-format-3.md)";
+            return Err(ConfigError::field("format", why));
         };
         if format != FORMAT {
             return Err(ConfigError::field(
