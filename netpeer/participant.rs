@@ -203,6 +203,7 @@ impl Peer {
                 velocity: Vec2::new((rest / 1000) as f32, (rest % 1000) as f32),
             },
             features: Features((0..FLOATS).map(|at| own + at as f32).collect()),
+            part: None,
         }));
     }
 

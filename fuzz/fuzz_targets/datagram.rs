@@ -3,6 +3,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use murmurate::net::protocol::codec::{self, Content};
+use murmurate::net::protocol::parts::Lacking;
 use murmurate::net::protocol::report::{Report, read_held, read_ids};
 use murmurate::net::protocol::roster;
 
@@ -17,6 +18,7 @@ fuzz_target!(|bytes: &[u8]| {
                 }
             }
             (content @ (Content::Report | Content::NumberedReport), body) => drop(Report::read(content, body)),
+            (Content::Lacking, body) => drop(Lacking::read(body)),
             (Content::Held, body) => drop(read_held(body)),
             (Content::Roster, body) => drop((roster::read(body), roster::read_page(body).map(drop))),
             (content, body) => drop(read_ids(content, body)),

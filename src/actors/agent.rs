@@ -236,7 +236,7 @@ impl Agent {
         }
         slot.reported = false;
         let features = Features(slot.features.as_slice().into());
-        Some(Latent { robot, round: self.round, phase: self.phase, motion, features })
+        Some(Latent { robot, round: self.round, phase: self.phase, motion, features, part: None })
     }
 
     /// Encodes the observation of the robot in slot `at`; `None` if it broadcasts nothing in this step.

@@ -226,6 +226,7 @@ mod tests {
             phase: Phase::Running,
             motion: Motion::at_rest(Vec2::new(x, 0.0)),
             features: Features(Arc::new([1.0])),
+            part: None,
         })
     }
 

@@ -66,6 +66,8 @@ pub struct Config {
     pub phase: Span,
     /// Whether orders are signed where they end a stop or a hold.
     pub signed: bool,
+    /// Beginning of the digest of the robot's policy, for its heartbeats; 0 in simulations.
+    pub policy: u32,
 }
 
 /// Controller of one robot: an actor that passes the policy's actions through the robot's guard to its motors, and
@@ -231,7 +233,8 @@ impl Core for Controller {
         }
         if self.next_heartbeat <= now {
             let (robot, latch) = (self.config.robot, self.guard.latch());
-            out.push(Out::Heartbeat(Heartbeat::new(robot, self.round.round(), self.own, latch)));
+            let beat = Heartbeat::new(robot, self.round.round(), self.own, latch);
+            out.push(Out::Heartbeat(Heartbeat { policy: self.config.policy, ..beat }));
             out.push(Out::Follows(latch));
             let counts = self.guard.counts();
             if counts != self.counts_sent {
@@ -279,6 +282,7 @@ mod tests {
             valid_for: Span::from_millis(200),
             phase: Span::ZERO,
             signed: false,
+            policy: 0,
         })
     }
 
@@ -487,6 +491,7 @@ mod tests {
             valid_for: Span::from_millis(200),
             phase: Span::ZERO,
             signed: false,
+            policy: 0,
         });
         let task = Task { start: Vec2::zeros(), goal: Vec2::x() };
         let (phase, tasks, latch) = (Phase::Running, [task].into(), Latch::default());

@@ -3,13 +3,15 @@
 //!
 //! Each published message is encoded once; the same bytes go to the links and to the Recorder. An arriving datagram is
 //! checked, decoded and delivered, or counted and dropped. `net::protocol::link` handles transmission, retransmission
-//! and authentication, and `rosters` the change of keys.
+//! and authentication, `parts` messages that are too large for a datagram, and `rosters` the change of keys.
 
+mod parts;
 mod rosters;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
 
+use self::parts::Parts;
 use crate::actor::Core;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{Kind, Wire};
@@ -18,6 +20,7 @@ use crate::net::protocol::key::Key;
 pub use crate::net::protocol::link::Identity;
 use crate::net::protocol::link::{Arrival, DuplicateId, Guest, LinkCounts, LinkState, Refusal, Standing};
 use crate::net::protocol::outgoing::Outbound;
+use crate::net::protocol::parts::{Settings as PartSettings, is_part};
 use crate::net::protocol::reliability::{Piggyback, Setup};
 use crate::net::protocol::roster::Roster;
 use crate::net::protocol::router::{Audience, Router};
@@ -93,6 +96,8 @@ pub struct Config {
     pub links: Vec<Option<Setup>>,
     /// Routing table of this host, which says where each message goes.
     pub router: Router,
+    /// Settings for messages in parts; `None` if those of the team fit into a datagram.
+    pub parts: Option<PartSettings>,
 }
 
 /// Network: the actor of one host that sends the messages of the host's other actors on its links, and receives those
@@ -122,6 +127,7 @@ pub struct Network {
     unauthorized: UnauthorizedPublishers,
     key: Option<Key>,
     succession: Succession,
+    parts: Option<Parts>,
 }
 
 /// Addresses from which the hosts of a team were last accepted on links that send to single hosts, with the time at
@@ -182,12 +188,17 @@ impl Network {
     /// Creates the Network of a host that has just started. `stream` is the random stream of its links: of the
     /// waits before requests for retransmission, of the first report's time, and of the number at which stamps begin.
     pub fn new(config: Config, mut stream: Stream) -> Network {
-        let Config { me, key, links, router } = config;
+        let Config { me, key, links, router, parts } = config;
         let shared =
             links.iter().map(|setup| setup.as_ref().is_some_and(|setup| setup.piggyback == Piggyback::Any)).collect();
         let ids = (0..=u16::MAX).map(LinkId);
         let hosts = router.hosts();
-        let mut state = |id, setup| LinkState::new(me, id, key.clone(), Setup { hosts, ..setup }, &mut stream);
+        // A host may run the agents of all robots.
+        let more = parts.map_or(0.0, |parts| parts.datagrams_per_s(router.robots()));
+        let mut state = |id, setup: Setup| {
+            let rate = setup.rate.map(|rate| rate.with(more));
+            LinkState::new(me, id, key.clone(), Setup { hosts, rate, ..setup }, &mut stream)
+        };
         let links: Vec<Option<LinkState>> =
             ids.zip(links).map(|(id, setup)| setup.map(|setup| state(id, setup))).collect();
         let due = links.iter().map(|link| link.as_ref().and_then(LinkState::due)).collect();
@@ -212,6 +223,7 @@ impl Network {
             unauthorized: UnauthorizedPublishers::default(),
             succession: Succession::new(key.as_ref()),
             key,
+            parts: parts.map(Parts::new),
         }
     }
 
@@ -311,7 +323,11 @@ impl Network {
             return;
         }
         let Some((header, plain)) = admitted else { return };
+        if !state.lacking().is_empty() {
+            self.note_lacking(now, link);
+        }
         for (kind, body, signature) in codec::messages(&plain) {
+            let state = self.links[at].as_mut().expect("the datagram has come by it");
             let message = match codec::message(kind, body) {
                 Ok(message) => message,
                 // The rest of a datagram is not accepted after a malformed message.
@@ -324,8 +340,12 @@ impl Network {
             }
             let robot = message.robot();
             if self.router.route(kind, robot).local {
-                if state.accept(now, &header, &message, (body, signature)) {
-                    out.push(Out::Deliver(message));
+                if !state.accept(now, &header, &message, (body, signature)) {
+                    continue;
+                }
+                match message {
+                    Wire::Latent(part) if is_part(&part) => self.take_part(now, (link, &header), part, out),
+                    message => out.push(Out::Deliver(message)),
                 }
             } else if self.shared[at] || !header.flags.has(Flags::DIRECT) {
                 // Not for an actor of this host, but it reaches every host: counted as not addressed to it.
@@ -347,6 +367,7 @@ impl Core for Network {
 
     fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         match input {
+            In::Publish(Wire::Latent(latent)) if self.is_in_parts(&latent) => self.publish_in_parts(now, latent, out),
             In::Publish(message) => self.publish(now, message, out),
             In::Frame(link, frame, from) => self.receive(now, (link, from), &frame, out),
             In::Refused(link, cause, count) => {
@@ -364,7 +385,8 @@ impl Core for Network {
     }
 
     fn wake_at(&self) -> Option<Time> {
-        let due = self.due.iter().flatten().copied().chain(self.succession.due());
+        let parts = self.parts.as_ref().and_then(Parts::due);
+        let due = self.due.iter().flatten().copied().chain(self.succession.due()).chain(parts);
         Some(due.fold(self.next_counts, Time::min))
     }
 
@@ -379,6 +401,9 @@ impl Core for Network {
             state.wake(now, &mut self.stream, &mut self.outgoing);
             self.due[usize::from(id.0)] = state.due();
             transmit(id, &mut self.outgoing, out);
+        }
+        if self.parts.as_ref().and_then(Parts::due).is_some_and(|due| due <= now) {
+            self.wake_parts(now, out);
         }
         if self.succession.due().is_some_and(|due| due <= now) {
             self.go_on_with_roster(now, out);
@@ -414,7 +439,7 @@ mod tests {
         });
         let me = Identity { host: HostId(host), team, incarnation: 1 };
         let links = vec![Some(Setup::emulated(Reliabilities::new()))];
-        Network::new(Config { me, key: None, links, router }, Seed::of_run(1).stream("network"))
+        Network::new(Config { me, key: None, links, router, parts: None }, Seed::of_run(1).stream("network"))
     }
 
     fn reading(robot: u16) -> Wire {

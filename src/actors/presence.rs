@@ -15,14 +15,19 @@ pub(super) struct Presence {
     last: Vec<Option<(Time, Heartbeat)>>,
     /// Robots whose hosts have messages of another revision, each with that revision.
     unequal: Vec<(RobotId, u16)>,
+    /// Beginning of the digest of the team's policy; 0 if it is not known.
+    policy: u32,
+    /// Robots that run another policy, each with the beginning of its digest.
+    mixed: Vec<(RobotId, u32)>,
     /// Number of heartbeats whose term or latch number is too far ahead to be accepted.
     pub(super) beyond_reach: u64,
 }
 
 impl Presence {
-    /// Returns the presence of a team of `robots` before any heartbeat.
-    pub(super) fn new(robots: usize) -> Presence {
-        Presence { last: vec![None; robots], unequal: Vec::new(), beyond_reach: 0 }
+    /// Returns the presence of a team of `robots` before any heartbeat. `policy` is the beginning of the digest of
+    /// their policy, 0 if it is not known.
+    pub(super) fn new(robots: usize, policy: u32) -> Presence {
+        Presence { last: vec![None; robots], unequal: Vec::new(), policy, mixed: Vec::new(), beyond_reach: 0 }
     }
 
     /// Takes a heartbeat that arrived at time `now`. Returns whether it is of a robot of the team.
@@ -100,6 +105,30 @@ impl Presence {
         !self.unequal.is_empty()
     }
 
+    /// Returns whether present robots run another policy than the team's. Logs which run which when that changes.
+    pub(super) fn is_mixed(&mut self, now: Time) -> bool {
+        let others = self.present(now).filter(|beat| self.runs_another(beat));
+        let mixed: Vec<(RobotId, u32)> = others.map(|beat| (beat.robot, beat.policy)).collect();
+        if mixed != self.mixed {
+            let each = mixed.iter().map(|(robot, policy)| format!("{robot} runs {policy:08x}"));
+            match &each.collect::<Vec<_>>()[..] {
+                [] => tracing::warn!("all robots run the policy {:08x} now", self.policy),
+                each => tracing::error!(
+                    "the team stands: its policy is {:08x}, {}; give all hosts the same policy file",
+                    self.policy,
+                    each.join(", ")
+                ),
+            }
+            self.mixed = mixed;
+        }
+        !self.mixed.is_empty()
+    }
+
+    /// Returns whether a robot says that it runs another policy than the team's.
+    fn runs_another(&self, beat: &Heartbeat) -> bool {
+        beat.policy != self.policy && beat.policy != 0 && self.policy != 0
+    }
+
     /// Returns the latest of `round` and those of the present robots, ignoring rounds too far ahead.
     pub(super) fn latest_round(&self, now: Time, round: Round) -> Round {
         Round::latest(round, self.present(now).map(|beat| beat.round))
@@ -129,6 +158,7 @@ impl Presence {
                 _ if left(robot) => Hindrance::Left,
                 None => Hindrance::Missing,
                 Some(beat) if beat.revision != REVISION => Hindrance::Unequal,
+                Some(beat) if self.runs_another(beat) => Hindrance::Policy,
                 Some(beat) if beat.latch != latch => Hindrance::Latched,
                 Some(_) => return None,
             };
@@ -165,7 +195,7 @@ mod tests {
     const ROUND: Round = Round { term: 1, episode: 0 };
 
     fn heard(phases: [Phase; 2], at: Time) -> Presence {
-        let mut presence = Presence::new(2);
+        let mut presence = Presence::new(2, 0);
         for (robot, phase) in RobotId::team(2).zip(phases) {
             assert!(presence.take(at, Heartbeat::new(robot, ROUND, phase, Latch::default())));
         }

@@ -87,6 +87,8 @@ pub struct Config {
     pub real: Vec<RobotId>,
     /// Largest number of robots in one instruction.
     pub block: usize,
+    /// Beginning of the digest of the team's policy; 0 in simulations, where all robots have the same.
+    pub policy: u32,
 }
 
 /// State server: the actor that decides when resets and episodes begin and end, and sends instructions to robots.
@@ -123,10 +125,10 @@ pub struct StateServer {
 impl StateServer {
     /// Creates a state server of `robots` robots. `incarnation` counts its starts within the process, from 1.
     pub fn new(config: Config, robots: usize, incarnation: u32) -> StateServer {
-        let hosts = config.hosts.clone();
+        let (hosts, policy) = (config.hosts.clone(), config.policy);
         StateServer {
             config,
-            presence: Presence::new(robots),
+            presence: Presence::new(robots, policy),
             incarnation,
             started_unheard: false,
             latch: Latch::default(),
@@ -287,7 +289,10 @@ impl StateServer {
         if !self.latch.is_clear() {
             return self.hold(now);
         }
-        if self.absent.any() && self.phase != Phase::NeedReset || self.presence.is_unequal(now) {
+        if self.absent.any() && self.phase != Phase::NeedReset
+            || self.presence.is_unequal(now)
+            || self.presence.is_mixed(now)
+        {
             return self.wait(now);
         }
         let unknown = [self.lost.causes(now), self.absent.causes()].concat();
@@ -442,6 +447,7 @@ mod tests {
                 hosts,
                 real: Vec::new(),
                 block: 64,
+                policy: 0,
             },
             2,
             1,
@@ -549,6 +555,27 @@ mod tests {
         let clear = server.latch;
         follow(&mut server, at_ms(280), clear, Phase::Waiting);
         assert_eq!(tick(&mut server, at_ms(300)), (round(1, 0), Phase::Resetting), "the same episode");
+    }
+
+    #[test]
+    fn a_team_of_unequal_policies_stands_and_a_resume_names_the_robot() {
+        let says = |server: &mut StateServer, ms: u64, phase: Phase, policies: [u32; 2]| {
+            for (robot, policy) in RobotId::team(2).zip(policies) {
+                let beat = Heartbeat::new(robot, server.round, phase, server.latch);
+                server.handle(at_ms(ms), In::Heartbeat(Heartbeat { policy, ..beat }), &mut Vec::new());
+            }
+        };
+        let mut server = server();
+        server.presence = Presence::new(2, 7);
+        says(&mut server, 10, Phase::NeedReset, [7, 8]);
+        assert_eq!(tick(&mut server, at_ms(50)), (round(0, 0), Phase::NeedReset), "it does not begin");
+        says(&mut server, 60, Phase::NeedReset, [7, 0]);
+        assert_eq!(tick(&mut server, at_ms(100)), (round(1, 0), Phase::Resetting), "an older host does not say");
+        says(&mut server, 110, Phase::Resetting, [8, 7]);
+        assert_eq!(tick(&mut server, at_ms(150)).1, Phase::Waiting);
+        server.handle(at_ms(160), In::Stop(Stop::rearm(HostId::operator(1), server.latch)), &mut Vec::new());
+        says(&mut server, 170, Phase::Waiting, [8, 7]);
+        assert_eq!(resume(&mut server, 180).hindrances, [(RobotId(0), Hindrance::Policy)]);
     }
 
     #[test]
@@ -683,6 +710,7 @@ mod tests {
             hosts: Vec::new(),
             real: Vec::new(),
             block: 64,
+            policy: 0,
         };
         let mut server = StateServer::new(config, 150, 1);
         let blocks = |server: &mut StateServer, ms: u64, phase: Phase| -> Vec<u16> {

@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use crate::actors::agent::{Agent, RobotPolicies};
 use crate::messages::ids::RobotId;
-use crate::policy::Model;
+use crate::net::protocol::parts::Settings;
+use crate::policy::{Interface, Model};
 use crate::time::Span;
 use crate::trial::Trial;
 
@@ -41,4 +42,10 @@ pub(super) fn agent_of(trial: &Trial, robots: &[RobotId], incarnation: u32) -> A
 pub(super) fn deadlines(trial: &Trial) -> [Span; 2] {
     let half = Span::from_nanos(trial.model.interface().period.as_nanos() / 2);
     [half, Span::from_secs(0.8 * trial.safety.late_tick_s)]
+}
+
+/// Returns how messages of a policy travel in parts; `None` if they fit into a datagram.
+pub(super) fn parts_of(model: &Model) -> Option<Settings> {
+    let (Interface { features, period, .. }, form) = (model.interface(), model.form());
+    form.is_in_parts(features).then(|| Settings { form, floats: features, period, policy: model.mark() })
 }

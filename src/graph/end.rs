@@ -12,6 +12,7 @@ use crate::actors::network::{self, Identity, Network};
 use crate::messages::ids::LinkId;
 use crate::messages::wire::Wire;
 use crate::net::protocol::key::Key;
+use crate::net::protocol::parts::Settings;
 use crate::net::protocol::reliability::Setup;
 use crate::net::protocol::router::Router;
 use crate::net::transport::{self, Transmit, Transport};
@@ -44,19 +45,19 @@ pub struct HostEnd {
 }
 
 impl HostEnd {
-    /// Starts the Network of this host with the mailbox `network`, and with its routing table and the span of its log
-    /// lines. Messages for actors of the host are passed to `deliver`, inputs for transports to `transmit`, and all
-    /// events to `report`, a message before it is delivered.
+    /// Starts the Network of this host with the mailbox `network`, and with its routing table, its settings for
+    /// messages in parts, and the span of its log lines. Messages for actors of the host are passed to `deliver`,
+    /// inputs for transports to `transmit`, and all events to `report`, a message before it is delivered.
     pub(crate) fn start(
         &self,
         clock: &Clock,
         network: &Mailbox<network::In>,
-        (router, span): (Router, tracing::Span),
+        (router, parts, span): (Router, Option<Settings>, tracing::Span),
         (mut deliver, mut transmit): (impl FnMut(Wire) + 'static, impl FnMut(LinkId, transport::In) + 'static),
         report: impl Fn(Event) + 'static,
     ) {
         let HostEnd { me, seed, .. } = *self;
-        let config = network::Config { me, key: None, links: self.links.clone(), router };
+        let config = network::Config { me, key: None, links: self.links.clone(), router, parts };
         // A Network that is started again goes on with the keys of the last roster.
         let (key, present) = (Rc::new(RefCell::new(self.key.clone())), network.clone());
         let (changed, keeps) = (Rc::clone(&key), self.keep.clone());
@@ -115,7 +116,7 @@ impl HostEnd {
         let open = std::mem::take(&mut self.transports);
         sockets::wire_all((clock, readers), open, &transports, (&take, &tell));
         let transmit = to(transports);
-        self.start(clock, &network, (router, info_span!("network")), (|_| {}, transmit), report);
+        self.start(clock, &network, (router, None, info_span!("network")), (|_| {}, transmit), report);
         network
     }
 }

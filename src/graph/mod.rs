@@ -32,7 +32,7 @@ use crate::actors::status;
 use crate::actors::witness::Finding;
 use crate::chassis::Chassis;
 use crate::deploy::{Routes, Stepping};
-use crate::graph::agents::{agent_of, deadlines, max_wait};
+use crate::graph::agents::{agent_of, deadlines, max_wait, parts_of};
 use crate::graph::delivery::{deliveries, wire_server, wire_status};
 use crate::graph::emulated::wire_links;
 use crate::graph::event::{Event, Report};
@@ -243,6 +243,7 @@ fn wire_controller(clock: &Clock, trial: &Trial, graph: &Graph, robot: RobotId, 
         valid_for: COMMAND_VALIDITY,
         phase: phase(trial, "controller", robot, controller::HEARTBEAT_PERIOD),
         signed: graph.signed,
+        policy: graph.policy,
     };
     let (network, status) = (graph.network_of(host), graph.status_of(host));
     let events = Rc::clone(&graph.events);
@@ -311,7 +312,7 @@ fn wire_network(
 ) {
     let name = trial.deployment.hosts[usize::from(host.0)].name.clone();
     let (end, network) = (&process.ends[&host], &graph.networks[usize::from(host.0)]);
-    let what = (graph.routes.router(host), info_span!("network", host = name));
+    let what = (graph.routes.router(host), parts_of(&trial.model), info_span!("network", host = name));
     let events = Rc::clone(&graph.events);
     let server = (graph.routes.server_host() == host).then(|| graph.server.clone());
     let report = move |event: Event| {

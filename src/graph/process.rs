@@ -112,6 +112,8 @@ pub struct Graph {
     pub(super) events: Rc<Events>,
     /// Whether members sign what others may pass on, and operators what ends a stop or a hold.
     pub(super) signed: bool,
+    /// Mark of the team's policy, which heartbeats have; 0 in a simulation, where all robots have the same policy.
+    pub(super) policy: u32,
 }
 
 /// Function that is called with the number of an episode when it begins.
@@ -179,6 +181,7 @@ impl Graph {
             recorder,
             episodes: EpisodeNotice::default(),
             routes,
+            policy: if process.emulated { 0 } else { trial.model.mark() },
             signed: process.ends.values().any(|end| end.key.as_ref().is_some_and(|key| key.signatures().is_some())),
         }
     }

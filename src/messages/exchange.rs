@@ -7,6 +7,7 @@ use super::floats;
 use super::floats::{Features, MAX_FEATURES};
 use super::geometry::{Deviation, Motion, Pose, Twist, Vec2, is_sound};
 use super::ids::RobotId;
+use super::parts::Part;
 use super::phase::Phase;
 use super::round::{MAX_TERM, Round};
 use crate::time::Span;
@@ -77,8 +78,11 @@ pub struct Latent {
     pub phase: Phase,
     /// The sender's estimate of its own position and velocity in the world frame.
     pub motion: Motion,
-    /// Numbers from the sender's policy, such as the encoder's output of a graph neural network.
+    /// Numbers from the sender's policy, such as the encoder's output of a graph neural network; empty in a part.
     pub features: Features,
+    /// Piece of the numbers, if they travel in parts. Actors get whole messages alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub part: Option<Part>,
 }
 
 /// Velocity command for a robot, sent from its Controller to its Body, the actor that drives the motors.
@@ -121,7 +125,8 @@ impl Body for Latent {
             () if !self.motion.is_sound() || !all_sound(&self.features.0) => Err(Unfit::Number),
             () if self.round.term > MAX_TERM => Err(Unfit::Term),
             () if self.features.0.len() > MAX_FEATURES => Err(Unfit::Length),
-            () => Ok(()),
+            () if self.part.is_some() && !self.features.0.is_empty() => Err(Unfit::Length),
+            () => self.part.as_ref().map_or(Ok(()), Part::check),
         }
     }
 }

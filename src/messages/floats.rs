@@ -11,9 +11,11 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::geometry::{Deviation, Motion, Planar, Pose, Task, Twist, Vec2};
 
-/// Largest number of floats in the features of a latent, a robot's broadcast to its neighbours. The encoded message
-/// still fits into one datagram.
+/// Largest number of floats in the features of a latent, a robot's broadcast to its neighbours, that travels in one
+/// datagram. More travel in parts.
 pub const MAX_FEATURES: usize = 256;
+/// Largest number of floats in the features of a latent.
+pub const MAX_FLOATS: usize = 16_384;
 
 /// Numbers that a robot's policy sends to its neighbours. For a graph neural network they are the encoder's output; for
 /// the policy ORCA, the radius \[m\] and the preferred velocity \[m/s\].
@@ -160,8 +162,8 @@ as_floats!(Motion, Pose, Twist, Deviation);
 
 impl Serialize for Features {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        if self.0.len() > MAX_FEATURES {
-            return Err(serde::ser::Error::custom("more than MAX_FEATURES floats"));
+        if self.0.len() > MAX_FLOATS {
+            return Err(serde::ser::Error::custom("more than MAX_FLOATS floats"));
         }
         let bytes: Vec<[u8; 4]> = self.0.iter().map(|float| float.to_le_bytes()).collect();
         s.serialize_bytes(bytes.as_flattened())
@@ -172,10 +174,10 @@ impl<'de> Deserialize<'de> for Features {
     fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Features, D::Error> {
         let parse = |bytes: &[u8]| {
             // The length is known, so the shared slice is allocated once and filled in one pass.
-            let whole = bytes.len().is_multiple_of(4) && bytes.len() <= 4 * MAX_FEATURES;
+            let whole = bytes.len().is_multiple_of(4) && bytes.len() <= 4 * MAX_FLOATS;
             whole.then(|| Features(unpack(bytes).collect()))
         };
-        d.deserialize_bytes(Bytes(parse, "4 bytes for each of at most MAX_FEATURES floats"))
+        d.deserialize_bytes(Bytes(parse, "4 bytes for each of at most MAX_FLOATS floats"))
     }
 }
 

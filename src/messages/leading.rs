@@ -26,13 +26,22 @@ pub struct Heartbeat {
     /// Revision of the host's messages: see [`REVISION`]; 0 in records from before there were any.
     #[serde(default)]
     pub revision: u16,
+    /// Beginning of the digest of the robot's policy, by which a team of unequal policies is noticed; 0, which is not
+    /// sent, in simulations and from versions before it.
+    #[serde(default, skip_serializing_if = "is_unsaid")]
+    pub policy: u32,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_unsaid(policy: &u32) -> bool {
+    *policy == 0
 }
 
 impl Heartbeat {
     /// Makes a heartbeat of `robot`, which follows the instruction of `round`, is in `phase` itself, and follows
     /// `latch`.
     pub fn new(robot: RobotId, round: Round, phase: Phase, latch: Latch) -> Heartbeat {
-        Heartbeat { robot, round, phase, latch, revision: REVISION }
+        Heartbeat { robot, round, phase, latch, revision: REVISION, policy: 0 }
     }
 }
 

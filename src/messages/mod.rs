@@ -3,7 +3,8 @@
 //! `wire` holds messages that may cross hosts and therefore always pass through a Network; `kinds` is the table of
 //! them, `exchange`, `leading` and `release` define them, and `body` says what each has. `local` holds messages between
 //! the actors of one host. `ids`, `geometry`, `floats`, `hardware`, `latch`, `numbered`, `phase`, `place`, `round`,
-//! `status` and `telemetry` are their parts. `isometry` converts poses to those of nalgebra and back.
+//! `status` and `telemetry` are their fields. `parts` cuts what is too large for a datagram. `isometry` converts poses
+//! to those of nalgebra and back.
 
 mod body;
 mod exchange;
@@ -17,6 +18,7 @@ pub mod latch;
 mod leading;
 pub mod local;
 mod numbered;
+mod parts;
 pub mod phase;
 pub mod place;
 pub mod release;

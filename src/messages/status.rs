@@ -34,14 +34,16 @@ pub enum Hindrance {
     Latched,
     /// The robot's host has messages of another revision than the state server's.
     Unequal,
+    /// The robot runs another policy than that of the state server's team file.
+    Policy,
     /// A reason of a later version.
     Other = 255,
 }
 
 impl Hindrance {
     /// All reasons of this version, in the order of their numbers.
-    pub(crate) const ALL: [Hindrance; 4] =
-        [Hindrance::Missing, Hindrance::Left, Hindrance::Latched, Hindrance::Unequal];
+    pub(crate) const ALL: [Hindrance; 5] =
+        [Hindrance::Missing, Hindrance::Left, Hindrance::Latched, Hindrance::Unequal, Hindrance::Policy];
 }
 
 numbered!(Hindrance);

@@ -9,6 +9,7 @@ pub use super::floats::*;
 pub use super::hardware::*;
 pub use super::kinds::*;
 pub use super::leading::*;
+pub use super::parts::*;
 pub use super::phase::*;
 pub use super::place::*;
 pub use super::release::*;

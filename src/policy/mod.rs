@@ -26,6 +26,7 @@ use crate::messages::geometry::{Motion, Vec2};
 use rand::RngExt;
 
 use self::manifest::Manifest;
+use crate::messages::wire::Form;
 use crate::observation::Observation;
 use crate::random::{Seed, Stream};
 use crate::scenario::Scenario;
@@ -92,6 +93,12 @@ pub trait Policy {
     /// gap it is reset. `None`, the default, is no bound, for a policy without state. It is the same for all steps.
     fn forgets_after(&self) -> Option<Span> {
         None
+    }
+
+    /// Returns the form in which the robot's broadcast travels: the encoding to which it is rounded, and what holds of
+    /// parts of it that get lost. The default is that of broadcasts of at most 256 floats.
+    fn form(&self) -> Form {
+        Form::default()
     }
 
     /// Writes the robot's broadcast for this step into `features`, which has the length `Interface::features`. `own` is

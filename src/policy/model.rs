@@ -9,7 +9,7 @@ use super::manifest::{Architecture, Training};
 use super::weights::{self, WeightsError};
 use super::{Draw, Interface, Policy, SHIPPED, orca, probe, shipped};
 use crate::chassis::Chassis;
-use crate::messages::wire::MAX_FEATURES;
+use crate::messages::wire::{Form, MAX_FLOATS};
 use crate::observation::Request;
 use crate::scenario::Arena;
 use crate::time::Span;
@@ -51,6 +51,8 @@ pub struct Origin {
     pub engine: String,
     /// Whether the policy is computed on a thread of its own on real hosts, because a step may take long or never end.
     pub apart: bool,
+    /// Form in which the policy's messages travel.
+    pub form: Form,
     /// Whether the policy commands a yaw rate, which only a robot with a differential drive follows.
     pub turns: bool,
 }
@@ -74,8 +76,8 @@ impl Interface {
         let periods = Span::from_millis(1)..=Span::from_millis(100);
         // A radius may have no bound.
         let above_zero = |value: f32| value > 0.0;
-        let wrong = if features > MAX_FEATURES {
-            format!("its message has {features} floats, and a message carries at most {MAX_FEATURES}")
+        let wrong = if features > MAX_FLOATS {
+            format!("its message has {features} floats, and a message carries at most {MAX_FLOATS}")
         } else if !periods.contains(&period) {
             "its period is not 1 to 100 ms (10 to 1000 steps a second), so motor commands would expire".to_owned()
         } else if hold < period {
@@ -237,6 +239,17 @@ impl Model {
         }
     }
 
+    /// Returns a number by which robots of unequal policies are told apart: the beginning of the policy's digest, or of
+    /// that of its name if it has no file. Never 0.
+    pub fn mark(&self) -> u32 {
+        let of_file = u32::from_str_radix(self.digest().get(..8).unwrap_or_default(), 16).ok();
+        let of_name = || {
+            let [a, b, c, d, ..] = *blake3::hash(self.name().as_bytes()).as_bytes();
+            u32::from_be_bytes([a, b, c, d])
+        };
+        of_file.unwrap_or_else(of_name).max(1)
+    }
+
     /// Returns the name and version of the engine that computes the policy, and the kind of processor; empty for a
     /// policy that computes the same bits on every machine.
     pub fn engine(&self) -> &str {
@@ -260,6 +273,14 @@ impl Model {
     /// Returns whether the policy is computed on a thread of its own on real hosts. Under virtual time no policy is.
     pub fn runs_apart(&self) -> bool {
         matches!(self, Model::Custom(custom) if custom.origin.apart)
+    }
+
+    /// Returns the form in which the policy's messages travel.
+    pub fn form(&self) -> Form {
+        match self {
+            Model::Custom(custom) => custom.origin.form,
+            Model::Orca | Model::Gnn(..) | Model::Hops(..) => Form::default(),
+        }
     }
 
     /// Returns whether the policy commands a yaw rate, which only a robot with a differential drive follows.

@@ -14,6 +14,7 @@
 //! Equal trials give equal reports, bit for bit. Faults come from a [`FaultPlan`]; `examples/faults.rs` is an example
 //! to copy. Trials are independent of each other: run them on as many threads as there are cores.
 
+mod budget;
 mod error;
 
 use std::sync::Arc;
@@ -38,6 +39,7 @@ use crate::scenario::{Arena, Scenario, Settings};
 use crate::time::{Span, Time};
 use crate::world::{self, Physics, Placement, kinematic};
 
+pub use budget::Budget;
 pub use error::TrialError;
 
 /// Rough duration of an episode with its reset \[s\], for planning faults.
@@ -266,6 +268,7 @@ impl Trial {
             return Err(ConfigError::field("policy", why));
         }
         self.channels().map_err(|error| ConfigError::field("policy", error.to_string()))?;
+        budget::check(&self.deployment, &self.model)?;
         if let Some((_, stop)) = self.stops.iter().find(|(_, stop)| usize::from(stop.by.0) >= deployment.hosts.len()) {
             let reason = format!("there is no host {}; there are {}, from 0", stop.by.0, deployment.hosts.len());
             return Err(ConfigError::field("stops", reason));
@@ -294,6 +297,12 @@ impl Trial {
     /// a channel that the scenario has not, or has otherwise.
     pub fn channels(&self) -> Result<Bound, ChannelError> {
         Bound::new(self.model.requests(), &self.scenario.channels())
+    }
+
+    /// Returns what the policy's messages need of the links on which they travel in parts; nothing if they fit into a
+    /// datagram.
+    pub fn budgets(&self) -> Vec<Budget> {
+        budget::of(&self.deployment, &self.model)
     }
 
     /// Returns the delay from a measurement to the arrival of its reading, for which the estimator can compensate.

@@ -7,6 +7,8 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 const FIELD: &str = "tests/onnx/data/field.policy.toml";
+/// Messages of 1500 floats.
+const WIDE: &str = "tests/onnx/data/wide.policy.toml";
 const RECURRENT: &str = "tests/onnx/data/recurrent.policy.toml";
 
 /// Copies a policy's contract into a folder, with one text replaced by another, and its graphs beside it.
@@ -36,7 +38,7 @@ fn policy_check_says_what_a_policy_takes_gives_and_remembers() {
         "goal = goal-minus-position [2] [m, policy frame], velocity [2] [m/s, policy frame]",
         "own - theirs, policy frame",
         "velocity [m/s], policy frame, at most 1.5 along each axis, 20 times a second",
-        "6 floats (24 bytes), used within 2 m for 0.2 s",
+        "6 floats (24 bytes as f32), used within 2 m for 0.2 s",
         "12 floats, from zeros at each episode and after a gap of 0.5 s",
         "us with 4 neighbours, here",
     ] {
@@ -110,4 +112,41 @@ fn what_does_not_fit_is_refused_in_one_line_with_both_sides() {
 #[test]
 fn a_graph_that_takes_too_much_memory_is_refused_by_a_process_that_may_not() {
     refuses(&["policy", "check", "tests/onnx/data/bad-memory.policy.toml"], &["its check ended without an answer"]);
+}
+
+#[test]
+fn a_message_of_many_floats_travels_in_parts_and_is_heard_as_it_was_sent() {
+    let said = text(&run(&["policy", "check", WIDE]).stdout);
+    assert!(
+        said.contains("1500 floats (3000 bytes as f16 in 3 parts: a missing one is that of the message before)"),
+        "{said}"
+    );
+    let folder = TempDir::new().expect("a folder");
+    let flags = ["--scenario", "swap", "--episodes", "1", "--repeats", "1", "--json", "--policy"];
+    let messages = |mode: &str, policy: &str| {
+        let output = run(&[&["sim", "--mode", mode], &flags[..], &[policy]].concat());
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        let facts: Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
+        (facts["trace_hash"].clone(), facts["successes"].clone())
+    };
+    // Within one process they are rounded as on the wire.
+    for encoding in ["f32", "bf16", "int8"] {
+        let policy = changed(&folder, WIDE, "\"f16\"", &format!("\"{encoding}\""));
+        let [one, again] = [0; 2].map(|_| messages("onboard-adhoc", &policy));
+        assert_eq!(one, again, "{encoding}");
+        assert_eq!(one.1, 1, "{encoding}");
+    }
+}
+
+#[test]
+fn a_radio_that_cannot_carry_the_messages_is_refused_with_both_figures() {
+    let folder = TempDir::new().expect("a folder");
+    let large = changed(&folder, WIDE, "rate_hz = 10", "rate_hz = 50");
+    let sim = |radio: &str| {
+        ["sim", "--scenario", "swap", "--mode", "onboard-adhoc", "--radio", radio, "--policy"].map(str::to_owned)
+    };
+    let args = [&sim("wifi")[..], std::slice::from_ref(&large)].concat();
+    let words =
+        ["8 robots x 1500 floats as f16 at 50 Hz need 10.", "Mbit/s of 'ad-hoc'; this channel's multicast carries 0.6"];
+    refuses(&args.iter().map(String::as_str).collect::<Vec<_>>(), &words);
 }

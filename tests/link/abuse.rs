@@ -514,7 +514,7 @@ fn operator(number: u16, incarnation: u32) -> Config {
     });
     let me = Identity { host: HostId::operator(number), team: TEAM, incarnation };
     let setup = Setup { report_piggyback_age: Span::ZERO, ..multicast(Reliabilities::new()) };
-    Config { me, key: Some(key()), links: vec![Some(setup)], router }
+    Config { me, key: Some(key()), links: vec![Some(setup)], router, parts: None }
 }
 
 /// Returns a team of two hosts and an operator on a link with this setup, after the operator has sent some stops; and

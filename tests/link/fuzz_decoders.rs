@@ -8,6 +8,7 @@ use crate::rig::{LINK, config, network};
 use murmurate::actor::Core;
 use murmurate::actors::network::In;
 use murmurate::net::protocol::codec::{self, Content, HEADER_BYTES};
+use murmurate::net::protocol::parts::Lacking;
 use murmurate::net::protocol::reliability::{Reliabilities, Setup};
 use murmurate::net::protocol::report::{Report, read_held, read_ids};
 use murmurate::random::{Seed, Stream};
@@ -75,6 +76,7 @@ fn no_decoder_accepts_an_invalid_mutation_of_the_corpus() {
                         assert_eq!(again, body, "what was read is what was written");
                     })
                 }
+                Ok((Content::Lacking, body)) => Lacking::read(body).map(drop),
                 Ok((Content::Held, body)) => read_held(body).map(drop),
                 Ok((content, body)) => read_ids(content, body).map(drop),
                 Err(error) => Err(error),

@@ -303,7 +303,7 @@ fn operator(number: u16, incarnation: u32) -> Config {
     });
     let eager = Setup { report_piggyback_age: Span::ZERO, ..setup() };
     let me = Identity { host: HostId::operator(number), team: TEAM, incarnation };
-    Config { me, key: Some(key()), links: vec![Some(eager)], router }
+    Config { me, key: Some(key()), links: vec![Some(eager)], router, parts: None }
 }
 
 fn stop(number: u16) -> Wire {

@@ -6,6 +6,7 @@ mod fuzz_decoders;
 mod fuzz_members;
 mod identity;
 mod moved;
+mod parts;
 mod reliability;
 mod repairs;
 mod rig;

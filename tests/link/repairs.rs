@@ -36,7 +36,7 @@ fn config(host: u16, hosts: usize, reliability: Reliability, to: To) -> Config {
     let kinds = [Kind::Reading, Kind::MotorCommand, Kind::Latent].map(|kind| (kind, reliability));
     let setup = if to == To::One { Setup::unicast } else { Setup::multicast };
     let me = Identity { host: HostId(host), team: TEAM, incarnation: 1 };
-    Config { me, key: Some(key()), links: vec![Some(setup(Reliabilities::from(kinds)))], router }
+    Config { me, key: Some(key()), links: vec![Some(setup(Reliabilities::from(kinds)))], router, parts: None }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -241,7 +241,7 @@ fn each_of_twenty_streams_is_offered_for_retransmission() {
     let config = |host: u16| {
         let setup = Setup::multicast(Reliabilities::from([(Kind::Latent, Reliability::Nack)]));
         let me = Identity { host: HostId(host), team: TEAM, incarnation: 1 };
-        Config { me, key: Some(key()), links: vec![Some(setup)], router: router(host) }
+        Config { me, key: Some(key()), links: vec![Some(setup)], router: router(host), parts: None }
     };
     let mut rig = Rig::new([config(0), config(1)]);
     rig.run_ms(2500);

@@ -40,7 +40,13 @@ pub fn config(host: u16, robots: usize, incarnation: u32, key: Option<Key>, setu
             _ => Route { local: !own, leaves: own.then_some((LINK, Audience::All)) },
         }
     });
-    Config { me: Identity { host: HostId(host), team: TEAM, incarnation }, key, links: vec![Some(setup)], router }
+    Config {
+        me: Identity { host: HostId(host), team: TEAM, incarnation },
+        key,
+        links: vec![Some(setup)],
+        router,
+        parts: None,
+    }
 }
 
 pub fn network(config: Config) -> Network {
@@ -72,6 +78,7 @@ pub fn latent(robot: u16, episode: u32) -> Wire {
         phase: Phase::Running,
         motion: Motion::default(),
         features: Features(Arc::from(vec![0.5; 32])),
+        part: None,
     })
 }
 

@@ -136,7 +136,7 @@ fn of_server(host: u16) -> Config {
         _ => Route::default(),
     });
     let me = Identity { host: HostId(host), team: TEAM, incarnation: 1 };
-    Config { me, key: Some(key()), links: vec![Some(Setup::unicast(Reliabilities::new()))], router }
+    Config { me, key: Some(key()), links: vec![Some(Setup::unicast(Reliabilities::new()))], router, parts: None }
 }
 
 #[test]
@@ -178,7 +178,7 @@ fn beats_heard(setup: &Setup, loss: f64, data_hz: u64) -> (usize, usize) {
     };
     let mut rig = Rig::new((0..2).map(|host| {
         let me = Identity { host: HostId(host), team: TEAM, incarnation: 1 };
-        Config { me, key: Some(key()), links: vec![Some(setup.clone())], router: router(host) }
+        Config { me, key: Some(key()), links: vec![Some(setup.clone())], router: router(host), parts: None }
     }));
     rig.run_ms(2500);
     rig.loss = loss;

@@ -8,15 +8,16 @@ use murmurate::messages::latch::Latch;
 use murmurate::messages::place::{Located, Place, PlaceAnswer, Placed, Whereabouts};
 use murmurate::messages::trigger::Trigger;
 use murmurate::messages::wire::{
-    Celsius, Condition, Features, Following, GuardReport, Health, Heartbeat, Hindrance, Latent, Leading, MAX_BLOCK,
-    MAX_CONDITIONS, MAX_FEATURES, MAX_HINDRANCES, MAX_MEMBERS, MAX_VALIDITY, Mode, MotorCommand, Observe, Phase,
-    Reading, Reason, Release, Round, Seen, Signature, Status, Stop, Telemetry, Wire,
+    Celsius, Condition, Encoding, Features, Following, GuardReport, Health, Heartbeat, Hindrance, Latent, Leading,
+    MAX_BLOCK, MAX_CONDITIONS, MAX_FEATURES, MAX_HINDRANCES, MAX_MEMBERS, MAX_VALIDITY, Mode, MotorCommand, Observe,
+    Phase, Reading, Reason, Release, Round, Seen, Signature, Status, Stop, Telemetry, Wire,
 };
 use murmurate::net::protocol::codec::{
     BLOCK_BYTES, Content, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES,
     MAX_PLAIN_BYTES, TAG_BYTES, VERSION, decode, encode, is_current, peek,
 };
 use murmurate::net::protocol::key::Key;
+use murmurate::net::protocol::parts::split;
 use murmurate::time::Span;
 use proptest::prelude::*;
 
@@ -75,6 +76,19 @@ fn placements() -> (impl Strategy<Value = Wire>, impl Strategy<Value = Wire>) {
     (place, located)
 }
 
+/// One of the parts of a latent that travels in parts.
+fn part() -> impl Strategy<Value = Wire> {
+    let wide = (robot(), round(), phase(), motion(), 1..=6144usize, 0..4usize, any::<u16>(), any::<u32>());
+    wide.prop_map(|(robot, round, phase, motion, floats, encoding, message, policy)| {
+        let encoding = Encoding::ALL[encoding];
+        let mut floats: Vec<f32> = (0..floats).map(|at| at as f32 - 100.5).collect();
+        encoding.round(&mut floats);
+        let whole = Latent { robot, round, phase, motion, features: Features(floats.into()), part: None };
+        let mut parts = split(&whole, encoding, (message, policy), 1024);
+        Wire::Latent(parts.swap_remove(usize::from(message) % parts.len()))
+    })
+}
+
 fn message() -> impl Strategy<Value = Wire> {
     let deviation = [0; 4].map(|_| prop::option::of(0f32..1e5));
     let deviation = deviation.prop_map(|[position_m, heading_rad, velocity_m_s, yaw_rate_rad_s]| Deviation {
@@ -91,13 +105,14 @@ fn message() -> impl Strategy<Value = Wire> {
     );
     let features = prop::collection::vec(-1e3f32..1e3, 0..=MAX_FEATURES).prop_map(|floats| Features(Arc::from(floats)));
     let latent = (robot(), round(), phase(), motion(), features).prop_map(|(robot, round, phase, motion, features)| {
-        Wire::Latent(Latent { robot, round, phase, motion, features })
+        Wire::Latent(Latent { robot, round, phase, motion, features, part: None })
     });
     let command = (robot(), motion(), 0..=MAX_VALIDITY.as_nanos()).prop_map(|(robot, motion, ns)| {
         Wire::MotorCommand(MotorCommand { robot, velocity: motion.velocity, valid_for: Span::from_nanos(ns) })
     });
-    let beat = (robot(), round(), phase(), latch(), any::<u16>()).prop_map(|(robot, round, phase, latch, revision)| {
-        Wire::Heartbeat(Heartbeat { revision, ..Heartbeat::new(robot, round, phase, latch) })
+    let beat = (robot(), round(), phase(), latch(), any::<(u16, u32)>());
+    let beat = beat.prop_map(|(robot, round, phase, latch, (revision, policy))| {
+        Wire::Heartbeat(Heartbeat { revision, policy, ..Heartbeat::new(robot, round, phase, latch) })
     });
     let tasks = prop::collection::vec(motion(), 1..=MAX_BLOCK);
     let mode = (round(), any::<u32>(), phase(), 0u16..1000, tasks, latch());
@@ -141,7 +156,21 @@ fn message() -> impl Strategy<Value = Wire> {
         Wire::Telemetry(Telemetry::of(HostId(host), robots))
     });
     let (place, located) = placements();
-    prop_oneof![reading, latent, command, beat, mode, stop, status, observe, telemetry, place, located, release()]
+    prop_oneof![
+        reading,
+        latent,
+        part(),
+        command,
+        beat,
+        mode,
+        stop,
+        status,
+        observe,
+        telemetry,
+        place,
+        located,
+        release()
+    ]
 }
 
 fn release() -> impl Strategy<Value = Wire> {
@@ -159,6 +188,7 @@ fn latent(features: Vec<f32>) -> Wire {
         phase: Phase::Running,
         motion: Motion { position: Vec2::new(1.25, -2.5), velocity: Vec2::new(0.5, 1.5) },
         features: Features(Arc::from(features)),
+        part: None,
     })
 }
 

@@ -250,6 +250,7 @@ fn lie(stream: &mut Stream, (by, round, latch): (HostId, Round, Latch), releases
             phase: Phase::Running,
             motion: Motion::default(),
             features: Features(vec![1e5; 32].into()),
+            part: None,
         }),
         8 => Wire::Status(Status::of(by, true, Vec::new(), None)),
         9 if !releases.is_empty() => Wire::Release(releases[stream.random_range(0..releases.len())].clone()),

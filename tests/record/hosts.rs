@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
 use murmurate::graph::inputs::{DeviceId, Input};
+use murmurate::messages::wire::{Latent, Wire};
 use murmurate::net::protocol::codec;
 use murmurate::time::Span;
 use murmurate_record::tape::{self, Turn};
@@ -367,6 +368,29 @@ fn a_policy_that_a_worker_computes_runs_again_from_its_recorded_answers() {
     assert!(left_out > 20, "{left_out}");
     let (status, said) = replayed(&changed, &["--key-file", &key]);
     assert!(status == 1 && said.contains("first difference at "), "{said}");
+}
+
+#[test]
+fn messages_in_parts_are_recorded_part_by_part_and_join_again() {
+    let policy = Path::new(crate::program::ROOT).join("tests/onnx/data/wide.policy.toml");
+    let policy = policy.canonicalize().expect("it is there");
+    let head = format!("key_file = \"team.key\"\nscenario = \"swap\"\npolicy = '{}'\n", policy.display());
+    let (folder, records_of) = launched_with(816, &head, "");
+    let key = folder.path().join("team.key").to_string_lossy().into_owned();
+    let (status, said) = replayed(&records_of, &["--key-file", &key]);
+    assert_eq!((status, said.matches("equal, ").count()), (0, 4), "{said}");
+    let mut reader = murmurate_record::reader::Reader::open(&record_of(&records_of, "agent-0")).expect("a record");
+    let mut parts = [0_u32; 3];
+    while let Some(message) = reader.next_message().expect("it is whole") {
+        if message.channel.topic != "/wire/agent-0" {
+            continue;
+        }
+        if let Ok((_, Wire::Latent(Latent { part: Some(part), .. }))) = codec::decode(&message.data) {
+            assert_eq!((part.of, part.floats, part.encoding), (3, 1500, 1));
+            parts[usize::from(part.index)] += 1;
+        }
+    }
+    assert!(parts.iter().all(|count| *count > 20), "{parts:?}");
 }
 
 #[test]

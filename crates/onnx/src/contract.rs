@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use murmurate::config::{self, ConfigError};
-use murmurate::messages::wire::MAX_FEATURES;
+use murmurate::messages::wire::{Encoding, Form, MAX_FLOATS, Missing};
 use murmurate::observation::{Frame, Request, Unit};
 use murmurate::policy::Interface;
 use murmurate::time::Span;
@@ -163,6 +163,24 @@ pub enum Sign {
 pub struct Message {
     /// Number of floats; zero if a robot's position and velocity are all that its neighbours use.
     pub floats: usize,
+    /// Encoding of the floats, to which they are rounded before they are sent.
+    #[serde(default)]
+    pub encoding: Encoding,
+    /// Use of a message of which some parts have not arrived, if it travels in parts.
+    #[serde(default)]
+    pub missing: Missing,
+}
+
+impl Message {
+    /// Returns the form in which the message travels.
+    pub fn form(&self) -> Form {
+        Form { encoding: self.encoding, missing: self.missing }
+    }
+
+    /// Returns the number of bytes of the floats of a message.
+    pub fn bytes(&self) -> usize {
+        self.floats * self.encoding.bytes()
+    }
 }
 
 /// State that a policy keeps from one step to the next. It is at its start when an episode begins, when the robot's
@@ -340,9 +358,13 @@ impl Contract {
         if !(1..=MAX_NEIGHBOURS).contains(&self.max_neighbours) {
             return refuse("max_neighbours", format!("{} is not 1 to {MAX_NEIGHBOURS}", self.max_neighbours));
         }
-        if self.message.floats > MAX_FEATURES {
+        if self.message.floats > MAX_FLOATS {
             let floats = self.message.floats;
-            return refuse("message.floats", format!("{floats}; a message of this version has at most {MAX_FEATURES}"));
+            return refuse("message.floats", format!("{floats}; a message has at most {MAX_FLOATS}"));
+        }
+        if self.message.missing != Missing::Whole && !self.message.form().is_in_parts(self.message.floats) {
+            let why = "its message fits into one datagram; leave it out, or send more floats or in another encoding";
+            return refuse("message.missing", why.to_owned());
         }
         for (input, observed) in &self.observation {
             let field = format!("observation.{input}");

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use murmurate::messages::geometry::{Motion, Vec2};
-use murmurate::messages::wire::MAX_FEATURE;
+use murmurate::messages::wire::{Form, MAX_FEATURE};
 use murmurate::observation::Observation;
 use murmurate::policy::{Broadcast, Draw, Interface, Model, Neighbour, Origin, Policy};
 use murmurate::random::Stream;
@@ -249,6 +249,10 @@ impl Policy for Robot {
         self.network.contract.state.map(|state| Span::from_secs(state.after_gap_s))
     }
 
+    fn form(&self) -> Form {
+        self.network.contract.message.form()
+    }
+
     fn encode(&mut self, own: &Observation, features: &mut [f32]) {
         self.before.copy(&self.memory);
         self.progress = Progress::Encoded;
@@ -302,6 +306,7 @@ impl Network {
             requests: self.contract.requests(),
             engine: engine::about(),
             apart: true,
+            form: self.contract.message.form(),
             turns: self.contract.action.kind == Kind::Twist,
         };
         let draw = (self.contract.action.distribution != Distribution::None).then_some(Draw::Mean);

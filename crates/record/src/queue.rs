@@ -19,8 +19,8 @@ use murmurate::time::{Span, Time};
 const CAPACITY: usize = 16_384;
 /// Number of events that a simulation collects before it passes them to the writer.
 const BATCH: usize = 2048;
-/// Largest size of a host's inputs that is recorded per second in real time \[bytes\], so that a flood of datagrams
-/// does not fill the disk.
+/// Largest size of a host's inputs that is recorded per second in real time \[bytes\], beside those that its team
+/// declares, so that a flood of datagrams does not fill the disk.
 const INPUT_BYTES: usize = 1_000_000;
 /// Shortest time between two events `Event::Dropped` (counts of dropped events) in a record.
 const COUNT_PERIOD: Span = Span::from_millis(1000);
@@ -56,6 +56,8 @@ pub struct Inlet {
     dropped: Cell<u64>,
     /// Size of the inputs recorded in the current second of the run \[bytes\].
     input_bytes: Cell<usize>,
+    /// Largest size of the inputs that are recorded per second \[bytes\].
+    most_input_bytes: Cell<usize>,
     second_began: Cell<Time>,
     /// Time at which the last turn of the event loop ended.
     turned: Cell<Time>,
@@ -136,6 +138,7 @@ pub fn queue(when_full: WhenFull) -> (Inlet, Outlet) {
         missing: Cell::new(0),
         counted: Cell::new(None),
         input_bytes: Cell::new(0),
+        most_input_bytes: Cell::new(INPUT_BYTES),
         second_began: Cell::new(Time::ZERO),
         turned: Cell::new(Time::ZERO),
         dropped: Cell::new(0),
@@ -157,6 +160,11 @@ impl Inlet {
         current.events.push(Some(event));
     }
 
+    /// Permits so many bytes of inputs a second beside the usual ones, for a team that declares large messages.
+    pub fn expect(&self, bytes_per_s: usize) {
+        self.most_input_bytes.set(INPUT_BYTES.saturating_add(bytes_per_s));
+    }
+
     fn miss(&self) {
         self.missing.set(self.missing.get() + 1);
         self.dropped.set(self.dropped.get() + 1);
@@ -171,7 +179,7 @@ impl Inlet {
             _ => return false,
         };
         self.input_bytes.set(self.input_bytes.get() + bytes);
-        self.input_bytes.get() > INPUT_BYTES
+        self.input_bytes.get() > self.most_input_bytes.get()
     }
 
     /// Ends the current turn of the event loop at the time `now`, and passes the events to the writer thread. A

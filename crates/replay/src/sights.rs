@@ -316,8 +316,14 @@ mod tests {
             let header = Header { flags: Flags::default(), team: 1, sender: HostId(1), incarnation: 9, sequence };
             let features = Features(vec![0.5; 4].into());
             let round = Round { term: 1, episode: 0 };
-            let latent =
-                Latent { robot: RobotId(1), round, phase: Phase::Running, motion: Motion::default(), features };
+            let latent = Latent {
+                robot: RobotId(1),
+                round,
+                phase: Phase::Running,
+                motion: Motion::default(),
+                features,
+                part: None,
+            };
             let mut datagram = codec::encode(&header, &Wire::Latent(latent)).unwrap().to_vec();
             key.seal(&mut datagram, LinkId(0), None);
             let events = [Event::Input(Input::Frame(LinkId(0), datagram.into(), None))];

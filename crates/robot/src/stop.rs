@@ -230,6 +230,9 @@ impl Asked<'_> {
                         Hindrance::Unequal => {
                             format!("the host of {robot} has another version of the program: install one on all")
                         }
+                        Hindrance::Policy => {
+                            format!("{robot} runs another policy: give all hosts the same policy file")
+                        }
                         Hindrance::Other => format!("{robot}, for a reason that only a later version knows"),
                     };
                     let all: Vec<String> = order.hindrances().iter().map(of).collect();

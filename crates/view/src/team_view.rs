@@ -434,7 +434,14 @@ mod tests {
     fn latent(robot: u16, x: f32) -> Wire {
         let motion = Motion::at_rest(Vec2::new(x, 0.0));
         let (round, phase) = (Round::default(), Phase::Running);
-        Wire::Latent(Latent { robot: RobotId(robot), round, phase, motion, features: Features(Vec::new().into()) })
+        Wire::Latent(Latent {
+            robot: RobotId(robot),
+            round,
+            phase,
+            motion,
+            features: Features(Vec::new().into()),
+            part: None,
+        })
     }
 
     #[test]

@@ -151,7 +151,7 @@ mod tests {
         let motion = Motion::at_rest(Vec2::new(x, 0.0));
         let (round, phase) = (Round::default(), Phase::Running);
         let features = Features(Vec::new().into());
-        Sight::Message(Wire::Latent(Latent { robot: RobotId(robot), round, phase, motion, features }))
+        Sight::Message(Wire::Latent(Latent { robot: RobotId(robot), round, phase, motion, features, part: None }))
     }
 
     fn at(ms: u64) -> Time {

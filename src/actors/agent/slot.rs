@@ -3,7 +3,7 @@
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::ids::RobotId;
 use crate::messages::local::Percept;
-use crate::messages::wire::{MAX_FEATURES, Phase, all_sound};
+use crate::messages::wire::{Encoding, MAX_FLOATS, Phase, all_sound};
 use crate::observation::{Bound, Dynamics, Known, Observation};
 use crate::policy::{Broadcast, Policy};
 use crate::random::Stream;
@@ -68,6 +68,8 @@ pub(super) struct Slot {
     pub reported: bool,
     /// Expected lengths of the latent features: of the policy under test, and of the reset policy.
     pub widths: [usize; 2],
+    /// Encodings to which the latent features are rounded: of the policy under test, and of the reset policy.
+    encodings: [Encoding; 2],
     /// Longest time between two steps after which the policy under test goes on from its state.
     forgets_after: Option<Span>,
 }
@@ -89,6 +91,7 @@ pub(super) enum Outcome {
 impl Slot {
     pub fn new(policies: RobotPolicies) -> Slot {
         let widths = [&policies.run, &policies.reset].map(|policy| policy.interface().features);
+        let encodings = [&policies.run, &policies.reset].map(|policy| policy.form().encoding);
         let (values, forgets_after) = (vec![0.0; policies.channels.floats()], policies.run.forgets_after());
         Slot {
             policies,
@@ -101,6 +104,7 @@ impl Slot {
             outcome: Outcome::Silent,
             reported: false,
             widths,
+            encodings,
             forgets_after,
         }
     }
@@ -135,7 +139,13 @@ impl Slot {
     /// declared at its start.
     pub fn check(&mut self, phase: Phase) {
         let (width, declared) = (self.features.len(), self.width(phase));
-        let valid = width == declared && width <= MAX_FEATURES && all_sound(&self.features);
+        let encoding = self.encodings[usize::from(phase != Phase::Running)];
+        let is_valid = |features: &[f32]| width == declared && width <= MAX_FLOATS && all_sound(features);
+        let mut valid = is_valid(&self.features);
+        if valid && encoding != Encoding::F32 {
+            encoding.round(&mut self.features);
+            valid = is_valid(&self.features);
+        }
         if !valid && !self.reported {
             tracing::error!(width, declared, "the policy's output is not a valid latent; its robot stops");
             self.reported = true;

@@ -194,7 +194,7 @@ mod tests {
         let mut emulator = LinkEmulator::new(Impairment::default(), vec![fault], Seed::of_run(1).stream("link"));
         let motion = Motion { position: Vec2::new(0.5, 0.5), velocity: Vec2::x() };
         let (robot, round, phase) = (RobotId(0), Round::default(), Phase::Running);
-        let latent = Latent { robot, round, phase, motion, features: Features(Arc::new([1.0])) };
+        let latent = Latent { robot, round, phase, motion, features: Features(Arc::new([1.0])), part: None };
         let header = Header { flags: Flags(0), team: 1, sender: HostId(0), incarnation: 2, sequence: 3 };
         let frame = codec::encode(&header, &Wire::Latent(latent.clone())).unwrap();
         let mut said = |from: u16| {

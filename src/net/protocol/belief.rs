@@ -5,6 +5,7 @@ use super::codec::{Flags, Header};
 use super::incoming::Incoming;
 use super::key::Key;
 use super::link::LinkState;
+use super::parts::is_part;
 use super::retransmit::StreamId;
 use super::signatures::{Signatures, Signed};
 use super::signing;
@@ -69,6 +70,10 @@ impl LinkState {
     /// signature that which follows it.
     pub fn accept(&mut self, now: Time, header: &Header, message: &Wire, body: (&[u8], Option<&[u8]>)) -> bool {
         let (kind, robot) = (message.kind(), message.robot());
+        if matches!(message, Wire::Latent(latent) if is_part(latent)) {
+            // Their own numbers order them; that a part is new is known to those that join them.
+            return self.incoming.senders.get((header.sender, header.incarnation)).is_some();
+        }
         let stop = if let Wire::Stop(stop) = message { Some(*stop) } else { None };
         let stop = stop.filter(|stop| self.incoming.is_new_stop(header, *stop));
         // A signature is looked at in what is newer alone. Without signatures nothing has to be looked at first.

@@ -18,6 +18,13 @@ pub struct Bucket {
     at: Time,
 }
 
+impl Rate {
+    /// Returns a rate that permits so many a second more, and as many more at once.
+    pub(crate) fn with(self, per_s: f64) -> Rate {
+        Rate { per_s: self.per_s + per_s, burst: self.burst + per_s }
+    }
+}
+
 impl Bucket {
     /// Returns a bucket that is full at `now`: it holds `rate.burst` tokens.
     pub fn full(now: Time, rate: &Rate) -> Bucket {

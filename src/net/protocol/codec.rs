@@ -118,6 +118,8 @@ pub enum Content {
     Roster,
     /// Signature of the message in the block before it (`signing`).
     Signature,
+    /// Parts of messages that have not arrived (`parts`).
+    Lacking,
     /// Content of a later version, with its byte; it is passed over.
     Other(u8),
 }
@@ -130,6 +132,7 @@ impl Content {
     const NUMBERED_REPORT: u8 = 0x84;
     const ROSTER: u8 = 0x85;
     const SIGNATURE: u8 = 0x86;
+    const LACKING: u8 = 0x87;
 
     fn byte(self) -> u8 {
         match self {
@@ -141,6 +144,7 @@ impl Content {
             Content::Held => Content::HELD,
             Content::Roster => Content::ROSTER,
             Content::Signature => Content::SIGNATURE,
+            Content::Lacking => Content::LACKING,
             Content::Other(byte) => byte,
         }
     }
@@ -151,6 +155,7 @@ impl Content {
             Content::NUMBERED_REPORT => Content::NumberedReport,
             Content::ROSTER => Content::Roster,
             Content::SIGNATURE => Content::Signature,
+            Content::LACKING => Content::Lacking,
             Content::ACK => Content::Ack,
             Content::NACK => Content::Nack,
             Content::HELD => Content::Held,

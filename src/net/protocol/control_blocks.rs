@@ -1,6 +1,7 @@
 //! Control blocks of a received datagram: reports, acknowledgements and requests of its sender, beside messages.
 
 use super::codec::{self, Content, DecodeError};
+use super::parts::Lacking;
 use super::report::{DatagramId, Report, read_held, read_ids};
 
 /// Control blocks found in a received datagram: its link report, acknowledgements, requests and offers to retransmit.
@@ -10,6 +11,7 @@ pub(super) struct ControlBlocks {
     pub(super) held: Vec<u32>,
     pub(super) acks: Vec<DatagramId>,
     pub(super) requests: Vec<DatagramId>,
+    pub(super) lacking: Vec<Lacking>,
     /// Number of blocks of a later version, which are passed over.
     pub(super) skipped: u64,
 }
@@ -30,6 +32,7 @@ impl ControlBlocks {
                 (Content::Roster, _) => return Err(DecodeError::Link(Content::Roster)),
                 (Content::Held, body) => blocks.held.extend(read_held(body)?),
                 (content @ Content::Ack, body) => blocks.acks.extend(read_ids(content, body)?),
+                (Content::Lacking, body) => blocks.lacking.extend(Lacking::read(body)?),
                 (content @ Content::Nack, body) => blocks.requests.extend(read_ids(content, body)?),
             }
         }

@@ -94,6 +94,10 @@ counts! {
     /// Messages refused: without the signature that they need, such as a re-arm without that of an operator for this
     /// run of the host; or with more new signatures than are checked of one sender.
     unsigned,
+    /// Messages refused: parts of a message of a robot that runs another policy, or that contradict each other.
+    mixed,
+    /// Parts of messages that have not arrived in time, although others of the same message have.
+    incomplete,
 }
 
 /// Cause for which a datagram is refused without any effect but its count: the state of the link after it is as before.
@@ -168,6 +172,12 @@ impl Refusal {
 }
 
 impl LinkCounts {
+    /// Notes that the datagram that was counted last as sent is a retransmission.
+    pub(crate) fn sent_again(&mut self) {
+        self.sent = self.sent.saturating_sub(1);
+        self.copies += 1;
+    }
+
     /// Counts `number` datagrams that were refused for this cause.
     pub(crate) fn refuse(&mut self, cause: Refusal, number: u64) {
         if matches!(cause, Refusal::OtherKey | Refusal::Untagged | Refusal::Keyed | Refusal::Confidential) {
@@ -201,7 +211,7 @@ impl LinkCounts {
     }
 
     /// Returns the number of datagrams and messages refused or dropped on arrival, for each cause: (name, number).
-    pub fn refusals(&self) -> [(&'static str, u64); 18] {
+    pub fn refusals(&self) -> [(&'static str, u64); 19] {
         [
             ("own", self.own),
             ("auth", self.auth),
@@ -221,6 +231,7 @@ impl LinkCounts {
             ("malformed", self.malformed),
             ("misrouted", self.misrouted),
             ("unsigned", self.unsigned),
+            ("mixed", self.mixed),
         ]
     }
 
@@ -244,6 +255,7 @@ impl LinkCounts {
             (self.malformed, "malformed"),
             (self.misrouted, "from a host that may not send them"),
             (self.unsigned, "without the signature that they need"),
+            (self.mixed, "of another policy"),
         ];
         all.into_iter().filter(|(count, _)| *count > 0)
     }

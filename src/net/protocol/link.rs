@@ -15,6 +15,7 @@ use super::gaps::backoff;
 use super::incoming::{Admission, Incoming, LocalEnd, Urgency};
 use super::key::Key;
 use super::outgoing::{Outbound, Outgoing, REPORT_PERIOD};
+use super::parts::Lacking;
 use super::reliability::{Reports, Setup};
 use super::report::{DatagramId, ENTRY_BYTES, MAX_IDS, NUMBERED_ENTRY_BYTES, Stamps};
 use super::router::Audience;
@@ -88,6 +89,8 @@ pub struct LinkState {
     refusal: Option<Refusal>,
     /// Emergency stop in the last datagram, if it holds although the datagram was refused for its number.
     pub(super) urgent: Option<Stop>,
+    /// Parts of messages that the sender of the last datagram has not received.
+    lacking: Vec<Lacking>,
     /// Limit of the acknowledgements that are sent again for copies of datagrams.
     again: Bucket,
     /// Hosts of the team of which datagrams of the former version of the wire format have arrived.
@@ -134,6 +137,7 @@ impl LinkState {
             heard: None,
             refusal: None,
             urgent: None,
+            lacking: Vec::new(),
             again: Bucket::full(Time::ZERO, &AGAIN),
             former: BTreeSet::new(),
         };
@@ -170,6 +174,7 @@ impl LinkState {
         out: &mut Vec<Outbound>,
     ) -> Option<codec::Opened<'a>> {
         (self.heard, self.refusal, self.urgent) = (None, None, None);
+        self.lacking.clear();
         let read = self.read(now, frame, stream, out);
         match read {
             Ok(admitted) => {
@@ -197,7 +202,7 @@ impl LinkState {
         out: &mut Vec<Outbound>,
     ) -> Result<Option<codec::Opened<'a>>, Refusal> {
         let (header, plain) = self.open(frame)?;
-        let blocks = ControlBlocks::read(&plain).map_err(|error| Refusal::of(&error))?;
+        let mut blocks = ControlBlocks::read(&plain).map_err(|error| Refusal::of(&error))?;
         let report = blocks.report.as_ref();
         // Operators draw their ids at random, so two of them may have the same.
         let own_id = header.sender == self.me.host && !header.sender.is_operator();
@@ -246,6 +251,7 @@ impl LinkState {
             return Ok(None);
         }
         self.counts.skipped += blocks.skipped;
+        self.lacking = std::mem::take(&mut blocks.lacking);
         self.incoming.note_gaps(now, &header, &blocks.held, || backoff(stream));
         if !(blocks.acks.is_empty() && blocks.requests.is_empty()) {
             self.answer(now, header.sender, blocks, out);
@@ -332,6 +338,27 @@ impl LinkState {
             self.incoming.asked_by_others(now, &others);
             self.outgoing.requested(now, from, &mine, &mut self.counts, out);
         }
+    }
+
+    /// Returns the parts of messages that the sender of the last datagram has not received; none if it was refused.
+    pub(crate) fn lacking(&self) -> &[Lacking] {
+        &self.lacking
+    }
+
+    /// Asks the host `from` for the parts `lacking` of its messages: appends the datagram to `out`.
+    pub(crate) fn ask_for_parts(&mut self, from: HostId, lacking: &[Lacking], out: &mut Vec<Outbound>) {
+        self.outgoing.ask_for_parts(from, lacking, &mut self.counts, out);
+        self.plan();
+    }
+
+    /// Returns whether missing parts of messages are asked for on this link.
+    pub(crate) fn repairs_parts(&self) -> bool {
+        self.outgoing.repairs_parts()
+    }
+
+    /// Returns the length of the largest datagram without its tags \[bytes\].
+    pub(crate) fn room(&self) -> usize {
+        self.outgoing.room
     }
 
     /// Returns another live host that has the id of this host and was started earlier; `None` if there is none.

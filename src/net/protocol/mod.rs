@@ -19,6 +19,7 @@ pub mod link;
 pub mod member;
 mod offset;
 pub(crate) mod outgoing;
+pub mod parts;
 mod refusal;
 pub mod reliability;
 pub mod report;

@@ -86,6 +86,11 @@ pub struct Router {
 }
 
 impl Router {
+    /// Returns the number of robots of the team.
+    pub(crate) fn robots(&self) -> usize {
+        self.robots
+    }
+
     /// Creates a table for a team of `robots` robots; `route` is called for the route of each kind of message about
     /// each robot.
     pub fn new(robots: usize, route: impl FnMut(Kind, RobotId) -> Route) -> Router {

@@ -166,6 +166,7 @@ fn lies(turn: u64, stops: bool) -> Vec<Wire> {
             phase: Phase::Running,
             motion: Motion::default(),
             features: Features(vec![1e5; 32].into()),
+            part: None,
         }),
         Wire::Stop(Stop { by: HostId(77), latch: Latch::held(number) }),
         Wire::Stop(Stop { by: HostId(77), latch: Latch::clear(number) }),

@@ -159,6 +159,31 @@ def silent():
     save(model("silent", nodes, inputs, [value("action", "R", 2)], tensors), "silent")
 
 
+def wide():
+    """The potential field with messages of 1500 floats, in which a neighbour reads where a robot wants to go."""
+    floats = 1500
+    spread = np.random.default_rng(5).normal(0, 1, (2, floats)).astype(np.float32)
+    say = [node("Clip", ["goal", "low", "high"], "wish"), node("MatMul", ["wish", "spread"], "message")]
+    tensors = {"low": np.array(-1, np.float32), "high": np.array(1, np.float32)}
+    save(model("say", say, [value("goal", "R", 2)], [value("message", "R", floats)], {**tensors, "spread": spread}), "wide-say")
+    act = [
+        node("Mul", ["edges", "edges"], "sq"), node("ReduceSum", ["sq", "two"], "d2", keepdims=1),
+        node("Add", ["d2", "little"], "d2s"), node("Pow", ["d2s", "power"], "d4"),
+        node("Div", ["edges", "d4"], "push"), node("MatMul", ["push", "turn"], "turned"),
+        node("MatMul", ["messages", "gather"], "wishes"), node("Sub", ["turned", "wishes"], "both"),
+        node("Unsqueeze", ["heard", "two"], "h"), node("Mul", ["both", "h"], "heard_push"),
+        node("ReduceSum", ["heard_push", "one"], "total", keepdims=0), node("Mul", ["total", "gain"], "away"),
+        node("MatMul", ["own_message", "gather"], "own"), node("Add", ["own", "away"], "sum"),
+        node("Clip", ["sum", "low", "high"], "action"),
+    ]
+    tensors = {**tensors, "two": np.array([2]), "one": np.array([1]), "little": np.array([1e-3], np.float32),
+               "power": np.array([1.5], np.float32), "gain": np.array([0.12], np.float32),
+               "turn": np.array([[0.8, 0.6], [-0.6, 0.8]], np.float32), "gather": np.linalg.pinv(spread).astype(np.float32)}
+    inputs = [value("own_message", "R", floats), value("messages", "R", "K", floats), value("edges", "R", "K", 2),
+              value("heard", "R", "K")]
+    save(model("act", act, inputs, [value("action", "R", 2)], tensors), "wide-act")
+
+
 def bad():
     """What a loader has to refuse: a division by the number of neighbours, and a loop."""
     nodes = [node("ReduceSum", ["heard", "one"], "n", keepdims=1), node("Div", ["goal", "n"], "action")]
@@ -179,4 +204,5 @@ def bad():
 recurrent()
 field()
 silent()
+wide()
 bad()

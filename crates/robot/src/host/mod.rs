@@ -329,6 +329,10 @@ impl Args {
             trial.steps = Steps::Reported;
             sees_whole_team(team)?;
         }
+        // An emulated channel that is too small is refused; what carries real datagrams is not known.
+        for budget in trial.budgets().iter().filter(|budget| budget.is_exceeded()) {
+            tracing::warn!("{budget}: raise the access point's basic rate, or expect that messages are lost");
+        }
         Ok(trial)
     }
 

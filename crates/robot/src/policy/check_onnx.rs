@@ -1,6 +1,7 @@
 //! The table of `murmurate policy check` for a policy of format 3.
 
 use murmurate::config::shown;
+use murmurate::messages::wire::{MAX_PART_BYTES, Missing};
 use murmurate::observation::{Frame, Request};
 use murmurate_onnx::contract::{Contract, Distribution, Edges, Feature, Kind, Pad, Sign};
 use serde::Serialize;
@@ -38,8 +39,10 @@ pub(super) fn table(facts: &Facts) -> String {
             format!("none: position and velocity alone, used within {} m for {} s", contract.radius_m, contract.hold_s)
         }
         floats => format!(
-            "{floats} floats ({} bytes), used within {} m for {} s",
-            4 * floats,
+            "{floats} floats ({} bytes as {}{}), used within {} m for {} s",
+            contract.message.bytes(),
+            contract.message.encoding,
+            parts(contract),
             contract.radius_m,
             contract.hold_s
         ),
@@ -64,6 +67,20 @@ pub(super) fn table(facts: &Facts) -> String {
     rows.extend(contract.license.iter().map(|license| ("licence", license.clone())));
     rows.push(("digest", facts.sound.digest.clone()));
     lines(&facts.file, &rows)
+}
+
+/// Says in how many parts a message travels; nothing if it fits into a datagram.
+fn parts(contract: &Contract) -> String {
+    if !contract.message.form().is_in_parts(contract.message.floats) {
+        return String::new();
+    }
+    let parts = contract.message.bytes().div_ceil(MAX_PART_BYTES);
+    let lost = match contract.message.missing {
+        Missing::Whole => "all or none are used",
+        Missing::Last => "a missing one is that of the message before",
+        Missing::Zero => "a missing one is zeros",
+    };
+    if parts == 1 { " in one part".to_owned() } else { format!(" in {parts} parts: {lost}") }
 }
 
 fn neighbours(count: usize) -> String {

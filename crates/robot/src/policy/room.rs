@@ -16,7 +16,11 @@ use crate::BadInput;
 /// # Errors
 /// If they do not fit.
 pub fn checked(policy: Loaded, key: Option<&Key>) -> Result<Loaded> {
-    check(&policy.name, policy.model.interface().features, key)?;
+    let features = policy.model.interface().features;
+    // Parts are cut to the room that there is.
+    if !policy.model.form().is_in_parts(features) {
+        check(&policy.name, features, key)?;
+    }
     Ok(policy)
 }
 
@@ -44,6 +48,7 @@ fn bytes(features: usize) -> usize {
         phase: Phase::Running,
         motion: Motion::default(),
         features: Features(vec![0.0; features].into()),
+        part: None,
     };
     let header = Header { flags: Flags::default(), team: 0, sender: HostId(0), incarnation: 0, sequence: 0 };
     codec::encode(&header, &Wire::Latent(latent)).map_or(usize::MAX, |frame| frame.len())

@@ -60,7 +60,11 @@ impl LiveRecord {
         identity.host =
             Some(HostIdentity { name, id: team.host, incarnation, seed, transports, keyed, signed, roster });
         let beginning = Beginning { identity, attached: attach(files)? };
-        LiveRecord::start((folder, &file), Scope::Host, (beginning, Stage::of(live.trial())), retention).map(Some)
+        let record = LiveRecord::start((folder, &file), Scope::Host, (beginning, Stage::of(live.trial())), retention)?;
+        // Repairs and the worker's answers come beside the messages of the policy.
+        let declared: f64 = live.trial().budgets().iter().map(|budget| budget.needs_bit_s / 8.0).sum();
+        record.inlet.expect((4.0 * declared) as usize);
+        Ok(Some(record))
     }
 
     /// Starts the record `operator-INCARNATION.mcap` of an operator, in the folder of the flag `--record`; returns

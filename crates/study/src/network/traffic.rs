@@ -26,6 +26,7 @@ pub fn message(station: u16, case: u32, sequence: u32, stamp: Span, features: us
         phase: Phase::Running,
         motion: Motion { position: Vec2::new(ms, us), velocity: Vec2::zeros() },
         features: Features((0..features).map(|at| own + at as f32).collect()),
+        part: None,
     }
 }
 

@@ -142,7 +142,7 @@ mod tests {
             let motion = Motion::at_rest(Vec2::new(x, 0.0));
             let features = Features(std::sync::Arc::new([]));
             let round = Round { term: 1, episode: 4 };
-            let latent = Latent { robot: RobotId(robot), round, phase: Phase::Running, motion, features };
+            let latent = Latent { robot: RobotId(robot), round, phase: Phase::Running, motion, features, part: None };
             let key = (robot, 1, number, 0);
             follower.publish(ms(at), key, &latent);
             key
