@@ -4,15 +4,17 @@
 * :func:`sim`: episodes of a policy in simulation, as the command ``murmurate sim`` runs them.
 * :func:`study`: studies, in one process, in several, or on a Ray cluster.
 * :func:`export`: policies of PyTorch and PyTorch Geometric as policy files.
+* :func:`export_graph`: any PyTorch module as a policy, an ONNX graph with a contract.
 * :func:`train` and :func:`sweep`: trainings of the program, and many of them.
 * :mod:`murmurate.pettingzoo`, :mod:`murmurate.gymnasium`, :mod:`murmurate.torchrl`, :mod:`murmurate.benchmarl`: the same
   environments for other tools.
 """
 
 from ._export import export
+from ._graph import export_graph
 from ._module import VecEnv, __version__
 from ._sim import Results, sim
 from ._study import Study, study
 from ._train import Training, sweep, train
 
-__all__ = ["Results", "Study", "Training", "VecEnv", "__version__", "export", "sim", "study", "sweep", "train"]
+__all__ = ["Results", "Study", "Training", "VecEnv", "__version__", "export", "export_graph", "sim", "study", "sweep", "train"]

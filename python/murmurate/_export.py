@@ -1,27 +1,29 @@
-"""Export of policies from PyTorch and PyTorch Geometric to policy files of format 2."""
+"""Export of policies from PyTorch and PyTorch Geometric to policy files of format 2, or else to graphs of format 3."""
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import math
 import os
 import pathlib
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from ._actors import SOFTPLUS_BIAS, Actor, actor_of, module_of, read_through
+from ._files import CONTRACT, path_of
 from ._hops import (
     ACTIVATIONS,
+    Inexact,
     Refused,
     activation_of,
     applied,
     checked,
     edges_of,
+    evaluated,
     flat,
     followed,
     hop_of,
@@ -75,8 +77,12 @@ def export(
     Without ``hops`` and ``decoder`` the second argument is a whole actor of BenchMARL or TorchRL, which is taken apart. It must
     itself agree within 1e-5 with the program, for a team in which every robot receives the messages of all others.
 
+    What format 2 cannot hold becomes a policy of format 3, as :func:`export_graph` writes it, if the name of the file permits
+    it: other layers, and the convolutions ``EdgeConv``, ``GATConv``, ``GCNConv``, ``GINConv``, ``SAGEConv`` and ``TAGConv``.
+
     Args:
-        file: File to write, or to replace.
+        file: File to write, or to replace. NAME.policy.toml is a policy of format 3, a name without an end is one of format 2 or
+            else NAME.policy.toml, and any other name is a file of format 2.
         encoder: ``Linear`` layers with one kind of activation between them, in a ``Sequential``; its input is ``obs``. Or a
             whole actor: an ``Experiment`` of BenchMARL or its policy, whose models are ``Mlp`` and ``Gnn`` with the topology
             "full", or a ``ProbabilisticActor`` of TorchRL. ``edge``, ``distribution`` and ``deviation`` are then its own.
@@ -98,11 +104,14 @@ def export(
 
     Each module is in training or evaluation afterwards as it was before.
 
+    Returns:
+        File that the program runs.
+
     Raises:
         ValueError: A module cannot be written to such a file, or an argument is wrong, by name; or the program's answers
             differ.
     """
-    path = _path(file)
+    path = path_of(file)
     try:
         edge = _edge(edge)
         given = {"distribution": distribution, "deviation": deviation, "draw": draw}
@@ -114,10 +123,16 @@ def export(
         manifest = given | {"scenario": _scenario(scenario, core), "hold_s": _hold_s(hold_s, core), "rate_hz": 20.0}
         manifest |= {"observation": core.observation_fields}
         manifest |= {"radius_m": round(core.radius_m, 6), "limit_m_s": round(core.limit_m_s, 6)}
-        if whole is not None:
-            written = _of_actor(whole, core, seen, manifest)
-        else:
-            written = _of_parts((encoder, hops, decoder), edge, core, seen, manifest)
+        parts = (encoder, hops, decoder)
+        try:
+            if path.name.endswith(CONTRACT):
+                return _as_graph(path, whole, parts, edge, core, seen, manifest)
+            written = _of_parts(parts, edge, core, seen, manifest) if whole is None else _of_actor(whole, core, seen, manifest)
+        except Inexact as inexact:
+            if path.suffix:
+                name = path.name.removesuffix(path.suffix) + CONTRACT
+                raise ValueError(f"{inexact}; to write it as a graph of format 3, name the file '{name}'") from None
+            return _as_graph(path.with_name(path.name + CONTRACT), whole, parts, edge, core, seen, manifest)
     except Refused as refused:
         raise ValueError(str(refused)) from None
     _write(path, written)
@@ -142,10 +157,10 @@ def _of_actor(policy: Any, core: VecEnv, seen: Seen, manifest: dict[str, Any]) -
     import torch
 
     policy = checked(module_of(policy), "policy")
-    with _evaluated([policy]), torch.no_grad():
+    with evaluated([policy]), torch.no_grad():
         actor = actor_of(policy, core.observation_fields, core.limit_m_s, seen)
         manifest |= actor.manifest | {"edge": actor.edge}
-        with _evaluated([actor.encoder, *actor.hops, actor.decoder]):
+        with evaluated([actor.encoder, *actor.hops, actor.decoder]):
             everybody = Team(core.observation_fields, actor.edge, core.num_robots)
             asked = _asked(actor, _written(actor, everybody), everybody, manifest)
             kept = _written(actor, Team(core.observation_fields, actor.edge))
@@ -160,7 +175,7 @@ def _of_parts(
 
     encoder, hops, decoder = checked(parts[0], "encoder"), _hops(parts[1]), checked(parts[2], "decoder")
     manifest |= {"edge": edge}
-    with _evaluated([encoder, *hops, decoder]), torch.no_grad():
+    with evaluated([encoder, *hops, decoder]), torch.no_grad():
         team = Team(core.observation_fields, edge)
         form, _ = network_of(encoder, "encoder")
         takes, floats = form["widths"][0], team.observation.shape[1]
@@ -170,12 +185,55 @@ def _of_parts(
         direct = encoder
         if not seen.is_raw:
             direct = torch.nn.Sequential(*read_through(seen, flat(encoder)))
-            with _evaluated([direct]):
+            with evaluated([direct]):
                 worst = (direct(team.observation) - encoder(seen.of(team.observation))).abs().max().item()
             if not worst <= TOLERANCE:
                 raise Refused("like", None, f"folding its ObservationNorm into the encoder changes outputs by {worst:.1e}")
         tensors, form = _written(Actor(direct, hops, decoder, edge=edge), team)
     return [(tensors, manifest | form)]
+
+
+def _as_graph(
+    path: pathlib.Path,
+    whole: Any,
+    parts: tuple[Any, Any, Any],
+    edge: list[str],
+    core: VecEnv,
+    seen: Seen,
+    manifest: dict[str, Any],
+) -> pathlib.Path:
+    """Writes a policy of format 3 of the parts, or of a whole actor if there is one, and returns its contract."""
+    import torch
+
+    from ._graph import export_graph
+    from ._teams import mean_action, modules_of
+    from ._wrapped import Affine
+
+    if manifest["draw"] == "sample":
+        raise Refused("draw", None, "a contract does not say 'sample'; say it when the policy runs: --action sample")
+    if whole is None:
+        encoder, decoder = checked(parts[0], "encoder"), checked(parts[2], "decoder")
+        encoder = encoder if seen.is_raw else torch.nn.Sequential(Affine(0.0, seen.scale, seen.loc), encoder)
+        actor = Actor(encoder, _hops(parts[1]), decoder, edge=edge, manifest=manifest)
+    else:
+        policy = checked(module_of(whole), "policy")
+        actor = actor_of(policy, core.observation_fields, core.limit_m_s, seen)
+        edge, manifest = actor.edge, manifest | actor.manifest
+    limit = manifest["limit_m_s"]
+    with evaluated([actor.encoder, *actor.hops, actor.decoder, *([policy] if whole is not None else [])]), torch.no_grad():
+        modules = modules_of(actor, edge, limit, core.obs.shape[2])
+        if actor.whole is not None:
+            team = Team(core.observation_fields, edge, core.num_robots)
+            mean, deviation, action = actor.whole(team.observation)
+            ours = mean_action(modules, team.observation, team.index, team.edge, steps=16)
+            theirs = action if ours.shape[1] == 2 else torch.cat([mean, deviation.log()], dim=1)
+            worst = (ours - theirs).abs().max().item()
+            if not worst <= TOLERANCE:
+                raise ValueError(f"the actions of the actor differ by {worst:.1e} from those of its parts, over {TOLERANCE:.0e}")
+        return export_graph(
+            path, **modules, like=core, edges=edge, sign="theirs-minus-own", limit=limit, radius_m=manifest["radius_m"],
+            hold_s=manifest["hold_s"],
+        )  # fmt: skip
 
 
 def _write(path: pathlib.Path, written: list[_Written]) -> None:
@@ -193,17 +251,6 @@ def _write(path: pathlib.Path, written: list[_Written]) -> None:
             if not worst <= TOLERANCE:
                 raise ValueError(f"the program's answers differ by {worst:.1e} from those of the modules, over {TOLERANCE:.0e}")
         os.replace(whole, path)
-
-
-def _path(file: str | os.PathLike[str]) -> pathlib.Path:
-    """Returns the file as a path, if its folder is there."""
-    try:
-        path = pathlib.Path(os.fsdecode(file))
-    except TypeError:
-        raise ValueError(f"file: a {type(file).__name__} is no path") from None
-    if path.is_dir() or not path.absolute().parent.is_dir():
-        raise ValueError(f"file: '{path}' is a folder" if path.is_dir() else f"file: there is no folder '{path.parent}'")
-    return path
 
 
 def _edge(given: Any) -> list[str]:
@@ -246,19 +293,6 @@ def _hold_s(given: float | None, core: VecEnv) -> float:
     if not HOLDS_S[0] <= given <= HOLDS_S[1]:
         raise Refused("hold_s", None, f"{given} is not {HOLDS_S[0]} to {HOLDS_S[1]}")
     return float(given)
-
-
-@contextlib.contextmanager
-def _evaluated(modules: Sequence[nn.Module]) -> Iterator[None]:
-    """Puts modules into evaluation for the block, and each of their parts back as it was."""
-    parts = {part: part.training for module in modules for part in module.modules()}
-    for module in modules:
-        module.eval()
-    try:
-        yield
-    finally:
-        for part, training in parts.items():
-            part.training = training
 
 
 def _asked(actor: Actor, written: _Written, team: Team, manifest: dict[str, Any]) -> _Written:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -14,6 +15,10 @@ class Refused(Exception):
 
     def __init__(self, argument: str, module: nn.Module | None, why: str):
         super().__init__(f"{argument}: {'' if module is None else type(module).__name__ + ': '}{why}")
+
+
+class Inexact(Refused):
+    """Error of a module that a policy file cannot hold, but perhaps a graph (format 3)."""
 
 
 def ACTIVATIONS() -> tuple[type, ...]:
@@ -68,18 +73,18 @@ def network_of(module: nn.Module, argument: str) -> tuple[dict[str, Any], list[t
                 between.append(after)
                 after = None
             elif layers:
-                raise Refused(argument, part, "no activation stands before it; join the two layers")
+                raise Inexact(argument, part, "no activation stands before it; join the two layers")
             layers.append(linear(part))
         elif not isinstance(part, ACTIVATIONS()):
-            raise Refused(argument, part, "it is neither Linear nor an activation (ReLU, Tanh, ELU, LeakyReLU)")
+            raise Inexact(argument, part, "it is neither Linear nor an activation (ReLU, Tanh, ELU, LeakyReLU)")
         elif not layers or after is not None:
-            raise Refused(argument, part, "an activation that does not follow a linear layer; put it behind the one before")
+            raise Inexact(argument, part, "an activation that does not follow a linear layer; put it behind the one before")
         else:
             after = activation_of(part, argument)
     if not layers:
-        raise Refused(argument, module, "it has no linear layer")
+        raise Inexact(argument, module, "it has no linear layer")
     if any(one != between[0] for one in between):
-        raise Refused(argument, module, "its activations differ; a policy file has one kind in a network")
+        raise Inexact(argument, module, "its activations differ; a policy file has one kind in a network")
     form: dict[str, Any] = {"widths": [layers[0][0].shape[1], *(weight.shape[0] for weight, _ in layers)]}
     if between:
         form["activation"] = between[0]
@@ -107,7 +112,7 @@ def followed(
     kinds = [form.get("activation"), more.get("activation"), between]
     kinds = [kind for kind in kinds if kind is not None]
     if any(kind != kinds[0] for kind in kinds):
-        raise Refused(argument, after, "its activations differ from those of the convolution before it")
+        raise Inexact(argument, after, "its activations differ from those of the convolution before it")
     layers = layers + behind
     joined = {"inputs": form["inputs"], "widths": [form["widths"][0], *(weight.shape[0] for weight, _ in layers)]}
     if len(layers) > 1:
@@ -135,7 +140,7 @@ def hop_of(conv: nn.Module, width: int, edge: int, argument: str) -> tuple[dict[
         "TransformerConv": _transformer_conv,
     }
     if type(conv).__name__ not in known:
-        raise Refused(argument, conv, f"it is none of {', '.join(known)}, nor an activation")
+        raise Inexact(argument, conv, f"it is none of {', '.join(known)}, nor an activation")
     takes = getattr(conv, "in_channels", width)
     if takes not in (width, (width, width)):
         raise Refused(argument, conv, f"it takes {takes} floats of a robot, and what is before it gives {width}")
@@ -145,7 +150,7 @@ def hop_of(conv: nn.Module, width: int, edge: int, argument: str) -> tuple[dict[
 def _refuse(argument: str, conv: nn.Module, **wrong: bool) -> None:
     for why, is_so in wrong.items():
         if is_so:
-            raise Refused(argument, conv, f"a policy file does not hold {why.replace('__', '=').replace('_', ' ')}")
+            raise Inexact(argument, conv, f"a policy file does not hold {why.replace('__', '=').replace('_', ' ')}")
 
 
 def _beside(*blocks: Tensor) -> Tensor:
@@ -158,7 +163,7 @@ def _beside(*blocks: Tensor) -> Tensor:
 def _aggregation(conv: nn.Module, argument: str) -> str:
     aggregation = {"add": "sum", "sum": "sum", "mean": "mean", "max": "max"}.get(str(conv.aggr))
     if aggregation is None:
-        raise Refused(argument, conv, f"its aggregation '{conv.aggr}' is none of add, mean and max")
+        raise Inexact(argument, conv, f"its aggregation '{conv.aggr}' is none of add, mean and max")
     return aggregation
 
 
@@ -225,7 +230,7 @@ def _gine_conv(conv: Any, size: tuple[int, int], argument: str) -> Any:
         raise Refused(f"{argument}.nn", conv.nn, f"it takes {update['widths'][0]} floats, and what is before it gives {width}")
     of_edge = _edges(conv, conv.lin, edge, argument)
     if of_edge is None:
-        raise Refused(argument, conv, "it needs edge_dim, the number of features of an edge")
+        raise Inexact(argument, conv, "it needs edge_dim, the number of features of an edge")
     message = (_beside(torch.eye(width), of_edge), linear(conv.lin)[1])
     weight, bias = layers[0]
     layers[0] = (_beside((1 + conv.eps) * weight, weight), bias)
@@ -302,6 +307,19 @@ def checked(module: Any, argument: str) -> nn.Module:
     if all(parameter.device.type == "cpu" for parameter in module.parameters()):
         return module
     return copy.deepcopy(module).cpu()
+
+
+@contextlib.contextmanager
+def evaluated(modules: Sequence[nn.Module]) -> Iterator[None]:
+    """Puts modules into evaluation for the block, and each of their parts back as it was."""
+    parts = {part: part.training for module in modules for part in module.modules()}
+    for module in modules:
+        module.eval()
+    try:
+        yield
+    finally:
+        for part, training in parts.items():
+            part.training = training
 
 
 def applied(module: nn.Module, argument: str, *inputs: Any) -> Any:
