@@ -221,8 +221,8 @@ class Contract:
             return len(self.action["choices"])
         return 4 if self.action["distribution"] == "diagonal-normal" else 2
 
-    def text(self, sha256: str) -> str:
-        """Returns the file: ``sha256`` is that of the graphs, one after the other."""
+    def text(self, sha256: str | None) -> str:
+        """Returns the file: ``sha256`` is that of the graphs, one after the other, or None to leave it out."""
         head = {"format": 3, "name": self.name, **self.graphs, "sha256": sha256}
         head |= {"license": self.license, "source": self.source, "rate_hz": self.rate_hz, "radius_m": self.radius_m}
         head |= {"hold_s": self.hold_s, "max_neighbours": self.max_neighbours, "pad": self.pad}

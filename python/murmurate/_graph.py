@@ -294,12 +294,16 @@ def _norms(given: Any, takes: Sequence[Observed], frame: str, core: VecEnv | Non
 
 def _write(paths: dict[str, pathlib.Path], contract: Contract, ready: dict[str, Any]) -> None:
     """Writes graphs and contract, if the program takes them and they answer as the modules do."""
-    from ._onnx import graph_of
-    from ._parity import compare
+    from ._engine import differing
+    from ._onnx import graph_of, inputs_of
+    from ._parity import TOLERANCE, compare
     from ._wrapped import axes, example
 
     data = {role: graph_of(made, role, example(made.inputs, contract), axes(made.inputs, contract)) for role, made in ready.items()}
-    compare(ready, data, contract)
+    # What a module takes and does not use is no input of its graph.
+    used = {name for graph in data.values() for name in inputs_of(graph)}
+    contract.observation = [one for one in contract.observation if one.name in used]
+    _, samples = compare(ready, data, contract)
     with tempfile.TemporaryDirectory(dir=paths["contract"].absolute().parent) as folder:
         made = {field: pathlib.Path(folder) / path.name for field, path in paths.items()}
         digest = hashlib.sha256()
@@ -312,4 +316,9 @@ def _write(paths: dict[str, pathlib.Path], contract: Contract, ready: dict[str, 
         except ValueError as error:
             # The file that the program has read is gone when the error is read.
             raise ValueError(str(error).replace(str(made["contract"]), str(paths["contract"]))) from None
+        differs = differing(data, samples, TOLERANCE)
+        if differs is not None:
+            sample, output, over = differs
+            why = f"{sample.said} its output '{output}' differs by more than {over:.0e} between PyTorch and the program"
+            raise Refused(sample.role, ready[sample.role].module, why)
         replace(made, paths)

@@ -58,6 +58,13 @@ def graph_of(module: Any, argument: str, example: Sequence[Any], axes: Sequence[
     return _cleaned(proto, module.outputs)
 
 
+def inputs_of(data: bytes) -> list[str]:
+    """Returns the names of the inputs of a graph."""
+    import onnx
+
+    return [port.name for port in onnx.load_from_string(data).graph.input]
+
+
 def _cleaned(proto: Any, outputs: Sequence[str]) -> bytes:
     """Returns the file of a graph without inputs that nothing uses, and without the places in the source that made it."""
     from onnx import helper
@@ -76,6 +83,10 @@ def _cleaned(proto: Any, outputs: Sequence[str]) -> bytes:
         part.doc_string = ""
         if hasattr(part, "metadata_props"):
             del part.metadata_props[:]
+    for node in graph.node:
+        # The program's engine does not know the attribute, of which 0 is the default.
+        for attribute in [one for one in node.attribute if one.name == "layout" and one.i == 0]:
+            node.attribute.remove(attribute)
     del graph.value_info[:]
     return bytes(proto.SerializeToString())
 
@@ -91,15 +102,16 @@ def _reason(error: BaseException) -> str:
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """Keeps the exporter from its warnings and its log, which are about other packages and about names of axes."""
-    logger = logging.getLogger("torch.onnx")
-    level = logger.level
-    logger.setLevel(logging.ERROR)
+    levels = {logging.getLogger(name): logging.getLogger(name).level for name in ("torch.onnx", "onnxscript")}
     try:
+        for logger in levels:
+            logger.setLevel(logging.ERROR)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
-        logger.setLevel(level)
+        for logger, level in levels.items():
+            logger.setLevel(level)
 
 
 class Session:

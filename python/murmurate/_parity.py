@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from ._contract import Contract
+from ._contract import Contract, Input
+from ._engine import Sample
 from ._hops import Refused
 from ._onnx import Session
 
@@ -26,8 +28,8 @@ MEND = (
 class Made:
     """Inputs that are made up, step by step: observations, neighbours, and messages that the robots have sent."""
 
-    def __init__(self, contract: Contract, seed: int = 1):
-        self.contract, self.rng = contract, np.random.default_rng(seed)
+    def __init__(self, contract: Contract, observation: Sequence[Input], seed: int = 1):
+        self.contract, self.observation, self.rng = contract, list(observation), np.random.default_rng(seed)
         self.said = np.zeros((ROBOTS, contract.message), np.float32)
 
     def normal(self, *shape: int) -> np.ndarray:
@@ -40,25 +42,31 @@ class Made:
         counts = rng.integers(0, places + 1, ROBOTS) if heard is None else np.full(ROBOTS, heard)
         mask = (np.arange(places) < counts[:, None]).astype(np.float32)
         senders = rng.integers(0, ROBOTS, (ROBOTS, places))
-        made = {one.name: self.normal(ROBOTS, *one.shape) for one in contract.observation}
+        made = {one.name: self.normal(ROBOTS, *one.shape) for one in self.observation}
         made |= {"heard": mask, "own_message": self.said, "messages": self.said[senders] * mask[:, :, None]}
         return made | {"edges": self.normal(ROBOTS, places, contract.edge_floats) * mask[:, :, None]}
 
 
-def compare(modules: dict[str, Any], graphs: dict[str, bytes], contract: Contract, steps: int = STEPS) -> dict[str, float]:
-    """Runs modules and graphs on the same inputs, each with its own state, and returns the largest difference of each output.
+def compare(
+    modules: dict[str, Any], graphs: dict[str, bytes], contract: Contract, steps: int = STEPS
+) -> tuple[dict[str, float], list[Sample]]:
+    """Runs modules and graphs on the same inputs, each with its own state.
+
+    Returns the largest difference of each output by its name, and some of the steps: without a neighbour, with one, and with the most.
 
     Args:
         modules: Modules by their roles, in the order of a step; their attributes ``inputs`` and ``outputs`` name tensors.
         graphs: The graph of each.
         contract: Contract of both.
-        steps: Number of steps; the number of neighbours changes with each.
+        steps: Least number of steps; the number of neighbours changes with each.
 
     Raises:
         Refused: An output differs by more than 1e-5, or is not finite.
     """
+    steps = max(steps, 2 * (contract.max_neighbours + 1))
     sessions = {role: Session(data) for role, data in graphs.items()}
-    made, worst = Made(contract), {}
+    inputs_of_modules = {one.name: one for module in modules.values() for each in module.observed for one in each.inputs}
+    made, worst, samples = Made(contract, list(inputs_of_modules.values())), {}, []
     states = [np.zeros((ROBOTS, contract.state), np.float32) for _ in range(2)]
     for step in range(steps):
         most = contract.max_neighbours
@@ -79,6 +87,8 @@ def compare(modules: dict[str, Any], graphs: dict[str, bytes], contract: Contrac
                     why = f"{place} differs by {off:.1e} between PyTorch and the graph, over {TOLERANCE:.0e}{mend}"
                     raise Refused(role, module.module, why)
                 worst[name] = max(off, worst.get(name, 0.0))
+            if contract.max_neighbours < step <= 2 * contract.max_neighbours + 1 and turn in (0, 1, most):
+                samples.append(Sample(role, said, inputs | {"state": states[0]}, rows[0]))
             states = [row.get("state_next", state) for row, state in zip(rows, states)]
             if "message" in rows[0]:
                 if role == "encode":
@@ -87,7 +97,7 @@ def compare(modules: dict[str, Any], graphs: dict[str, bytes], contract: Contrac
                     inputs["messages"] = rows[0]["message"][senders] * inputs["heard"][:, :, None]
                     inputs["own_message"] = rows[0]["message"]
                 made.said = rows[0]["message"]
-    return worst
+    return worst, samples
 
 
 def _asked(module: Any, inputs: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
