@@ -3,6 +3,7 @@
     python python/tests/graphs.py          # a table; needs torch, torch_geometric, onnx, onnxscript and onnxruntime
 """
 
+import contextlib
 import pathlib
 import sys
 import tempfile
@@ -168,20 +169,28 @@ def exported(name, folder):
     return murmurate.export(file, *parts, like=murmurate.VecEnv("passage"), edge=edge)
 
 
-def measured(name, folder, steps=1000):
-    """Exports one of these policies, and returns its contract and the largest difference of any output in so many steps."""
+@contextlib.contextmanager
+def compared(steps=1000):
+    """Lets exports within the block compare over so many steps. Yields a list that gets the largest difference of each."""
     found, compare = [], _parity.compare
 
     def longer(modules, graphs, contract):
-        found.append(compare(modules, graphs, contract, steps))
-        return found[0]
+        worst, samples = compare(modules, graphs, contract, steps)
+        found.append(max(worst.values()))
+        return worst, samples
 
     _parity.compare = longer
     try:
-        file = exported(name, folder)
+        yield found
     finally:
         _parity.compare = compare
-    return file, max(found[0][0].values())
+
+
+def measured(name, folder):
+    """Exports one of these policies, and returns its contract and the largest difference of any output in 1000 steps."""
+    with compared() as found:
+        file = exported(name, folder)
+    return file, found[0]
 
 
 def main():

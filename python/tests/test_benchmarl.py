@@ -17,7 +17,15 @@ from benchmarl.models import GnnConfig, GruConfig, MlpConfig, SequenceModelConfi
 from tensordict import TensorDict  # noqa: E402
 from tensordict.nn import NormalParamExtractor, TensorDictModule  # noqa: E402
 from torch import nn  # noqa: E402
-from torch_geometric.nn import GATv2Conv, GraphConv, TransformerConv  # noqa: E402
+from torch_geometric.nn import (  # noqa: E402
+    GATConv,
+    GATv2Conv,
+    GCNConv,
+    GraphConv,
+    SAGEConv,
+    TAGConv,
+    TransformerConv,
+)
 from torchrl.envs.utils import check_env_specs  # noqa: E402
 from torchrl.modules import MultiAgentMLP, ProbabilisticActor, TanhNormal  # noqa: E402
 
@@ -208,3 +216,36 @@ def test_arguments_that_a_task_does_not_take_are_named():
         murmurate.export("policy.safetensors", nn.Linear(6, 4), [])
     with pytest.raises(ValueError, match="actor"):
         murmurate.export("policy.safetensors", nn.Linear(6, 4), like=murmurate.VecEnv())
+
+
+GRAPHS = {
+    "mlp, layer norm, gelu": (
+        MlpConfig(
+            num_cells=[16], activation_class=nn.GELU, layer_class=nn.Linear,
+            norm_class=nn.LayerNorm, norm_kwargs=[{"normalized_shape": 16}],
+        ),
+        {},
+    ),
+    "gat, edges": (sequence(gnn(GATConv, edges=POSITION | VELOCITY), mlp(16), sizes=[8]), {"edges": True}),
+    "gcn": (sequence(mlp(16), gnn(GCNConv), mlp(16), sizes=[8, 8]), {"rule": {"use_tanh_normal": False, "scale_mapping": "exp"}}),
+    "gcn, loops": (sequence(mlp(16), gnn(GCNConv, loops=True), mlp(16), sizes=[8, 8]), {}),
+    "sage": (sequence(mlp(16), gnn(SAGEConv), mlp(16), sizes=[8, 8]), {}),
+    "tag": (sequence(mlp(16), gnn(TAGConv), mlp(16), sizes=[8, 8]), {}),
+    "two rounds": CASES["two rounds"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", GRAPHS)
+def test_actors_that_no_policy_file_can_hold_are_exported_whole_as_graphs(name, tmp_path):
+    need("onnxscript")
+    from graphs import compared
+
+    model, options = GRAPHS[name]
+    made = noisy(experiment(tmp_path, model, **options))
+    if name != "two rounds":
+        with pytest.raises(ValueError, match="; to write it as a graph of format 3, name the file 'p.policy.toml'"):
+            murmurate.export(tmp_path / "p.safetensors", made)
+    with compared() as found:
+        # The actor itself is compared with its parts within, for a team in which all hear each other.
+        file = murmurate.export(tmp_path / "p.policy.toml", made)
+    assert found[0] <= 2e-6 and murmurate.sim("passage", file, episodes=1, repeats=1).aborted == 0
