@@ -138,6 +138,9 @@ def hop_of(conv: nn.Module, width: int, edge: int, argument: str) -> tuple[dict[
         "GATv2Conv": _gatv2_conv,
         "GINEConv": _gine_conv,
         "TransformerConv": _transformer_conv,
+        "EdgeConv": _edge_conv,
+        "GATConv": _gat_conv,
+        "SAGEConv": _sage_conv,
     }
     if type(conv).__name__ not in known:
         raise Inexact(argument, conv, f"it is none of {', '.join(known)}, nor an activation")
@@ -185,40 +188,84 @@ def _edges(conv: Any, layer: Any, edge: int, argument: str) -> Any:
     return None if layer is None else layer.weight
 
 
+def _sage_conv(conv: Any, _: tuple[int, int], argument: str) -> Any:
+    _refuse(argument, conv, project__True=conv.project, normalize__True=conv.normalize)
+    weight, bias = linear(conv.lin_l)
+    own = conv.lin_r.weight if conv.root_weight else weight.new_zeros(weight.shape)
+    form = {
+        "aggregation": _aggregation(conv, argument),
+        "update": {"inputs": ["own", "messages"], "widths": [2 * weight.shape[1], weight.shape[0]]},
+    }
+    return form, {"update": [(_beside(own, weight), bias)]}
+
+
+def _edge_conv(conv: Any, size: tuple[int, int], argument: str) -> Any:
+    import torch
+
+    width = size[0]
+    message, layers = network_of(conv.nn, f"{argument}.nn")
+    if message["widths"][0] != 2 * width:
+        raise Refused(f"{argument}.nn", conv.nn, f"it takes {message['widths'][0]} floats, and both robots have {2 * width}")
+    weight, bias = layers[0]
+    # It takes the own input and the difference to the sender's.
+    layers[0] = (_beside(weight[:, :width] - weight[:, width:], weight[:, width:]), bias)
+    out = message["widths"][-1]
+    form = {
+        "message": {**message, "inputs": ["own", "sender"]},
+        "aggregation": _aggregation(conv, argument),
+        "update": {"inputs": ["messages"], "widths": [out, out]},
+    }
+    return form, {"message": layers, "update": [(torch.eye(out), bias.new_zeros(out))]}
+
+
+def _gat_conv(conv: Any, size: tuple[int, int], argument: str) -> Any:
+    _refuse(argument, conv, weights_of_senders_and_receivers_apart=conv.lin is None)
+    of_edge = _edges(conv, conv.lin_edge, size[1], argument)
+
+    def scores(attention: Any, weight: Any) -> Any:
+        # The score of a head takes the values of that head only.
+        return (attention[0].unsqueeze(2) * weight.unflatten(0, attention.shape[1:])).sum(1)
+
+    weight, bias = linear(conv.lin)
+    first = [scores(conv.att_dst, weight), scores(conv.att_src, weight)]
+    first += [] if of_edge is None else [scores(conv.att_edge, of_edge)]
+    score = {"widths": [2 * size[0] + size[1], conv.heads], "output_activation": {"leaky-relu": conv.negative_slope}}
+    return _attention(conv, size, argument, score, (weight, bias), [(_beside(*first), weight.new_zeros(conv.heads))])
+
+
 def _gatv2_conv(conv: Any, size: tuple[int, int], argument: str) -> Any:
     import torch
 
-    one_head = conv.heads == 1
-    _refuse(argument, conv, concat__False=not (conv.concat or one_head), residual__True=getattr(conv, "res", None) is not None)
-    (width, edge), heads = size, conv.heads
-    of_edge = _edges(conv, conv.lin_edge, edge, argument)
+    of_edge = _edges(conv, conv.lin_edge, size[1], argument)
     hidden = conv.lin_l.weight.shape[0]
     (left, left_bias), (right, right_bias) = linear(conv.lin_l), linear(conv.lin_r)
     first = _beside(right, left) if of_edge is None else _beside(right, left, of_edge)
-    inputs = ["own", "sender"] if of_edge is None else ["own", "sender", "edge"]
     # The score of a head takes the values of that head only.
-    score = torch.block_diag(*conv.att[0].unsqueeze(1))
+    last = torch.block_diag(*conv.att[0].unsqueeze(1))
+    score = {"widths": [2 * size[0] + size[1], hidden, conv.heads], "activation": {"leaky-relu": conv.negative_slope}}
+    layers = [(first, right_bias + left_bias), (last, left.new_zeros(conv.heads))]
+    return _attention(conv, size, argument, score, (left, left_bias), layers)
+
+
+def _attention(conv: Any, size: tuple[int, int], argument: str, score: dict[str, Any], message: Any, layers: Any) -> Any:
+    """Returns a hop of attention by a score: the form and the layers of the score, and the one layer of the message."""
+    import torch
+
+    one_head, edge = conv.heads == 1, size[1]
+    _refuse(argument, conv, concat__False=not (conv.concat or one_head), residual__True=getattr(conv, "res", None) is not None)
+    hidden = message[0].shape[0]
     form: dict[str, Any] = {
-        "message": {"inputs": ["sender"], "widths": [width, hidden]},
+        "message": {"inputs": ["sender"], "widths": [size[0], hidden]},
         "aggregation": "softmax",
-        "heads": heads,
-        "score": {
-            "inputs": inputs,
-            "widths": [2 * width + edge, hidden, heads],
-            "activation": {"leaky-relu": conv.negative_slope},
-        },
+        "heads": conv.heads,
+        "score": {"inputs": ["own", "sender", "edge"][: 3 if edge else 2], **score},
         "update": {"inputs": ["messages"], "widths": [hidden, hidden]},
     }
     if conv.add_self_loops:
-        _refuse(argument, conv, other_fill_values_than_the_mean=of_edge is not None and conv.fill_value != "mean")
-        form["self_loop"] = "zero-edge" if of_edge is None else "mean-edge"
-    bias = left.new_zeros(hidden) if conv.bias is None else conv.bias
-    networks = {
-        "message": [(left, left_bias)],
-        "score": [(first, right_bias + left_bias), (score, left.new_zeros(heads))],
-        "update": [(torch.eye(hidden), bias)],
-    }
-    return form, networks
+        _refuse(argument, conv, other_fill_values_than_the_mean=edge > 0 and conv.fill_value != "mean")
+        form["self_loop"] = "mean-edge" if edge else "zero-edge"
+    bias = message[0].new_zeros(hidden) if conv.bias is None else conv.bias
+    return form, {"message": [message], "score": layers, "update": [(torch.eye(hidden), bias)]}
 
 
 def _gine_conv(conv: Any, size: tuple[int, int], argument: str) -> Any:

@@ -226,10 +226,13 @@ GRAPHS = {
         ),
         {},
     ),
-    "gat, edges": (sequence(gnn(GATConv, edges=POSITION | VELOCITY), mlp(16), sizes=[8]), {"edges": True}),
+    "gat, residual, edges": (
+        sequence(gnn(GATConv, residual=True, edges=POSITION | VELOCITY), mlp(16), sizes=[8]),
+        {"edges": True},
+    ),
     "gcn": (sequence(mlp(16), gnn(GCNConv), mlp(16), sizes=[8, 8]), {"rule": {"use_tanh_normal": False, "scale_mapping": "exp"}}),
     "gcn, loops": (sequence(mlp(16), gnn(GCNConv, loops=True), mlp(16), sizes=[8, 8]), {}),
-    "sage": (sequence(mlp(16), gnn(SAGEConv), mlp(16), sizes=[8, 8]), {}),
+    "sage": (sequence(mlp(16), gnn(SAGEConv, project=True), mlp(16), sizes=[8, 8]), {}),
     "tag": (sequence(mlp(16), gnn(TAGConv), mlp(16), sizes=[8, 8]), {}),
     "two rounds": CASES["two rounds"],
 }  # fmt: skip

@@ -37,6 +37,10 @@ def gine():
     return geometric.GINEConv(nn.Sequential(nn.Linear(WIDTH, 5), nn.ELU(), nn.Linear(5, WIDTH)), eps=0.3, edge_dim=6)
 
 
+def edge_conv(**options):
+    return geometric.EdgeConv(nn.Sequential(nn.Linear(2 * WIDTH, 5), nn.ELU(), nn.Linear(5, WIDTH)), **options)
+
+
 CASES = {
     "add": (lambda: [geometric.GraphConv(WIDTH, WIDTH, aggr="add"), nn.ReLU()], []),
     "mean": (lambda: [geometric.GraphConv(WIDTH, WIDTH, aggr="mean"), nn.Tanh()], []),
@@ -44,6 +48,13 @@ CASES = {
     "gatv2": (lambda: [geometric.GATv2Conv(WIDTH, 4, heads=2, edge_dim=6, add_self_loops=False)], EDGE),
     "gatv2, loops": (lambda: [geometric.GATv2Conv(WIDTH, 4, heads=2, edge_dim=6), nn.LeakyReLU(0.1)], EDGE),
     "gatv2, no edges": (lambda: [geometric.GATv2Conv(WIDTH, WIDTH, share_weights=True)], []),
+    "gat": (lambda: [geometric.GATConv(WIDTH, 4, heads=2, edge_dim=6, add_self_loops=False)], EDGE),
+    "gat, loops": (lambda: [geometric.GATConv(WIDTH, 4, heads=2, edge_dim=6), nn.LeakyReLU(0.1)], EDGE),
+    "gat, no edges": (lambda: [geometric.GATConv(WIDTH, WIDTH), nn.Linear(WIDTH, WIDTH)], []),
+    "sage": (lambda: [geometric.SAGEConv(WIDTH, WIDTH), nn.ReLU()], []),
+    "sage, max, no root": (lambda: [geometric.SAGEConv(WIDTH, WIDTH, aggr="max", root_weight=False)], []),
+    "edge": (lambda: [edge_conv(), nn.Tanh()], []),
+    "edge, sum": (lambda: [edge_conv(aggr="add")], []),
     "gine": (lambda: [gine(), nn.ReLU()], EDGE),
     "transformer": (lambda: [geometric.TransformerConv(WIDTH, 4, heads=2, edge_dim=6), nn.ReLU()], EDGE),
     "transformer, no edges": (lambda: [geometric.TransformerConv(WIDTH, WIDTH, dropout=0.5)], []),
@@ -103,6 +114,9 @@ def test_an_answer_that_differs_leaves_no_file(tmp_path, monkeypatch):
         ({"hops": [geometric.GraphConv(WIDTH, WIDTH, aggr="min")]}, "aggregation 'min'"),
         ({"hops": [geometric.TransformerConv(WIDTH, WIDTH, beta=True)]}, "TransformerConv: .* beta=True"),
         ({"hops": [geometric.GATv2Conv(WIDTH, WIDTH, heads=2, concat=False)]}, "GATv2Conv: .* concat=False"),
+        ({"hops": [geometric.GATConv(WIDTH, WIDTH, residual=True)]}, "GATConv: .* residual=True; .* name the file 'p.policy.toml'"),
+        ({"hops": [geometric.SAGEConv(WIDTH, WIDTH, normalize=True)]}, "SAGEConv: .* normalize=True"),
+        ({"hops": [geometric.EdgeConv(nn.Linear(5, WIDTH))]}, r"hops\[0\].nn: Linear: it takes 5 floats, and both robots have 16"),
         ({"hops": [geometric.GATv2Conv(WIDTH, WIDTH, edge_dim=6)]}, "takes 6 features of an edge, and 'edge' has 0"),
         ({"hops": [nn.ReLU(), geometric.GraphConv(WIDTH, WIDTH)]}, "before the first convolution"),
         ({"encoder": nn.Sequential(nn.Linear(6, WIDTH), nn.GELU())}, "encoder: GELU"),
