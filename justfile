@@ -126,7 +126,7 @@ full-metrics:
 full-python:
     python3 -m venv target/python
     target/python/bin/pip install --quiet ./python benchmarl torchrl torch_geometric "ray[rllib]" pettingzoo gymnasium pytest \
-        matplotlib nbclient nbformat ipykernel supersuit stable-baselines3 cloudpickle
+        matplotlib nbclient nbformat ipykernel supersuit stable-baselines3 cloudpickle onnx onnxscript onnxruntime
     # The largest wheel that is handed on [bytes].
     MATURIN_PEP517_ARGS="--compression-level 9" target/python/bin/pip wheel --quiet --no-deps --wheel-dir target/wheels ./python
     test "$(stat --format=%s target/wheels/murmurate-*.whl)" -le 8000000

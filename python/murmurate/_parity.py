@@ -66,7 +66,9 @@ def compare(
     steps = max(steps, 2 * (contract.max_neighbours + 1))
     sessions = {role: Session(data) for role, data in graphs.items()}
     inputs_of_modules = {one.name: one for module in modules.values() for each in module.observed for one in each.inputs}
-    made, worst, samples = Made(contract, list(inputs_of_modules.values())), {}, []
+    made = Made(contract, list(inputs_of_modules.values()))
+    worst: dict[str, float] = {}
+    samples: list[Sample] = []
     states = [np.zeros((ROBOTS, contract.state), np.float32) for _ in range(2)]
     for step in range(steps):
         most = contract.max_neighbours

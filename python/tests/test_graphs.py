@@ -1,6 +1,7 @@
 """Export of modules as graphs of format 3: parity over 1000 steps, what is folded in, and refusals by name."""
 
 import pathlib
+import re
 
 import numpy as np
 import pytest
@@ -220,6 +221,37 @@ def test_what_format_2_cannot_hold_becomes_a_graph_where_the_name_permits_it(tmp
     tanh_normal = {"distribution": "tanh-normal", "deviation": "biased-softplus"}
     file = murmurate.export(tmp_path / "r.policy.toml", gelu, [], nn.Linear(8, 4), like=env, **tanh_normal)
     assert murmurate.sim("passage", file, episodes=1, repeats=1).aborted == 0
+
+
+def test_a_fixed_number_of_places_and_other_kinds_of_actions_are_written(tmp_path):
+    class Fixed(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.net = nn.Linear(2 + 3 * 2, 2)
+
+        def forward(self, velocity, edges, heard):
+            return self.net(torch.cat([velocity, (edges * heard.unsqueeze(2)).flatten(1)], 1))
+
+    given = {"edges": ["relative-position"], "sign": "own-minus-theirs", "max_neighbours": 3, "limit": 1.0}
+    with pytest.raises(ValueError, match="step: Fixed: it does not take velocity"):
+        murmurate.export_graph(tmp_path / "p.policy.toml", Fixed(), **given)
+    file = murmurate.export_graph(tmp_path / "p.policy.toml", Fixed(), pad="max", **given)
+    assert murmurate.sim("swap", file, episodes=1, repeats=1).aborted == 0
+    kinds = {"acceleration": {"limit": 2.0, "speed_limit": 1.0, "frame": "world"}, "twist": {"limit": 0.5}}
+    for action, more in kinds.items():
+        murmurate.export_graph(tmp_path / "q.policy.toml", mlp(4), observations=OBSERVED, action=action, **more)
+        assert f'kind = "{action}"' in (tmp_path / "q.policy.toml").read_text()
+
+
+def test_the_first_examples_of_the_page_run(tmp_path, monkeypatch):
+    page = (pathlib.Path(__file__).parents[2] / "docs" / "export.md").read_text()
+    blocks, names = re.findall(r"```python\n(.*?)```", page, re.DOTALL)[:2], {}
+    monkeypatch.chdir(tmp_path)
+    for block in blocks:
+        exec(block, names)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "gcn.act.onnx", "gcn.encode.onnx", "gcn.policy.toml", "mine.onnx", "mine.policy.toml",
+    ]  # fmt: skip
 
 
 def test_modules_are_in_training_or_evaluation_afterwards_as_they_were(tmp_path):
