@@ -19,6 +19,8 @@ SOFTPLUS_BIAS = math.log(math.expm1(1.0 - 0.01))
 EVERYWHERE_M = 100.0
 #: Models of BenchMARL that a policy file can hold.
 MODELS = ("Mlp", "Gnn", "SequenceModel")
+#: Models of BenchMARL with a state, which a policy file cannot hold.
+MEMORY = ("Gru", "Lstm")
 
 
 @dataclasses.dataclass
@@ -121,16 +123,23 @@ def actor_of(policy: Any, fields: Sequence[str], limit_m_s: float, seen: Seen) -
     return Actor(nn.Sequential(*encoder), hops, nn.Sequential(*decoder), loops, edge, manifest, _whole(policy, fields, seen))
 
 
-def _parts(module: Any) -> Iterator[Any]:
-    """Returns the parts of an actor in their order: layers, graph networks, and what makes actions of their output."""
+def _parts(module: Any, more: Sequence[str] = ()) -> Iterator[Any]:
+    """Returns the parts of an actor in their order: layers, graph networks, and what makes actions of their output.
+
+    Models of BenchMARL whose names are in ``more`` are parts as they are.
+    """
     from torch import nn
 
     name = type(module).__name__
     of_benchmarl = type(module).__module__.startswith("benchmarl.")
+    if of_benchmarl and name in more:
+        yield module
+        return
     if of_benchmarl and name not in MODELS:
-        raise Refused("policy", module, f"such a model of BenchMARL is none of {', '.join(MODELS)}")
+        memory = "; export_graph(file, **murmurate.actors.benchmarl(experiment)) takes it" if name in MEMORY else ""
+        raise Refused("policy", module, f"such a model of BenchMARL is none of {', '.join(MODELS)}{memory}")
     if of_benchmarl and name == "Mlp":
-        yield from _parts(module.mlp)
+        yield from _parts(module.mlp, more)
     elif of_benchmarl and name == "Gnn":
         if not module.share_params:
             raise Refused("policy", module, "a network for each robot; a policy file has one for all (share_policy_params)")
@@ -138,21 +147,21 @@ def _parts(module: Any) -> Iterator[Any]:
             raise Refused("policy", module, f"its topology '{module.topology}' is not 'full'")
         yield module
     elif of_benchmarl:
-        yield from _parts(module.models)
+        yield from _parts(module.models, more)
     elif name == "MultiAgentMLP":
         if not module.share_params or module.centralized:
             why = "a robot would need what all observe" if module.centralized else "a network for each robot"
             raise Refused("policy", module, f"{why}; a policy file has one network for all (share_params, not centralized)")
-        yield from _parts(module.get_stateful_net())
+        yield from _parts(module.get_stateful_net(), more)
     elif hasattr(module, "distribution_class"):
         yield module
     elif isinstance(module, nn.Sequential):
         for part in module:
-            yield from _parts(part)
+            yield from _parts(part, more)
     elif hasattr(module, "in_keys") and hasattr(module, "module"):
         inner = module.module
         for part in inner if isinstance(inner, (nn.ModuleList, list, tuple)) else [inner]:
-            yield from _parts(part)
+            yield from _parts(part, more)
     else:
         yield module
 

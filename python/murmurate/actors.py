@@ -1,16 +1,18 @@
 """Actors of other trainers as arguments of :func:`murmurate.export_graph`: module, normalisation, frames and limits.
 
-Needs PyTorch. Each function takes what the trainer has made, asks it for some actions, and compares them.
+Needs PyTorch.
 """
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from ._actors import _parts
+from ._actors import MEMORY, _parts, module_of
 from ._hops import Refused, evaluated
 from ._wrapped import Affine
 
@@ -52,7 +54,8 @@ def sb3(model: Any, env: Any = None) -> dict[str, Any]:
     """Returns the actor of a model of Stable-Baselines3, for one robot, as arguments of ``export_graph``.
 
     Taken are PPO and A2C, with velocities as means of a normal distribution or with choices, and SAC, TD3, DDPG and DQN. With
-    choices, give their velocities to ``export_graph`` as ``choices``.
+    choices, give their velocities to ``export_graph`` as ``choices``. The model is asked for some actions, and the layers that are
+    taken from it have to agree with them.
 
     Args:
         model: Model with the policy "MlpPolicy".
@@ -155,44 +158,134 @@ def torchrl(actor: Any) -> dict[str, Any]:
     Taken is a ``ProbabilisticActor`` with one input whose last parts are ``NormalParamExtractor`` and ``IndependentNormal`` or
     ``TanhNormal``, or ``Categorical`` or ``OneHotCategorical`` of logits, for which ``export_graph`` needs ``choices``.
     """
-    parts = list(_parts(actor))
-    if not parts or not hasattr(parts[-1], "distribution_class"):
-        raise ValueError(f"actor: {type(actor).__name__}: it does not end with the distribution of its actions")
-    head, layers = parts[-1], parts[:-1]
+    try:
+        return _of_parts(actor)
+    except Refused as refused:
+        raise ValueError(str(refused)) from None
+
+
+def benchmarl(experiment: Any) -> dict[str, Any]:
+    """Returns the actor of an ``Experiment`` of BenchMARL on ``murmurate.benchmarl.Task``, as arguments of ``export_graph``.
+
+    It may have the models ``Gru`` and ``Lstm``, whose hidden states are the state of the policy, beside ``Mlp``. For one with
+    ``Gnn``, :func:`murmurate.export` is the function.
+    """
+    try:
+        policy = module_of(experiment.policy)
+        keys = [key if isinstance(key, str) else key[-1] for key in policy.in_keys]
+        others = [key for key in keys if key not in ("observation", "is_init") and not key.startswith("_")]
+        if others:
+            raise Refused("experiment", policy, f"it observes '{others[0]}'; train it with Task(..., edges=False)")
+        like = experiment.test_env if hasattr(experiment, "test_env") else experiment.task.environment()
+        return {"like": like, **_of_parts(policy)}
+    except Refused as refused:
+        raise ValueError(str(refused)) from None
+
+
+def _of_parts(actor: Any) -> dict[str, Any]:
+    parts = list(_parts(actor, MEMORY))
+    if len(parts) < 2 or not hasattr(parts[-1], "distribution_class"):
+        raise Refused("actor", actor, "it does not end with the distribution of its actions")
+    *layers, head = parts
     name, given = head.distribution_class.__name__, dict(head.distribution_kwargs)
     if name in ("Categorical", "OneHotCategorical"):
-        return {"step": Network(nn.Sequential(*layers)), "action": "choice"}
-    if type(layers[-1]).__name__ != "NormalParamExtractor" or name not in ("IndependentNormal", "Normal", "TanhNormal"):
-        raise ValueError(f"actor: {type(actor).__name__}: its distribution {name} is none that a contract has; write a module for it")
-    spread = Spread(nn.Sequential(*layers[:-1]), layers[-1])
+        return {"step": Layers(layers, nn.Identity()), "action": "choice"}
+    *layers, extractor = layers
+    if type(extractor).__name__ != "NormalParamExtractor" or name not in ("IndependentNormal", "Normal", "TanhNormal"):
+        raise Refused("actor", actor, f"its distribution {name} is none that a contract has; write a module for it")
     if name != "TanhNormal":
-        return {"step": spread, "distribution": "diagonal-normal"}
+        return {"step": Layers(layers, Spread(extractor)), "distribution": "diagonal-normal"}
     if given.get("tanh_loc"):
-        raise ValueError("actor: TanhNormal with tanh_loc; write a module for it")
-    low, high = (torch.as_tensor(given.get(end, other), dtype=torch.float32) for end, other in (("low", -1.0), ("high", 1.0)))
-    ends = low.expand(2).clone(), high.expand(2).clone()
-    return {"step": Network(Means(spread), squash=ends), "distribution": "none", "limit": round(float(high.max()), 6)}
+        raise Refused("actor", actor, "TanhNormal with tanh_loc; write a module for it")
+    ends = []
+    for end, other in (("low", -1.0), ("high", 1.0)):
+        # One for each robot of a team, and one for all axes or for each.
+        each = torch.as_tensor(given.get(end, other), dtype=torch.float32).cpu()
+        rows = each.expand(1, 2) if each.dim() == 0 else each.reshape(-1, each.shape[-1]).expand(-1, 2)
+        if not (rows == rows[0]).all():
+            raise Refused("actor", head, f"its '{end}' is another one for each robot")
+        ends.append(rows[0].clone())
+    limit = round(float(torch.stack(ends).abs().max()), 6)
+    return {"step": Layers(layers, Network(Means(), squash=(ends[0], ends[1]))), "distribution": "none", "limit": limit}
+
+
+class Layers(nn.Module):
+    """Layers of an actor one after the other, some of which have a state.
+
+    Attributes:
+        state_floats: Number of floats of all states together.
+    """
+
+    def __init__(self, layers: Sequence[Any], end: nn.Module):
+        super().__init__()
+        self.layers, self.end = nn.ModuleList(), end
+        for layer in layers:
+            if type(layer).__name__ in MEMORY:
+                self.layers.append(Memory(layer))
+                self.layers.extend(_parts(layer.mlp))
+            else:
+                self.layers.append(layer)
+        self.state_floats = sum(layer.floats for layer in self.layers if isinstance(layer, Memory))
+
+    def forward(self, observation: Tensor, state: Tensor | None = None) -> Tensor | tuple[Tensor, Tensor]:
+        x, at, later = observation, 0, []
+        for layer in self.layers:
+            if isinstance(layer, Memory) and state is not None:
+                x, after = layer(x, state[:, at : at + layer.floats])
+                at += layer.floats
+                later.append(after)
+            else:
+                x = layer(x)
+        return self.end(x) if state is None else (self.end(x), torch.cat(later, dim=1))
+
+
+class Memory(nn.Module):
+    """Cells of a model ``Gru`` or ``Lstm`` of BenchMARL.
+
+    Attributes:
+        floats: Number of floats of their state.
+    """
+
+    def __init__(self, model: Any):
+        super().__init__()
+        self.is_lstm = type(model).__name__ == "Lstm"
+        many = model.lstm if self.is_lstm else model.gru
+        if not many.share_params or many.centralised or many.compile:
+            why = "weights of each robot's own, those of all observe, or compile=True"
+            raise Refused("experiment", model, f"{why}: take share_policy_params, and compile=False")
+        empty = many._empty_lstm if self.is_lstm else many._empty_gru
+        with many.params.to_module(empty):
+            self.cells = copy.deepcopy(empty.lstms if self.is_lstm else empty.grus)
+        self.width = model.hidden_size
+        self.floats = len(self.cells) * self.width * (2 if self.is_lstm else 1)
+
+    def forward(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        later, parts = [], list(state.split(self.width, dim=1))
+        for at, cell in enumerate(self.cells):
+            if self.is_lstm:
+                x, inner = cell(x, (parts[2 * at], parts[2 * at + 1]))
+                later += [x, inner]
+            else:
+                x = cell(x, parts[at])
+                later.append(x)
+        return x, torch.cat(later, dim=1)
 
 
 class Spread(nn.Module):
-    """Means and log standard deviations of a network and its ``NormalParamExtractor``."""
+    """Means and log standard deviations of what a ``NormalParamExtractor`` takes."""
 
-    def __init__(self, network: nn.Module, extractor: nn.Module):
+    def __init__(self, extractor: nn.Module):
         super().__init__()
-        self.network, self.extractor = network, extractor
+        self.extractor = extractor
 
-    def forward(self, observation: Tensor) -> Tensor:
-        mean, deviation = self.extractor(self.network(observation))
+    def forward(self, out: Tensor) -> Tensor:
+        mean, deviation = self.extractor(out)
         return torch.cat([mean, deviation.log()], dim=1)
 
 
 class Means(nn.Module):
-    """Means of a network that also has deviations."""
+    """Means of what a ``NormalParamExtractor`` takes."""
 
-    def __init__(self, network: Spread):
-        super().__init__()
-        self.network = network
-
-    def forward(self, observation: Tensor) -> Tensor:
-        mean, _ = self.network.network(observation).chunk(2, dim=1)
+    def forward(self, out: Tensor) -> Tensor:
+        mean, _ = out.chunk(2, dim=1)
         return mean

@@ -13,7 +13,7 @@ need("torch_geometric")
 
 from benchmarl.algorithms import IppoConfig, MappoConfig  # noqa: E402
 from benchmarl.experiment import Experiment, ExperimentConfig  # noqa: E402
-from benchmarl.models import GnnConfig, GruConfig, MlpConfig, SequenceModelConfig  # noqa: E402
+from benchmarl.models import GnnConfig, GruConfig, LstmConfig, MlpConfig, SequenceModelConfig  # noqa: E402
 from tensordict import TensorDict  # noqa: E402
 from tensordict.nn import NormalParamExtractor, TensorDictModule  # noqa: E402
 from torch import nn  # noqa: E402
@@ -252,3 +252,35 @@ def test_actors_that_no_policy_file_can_hold_are_exported_whole_as_graphs(name, 
         # The actor itself is compared with its parts within, for a team in which all hear each other.
         file = murmurate.export(tmp_path / "p.policy.toml", made)
     assert found[0] <= 2e-6 and murmurate.sim("passage", file, episodes=1, repeats=1).aborted == 0
+
+
+@pytest.mark.parametrize("config", [GruConfig, LstmConfig])
+def test_actors_with_memory_are_graphs_with_a_state(config, tmp_path):
+    need("onnxscript")
+    import numpy as np
+    from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+    from murmurate import _onnx, actors
+
+    cells = {"mlp_num_cells": [16], "mlp_layer_class": nn.Linear, "mlp_activation_class": nn.Tanh}
+    made = noisy(experiment(tmp_path, config(hidden_size=16, n_layers=2, bias=True, dropout=0.0, compile=False, **cells)))
+    file = murmurate.export_graph(tmp_path / "p.policy.toml", **actors.benchmarl(made))
+    assert murmurate.sim("passage", file, episodes=1, repeats=1).aborted == 0
+    graph = _onnx.Session((tmp_path / "p.onnx").read_bytes())
+    robots, state = 5, None
+    hidden = {key: torch.zeros(1, robots, 2, 16) for key in made.policy.in_keys if "_hidden" in str(key)}
+    for step in range(200):
+        begins = step % 50 == 0
+        if begins:
+            state = np.zeros((robots, 32 * len(hidden)), np.float32)
+        seen = torch.randn(1, robots, 6)
+        team = TensorDict({("agents", "observation"): seen, "is_init": torch.full((1, 1), begins)}, batch_size=[1])
+        for key, value in hidden.items():
+            team.set(key, value)
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            out = made.policy(team)
+        hidden = {key: out.get(("next", *key)) for key in hidden}
+        goal, position, both = np.split(seen[0].numpy(), 3, axis=1)
+        answer = graph.run({"goal-minus-position": goal, "position": position, "velocity": both - position, "state": state})
+        state = answer["state_next"]
+        assert np.allclose(answer["action"], out["agents", "action"][0].numpy(), atol=1e-5)
