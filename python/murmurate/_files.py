@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pathlib
+import re
 from collections.abc import Mapping
 
 #: End of the name of a contract.
@@ -32,6 +33,8 @@ def paths_of(file: str | os.PathLike[str], graphs: Mapping[str, str]) -> dict[st
     stem = contract.name.removesuffix(CONTRACT)
     if stem == contract.name or not stem:
         raise ValueError(f"file: '{contract.name}' is not NAME{CONTRACT}, the contract beside which the graph NAME.onnx is written")
+    if not re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,79}", stem):
+        raise ValueError(f"file: '{stem}' is not up to 80 letters, digits and '-_.', by which a contract may name its graphs")
     return {"contract": contract} | {field: path_of(contract.with_name(stem + end)) for field, end in graphs.items()}
 
 

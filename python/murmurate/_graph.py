@@ -128,6 +128,7 @@ def export_graph(
     """
     roles: dict[str, Any] = {"step": step} if encode is None and act is None else {"encode": encode, "act": act}
     paths = paths_of(file, {FIELDS[role]: ENDS[role] for role in roles})
+    # The arguments by their names.
     given = dict(locals())
     try:
         if step is not None and len(roles) == 2:
@@ -156,7 +157,8 @@ def _contract(modules: dict[str, nn.Module], given: dict[str, Any], graphs: dict
         core, transforms = environment_of(given["like"])
         seen = seen_through(transforms, core)
     frame = among("frame", given["frame"], FRAMES)
-    own = {role: [name for name in parameters_of(module, role)[0] if name not in ROLES] for role, module in modules.items()}
+    needed = {role: parameters_of(module, role)[0] for role, module in modules.items()}
+    own = {role: [name for name in names if name not in ROLES] for role, names in needed.items()}
     parameters = list(dict.fromkeys(name for names in own.values() for name in names))
     fields = [] if core is None else list(core.observation_fields)
     takes = observed(parameters, given["observations"], fields, frame)
@@ -286,9 +288,12 @@ def _norms(given: Any, takes: Sequence[Observed], frame: str, core: VecEnv | Non
     if core is not None and seen is not None and not seen.is_raw:
         fields = list(core.observation_fields)
         for each in takes:
-            all_of_it = observed([each.parameter], fields, fields, frame)[0]
-            if each.parameter not in norms and each == all_of_it:
-                norms[each.parameter] = Affine(0.0 * seen.scale, seen.scale, seen.loc)
+            if each.parameter in norms:
+                continue
+            if each != observed([each.parameter], fields, fields, frame)[0]:
+                why = f"its ObservationNorm is of the whole observation, and '{each.parameter}' takes another; give normalize="
+                raise Refused("like", None, why)
+            norms[each.parameter] = Affine(0.0 * seen.scale, seen.scale, seen.loc)
     return norms
 
 
@@ -299,7 +304,10 @@ def _write(paths: dict[str, pathlib.Path], contract: Contract, ready: dict[str, 
     from ._parity import TOLERANCE, compare
     from ._wrapped import axes, example
 
-    data = {role: graph_of(made, role, example(made.inputs, contract), axes(made.inputs, contract)) for role, made in ready.items()}
+    data = {
+        role: graph_of(made, role, example(made.inputs, contract), axes(made.inputs, contract))
+        for role, made in ready.items()
+    }
     # What a module takes and does not use is no input of its graph.
     used = {name for graph in data.values() for name in inputs_of(graph)}
     contract.observation = [one for one in contract.observation if one.name in used]

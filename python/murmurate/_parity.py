@@ -52,7 +52,8 @@ def compare(
 ) -> tuple[dict[str, float], list[Sample]]:
     """Runs modules and graphs on the same inputs, each with its own state.
 
-    Returns the largest difference of each output by its name, and some of the steps: without a neighbour, with one, and with the most.
+    Returns the largest difference of each output by its name, and some of the steps: with no neighbour, with one place, and with
+    the most places.
 
     Args:
         modules: Modules by their roles, in the order of a step; their attributes ``inputs`` and ``outputs`` name tensors.
@@ -78,7 +79,8 @@ def compare(
         inputs = made.step(None if some and turn else turn, places)
         said = "with no neighbour heard" if turn == 0 else f"with {places} places for neighbours in step {step}"
         for role, module in modules.items():
-            rows = [_asked(module, inputs | {"state": states[0]}), _answered(sessions[role], inputs | {"state": states[1]}, role, said)]
+            given = [inputs | {"state": state} for state in states]
+            rows = [_asked(module, given[0]), _answered(sessions[role], given[1], role, said)]
             for name, of_torch in rows[0].items():
                 place = f"{said} its output '{name}'"
                 if not np.isfinite(of_torch).all():
@@ -90,7 +92,7 @@ def compare(
                     raise Refused(role, module.module, why)
                 worst[name] = max(off, worst.get(name, 0.0))
             if contract.max_neighbours < step <= 2 * contract.max_neighbours + 1 and turn in (0, 1, most):
-                samples.append(Sample(role, said, inputs | {"state": states[0]}, rows[0]))
+                samples.append(Sample(role, said, given[0], rows[0]))
             states = [row.get("state_next", state) for row, state in zip(rows, states)]
             if "message" in rows[0]:
                 if role == "encode":

@@ -65,6 +65,8 @@ def sb3(model: Any, env: Any = None) -> dict[str, Any]:
     try:
         network, options = _sb3_network(policy, space)
         env = model.get_env() if env is None else env
+        if env is None:
+            raise Refused("env", None, "the model has none; give that of the training, with its VecNormalize if it had one")
         frames, inner, outer = _sb3_wrappers(env)
     except Refused as refused:
         raise ValueError(str(refused)) from None
@@ -136,7 +138,7 @@ def _sb3_wrappers(env: Any) -> tuple[int, Any, Affine | None]:
             frames = env.stacked_obs.n_stack
         elif kind in ("VecTransposeImage", "VecExtractDictObs"):
             raise Refused("env", None, f"{kind} changes what the policy observes")
-        inside = vars(env).get("venv") if env is not None else None
+        inside = vars(env).get("venv")
         if inside is None:
             break
         env = inside

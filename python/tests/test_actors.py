@@ -108,6 +108,9 @@ def test_a_model_of_a_whole_team_or_with_other_actions_is_refused_by_name(tmp_pa
         actors.sb3(sb3.PPO("MlpPolicy", TeamEnv(), device="cpu"))
     with pytest.raises(ValueError, match="^model: .* no diagonal normal one"):
         actors.sb3(sb3.PPO("MlpPolicy", one_robot(), use_sde=True, device="cpu"))
+    sb3.PPO("MlpPolicy", one_robot(), device="cpu").save(tmp_path / "ppo.zip")
+    with pytest.raises(ValueError, match="^env: the model has none; give that of the training"):
+        actors.sb3(sb3.PPO.load(tmp_path / "ppo.zip", device="cpu"))
     with pytest.raises(ValueError, match="^choices: give one velocity"):
         model = sb3.DQN("MlpPolicy", one_robot(5), device="cpu")
         murmurate.export_graph(tmp_path / "p.policy.toml", **actors.sb3(model), like=murmurate.VecEnv("passage"))

@@ -124,7 +124,7 @@ def test_a_policy_of_format_3_runs_in_a_simulation():
 
 def test_names_of_files_are_checked_and_all_files_are_replaced(tmp_path):
     ends = {"encode": ".encode.onnx", "act": ".act.onnx"}
-    for name, words in (("p.toml", "is not NAME.policy.toml"), (".policy.toml", "is not NAME"), ("no/p.policy.toml", "no folder")):
+    for name, words in (("p.toml", "is not NAME.policy.toml"), (".policy.toml", "is not NAME"), ("my own.policy.toml", "'my own' is not"), ("no/p.policy.toml", "no folder")):
         with pytest.raises(ValueError, match=f"^file: .*{words}"):
             _files.paths_of(tmp_path / name, ends)
     with pytest.raises(ValueError, match="^file: a int is no path"):

@@ -179,6 +179,24 @@ def test_a_normalisation_and_frames_are_those_of_the_trainer(tmp_path):
         assert second["action"].tolist() == [[3.0, 1.0]]
 
 
+def test_an_observation_norm_around_the_environment_is_folded_in(tmp_path):
+    need("torchrl")
+    from torchrl.envs import ObservationNorm, TransformedEnv
+
+    from murmurate.torchrl import Env
+
+    scale, loc, module = torch.linspace(0.5, 3, 6), torch.linspace(-1, 2, 6), mlp(6)
+    env = TransformedEnv(Env("passage", 1), ObservationNorm(loc=loc, scale=scale, in_keys=[("agents", "observation")]))
+    file = murmurate.export_graph(tmp_path / "p.policy.toml", module, like=env)
+    seen = torch.randn(8, 6)
+    goal, position, both = seen.split(2, 1)
+    inputs = {"goal-minus-position": goal, "position": position, "velocity": both - position}
+    with torch.no_grad():
+        assert np.allclose(answers(file, **inputs)["action"], module(seen * scale + loc).numpy(), atol=1e-5)
+    with pytest.raises(ValueError, match="^like: its ObservationNorm is of the whole observation, and 'input' takes another"):
+        murmurate.export_graph(tmp_path / "p.policy.toml", mlp(2), like=env, observations="velocity")
+
+
 def test_what_is_of_the_environment_is_taken_from_it(tmp_path):
     import tomllib
 
