@@ -161,8 +161,8 @@ def _observed(name: str, entry: Any, frame: str, known: dict[str, Input]) -> Obs
 
 def _input(name: str | None, parameter: str, entry: Any, frame: str, known: dict[str, Input]) -> Input:
     """Returns the input for a channel: a new one, or one that there is already."""
-    fields = {"source": entry} if isinstance(entry, str) else dict(entry) if isinstance(entry, Mapping) else None
-    if fields is None or not isinstance(fields.setdefault("source", parameter), str):
+    fields: dict[str, Any] = {"source": entry} if isinstance(entry, str) else dict(entry) if isinstance(entry, Mapping) else {}
+    if not fields or not isinstance(fields.setdefault("source", parameter), str):
         raise Refused("observations", None, f"'{parameter}': {entry!r} is neither the name of a channel nor its fields")
     source = fields["source"]
     wrong = [field for field in fields if field not in ("source", "shape", "unit", "frame")]
@@ -223,7 +223,7 @@ class Contract:
 
     def text(self, sha256: str | None) -> str:
         """Returns the file: ``sha256`` is that of the graphs, one after the other, or None to leave it out."""
-        head = {"format": 3, "name": self.name, **self.graphs, "sha256": sha256}
+        head: dict[str, Any] = {"format": 3, "name": self.name, **self.graphs, "sha256": sha256}
         head |= {"license": self.license, "source": self.source, "rate_hz": self.rate_hz, "radius_m": self.radius_m}
         head |= {"hold_s": self.hold_s, "max_neighbours": self.max_neighbours, "pad": self.pad}
         tables: list[tuple[str, dict[str, Any]]] = []

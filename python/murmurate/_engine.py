@@ -6,6 +6,7 @@ import dataclasses
 import pathlib
 import tempfile
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from ._program import finished
 
 #: Differences that are asked for one after the other, to say how large one is.
 LADDER = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)
+#: Largest number of operators of a graph that asks for several samples; the program takes 20 000.
+MOST_NODES = 15_000
 
 
 @dataclasses.dataclass
@@ -38,8 +41,14 @@ def differing(graphs: dict[str, bytes], samples: Sequence[Sample], tolerance: fl
 
     With it are the name of the output and a number that the difference exceeds. None if there is no such sample.
     """
+    import onnx
+
     everything = [(sample, name) for sample in samples for name in sample.outputs]
-    if _agree(graphs, everything, tolerance):
+    # One graph for all of them, unless it would have more operators than the program takes.
+    sizes = {role: len(onnx.load_from_string(data).graph.node) for role, data in graphs.items()}
+    few = sum(sizes[sample.role] for sample in samples) < MOST_NODES
+    together = [everything] if few else [[(sample, name) for name in sample.outputs] for sample in samples]
+    if all(_agree(graphs, some, tolerance) for some in together):
         return None
     for sample, name in everything:
         if not _agree(graphs, [(sample, name)], tolerance):
@@ -76,17 +85,22 @@ def _probe(graphs: dict[str, bytes], asked: Sequence[tuple[Sample, str]], tolera
         # Names of its own for each graph; copies of a graph share its weights.
         whole[role] = compose.add_prefix(onnx.load_from_string(graphs[role]), f"{role}.")
         weights += list(whole[role].graph.initializer)
+    copies: list[Sample] = []
     for at, (sample, name) in enumerate(asked):
-        copied = compose.add_prefix(whole[sample.role], f"{at}.", rename_initializers=False).graph
-        nodes += list(copied.node)
-        for port in copied.input:
-            value = sample.inputs[port.name.removeprefix(f"{at}.{sample.role}.")]
-            weights.append(numpy_helper.from_array(np.ascontiguousarray(value, np.float32), port.name))
+        if not any(sample is other for other in copies):
+            copies.append(sample)
+            prefix = f"{len(copies)}."
+            copied = compose.add_prefix(whole[sample.role], prefix, rename_initializers=False).graph
+            nodes += list(copied.node)
+            for port in copied.input:
+                given = sample.inputs[port.name.removeprefix(f"{prefix}{sample.role}.")]
+                weights.append(numpy_helper.from_array(np.ascontiguousarray(given, np.float32), port.name))
+        number = next(number for number, other in enumerate(copies, 1) if other is sample)
         expected, place = sample.outputs[name], f"check.{at}."
         divisor = np.maximum(np.abs(expected), 1.0).astype(np.float32)
         weights += [numpy_helper.from_array(expected, place + "expected"), numpy_helper.from_array(divisor, place + "divisor")]
         chain = [
-            ("Sub", [f"{at}.{sample.role}.{name}", place + "expected"], "off"),
+            ("Sub", [f"{number}.{sample.role}.{name}", place + "expected"], "off"),
             ("Abs", [place + "off"], "size"),
             ("Div", [place + "size", place + "divisor"], "relative"),
             ("ReduceMax", [place + "relative"], "worst"),
@@ -94,11 +108,11 @@ def _probe(graphs: dict[str, bytes], asked: Sequence[tuple[Sample, str]], tolera
             ("Where", [place + "agrees", "nothing", "not-a-number"], "end"),
         ]
         for kind, inputs, output in chain:
-            options = {"keepdims": 0} if kind == "ReduceMax" else {}
+            options: dict[str, Any] = {"keepdims": 0} if kind == "ReduceMax" else {}
             nodes.append(helper.make_node(kind, inputs, [place + output], **options))
         ends.append(place + "end")
-    for key, number in (("tolerance", tolerance), ("nothing", 0.0), ("not-a-number", np.nan)):
-        weights.append(numpy_helper.from_array(np.float32(number).reshape(()), key))
+    for key, value in (("tolerance", tolerance), ("nothing", 0.0), ("not-a-number", np.nan)):
+        weights.append(numpy_helper.from_array(np.array(value, np.float32), key))
     nodes.append(helper.make_node("Sum", ["goal", *ends], ["action"]))
     ports = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["R", 2]) for name in ("goal", "action")]
     graph = helper.make_graph(nodes, "probe", ports[:1], ports[1:], weights)

@@ -39,13 +39,12 @@ def graph_of(module: Any, argument: str, example: Sequence[Any], axes: Sequence[
     import onnxscript.optimizer
     import torch
 
-    names = {"input_names": list(module.inputs), "output_names": list(module.outputs)}
     try:
         with _quiet(), torch.no_grad():
             # The exporter's own optimisation takes terms such as + 1e-9 for nothing, so it is left out.
-            program = torch.onnx.export(
-                module, tuple(example), None, dynamo=True, optimize=False, external_data=False, opset_version=OPSET,
-                dynamic_shapes=(tuple(axes),), verbose=False, **names,
+            program: Any = torch.onnx.export(
+                module, tuple(example), None, input_names=list(module.inputs), output_names=list(module.outputs), dynamo=True,
+                optimize=False, external_data=False, opset_version=OPSET, dynamic_shapes=(tuple(axes),), verbose=False,
             )  # fmt: skip
             # Constants are computed beforehand: a GRU cell is otherwise split by a sequence, and sizes are checked.
             onnxscript.optimizer.fold_constants(program.model)

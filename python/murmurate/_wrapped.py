@@ -27,7 +27,8 @@ EXAMPLE = (3, 5)
 def parameters_of(module: nn.Module, argument: str) -> tuple[list[str], list[str]]:
     """Returns the names of a module's parameters: those that need a value, and those that do not."""
     kinds = inspect.Parameter
-    needed, optional = [], []
+    needed: list[str] = []
+    optional: list[str] = []
     for name, parameter in inspect.signature(module.forward).parameters.items():
         if parameter.kind in (kinds.VAR_POSITIONAL, kinds.VAR_KEYWORD):
             why = f"its forward takes '{parameter}'; give a module whose parameters have the names of what they take"
@@ -203,6 +204,10 @@ def _named(made: Any, role: str, module: nn.Module, names: Sequence[str]) -> dic
 
 class Affine(nn.Module):
     """``(x - less) * scale + more``, and within the limit if there is one."""
+
+    less: Tensor
+    scale: Tensor
+    more: Tensor
 
     def __init__(self, less: Any, scale: Any, more: Any, limit: float | None = None):
         super().__init__()

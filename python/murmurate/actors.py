@@ -147,7 +147,7 @@ def _sb3_wrappers(env: Any) -> tuple[int, Any, Affine | None]:
 
 def _below(env: Any) -> list[Any]:
     """Returns the environments within a wrapper of Stable-Baselines3."""
-    found = []
+    found: list[Any] = []
     while vars(env).get("venv") is not None and len(found) < 100:
         env = env.venv
         found.append(env)

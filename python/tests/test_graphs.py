@@ -128,7 +128,8 @@ def test_what_cannot_be_exported_is_refused_by_name_and_changes_no_file(change, 
     assert file.read_text() == graph.read_text() == "before" and len(list(tmp_path.iterdir())) == 2
 
 
-def test_an_answer_that_differs_in_a_graph_or_in_the_engine_is_named_with_its_size(tmp_path, monkeypatch):
+@pytest.mark.parametrize("most_nodes", [0, _engine.MOST_NODES])
+def test_an_answer_that_differs_in_a_graph_or_in_the_engine_is_named_with_its_size(most_nodes, tmp_path, monkeypatch):
     file, module = tmp_path / "p.policy.toml", mlp(4)
 
     def other(made, *arguments):
@@ -151,6 +152,7 @@ def test_an_answer_that_differs_in_a_graph_or_in_the_engine_is_named_with_its_si
         return worst, samples
 
     monkeypatch.setattr(_parity, "compare", elsewhere)
+    monkeypatch.setattr(_engine, "MOST_NODES", most_nodes)
     with pytest.raises(ValueError, match="its output 'action' differs by more than 1e-03 between PyTorch and the program"):
         murmurate.export_graph(file, module, observations=OBSERVED, limit=1.0)
     assert not list(tmp_path.iterdir())
