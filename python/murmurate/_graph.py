@@ -139,7 +139,8 @@ def export_graph(
         from ._onnx import check_packages
 
         check_packages()
-        modules = {role: checked(module, role) for role, module in roles.items()}
+        # A module that was compiled is exported as it was before.
+        modules = {role: checked(getattr(module, "_orig_mod", module), role) for role, module in roles.items()}
         with evaluated(list(modules.values())):
             contract, ready = _contract(modules, given, {FIELDS[role]: paths[FIELDS[role]].name for role in roles})
             _write(paths, contract, ready)

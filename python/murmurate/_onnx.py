@@ -74,6 +74,13 @@ def _cleaned(proto: Any, outputs: Sequence[str]) -> bytes:
         if port.name != name or name not in made:
             graph.node.append(helper.make_node("Identity", [port.name], [name]))
             port.name = name
+    for node in [node for node in graph.node if node.op_type == "Mish"]:
+        # The program's engine does not have it.
+        at, (x, y) = list(graph.node).index(node), (node.input[0], node.output[0])
+        chain = [("Softplus", [x], f"{y}.softplus"), ("Tanh", [f"{y}.softplus"], f"{y}.tanh"), ("Mul", [x, f"{y}.tanh"], y)]
+        graph.node.remove(node)
+        for offset, (kind, inputs, output) in enumerate(chain):
+            graph.node.insert(at + offset, helper.make_node(kind, inputs, [output]))
     used = {name for node in graph.node for name in node.input}
     unused = [port for port in graph.input if port.name not in used]
     for port in unused:
@@ -91,11 +98,13 @@ def _cleaned(proto: Any, outputs: Sequence[str]) -> bytes:
 
 
 def _reason(error: BaseException) -> str:
-    """Returns the first sentence of what was at the bottom of an error."""
+    """Returns the first words of what was at the bottom of an error."""
     while error.__cause__ is not None:
         error = error.__cause__
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return (lines[0] if lines else type(error).__name__)[:300]
+    # A line that ends with a colon says nothing without the next.
+    several = lines[:3] if lines and lines[0].endswith(":") else lines[:1]
+    return (" ".join(several) or type(error).__name__)[:300]
 
 
 @contextlib.contextmanager

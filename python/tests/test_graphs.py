@@ -14,7 +14,7 @@ torch = need("torch")
 need("torch_geometric")
 need("onnx")
 need("onnxscript")
-from graphs import GIVEN, MODULES, SENT, Recurrent, convolutions, measured, mlp, noisy  # noqa: E402
+from graphs import GIVEN, MODULES, SENT, Recurrent, compared, convolutions, measured, mlp, noisy  # noqa: E402
 
 nn = torch.nn
 OBSERVED = ["goal-minus-position", "velocity"]
@@ -209,6 +209,13 @@ def test_what_is_of_the_environment_is_taken_from_it(tmp_path):
     assert told["action"]["limit"] == round(env.limit_m_s, 6) and told["action"]["distribution"] == "diagonal-normal"
     assert list(told["observation"]) == ["goal-minus-position", "position", "velocity"]
     assert murmurate.sim("swap", file, episodes=1, repeats=1, action="sample").aborted == 0
+
+
+def test_compiled_modules_and_activations_that_the_engine_lacks_are_written(tmp_path):
+    mish = nn.Sequential(nn.Linear(4, 8), nn.Mish(), nn.Linear(8, 2), nn.Mish())
+    with compared() as found:
+        murmurate.export_graph(tmp_path / "p.policy.toml", torch.compile(mish), observations=OBSERVED, limit=1.0)
+    assert found[0] <= 2e-6
 
 
 def test_small_terms_unused_inputs_and_outputs_that_are_one_tensor_are_kept_right(tmp_path):
