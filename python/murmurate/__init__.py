@@ -5,6 +5,7 @@
 * :func:`study`: studies, in one process, in several, or on a Ray cluster.
 * :func:`export`: policies of PyTorch and PyTorch Geometric as policy files.
 * :func:`export_graph`: any PyTorch module as a policy, an ONNX graph with a contract.
+* :class:`Policy`: policies in Python, in simulation and on robots.
 * :func:`train` and :func:`sweep`: trainings of the program, and many of them.
 * :mod:`murmurate.pettingzoo`, :mod:`murmurate.gymnasium`, :mod:`murmurate.torchrl`, :mod:`murmurate.benchmarl`: the same
   environments for other tools.
@@ -16,5 +17,21 @@ from ._module import VecEnv, __version__
 from ._sim import Results, sim
 from ._study import Study, study
 from ._train import Training, sweep, train
+from .policy import Inputs, Outputs, Policy
 
-__all__ = ["Results", "Study", "Training", "VecEnv", "__version__", "export", "export_graph", "sim", "study", "sweep", "train"]
+__all__ = [
+    "Inputs",
+    "Outputs",
+    "Policy",
+    "Results",
+    "Study",
+    "Training",
+    "VecEnv",
+    "__version__",
+    "export",
+    "export_graph",
+    "sim",
+    "study",
+    "sweep",
+    "train",
+]

@@ -9,6 +9,7 @@ from typing import Any
 
 from ._module import sim_json
 from ._program import finished, words_of
+from ._served import is_object, served
 
 #: Ends of the names of policies of format 3.
 GRAPHS = (".toml", ".onnx")
@@ -55,7 +56,7 @@ class Results:
 
 def sim(
     scenario: str = "passage",
-    policy: str | os.PathLike[str] | None = None,
+    policy: Any = None,
     mode: str = "sim",
     **flags: Any,
 ) -> Results:
@@ -67,12 +68,17 @@ def sim(
 
     Args:
         scenario: Task of the team.
-        policy: Name in the registry or a policy file; None takes the shipped policy.
+        policy: Name in the registry, a policy file, or an object such as a :class:`Policy` with an attribute
+            ``contract``; None takes the shipped policy. An object is asked by one job.
         mode: Mode of the paper: sim, centralized, offboard, onboard-infra, onboard-adhoc.
 
     Raises:
         ValueError: A flag or a file is wrong; the message names it.
     """
+    if is_object(policy):
+        flags.setdefault("jobs", 1)
+        with served(policy) as file:
+            return sim(scenario, file, mode, **flags)
     if "deployment" not in flags:
         flags["mode"] = mode
     words = ["--scenario", scenario]

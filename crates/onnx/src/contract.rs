@@ -40,6 +40,10 @@ pub struct Contract {
     /// File of the graph that makes the action, if that and the message are computed by two graphs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub act: Option<String>,
+    /// Policy in Python instead of graphs: `module:Class`, with the module in the contract's folder or installed, or
+    /// `unix:PATH`, the socket of a process that serves one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub python: Option<String>,
     /// SHA-256 of the graph's file, or of both files one after the other, as hexadecimal digits.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sha256: Option<String>,
@@ -351,6 +355,9 @@ impl Contract {
         }
         if self.encode.is_some() != self.act.is_some() {
             return refuse("encode", "two graphs make a step: 'encode' and 'act' are both needed".to_owned());
+        }
+        if self.python.is_some() && (self.graph.is_some() || self.encode.is_some() || self.sha256.is_some()) {
+            return refuse("python", "a policy in Python has no graphs; leave out one of both".to_owned());
         }
         if self.encode.is_some() && self.message.floats == 0 {
             return refuse("message.floats", "0, and a graph 'encode' has a message to make".to_owned());

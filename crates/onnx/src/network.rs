@@ -14,6 +14,9 @@ use crate::engine::{self, Engine};
 use crate::parts::{GraphFile, Parts, Refused};
 use crate::structure::Role;
 
+/// Beginning of the name of the engine of a policy in Python.
+pub const PYTHON: &str = "Python";
+
 /// Meaning of an input of a graph.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Source {
@@ -56,6 +59,8 @@ pub struct Network {
     pub(crate) graphs: Vec<Graph>,
     pub(crate) interface: Interface,
     pub(crate) digest: String,
+    /// Name and version of what computes it, and the kind of processor.
+    pub(crate) engine: String,
 }
 
 impl std::fmt::Debug for Network {
@@ -88,7 +93,35 @@ impl Network {
             return Err(Refused::Disagree(why));
         }
         let interface = contract.interface();
-        Ok(Network { contract, graphs, interface, digest })
+        Ok(Network { contract, graphs, interface, digest, engine: engine::about() })
+    }
+
+    /// Makes the network of a policy whose steps `engine` computes, such as one in Python: for each role of `roles` it
+    /// gets the inputs and outputs, in the order of its arrays. These are all that the contract knows. `digest` is that of
+    /// contract and program, and `name` that of the engine in records.
+    pub fn of_engine(
+        (contract, digest, name): (Contract, String, String),
+        roles: &[Role],
+        mut engine: impl FnMut(Role, &[Port], &[Port]) -> Arc<dyn Engine>,
+    ) -> Network {
+        let graphs = roles.iter().map(|&role| {
+            let (inputs, outputs) = ports(&contract, role);
+            let engine = engine(role, &inputs, &outputs);
+            let inputs = inputs.into_iter().map(|port| (port.name.clone(), source(&contract, &port.name))).collect();
+            let outputs = outputs.iter().map(|port| {
+                let what = output(&port.name);
+                let name = match what {
+                    Output::Action => "action",
+                    Output::Message => "message",
+                    Output::State => "state_next",
+                };
+                (name, what, port.axes.iter().product())
+            });
+            Graph { role, engine, inputs, outputs: outputs.collect() }
+        });
+        let graphs = graphs.collect();
+        let interface = contract.interface();
+        Network { contract, graphs, interface, digest, engine: name }
     }
 
     /// Returns the contract of the policy.
@@ -100,6 +133,43 @@ impl Network {
     pub fn digest(&self) -> &str {
         &self.digest
     }
+}
+
+/// Input or output of a call of an engine.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct Port {
+    /// Name of the input or output.
+    pub name: String,
+    /// Whether the axis of robots is followed by one of places for neighbours.
+    pub of_neighbours: bool,
+    /// Sizes along the other axes.
+    pub axes: Vec<usize>,
+}
+
+/// Returns all inputs and outputs that a call of this role has by the contract.
+pub fn ports(contract: &Contract, role: Role) -> (Vec<Port>, Vec<Port>) {
+    let port = |name: &str, of_neighbours: bool, axes: &[usize]| Port {
+        name: name.to_owned(),
+        of_neighbours,
+        axes: axes.to_vec(),
+    };
+    let (message, edge, state) = (contract.message.floats, contract.edge_floats(), contract.state_floats());
+    let mut inputs: Vec<Port> =
+        contract.requests().iter().map(|request| port(&request.input, false, &request.shape)).collect();
+    let mut outputs = Vec::new();
+    if role != Role::Encode {
+        inputs.extend((message > 0).then(|| port("messages", true, &[message])));
+        inputs.extend((edge > 0).then(|| port("edges", true, &[edge])));
+        inputs.push(port("heard", true, &[]));
+        inputs.extend((message > 0).then(|| port("own_message", false, &[message])));
+        outputs.push(port("action", false, &[contract.action_floats()]));
+    }
+    if role != Role::Act {
+        outputs.extend((message > 0).then(|| port("message", false, &[message])));
+    }
+    inputs.extend((state > 0).then(|| port("state", false, &[state])));
+    outputs.extend((state > 0).then(|| port("state_next", false, &[state])));
+    (inputs, outputs)
 }
 
 /// Returns the meaning of the input called `name`. The structure was checked, so every name is known.

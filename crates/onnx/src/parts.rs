@@ -68,8 +68,9 @@ impl Parts {
                 graphs.push((role, read(file)?));
             }
         }
-        if graphs.is_empty() {
-            let missing = ConfigError::field("graph", "it is missing: the file of the graph, beside this one");
+        if graphs.is_empty() && contract.python.is_none() {
+            let missing =
+                ConfigError::field("graph", "it is missing: the file of the graph, beside this one; or 'python'");
             return Ok(Err(missing.into()));
         }
         let graphs = graphs.into_iter().map(|(role, bytes)| GraphFile::read(role, bytes));
@@ -88,7 +89,12 @@ impl Parts {
             return Err(Refused::Disagree(why));
         };
         let contract = Contract::parse(&text)?;
-        for (field, file) in [("graph", &contract.graph), ("encode", &contract.encode), ("act", &contract.act)] {
+        for (field, file) in [
+            ("graph", &contract.graph),
+            ("encode", &contract.encode),
+            ("act", &contract.act),
+            ("python", &contract.python),
+        ] {
             if file.is_some() {
                 let why = "a contract in the metadata of its graph names no file; leave it out";
                 return Err(ConfigError::field(field, why).into());
@@ -122,7 +128,13 @@ impl Parts {
 
 /// Returns whether a contract in metadata says what `contract` says, apart from the names of files.
 fn same(inside: &str, contract: &Contract) -> bool {
-    let without =
-        |contract: &Contract| Contract { graph: None, encode: None, act: None, sha256: None, ..contract.clone() };
+    let without = |contract: &Contract| Contract {
+        graph: None,
+        encode: None,
+        act: None,
+        python: None,
+        sha256: None,
+        ..contract.clone()
+    };
     Contract::parse(inside).is_ok_and(|inside| without(&inside) == without(contract))
 }

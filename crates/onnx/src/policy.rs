@@ -13,7 +13,7 @@ use murmurate::random::Stream;
 use murmurate::time::Span;
 
 use crate::contract::{Distribution, Kind, Pad};
-use crate::engine::{self, Array};
+use crate::engine::Array;
 use crate::features;
 use crate::network::{Network, Output, Source};
 use crate::structure::Role;
@@ -239,6 +239,9 @@ impl Policy for Robot {
     fn reset(&mut self) {
         self.memory = Memory::new(self.memory.message.len(), self.memory.state.len());
         self.before.copy(&self.memory);
+        if let Some(graph) = self.network.graphs.first() {
+            graph.engine.reset();
+        }
     }
 
     fn undo(&mut self) {
@@ -304,7 +307,7 @@ impl Network {
         let origin = Origin {
             digest: self.digest.clone(),
             requests: self.contract.requests(),
-            engine: engine::about(),
+            engine: self.engine.clone(),
             apart: true,
             form: self.contract.message.form(),
             turns: self.contract.action.kind == Kind::Twist,

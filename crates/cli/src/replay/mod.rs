@@ -203,7 +203,8 @@ fn check(args: &Args, path: &Path, Opened { identity, messages, .. }: &Opened) -
     }
     // Of a host the answers of the engine are in the record.
     let (theirs, this) = (&identity.engine, murmurate_onnx::engine::about());
-    if identity.is_of_simulation() && !theirs.is_empty() && *theirs != this {
+    let is_of_a_graph = !theirs.is_empty() && !theirs.starts_with(murmurate_onnx::network::PYTHON);
+    if identity.is_of_simulation() && is_of_a_graph && *theirs != this {
         talk(&format!(
             "warning: the policy of '{at}' was computed by {theirs}, and here it is {this}: the last digits of its \
              numbers may be others, and the run with them"

@@ -19,6 +19,10 @@ pub trait Engine: Send + Sync {
     /// Runs the graph on `inputs`, in the order of the names at loading, and returns the outputs in the order of
     /// theirs. An error is a sentence, also if the engine has panicked.
     fn run(&self, inputs: &[Array]) -> Result<Vec<Array>, String>;
+
+    /// Notes that a robot begins anew: its state is at its start. The default does nothing, for an engine that keeps
+    /// nothing from one call to the next.
+    fn reset(&self) {}
 }
 
 /// Name and version of the engine of this program; `None` if it was built without one.

@@ -5,6 +5,7 @@ mod check_hops;
 mod check_onnx;
 mod facts;
 pub mod onnx;
+mod python;
 pub mod room;
 
 use std::path::Path;

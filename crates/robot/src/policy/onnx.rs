@@ -19,6 +19,7 @@ use murmurate_onnx::parts::Refused;
 use murmurate_onnx::{Contract, Parts, check};
 use serde::{Deserialize, Serialize};
 
+use super::python;
 use crate::output::{read_bytes, read_text};
 use crate::{BadInput, bad, this_program};
 
@@ -99,6 +100,9 @@ pub fn load(path: &Path) -> Result<(Arc<Network>, Sound)> {
     let refuse = |why: String| BadInput(format!("the policy file '{}': {why}", path.display()));
     // What is wrong with a file is said before a process is started for it.
     let parts = parts(path)?.map_err(|why| refuse(why.to_string()))?;
+    if parts.contract.python.is_some() {
+        return in_python(parts, path);
+    }
     let sound = match in_own_process(path)? {
         Checked::Sound(sound) => sound,
         Checked::Refused(why) => return Err(refuse(why).into()),
@@ -108,6 +112,16 @@ pub fn load(path: &Path) -> Result<(Arc<Network>, Sound)> {
     }
     let network = Network::load(parts).map_err(|why| refuse(why.to_string()))?;
     Ok((Arc::new(network), sound))
+}
+
+/// Starts the process of a policy in Python, and checks the policy as others are. It is in a process of its own.
+fn in_python(parts: Parts, path: &Path) -> Result<(Arc<Network>, Sound)> {
+    let refuse = |why: String| BadInput(format!("the policy file '{}': {why}", path.display()));
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let network = Arc::new(python::network(parts, folder).map_err(|why| refuse(why.to_string()))?);
+    let remarks = check::check(&network).map_err(|why| refuse(why.to_string()))?;
+    let (digest, step_us) = (network.digest().to_owned(), step_us(&network));
+    Ok((network, Sound { digest, remarks, step_us }))
 }
 
 /// Returns a warning if a step of a policy takes so long that on a robot it would be late, always or now and then.

@@ -1,0 +1,149 @@
+"""Policies in Python: in a simulation, and as a process that a host starts."""
+
+from __future__ import annotations
+
+import pathlib
+
+import numpy as np
+import pytest
+
+import murmurate
+
+#: A potential field: towards the goal, and away from neighbours, turned a little to the left.
+CONTRACT = {
+    "name": "field in Python",
+    "rate_hz": 20,
+    "radius_m": 2.0,
+    "hold_s": 0.2,
+    "observation": {"goal": {"source": "goal-minus-position", "shape": [2], "unit": "m", "frame": "world"}},
+    "edges": {"features": ["relative-position"], "sign": "own-minus-theirs", "frame": "world"},
+    "message": {"floats": 2},
+    "state": {"floats": 1, "after_gap_s": 0.5},
+    "action": {"kind": "velocity", "unit": "m/s", "frame": "world", "limit": 1.0},
+}
+TURN = np.array([[0.8, 0.6], [-0.6, 0.8]], np.float32)
+
+
+class Field(murmurate.Policy):
+    """The field of tests/onnx, with a state that counts the steps."""
+
+    contract = CONTRACT
+
+    def __init__(self, contract=CONTRACT):
+        super().__init__(contract)
+        self.seeds, self.counts = [], set()
+
+    def reset(self, seed):
+        self.seeds.append(seed)
+
+    def step(self, inputs):
+        goal = inputs.observation["goal"]
+        wish = np.clip(1.5 * goal, -1, 1)
+        push = inputs.edges / ((inputs.edges**2).sum(2, keepdims=True) + 1e-3) ** 1.5 @ TURN
+        away = 0.12 * (push * inputs.heard[:, :, None]).sum(1)
+        self.counts.add(float(inputs.state[0, 0]))
+        return murmurate.Outputs(action=np.clip(wish + away, -1, 1), message=wish, state=np.minimum(inputs.state + 1, 1e3))
+
+
+def test_an_object_drives_a_team_twice_alike():
+    runs = [murmurate.sim("swap", Field(), robots=4, episodes=2, repeats=1) for _ in range(2)]
+    assert runs[0].successes == 2
+    assert runs[0].trace_hash == runs[1].trace_hash
+
+
+def test_what_it_remembers_goes_in_and_comes_out_and_a_reset_has_a_seed():
+    policy = Field()
+    murmurate.sim("swap", policy, robots=3, episodes=2, repeats=1)
+    assert {0.0, 1.0, 2.0} < policy.counts
+    assert policy.seeds == sorted(policy.seeds) and len(policy.seeds) >= 6
+
+
+class Two(murmurate.Policy):
+    """Says where it wants to go, and goes there."""
+
+    contract = {name: value for name, value in CONTRACT.items() if name != "state"}
+
+    def encode(self, inputs):
+        return murmurate.Outputs(message=np.clip(inputs.observation["goal"], -1, 1))
+
+    def act(self, inputs):
+        assert inputs.messages.shape[2] == 2 and inputs.heard.shape == inputs.messages.shape[:2]
+        return murmurate.Outputs(action=inputs.own_message)
+
+
+def test_a_policy_may_make_its_message_first():
+    assert murmurate.sim("swap", Two(Two.contract), mode="offboard", robots=2, episodes=1, repeats=1).episodes == 1
+
+
+def test_what_is_wrong_is_said_before_a_run_with_the_line_of_the_policy():
+    class Narrow(Field):
+        def step(self, inputs):
+            return murmurate.Outputs(action=np.zeros((1, 3)), message=np.zeros((1, 2)))
+
+    class Fails(Field):
+        def step(self, inputs):
+            return murmurate.Outputs(action=1 / 0)
+
+    class Infinite(Field):
+        def step(self, inputs):
+            with np.errstate(divide="ignore"):
+                action = 1 / inputs.heard.sum(1, keepdims=True) * np.ones(2)
+            return murmurate.Outputs(action=action, message=np.zeros((len(action), 2)))
+
+    run = lambda policy: murmurate.sim("swap", policy, robots=2, episodes=1, repeats=1)
+    with pytest.raises(ValueError, match=r"the output 'action' has the shape \[1, 3\], and the contract says \[1, 2\]"):
+        run(Narrow())
+    with pytest.raises(ValueError, match=r"ZeroDivisionError: division by zero \(test_policy.py, line \d+\)"):
+        run(Fails())
+    with pytest.raises(ValueError, match="no neighbour.*'action' is not finite"):
+        run(Infinite())
+    with pytest.raises(ValueError, match="has no contract"):
+        run(object())
+
+
+MODULE = """
+import murmurate
+
+class Straight(murmurate.Policy):
+    def step(self, inputs):
+        return murmurate.Outputs(action=inputs.observation["goal"])
+"""
+FILE = """
+format = 3
+name = "straight"
+python = "straight:Straight"
+rate_hz = 20
+radius_m = 2.0
+hold_s = 0.2
+
+[observation.goal]
+source = "goal-minus-position"
+shape = [2]
+unit = "m"
+frame = "world"
+
+[action]
+kind = "velocity"
+unit = "m/s"
+frame = "world"
+limit = 1.0
+"""
+
+
+def file_of(folder: pathlib.Path, contract: str = FILE) -> pathlib.Path:
+    (folder / "straight.py").write_text(MODULE)
+    path = folder / "straight.policy.toml"
+    path.write_text(contract)
+    return path
+
+
+def test_a_file_names_a_class_that_a_process_of_its_own_runs(tmp_path, monkeypatch):
+    import sys
+
+    monkeypatch.setenv("MURMURATE_PYTHON", sys.executable)
+    monkeypatch.chdir(tmp_path)
+    path = file_of(tmp_path)
+    assert murmurate.sim("swap", path, robots=2, episodes=1, repeats=1).episodes == 1
+    for named, words in [("straight:Curved", "has no 'Curved'"), ("curved:Straight", "No module named 'curved'")]:
+        with pytest.raises(ValueError, match=words):
+            murmurate.sim("swap", file_of(tmp_path, FILE.replace("straight:Straight", named)), robots=2, episodes=1)
