@@ -44,6 +44,7 @@ pub mod results;
 pub mod runtime;
 pub mod safety;
 pub mod scenario;
+pub mod senses;
 pub mod simulate;
 pub mod time;
 pub mod trial;

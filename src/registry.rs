@@ -24,10 +24,11 @@ use crate::net::transport;
 use crate::observers;
 use crate::policy::{self, shipped};
 use crate::scenario::{self, Scenario, ScenarioError};
+use crate::senses;
 use crate::world;
 
 /// Registry of the named parts that a run can use: scenarios, plants, policies, drivers, sources of
-/// readings, estimators, transports and observers.
+/// readings, kinds of senses, estimators, transports and observers.
 #[derive(Clone, Debug)]
 pub struct Registry {
     scenarios: Vec<scenario::Entry>,
@@ -35,6 +36,7 @@ pub struct Registry {
     policies: Vec<policy::Entry>,
     drivers: Vec<drivers::Entry>,
     sources: Vec<localization::Entry>,
+    senses: Vec<senses::Entry>,
     estimators: Vec<estimation::Entry>,
     transports: Vec<transport::Entry>,
     observers: Vec<observers::Entry>,
@@ -78,6 +80,7 @@ entries! {
     policy::Entry, "policy";
     drivers::Entry, "driver";
     localization::Entry, "source";
+    senses::Entry, "kind of sense";
     estimation::Entry, "estimator";
     transport::Entry, "transport";
     observers::Entry, "observer";
@@ -100,6 +103,7 @@ impl Registry {
             policies: policy::REGISTRY.to_vec(),
             drivers: drivers::REGISTRY.to_vec(),
             sources: localization::REGISTRY.to_vec(),
+            senses: senses::REGISTRY.to_vec(),
             estimators: estimation::REGISTRY.to_vec(),
             transports: transport::REGISTRY.to_vec(),
             observers: Vec::new(),
@@ -160,6 +164,15 @@ impl Registry {
     /// If the registry already has a source of that name.
     pub fn with_source(mut self, entry: localization::Entry) -> Registry {
         self.add(|all| &mut all.sources, entry);
+        self
+    }
+
+    /// Adds a kind of sense, by which robots perceive their surroundings, and returns the registry.
+    ///
+    /// # Panics
+    /// If the registry already has a kind of sense of that name.
+    pub fn with_sense(mut self, entry: senses::Entry) -> Registry {
+        self.add(|all| &mut all.senses, entry);
         self
     }
 
@@ -230,6 +243,11 @@ impl Registry {
         &self.sources
     }
 
+    /// All kinds of senses in the registry, by which robots perceive their surroundings.
+    pub fn senses(&self) -> &[senses::Entry] {
+        &self.senses
+    }
+
     /// All scenarios (tasks for a team) in the registry.
     pub fn scenarios(&self) -> &[scenario::Entry] {
         &self.scenarios
@@ -291,6 +309,19 @@ impl Registry {
             .try_for_each(limits)
             .and_then(|()| localization::fusion::make(&plausibility::without(settings), robots, entry.make));
         parts.map_err(|error| error.within("source"))
+    }
+
+    /// Makes the parts of the sense called `name` of one robot, from its `settings` in a deployment. No worker is
+    /// started. An error names the wrong field from the sense's name on, such as `lidar.rays`.
+    pub fn sense(&self, name: &str, settings: &senses::Settings, robot: RobotId) -> Result<senses::Parts, ConfigError> {
+        let wrong = |field: &str, why: String| ConfigError::field(format!("{name}.{field}"), why);
+        let entry = find(&self.senses, &settings.kind).map_err(|e| wrong("kind", e.to_string()))?;
+        let own = settings.named(name).for_robot(robot).map_err(|error| error.within(name))?;
+        let parts = (entry.make)(&own, robot)?;
+        match parts.layout.unfit() {
+            None => Ok(parts),
+            Some(why) => Err(ConfigError::field(name, why)),
+        }
     }
 
     /// Makes the observer of a team of these `robots` from its `settings` in a deployment. An error names the wrong

@@ -36,6 +36,13 @@ cp tests/onnx/data/field-*.onnx "$folder"
 sed 's/"goal-minus-position"/"chord"/' tests/onnx/data/field.policy.toml >"$folder/chord.policy.toml"
 has "$("$program" sim --scenario round --policy "$folder/chord.policy.toml" --episodes 1 --repeats 1 --quiet)" '1 of 1'
 has "$("$program" sim --policy "$folder/chord.policy.toml" --quiet 2>&1 || true)" "there is no channel 'chord' here"
+# A policy takes the crate's sense, and another kind of sense is refused with a list of all.
+printf '[senses.crowd]\nkind = "crowd"\nradius_m = 1.0\n' >"$folder/senses.toml"
+has "$("$program" sim --senses "$folder/senses.toml" --policy give-way --episodes 1 --repeats 1 --quiet)" 'of 1'
+has "$("$program" sim --senses "$folder/senses.toml" --policy tests/onnx/data/lidar.policy.toml --quiet 2>&1 || true)" \
+    "there is no channel 'lidar' here" crowd
+printf '[senses.crowd]\nkind = "nose"\n' >"$folder/senses.toml"
+has "$("$program" sim --senses "$folder/senses.toml" --quiet 2>&1 || true)" "no kind of sense 'nose'" lidar program crowd
 cat >"$folder/team.toml" <<'TOML'
 team = 77
 mode = "centralized"

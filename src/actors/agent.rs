@@ -21,7 +21,7 @@ use crate::messages::geometry::{Task, Vec2, is_finite};
 use crate::messages::local::{Action, NEAR_M, OtherRobot, Percept, Progress};
 use crate::messages::round::RoundFollower;
 use crate::messages::wire::{Features, Latent, Mode, Phase, Round};
-use crate::observation::{Known, Observation};
+use crate::observation::Observation;
 use crate::scenario::Scenario;
 use crate::time::{Span, Time};
 
@@ -249,7 +249,7 @@ impl Agent {
         let own = slot.policies.observe(&*self.scenario, &task, percept, now.since(self.episode_began));
         slot.own = own;
         if phase == Phase::Running {
-            slot.steps(now, &Known { task: &task, own: &own });
+            slot.steps(now, (&task, &own));
         }
         let seen = Observation { values: &slot.values, ..own };
         let policy = slot.policies.of(phase);
@@ -388,7 +388,7 @@ mod tests {
     use crate::messages::latch::Latch;
     use crate::messages::local::NeighbourLatent;
     use crate::messages::wire::MAX_FEATURES;
-    use crate::observation::{Bound, Dynamics, Request, Unit};
+    use crate::observation::{Bound, Dynamics, Request, Taking, Unit};
     use crate::policy::{Broadcast, Interface, Neighbour, Policy};
     use crate::random::{Seed, Stream};
     use crate::scenario::{Settings, build};
@@ -449,6 +449,7 @@ mod tests {
             yaw_rate: None,
             heard,
             measured: Vec::new(),
+            sensed: Vec::new(),
         })
     }
 
@@ -708,6 +709,7 @@ mod tests {
             shape: vec![1],
             unit: Unit::Second,
             frame: None,
+            taking: Taking::default(),
         };
         replace(&mut agent, || {
             let channels = Bound::new(std::slice::from_ref(&time), &[]).expect("every team has it");

@@ -11,8 +11,8 @@ use crate::actor::Core;
 use crate::estimation::{self, Estimator};
 use crate::hearing::{CommRange, Handling, MAX_NEIGHBOURS};
 use crate::messages::ids::RobotId;
-use crate::messages::local::{NeighbourLatent, Percept};
-use crate::messages::wire::{Latent, Reading};
+use crate::messages::local::{NeighbourLatent, Percept, Sensation};
+use crate::messages::wire::{Latent, Reading, Sensed};
 use crate::random::Stream;
 use crate::time::{Span, Time};
 
@@ -25,6 +25,8 @@ pub enum In {
     Latent(Latent),
     /// Reading of another robot, by a host other than that of its Agent.
     Measured(Reading),
+    /// Values of a sense of the Cache's own robot.
+    Sensed(Sensed),
 }
 
 /// Configuration of a Cache, the actor that stores one robot's readings and its neighbours' messages.
@@ -52,6 +54,8 @@ pub struct Config {
     /// Largest speed of the robots along each axis \[m/s\], by which readings of other robots are held against what
     /// these say of themselves.
     pub limit_m_s: f32,
+    /// Number of senses of the robot.
+    pub senses: usize,
 }
 
 /// Output message of a Cache, the actor that stores one robot's readings and its neighbours' messages.
@@ -80,6 +84,8 @@ pub struct Cache {
     estimator: Box<dyn Estimator>,
     latents: BTreeMap<RobotId, (Time, Latent)>,
     witness: Witness,
+    /// Newest values of each sense with the times of their arrival; `None` before the first.
+    sensed: Vec<Option<(Time, Sensed)>>,
 }
 
 impl Cache {
@@ -89,7 +95,8 @@ impl Cache {
         let settings = estimation::Settings { delay: config.sensor_delay };
         let (next, estimator) = (Time::ZERO + config.phase, (config.estimator.make)(&settings));
         let witness = Witness::new(config.limit_m_s);
-        Cache { config, stream, next, own: None, turning: (None, None), estimator, latents: BTreeMap::new(), witness }
+        let (latents, sensed) = (BTreeMap::new(), vec![None; config.senses]);
+        Cache { config, stream, next, own: None, turning: (None, None), estimator, latents, witness, sensed }
     }
 
     fn perceive(&self, now: Time) -> Option<Percept> {
@@ -110,7 +117,19 @@ impl Cache {
         let deviation_m = self.estimator.deviation_m(now);
         let measured = self.witness.obstacles(now);
         let (due, heard, (heading, yaw_rate)) = (self.next, heard.collect(), self.turning);
-        Some(Percept { robot, due, estimate, deviation_m, heading, yaw_rate, heard, measured })
+        let sensation =
+            |(arrived, sensed): &(Time, Sensed)| Sensation { values: sensed.values.clone(), age: now.since(*arrived) };
+        let sensed = self.sensed.iter().map(|newest| newest.as_ref().map(sensation)).collect();
+        Some(Percept { robot, due, estimate, deviation_m, heading, yaw_rate, heard, measured, sensed })
+    }
+
+    /// Keeps the values of a sense. A repeated stamp is the same measurement and does not make the values newer.
+    fn sense(&mut self, now: Time, sensed: Sensed) {
+        if let Some(newest) = self.sensed.get_mut(usize::from(sensed.sense)) {
+            let known = newest.as_ref().is_some_and(|(_, before)| before.stamp_ns == sensed.stamp_ns);
+            let arrived = newest.as_ref().filter(|_| known).map_or(now, |(arrived, _)| *arrived);
+            *newest = Some((arrived, sensed));
+        }
     }
 
     fn hear(&mut self, now: Time, latent: Latent, out: &mut Vec<Out>) {
@@ -161,6 +180,7 @@ impl Core for Cache {
             }
             In::Latent(latent) => self.hear(now, latent, out),
             In::Measured(reading) => self.witness.measured(now, &reading),
+            In::Sensed(sensed) => self.sense(now, sensed),
         }
     }
 
@@ -211,6 +231,7 @@ mod tests {
             sensor_delay: Span::ZERO,
             own_age: Span::from_millis(100),
             limit_m_s: 1.5,
+            senses: 1,
         };
         Cache::new(config, Seed::of_run(0).stream("cache"))
     }
@@ -269,6 +290,22 @@ mod tests {
         cache.handle(at_ms(210), latent(1, 1.0), &mut Vec::new());
         cache.handle(at_ms(290), reading(4), &mut Vec::new());
         assert_eq!(heard(tick(&mut cache, 300)), 0, "80 ms have passed");
+    }
+
+    #[test]
+    fn the_newest_values_of_a_sense_age_from_their_arrival() {
+        let mut cache = cache();
+        let sensed = |sense, stamp_ns, value: f32| {
+            In::Sensed(Sensed { robot: RobotId(0), sense, stamp_ns, values: Features([value].into()) })
+        };
+        cache.handle(at_ms(0), reading(1), &mut Vec::new());
+        assert_eq!(tick(&mut cache, 0).expect("it knows where it is").sensed, [None]);
+        for (ms, sense, stamp_ns, value) in [(10, 0, 5, 1.0), (20, 0, 6, 2.0), (30, 0, 6, 2.5), (40, 1, 7, 3.0)] {
+            cache.handle(at_ms(ms), sensed(sense, stamp_ns, value), &mut Vec::new());
+        }
+        let values = Features([2.5].into());
+        let expected = Some(Sensation { values, age: Span::from_millis(30) });
+        assert_eq!(tick(&mut cache, 50).expect("it knows where it is").sensed, [expected]);
     }
 
     #[test]

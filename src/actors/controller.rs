@@ -480,6 +480,7 @@ mod tests {
             sensor_delay: Span::ZERO,
             own_age: Span::from_millis(100),
             limit_m_s: 1.5,
+            senses: 0,
         };
         let mut cache = Cache::new(config, Seed::of_run(0).stream("cache"));
         let (safety, half_extent, clamp) = (Safety::deployed(), Vec2::new(2.0, 3.0), Clamp::Training);

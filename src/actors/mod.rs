@@ -16,6 +16,7 @@ pub mod network;
 pub mod order;
 pub(crate) mod presence;
 pub mod recorder;
+pub mod senses;
 pub(crate) mod state_server;
 pub(crate) mod status;
 pub mod wiggle;

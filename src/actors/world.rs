@@ -16,7 +16,7 @@ use crate::actor::Core;
 use crate::chassis::Chassis;
 use crate::messages::geometry::{Motion, Vec2};
 use crate::messages::ids::RobotId;
-use crate::messages::local::{Drive, Sample, Truth};
+use crate::messages::local::{Drive, Sample, Scene, Standing, Truth};
 use crate::messages::wire::{Mode, Phase, Reading, Round};
 use crate::scenario::Scenario;
 use crate::time::{Span, Time};
@@ -48,6 +48,9 @@ pub enum Out {
     Sample(Sample),
     /// True states of all robots that the World simulates, after one step of the plant, for the Recorder.
     Truth(Truth),
+    /// True poses of all robots of the team, for the senses of those that the World simulates. Only of a World with
+    /// senses.
+    Scene(Scene),
 }
 
 /// State that survives a crash of the World actor: the plant, and the round for which each robot was last placed.
@@ -79,6 +82,8 @@ pub struct World {
     others: Vec<Other>,
     next: Time,
     placed_at: Option<Time>,
+    /// Whether its robots have senses, which take scenes.
+    senses: bool,
 }
 
 /// Robot that the World simulates, with its last command and the command's expiry.
@@ -136,7 +141,36 @@ impl World {
         let period = persistent.borrow().plant.period();
         let bodies = robots.iter().map(attach).collect();
         let others = others.iter().enumerate().map(other).collect();
-        World { persistent, scenario, period, placement, bodies, others, next: Time::ZERO, placed_at: None }
+        World {
+            persistent,
+            scenario,
+            period,
+            placement,
+            bodies,
+            others,
+            next: Time::ZERO,
+            placed_at: None,
+            senses: false,
+        }
+    }
+
+    /// Returns the World with scenes for the senses of its robots, if `senses` says that they have any.
+    pub fn with_scenes(self, senses: bool) -> World {
+        World { senses, ..self }
+    }
+
+    /// Returns the poses of all robots that the World knows, in the order of their ids.
+    fn scene(&self, now: Time, placed: bool) -> Scene {
+        let persistent = self.persistent.borrow();
+        let ids = self.bodies.iter().map(|body| body.robot).chain(self.others.iter().map(|other| other.robot));
+        let standing = |(robot, state): (RobotId, &PlantState)| Standing {
+            robot,
+            centre: state.motion.position,
+            heading: state.heading,
+        };
+        let mut robots: Vec<Standing> = ids.zip(persistent.plant.states()).map(standing).collect();
+        robots.sort_by_key(|standing| standing.robot);
+        Scene { time: now, placed, robots: robots.into() }
     }
 
     /// Returns whether the World places robots at their starts for the instruction `mode`, and stores the instruction's
@@ -171,6 +205,10 @@ impl World {
                 self.placed_at = Some(now);
                 out.push(Out::Sample(sample(now, body, &persistent.plant.states()[index])));
             }
+        }
+        drop(persistent);
+        if self.senses && self.placed_at == Some(now) {
+            out.push(Out::Scene(self.scene(now, true)));
         }
     }
 
@@ -236,6 +274,7 @@ impl Core for World {
         out.extend(samples.iter().copied().map(Out::Sample));
         if steps {
             out.push(Out::Truth(Truth { time: now, samples: samples.into() }));
+            out.extend(self.senses.then(|| Out::Scene(self.scene(now, false))));
         }
         self.next = now.next_on_grid(Span::ZERO, self.period);
     }
@@ -267,7 +306,7 @@ mod tests {
         world.wake(at_ms(ms), &mut out);
         out.into_iter().find_map(|said| match said {
             Out::Truth(truth) => Some(truth),
-            Out::Sample(_) => None,
+            Out::Sample(_) | Out::Scene(_) => None,
         })
     }
 

@@ -9,14 +9,16 @@ mod judging;
 mod links;
 mod presets;
 mod routes;
+mod senses;
 mod size;
 pub mod team;
 mod ticks;
 
 pub use presets::MODES;
 pub use routes::Routes;
+pub use senses::senses_of;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
@@ -29,6 +31,7 @@ use crate::messages::wire::{KINDS, Kind};
 use crate::net::media::radio::{Radio, Topology};
 use crate::net::protocol::reliability::Reliabilities;
 use crate::safety::Switch;
+use crate::senses::Settings as SenseSettings;
 use crate::world::{self, Placement};
 
 /// Rule for the times, within the control period, at which Agents run their policies.
@@ -174,6 +177,9 @@ pub struct Deployment {
     /// Chassis and hardware limits of single robots that differ from `body`, by robot id.
     #[serde(default, skip_serializing_if = "chassis::ByRobot::is_empty")]
     pub bodies: chassis::ByRobot,
+    /// Senses of all robots, by their names; empty for robots that perceive nothing of their surroundings.
+    #[serde(default, skip_serializing_if = "Senses::is_empty")]
+    pub senses: Senses,
     /// Hosts of the team; the index of a host is its id.
     #[serde(rename = "host")]
     pub hosts: Vec<Host>,
@@ -181,6 +187,9 @@ pub struct Deployment {
     #[serde(default, rename = "link", skip_serializing_if = "Vec::is_empty")]
     pub links: Vec<Link>,
 }
+
+/// Settings of the senses of a team's robots, by the names of the senses.
+pub type Senses = BTreeMap<String, SenseSettings>;
 
 fn off() -> Switch {
     Switch::Off
@@ -262,6 +271,7 @@ impl Deployment {
             return wrong("host.state_server", format!("{servers} hosts run a state server; exactly one must"));
         }
         self.check_witness()?;
+        self.check_senses()?;
         self.links.iter().try_for_each(Link::check)?;
         self.links.iter().try_for_each(Link::check_radio)?;
         self.check_ways()

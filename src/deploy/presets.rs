@@ -71,6 +71,7 @@ impl Deployment {
             stepping: if training { Stepping::Lockstep } else { Stepping::Seeded },
             body: Default::default(),
             bodies: Default::default(),
+            senses: Default::default(),
             plant: kinematic(),
             gap_m: None,
             scale: None,

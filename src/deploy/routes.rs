@@ -27,6 +27,8 @@ pub struct Routes {
     reading_hosts: Vec<Vec<HostId>>,
     /// Whether what robots say of themselves is held against the readings of them.
     witness: Switch,
+    /// Whether the robots have senses.
+    senses: bool,
     server_host: HostId,
     /// For each host: robots whose Agents it runs, or which it drives or measures.
     robots_of: Vec<Vec<RobotId>>,
@@ -167,6 +169,7 @@ impl Routes {
             links: KINDS.iter().map(|&kind| link_of(kind).map(|index| LinkId(number(index)))).collect(),
             reading_hosts: (0..deployment.robots).map(reading_hosts).collect(),
             witness: deployment.witness,
+            senses: !deployment.senses.is_empty(),
             agent_hosts,
             agent_host,
             actuator_host,
@@ -180,6 +183,8 @@ impl Routes {
         match kind.receiver() {
             Receiver::Readers => hosts = &self.reading_hosts[robot.index()],
             Receiver::Actuator => hosts = std::slice::from_ref(&self.actuator_host[robot.index()]),
+            Receiver::Perceiver if self.senses => hosts = std::slice::from_ref(&self.agent_host[robot.index()]),
+            Receiver::Perceiver => hosts = &[],
             Receiver::StateServer => hosts = std::slice::from_ref(&self.server_host),
             Receiver::All => hosts = &self.mode_hosts,
             Receiver::Movers => hosts = &self.stop_hosts,
@@ -274,7 +279,7 @@ impl Routes {
         let receivers = |robot| self.receivers(kind, robot);
         // These lists are the same for all robots, except that one host may be left out for a robot.
         let of_all = match kind.receiver() {
-            Receiver::Readers | Receiver::Actuator => {
+            Receiver::Readers | Receiver::Actuator | Receiver::Perceiver => {
                 RobotId::team(self.robots).flat_map(|robot| receivers(robot).hosts).copied().collect()
             }
             _ => {

@@ -12,7 +12,7 @@ use super::process::{Graph, Process};
 use crate::actors::body::{self, Body};
 use crate::actors::localizer::{self, Localizer};
 use crate::actors::world::{self, PersistentPlant, World};
-use crate::actors::{controller, network, status};
+use crate::actors::{controller, network, senses, status};
 use crate::chassis::Chassis;
 use crate::deploy::Deployment;
 use crate::drivers::Driver;
@@ -180,12 +180,19 @@ pub(super) fn wire_world(
     let (persistent, placement) = (Rc::new(RefCell::new(PersistentPlant::new(plant))), trial.placement());
     let place = &graph.worlds[simulated[0].index()];
     let scenario = Arc::clone(&trial.scenario);
-    let make = move |_| World::new(Rc::clone(&persistent), Arc::clone(&scenario), placement, &simulated, &others);
+    let (senses, perceives) = (graph.senses.clone(), !trial.deployment.senses.is_empty());
+    let perceiving = simulated.clone();
+    let make = move |_| {
+        World::new(Rc::clone(&persistent), Arc::clone(&scenario), placement, &simulated, &others).with_scenes(perceives)
+    };
     start(clock, place, info_span!("world", host = host.0), make, move |out| match out {
         world::Out::Sample(sample) => sensors[sample.robot.index()].send(localizer::In::Sample(sample)),
         world::Out::Truth(truth) => {
             ranged.iter().for_each(|medium| medium.send(ether::In::Truth(truth.clone())));
             events.emit(host, Event::Truth(&truth));
+        }
+        world::Out::Scene(scene) => {
+            perceiving.iter().for_each(|robot| senses[robot.index()].send(senses::In::Scene(scene.clone())));
         }
     });
 }

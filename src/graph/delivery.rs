@@ -102,6 +102,10 @@ impl Delivery {
             }
             Wire::Place(m) => self.source.iter().for_each(|source| source.send(localizer::In::Place(m))),
             Wire::Located(m) => self.located(m),
+            Wire::Sensed(m) if self.decided.contains(&m.robot) => {
+                self.caches[m.robot.index()].send(cache::In::Sensed(m));
+            }
+            Wire::Sensed(_) => {}
             // Telemetry is for observers, which are outside the deployment.
             Wire::Telemetry(_) => {}
         }

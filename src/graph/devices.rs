@@ -83,6 +83,9 @@ pub struct Devices {
     /// Channels to the workers that compute policies, by the first robot of each Agent; `None` in a replay, which has
     /// their answers. Empty if Agents compute their policies themselves.
     pub(crate) agents: BTreeMap<RobotId, Option<Rc<RefCell<Gate>>>>,
+    /// Channels to the workers of the senses of this process's robots, by robot and index of the sense; empty in a
+    /// replay, which has their packets.
+    pub(crate) senses: BTreeMap<(RobotId, u8), Rc<RefCell<Gate>>>,
     /// Observer of the messages that reach this process; `None` if it is not configured.
     pub(crate) observer: Option<Observed>,
 }
@@ -209,6 +212,27 @@ pub(crate) fn open_agents(
         let worker = apart::worker(move || agent_of(&trial, &robots, 1));
         let gate = start_worker(worker, format!("policy {}", first.0), workers)?;
         devices.agents.insert(first, Some(gate));
+    }
+    Ok(())
+}
+
+/// Starts the workers of the senses of the robots whose Bodies a host runs. An error names the wrong setting, or says
+/// that a worker cannot be started.
+pub(crate) fn open_senses(
+    host: &Host,
+    trial: &Trial,
+    (devices, workers): (&mut Devices, &mut Workers),
+) -> Result<(), DeviceError> {
+    if trial.deployment.senses.is_empty() {
+        return Ok(());
+    }
+    for robot in host.simulates.iter().chain(&host.actuates).copied().map(RobotId) {
+        for (index, (name, parts)) in (0..).zip(trial.senses(robot)?) {
+            let Some(worker) = parts.worker else { continue };
+            worker.check().map_err(|error| error.within(&name).within("senses"))?;
+            let gate = start_worker(worker, format!("{name} {}", robot.0), workers)?;
+            devices.senses.insert((robot, index), gate);
+        }
     }
     Ok(())
 }

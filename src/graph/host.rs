@@ -61,6 +61,9 @@ fn wire_gates((clock, readers): (&Clock, &mut Readers), trial: &Trial, graph: &G
     for (robot, gate) in &process.devices.agents {
         watch(readers, gate.as_ref(), DeviceId::Agent(*robot), take);
     }
+    for ((robot, sense), gate) in &process.devices.senses {
+        watch(readers, Some(gate), DeviceId::Sense(*robot, *sense), take);
+    }
     if let Some(device) = &process.devices.source {
         wire_source(clock, trial, graph, process);
         watch(readers, device.gate.as_ref(), DeviceId::Source, take);

@@ -17,6 +17,8 @@ pub enum DeviceId {
     Source,
     /// The worker that computes the policies of an Agent, whose first robot is this one.
     Agent(RobotId),
+    /// The worker of the sense of this robot with this index.
+    Sense(RobotId, u8),
 }
 
 /// Input of a host from outside its actors: datagrams, packets of its devices, and orders of its own process.

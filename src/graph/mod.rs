@@ -14,6 +14,7 @@ mod injection;
 pub mod inputs;
 pub mod operator;
 pub mod process;
+mod senses;
 pub mod sockets;
 
 use std::collections::BTreeSet;
@@ -99,6 +100,7 @@ pub(super) fn wire_hosts(clock: &Clock, trial: &Rc<Trial>, graph: &Graph, proces
         }
         if here(graph.routes.actuator_host(robot)) {
             bodies::wire_body(clock, trial, graph, robot, process);
+            senses::wire_senses(clock, trial, graph, robot);
         }
         if graph.routes.world_host(robot).is_some_and(here) {
             bodies::wire_sensor(clock, trial, graph, robot, &chassis);
@@ -202,6 +204,7 @@ fn wire_robot(
         sensor_delay: trial.reading_delay(),
         own_age: Span::from_secs(trial.safety.own_state_s),
         limit_m_s: interface.limit_m_s,
+        senses: trial.deployment.senses.len(),
     };
     let make = move |incarnation| Cache::new(config, seed.stream(&format!("cache/{id}/range/{incarnation}")));
     let (agent, controller) = (graph.agents[at].clone(), graph.controllers[at].clone());

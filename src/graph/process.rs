@@ -5,7 +5,9 @@ use std::cell::{Cell, OnceCell};
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
-use crate::actors::{agent, body, cache, controller, localizer, network, recorder, state_server, status, world};
+use crate::actors::{
+    agent, body, cache, controller, localizer, network, recorder, senses, state_server, status, world,
+};
 use crate::deploy::{Link, Routes};
 use crate::faults::{ActorFault, ManualLinkFault, Role};
 use crate::graph::devices::Devices;
@@ -89,6 +91,8 @@ pub struct Graph {
     pub(super) bodies: Rc<[Mailbox<body::In>]>,
     /// Mailboxes of the Localizers of simulated robots, indexed by robot.
     pub(super) sensors: Rc<[Mailbox<localizer::In>]>,
+    /// Mailboxes of the Senses, indexed by robot; empty in a team without senses.
+    pub(super) senses: Rc<[Mailbox<senses::In>]>,
     /// Mailbox of the Localizer that runs this process's source of readings of real robots; without such a source no
     /// actor takes its messages.
     pub(super) source: Mailbox<localizer::In>,
@@ -170,6 +174,7 @@ impl Graph {
             controllers: team().map(named("controller")).map(Mailbox::new).collect(),
             bodies: team().map(named("body")).map(Mailbox::new).collect(),
             sensors: team().map(named("localizer")).map(Mailbox::new).collect(),
+            senses: team().filter(|_| !deployment.senses.is_empty()).map(named("senses")).map(Mailbox::new).collect(),
             source: Mailbox::new("localizer"),
             worlds,
             server: Mailbox::new("state server"),
@@ -208,6 +213,7 @@ impl Graph {
             .chain(of(&self.controllers))
             .chain(of(&self.bodies))
             .chain(of(&self.sensors))
+            .chain(of(&self.senses))
             .chain(of(&self.worlds))
             .chain(of(&self.statuses))
             .chain(of(&self.networks))
@@ -271,6 +277,7 @@ impl Graph {
             // The body fault of a robot covers its measurement and its motors.
             Role::Body => {
                 change(&self.sensors[at], fault);
+                self.senses.get(at).into_iter().for_each(|senses| change(senses, fault));
                 change(&self.bodies[at], fault);
             }
             Role::World => change(&self.worlds[at], fault),
@@ -315,6 +322,15 @@ impl Graph {
                 if let Some(agent) = self.agents.get(robot.index()) {
                     agent.send(agent::In::Ended);
                 }
+            }
+            Input::Packet(DeviceId::Sense(robot, sense), packet) => {
+                if let Some(senses) = self.senses.get(robot.index()) {
+                    senses.send(senses::In::Packet(sense, packet));
+                }
+            }
+            // Its values get old by themselves.
+            Input::Ended(DeviceId::Sense(robot, _)) => {
+                tracing::error!("a sense of {robot} has ended, and is started again: it perceives nothing meanwhile");
             }
             Input::Ended(DeviceId::Driver(robot)) => self.bodies[robot.index()].send(body::In::WorkerEnded),
             Input::Ended(DeviceId::Source) => {

@@ -90,6 +90,7 @@ impl LiveHost {
         let entry = &team.deployment.hosts[usize::from(team.host.0)];
         let (mut devices, mut workers) = devices::open(entry, team.deployment.robots, registry)?;
         devices::open_agents(entry, trial, (&mut devices, &mut workers))?;
+        devices::open_senses(entry, trial, (&mut devices, &mut workers))?;
         let end = HostEnd { me: identity.host_of(team), key, seed: identity.seed, links, keep: None, transports };
         Ok(LiveHost { end, devices, workers, trial: trial.clone(), grace: grace(team), seed: identity.bytes })
     }

@@ -42,6 +42,8 @@ pub enum Receiver {
     OtherAgents,
     /// The host that drives the robot's motors.
     Actuator,
+    /// The host of the robot's Agent, if the team has senses.
+    Perceiver,
     /// The host of the state server.
     StateServer,
     /// All hosts.

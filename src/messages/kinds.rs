@@ -12,6 +12,7 @@ use super::ids::{HostId, RobotId};
 use super::leading::{Heartbeat, Mode, Stop};
 use super::place::{Located, Place};
 use super::release::Release;
+use super::sensed::Sensed;
 use super::status::Status;
 use super::telemetry::{Observe, Telemetry};
 
@@ -151,6 +152,8 @@ kinds! {
     Located = row(Publisher::Member, Receiver::Movers).and_operators().with_the_stop();
     /// Signed re-arm or resume, from an operator to every host, and repeated by the state server.
     Release = row(Publisher::Anyone, Receiver::Movers).with_the_stop();
+    /// Values of a sense of a robot, such as a scan of its lidar, from the host of its Body to its Cache.
+    Sensed = row(Publisher::Actuator, Receiver::Perceiver);
 }
 
 impl Kind {
@@ -223,6 +226,7 @@ mod tests {
             Receiver::Readers => "hosts of its agent and motors, simulators of others, the judge",
             Receiver::OtherAgents => "hosts of other agents",
             Receiver::Actuator => "host that drives the robot's motors",
+            Receiver::Perceiver => "host of the robot's agent, in a team with senses",
             Receiver::StateServer => "host of the state server",
             Receiver::All => "all hosts",
             Receiver::Movers => "hosts with agents or motors, host of the state server",

@@ -32,6 +32,8 @@ pub struct Percept {
     /// Motions of other robots that take the place of those in their messages for avoidance, as a tracker measures
     /// them; in the order of robot ids, and several of one robot whose place is in doubt. Empty without a witness.
     pub(crate) measured: Vec<OtherRobot>,
+    /// Newest values of each sense of the robot, in the order of the senses; empty in a team without senses.
+    pub(crate) sensed: Vec<Option<Sensation>>,
 }
 
 impl Percept {
@@ -106,6 +108,37 @@ pub struct Action {
     pub others: Vec<OtherRobot>,
     /// Whether the robot has reached its target: its start position in a reset, its goal in an episode.
     pub progress: Progress,
+}
+
+/// Newest values of one sense of a robot, as stored by the robot's Cache.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Sensation {
+    /// Values in the unit of the sense; positive infinity stands for no echo.
+    pub values: Features,
+    /// Time since the values arrived at this host.
+    pub age: Span,
+}
+
+/// True poses of all robots that a World knows, sent to the senses of the robots that it simulates.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// Simulation time of the poses.
+    pub time: Time,
+    /// Whether a robot was just placed, so that what was seen before counts no longer.
+    pub placed: bool,
+    /// Poses of the robots, in the order of robot ids.
+    pub robots: Arc<[Standing]>,
+}
+
+/// True pose of one robot in a [`Scene`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Standing {
+    /// Number of the robot.
+    pub robot: RobotId,
+    /// Position of the robot's centre \[m\], world frame.
+    pub centre: Vec2,
+    /// Heading \[rad\], counter-clockwise from the x axis of the world frame.
+    pub heading: f32,
 }
 
 /// Velocity command for one simulated robot, sent from the robot's Body to its World.

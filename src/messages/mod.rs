@@ -1,10 +1,10 @@
 //! All messages of the system: plain data, encoded with serde. Messages check only that their values are in range.
 //!
 //! `wire` holds messages that may cross hosts and therefore always pass through a Network; `kinds` is the table of
-//! them, `exchange`, `leading` and `release` define them, and `body` says what each has. `local` holds messages between
-//! the actors of one host. `ids`, `geometry`, `floats`, `hardware`, `latch`, `numbered`, `phase`, `place`, `round`,
-//! `status` and `telemetry` are their fields. `parts` cuts what is too large for a datagram. `isometry` converts poses
-//! to those of nalgebra and back.
+//! them, `exchange`, `leading`, `release` and `sensed` define them, and `body` says what each has. `local` holds
+//! messages between the actors of one host. `ids`, `geometry`, `floats`, `hardware`, `latch`, `numbered`, `phase`,
+//! `place`, `round`, `status` and `telemetry` are their fields. `parts` cuts what is too large for a datagram.
+//! `isometry` converts poses to those of nalgebra and back.
 
 mod body;
 mod exchange;
@@ -23,6 +23,7 @@ pub mod phase;
 pub mod place;
 pub mod release;
 pub mod round;
+mod sensed;
 mod status;
 pub mod telemetry;
 pub mod trigger;

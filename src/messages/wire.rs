@@ -14,5 +14,6 @@ pub use super::phase::*;
 pub use super::place::*;
 pub use super::release::*;
 pub use super::round::*;
+pub use super::sensed::*;
 pub use super::status::*;
 pub use super::telemetry::*;

@@ -2,6 +2,8 @@
 
 use super::channel::{Channel, Known, Quantity, Unit, floats};
 use super::frame::Frame;
+use super::sense::Taking;
+use super::taken::taken;
 use super::{Observation, builtin};
 use crate::messages::geometry::{Vec2, wrapped};
 
@@ -9,7 +11,7 @@ use crate::messages::geometry::{Vec2, wrapped};
 pub const MAX_FLOATS: usize = 65_536;
 
 /// Channel that a policy takes, as its file describes it.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Request {
     /// Name of the policy's input.
     pub input: String,
@@ -22,6 +24,8 @@ pub struct Request {
     /// Frame in which the policy takes the values; `None` if the policy does not say, which only values that are the
     /// same in every frame permit.
     pub frame: Option<Frame>,
+    /// How the policy takes the values of a sense; the default for a channel that is none.
+    pub taking: Taking,
 }
 
 impl Channel {
@@ -33,6 +37,7 @@ impl Channel {
             shape: self.shape.clone(),
             unit: self.unit,
             frame: Some(Frame::Policy),
+            taking: Taking::default(),
         }
     }
 }
@@ -62,8 +67,8 @@ pub struct Bound {
 }
 
 impl Bound {
-    /// Joins the channels that a policy takes with those of the team: the built-in ones, and `others` of its scenario.
-    /// An error names the first channel that does not exist, or that has another shape or unit.
+    /// Joins the channels that a policy takes with those of the team: the built-in ones, and `others` of its scenario and
+    /// senses. An error names the first channel that does not exist, or that has another shape or unit.
     pub fn new(requests: &[Request], others: &[Channel]) -> Result<Bound, ChannelError> {
         let all: Vec<Channel> = builtin::channels().into_iter().chain(others.iter().cloned()).collect();
         let mut bound = Bound::default();
@@ -72,7 +77,11 @@ impl Bound {
             let Some(channel) = all.iter().find(|channel| channel.name == request.channel) else {
                 let known: Vec<&str> = all.iter().map(|channel| &*channel.name).collect();
                 let (wanted, known) = (&request.channel, known.join(", "));
-                return Err(refuse(format!("there is no channel '{wanted}' here; there are: {known}")));
+                let sense = match request.taking == Taking::default() {
+                    true => String::new(),
+                    false => format!("; a sense is a table [senses.{wanted}] of the team file (docs/senses.md)"),
+                };
+                return Err(refuse(format!("there is no channel '{wanted}' here; there are: {known}{sense}")));
             };
             let (theirs, ours) = (&request.shape, &channel.shape);
             if theirs != ours {
@@ -100,7 +109,7 @@ impl Bound {
             if bound.floats > MAX_FLOATS {
                 return Err(refuse(format!("with it the policy takes more than {MAX_FLOATS} values")));
             }
-            bound.parts.push((channel.clone(), frame));
+            bound.parts.push((taken(channel, request.frame, &request.taking).map_err(refuse)?, frame));
         }
         Ok(bound)
     }
@@ -154,7 +163,8 @@ mod tests {
     use crate::time::Span;
 
     fn request(channel: &str, shape: &[usize], unit: Unit, frame: Option<Frame>) -> Request {
-        Request { input: "x".to_owned(), channel: channel.to_owned(), shape: shape.to_vec(), unit, frame }
+        let (input, channel, taking) = ("x".to_owned(), channel.to_owned(), Taking::default());
+        Request { input, channel, shape: shape.to_vec(), unit, frame, taking }
     }
 
     fn own(heading: Option<f32>) -> Observation<'static> {
@@ -171,7 +181,7 @@ mod tests {
     fn values(bound: &Bound, own: &Observation, frame: PolicyFrame) -> Vec<f32> {
         let task = Task { start: Vec2::zeros(), goal: frame.turn(own.goal) };
         let mut values = vec![0.0; bound.floats()];
-        bound.write(&Known { task: &task, own: &Observation { frame, ..*own } }, &mut values);
+        bound.write(&Known { task: &task, own: &Observation { frame, ..*own }, sensed: &[] }, &mut values);
         values
     }
 

@@ -7,7 +7,9 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::Observation;
+use super::sense::Sense;
 use crate::messages::geometry::Task;
+use crate::messages::local::Sensation;
 
 /// Unit of a channel's values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -69,6 +71,8 @@ pub struct Known<'a> {
     pub task: &'a Task,
     /// Observation of the robot in the policy frame; its `values` are empty.
     pub own: &'a Observation<'a>,
+    /// Newest values of each sense of the robot, in the order of the senses; empty in a team without senses.
+    pub sensed: &'a [Option<Sensation>],
 }
 
 /// Function that writes a channel's values in the policy frame; NaN is written for a value that is not known.
@@ -88,6 +92,8 @@ pub struct Channel {
     /// Kind of the values.
     pub quantity: Quantity,
     pub(super) write: Arc<Write>,
+    /// Sense whose values the channel has; `None` for a channel that `write` computes.
+    pub(super) sense: Option<Sense>,
 }
 
 impl fmt::Debug for Channel {
@@ -112,7 +118,7 @@ impl Channel {
         assert!(floats(&shape) > 0, "the channel '{name}' has no values");
         let pairs = matches!(quantity, Quantity::Vector | Quantity::Point);
         assert!(!pairs || shape.last() == Some(&2), "the last axis of the channel '{name}' is not 2, for x and y");
-        Channel { name, about, shape, unit, quantity, write: Arc::new(write) }
+        Channel { name, about, shape, unit, quantity, write: Arc::new(write), sense: None }
     }
 }
 

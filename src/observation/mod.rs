@@ -2,16 +2,20 @@
 //!
 //! A policy of this crate reads the fields of an [`Observation`]. A policy from a file names the channels that it
 //! takes, and gets their values as one array. The built-in channels are in `builtin.rs`, and a scenario adds its own
-//! ([`Scenario::channels`](crate::scenario::Scenario::channels)).
+//! ([`Scenario::channels`](crate::scenario::Scenario::channels)), as does each sense of the team (`sense.rs`,
+//! `taken.rs`).
 
 pub mod bound;
 pub mod builtin;
 pub mod channel;
 pub mod frame;
+pub mod sense;
+mod taken;
 
 pub use bound::{Bound, ChannelError, Request};
 pub use channel::{Channel, Known, Quantity, Unit};
 pub use frame::{Frame, PolicyFrame};
+pub use sense::{IfStale, Miss, NamedMiss, Sweep, Taking};
 
 use crate::messages::geometry::{Motion, Pose, Vec2, rotated};
 use crate::time::Span;

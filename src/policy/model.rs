@@ -40,7 +40,7 @@ pub struct Custom {
 }
 
 /// Properties of a policy from its file, for a policy that another crate reads.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Origin {
     /// Digest of the policy's files (16 hexadecimal digits); empty without files.
     pub digest: String,

@@ -130,7 +130,7 @@ fn channels(scenario: &dyn Scenario, task: &Task) -> Result<(), String> {
     let bound = Bound::new(&requests, &own).map_err(|error| error.to_string())?;
     let seen = scenario.observe(task, &Motion::at_rest(task.start));
     let mut values = vec![f32::NAN; bound.floats()];
-    bound.write(&Known { task, own: &seen }, &mut values);
+    bound.write(&Known { task, own: &seen, sensed: &[] }, &mut values);
     require(values.iter().all(|value| value.is_finite()), || "a channel of the observation is not finite at the start")
 }
 

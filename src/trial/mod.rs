@@ -16,6 +16,7 @@
 
 mod budget;
 mod error;
+mod senses;
 
 use std::sync::Arc;
 
@@ -267,6 +268,7 @@ impl Trial {
             let why = format!("it commands a yaw rate, and {robot} has a holonomic drive: it needs 'differential'");
             return Err(ConfigError::field("policy", why));
         }
+        self.check_senses()?;
         self.channels().map_err(|error| ConfigError::field("policy", error.to_string()))?;
         budget::check(&self.deployment, &self.model)?;
         if let Some((_, stop)) = self.stops.iter().find(|(_, stop)| usize::from(stop.by.0) >= deployment.hosts.len()) {
@@ -293,10 +295,12 @@ impl Trial {
         self.range.unwrap_or(CommRange::fixed(self.model.interface().radius_m))
     }
 
-    /// Returns the channels of the observation that the policy takes, joined with those of the scenario. An error names
-    /// a channel that the scenario has not, or has otherwise.
+    /// Returns the channels of the observation that the policy takes, joined with those of the scenario and the senses.
+    /// An error names a channel that the team has not, or has otherwise.
     pub fn channels(&self) -> Result<Bound, ChannelError> {
-        Bound::new(self.model.requests(), &self.scenario.channels())
+        let mut channels = self.scenario.channels();
+        channels.extend(self.sense_channels());
+        Bound::new(self.model.requests(), &channels)
     }
 
     /// Returns what the policy's messages need of the links on which they travel in parts; nothing if they fit into a

@@ -9,6 +9,7 @@ use tempfile::TempDir;
 const FIELD: &str = "tests/onnx/data/field.policy.toml";
 /// Messages of 1500 floats.
 const WIDE: &str = "tests/onnx/data/wide.policy.toml";
+const LIDAR: &str = "tests/onnx/data/lidar.policy.toml";
 const RECURRENT: &str = "tests/onnx/data/recurrent.policy.toml";
 
 /// Copies a policy's contract into a folder, with one text replaced by another, and its graphs beside it.
@@ -83,6 +84,49 @@ fn a_record_of_a_policy_of_two_graphs_holds_them_and_replays_alike() {
     let output = run(&["replay", &*place]);
     assert!(text(&output.stdout).contains("equal"), "{} {}", text(&output.stdout), text(&output.stderr));
     assert_eq!(output.status.code(), Some(0));
+}
+
+#[test]
+fn a_policy_with_a_lidar_runs_in_every_mode_twice_alike_and_from_its_record() {
+    let folder = TempDir::new().expect("a folder");
+    for mode in ["sim", "centralized", "offboard", "onboard-infra", "onboard-adhoc"] {
+        let records = folder.path().join(mode).to_string_lossy().into_owned();
+        let flags = ["--mode", mode, "--senses", "examples/lidar.toml", "--policy", LIDAR, "--record", &*records];
+        let more = ["--episodes", "2", "--repeats", "1", "--json"];
+        let output = run(&[&["sim", "--scenario", "swap"], &flags[..], &more].concat());
+        assert_eq!(output.status.code(), Some(0), "{mode}: {}", text(&output.stderr));
+        let facts: Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
+        assert!(facts["successes"].as_u64() >= Some(1), "{mode}: {facts}");
+        // The record has the file of the senses, and its replay runs the trial again.
+        let output = run(&["replay", &records]);
+        assert!(text(&output.stdout).contains("equal"), "{} {}", text(&output.stdout), text(&output.stderr));
+        assert_eq!(output.status.code(), Some(0), "{mode}");
+    }
+}
+
+#[test]
+fn a_policy_without_its_sense_and_senses_that_do_not_fit_are_refused() {
+    let folder = TempDir::new().expect("a folder");
+    let path = folder.path().join("senses.toml").to_string_lossy().into_owned();
+    let sim = |more: &[&str], words: &[&str]| {
+        refuses(&[&["sim", "--scenario", "swap", "--policy", LIDAR], more].concat(), words);
+    };
+    sim(&[], &["observation 'lidar'", "there is no channel 'lidar' here", "[senses.lidar]"]);
+    for (content, words) in [
+        ("[senses.lidar]\nkind = \"lidar\"\nrays = 16\nrange_m = 2.0", ["takes an array [32]", "'lidar' is [16]"]),
+        ("[senses.lidar]\nkind = \"lidar\"\nrays = 32\nrange_m = 1.5", ["as far as 2 m", "'lidar' 1.5 m"]),
+        ("[senses.lidar]\nkind = \"lidar\"\nrays = 32\nrange_m = 2.0\nopening_rad = 3.0", ["all around", "'body'"]),
+        ("[senses.lidar]\nkind = \"nose\"", ["senses.toml", "senses.lidar.kind: there is no kind of sense 'nose'"]),
+        ("[senses.lidar]\nkind = \"lidar\"\nrange_m = 2.0", ["senses.lidar", "missing field `rays`"]),
+        ("[lidar]\nkind = \"lidar\"", ["senses.toml", "unknown field `lidar`"]),
+        (
+            "[senses.lidar]\nkind = \"program\"\ncommand = [\"x\"]\nshape = [32]\nunit = \"m\"",
+            ["senses.lidar.kind", "'program' runs in real time"],
+        ),
+    ] {
+        std::fs::write(&path, content).expect("a file");
+        sim(&["--senses", &path], &words);
+    }
 }
 
 #[test]

@@ -252,6 +252,7 @@ fn ticks(kind: &Kind, robot: RobotId, readings: &[(u64, Reading)]) -> Vec<(u64, 
         sensor_delay: Span::ZERO,
         own_age: kind.own_state,
         limit_m_s: 1.5,
+        senses: 0,
     };
     let mut cache = Cache::new(config, Seed::of_run(0).stream("cache"));
     let (mut next, mut ticks) = (readings.iter().peekable(), Vec::new());

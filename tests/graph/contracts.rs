@@ -10,6 +10,7 @@ use murmurate::random::Seed;
 use murmurate::scenario::judge::Verdict;
 use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{self, Settings};
+use murmurate::senses;
 use murmurate::time::Span;
 use murmurate::trial::Trial;
 use murmurate::world::{self, Plant};
@@ -18,6 +19,13 @@ use murmurate::world::{self, Plant};
 fn scenarios_keep_their_contract() {
     for entry in scenario::REGISTRY {
         scenario::contract::check(entry).unwrap();
+    }
+}
+
+#[test]
+fn kinds_of_senses_keep_their_contract() {
+    for entry in senses::REGISTRY {
+        senses::contract::check(entry).unwrap_or_else(|why| panic!("{}: {why}", entry.name));
     }
 }
 

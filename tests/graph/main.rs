@@ -21,6 +21,7 @@ mod radio;
 mod reference;
 mod robomaster;
 mod safety;
+mod senses;
 mod shell;
 #[path = "../skip/mod.rs"]
 mod skip;

@@ -80,7 +80,7 @@ fn may_say(message: &Wire, recorded: &Wire) -> bool {
         Wire::Telemetry(telemetry) => telemetry.host == MEMBER,
         Wire::Located(located) => located.host == MEMBER && located.robots.is_empty(),
         Wire::Release(_) => message == recorded,
-        Wire::Mode(_) | Wire::Reading(_) | Wire::Observe(_) | Wire::Place(_) => false,
+        Wire::Mode(_) | Wire::Reading(_) | Wire::Sensed(_) | Wire::Observe(_) | Wire::Place(_) => false,
     }
 }
 

@@ -9,8 +9,8 @@ use murmurate::messages::place::{Located, Place, PlaceAnswer, Placed, Whereabout
 use murmurate::messages::trigger::Trigger;
 use murmurate::messages::wire::{
     Celsius, Condition, Encoding, Features, Following, GuardReport, Health, Heartbeat, Hindrance, Latent, Leading,
-    MAX_BLOCK, MAX_CONDITIONS, MAX_FEATURES, MAX_HINDRANCES, MAX_MEMBERS, MAX_VALIDITY, Mode, MotorCommand, Observe,
-    Phase, Reading, Reason, Release, Round, Seen, Signature, Status, Stop, Telemetry, Wire,
+    MAX_BLOCK, MAX_CONDITIONS, MAX_FEATURES, MAX_HINDRANCES, MAX_MEMBERS, MAX_SENSED, MAX_VALIDITY, Mode, MotorCommand,
+    Observe, Phase, Reading, Reason, Release, Round, Seen, Sensed, Signature, Status, Stop, Telemetry, Wire,
 };
 use murmurate::net::protocol::codec::{
     BLOCK_BYTES, Content, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES,
@@ -156,21 +156,16 @@ fn message() -> impl Strategy<Value = Wire> {
         Wire::Telemetry(Telemetry::of(HostId(host), robots))
     });
     let (place, located) = placements();
-    prop_oneof![
-        reading,
-        latent,
-        part(),
-        command,
-        beat,
-        mode,
-        stop,
-        status,
-        observe,
-        telemetry,
-        place,
-        located,
-        release()
-    ]
+    let (measured, said) = (prop_oneof![reading, sensed()], prop_oneof![latent, part()]);
+    prop_oneof![measured, said, command, beat, mode, stop, status, observe, telemetry, place, located, release()]
+}
+
+/// Returns values of senses, of which some are no echoes.
+fn sensed() -> impl Strategy<Value = Wire> {
+    let value = prop_oneof![4 => -1e6f32..=1e6, 1 => Just(f32::INFINITY)];
+    let values = prop::collection::vec(value, 1..=MAX_SENSED).prop_map(|floats| Features(Arc::from(floats)));
+    (robot(), any::<u8>(), any::<u64>(), values)
+        .prop_map(|(robot, sense, stamp_ns, values)| Wire::Sensed(Sensed { robot, sense, stamp_ns, values }))
 }
 
 fn release() -> impl Strategy<Value = Wire> {

@@ -12,6 +12,7 @@ mod hosts;
 mod junk;
 mod kept;
 mod readers;
+mod senses;
 mod simulated;
 mod twin;
 

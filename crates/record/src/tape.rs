@@ -63,6 +63,8 @@ const REFUSED: u8 = 9;
 const KEPT: u8 = 10;
 const AGENT: u8 = 11;
 const AGENT_ENDED: u8 = 12;
+const SENSE: u8 = 13;
+const SENSE_ENDED: u8 = 14;
 
 /// Appends the beginning of an encoded turn to `out`: its time, and the digest of the datagrams sent in it.
 pub fn begin(out: &mut Vec<u8>, now: Time, sent: u64) {
@@ -113,6 +115,17 @@ pub fn add(out: &mut Vec<u8>, input: &Input) {
         Input::Ended(DeviceId::Agent(robot)) => {
             out.push(AGENT_ENDED);
             out.extend(robot.0.to_le_bytes());
+        }
+        Input::Packet(DeviceId::Sense(robot, sense), packet) => {
+            out.push(SENSE);
+            out.extend(robot.0.to_le_bytes());
+            out.push(*sense);
+            block(out, packet);
+        }
+        Input::Ended(DeviceId::Sense(robot, sense)) => {
+            out.push(SENSE_ENDED);
+            out.extend(robot.0.to_le_bytes());
+            out.push(*sense);
         }
         Input::Leave => out.push(LEAVE),
         Input::Stop => out.push(STOP),
@@ -165,6 +178,7 @@ pub fn read(bytes: &[u8]) -> Option<Turn> {
 fn input(rest: &mut &[u8]) -> Option<Input> {
     let robot = |rest: &mut &[u8]| Some(DeviceId::Driver(RobotId(u16_of(rest)?)));
     let agent = |rest: &mut &[u8]| Some(DeviceId::Agent(RobotId(u16_of(rest)?)));
+    let sense = |rest: &mut &[u8]| Some(DeviceId::Sense(RobotId(u16_of(rest)?), *take(rest, 1)?.first()?));
     Some(match *take(rest, 1)?.first()? {
         FRAME => {
             let link = LinkId(u16_of(rest)?);
@@ -193,6 +207,8 @@ fn input(rest: &mut &[u8]) -> Option<Input> {
         SOURCE_ENDED => Input::Ended(DeviceId::Source),
         AGENT => Input::Packet(agent(rest)?, Packet::from(block_of(rest)?)),
         AGENT_ENDED => Input::Ended(agent(rest)?),
+        SENSE => Input::Packet(sense(rest)?, Packet::from(block_of(rest)?)),
+        SENSE_ENDED => Input::Ended(sense(rest)?),
         LEAVE => Input::Leave,
         STOP => Input::Stop,
         KEPT => Input::Kept(u32_of(rest)?),
@@ -243,6 +259,8 @@ mod tests {
             Input::Ended(DeviceId::Source),
             Input::Packet(DeviceId::Agent(RobotId(2)), b"step"[..].into()),
             Input::Ended(DeviceId::Agent(RobotId(2))),
+            Input::Packet(DeviceId::Sense(RobotId(3), 1), b"scan"[..].into()),
+            Input::Ended(DeviceId::Sense(RobotId(3), 1)),
             Input::Stop,
             Input::Kept(7),
             Input::Leave,

@@ -414,6 +414,7 @@ mod tests {
                 yaw_rate: None,
                 heard: Vec::new(),
                 measured: Vec::new(),
+                sensed: Vec::new(),
             };
             let mut out = Vec::new();
             self.apart.handle(at_ms(ms), In::Percept(percept), &mut out);

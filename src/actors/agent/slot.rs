@@ -167,10 +167,12 @@ impl Slot {
         self.policies.run.reset();
     }
 
-    /// Notes a step of a running episode at `now`, in which the robot's observation is `own` without the values of
-    /// channels, and computes these. Puts the policy back to its start if its last step is too long ago.
-    pub fn steps(&mut self, now: Time, known: &Known) {
-        self.policies.channels.write(known, &mut self.values);
+    /// Notes a step of a running episode at `now`, in which the robot's task is `task` and its observation is `own`
+    /// without the values of channels, and computes these. Puts the policy back to its start if its last step is too
+    /// long ago.
+    pub fn steps(&mut self, now: Time, (task, own): (&Task, &Observation)) {
+        let sensed = self.percept.as_ref().map_or(&[][..], |percept| &percept.sensed);
+        self.policies.channels.write(&Known { task, own, sensed }, &mut self.values);
         let before = self.stepped[0];
         self.stepped = [Some(now), before];
         let Some((before, longest)) = before.zip(self.forgets_after) else { return };

@@ -24,7 +24,7 @@ use serde::Deserialize;
 use self::fields::EVERY_INTERFACE;
 use self::layers::{LayerValue, Layers, place};
 use self::size::{about_hulls, build};
-use super::{Deployment, Host, Link, MODES, Routes};
+use super::{Deployment, Host, Link, MODES, Routes, Senses};
 use crate::config::{self, ConfigError};
 use crate::estimation;
 use crate::hearing::Handling;
@@ -91,7 +91,7 @@ pub struct SimulationSettings {
 }
 
 /// Tables of a team file that are read as a whole, not field by field.
-const WHOLE_TABLES: [&str; 2] = ["deployment", "safety"];
+const WHOLE_TABLES: [&str; 3] = ["deployment", "safety", "senses"];
 
 /// Content of a team file, with the environment variables and flags that override its fields. Settings common to all
 /// hosts were checked when it was read.
@@ -109,6 +109,8 @@ struct Inline {
     deployment: Option<Deployment>,
     #[serde(default)]
     safety: Safety,
+    #[serde(default)]
+    senses: Senses,
 }
 
 impl TeamFile {
@@ -130,6 +132,7 @@ impl TeamFile {
         let inline: Inline = config::from_toml(text)?;
         inline.safety.check().map_err(|error| error.within("safety"))?;
         let deployment = deployment(registry, inline.deployment, &layers)?;
+        let deployment = perceiving(deployment, inline.senses)?;
         let safety = about_hulls(inline.safety, &layers, &deployment)?;
         let mut fields = vec![EVERY_INTERFACE.to_owned()];
         for link in &deployment.links {
@@ -345,6 +348,20 @@ fn deployment(registry: &Registry, inline: Option<Deployment>, layers: &Layers) 
         Ok(plant) => Ok(Deployment { plant: plant.name.to_owned(), ..preset }),
         Err(error) => Err(ConfigError::field(place("plant", &entry.origin), error.to_string())),
     }
+}
+
+/// Returns the deployment with the senses of the table `senses`.
+fn perceiving(deployment: Deployment, senses: Senses) -> Result<Deployment, ConfigError> {
+    if senses.is_empty() {
+        return Ok(deployment);
+    }
+    if !deployment.senses.is_empty() {
+        let why = "the [deployment] has senses of its own; write all of them in one place";
+        return Err(ConfigError::field("senses", why));
+    }
+    let deployment = deployment.with_senses(senses);
+    deployment.check()?;
+    Ok(deployment)
 }
 
 /// Checks the settings of all drivers, sources of readings and observers by creating them; no worker is started.

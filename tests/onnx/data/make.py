@@ -184,6 +184,17 @@ def wide():
     save(model("act", act, inputs, [value("action", "R", 2)], tensors), "wide-act")
 
 
+def lidar():
+    """Towards the goal, and away from what the lidar sees: 32 rays from -x of the world, without a message."""
+    angles = -np.pi + np.arange(32) * np.pi / 16
+    nodes = [node("Clip", ["goal", "low", "high"], "wish"), node("Mul", ["lidar", "steep"], "far"),
+             node("Exp", ["far"], "close"), node("MatMul", ["close", "rays"], "away"),
+             node("Add", ["wish", "away"], "sum"), node("Clip", ["sum", "low", "high"], "action")]
+    tensors = {"steep": np.array([-4], np.float32), "low": np.array(-1, np.float32), "high": np.array(1, np.float32),
+               "rays": (-0.6 * np.stack([np.cos(angles), np.sin(angles)], 1)).astype(np.float32)}
+    save(model("lidar", nodes, [value("goal", "R", 2), value("lidar", "R", 32)], [value("action", "R", 2)], tensors), "lidar")
+
+
 def bad():
     """What a loader has to refuse: a division by the number of neighbours, and a loop."""
     nodes = [node("ReduceSum", ["heard", "one"], "n", keepdims=1), node("Div", ["goal", "n"], "action")]
@@ -205,4 +216,5 @@ recurrent()
 field()
 silent()
 wide()
+lidar()
 bad()

@@ -1,9 +1,11 @@
-//! Parts for Murmurate's registry: a scenario, policy, plant, driver and source. Start from a copy of this crate.
+//! Parts for Murmurate's registry: a scenario, policy, plant, driver, source and sense. Start from a copy of this
+//! crate.
 
 mod driver;
 mod plant;
 mod policy;
 mod scenario;
+mod sense;
 mod source;
 
 use murmurate::registry::Registry;
@@ -16,4 +18,5 @@ pub fn registry() -> Registry {
         .with_plant(plant::GLIDE)
         .with_driver(driver::DATAGRAMS)
         .with_source(source::BENCH)
+        .with_sense(sense::CROWD)
 }

@@ -124,6 +124,9 @@ pub struct Args {
     /// Estimator of a robot's state between its readings
     #[arg(long, default_value = "none")]
     estimator: String,
+    /// Senses of the robots, such as a lidar: a file with the tables [senses.NAME] of a team file (docs/senses.md)
+    #[arg(long, value_name = "FILE.toml")]
+    senses: Option<PathBuf>,
     /// Seed of all random numbers
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -349,8 +352,11 @@ fn run_all(
 fn records(args: &Args, trials: &[(Trial, String)]) -> Result<Option<Simulated>> {
     let [(trial, _), ..] = trials else { return Ok(None) };
     let repeats = (0..args.repeats()).map(|repeat| Recorded::repeat(&Trial { repeat, ..trial.clone() }).name);
-    let named =
-        [&args.deployment, &args.episodes_file, &args.conditions].into_iter().flatten().chain(&args.policy).cloned();
+    let named = [&args.deployment, &args.episodes_file, &args.conditions, &args.senses]
+        .into_iter()
+        .flatten()
+        .chain(&args.policy)
+        .cloned();
     let texts = args.faults.iter().chain([&args.radio]).map(PathBuf::from);
     let files = named.chain(texts).collect();
     Simulated::open(&args.record, files, repeats)

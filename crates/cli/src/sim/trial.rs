@@ -8,7 +8,8 @@ use anyhow::Result;
 use super::Args;
 use crate::{conditions, deployment, size};
 use murmurate::deploy::conditions::Conditions;
-use murmurate::deploy::{Deployment, Impair};
+use murmurate::deploy::{self, Deployment, Impair};
+use murmurate::messages::ids::RobotId;
 use murmurate::registry::Registry;
 use murmurate::results::totals::Steps;
 use murmurate::scenario::layout::Layouts;
@@ -92,6 +93,9 @@ pub fn of_flags(args: &Args, policy: Option<&Path>, registry: &Registry) -> Resu
         None => Deployment::preset(&args.mode, scenario.robots()).expect("the parser lets only modes through"),
     };
     deployment = deployment.sized(&settings);
+    if let Some(path) = &args.senses {
+        deployment = perceiving(path, deployment, registry)?;
+    }
     deployment = network(args, fitted, deployment)?;
     deployment.placement = args.placement.unwrap_or(deployment.placement);
     if let Some(plant) = args.plant.clone().or_else(|| fitted.plant.clone()) {
@@ -134,6 +138,26 @@ pub fn of_flags(args: &Args, policy: Option<&Path>, registry: &Registry) -> Resu
         trial.steps = Steps::Reported;
     }
     Ok((trial, policy))
+}
+
+/// Returns the deployment with the senses of a file.
+fn perceiving(path: &Path, deployment: Deployment, registry: &Registry) -> Result<Deployment> {
+    let text = read_text(path, "senses file")?;
+    let wrong = |why: String| BadInput(format!("the senses file '{}': {why}", path.display()));
+    let senses = deploy::senses_of(&text).map_err(|error| wrong(error.to_string()))?;
+    if !deployment.senses.is_empty() {
+        return Err(wrong("the deployment file has senses of its own; write all of them in one place".into()).into());
+    }
+    for (name, settings) in &senses {
+        let parts = registry.sense(name, settings, RobotId(0)).map_err(|error| wrong(format!("senses.{error}")))?;
+        if parts.worker.is_some() {
+            let why = format!("'{}' runs in real time, and 'sim' does not; take 'launch'", settings.kind);
+            return Err(wrong(format!("senses.{name}.kind: {why}")).into());
+        }
+    }
+    let deployment = deployment.with_senses(senses);
+    deployment.check().map_err(|error| wrong(error.to_string()))?;
+    Ok(deployment)
 }
 
 /// Returns the trial with the properties of simulated robots that the flags set.

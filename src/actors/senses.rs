@@ -1,0 +1,144 @@
+//! Senses: publishes what one robot perceives of its surroundings. It runs on the host of the robot's Body.
+
+use std::collections::BTreeMap;
+
+use crate::actor::Core;
+use crate::messages::ids::RobotId;
+use crate::messages::local::Scene;
+use crate::messages::wire::{Features, Sensed};
+use crate::senses::{self, Sense};
+use crate::time::Time;
+
+/// Input message of a Senses, the actor that publishes the values of one robot's senses.
+#[derive(Clone, Debug)]
+pub enum In {
+    /// True poses of all robots, from the World that simulates the robot.
+    Scene(Scene),
+    /// Packet from the worker of the sense with this index.
+    Packet(u8, Box<[u8]>),
+}
+
+/// Sense of the robot with its name and the number of its values.
+pub struct Named {
+    /// Name of the sense in the deployment.
+    pub name: String,
+    /// Number of values.
+    pub floats: usize,
+    /// The sense.
+    pub sense: Box<dyn Sense>,
+}
+
+/// Senses: an actor that publishes the values of all senses of one robot.
+pub struct Senses {
+    robot: RobotId,
+    senses: Vec<Named>,
+    /// Number of inputs or values that were refused, by the index of the sense and by reason.
+    refused: BTreeMap<(usize, &'static str), u64>,
+    outputs: Vec<senses::Out>,
+}
+
+impl Senses {
+    /// Creates the actor of a robot with these senses, in the order of their names.
+    pub fn new(robot: RobotId, senses: Vec<Named>) -> Senses {
+        Senses { robot, senses, refused: BTreeMap::new(), outputs: Vec::new() }
+    }
+
+    /// Publishes what the sense with this `index` has put out.
+    fn forward(&mut self, index: usize, out: &mut Vec<Sensed>) {
+        for output in std::mem::take(&mut self.outputs) {
+            let refused = match output {
+                senses::Out::Refused(why) => why,
+                senses::Out::Values { values, .. } if values.len() != self.senses[index].floats => {
+                    "its values are not as many as it has said"
+                }
+                senses::Out::Values { stamp_ns, values } => {
+                    let sense = u8::try_from(index).expect("a checked team has few senses");
+                    let sensed = Sensed { robot: self.robot, sense, stamp_ns, values: Features(values.into()) };
+                    if sensed.is_sound() {
+                        out.push(sensed);
+                        continue;
+                    }
+                    "a value is not finite or beyond a million"
+                }
+            };
+            self.refuse(index, refused);
+        }
+    }
+
+    /// Adds 1 to the number of refusals of a sense for the reason `why`, and logs it at the counts 1, 2, 4, 8, ...
+    fn refuse(&mut self, index: usize, why: &'static str) {
+        let refused = self.refused.entry((index, why)).or_default();
+        *refused += 1;
+        if refused.is_power_of_two() {
+            let (robot, name) = (self.robot, &self.senses[index].name);
+            tracing::warn!(refused, "{robot}: an output of its sense '{name}' is refused: {why}");
+        }
+    }
+}
+
+impl Core for Senses {
+    type In = In;
+    type Out = Sensed;
+
+    fn handle(&mut self, now: Time, input: In, out: &mut Vec<Sensed>) {
+        match input {
+            In::Scene(scene) => {
+                for index in 0..self.senses.len() {
+                    self.senses[index].sense.take(now, senses::In::Scene(&scene), &mut self.outputs);
+                    self.forward(index, out);
+                }
+            }
+            In::Packet(index, packet) => {
+                let index = usize::from(index);
+                if let Some(named) = self.senses.get_mut(index) {
+                    named.sense.take(now, senses::In::Packet(&packet), &mut self.outputs);
+                    self.forward(index, out);
+                }
+            }
+        }
+    }
+
+    fn wake_at(&self) -> Option<Time> {
+        self.senses.iter().filter_map(|named| named.sense.wake_at()).min()
+    }
+
+    fn wake(&mut self, now: Time, out: &mut Vec<Sensed>) {
+        for index in 0..self.senses.len() {
+            if self.senses[index].sense.wake_at().is_some_and(|due| due <= now) {
+                self.senses[index].sense.wake(now, &mut self.outputs);
+                self.forward(index, out);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Sense that puts out its packet, each byte as a value; 255 as what is not a number.
+    struct Bytes;
+
+    impl Sense for Bytes {
+        fn take(&mut self, now: Time, input: senses::In, out: &mut Vec<senses::Out>) {
+            let senses::In::Packet(packet) = input else { return };
+            let value = |byte: &u8| if *byte == 255 { f32::NAN } else { f32::from(*byte) };
+            let values = packet.iter().map(value).collect();
+            out.push(senses::Out::Values { stamp_ns: now.as_nanos(), values });
+        }
+    }
+
+    #[test]
+    fn values_are_published_with_the_index_of_their_sense_and_bad_ones_are_counted() {
+        let named = |name: &str| Named { name: name.to_owned(), floats: 2, sense: Box::new(Bytes) };
+        let mut senses = Senses::new(RobotId(3), vec![named("a"), named("b")]);
+        let mut out = Vec::new();
+        for (index, packet) in [(1, vec![4, 5]), (0, vec![1]), (1, vec![1, 255]), (9, vec![1, 2])] {
+            senses.handle(Time::from_nanos(7), In::Packet(index, packet.into()), &mut out);
+        }
+        let [sensed] = &out[..] else { panic!("one is valid: {out:?}") };
+        assert_eq!((sensed.robot, sensed.sense, sensed.stamp_ns), (RobotId(3), 1, 7));
+        assert_eq!(*sensed.values.0, [4.0, 5.0]);
+        assert_eq!(senses.refused.values().sum::<u64>(), 2);
+    }
+}

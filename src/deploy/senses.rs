@@ -1,0 +1,53 @@
+//! Senses of a deployment: their checks, and the link that carries what they perceive.
+
+use serde::Deserialize;
+
+use super::{Deployment, Routes, Senses};
+use crate::config::{self, ConfigError};
+use crate::messages::wire::Kind;
+use crate::senses::MAX_SENSES;
+
+/// Longest name of a sense \[characters\].
+const MAX_NAME: usize = 40;
+
+/// Reads the tables `senses` of a file that has nothing else (TOML). An error names the line or the field.
+pub fn senses_of(text: &str) -> Result<Senses, ConfigError> {
+    #[derive(Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct File {
+        senses: Senses,
+    }
+    let File { senses } = config::from_toml(text)?;
+    Ok(senses)
+}
+
+impl Deployment {
+    /// Returns the deployment with these senses of its robots. If what they perceive has to cross hosts and no link
+    /// carries it, the link that carries readings does.
+    pub fn with_senses(mut self, senses: Senses) -> Deployment {
+        self.senses = senses;
+        let carried = self.links.iter().any(|link| link.carries.contains(&Kind::Sensed));
+        // The routes need a link for all that crosses, which the check of the deployment looks for.
+        if !carried && Routes::of(&self).crosses(Kind::Sensed) {
+            let link = self.links.iter_mut().find(|link| link.carries.contains(&Kind::Reading));
+            link.into_iter().for_each(|link| link.carries.push(Kind::Sensed));
+        }
+        self
+    }
+
+    /// Checks number and names of the senses. An error names the field.
+    pub(super) fn check_senses(&self) -> Result<(), ConfigError> {
+        if self.senses.len() > MAX_SENSES {
+            let why = format!("{} of them; a robot has at most {MAX_SENSES}", self.senses.len());
+            return Err(ConfigError::field("senses", why));
+        }
+        let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
+        match self.senses.keys().find(|name| name.is_empty() || name.len() > MAX_NAME || !name.chars().all(plain)) {
+            None => Ok(()),
+            Some(name) => {
+                let why = format!("a name is 1 to {MAX_NAME} of a-z, 0-9, '-' and '_'");
+                Err(ConfigError::field(format!("senses.{name}"), why))
+            }
+        }
+    }
+}

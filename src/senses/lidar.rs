@@ -1,0 +1,336 @@
+//! Simulated lidar: distances along rays to walls, rails and the hulls of other robots, with rate, delay, noise and
+//! dropouts.
+
+use std::collections::VecDeque;
+use std::f64::consts::{PI, TAU};
+
+use serde::Deserialize;
+
+use super::rays::{Disc, MAX_RAYS, Rays};
+use super::{In, Layout, Out, Parts, Sense, Site, WHOLE_RAD};
+use crate::config::ConfigError;
+use crate::edge::Settings;
+use crate::messages::geometry::{Vec2, rotated};
+use crate::messages::ids::RobotId;
+use crate::messages::local::Scene;
+use crate::observation::{Sweep, Unit};
+use crate::random::{self, RngExt, Stream};
+use crate::scenario::KeepOut;
+use crate::time::{Span, Time};
+
+/// Description of the sense `lidar` in one line, for lists of all kinds.
+pub(super) const ABOUT: &str = "simulated: distances along rays to walls and the hulls of robots";
+
+/// Settings of an example.
+pub(super) const EXAMPLE: &str = "rays = 32\nrange_m = 2.0\nnoise_m = 0.01\ndropouts = 0.01\ndelay_s = 0.07";
+
+/// Largest number of scans that wait for the end of their delay.
+const MAX_PENDING: usize = 256;
+
+/// Settings of a lidar in a deployment.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Config {
+    /// Number of rays.
+    rays: usize,
+    /// Largest distance at which something is seen \[m\].
+    range_m: f32,
+    /// Angle of the first ray \[rad\], counter-clockwise from the direction ahead.
+    #[serde(default = "backward")]
+    from_rad: f64,
+    /// Angle from the first to the last ray \[rad\]. If it is a whole turn, or left out, the rays divide it evenly.
+    opening_rad: Option<f64>,
+    /// Place of the lidar on the robot \[m\]: ahead of its centre and to the left.
+    #[serde(default)]
+    mount_m: [f32; 2],
+    /// Scans in a second; as many as the World has steps if left out.
+    rate_hz: Option<f64>,
+    /// Delay of a scan \[s\].
+    #[serde(default)]
+    delay_s: f64,
+    /// Standard deviation of the noise of a distance \[m\].
+    #[serde(default)]
+    noise_m: f32,
+    /// Probability that a ray has no echo, 0 to 1.
+    #[serde(default)]
+    dropouts: f32,
+    /// Whether the rails about the ground are seen.
+    #[serde(default = "yes")]
+    rails: bool,
+}
+
+fn backward() -> f64 {
+    -PI
+}
+
+fn yes() -> bool {
+    true
+}
+
+impl Config {
+    /// Checks the ranges of all settings. An error names the first wrong one.
+    fn check(&self) -> Result<(), ConfigError> {
+        let within = |field: &str, value: f64, least: f64, most: f64| match (least..=most).contains(&value) {
+            true => Ok(()),
+            false => Err(ConfigError::field(field, format!("{value} is not {least} to {most}"))),
+        };
+        within("rays", self.rays as f64, 1.0, MAX_RAYS as f64)?;
+        within("range_m", self.range_m.into(), 0.01, 1000.0)?;
+        within("from_rad", self.from_rad, -TAU, TAU)?;
+        if let Some(opening) = self.opening_rad {
+            within("opening_rad", opening, 0.001, TAU + WHOLE_RAD)?;
+        }
+        for ahead_or_left in self.mount_m {
+            within("mount_m", ahead_or_left.into(), -10.0, 10.0)?;
+        }
+        if let Some(rate) = self.rate_hz {
+            within("rate_hz", rate, 0.1, 1000.0)?;
+        }
+        within("delay_s", self.delay_s, 0.0, 2.0)?;
+        within("noise_m", self.noise_m.into(), 0.0, 10.0)?;
+        within("dropouts", self.dropouts.into(), 0.0, 1.0)
+    }
+
+    /// Returns the directions of the rays.
+    fn sweep(&self) -> Sweep {
+        Sweep::new(self.rays, (self.from_rad, self.opening_rad.unwrap_or(TAU)), self.range_m)
+    }
+}
+
+/// Makes the parts of a lidar from its settings. The error names the wrong setting.
+pub(super) fn make(settings: &Settings, _: RobotId) -> Result<Parts, ConfigError> {
+    let config: Config = settings.read()?;
+    config.check().map_err(|error| error.within(&settings.name))?;
+    let sweep = config.sweep();
+    let layout = Layout { shape: vec![config.rays], unit: Unit::Metre, sweep: Some(sweep) };
+    let sense = move |site: Site| Box::new(Lidar::new(&config, &sweep, site)) as Box<dyn Sense>;
+    Ok(Parts { layout, sense: Box::new(sense), worker: None })
+}
+
+/// Lidar of one simulated robot.
+struct Lidar {
+    robot: RobotId,
+    rays: Rays,
+    mount: Vec2,
+    blocks: Vec<KeepOut>,
+    /// Half the inner length of the rails along x and y \[m\]; `None` if they are not seen.
+    rails: Option<Vec2>,
+    hull_m: f32,
+    noise_m: f32,
+    dropouts: f32,
+    range_m: f32,
+    stream: Stream,
+    period: Span,
+    delay: Span,
+    /// Earliest time of the next scan.
+    ready: Time,
+    /// Scans that wait for the end of their delay, each with the time at which it is due.
+    pending: VecDeque<(Time, Out)>,
+}
+
+impl Lidar {
+    fn new(config: &Config, sweep: &Sweep, site: Site) -> Lidar {
+        let hull_m = site.arena.hull_m();
+        Lidar {
+            robot: site.robot,
+            rays: Rays::new(config.rays, (sweep.from_rad, sweep.step_rad), config.range_m),
+            mount: Vec2::new(config.mount_m[0], config.mount_m[1]),
+            blocks: site.arena.keep_outs.clone(),
+            // The hull of a robot touches the rails when its centre is at the end of the ground.
+            rails: config.rails.then(|| site.arena.half_extent.add_scalar(hull_m)),
+            hull_m,
+            noise_m: config.noise_m,
+            dropouts: config.dropouts,
+            range_m: config.range_m,
+            stream: site.stream,
+            period: config.rate_hz.map_or(Span::ZERO, |rate| Span::from_secs(1.0 / rate)),
+            delay: Span::from_secs(config.delay_s),
+            ready: Time::ZERO,
+            pending: VecDeque::new(),
+        }
+    }
+
+    /// Returns the distances along the rays \[m\], without noise; `None` if the robot is not in the scene.
+    fn measure(&mut self, scene: &Scene) -> Option<Vec<f32>> {
+        let at = scene.robots.binary_search_by_key(&self.robot, |standing| standing.robot).ok()?;
+        let own = &scene.robots[at];
+        let (x, y) = rotated(own.heading.into(), self.mount.x.into(), self.mount.y.into());
+        let origin = own.centre + Vec2::new(x as f32, y as f32);
+        let mut ranges = vec![0.0; self.rays.count()];
+        self.rays.place(origin, own.heading, &mut ranges);
+        for other in scene.robots.iter().filter(|other| other.robot != self.robot) {
+            self.rays.meet_disc(&Disc { centre: other.centre, radius_m: self.hull_m }, &mut ranges);
+        }
+        self.blocks.iter().for_each(|block| self.rays.meet_box(block, &mut ranges));
+        self.rails.iter().for_each(|half| self.rays.meet_rails(*half, &mut ranges));
+        self.rays.limit(&mut ranges);
+        Some(ranges)
+    }
+
+    /// Adds noise to the distances, and takes away the echoes that are lost. Without noise and losses no number is
+    /// drawn; with them as many for each ray, whatever it meets.
+    fn disturb(&mut self, ranges: &mut [f32]) {
+        let (noise, most) = (self.noise_m, self.range_m);
+        for range in ranges {
+            if noise > 0.0 {
+                let [off, _] = random::normals(&mut self.stream);
+                let noisy = (*range + noise * off as f32).max(0.0);
+                *range = if noisy <= most { noisy } else { f32::INFINITY };
+            }
+            if self.dropouts > 0.0 && self.stream.random::<f32>() < self.dropouts {
+                *range = f32::INFINITY;
+            }
+        }
+    }
+}
+
+impl Sense for Lidar {
+    fn take(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
+        let In::Scene(scene) = input else { return };
+        if scene.placed {
+            // What was seen elsewhere counts no longer.
+            self.pending.clear();
+        } else if scene.time < self.ready {
+            return;
+        }
+        self.ready = scene.time + self.period;
+        let Some(mut values) = self.measure(scene) else { return };
+        self.disturb(&mut values);
+        let scan = Out::Values { stamp_ns: scene.time.as_nanos(), values };
+        if self.delay == Span::ZERO {
+            out.push(scan);
+        } else if self.pending.len() < MAX_PENDING {
+            self.pending.push_back((now + self.delay, scan));
+        }
+    }
+
+    fn wake_at(&self) -> Option<Time> {
+        self.pending.front().map(|(due, _)| *due)
+    }
+
+    fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
+        while self.pending.front().is_some_and(|(due, _)| *due <= now) {
+            out.extend(self.pending.pop_front().map(|(_, scan)| scan));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::local::Standing;
+    use crate::random::Seed;
+    use crate::scenario::Arena;
+
+    fn settings(text: &str) -> Settings {
+        Settings { name: "eyes".to_owned(), table: text.parse().expect("it is TOML") }
+    }
+
+    fn arena() -> Arena {
+        let wall = KeepOut { min: Vec2::new(-1.0, 1.0), max: Vec2::new(1.0, 1.2) };
+        Arena { half_extent: Vec2::new(3.0, 3.0), keep_outs: vec![wall], portals: Vec::new(), robot_radius_m: 0.25 }
+    }
+
+    /// Makes a lidar of robot 0 with four rays: behind, to the right, ahead, to the left.
+    fn lidar(more: &str) -> Box<dyn Sense> {
+        let parts = make(&settings(&format!("rays = 4\nrange_m = 3.5\n{more}")), RobotId(0)).expect("it is valid");
+        let stream = Seed::of_run(1).stream("sense");
+        (parts.sense)(Site { robot: RobotId(0), arena: &arena(), stream })
+    }
+
+    fn scene(ms: u64, placed: bool) -> Scene {
+        let standing = |robot, x, y| Standing { robot: RobotId(robot), centre: Vec2::new(x, y), heading: 0.0 };
+        let robots = [standing(0, 0.0, 0.0), standing(1, 2.0, 0.0), standing(2, 0.0, -9.0)].into();
+        Scene { time: Time::ZERO + Span::from_millis(ms), placed, robots }
+    }
+
+    fn scans(sense: &mut dyn Sense, scene: &Scene) -> Vec<Vec<f32>> {
+        let mut out = Vec::new();
+        sense.take(scene.time, In::Scene(scene), &mut out);
+        values(out)
+    }
+
+    fn values(out: Vec<Out>) -> Vec<Vec<f32>> {
+        let values = |out| match out {
+            Out::Values { values, .. } => values,
+            Out::Refused(why) => panic!("{why}"),
+        };
+        out.into_iter().map(values).collect()
+    }
+
+    #[test]
+    fn walls_rails_and_the_hulls_of_others_are_seen_and_the_own_hull_is_not() {
+        let all = scans(&mut *lidar(""), &scene(0, false)).concat();
+        let expected = [3.16, 3.16, 1.84, 1.0];
+        assert!(all.iter().zip(expected).all(|(one, other)| (one - other).abs() < 1e-5), "{all:?}");
+        let open = scans(&mut *lidar("rails = false"), &scene(0, false)).concat();
+        assert_eq!(open[..2], [f32::INFINITY; 2]);
+        let mounted = scans(&mut *lidar("mount_m = [0.1, 0.05]"), &scene(0, false)).concat();
+        assert!((mounted[2] - (1.9 - (0.16f32 * 0.16 - 0.05 * 0.05).sqrt())).abs() < 1e-5, "{mounted:?}");
+        assert!((mounted[3] - 0.95).abs() < 1e-5, "{mounted:?}");
+    }
+
+    #[test]
+    fn an_opening_ends_with_a_ray_on_each_side_and_a_whole_turn_does_not() {
+        let sweep = |text: &str| {
+            let parts = make(&settings(text), RobotId(0)).expect("it is valid");
+            parts.layout.sweep.expect("it has rays")
+        };
+        let half = sweep("rays = 5\nrange_m = 2\nfrom_rad = -1.0\nopening_rad = 2.0");
+        assert_eq!((half.from_rad, half.step_rad, half.around), (-1.0, 0.5, false));
+        for whole in ["", "opening_rad = 6.283", "opening_rad = 6.2831853"] {
+            let whole = sweep(&format!("rays = 8\nrange_m = 2\n{whole}"));
+            assert_eq!((whole.from_rad, whole.step_rad, whole.around), (-PI, TAU / 8.0, true));
+        }
+        assert!(sweep("rays = 1\nrange_m = 2\nopening_rad = 1.0").step_rad > 0.0);
+    }
+
+    #[test]
+    fn scans_come_at_their_rate_after_their_delay_and_none_from_before_a_placement() {
+        let mut slow = lidar("rate_hz = 10");
+        let counts = [0, 50, 100, 150, 200].map(|ms| scans(&mut *slow, &scene(ms, false)).len());
+        assert_eq!(counts, [1, 0, 1, 0, 1]);
+        assert_eq!(scans(&mut *slow, &scene(250, true)).len(), 1, "a placed robot looks at once");
+        let mut late = lidar("delay_s = 0.03");
+        assert_eq!(scans(&mut *late, &scene(0, false)).len(), 0);
+        let due = Time::ZERO + Span::from_millis(30);
+        assert_eq!(late.wake_at(), Some(due));
+        let mut out = Vec::new();
+        late.wake(due, &mut out);
+        assert_eq!((values(out).len(), late.wake_at()), (1, None));
+        assert_eq!(scans(&mut *late, &scene(50, false)).len() + scans(&mut *late, &scene(70, true)).len(), 0);
+        assert_eq!(late.wake_at(), Some(Time::ZERO + Span::from_millis(100)), "the scan of before is dropped");
+    }
+
+    #[test]
+    fn noise_scatters_about_the_distance_and_lost_echoes_are_as_many_as_said() {
+        let mut noisy = lidar("noise_m = 0.05\ndropouts = 0.2");
+        let all: Vec<f32> = (0..4000).flat_map(|ms| scans(&mut *noisy, &scene(ms, false))[0][2..3].to_vec()).collect();
+        let seen: Vec<f32> = all.iter().copied().filter(|range| range.is_finite()).collect();
+        let lost = 1.0 - seen.len() as f32 / all.len() as f32;
+        assert!((lost - 0.2).abs() < 0.03, "{lost}");
+        let mean = seen.iter().sum::<f32>() / seen.len() as f32;
+        let deviation = (seen.iter().map(|range| (range - mean).powi(2)).sum::<f32>() / seen.len() as f32).sqrt();
+        assert!((mean - 1.84).abs() < 5e-3 && (deviation - 0.05).abs() < 5e-3, "{mean} {deviation}");
+    }
+
+    #[test]
+    fn wrong_settings_are_refused_by_their_names() {
+        for (text, field) in [
+            ("rays = 0\nrange_m = 2", "eyes.rays"),
+            ("rays = 257\nrange_m = 2", "eyes.rays"),
+            ("rays = 8\nrange_m = nan", "eyes.range_m"),
+            ("rays = 8", "eyes: missing field `range_m`"),
+            ("rays = 8\nrange_m = 2\nopening_rad = 7.0", "eyes.opening_rad"),
+            ("rays = 8\nrange_m = 2\nmount_m = [1.0, 11.0]", "eyes.mount_m"),
+            ("rays = 8\nrange_m = 2\nrate_hz = 0.0", "eyes.rate_hz"),
+            ("rays = 8\nrange_m = 2\ndelay_s = -1.0", "eyes.delay_s"),
+            ("rays = 8\nrange_m = 2\nnoise_m = -1.0", "eyes.noise_m"),
+            ("rays = 8\nrange_m = 2\ndropouts = 1.5", "eyes.dropouts"),
+            ("rays = 8\nrange_m = 2\ncolour = 1", "eyes.colour: unknown field"),
+        ] {
+            let error = make(&settings(text), RobotId(0)).err().expect("it is refused").to_string();
+            assert!(error.starts_with(field), "{text}: {error}");
+        }
+    }
+}
