@@ -67,8 +67,8 @@ pub struct Bound {
 }
 
 impl Bound {
-    /// Joins the channels that a policy takes with those of the team: the built-in ones, and `others` of its scenario and
-    /// senses. An error names the first channel that does not exist, or that has another shape or unit.
+    /// Joins the channels that a policy takes with those of the team: the built-in ones, and `others` of its scenario
+    /// and senses. An error names the first channel that does not exist, or that has another shape or unit.
     pub fn new(requests: &[Request], others: &[Channel]) -> Result<Bound, ChannelError> {
         let all: Vec<Channel> = builtin::channels().into_iter().chain(others.iter().cloned()).collect();
         let mut bound = Bound::default();
