@@ -434,6 +434,7 @@ impl Record {
             walls: Vec::new(),
             hull_m: 0.2,
             range_m: None,
+            senses: Vec::new(),
         };
         let beginning = Beginning { identity: Identity::here("1f", Vec::new(), ""), attached: Vec::new() };
         let path = folder.join(format!("peer-{id}-{:016x}.mcap", monotonic_ns()));

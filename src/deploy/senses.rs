@@ -4,7 +4,9 @@ use serde::Deserialize;
 
 use super::{Deployment, Routes, Senses};
 use crate::config::{self, ConfigError};
+use crate::messages::ids::RobotId;
 use crate::messages::wire::Kind;
+use crate::registry::Registry;
 use crate::senses::MAX_SENSES;
 
 /// Longest name of a sense \[characters\].
@@ -33,6 +35,24 @@ impl Deployment {
             link.into_iter().for_each(|link| link.carries.push(Kind::Sensed));
         }
         self
+    }
+
+    /// Returns the deployment with these senses, as `with_senses` does, after a check of the senses and of the result.
+    /// An error names the wrong field; also if the deployment has senses already.
+    pub fn perceiving(self, registry: &Registry, senses: Senses) -> Result<Deployment, ConfigError> {
+        if senses.is_empty() {
+            return Ok(self);
+        }
+        if !self.senses.is_empty() {
+            let why = "the deployment has senses of its own; write all of them in one place";
+            return Err(ConfigError::field("senses", why));
+        }
+        for (name, settings) in &senses {
+            registry.sense(name, settings, RobotId(0)).map_err(|error| error.within("senses"))?;
+        }
+        let deployment = self.with_senses(senses);
+        deployment.check()?;
+        Ok(deployment)
     }
 
     /// Checks number and names of the senses. An error names the field.

@@ -15,6 +15,8 @@ pub struct Sweep {
     pub around: bool,
     /// Largest distance at which something is seen \[m\].
     pub range_m: f32,
+    /// Place from which the rays go \[m\]: ahead of the robot's centre and to the left.
+    pub mount_m: [f32; 2],
 }
 
 /// How far an opening may be from a whole turn and still be one \[rad\]: that of a decimal with three digits.
@@ -22,12 +24,12 @@ pub const WHOLE_RAD: f64 = 1e-3;
 
 impl Sweep {
     /// Returns the directions of `rays` rays of which the first is at `from_rad` and the last `opening_rad` further; in
-    /// a whole turn the rays divide it evenly \[rad\].
+    /// a whole turn the rays divide it evenly \[rad\]. They go from the robot's centre.
     pub fn new(rays: usize, (from_rad, opening_rad): (f64, f64), range_m: f32) -> Sweep {
         let around = opening_rad >= TAU - WHOLE_RAD;
         let gaps = if around { rays } else { rays.saturating_sub(1).max(1) };
         let whole = if around { TAU } else { opening_rad };
-        Sweep { from_rad, step_rad: whole / gaps as f64, around, range_m }
+        Sweep { from_rad, step_rad: whole / gaps as f64, around, range_m, mount_m: [0.0; 2] }
     }
 }
 

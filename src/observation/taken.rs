@@ -156,7 +156,7 @@ mod tests {
 
     /// Lidar with four rays: behind, to the right, ahead, to the left.
     fn channel(around: bool) -> Channel {
-        let sweep = Sweep { from_rad: -PI, step_rad: PI / 2.0, around, range_m: 5.0 };
+        let sweep = Sweep { around, ..Sweep::new(4, (-PI, TAU), 5.0) };
         Channel::of_sense("eyes".to_owned(), 1, (vec![4], Unit::Metre), Some(sweep))
     }
 

@@ -1,11 +1,11 @@
 //! Simulated lidar: distances along rays to walls, rails and the hulls of other robots, with rate, delay, noise and
 //! dropouts.
 
-use std::collections::VecDeque;
 use std::f64::consts::{PI, TAU};
 
 use serde::Deserialize;
 
+use super::paced::{Pace, Paced, within};
 use super::rays::{Disc, MAX_RAYS, Rays};
 use super::{In, Layout, Out, Parts, Sense, Site, WHOLE_RAD};
 use crate::config::ConfigError;
@@ -16,16 +16,13 @@ use crate::messages::local::Scene;
 use crate::observation::{Sweep, Unit};
 use crate::random::{self, RngExt, Stream};
 use crate::scenario::KeepOut;
-use crate::time::{Span, Time};
+use crate::time::Time;
 
 /// Description of the sense `lidar` in one line, for lists of all kinds.
 pub(super) const ABOUT: &str = "simulated: distances along rays to walls and the hulls of robots";
 
 /// Settings of an example.
 pub(super) const EXAMPLE: &str = "rays = 32\nrange_m = 2.0\nnoise_m = 0.01\ndropouts = 0.01\ndelay_s = 0.07";
-
-/// Largest number of scans that wait for the end of their delay.
-const MAX_PENDING: usize = 256;
 
 /// Settings of a lidar in a deployment.
 #[derive(Clone, Debug, Deserialize)]
@@ -70,10 +67,6 @@ fn yes() -> bool {
 impl Config {
     /// Checks the ranges of all settings. An error names the first wrong one.
     fn check(&self) -> Result<(), ConfigError> {
-        let within = |field: &str, value: f64, least: f64, most: f64| match (least..=most).contains(&value) {
-            true => Ok(()),
-            false => Err(ConfigError::field(field, format!("{value} is not {least} to {most}"))),
-        };
         within("rays", self.rays as f64, 1.0, MAX_RAYS as f64)?;
         within("range_m", self.range_m.into(), 0.01, 1000.0)?;
         within("from_rad", self.from_rad, -TAU, TAU)?;
@@ -83,17 +76,19 @@ impl Config {
         for ahead_or_left in self.mount_m {
             within("mount_m", ahead_or_left.into(), -10.0, 10.0)?;
         }
-        if let Some(rate) = self.rate_hz {
-            within("rate_hz", rate, 0.1, 1000.0)?;
-        }
-        within("delay_s", self.delay_s, 0.0, 2.0)?;
+        self.pace().check()?;
         within("noise_m", self.noise_m.into(), 0.0, 10.0)?;
         within("dropouts", self.dropouts.into(), 0.0, 1.0)
     }
 
+    fn pace(&self) -> Pace {
+        Pace { rate_hz: self.rate_hz, delay_s: self.delay_s }
+    }
+
     /// Returns the directions of the rays.
     fn sweep(&self) -> Sweep {
-        Sweep::new(self.rays, (self.from_rad, self.opening_rad.unwrap_or(TAU)), self.range_m)
+        let opening_rad = self.opening_rad.unwrap_or(TAU);
+        Sweep { mount_m: self.mount_m, ..Sweep::new(self.rays, (self.from_rad, opening_rad), self.range_m) }
     }
 }
 
@@ -120,12 +115,7 @@ struct Lidar {
     dropouts: f32,
     range_m: f32,
     stream: Stream,
-    period: Span,
-    delay: Span,
-    /// Earliest time of the next scan.
-    ready: Time,
-    /// Scans that wait for the end of their delay, each with the time at which it is due.
-    pending: VecDeque<(Time, Out)>,
+    paced: Paced,
 }
 
 impl Lidar {
@@ -143,10 +133,7 @@ impl Lidar {
             dropouts: config.dropouts,
             range_m: config.range_m,
             stream: site.stream,
-            period: config.rate_hz.map_or(Span::ZERO, |rate| Span::from_secs(1.0 / rate)),
-            delay: Span::from_secs(config.delay_s),
-            ready: Time::ZERO,
-            pending: VecDeque::new(),
+            paced: Paced::new(&config.pace()),
         }
     }
 
@@ -187,31 +174,20 @@ impl Lidar {
 impl Sense for Lidar {
     fn take(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         let In::Scene(scene) = input else { return };
-        if scene.placed {
-            // What was seen elsewhere counts no longer.
-            self.pending.clear();
-        } else if scene.time < self.ready {
+        if !self.paced.measures(scene) {
             return;
         }
-        self.ready = scene.time + self.period;
         let Some(mut values) = self.measure(scene) else { return };
         self.disturb(&mut values);
-        let scan = Out::Values { stamp_ns: scene.time.as_nanos(), values };
-        if self.delay == Span::ZERO {
-            out.push(scan);
-        } else if self.pending.len() < MAX_PENDING {
-            self.pending.push_back((now + self.delay, scan));
-        }
+        self.paced.put(now, scene, values, out);
     }
 
     fn wake_at(&self) -> Option<Time> {
-        self.pending.front().map(|(due, _)| *due)
+        self.paced.wake_at()
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
-        while self.pending.front().is_some_and(|(due, _)| *due <= now) {
-            out.extend(self.pending.pop_front().map(|(_, scan)| scan));
-        }
+        self.paced.wake(now, out);
     }
 }
 
@@ -221,6 +197,7 @@ mod tests {
     use crate::messages::local::Standing;
     use crate::random::Seed;
     use crate::scenario::Arena;
+    use crate::time::Span;
 
     fn settings(text: &str) -> Settings {
         Settings { name: "eyes".to_owned(), table: text.parse().expect("it is TOML") }

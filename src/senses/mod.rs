@@ -7,8 +7,10 @@
 
 pub mod contract;
 mod lidar;
+mod paced;
 mod program;
 pub mod rays;
+mod relative;
 
 use serde::{Deserialize, Serialize};
 
@@ -151,5 +153,6 @@ pub struct Entry {
 /// All kinds of senses that this crate contains.
 pub const REGISTRY: &[Entry] = &[
     Entry { name: "lidar", about: lidar::ABOUT, example: lidar::EXAMPLE, make: lidar::make },
+    Entry { name: "relative", about: relative::ABOUT, example: relative::EXAMPLE, make: relative::make },
     Entry { name: "program", about: program::ABOUT, example: program::EXAMPLE, make: program::make },
 ];

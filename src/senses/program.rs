@@ -153,7 +153,7 @@ mod tests {
         let plain = parts("command = [\"x\"]\nshape = [2, 3]\nunit = \"1\"").expect("it is valid");
         assert_eq!((plain.layout.floats(), plain.layout.sweep), (6, None));
         let ring = parts("command = [\"x\"]\nshape = [8]\nunit = \"m\"\nrange_m = 0.3\nfrom_rad = 0.0").expect("valid");
-        let expected = Sweep { from_rad: 0.0, step_rad: TAU / 8.0, around: true, range_m: 0.3 };
+        let expected = Sweep::new(8, (0.0, TAU), 0.3);
         assert_eq!(ring.layout.sweep, Some(expected));
         assert!(refused("command = []\nshape = [2]\nunit = \"1\"").starts_with("eyes.command"));
         assert!(refused("command = [\"x\"]\nshape = [2]\nunit = \"1\"\nfrom_rad = 1.0").starts_with("eyes.from_rad"));

@@ -4,7 +4,7 @@ use super::Trial;
 use crate::config::ConfigError;
 use crate::messages::ids::RobotId;
 use crate::observation::{Channel, builtin};
-use crate::senses::{Parts, Settings};
+use crate::senses::{Layout, Parts, Settings};
 
 impl Trial {
     /// Returns the senses of a robot with their names, in the order of the names. An error names the wrong setting.
@@ -16,11 +16,17 @@ impl Trial {
         self.deployment.senses.iter().map(make).collect()
     }
 
-    /// Returns the channels of the observation that are senses. Those with wrong settings are left out; the check of
-    /// the trial refuses them.
-    pub(super) fn sense_channels(&self) -> Vec<Channel> {
+    /// Returns the names and forms of the senses of each robot, in the order of the names. None are returned if the
+    /// settings of one are wrong; the check of the trial refuses them.
+    pub fn sense_layouts(&self) -> Vec<(String, Layout)> {
         let all = self.senses(RobotId(0)).unwrap_or_default();
-        all.iter().enumerate().map(|(index, (name, parts))| parts.layout.channel(name, index)).collect()
+        all.into_iter().map(|(name, parts)| (name, parts.layout)).collect()
+    }
+
+    /// Returns the channels of the observation that are senses.
+    pub(super) fn sense_channels(&self) -> Vec<Channel> {
+        let all = self.sense_layouts();
+        all.iter().enumerate().map(|(index, (name, layout))| layout.channel(name, index)).collect()
     }
 
     /// Checks that each robot can have its senses, that they have the form of those of all others, and names that no

@@ -179,3 +179,19 @@ fn what_a_driver_writes_cannot_steer_a_terminal_and_what_would_run_is_listed() {
     let checked = murmurate(&["doctor", &file, "--listen", "1"]).output().expect("it starts");
     is_tame("doctor", &text(&checked.stderr));
 }
+
+#[test]
+fn the_programs_of_senses_are_listed_for_each_robot() {
+    let folder = TempDir::new().expect("a temporary folder");
+    let file = folder.path().join("team.toml").to_string_lossy().into_owned();
+    let team = "team = 5\nmode = \"sim\"\nscenario = \"swap\"\npolicy = \"orca\"\nrobots = 2\n[senses.camera]\n\
+                kind = \"program\"\ncommand = [\"./camera\"]\nshape = [2]\nunit = \"1\"\n\
+                robot.1 = { command = [\"./camera\", \"it's\"] }\n";
+    fs::write(&file, team).expect("it can be written");
+    let checked = run(&["config", "check", &file]);
+    let said = text(&checked.stdout);
+    assert_eq!(checked.status.code(), Some(0), "{}", text(&checked.stderr));
+    for line in ["  world: camera 0: ./camera\n", "  world: camera 1: ./camera 'it'\\''s'\n"] {
+        assert!(said.contains(line), "{said}");
+    }
+}

@@ -166,7 +166,7 @@ struct Sandbox(TempDir);
 impl Sandbox {
     fn new(page: &Page) -> Sandbox {
         let sandbox = Sandbox(TempDir::new().expect("a temporary folder"));
-        for name in ["teams", "tests", "policies"] {
+        for name in ["teams", "tests", "policies", "examples"] {
             std::os::unix::fs::symlink(root().join(name), sandbox.at(name)).expect("a link");
         }
         fs::copy(root().join("teams/onboard-wlan.toml"), sandbox.at("team.toml")).expect("the team file");

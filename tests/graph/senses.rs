@@ -1,8 +1,10 @@
 //! Senses of robots, from the simulated world to the policy.
 
 use std::f32::consts::TAU;
+use std::path::Path;
 use std::sync::{Arc, Mutex};
 
+use murmurate::deploy::team::TeamFile;
 use murmurate::deploy::{Deployment, MODES, Routes, senses_of};
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::ids::{HostId, RobotId};
@@ -10,6 +12,7 @@ use murmurate::messages::wire::Kind;
 use murmurate::observation::{Frame, IfStale, Observation, Request, Taking, Unit};
 use murmurate::policy::{Interface, Model, Neighbour, Origin, Policy};
 use murmurate::random::Stream;
+use murmurate::registry::Registry;
 use murmurate::report::TrialReport;
 use murmurate::results::totals::Steps;
 use murmurate::time::Span;
@@ -191,6 +194,21 @@ fn a_sense_travels_with_the_readings_unless_a_link_is_said_to_carry_it() {
             assert!(why.contains("Sensed must cross hosts, and no link carries it"), "{mode}: {why}");
         }
     }
+}
+
+#[test]
+fn a_team_file_has_senses_for_all_its_robots() {
+    let read = |text: &str| {
+        let text = format!("team = 1\nmode = \"onboard-infra\"\nrobots = 2\n{text}");
+        TeamFile::read(&Registry::builtin(), &text, Path::new("."), &[], &[])
+    };
+    let file = read(LIDAR).expect("it is valid");
+    assert_eq!(file.deployment().senses, senses_of(LIDAR).expect("tables of senses"));
+    assert!(file.deployment().links.iter().any(|link| link.carries.contains(&Kind::Sensed)));
+    let refused = |text: &str| read(text).expect_err("it is wrong").to_string();
+    let rays = refused("[senses.eyes]\nkind = \"lidar\"\nrays = 0\nrange_m = 1.0");
+    assert!(rays.starts_with("senses.eyes.rays: 0 is not 1 to 256"), "{rays}");
+    assert!(refused("[sense.eyes]\nkind = \"lidar\"").contains("senses"), "its table has another name");
 }
 
 #[test]

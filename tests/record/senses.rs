@@ -40,9 +40,22 @@ fn runs_again(number: u16, mode: &str, senses: &str, hosts: usize) -> TempDir {
     folder
 }
 
+/// Returns the number of scans of robot 1 that the record of a host has for tools.
+fn scans(records_of: &Path, host: &str) -> usize {
+    let name = |path: &std::path::PathBuf| path.file_name().is_some_and(|name| name.to_string_lossy().contains(host));
+    let record = records(records_of).into_iter().find(name).expect("each host has a record");
+    let mut reader = murmurate_record::reader::Reader::open(&record).expect("it is a record");
+    let mut count = 0;
+    while let Some(message) = reader.next_message().expect("it can be read") {
+        count += usize::from(message.channel.topic == "/robot/1/sense/lidar");
+    }
+    count
+}
+
 #[test]
 fn hosts_run_again_where_scans_travel_between_hosts() {
-    runs_again(821, "offboard", LIDAR, 4);
+    let folder = runs_again(821, "offboard", LIDAR, 4);
+    assert!(scans(&folder.path().join("records"), "agent-1") > 50, "for tools, too");
     runs_again(822, "centralized", LIDAR, 2);
 }
 

@@ -11,6 +11,7 @@ pub mod contract;
 pub mod engine;
 mod features;
 pub mod network;
+mod observed;
 mod onnx;
 pub mod parts;
 pub mod policy;

@@ -4,13 +4,14 @@
 use ::foxglove::messages::line_primitive::Type as LineType;
 use ::foxglove::messages::packed_element_field::NumericType;
 use ::foxglove::messages::{
-    ArrowPrimitive, Color, CubePrimitive, CylinderPrimitive, FrameTransform, FrameTransforms, LinePrimitive,
+    ArrowPrimitive, Color, CubePrimitive, CylinderPrimitive, FrameTransform, FrameTransforms, LaserScan, LinePrimitive,
     PackedElementField, PointCloud, PoseInFrame, SceneEntity, TextPrimitive,
 };
 
 use super::foxglove::{self, MAP, colour};
 use super::stage::Stage;
 use murmurate::messages::geometry::Vec2;
+use murmurate::messages::wire::Sensed;
 
 /// Pose of a robot in a drawing.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -165,6 +166,11 @@ pub fn cloud(at: u64, team: &[Option<Body>]) -> PointCloud {
     }
 }
 
+/// Returns the name of a robot's own frame.
+fn frame_of(robot: usize) -> String {
+    format!("robot_{robot}/base_link")
+}
+
 /// Returns a Foxglove message with the transforms from the world frame to the robots' frames `robot_N/base_link`. `at`
 /// is its time \[ns\], since 1970 or the start of a simulation. `team` has the robots' poses in the order of ids; an
 /// unknown heading is written as 0, and a robot whose pose is `None` is left out.
@@ -174,7 +180,7 @@ pub fn transforms(at: u64, team: &[Option<Body>]) -> FrameTransforms {
         Some(FrameTransform {
             timestamp: foxglove::time(at),
             parent_frame_id: MAP.to_owned(),
-            child_frame_id: format!("robot_{robot}/base_link"),
+            child_frame_id: frame_of(robot),
             translation: foxglove::vector(point(body.position, 0.0)),
             rotation: foxglove::rotation(f64::from(body.heading.unwrap_or(0.0))),
         })
@@ -189,5 +195,21 @@ pub fn pose(at: u64, body: Body) -> PoseInFrame {
         timestamp: foxglove::time(at),
         frame_id: MAP.to_owned(),
         pose: foxglove::pose(point(body.position, 0.0), f64::from(body.heading.unwrap_or(0.0))),
+    }
+}
+
+/// Returns the scan of a robot's sense as Foxglove draws it, in the robot's frame. `rays_rad` are the angles of the
+/// first and the last ray \[rad\], and `mount_m` is the place of the sense on the robot \[m\].
+pub fn scan(at: u64, sensed: &Sensed, (rays_rad, mount_m): ([f64; 2], [f32; 2])) -> LaserScan {
+    let [start_angle, end_angle] = rays_rad;
+    let [ahead, left] = mount_m.map(f64::from);
+    LaserScan {
+        timestamp: foxglove::time(at),
+        frame_id: frame_of(sensed.robot.index()),
+        pose: foxglove::pose([ahead, left, 0.0], 0.0),
+        start_angle,
+        end_angle,
+        ranges: sensed.values.0.iter().copied().map(f64::from).collect(),
+        intensities: Vec::new(),
     }
 }

@@ -137,7 +137,9 @@ impl Event {
             event::Event::Sent(link, frame) if of_host => Event::Sent(link, Frame::clone(frame)),
             event::Event::Input(input) if of_host => Event::Input(input.clone()),
             event::Event::Refused(link, cause, frame) if of_host => Event::Refused(link, cause, Frame::clone(frame)),
-            event::Event::Message(message @ (Wire::Reading(_) | Wire::Latent(_) | Wire::Mode(_))) if of_host => {
+            event::Event::Message(message @ (Wire::Reading(_) | Wire::Sensed(_) | Wire::Latent(_) | Wire::Mode(_)))
+                if of_host =>
+            {
                 Event::Delivered(message.clone())
             }
             event::Event::Truth(truth) => Event::Truth(truth.clone()),

@@ -40,18 +40,42 @@ pub struct Stage {
     pub hull_m: f32,
     /// Range within which robots use each other's messages \[m\]; `None` if it is unlimited.
     pub range_m: Option<f32>,
+    /// Senses of each robot, in the order of their indices.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub senses: Vec<StageSense>,
+}
+
+/// Sense of each robot of a run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StageSense {
+    /// Name of the sense.
+    pub name: String,
+    /// Angles of its first and last ray \[rad\], counter-clockwise from the direction ahead; `None` if its values are
+    /// no distances along rays.
+    pub rays_rad: Option<[f64; 2]>,
+    /// Place from which the rays go \[m\]: ahead of the robot's centre and to the left.
+    pub mount_m: [f32; 2],
 }
 
 impl Stage {
     /// Returns the stage of a trial.
     pub fn of(trial: &Trial) -> Stage {
         let range_m = trial.comm_range().mean_m;
-        Stage::of_team((&trial.deployment, &*trial.scenario), trial.physics.wall_radius_m, range_m)
+        let senses = trial.sense_layouts().into_iter().map(|(name, layout)| StageSense {
+            name,
+            rays_rad: layout.sweep.map(|sweep| {
+                let steps = layout.floats().saturating_sub(1) as f64;
+                [sweep.from_rad, sweep.from_rad + sweep.step_rad * steps]
+            }),
+            mount_m: layout.sweep.map_or([0.0; 2], |sweep| sweep.mount_m),
+        });
+        let stage = Stage::of_team((&trial.deployment, &*trial.scenario), trial.physics.wall_radius_m, range_m);
+        Stage { senses: senses.collect(), ..stage }
     }
 
     /// Returns the stage of a team with this deployment and scenario. `hull_m` is the radius of a robot's hull \[m\],
     /// and `range_m` the range within which robots use each other's messages \[m\], infinite if it is unlimited or
-    /// unknown.
+    /// unknown. Senses are left out.
     pub fn of_team((deployment, scenario): (&Deployment, &dyn Scenario), hull_m: f32, range_m: f32) -> Stage {
         let arena = scenario.arena();
         let routes = Routes::of(deployment);
@@ -69,6 +93,7 @@ impl Stage {
             walls: arena.keep_outs.iter().map(wall).collect(),
             hull_m,
             range_m: Some(range_m).filter(|range_m| range_m.is_finite()),
+            senses: Vec::new(),
         }
     }
 

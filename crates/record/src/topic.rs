@@ -1,7 +1,7 @@
 //! Topics of a record: their names, encodings and schemas.
 
 use foxglove::Encode;
-use foxglove::messages::{FrameTransforms, Log, PointCloud, PoseInFrame, SceneUpdate};
+use foxglove::messages::{FrameTransforms, LaserScan, Log, PointCloud, PoseInFrame, SceneUpdate};
 
 use super::stage::Stage;
 use super::{schemas, truth};
@@ -29,6 +29,8 @@ pub enum Topic {
     Transforms,
     /// Estimated position of this robot, with its last measured heading.
     Pose(RobotId),
+    /// Scans of this robot by its sense with this index, for senses whose values are distances along rays.
+    Scan(RobotId, u8),
     /// Phases of episodes, verdicts and stops, as text.
     Log,
     /// Lines that the program has logged. A replay does not repeat them.
@@ -68,6 +70,7 @@ impl Topic {
             Topic::Robots => "/robots".to_owned(),
             Topic::Transforms => "/tf".to_owned(),
             Topic::Pose(robot) => format!("/robot/{}/pose", robot.0),
+            Topic::Scan(robot, sense) => format!("/robot/{}/sense/{}", robot.0, stage.senses[usize::from(sense)].name),
             Topic::Log => "/log".to_owned(),
             Topic::Program => PROGRAM.to_owned(),
             Topic::Received => RECEIVED.to_owned(),
@@ -104,6 +107,7 @@ impl Topic {
             Topic::Robots => described::<PointCloud>(),
             Topic::Transforms => described::<FrameTransforms>(),
             Topic::Pose(_) => described::<PoseInFrame>(),
+            Topic::Scan(..) => described::<LaserScan>(),
             Topic::Log | Topic::Program => described::<Log>(),
             Topic::Episode => json("Episode", schemas::EPISODE),
             Topic::Links => json("Links", schemas::LINKS),

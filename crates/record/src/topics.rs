@@ -21,7 +21,7 @@ use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::local::Truth;
 use murmurate::messages::phase::Phase;
 use murmurate::messages::round::Round;
-use murmurate::messages::wire::{Kind, Mode, Wire};
+use murmurate::messages::wire::{Kind, Mode, Sensed, Wire};
 use murmurate::net::protocol::codec::{self, Content, Flags, Header};
 use murmurate::results::episode::Episode;
 use murmurate::safety::guard::SafetyCounts;
@@ -137,7 +137,7 @@ impl Topics {
             Event::Published(host, frame) => {
                 take(Topic::Wire(*host), at, frame);
                 if self.scope == Scope::Simulation
-                    && matches!(codec::first(frame), Ok(Content::Message(Kind::Mode | Kind::Latent)))
+                    && matches!(codec::first(frame), Ok(Content::Message(Kind::Mode | Kind::Latent | Kind::Sensed)))
                     && let Ok((_, message)) = codec::decode(frame)
                 {
                     self.handle(now, at, &message, take);
@@ -221,8 +221,17 @@ impl Topics {
                     }
                 }
             }
+            Wire::Sensed(sensed) => self.scan(at, sensed, take),
             _ => {}
         }
+    }
+
+    /// Records the values of a sense that are distances along rays.
+    fn scan(&self, at: u64, sensed: &Sensed, take: Take) {
+        let sense = self.stage.senses.get(usize::from(sensed.sense));
+        let Some((sense, rays_rad)) = sense.and_then(|sense| Some((sense, sense.rays_rad?))) else { return };
+        let scan = drawing::scan(at, sensed, (rays_rad, sense.mount_m));
+        encode_to(Topic::Scan(sensed.robot, sensed.sense), at, &scan, take);
     }
 
     /// Sets the pose of a robot from a report, unless true states are known.

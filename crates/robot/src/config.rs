@@ -5,10 +5,10 @@ use std::collections::BTreeSet;
 use anyhow::{Context, Result};
 use clap::Subcommand;
 use murmurate::config::shown::{self, counted};
-use murmurate::deploy::Host;
 use murmurate::deploy::team::Origin;
+use murmurate::deploy::{Host, Senses};
 use murmurate::graph::devices::{self, RunBy};
-use murmurate::messages::ids::HostId;
+use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::registry::Registry;
 use serde_json::json;
 
@@ -78,16 +78,17 @@ fn check(args: &Check, registry: &Registry) -> Result<Ended> {
     let mode = shown::value(&deployment.mode);
     let path = shown::value(args.team.path().display());
     print(&format!("{path}: valid: mode {mode}, {}, {}, {keys}", counted(hosts, "host"), counted(links, "link")))?;
-    programs(&named, registry)?.into_iter().try_for_each(|line| print(&line))?;
+    programs(&named, &deployment.senses, registry)?.into_iter().try_for_each(|line| print(&line))?;
     Ok(Ended::Done)
 }
 
 /// Returns the lines that say which programs the hosts run: whoever may write a team file decides on them. None if they
 /// run none.
-fn programs(hosts: &[&Host], registry: &Registry) -> Result<Vec<String>> {
+fn programs(hosts: &[&Host], senses: &Senses, registry: &Registry) -> Result<Vec<String>> {
     let mut lines = Vec::new();
     for host in hosts {
-        for RunBy { device, command } in devices::programs(host, registry)? {
+        let of_senses = programs_of_senses(host, senses, registry)?;
+        for RunBy { device, command } in devices::programs(host, registry)?.into_iter().chain(of_senses) {
             let command: Vec<String> = command.iter().map(|word| quoted(word)).collect();
             let host = shown::value(&host.name);
             lines.push(format!("  {host}: {device}: {}", shown::value(command.join(" "))));
@@ -97,6 +98,19 @@ fn programs(hosts: &[&Host], registry: &Registry) -> Result<Vec<String>> {
         lines.insert(0, "it runs these programs, with the rights of whoever starts a host:".to_owned());
     }
     Ok(lines)
+}
+
+/// Returns the programs that the senses of a host's robots run.
+fn programs_of_senses(host: &Host, senses: &Senses, registry: &Registry) -> Result<Vec<RunBy>> {
+    let mut programs = Vec::new();
+    for &robot in host.simulates.iter().chain(&host.actuates) {
+        for (name, settings) in senses {
+            let parts = registry.sense(name, settings, RobotId(robot)).map_err(|error| error.within("senses"))?;
+            let command = parts.worker.and_then(|worker| worker.runs());
+            programs.extend(command.map(|command| RunBy { device: format!("{name} {robot}"), command }));
+        }
+    }
+    Ok(programs)
 }
 
 /// Returns a word of a command as a shell would take it.

@@ -132,7 +132,7 @@ impl TeamFile {
         let inline: Inline = config::from_toml(text)?;
         inline.safety.check().map_err(|error| error.within("safety"))?;
         let deployment = deployment(registry, inline.deployment, &layers)?;
-        let deployment = perceiving(deployment, inline.senses)?;
+        let deployment = deployment.perceiving(registry, inline.senses)?;
         let safety = about_hulls(inline.safety, &layers, &deployment)?;
         let mut fields = vec![EVERY_INTERFACE.to_owned()];
         for link in &deployment.links {
@@ -348,20 +348,6 @@ fn deployment(registry: &Registry, inline: Option<Deployment>, layers: &Layers) 
         Ok(plant) => Ok(Deployment { plant: plant.name.to_owned(), ..preset }),
         Err(error) => Err(ConfigError::field(place("plant", &entry.origin), error.to_string())),
     }
-}
-
-/// Returns the deployment with the senses of the table `senses`.
-fn perceiving(deployment: Deployment, senses: Senses) -> Result<Deployment, ConfigError> {
-    if senses.is_empty() {
-        return Ok(deployment);
-    }
-    if !deployment.senses.is_empty() {
-        let why = "the [deployment] has senses of its own; write all of them in one place";
-        return Err(ConfigError::field("senses", why));
-    }
-    let deployment = deployment.with_senses(senses);
-    deployment.check()?;
-    Ok(deployment)
 }
 
 /// Checks the settings of all drivers, sources of readings and observers by creating them; no worker is started.

@@ -190,8 +190,9 @@ def lidar():
     nodes = [node("Clip", ["goal", "low", "high"], "wish"), node("Mul", ["lidar", "steep"], "far"),
              node("Exp", ["far"], "close"), node("MatMul", ["close", "rays"], "away"),
              node("Add", ["wish", "away"], "sum"), node("Clip", ["sum", "low", "high"], "action")]
-    tensors = {"steep": np.array([-4], np.float32), "low": np.array(-1, np.float32), "high": np.array(1, np.float32),
-               "rays": (-0.6 * np.stack([np.cos(angles), np.sin(angles)], 1)).astype(np.float32)}
+    tensors = {"steep": np.array([-8], np.float32), "low": np.array(-1, np.float32), "high": np.array(1, np.float32),
+               # Turned a little to the left, so that two do not block each other.
+               "rays": (-16 * np.stack([np.cos(angles - 0.6), np.sin(angles - 0.6)], 1)).astype(np.float32)}
     save(model("lidar", nodes, [value("goal", "R", 2), value("lidar", "R", 32)], [value("action", "R", 2)], tensors), "lidar")
 
 

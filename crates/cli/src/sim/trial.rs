@@ -7,6 +7,7 @@ use anyhow::Result;
 
 use super::Args;
 use crate::{conditions, deployment, size};
+use murmurate::config::ConfigError;
 use murmurate::deploy::conditions::Conditions;
 use murmurate::deploy::{self, Deployment, Impair};
 use murmurate::messages::ids::RobotId;
@@ -14,6 +15,7 @@ use murmurate::registry::Registry;
 use murmurate::results::totals::Steps;
 use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{ScenarioError, Settings};
+use murmurate::senses::Settings as SenseSettings;
 use murmurate::trial::Trial;
 use murmurate::world::{Overrides, Placement};
 use murmurate_robot::output::{read_text, talk};
@@ -96,6 +98,7 @@ pub fn of_flags(args: &Args, policy: Option<&Path>, registry: &Registry) -> Resu
     if let Some(path) = &args.senses {
         deployment = perceiving(path, deployment, registry)?;
     }
+    check_pace(&deployment, registry)?;
     deployment = network(args, fitted, deployment)?;
     deployment.placement = args.placement.unwrap_or(deployment.placement);
     if let Some(plant) = args.plant.clone().or_else(|| fitted.plant.clone()) {
@@ -143,21 +146,23 @@ pub fn of_flags(args: &Args, policy: Option<&Path>, registry: &Registry) -> Resu
 /// Returns the deployment with the senses of a file.
 fn perceiving(path: &Path, deployment: Deployment, registry: &Registry) -> Result<Deployment> {
     let text = read_text(path, "senses file")?;
-    let wrong = |why: String| BadInput(format!("the senses file '{}': {why}", path.display()));
-    let senses = deploy::senses_of(&text).map_err(|error| wrong(error.to_string()))?;
-    if !deployment.senses.is_empty() {
-        return Err(wrong("the deployment file has senses of its own; write all of them in one place".into()).into());
-    }
-    for (name, settings) in &senses {
-        let parts = registry.sense(name, settings, RobotId(0)).map_err(|error| wrong(format!("senses.{error}")))?;
-        if parts.worker.is_some() {
+    let wrong = |error: ConfigError| BadInput(format!("the senses file '{}': {error}", path.display()));
+    let senses = deploy::senses_of(&text).map_err(wrong)?;
+    Ok(deployment.perceiving(registry, senses).map_err(wrong)?)
+}
+
+/// Checks that no sense of a deployment needs a worker, which runs in real time.
+fn check_pace(deployment: &Deployment, registry: &Registry) -> Result<()> {
+    let works = |(name, settings): &(&String, &SenseSettings)| {
+        registry.sense(name, settings, RobotId(0)).is_ok_and(|parts| parts.worker.is_some())
+    };
+    match deployment.senses.iter().find(works) {
+        None => Ok(()),
+        Some((name, settings)) => {
             let why = format!("'{}' runs in real time, and 'sim' does not; take 'launch'", settings.kind);
-            return Err(wrong(format!("senses.{name}.kind: {why}")).into());
+            bad(format!("senses.{name}.kind: {why}"))
         }
     }
-    let deployment = deployment.with_senses(senses);
-    deployment.check().map_err(|error| wrong(error.to_string()))?;
-    Ok(deployment)
 }
 
 /// Returns the trial with the properties of simulated robots that the flags set.

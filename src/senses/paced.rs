@@ -1,0 +1,91 @@
+//! Pace of a simulated sense: when it measures, and how long its values take.
+
+use std::collections::VecDeque;
+
+use super::Out;
+use crate::config::ConfigError;
+use crate::messages::local::Scene;
+use crate::time::{Span, Time};
+
+/// Largest number of measurements that wait for the end of their delay.
+const MAX_PENDING: usize = 256;
+
+/// Settings of the pace of a simulated sense.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pace {
+    /// Measurements in a second; as many as the World has steps if left out.
+    pub rate_hz: Option<f64>,
+    /// Delay of a measurement \[s\].
+    pub delay_s: f64,
+}
+
+/// Returns an error about `field` unless its `value` is `least` to `most`.
+pub(super) fn within(field: &str, value: f64, least: f64, most: f64) -> Result<(), ConfigError> {
+    match (least..=most).contains(&value) {
+        true => Ok(()),
+        false => Err(ConfigError::field(field, format!("{value} is not {least} to {most}"))),
+    }
+}
+
+impl Pace {
+    /// Checks the ranges of the settings. An error names the first wrong one.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        if let Some(rate) = self.rate_hz {
+            within("rate_hz", rate, 0.1, 1000.0)?;
+        }
+        within("delay_s", self.delay_s, 0.0, 2.0)
+    }
+}
+
+/// Schedule of a simulated sense.
+#[derive(Debug)]
+pub(super) struct Paced {
+    period: Span,
+    delay: Span,
+    /// Earliest time of the next measurement.
+    ready: Time,
+    /// Measurements that wait for the end of their delay, each with the time at which it is due.
+    pending: VecDeque<(Time, Out)>,
+}
+
+impl Paced {
+    /// Makes the schedule of a sense that has not measured yet.
+    pub fn new(pace: &Pace) -> Paced {
+        let period = pace.rate_hz.map_or(Span::ZERO, |rate| Span::from_secs(1.0 / rate));
+        Paced { period, delay: Span::from_secs(pace.delay_s), ready: Time::ZERO, pending: VecDeque::new() }
+    }
+
+    /// Returns whether the sense measures in this scene. After a placement it does at once, and what it has measured
+    /// before counts no longer.
+    pub fn measures(&mut self, scene: &Scene) -> bool {
+        if scene.placed {
+            self.pending.clear();
+        } else if scene.time < self.ready {
+            return false;
+        }
+        self.ready = scene.time + self.period;
+        true
+    }
+
+    /// Takes the values that were measured in a scene, and appends them to `out` unless they are delayed.
+    pub fn put(&mut self, now: Time, scene: &Scene, values: Vec<f32>, out: &mut Vec<Out>) {
+        let measured = Out::Values { stamp_ns: scene.time.as_nanos(), values };
+        if self.delay == Span::ZERO {
+            out.push(measured);
+        } else if self.pending.len() < MAX_PENDING {
+            self.pending.push_back((now + self.delay, measured));
+        }
+    }
+
+    /// Returns the time at which the next values are due.
+    pub fn wake_at(&self) -> Option<Time> {
+        self.pending.front().map(|(due, _)| *due)
+    }
+
+    /// Appends the values that are due at `now` to `out`.
+    pub fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
+        while self.pending.front().is_some_and(|(due, _)| *due <= now) {
+            out.extend(self.pending.pop_front().map(|(_, measured)| measured));
+        }
+    }
+}
