@@ -12,8 +12,6 @@ import threading
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from .serve import serve
-
 
 def is_object(policy: Any) -> bool:
     """Returns whether a policy is an object of Python, and not a name or a file."""
@@ -50,6 +48,9 @@ def served(policy: Any) -> Iterator[pathlib.Path]:
 
 
 def _answer(listener: socket.socket, policy: Any) -> None:
+    # Not with the package: it is a program of its own, too.
+    from .serve import serve
+
     while True:
         try:
             stream, _ = listener.accept()

@@ -78,7 +78,7 @@ def sim(
     if is_object(policy):
         flags.setdefault("jobs", 1)
         with served(policy) as file:
-            return sim(scenario, file, mode, **flags)
+            return dataclasses.replace(sim(scenario, file, mode, **flags), policy=policy.contract.get("name", ""))
     if "deployment" not in flags:
         flags["mode"] = mode
     words = ["--scenario", scenario]

@@ -5,12 +5,14 @@
 //! checked, decoded and delivered, or counted and dropped. `net::protocol::link` handles transmission, retransmission
 //! and authentication, `parts` messages that are too large for a datagram, and `rosters` the change of keys.
 
+mod addresses;
 mod parts;
 mod rosters;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
 
+use self::addresses::Addresses;
 use self::parts::Parts;
 use crate::actor::Core;
 use crate::messages::ids::{HostId, LinkId, RobotId};
@@ -18,7 +20,7 @@ use crate::messages::wire::{Kind, Wire};
 use crate::net::protocol::codec::{self, Flags, Frame, Header};
 use crate::net::protocol::key::Key;
 pub use crate::net::protocol::link::Identity;
-use crate::net::protocol::link::{Arrival, DuplicateId, Guest, LinkCounts, LinkState, Refusal, Standing};
+use crate::net::protocol::link::{DuplicateId, Guest, LinkCounts, LinkState, Refusal};
 use crate::net::protocol::outgoing::Outbound;
 use crate::net::protocol::parts::{Settings as PartSettings, is_part};
 use crate::net::protocol::reliability::{Piggyback, Setup};
@@ -78,9 +80,6 @@ pub enum Out {
 /// Largest delay that a Network accepts for the timers of its links, so that several timers share one wake-up: a tenth
 /// of the period of link reports.
 const MAX_LATE: Span = Span::from_millis(25);
-/// Time after which the transport of a link is told again that a host is heard at its address. It considers a host
-/// silent after twice this time.
-const HEARD_PERIOD: Span = Span::from_millis(500);
 /// Period at which a Network sends the counts of its links to the Recorder.
 pub(crate) const COUNTS_PERIOD: Span = Span::from_millis(1000);
 
@@ -128,35 +127,6 @@ pub struct Network {
     key: Option<Key>,
     succession: Succession,
     parts: Option<Parts>,
-}
-
-/// Addresses from which the hosts of a team were last accepted on links that send to single hosts, with the time at
-/// which the link's transport was told.
-#[derive(Debug, Default)]
-struct Addresses(BTreeMap<(LinkId, HostId), (SocketAddr, Time)>);
-
-impl Addresses {
-    /// Notes that a datagram of `heard` has arrived from `at`. Returns what the link's transport has to know. A new
-    /// address counts once a datagram from there proves its sender's liveness: a recording may come from anywhere.
-    fn note(&mut self, now: Time, (link, at): (LinkId, SocketAddr), heard: Arrival) -> Option<Guest> {
-        let Arrival { host, standing, proves } = heard;
-        let guest = |standing| Some(Guest { host, at, standing });
-        if host.is_operator() || standing == Standing::Candidate {
-            return guest(standing);
-        }
-        let known = self.0.get_mut(&(link, host));
-        match known {
-            Some((same, told)) if *same == at => {
-                let due = now.since(*told) >= HEARD_PERIOD;
-                due.then(|| *told = now).and_then(|()| guest(Standing::Accepted))
-            }
-            _ if !proves => guest(Standing::Candidate),
-            _ => {
-                self.0.insert((link, host), (at, now));
-                guest(Standing::Accepted)
-            }
-        }
-    }
 }
 
 /// Counts of messages that hosts of the team sent without the right to publish them, by sender and kind.
@@ -292,14 +262,8 @@ impl Network {
         let admitted = state.admit(now, frame, &mut self.stream, &mut self.outgoing);
         self.due[at] = state.due();
         if let (Some(heard), Some(from), false) = (state.heard(), from, self.shared[at]) {
-            let guest = self.addresses.note(now, (link, from), heard);
-            // An accepted host at an address that it has not proved yet: it needs a report of this host there.
-            if heard.standing == Standing::Accepted && guest.is_some_and(|guest| guest.standing == Standing::Candidate)
-            {
-                state.invite(now, heard.host);
-                self.due[at] = state.due();
-            }
-            out.extend(guest.map(|guest| Out::Admit(link, guest)));
+            out.extend(self.addresses.admit(now, (link, from), heard, state).map(|guest| Out::Admit(link, guest)));
+            self.due[at] = state.due();
         }
         if let Some(cause) = state.refusal() {
             if !self.misses_roster(now, cause, frame) {

@@ -334,21 +334,7 @@ impl Contract {
         if !(self.radius_m > 0.0 && self.radius_m.is_finite()) {
             return refuse("radius_m", format!("{} is not above zero", self.radius_m));
         }
-        if self.graph.is_some() && (self.encode.is_some() || self.act.is_some()) {
-            return refuse(
-                "graph",
-                "one graph makes a whole step; leave out 'encode' and 'act', or 'graph'".to_owned(),
-            );
-        }
-        if self.encode.is_some() != self.act.is_some() {
-            return refuse("encode", "two graphs make a step: 'encode' and 'act' are both needed".to_owned());
-        }
-        if self.python.is_some() && (self.graph.is_some() || self.encode.is_some() || self.sha256.is_some()) {
-            return refuse("python", "a policy in Python has no graphs; leave out one of both".to_owned());
-        }
-        if self.encode.is_some() && self.message.floats == 0 {
-            return refuse("message.floats", "0, and a graph 'encode' has a message to make".to_owned());
-        }
+        self.check_files()?;
         if !(1..=MAX_NEIGHBOURS).contains(&self.max_neighbours) {
             return refuse("max_neighbours", format!("{} is not 1 to {MAX_NEIGHBOURS}", self.max_neighbours));
         }
@@ -394,6 +380,27 @@ impl Contract {
         }
         self.check_action()?;
         self.interface().check().map_err(ConfigError::Syntax)
+    }
+
+    /// Checks that the contract names one graph, two, or a class of Python.
+    fn check_files(&self) -> Result<(), ConfigError> {
+        let refuse = |field: &str, why: String| Err(ConfigError::field(field, why));
+        if self.graph.is_some() && (self.encode.is_some() || self.act.is_some()) {
+            return refuse(
+                "graph",
+                "one graph makes a whole step; leave out 'encode' and 'act', or 'graph'".to_owned(),
+            );
+        }
+        if self.encode.is_some() != self.act.is_some() {
+            return refuse("encode", "two graphs make a step: 'encode' and 'act' are both needed".to_owned());
+        }
+        if self.python.is_some() && (self.graph.is_some() || self.encode.is_some() || self.sha256.is_some()) {
+            return refuse("python", "a policy in Python has no graphs; leave out one of both".to_owned());
+        }
+        if self.encode.is_some() && self.message.floats == 0 {
+            return refuse("message.floats", "0, and a graph 'encode' has a message to make".to_owned());
+        }
+        Ok(())
     }
 
     fn check_action(&self) -> Result<(), ConfigError> {

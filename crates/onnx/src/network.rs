@@ -97,8 +97,8 @@ impl Network {
     }
 
     /// Makes the network of a policy whose steps `engine` computes, such as one in Python: for each role of `roles` it
-    /// gets the inputs and outputs, in the order of its arrays. These are all that the contract knows. `digest` is that of
-    /// contract and program, and `name` that of the engine in records.
+    /// gets the inputs and outputs, in the order of its arrays. These are all that the contract knows. `digest` is that
+    /// of contract and program, and `name` that of the engine in records.
     pub fn of_engine(
         (contract, digest, name): (Contract, String, String),
         roles: &[Role],

@@ -139,6 +139,14 @@ static NAME: OnceLock<String> = OnceLock::new();
 /// Words of the command that starts this program, if it runs within another one, such as a Python interpreter.
 static STARTED_BY: OnceLock<Vec<OsString>> = OnceLock::new();
 
+/// Arguments of the command that runs, without the program's name.
+static ARGUMENTS: OnceLock<Vec<OsString>> = OnceLock::new();
+
+/// Returns the arguments of the command that runs, without the program's name.
+pub fn own_arguments() -> Vec<OsString> {
+    ARGUMENTS.get().cloned().unwrap_or_else(|| std::env::args_os().skip(1).collect())
+}
+
 /// Returns the words of the command that starts this program again, to which arguments are added.
 pub fn this_program() -> anyhow::Result<Vec<OsString>> {
     match STARTED_BY.get() {
@@ -182,6 +190,7 @@ fn run_command(program: &Program, registry: &Registry, arguments: &[OsString]) -
     let started = arguments.first().map(Path::new).and_then(Path::file_name).and_then(OsStr::to_str);
     // A second call, which is an error of its caller, has the same name.
     let _ = NAME.set(started.unwrap_or(MURMURATE).to_owned());
+    let _ = ARGUMENTS.set(arguments.iter().skip(1).cloned().collect());
     // The DDS process of a ROS 2 driver or source, which this program starts itself.
     #[cfg(feature = "ros2")]
     if arguments.get(1).is_some_and(|word| word == murmurate_ros2::SUBCOMMAND) {

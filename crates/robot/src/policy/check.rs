@@ -88,7 +88,11 @@ fn format_3(args: &Args) -> Result<Ended> {
     let facts = check_onnx::Facts {
         file: args.policy.display().to_string(),
         manifest: network.contract(),
-        engine: murmurate_onnx::engine::NAME,
+        engine: if network.contract().python.is_some() {
+            Some(murmurate_onnx::network::PYTHON)
+        } else {
+            murmurate_onnx::engine::NAME
+        },
         sound,
     };
     print(&if args.json {

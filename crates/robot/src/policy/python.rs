@@ -7,6 +7,7 @@
 //! tells a late answer from that of the present call.
 
 use std::io::{ErrorKind, Read, Write};
+use std::os::fd::AsFd;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -18,6 +19,7 @@ use murmurate_onnx::engine::{Array, Engine};
 use murmurate_onnx::network::{Network, PYTHON, Port};
 use murmurate_onnx::structure::Role;
 use murmurate_onnx::{Contract, Parts};
+use nix::poll::{PollFd, PollFlags, poll};
 use serde::{Deserialize, Serialize};
 use tempfile::TempDir;
 
@@ -27,6 +29,8 @@ use crate::BadInput;
 const PROTOCOL: u32 = 1;
 /// Longest time for the start of a process, in which it imports what it needs.
 const START: Duration = Duration::from_secs(60);
+/// Time between two looks at whether a process that starts has ended \[ms\].
+const LOOK_MS: u8 = 50;
 /// Longest time for one call. A robot does not wait for it: its Agent gives a step up after half a period.
 const CALL: Duration = Duration::from_secs(10);
 /// Pauses before a process is started again, one after the other \[s\]; the last one for all further ones.
@@ -36,7 +40,7 @@ const SOUND: Duration = Duration::from_secs(60);
 /// Longest frame that is read \[bytes\].
 const MAX_FRAME: usize = 64 << 20;
 /// Variable that names the interpreter.
-const INTERPRETER: &str = "MURMURATE_PYTHON";
+const INTERPRETER: &str = "PYTHON_OF_MURMURATE";
 /// Prefix of the address of a process that serves a policy.
 const ADDRESS: &str = "unix:";
 
@@ -371,7 +375,8 @@ fn start(class: &str, folder: &Path) -> Result<(UnixStream, Child), String> {
             let _ = child.wait();
             return Err(format!("'{class}' did not start within {} s", START.as_secs()));
         }
-        std::thread::sleep(Duration::from_millis(5));
+        let mut waits = [PollFd::new(listener.as_fd(), PollFlags::POLLIN)];
+        poll(&mut waits, LOOK_MS).map_err(|error| error.to_string())?;
     }
 }
 

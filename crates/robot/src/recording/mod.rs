@@ -94,7 +94,7 @@ const SWITCHES: [&str; 5] = ["--json", "--quiet", "--launched", "--watch", "--co
 /// Returns the command-line arguments of this process without those that do not affect the run, so that equal runs have
 /// equal records.
 pub fn arguments() -> Vec<String> {
-    let all = std::env::args_os().skip(1).map(|argument| argument.to_string_lossy().into_owned());
+    let all = crate::own_arguments().into_iter().map(|argument| argument.to_string_lossy().into_owned());
     let mut value_follows = false;
     let changes = |argument: &String| {
         if std::mem::take(&mut value_follows) || SWITCHES.contains(&&**argument) {
