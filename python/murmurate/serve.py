@@ -14,6 +14,7 @@ import os
 import socket
 import struct
 import sys
+import threading
 import traceback
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -132,6 +133,9 @@ class _Server:
                     continue
                 kind, said = ANSWER, (self.hello if kind == HELLO else self.call)(body)
             except Exception as error:
+                if kind == RESET:
+                    print(f"reset: {_why(error)}", file=sys.stderr, flush=True)
+                    continue
                 kind, said = ERROR, _why(error).encode()
             stream.sendall(_HEAD.pack(len(said) + 5, number, kind) + said)
 
@@ -157,6 +161,11 @@ def serve(make: Callable[[Mapping[str, Any]], Any], stream: socket.socket) -> No
     _Server(make).serve(stream)
 
 
+def _end_with_input() -> None:
+    sys.stdin.buffer.read()
+    os._exit(1)
+
+
 def main() -> None:
     """Connects to the host's socket, and answers its calls with the class that is named."""
     name, path, folder = sys.argv[1:4]
@@ -167,6 +176,8 @@ def main() -> None:
     make = getattr(importlib.import_module(module), attribute, None)
     if make is None:
         raise SystemExit(f"the module '{module}' has no '{attribute}'")
+    # A host that is gone has closed the input, also of a policy that is in the middle of a step.
+    threading.Thread(target=_end_with_input, daemon=True).start()
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as stream:
         stream.connect(path)
         serve(make, stream)

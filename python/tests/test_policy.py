@@ -97,6 +97,11 @@ def test_what_is_wrong_is_said_before_a_run_with_the_line_of_the_policy():
         run(Fails())
     with pytest.raises(ValueError, match="no neighbour.*'action' is not finite"):
         run(Infinite())
+    class Silent(Two):
+        contract = {name: value for name, value in Two.contract.items() if name != "message"}
+
+    with pytest.raises(ValueError, match="its contract no message"):
+        run(Silent(Silent.contract))
     with pytest.raises(ValueError, match="has no contract"):
         run(object())
 

@@ -127,6 +127,8 @@ pub struct Network {
     key: Option<Key>,
     succession: Succession,
     parts: Option<Parts>,
+    /// Whether the log has said that another robot runs another policy.
+    mixed_reported: bool,
 }
 
 /// Counts of messages that hosts of the team sent without the right to publish them, by sender and kind.
@@ -194,6 +196,7 @@ impl Network {
             succession: Succession::new(key.as_ref()),
             key,
             parts: parts.map(Parts::new),
+            mixed_reported: false,
         }
     }
 
@@ -237,7 +240,9 @@ impl Network {
             Ok(frame) => out.push(Out::Tap(frame)),
             Err(error) => return self.count_unencodable(leaves.map(|(link, _)| link), &message, &error),
         }
-        if route.local {
+        // Robots of this host hear a message in parts as a whole.
+        let is_a_part = matches!(&message, Wire::Latent(latent) if is_part(latent));
+        if route.local && !is_a_part {
             out.push(Out::Deliver(message));
         }
     }

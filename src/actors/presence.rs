@@ -85,9 +85,16 @@ impl Presence {
         self.by_robot(now).all(|beat| beat.is_some_and(|beat| beat.round == round && beat.phase == phase))
     }
 
+    /// Returns whether the team has to stand because its hosts have messages of different revisions, or its robots
+    /// different policies.
+    pub(super) fn differs(&mut self, now: Time) -> bool {
+        let [unequal, mixed] = [self.is_unequal(now), self.is_mixed(now)];
+        unequal || mixed
+    }
+
     /// Returns whether hosts of present robots have messages of another revision than this one. Logs which have which
     /// when that changes.
-    pub(super) fn is_unequal(&mut self, now: Time) -> bool {
+    fn is_unequal(&mut self, now: Time) -> bool {
         let others = self.present(now).filter(|beat| beat.revision != REVISION);
         let unequal: Vec<(RobotId, u16)> = others.map(|beat| (beat.robot, beat.revision)).collect();
         if unequal != self.unequal {
@@ -106,7 +113,7 @@ impl Presence {
     }
 
     /// Returns whether present robots run another policy than the team's. Logs which run which when that changes.
-    pub(super) fn is_mixed(&mut self, now: Time) -> bool {
+    fn is_mixed(&mut self, now: Time) -> bool {
         let others = self.present(now).filter(|beat| self.runs_another(beat));
         let mixed: Vec<(RobotId, u32)> = others.map(|beat| (beat.robot, beat.policy)).collect();
         if mixed != self.mixed {

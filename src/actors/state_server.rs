@@ -1,9 +1,8 @@
 //! StateServer: leads the team through its episodes without a person (paper, section IV).
 //!
-//! It receives heartbeats, and sends an instruction several times a second: reset, run or stop. It never waits for an
-//! answer. It holds the team while the emergency stop is engaged, then until a resume, and after a failed reset of real
-//! robots; it stops the team while a host that announced its shutdown is away. A restarted server takes the team's
-//! state from heartbeats, aborts a running episode, and continues with the next.
+//! It receives heartbeats, and sends an instruction several times a second: reset, run or stop. It holds the team while
+//! the emergency stop is engaged, then until a resume, and after a failed reset of real robots; it stops the team while
+//! a host that announced its shutdown is away. A restarted server aborts a running episode, and goes on with the next.
 
 use super::absent::{Absent, Members};
 use super::lost::Lost;
@@ -87,7 +86,7 @@ pub struct Config {
     pub real: Vec<RobotId>,
     /// Largest number of robots in one instruction.
     pub block: usize,
-    /// Beginning of the digest of the team's policy; 0 in simulations, where all robots have the same.
+    /// Mark of the team's policy; 0 in simulations.
     pub policy: u32,
 }
 
@@ -116,7 +115,7 @@ pub struct StateServer {
     /// Time at which the present phase began; `None` before the first decision.
     since: Option<Time>,
     sent_at: Option<Time>,
-    /// Number of times that the present instruction was sent. `turn` is the block of robots for the next repetition.
+    /// Number of times that the present instruction was sent, and the block of robots for the next repetition.
     times_sent: u32,
     turn: usize,
     next: Time,
@@ -125,16 +124,15 @@ pub struct StateServer {
 impl StateServer {
     /// Creates a state server of `robots` robots. `incarnation` counts its starts within the process, from 1.
     pub fn new(config: Config, robots: usize, incarnation: u32) -> StateServer {
-        let (hosts, policy) = (config.hosts.clone(), config.policy);
         StateServer {
+            absent: Absent::new(config.hosts.clone()),
+            presence: Presence::new(robots, config.policy),
             config,
-            presence: Presence::new(robots, policy),
             incarnation,
             started_unheard: false,
             latch: Latch::default(),
             ordered: false,
             release: None,
-            absent: Absent::new(hosts),
             lost: Lost::default(),
             leaves: false,
             round: Round::default(),
@@ -289,10 +287,7 @@ impl StateServer {
         if !self.latch.is_clear() {
             return self.hold(now);
         }
-        if self.absent.any() && self.phase != Phase::NeedReset
-            || self.presence.is_unequal(now)
-            || self.presence.is_mixed(now)
-        {
+        if self.absent.any() && self.phase != Phase::NeedReset || self.presence.differs(now) {
             return self.wait(now);
         }
         let unknown = [self.lost.causes(now), self.absent.causes()].concat();

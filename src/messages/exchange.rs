@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::body::{Body, Unfit};
 use super::floats;
-use super::floats::{Features, MAX_FEATURES};
+use super::floats::{Features, MAX_FEATURES, all_sound};
 use super::geometry::{Deviation, Motion, Pose, Twist, Vec2, is_sound};
 use super::ids::RobotId;
 use super::parts::Part;
@@ -12,8 +12,6 @@ use super::phase::Phase;
 use super::round::{MAX_TERM, Round};
 use crate::time::Span;
 
-/// Largest absolute value of a number in the features that a policy sends. A policy that exceeds it counts as diverged.
-pub const MAX_FEATURE: f32 = 1e6;
 /// Longest validity of a motor command: 1 s. A robot that no longer receives commands must stop within this time.
 pub const MAX_VALIDITY: Span = Span::from_millis(1000);
 
@@ -96,12 +94,6 @@ pub struct MotorCommand {
     /// Time after arrival for which the command is valid. The Body stops the robot when the time is over without a
     /// newer command.
     pub valid_for: Span,
-}
-
-/// Whether no number in `floats` is NaN, infinite or larger than [`MAX_FEATURE`] (1e6) in absolute value. There is no
-/// early return, so the function compiles to a few vector instructions.
-pub(crate) fn all_sound(floats: &[f32]) -> bool {
-    floats.iter().fold(true, |all, float| all & (float.abs() <= MAX_FEATURE))
 }
 
 impl Body for Reading {

@@ -17,6 +17,15 @@ pub const MAX_FEATURES: usize = 256;
 /// Largest number of floats in the features of a latent.
 pub const MAX_FLOATS: usize = 16_384;
 
+/// Largest absolute value of a number in the features that a policy sends. A policy that exceeds it counts as diverged.
+pub const MAX_FEATURE: f32 = 1e6;
+
+/// Whether no number in `floats` is NaN, infinite or larger than [`MAX_FEATURE`] (1e6) in absolute value. There is no
+/// early return, so the function compiles to a few vector instructions.
+pub(crate) fn all_sound(floats: &[f32]) -> bool {
+    floats.iter().fold(true, |all, float| all & (float.abs() <= MAX_FEATURE))
+}
+
 /// Numbers that a robot's policy sends to its neighbours. For a graph neural network they are the encoder's output; for
 /// the policy ORCA, the radius \[m\] and the preferred velocity \[m/s\].
 #[derive(Clone, Debug, PartialEq)]

@@ -10,7 +10,7 @@ use half::{bf16, f16};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::body::Unfit;
-use super::floats::{MAX_FEATURES, MAX_FLOATS};
+use super::floats::{MAX_FEATURES, MAX_FLOATS, all_sound};
 
 /// Largest number of bytes of floats in one part.
 pub const MAX_PART_BYTES: usize = 1024;
@@ -219,9 +219,12 @@ impl Part {
         fits.then_some((begins / width..ends / width, encoding))
     }
 
-    /// Checks that the fields agree with each other.
+    /// Checks that the fields agree with each other, and that the floats are in range.
     pub(super) fn check(&self) -> Result<(), Unfit> {
-        self.place().map_or(Err(Unfit::Length), |_| Ok(()))
+        let (range, encoding) = self.place().ok_or(Unfit::Length)?;
+        let mut floats = vec![0.0; range.len()];
+        encoding.decode(&self.bytes.0, self.exponent, &mut floats);
+        all_sound(&floats).then_some(()).ok_or(Unfit::Number)
     }
 
     /// Returns whether the part is of the same message as `other`, a part of the same sender, by all that both say of
@@ -333,6 +336,19 @@ mod tests {
             Part { bytes: bytes(801), ..sound.clone() },
         ] {
             assert!(wrong.check().is_err(), "{wrong:?}");
+        }
+        for (floats, encoding, exponent) in [
+            ([f32::NAN, 0.0], Encoding::F32, 0),
+            ([1.1e6, 0.0], Encoding::F32, 0),
+            ([f32::NEG_INFINITY, 0.0], Encoding::F16, 0),
+            ([2e6, 0.0], Encoding::Bf16, 0),
+            ([127.0, 1.0], Encoding::Int8, 255),
+        ] {
+            let (bytes, own) = encoding.encode(&floats);
+            let exponent = if exponent > 0 { exponent } else { own };
+            let (encoding, bytes) = (encoding.code(), Piece(bytes.into()));
+            let part = Part { index: 0, of: 1, floats: 2, encoding, exponent, bytes, ..sound.clone() };
+            assert_eq!(part.check(), Err(Unfit::Number), "{part:?}");
         }
     }
 }

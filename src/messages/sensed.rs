@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::body::{Body, Unfit};
-use super::exchange::MAX_FEATURE;
 use super::floats::Features;
+use super::floats::MAX_FEATURE;
 use super::ids::RobotId;
 
 /// Largest number of values of one sense. The encoded message still fits into one datagram.

@@ -63,7 +63,9 @@ impl Paced {
         } else if scene.time < self.ready {
             return false;
         }
-        self.ready = scene.time + self.period;
+        // On a grid, so that a rate holds that is no divisor of the World's.
+        let next = if scene.placed { scene.time } else { self.ready } + self.period;
+        self.ready = if next > scene.time { next } else { scene.time + self.period };
         true
     }
 

@@ -1,7 +1,7 @@
 //! Messages in parts between five hosts on a lossy multicast link: how many are whole within their period, at what
 //! cost, and what else the link carries meanwhile.
 
-use crate::rig::{Rig, config, key, latent, multicast};
+use crate::rig::{LINK, Rig, config, key, latent, multicast};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::latch::Latch;
 use murmurate::messages::wire::{Encoding, Features, Form, Kind, Latent, Missing, Stop, Wire};
@@ -9,6 +9,7 @@ use murmurate::net::protocol::codec::{self, Content};
 use murmurate::net::protocol::key::Key;
 use murmurate::net::protocol::parts::Settings;
 use murmurate::net::protocol::reliability::{Reliabilities, Reliability, Setup};
+use murmurate::net::protocol::router::{Audience, Route, Router};
 use murmurate::time::Span;
 
 const HOSTS: u16 = 5;
@@ -160,6 +161,24 @@ fn messages_of_another_policy_are_never_used_and_counted() {
         assert!((0..HOSTS).all(|robot| from(robot) == expected(robot)), "host {host}");
     }
     assert_eq!((rig.counted(0).mixed, rig.counted(4).mixed), (36, 4 * 36));
+}
+
+#[test]
+fn robots_of_one_host_hear_a_message_in_parts_once_and_as_a_whole() {
+    let routes = |_: Kind, _: RobotId| Route { local: true, leaves: Some((LINK, Audience::All)) };
+    let setup = multicast(Reliabilities::from([(Kind::Latent, Reliability::Nack)]));
+    let both = config(0, 2, 1, Some(key()), setup);
+    let both = murmurate::actors::network::Config {
+        parts: Some(settings(Missing::Whole)),
+        router: Router::new(2, routes),
+        ..both
+    };
+    let mut rig = Rig::new([both]);
+    rig.publish(0, wide(1, 0));
+    rig.run_ms(100);
+    let [(_, Wire::Latent(heard))] = &rig.delivered[0][..] else { panic!("{} messages", rig.delivered[0].len()) };
+    assert_eq!((heard.features.0.len(), heard.part.is_none()), (FLOATS, true));
+    assert!(rig.sent.len() >= 12);
 }
 
 #[test]

@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 
 use murmurate::config::{self, ConfigError};
-use murmurate::messages::wire::{Encoding, Form, MAX_FLOATS, Missing};
+use murmurate::messages::wire::{MAX_FLOATS, Missing};
 use murmurate::observation::{Frame, Request, Unit};
 use murmurate::policy::Interface;
 use murmurate::time::Span;
 use serde::{Deserialize, Serialize};
 
+pub use crate::message::Message;
 pub use crate::observed::Observed;
 
 /// Version of the policy format that this crate reads.
@@ -145,32 +146,6 @@ pub enum Sign {
     OwnMinusTheirs,
     /// The neighbour's value minus the robot's own.
     TheirsMinusOwn,
-}
-
-/// Message that a robot broadcasts in each step.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Message {
-    /// Number of floats; zero if a robot's position and velocity are all that its neighbours use.
-    pub floats: usize,
-    /// Encoding of the floats, to which they are rounded before they are sent.
-    #[serde(default)]
-    pub encoding: Encoding,
-    /// Use of a message of which some parts have not arrived, if it travels in parts.
-    #[serde(default)]
-    pub missing: Missing,
-}
-
-impl Message {
-    /// Returns the form in which the message travels.
-    pub fn form(&self) -> Form {
-        Form { encoding: self.encoding, missing: self.missing }
-    }
-
-    /// Returns the number of bytes of the floats of a message.
-    pub fn bytes(&self) -> usize {
-        self.floats * self.encoding.bytes()
-    }
 }
 
 /// State that a policy keeps from one step to the next. It is at its start when an episode begins, when the robot's

@@ -10,6 +10,7 @@ pub mod check;
 pub mod contract;
 pub mod engine;
 mod features;
+mod message;
 pub mod network;
 mod observed;
 mod onnx;

@@ -4,7 +4,7 @@ use rand::RngExt;
 
 use super::{Network, Out, transmit};
 use crate::messages::ids::{LinkId, RobotId};
-use crate::messages::wire::{Kind, Latent, MAX_PART_BYTES, Wire};
+use crate::messages::wire::{Kind, Latent, MAX_PART_BYTES, Phase, Wire};
 use crate::net::protocol::codec::Header;
 use crate::net::protocol::parts::{Inbox, Lacking, Outbox, Refused, Settings, split};
 use crate::time::Time;
@@ -15,13 +15,11 @@ pub(super) struct Parts {
     settings: Settings,
     outbox: Outbox,
     inbox: Inbox,
-    /// Whether the log has said that another robot runs another policy.
-    reported: bool,
 }
 
 impl Parts {
     pub(super) fn new(settings: Settings) -> Parts {
-        Parts { settings, outbox: Outbox::default(), inbox: Inbox::new(settings), reported: false }
+        Parts { settings, outbox: Outbox::default(), inbox: Inbox::new(settings) }
     }
 
     pub(super) fn due(&self) -> Option<Time> {
@@ -34,7 +32,8 @@ impl Network {
     /// which robots drive to their starts.
     pub(super) fn is_in_parts(&self, latent: &Latent) -> bool {
         let floats = latent.features.0.len();
-        self.parts.as_ref().is_some_and(|parts| latent.part.is_none() && parts.settings.floats == floats)
+        let is_of_the_test = latent.phase == Phase::Running && latent.part.is_none();
+        is_of_the_test && self.parts.as_ref().is_some_and(|parts| parts.settings.floats == floats)
     }
 
     /// Publishes a message in parts: the first leaves at once. A message that leaves on no link is given to the
@@ -103,25 +102,27 @@ impl Network {
 
     #[cold]
     fn report_mixed(&mut self, robot: RobotId, theirs: u32) {
-        let (ours, reported) = match &mut self.parts {
-            Some(parts) => (format!("{:08x}", parts.settings.policy), std::mem::replace(&mut parts.reported, true)),
-            None => ("without messages in parts".to_owned(), true),
-        };
-        if !reported {
-            tracing::error!(
-                "{robot} runs the policy {theirs:08x}, and this host the policy {ours}: its messages are not used. \
-                 Give all hosts the same policy file"
-            );
+        if std::mem::replace(&mut self.mixed_reported, true) {
+            return;
         }
+        let ours = match &self.parts {
+            Some(parts) => format!("the policy {:08x}", parts.settings.policy),
+            None => "one whose messages fit into a datagram".to_owned(),
+        };
+        tracing::error!(
+            "{robot} runs the policy {theirs:08x}, and this host {ours}: its messages are not used. Give all hosts the \
+             same policy file"
+        );
     }
 
     /// Handles what the sender of a datagram that has come by `link` lacks of messages in parts.
     pub(super) fn note_lacking(&mut self, now: Time, link: LinkId) {
         let Some(state) = self.links[usize::from(link.0)].as_ref() else { return };
         let Some(parts) = &mut self.parts else { return };
-        for lacking in state.lacking() {
-            parts.outbox.asked(now, lacking);
-            parts.inbox.asked_by_others(now, lacking);
+        parts.outbox.asked(now, state.lacking());
+        // Elsewhere the sender may not have heard the request.
+        if self.shared[usize::from(link.0)] {
+            parts.inbox.asked_by_others(now, state.lacking());
         }
     }
 

@@ -32,7 +32,10 @@ impl ControlBlocks {
                 (Content::Roster, _) => return Err(DecodeError::Link(Content::Roster)),
                 (Content::Held, body) => blocks.held.extend(read_held(body)?),
                 (content @ Content::Ack, body) => blocks.acks.extend(read_ids(content, body)?),
-                (Content::Lacking, body) => blocks.lacking.extend(Lacking::read(body)?),
+                (Content::Lacking, _) if !blocks.lacking.is_empty() => {
+                    return Err(DecodeError::Link(Content::Lacking));
+                }
+                (Content::Lacking, body) => blocks.lacking = Lacking::read(body)?,
                 (content @ Content::Nack, body) => blocks.requests.extend(read_ids(content, body)?),
             }
         }

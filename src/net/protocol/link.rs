@@ -90,7 +90,7 @@ pub struct LinkState {
     /// Emergency stop in the last datagram, if it holds although the datagram was refused for its number.
     pub(super) urgent: Option<Stop>,
     /// Parts of messages that the sender of the last datagram has not received.
-    lacking: Vec<Lacking>,
+    pub(super) lacking: Vec<Lacking>,
     /// Limit of the acknowledgements that are sent again for copies of datagrams.
     again: Bucket,
     /// Hosts of the team of which datagrams of the former version of the wire format have arrived.
@@ -145,7 +145,7 @@ impl LinkState {
         state
     }
 
-    fn plan(&mut self) {
+    pub(super) fn plan(&mut self) {
         self.due = [self.outgoing.due(), self.incoming.gaps.due()].into_iter().flatten().min();
     }
 
@@ -338,27 +338,6 @@ impl LinkState {
             self.incoming.asked_by_others(now, &others);
             self.outgoing.requested(now, from, &mine, &mut self.counts, out);
         }
-    }
-
-    /// Returns the parts of messages that the sender of the last datagram has not received; none if it was refused.
-    pub(crate) fn lacking(&self) -> &[Lacking] {
-        &self.lacking
-    }
-
-    /// Asks the host `from` for the parts `lacking` of its messages: appends the datagram to `out`.
-    pub(crate) fn ask_for_parts(&mut self, from: HostId, lacking: &[Lacking], out: &mut Vec<Outbound>) {
-        self.outgoing.ask_for_parts(from, lacking, &mut self.counts, out);
-        self.plan();
-    }
-
-    /// Returns whether missing parts of messages are asked for on this link.
-    pub(crate) fn repairs_parts(&self) -> bool {
-        self.outgoing.repairs_parts()
-    }
-
-    /// Returns the length of the largest datagram without its tags \[bytes\].
-    pub(crate) fn room(&self) -> usize {
-        self.outgoing.room
     }
 
     /// Returns another live host that has the id of this host and was started earlier; `None` if there is none.

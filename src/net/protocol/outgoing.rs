@@ -10,7 +10,6 @@ use super::codec::{MAX_FRAME_BYTES, MAX_PLAIN_BYTES, add};
 use super::counts::LinkCounts;
 use super::incoming::{Incoming, Urgency};
 use super::key::Key;
-use super::parts::{Lacking, is_part};
 use super::reliability::{Heartbeats, Piggyback, Reliability, Reports, Setup};
 use super::report::{DatagramId, write_held, write_ids};
 use super::report_schedule::Occasion;
@@ -47,7 +46,7 @@ pub struct Outgoing {
     pub(super) key: Option<Key>,
     /// Largest datagram without its tags \[bytes\].
     pub(super) room: usize,
-    setup: Setup,
+    pub(super) setup: Setup,
     to_all: u32,
     direct: BTreeMap<HostId, u32>,
     retransmitter: Retransmitter,
@@ -116,9 +115,7 @@ impl Outgoing {
         let audience = if self.setup.piggyback == Piggyback::Any { Audience::All } else { audience };
         let (kind, stream) = (message.kind(), (message.kind(), message.robot()));
         let soft = kind.is_soft();
-        // Parts are repaired by those that join them.
-        let in_parts = matches!(message, Wire::Latent(latent) if is_part(latent));
-        let reliability = if in_parts { Reliability::BestEffort } else { self.setup.of(kind) };
+        let reliability = self.reliability_of(message);
         let flags = if reliability == Reliability::Ack { Flags::ACK } else { 0 };
         let encoded = codec::encode(&self.header(audience, flags), message)?;
         let signatures = self.key.as_ref().and_then(Key::signatures).filter(|_| kind.is_signed());
@@ -165,7 +162,7 @@ impl Outgoing {
         }
     }
 
-    fn header(&self, audience: Audience, flags: u8) -> Header {
+    pub(super) fn header(&self, audience: Audience, flags: u8) -> Header {
         match audience {
             Audience::All => Header { flags: Flags(flags), sequence: self.to_all, ..self.me },
             Audience::Host(host) => {
@@ -321,7 +318,13 @@ impl Outgoing {
         }
     }
 
-    fn send_alone(&mut self, audience: Audience, bytes: Vec<u8>, counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
+    pub(super) fn send_alone(
+        &mut self,
+        audience: Audience,
+        bytes: Vec<u8>,
+        counts: &mut LinkCounts,
+        out: &mut Vec<Outbound>,
+    ) {
         out.push((audience, self.seal(&bytes.into(), audience, 0)));
         self.count(audience);
         counts.soft += 1;
@@ -366,26 +369,6 @@ impl Outgoing {
         let mut bytes = codec::start(&self.header(Audience::All, 0));
         add(&mut bytes, Content::Nack, |bytes| write_ids(ids, bytes));
         self.send_alone(Audience::All, bytes, counts, out);
-    }
-
-    /// Appends to `out` a datagram that asks for the parts `lacking`. On a link on which every datagram reaches every
-    /// host it goes to all, so that others need not ask.
-    pub fn ask_for_parts(
-        &mut self,
-        from: HostId,
-        lacking: &[Lacking],
-        counts: &mut LinkCounts,
-        out: &mut Vec<Outbound>,
-    ) {
-        let audience = if self.setup.is_addressed() { Audience::Host(from) } else { Audience::All };
-        let mut bytes = codec::start(&self.header(audience, 0));
-        add(&mut bytes, Content::Lacking, |bytes| Lacking::write(lacking, bytes));
-        self.send_alone(audience, bytes, counts, out);
-    }
-
-    /// Returns whether missing parts of messages are asked for: messages of policies are repaired on the link.
-    pub fn repairs_parts(&self) -> bool {
-        self.setup.of(Kind::Latent) != Reliability::BestEffort
     }
 
     /// Returns the time at which `wake` has to be called next; `None` if nothing is due.

@@ -6,11 +6,12 @@
 //! floats, and its answer the arrays that come out. A call that has failed is answered by a line of text. The number
 //! tells a late answer from that of the present call.
 
+mod child;
+
 use std::io::{ErrorKind, Read, Write};
-use std::os::fd::AsFd;
-use std::os::unix::net::{UnixListener, UnixStream};
+use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::Child;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -19,18 +20,13 @@ use murmurate_onnx::engine::{Array, Engine};
 use murmurate_onnx::network::{Network, PYTHON, Port};
 use murmurate_onnx::structure::Role;
 use murmurate_onnx::{Contract, Parts};
-use nix::poll::{PollFd, PollFlags, poll};
 use serde::{Deserialize, Serialize};
-use tempfile::TempDir;
 
+use self::child::{START, shortened, start};
 use crate::BadInput;
 
 /// Version of the protocol.
 const PROTOCOL: u32 = 1;
-/// Longest time for the start of a process, in which it imports what it needs.
-const START: Duration = Duration::from_secs(60);
-/// Time between two looks at whether a process that starts has ended \[ms\].
-const LOOK_MS: u8 = 50;
 /// Longest time for one call. A robot does not wait for it: its Agent gives a step up after half a period.
 const CALL: Duration = Duration::from_secs(10);
 /// Pauses before a process is started again, one after the other \[s\]; the last one for all further ones.
@@ -39,8 +35,6 @@ const PAUSES_S: [u64; 5] = [0, 1, 2, 4, 8];
 const SOUND: Duration = Duration::from_secs(60);
 /// Longest frame that is read \[bytes\].
 const MAX_FRAME: usize = 64 << 20;
-/// Variable that names the interpreter.
-const INTERPRETER: &str = "PYTHON_OF_MURMURATE";
 /// Prefix of the address of a process that serves a policy.
 const ADDRESS: &str = "unix:";
 
@@ -130,7 +124,7 @@ impl Engine for Call {
 /// # Errors
 /// The process does not start, or is no policy of this contract; a sentence.
 pub fn network(parts: Parts, folder: &Path) -> Result<Network> {
-    let Parts { contract, digest, .. } = parts;
+    let Parts { contract, .. } = parts;
     let what = contract.python.clone().context("a policy in Python names its class")?;
     let source = match what.strip_prefix(ADDRESS) {
         Some(path) => Source::Address(PathBuf::from(path)),
@@ -139,7 +133,12 @@ pub fn network(parts: Parts, folder: &Path) -> Result<Network> {
     let process = Process { what, source, contract: contract.clone(), link: Mutex::default() };
     let greeting =
         process.open(&mut process.locked()).map_err(|why| BadInput(format!("its policy in Python: {why}")))?;
-    let digest = digest_of(&digest, &greeting.digest);
+    if greeting.two && contract.message.floats == 0 {
+        let why =
+            "its policy in Python: it has 'encode', and its contract no message: write 'step', or 'message.floats'";
+        return Err(BadInput(why.to_owned()).into());
+    }
+    let digest = digest_of(&contract, &greeting.digest)?;
     let roles: &[Role] = if greeting.two { &[Role::Encode, Role::Act] } else { &[Role::Step] };
     let process = Arc::new(process);
     let name = format!("{PYTHON} ({})", shortened(&greeting.name));
@@ -148,10 +147,11 @@ pub fn network(parts: Parts, folder: &Path) -> Result<Network> {
     }))
 }
 
-/// Returns the digest of a contract and the source of its class, from those of both.
-fn digest_of(contract: &str, source: &str) -> String {
+/// Returns the digest of a contract and of the source of its class. Where the process is found does not count.
+fn digest_of(contract: &Contract, source: &str) -> Result<String> {
+    let contract = serde_json::to_string(&Contract { python: None, ..contract.clone() }).context("it is plain data")?;
     let sum = hmac_sha256::Hash::hash(format!("{contract} {source}").as_bytes());
-    data_encoding::HEXLOWER.encode(&sum[..8])
+    Ok(data_encoding::HEXLOWER.encode(&sum[..8]))
 }
 
 impl Process {
@@ -331,67 +331,4 @@ impl Drop for Link {
     fn drop(&mut self) {
         self.end();
     }
-}
-
-/// Starts the process of the class `class`, `module:Class`, whose module is in `folder` or installed. It connects to a
-/// socket in a folder that only this user may enter.
-fn start(class: &str, folder: &Path) -> Result<(UnixStream, Child), String> {
-    let interpreter = std::env::var_os(INTERPRETER).unwrap_or_else(|| "python3".into());
-    let place = TempDir::new().map_err(|error| format!("cannot make a folder for its socket: {error}"))?;
-    let socket = place.path().join("policy");
-    let listener = UnixListener::bind(&socket).map_err(|error| format!("cannot make its socket: {error}"))?;
-    listener.set_nonblocking(true).map_err(|error| error.to_string())?;
-    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-    let mut command = Command::new(&interpreter);
-    command.args(["-m", "murmurate.serve", class]).arg(&socket).arg(folder);
-    // Sums in one order, and no thread that competes with the robot's.
-    for threads in ["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"] {
-        command.env(threads, "1");
-    }
-    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
-    let shown = interpreter.to_string_lossy();
-    let mut child = command
-        .spawn()
-        .map_err(|error| format!("cannot start '{shown}': {error}; {INTERPRETER} names another interpreter"))?;
-    let until = Instant::now() + START;
-    loop {
-        match listener.accept() {
-            Ok((stream, _)) => {
-                stream.set_nonblocking(false).map_err(|error| error.to_string())?;
-                pass_on(&mut child);
-                return Ok((stream, child));
-            }
-            Err(error) if error.kind() == ErrorKind::WouldBlock => {}
-            Err(error) => return Err(error.to_string()),
-        }
-        if let Ok(Some(status)) = child.try_wait() {
-            let mut said = String::new();
-            child.stderr.take().map(|mut stderr| stderr.read_to_string(&mut said));
-            let last = said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or_default().to_owned();
-            return Err(format!("'{class}' has ended ({status}): {}", shortened(&last)));
-        }
-        if Instant::now() > until {
-            let _ = child.kill();
-            let _ = child.wait();
-            return Err(format!("'{class}' did not start within {} s", START.as_secs()));
-        }
-        let mut waits = [PollFd::new(listener.as_fd(), PollFlags::POLLIN)];
-        poll(&mut waits, LOOK_MS).map_err(|error| error.to_string())?;
-    }
-}
-
-/// Passes what the process prints on stderr on to the log, from a thread that waits for nothing else.
-fn pass_on(child: &mut Child) {
-    use std::io::BufRead;
-    let Some(stderr) = child.stderr.take() else { return };
-    std::thread::spawn(move || {
-        let lines = std::io::BufReader::new(stderr).lines().map_while(Result::ok);
-        lines.for_each(|line| tracing::warn!("the policy in Python: {}", shortened(&line)));
-    });
-}
-
-/// Returns the first line of `text` for a log, without control characters.
-fn shortened(text: &str) -> String {
-    let line = text.lines().next().unwrap_or_default();
-    line.chars().filter(|c| !c.is_control()).take(300).collect()
 }

@@ -14,6 +14,7 @@ use murmurate::graph::event;
 use murmurate::live::LiveHost;
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::key::Key;
+use murmurate::policy::Interface;
 use murmurate::time::Time;
 use murmurate_record::file::Beginning;
 use murmurate_record::identity::{HostIdentity, Identity};
@@ -61,9 +62,12 @@ impl LiveRecord {
             Some(HostIdentity { name, id: team.host, incarnation, seed, transports, keyed, signed, roster });
         let beginning = Beginning { identity, attached: attach(files)? };
         let record = LiveRecord::start((folder, &file), Scope::Host, (beginning, Stage::of(live.trial())), retention)?;
-        // Repairs and the worker's answers come beside the messages of the policy.
-        let declared: f64 = live.trial().budgets().iter().map(|budget| budget.needs_bit_s / 8.0).sum();
-        record.inlet.expect((4.0 * declared) as usize);
+        let trial = live.trial();
+        let heard: f64 = trial.budgets().iter().map(|budget| budget.needs_bit_s / 8.0).sum();
+        // A worker's answers have all floats of its robots' messages.
+        let Interface { features, period, .. } = trial.model.interface();
+        let answered = 4.0 * (trial.deployment.robots * features) as f64 / period.as_secs();
+        record.inlet.expect((3.0 * heard + 1.5 * answered) as usize);
         Ok(Some(record))
     }
 

@@ -106,7 +106,7 @@ impl Inbox {
         }
         let mut lost = 0;
         if ahead > 0 {
-            lost = stream.finish(form.missing, out);
+            lost = stream.finish(now, form.missing, out);
             (stream.newest, stream.present) = (message, Some(self.settings.begin(now, from, &latent, jitter)));
             stream.present.as_mut().expect("it has just begun").fill(form.missing, stream.last.as_deref());
         }
@@ -121,7 +121,7 @@ impl Inbox {
             present.here |= 1 << part.index;
             part.write(&mut present.floats);
             if present.missing() == 0 {
-                stream.finish(form.missing, out);
+                stream.finish(now, form.missing, out);
             }
         }
         self.plan();
@@ -137,7 +137,7 @@ impl Inbox {
         for (robot, stream) in &mut self.streams {
             let Some(present) = &mut stream.present else { continue };
             if now >= present.began + period {
-                lost += stream.finish(missing, out);
+                lost += stream.finish(now, missing, out);
                 continue;
             }
             let mut parts = 0;
@@ -157,7 +157,12 @@ impl Inbox {
     }
 
     /// Notes that another host has asked for these parts at `now`, so that they come without a request of this host.
-    pub fn asked_by_others(&mut self, now: Time, lacking: &Lacking) {
+    pub fn asked_by_others(&mut self, now: Time, all: &[Lacking]) {
+        all.iter().for_each(|lacking| self.postpone(now, lacking));
+        self.plan();
+    }
+
+    fn postpone(&mut self, now: Time, lacking: &Lacking) {
         let retry = self.settings.retry();
         let Some(stream) = self.streams.get_mut(&lacking.robot) else { return };
         let present = stream.present.as_mut().filter(|_| stream.newest == lacking.message);
@@ -167,7 +172,6 @@ impl Inbox {
                 *due = (*due).max(now + retry);
             }
         }
-        self.plan();
     }
 
     /// Returns the time at which to call [`Inbox::wake`]; `None` if no message is incomplete.
@@ -210,9 +214,10 @@ impl Assembly {
 }
 
 impl Stream {
-    /// Ends the present message, if there is one, and appends it to `out` if it is used. Returns the number of its
-    /// parts that have never come.
-    fn finish(&mut self, missing: Missing, out: &mut Vec<Latent>) -> u32 {
+    /// Ends the present message at `now`, if there is one, and appends it to `out` if it is used, with the sender's
+    /// position moved on by its velocity: ages count from arrival, and the first part has left before. Returns the
+    /// number of its parts that have never come.
+    fn finish(&mut self, now: Time, missing: Missing, out: &mut Vec<Latent>) -> u32 {
         let Some(present) = self.present.take() else { return 0 };
         let lost = present.missing().count_ones();
         let used = match missing {
@@ -223,7 +228,9 @@ impl Stream {
         if used {
             let floats: Arc<[f32]> = present.floats.into();
             self.last = Some(Arc::clone(&floats));
-            out.push(Latent { features: Features(floats), part: None, ..present.part });
+            let mut whole = Latent { features: Features(floats), part: None, ..present.part };
+            whole.motion.position += whole.motion.velocity * now.since(present.began).as_secs() as f32;
+            out.push(whole);
         }
         lost
     }
@@ -273,7 +280,7 @@ mod tests {
         let lacking = |parts| vec![Lacking { robot: RobotId(1), message: 0, parts }];
         assert_eq!(wake(&mut inbox, 13), (0, Vec::new(), lacking(1 << 1)));
         assert_eq!(wake(&mut inbox, 14), (0, Vec::new(), Vec::new()), "once a while");
-        inbox.asked_by_others(at_ms(24), &lacking(1 << 1)[0]);
+        inbox.asked_by_others(at_ms(24), &lacking(1 << 1));
         assert_eq!(wake(&mut inbox, 26).2, lacking(1 << 5), "another host has asked for part 1");
         assert_eq!(wake(&mut inbox, 60).2, lacking(0b1111_1110_0010));
         assert_eq!(wake(&mut inbox, 100), (8, Vec::new(), Vec::new()));

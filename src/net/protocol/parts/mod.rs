@@ -7,6 +7,7 @@
 //! everywhere.
 
 mod inbox;
+mod link;
 mod outbox;
 
 pub use inbox::{Inbox, Refused};

@@ -73,8 +73,13 @@ impl Outbox {
         Some((part, again))
     }
 
-    /// Takes the request of another host for parts that it has not received.
-    pub fn asked(&mut self, now: Time, lacking: &Lacking) {
+    /// Takes the requests of another host for parts that it has not received.
+    pub fn asked(&mut self, now: Time, all: &[Lacking]) {
+        all.iter().for_each(|lacking| self.asked_for(now, lacking));
+        self.plan();
+    }
+
+    fn asked_for(&mut self, now: Time, lacking: &Lacking) {
         let Some(stream) = self.streams.get_mut(&lacking.robot) else { return };
         if stream.message != lacking.message {
             return;
@@ -90,7 +95,6 @@ impl Outbox {
                 stream.waiting.push_back(index);
             }
         }
-        self.plan();
     }
 
     /// Returns the time at which to call [`Outbox::next`]; `None` if no part waits.
@@ -135,7 +139,7 @@ mod tests {
         assert_eq!(outbox.number(RobotId(1)), 1);
         outbox.put(at_ms(5), parts(1, 2.0), &settings(Missing::Whole));
         assert_eq!(leaving(&mut outbox, at_ms(5)), [(0, false)]);
-        outbox.asked(at_ms(30), &Lacking { robot: RobotId(1), message: 0, parts: 1 });
+        outbox.asked(at_ms(30), &[Lacking { robot: RobotId(1), message: 0, parts: 1 }]);
         assert!(leaving(&mut outbox, at_ms(300)).iter().all(|(_, again)| !again), "message 0 is replaced");
     }
 
@@ -144,7 +148,7 @@ mod tests {
         let mut outbox = Outbox::default();
         outbox.put(at_ms(0), parts(0, 1.0), &settings(Missing::Whole));
         assert_eq!(leaving(&mut outbox, at_ms(40)).len(), 12);
-        let lacking = Lacking { robot: RobotId(1), message: 0, parts: (1 << 3) | (1 << 9) | (1 << 100) };
+        let lacking = [Lacking { robot: RobotId(1), message: 0, parts: (1 << 3) | (1 << 9) | (1 << 100) }];
         outbox.asked(at_ms(43), &lacking);
         assert_eq!(leaving(&mut outbox, at_ms(60)), [], "they have just left");
         outbox.asked(at_ms(60), &lacking);
@@ -157,6 +161,6 @@ mod tests {
             again += leaving(&mut outbox, at_ms(ms)).len();
         }
         assert_eq!(again, 2 * usize::from(AGAIN) - 2);
-        outbox.asked(at_ms(90), &Lacking { robot: RobotId(2), message: 0, parts: 1 });
+        outbox.asked(at_ms(90), &[Lacking { robot: RobotId(2), message: 0, parts: 1 }]);
     }
 }
