@@ -109,7 +109,7 @@ def test_a_contract_is_read_by_the_program_as_it_was_meant(tmp_path):
     file.write_text(contract.text(None), encoding="utf-8")
     told = json.loads(finished(["policy", "check", str(file), "--json"]))["manifest"]
     assert (told["name"], told["license"], told["hold_s"]) == (contract.name, "MIT", 0.25)
-    assert told["state"] == {"floats": 12, "after_gap_s": 0.1} and told["message"] == {"floats": 6}
+    assert told["state"] == {"floats": 12, "after_gap_s": 0.1} and told["message"]["floats"] == 6
     assert told["edges"]["sign"] == "own-minus-theirs" and told["observation"]["goal"]["source"] == "goal-minus-position"
     assert "source" not in told["observation"]["velocity"] and told["action"]["limit"] == 1.0
     file.write_text(contract.text("0" * 64), encoding="utf-8")
