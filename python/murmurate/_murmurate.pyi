@@ -170,7 +170,7 @@ class VecEnv:
     def render(self, environment: int = 0) -> NDArray[np.uint8]:
         """Returns a picture of one environment (height, width, 3): walls, robots as discs, and goals as rings."""
 
-def sim_json(arguments: Sequence[str]) -> str:
+def sim_json(started_by: Sequence[str], arguments: Sequence[str]) -> str:
     """Runs ``murmurate sim`` with these arguments and returns its results as JSON.
 
     Raises:

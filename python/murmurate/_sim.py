@@ -8,11 +8,8 @@ import os
 from typing import Any
 
 from ._module import sim_json
-from ._program import finished, words_of
+from ._program import child_of, words_of
 from ._served import is_object, served
-
-#: Ends of the names of policies of format 3.
-GRAPHS = (".toml", ".onnx")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,11 +82,7 @@ def sim(
     if policy is not None:
         words += ["--policy", os.fspath(policy)]
     words += words_of(flags)
-    if policy is not None and os.fspath(policy).endswith(GRAPHS):
-        # The program starts itself again to check such a policy, which it cannot from within this process.
-        report = json.loads(finished(["sim", *words, "--json"]))
-    else:
-        report = json.loads(sim_json(words))
+    report = json.loads(sim_json(child_of([]), words))
     known = {field.name for field in dataclasses.fields(Results)} - {"report", "success_ci95"}
     return Results(
         **{name: report[name] for name in known}, success_ci95=tuple(report["success_ci95"]), report=report

@@ -13,16 +13,17 @@ use pyo3::prelude::*;
 const SIGNALS: Duration = Duration::from_millis(50);
 
 /// Runs `murmurate sim` with these arguments (those after `sim`) and returns its results as JSON. A wrong flag or file
-/// is a `ValueError`, a failure a `RuntimeError`; Ctrl-C ends the run with `KeyboardInterrupt`.
+/// is a `ValueError`, a failure a `RuntimeError`; Ctrl-C ends the run with `KeyboardInterrupt`. `started_by` are the
+/// words of the command that starts the program, which checks the graphs of a policy.
 #[pyfunction]
-pub fn sim_json(py: Python<'_>, arguments: Vec<String>) -> PyResult<String> {
+pub fn sim_json(py: Python<'_>, started_by: Vec<OsString>, arguments: Vec<String>) -> PyResult<String> {
     let stop = AtomicBool::new(false);
     let interrupted = std::cell::RefCell::new(None);
     let ended = std::thread::scope(|scope| {
         let caller = std::thread::current();
         let (arguments, stop) = (&arguments, &stop);
         let work = move || {
-            let results = murmurate_cli::sim_results(arguments, crate::registry(), stop);
+            let results = murmurate_cli::sim_results(started_by, arguments, crate::registry(), stop);
             caller.unpark();
             results
         };

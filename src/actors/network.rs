@@ -22,10 +22,10 @@ use crate::net::protocol::key::Key;
 pub use crate::net::protocol::link::Identity;
 use crate::net::protocol::link::{DuplicateId, Guest, LinkCounts, LinkState, Refusal};
 use crate::net::protocol::outgoing::Outbound;
-use crate::net::protocol::parts::{Settings as PartSettings, is_part};
+use crate::net::protocol::parts::Settings as PartSettings;
 use crate::net::protocol::reliability::{Piggyback, Setup};
 use crate::net::protocol::roster::Roster;
-use crate::net::protocol::router::{Audience, Router};
+use crate::net::protocol::router::{Audience, Route, Router};
 use crate::net::protocol::sender::Peer;
 use crate::net::protocol::succession::Succession;
 use crate::random::Stream;
@@ -222,29 +222,30 @@ impl Network {
     fn publish(&mut self, now: Time, message: Wire, out: &mut Vec<Out>) {
         let message = self.signed(message);
         let route = self.router.route(message.kind(), message.robot());
+        if self.send(now, route, &message, out) && route.local {
+            out.push(Out::Deliver(message));
+        }
+    }
+
+    /// Sends a message on the link of its route, if it has one, and gives a copy to the Recorder. Returns whether the
+    /// message could be encoded.
+    fn send(&mut self, now: Time, route: Route, message: &Wire, out: &mut Vec<Out>) -> bool {
         let leaves = route.leaves.filter(|(link, _)| self.link(*link).is_some());
         let encoded = match leaves {
             Some((link, audience)) => {
                 let state = self.links[usize::from(link.0)].as_mut().expect("this host takes part in the link");
-                let encoded = state.send(now, audience, &message, &mut self.outgoing);
+                let encoded = state.send(now, audience, message, &mut self.outgoing);
                 self.due[usize::from(link.0)] = state.due();
                 transmit(link, &mut self.outgoing, out);
                 encoded
             }
-            None => codec::encode(&self.local_header, &message).inspect(|_| {
+            None => codec::encode(&self.local_header, message).inspect(|_| {
                 self.local_header.sequence = self.local_header.sequence.wrapping_add(1);
                 self.local_counts.sent += 1;
             }),
         };
-        match encoded {
-            Ok(frame) => out.push(Out::Tap(frame)),
-            Err(error) => return self.count_unencodable(leaves.map(|(link, _)| link), &message, &error),
-        }
-        // Robots of this host hear a message in parts as a whole.
-        let is_a_part = matches!(&message, Wire::Latent(latent) if is_part(latent));
-        if route.local && !is_a_part {
-            out.push(Out::Deliver(message));
-        }
+        let encoded = encoded.map(|frame| out.push(Out::Tap(frame)));
+        encoded.inspect_err(|error| self.count_unencodable(leaves.map(|(link, _)| link), message, error)).is_ok()
     }
 
     /// Counts a message of this host that cannot be encoded, and logs the first one.
@@ -313,7 +314,7 @@ impl Network {
                     continue;
                 }
                 match message {
-                    Wire::Latent(part) if is_part(&part) => self.take_part(now, (link, &header), part, out),
+                    Wire::Latent(part) if part.part.is_some() => self.take_part(now, (link, &header), part, out),
                     message => out.push(Out::Deliver(message)),
                 }
             } else if self.shared[at] || !header.flags.has(Flags::DIRECT) {
@@ -395,7 +396,6 @@ mod tests {
     use crate::messages::geometry::Motion;
     use crate::messages::wire::Reading;
     use crate::net::protocol::reliability::Reliabilities;
-    use crate::net::protocol::router::Route;
     use crate::random::Seed;
 
     const LINK: LinkId = LinkId(0);

@@ -1,4 +1,4 @@
-//! What a robot perceives of its surroundings, as arrays of numbers.
+//! Values of the senses of robots, as arrays of numbers.
 
 use serde::{Deserialize, Serialize};
 

@@ -44,7 +44,7 @@ pub struct Taking {
     pub miss: Option<Miss>,
     /// Age from the arrival of the values above which they are stale \[s\].
     pub stale_after_s: Option<f64>,
-    /// What the policy takes in place of values that are stale.
+    /// Values that stand for stale ones.
     pub if_stale: Option<IfStale>,
 }
 
@@ -68,7 +68,7 @@ pub enum NamedMiss {
     Zero,
 }
 
-/// What a policy takes in place of values that are stale, or that have not come yet.
+/// Values that stand for stale ones, or for those that have not come yet.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum IfStale {

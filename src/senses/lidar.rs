@@ -5,9 +5,9 @@ use std::f64::consts::{PI, TAU};
 
 use serde::Deserialize;
 
-use super::paced::{Pace, Paced, within};
+use super::paced::{Measure, Pace, within};
 use super::rays::{Disc, MAX_RAYS, Rays};
-use super::{In, Layout, Out, Parts, Sense, Site, WHOLE_RAD};
+use super::{Layout, Parts, Site, WHOLE_RAD};
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::messages::geometry::{Vec2, rotated};
@@ -16,7 +16,6 @@ use crate::messages::local::Scene;
 use crate::observation::{Sweep, Unit};
 use crate::random::{self, RngExt, Stream};
 use crate::scenario::KeepOut;
-use crate::time::Time;
 
 /// Description of the sense `lidar` in one line, for lists of all kinds.
 pub(super) const ABOUT: &str = "simulated: distances along rays to walls and the hulls of robots";
@@ -98,8 +97,7 @@ pub(super) fn make(settings: &Settings, _: RobotId) -> Result<Parts, ConfigError
     config.check().map_err(|error| error.within(&settings.name))?;
     let sweep = config.sweep();
     let layout = Layout { shape: vec![config.rays], unit: Unit::Metre, sweep: Some(sweep) };
-    let sense = move |site: Site| Box::new(Lidar::new(&config, &sweep, site)) as Box<dyn Sense>;
-    Ok(Parts { layout, sense: Box::new(sense), worker: None })
+    Ok(Parts::simulated(layout, config.pace(), move |site| Lidar::new(&config, &sweep, site)))
 }
 
 /// Lidar of one simulated robot.
@@ -115,7 +113,6 @@ struct Lidar {
     dropouts: f32,
     range_m: f32,
     stream: Stream,
-    paced: Paced,
 }
 
 impl Lidar {
@@ -133,12 +130,11 @@ impl Lidar {
             dropouts: config.dropouts,
             range_m: config.range_m,
             stream: site.stream,
-            paced: Paced::new(&config.pace()),
         }
     }
 
     /// Returns the distances along the rays \[m\], without noise; `None` if the robot is not in the scene.
-    fn measure(&mut self, scene: &Scene) -> Option<Vec<f32>> {
+    fn distances(&mut self, scene: &Scene) -> Option<Vec<f32>> {
         let at = scene.robots.binary_search_by_key(&self.robot, |standing| standing.robot).ok()?;
         let own = &scene.robots[at];
         let (x, y) = rotated(own.heading.into(), self.mount.x.into(), self.mount.y.into());
@@ -171,33 +167,22 @@ impl Lidar {
     }
 }
 
-impl Sense for Lidar {
-    fn take(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
-        let In::Scene(scene) = input else { return };
-        if !self.paced.measures(scene) {
-            return;
-        }
-        let Some(mut values) = self.measure(scene) else { return };
+impl Measure for Lidar {
+    fn measure(&mut self, scene: &Scene) -> Option<Vec<f32>> {
+        let mut values = self.distances(scene)?;
         self.disturb(&mut values);
-        self.paced.put(now, scene, values, out);
-    }
-
-    fn wake_at(&self) -> Option<Time> {
-        self.paced.wake_at()
-    }
-
-    fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
-        self.paced.wake(now, out);
+        Some(values)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::{In, Out, Sense};
     use super::*;
     use crate::messages::local::Standing;
     use crate::random::Seed;
     use crate::scenario::Arena;
-    use crate::time::Span;
+    use crate::time::{Span, Time};
 
     fn settings(text: &str) -> Settings {
         Settings { name: "eyes".to_owned(), table: text.parse().expect("it is TOML") }

@@ -1,4 +1,4 @@
-//! Senses: what a robot perceives of its surroundings, as arrays of numbers that a policy takes by the sense's name. A
+//! Senses: sensors of a robot for its surroundings, whose values are arrays that a policy takes by the sense's name. A
 //! sense is one module and one line in `REGISTRY`.
 //!
 //! A sense does no I/O: it computes its values from the true surroundings of a simulated robot, or converts the packets
@@ -13,6 +13,8 @@ pub mod rays;
 mod relative;
 
 use serde::{Deserialize, Serialize};
+
+use self::paced::{Measure, Pace, Simulated};
 
 use crate::config::ConfigError;
 use crate::edge;
@@ -135,6 +137,14 @@ pub struct Parts {
     /// Worker that does the I/O of the sense on a thread of its own; `None` for a sense that is simulated, and takes
     /// the scenes of a World.
     pub worker: Option<Box<dyn edge::Worker>>,
+}
+
+impl Parts {
+    /// Returns the parts of a simulated sense with this form and pace; `measurement` makes its measurement for a robot.
+    fn simulated<M: Measure + 'static>(layout: Layout, pace: Pace, measurement: impl Fn(Site) -> M + 'static) -> Parts {
+        let sense = move |site: Site| Box::new(Simulated::new(measurement(site), &pace)) as Box<dyn Sense>;
+        Parts { layout, sense: Box::new(sense), worker: None }
+    }
 }
 
 /// Entry of a kind of sense in the registry.

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use super::Out;
+use super::{In, Out, Sense};
 use crate::config::ConfigError;
 use crate::messages::local::Scene;
 use crate::time::{Span, Time};
@@ -37,9 +37,51 @@ impl Pace {
     }
 }
 
+/// Measurement of a simulated sense, without its schedule.
+pub(super) trait Measure {
+    /// Returns the values that the sense has in a scene; `None` if its robot is not in it.
+    fn measure(&mut self, scene: &Scene) -> Option<Vec<f32>>;
+}
+
+/// Simulated sense: a measurement with its schedule.
+#[derive(Debug)]
+pub(super) struct Simulated<M> {
+    measurement: M,
+    schedule: Schedule,
+}
+
+impl<M: Measure> Simulated<M> {
+    /// Makes the sense at its start.
+    pub fn new(measurement: M, pace: &Pace) -> Simulated<M> {
+        Simulated { measurement, schedule: Schedule::new(pace) }
+    }
+}
+
+impl<M: Measure> Sense for Simulated<M> {
+    fn take(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
+        let In::Scene(scene) = input else { return };
+        if self.schedule.is_due(scene)
+            && let Some(values) = self.measurement.measure(scene)
+        {
+            self.schedule.put(now, scene, values, out);
+        }
+    }
+
+    fn wake_at(&self) -> Option<Time> {
+        self.schedule.pending.front().map(|(due, _)| *due)
+    }
+
+    fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
+        let pending = &mut self.schedule.pending;
+        while pending.front().is_some_and(|(due, _)| *due <= now) {
+            out.extend(pending.pop_front().map(|(_, measured)| measured));
+        }
+    }
+}
+
 /// Schedule of a simulated sense.
 #[derive(Debug)]
-pub(super) struct Paced {
+struct Schedule {
     period: Span,
     delay: Span,
     /// Earliest time of the next measurement.
@@ -48,16 +90,16 @@ pub(super) struct Paced {
     pending: VecDeque<(Time, Out)>,
 }
 
-impl Paced {
+impl Schedule {
     /// Makes the schedule of a sense that has not measured yet.
-    pub fn new(pace: &Pace) -> Paced {
+    fn new(pace: &Pace) -> Schedule {
         let period = pace.rate_hz.map_or(Span::ZERO, |rate| Span::from_secs(1.0 / rate));
-        Paced { period, delay: Span::from_secs(pace.delay_s), ready: Time::ZERO, pending: VecDeque::new() }
+        Schedule { period, delay: Span::from_secs(pace.delay_s), ready: Time::ZERO, pending: VecDeque::new() }
     }
 
     /// Returns whether the sense measures in this scene. After a placement it does at once, and what it has measured
     /// before counts no longer.
-    pub fn measures(&mut self, scene: &Scene) -> bool {
+    fn is_due(&mut self, scene: &Scene) -> bool {
         if scene.placed {
             self.pending.clear();
         } else if scene.time < self.ready {
@@ -70,24 +112,12 @@ impl Paced {
     }
 
     /// Takes the values that were measured in a scene, and appends them to `out` unless they are delayed.
-    pub fn put(&mut self, now: Time, scene: &Scene, values: Vec<f32>, out: &mut Vec<Out>) {
+    fn put(&mut self, now: Time, scene: &Scene, values: Vec<f32>, out: &mut Vec<Out>) {
         let measured = Out::Values { stamp_ns: scene.time.as_nanos(), values };
         if self.delay == Span::ZERO {
             out.push(measured);
         } else if self.pending.len() < MAX_PENDING {
             self.pending.push_back((now + self.delay, measured));
-        }
-    }
-
-    /// Returns the time at which the next values are due.
-    pub fn wake_at(&self) -> Option<Time> {
-        self.pending.front().map(|(due, _)| *due)
-    }
-
-    /// Appends the values that are due at `now` to `out`.
-    pub fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
-        while self.pending.front().is_some_and(|(due, _)| *due <= now) {
-            out.extend(self.pending.pop_front().map(|(_, measured)| measured));
         }
     }
 }

@@ -5,8 +5,8 @@ use std::f64::consts::{PI, TAU};
 
 use serde::Deserialize;
 
-use super::paced::{Pace, Paced, within};
-use super::{In, Layout, Out, Parts, Sense, Site};
+use super::paced::{Measure, Pace, within};
+use super::{Layout, Parts, Site};
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::messages::geometry::{Vec2, wrapped};
@@ -16,7 +16,6 @@ use crate::messages::wire::MAX_SENSED;
 use crate::observation::Unit;
 use crate::random::{self, RngExt, Stream};
 use crate::scenario::KeepOut;
-use crate::time::Time;
 
 /// Description of the sense `relative` in one line, for lists of all kinds.
 pub(super) const ABOUT: &str = "simulated: distance, bearing and heading of the robots in view";
@@ -85,17 +84,13 @@ pub(super) fn make(settings: &Settings, _: RobotId) -> Result<Parts, ConfigError
     let config: Config = settings.read()?;
     config.check().map_err(|error| error.within(&settings.name))?;
     let layout = Layout { shape: vec![config.most, VALUES], unit: Unit::One, sweep: None };
-    let sense = move |site: Site| {
-        Box::new(Relative {
-            robot: site.robot,
-            blocks: site.arena.keep_outs.clone(),
-            hull_m: site.arena.hull_m(),
-            stream: site.stream,
-            paced: Paced::new(&config.pace()),
-            config: config.clone(),
-        }) as Box<dyn Sense>
-    };
-    Ok(Parts { layout, sense: Box::new(sense), worker: None })
+    Ok(Parts::simulated(layout, config.pace(), move |site: Site| Relative {
+        robot: site.robot,
+        blocks: site.arena.keep_outs.clone(),
+        hull_m: site.arena.hull_m(),
+        stream: site.stream,
+        config: config.clone(),
+    }))
 }
 
 /// Detector of one simulated robot.
@@ -105,7 +100,6 @@ struct Relative {
     blocks: Vec<KeepOut>,
     hull_m: f32,
     stream: Stream,
-    paced: Paced,
 }
 
 /// Robot that is detected. Bearing and heading \[rad\] are relative to the heading of the detector.
@@ -148,7 +142,7 @@ impl Relative {
     }
 
     /// Returns the detections in a scene, the nearest first; `None` if the robot is not in it.
-    fn measure(&mut self, scene: &Scene) -> Option<Vec<Detection>> {
+    fn detections(&mut self, scene: &Scene) -> Option<Vec<Detection>> {
         let own = *scene.robots.iter().find(|standing| standing.robot == self.robot)?;
         let mut found = Vec::new();
         for other in scene.robots.iter().filter(|other| other.robot != own.robot) {
@@ -181,26 +175,14 @@ impl Relative {
     }
 }
 
-impl Sense for Relative {
-    fn take(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
-        let In::Scene(scene) = input else { return };
-        if !self.paced.measures(scene) {
-            return;
-        }
-        let Some(found) = self.measure(scene) else { return };
+impl Measure for Relative {
+    fn measure(&mut self, scene: &Scene) -> Option<Vec<f32>> {
+        let found = self.detections(scene)?;
         let mut values = vec![0.0; self.config.most * VALUES];
         for (place, one) in values.chunks_exact_mut(VALUES).zip(found) {
             place.copy_from_slice(&[1.0, one.distance_m, one.bearing_rad, one.heading_rad]);
         }
-        self.paced.put(now, scene, values, out);
-    }
-
-    fn wake_at(&self) -> Option<Time> {
-        self.paced.wake_at()
-    }
-
-    fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
-        self.paced.wake(now, out);
+        Some(values)
     }
 }
 
@@ -208,10 +190,11 @@ impl Sense for Relative {
 mod tests {
     use std::f32::consts::FRAC_PI_2;
 
+    use super::super::{In, Out, Sense};
     use super::*;
     use crate::random::Seed;
     use crate::scenario::Arena;
-    use crate::time::Span;
+    use crate::time::{Span, Time};
 
     fn settings(text: &str) -> Settings {
         Settings { name: "others".to_owned(), table: text.parse().expect("it is TOML") }

@@ -347,15 +347,22 @@ fn differs_with_another_policy(agent: &Path, key: &Path, folder: &Path) {
     assert!(same.contains("none differs"), "the same policy acts the same: {same}");
 }
 
-#[test]
-fn a_policy_that_a_worker_computes_runs_again_from_its_recorded_answers() {
-    let policy = Path::new(crate::program::ROOT).join("tests/onnx/data/field.policy.toml");
+/// Runs one episode of `swap` with the policy of format 3 called `name`, and replays all its records. Returns the
+/// folder of its files, that of its records, and the file with the team's key.
+fn replayed_with(number: u16, name: &str) -> (TempDir, PathBuf, String) {
+    let policy = Path::new(crate::program::ROOT).join(format!("tests/onnx/data/{name}.policy.toml"));
     let policy = policy.canonicalize().expect("it is there");
     let head = format!("key_file = \"team.key\"\nscenario = \"swap\"\npolicy = '{}'\n", policy.display());
-    let (folder, records_of) = launched_with(814, &head, "");
+    let (folder, records_of) = launched_with(number, &head, "");
     let key = folder.path().join("team.key").to_string_lossy().into_owned();
     let (status, said) = replayed(&records_of, &["--key-file", &key]);
     assert_eq!((status, said.matches("equal, ").count()), (0, 4), "{said}");
+    (folder, records_of, key)
+}
+
+#[test]
+fn a_policy_that_a_worker_computes_runs_again_from_its_recorded_answers() {
+    let (folder, records_of, key) = replayed_with(814, "field");
     // What the worker has answered decides what the robot does.
     let agent = record_of(&records_of, "agent-0");
     let changed = folder.path().join("changed.mcap");
@@ -372,13 +379,7 @@ fn a_policy_that_a_worker_computes_runs_again_from_its_recorded_answers() {
 
 #[test]
 fn messages_in_parts_are_recorded_part_by_part_and_join_again() {
-    let policy = Path::new(crate::program::ROOT).join("tests/onnx/data/wide.policy.toml");
-    let policy = policy.canonicalize().expect("it is there");
-    let head = format!("key_file = \"team.key\"\nscenario = \"swap\"\npolicy = '{}'\n", policy.display());
-    let (folder, records_of) = launched_with(816, &head, "");
-    let key = folder.path().join("team.key").to_string_lossy().into_owned();
-    let (status, said) = replayed(&records_of, &["--key-file", &key]);
-    assert_eq!((status, said.matches("equal, ").count()), (0, 4), "{said}");
+    let (_folder, records_of, _) = replayed_with(816, "wide");
     let mut reader = murmurate_record::reader::Reader::open(&record_of(&records_of, "agent-0")).expect("a record");
     let mut parts = [0_u32; 3];
     while let Some(message) = reader.next_message().expect("it is whole") {

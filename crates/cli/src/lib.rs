@@ -78,8 +78,15 @@ const DIGESTS: &[&str] = &[
 ];
 
 /// Runs `murmurate sim` with these arguments (without the program's name), and returns its results as JSON without
-/// printing them. Ends early once `stop` is set. An error about a flag or a file is a `BadInput`.
-pub fn sim_results(arguments: &[String], registry: &Registry, stop: &AtomicBool) -> anyhow::Result<String> {
+/// printing them. Ends early once `stop` is set. `started_by` are the words of the command that starts this program,
+/// which checks the graphs of a policy. An error about a flag or a file is a `BadInput`.
+pub fn sim_results(
+    started_by: Vec<OsString>,
+    arguments: &[String],
+    registry: &Registry,
+    stop: &AtomicBool,
+) -> anyhow::Result<String> {
+    murmurate_robot::runs_within(started_by);
     build::set(DIGESTS);
     sim::results_of(arguments, registry, stop)
 }

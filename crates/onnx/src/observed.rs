@@ -29,7 +29,7 @@ pub struct Observed {
     /// Age above which the values of a sense are stale \[s\]; needed for a sense.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stale_after_s: Option<f64>,
-    /// What is taken in place of stale values of a sense.
+    /// Values that stand for stale ones of a sense.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub if_stale: Option<IfStale>,
 }

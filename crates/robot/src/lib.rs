@@ -158,6 +158,13 @@ pub fn this_program() -> anyhow::Result<Vec<OsString>> {
     }
 }
 
+/// Sets the words of the command that starts this program, for a program that runs within another one. The first call
+/// counts.
+pub fn runs_within(started_by: Vec<OsString>) {
+    // A second call would be an error of its caller; the words are the same then.
+    let _ = STARTED_BY.set(started_by);
+}
+
 /// Returns the registry of the program: the parts of the library, of ROS 2 and of Zenoh. Another program adds its own
 /// parts to it.
 pub fn registry() -> Registry {
@@ -180,8 +187,7 @@ pub fn main_within(
     started_by: Vec<OsString>,
     arguments: Vec<OsString>,
 ) -> ExitCode {
-    // A second call would be an error of its caller; the words are the same then.
-    let _ = STARTED_BY.set(started_by);
+    runs_within(started_by);
     let name = OsString::from(MURMURATE);
     run_command(program, registry, &[vec![name], arguments].concat())
 }

@@ -36,35 +36,32 @@ impl Network {
         is_of_the_test && self.parts.as_ref().is_some_and(|parts| parts.settings.floats == floats)
     }
 
-    /// Publishes a message in parts: the first leaves at once. A message that leaves on no link is given to the
-    /// Recorder at once.
+    /// Publishes a message in parts: the first leaves at once. Robots of this host hear the whole message. If it leaves
+    /// on no link, the Recorder gets all parts at once: there is no channel to keep free.
     pub(super) fn publish_in_parts(&mut self, now: Time, latent: Latent, out: &mut Vec<Out>) {
         let route = self.router.route(Kind::Latent, latent.robot);
-        let link = route.leaves.and_then(|(link, _)| self.link(link)).map(|state| state.room());
+        let room = route.leaves.and_then(|(link, _)| self.link(link)).map(|state| state.room());
         let parts = self.parts.as_mut().expect("a message in parts is published where there are settings for it");
         let settings = parts.settings;
         let number = (parts.outbox.number(latent.robot), settings.policy);
-        let most = link.map_or(MAX_PART_BYTES, Settings::most);
+        let most = room.map_or(MAX_PART_BYTES, Settings::most);
         let all = split(&latent, settings.form.encoding, number, most);
         parts.outbox.put(now, all, &settings);
-        if link.is_none() {
-            // There is no channel to keep free.
-            let late = Time::MAX;
-            while let Some((part, _)) = self.parts.as_mut().and_then(|parts| parts.outbox.next(late)) {
-                self.publish(now, Wire::Latent(part), out);
-            }
-        }
-        self.send_parts(now, out);
+        self.send_parts(now, if room.is_some() { now } else { Time::MAX }, out);
         if route.local {
             out.push(Out::Deliver(Wire::Latent(latent)));
         }
     }
 
-    fn send_parts(&mut self, now: Time, out: &mut Vec<Out>) {
-        while let Some((part, again)) = self.parts.as_mut().and_then(|parts| parts.outbox.next(now)) {
-            let leaves = self.router.route(Kind::Latent, part.robot).leaves;
-            self.publish(now, Wire::Latent(part), out);
-            if again && let Some(state) = leaves.and_then(|(link, _)| self.link(link)) {
+    /// Sends the parts that are due by the time `until`.
+    fn send_parts(&mut self, now: Time, until: Time, out: &mut Vec<Out>) {
+        while let Some((part, again)) = self.parts.as_mut().and_then(|parts| parts.outbox.next(until)) {
+            let route = self.router.route(Kind::Latent, part.robot);
+            let sent = self.send(now, route, &Wire::Latent(part), out);
+            if sent
+                && again
+                && let Some(state) = route.leaves.and_then(|(link, _)| self.link(link))
+            {
                 state.counts().sent_again();
             }
         }
@@ -128,7 +125,7 @@ impl Network {
 
     /// Sends what is due of messages in parts: parts and requests for parts. Delivers those whose time is over.
     pub(super) fn wake_parts(&mut self, now: Time, out: &mut Vec<Out>) {
-        self.send_parts(now, out);
+        self.send_parts(now, now, out);
         let Some(parts) = &mut self.parts else { return };
         if parts.inbox.due().is_none_or(|due| due > now) {
             return;

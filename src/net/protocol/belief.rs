@@ -70,7 +70,7 @@ impl LinkState {
     /// signature that which follows it.
     pub fn accept(&mut self, now: Time, header: &Header, message: &Wire, body: (&[u8], Option<&[u8]>)) -> bool {
         let (kind, robot) = (message.kind(), message.robot());
-        if matches!(message, Wire::Latent(latent) if is_part(latent)) {
+        if is_part(message) {
             // Their own numbers order them; that a part is new is known to those that join them.
             return self.incoming.senders.get((header.sender, header.incarnation)).is_some();
         }

@@ -47,7 +47,7 @@ mod kind {
     pub const RESET: u8 = 4;
 }
 
-/// What the host says first.
+/// First frame of the host: the contract, and the arrays of the calls.
 #[derive(Serialize)]
 struct Hello<'a> {
     protocol: u32,
@@ -63,7 +63,7 @@ struct Calls {
     outputs: Vec<Port>,
 }
 
-/// What the policy answers.
+/// Answer of the policy to the first frame.
 #[derive(Deserialize)]
 struct Greeting {
     protocol: u32,
@@ -106,12 +106,15 @@ struct Link {
 struct Call {
     process: Arc<Process>,
     role: Role,
+    /// Place of the first input with an axis of neighbours, from which their number is known.
+    of_neighbours: Option<usize>,
     outputs: Vec<Port>,
 }
 
 impl Engine for Call {
     fn run(&self, inputs: &[Array]) -> Result<Vec<Array>, String> {
-        self.process.call(self.role, inputs, &self.outputs)
+        let places = self.of_neighbours.map_or(0, |at| inputs[at].shape[1]);
+        self.process.call((self.role, places), inputs, &self.outputs)
     }
 
     fn reset(&self) {
@@ -142,8 +145,9 @@ pub fn network(parts: Parts, folder: &Path) -> Result<Network> {
     let roles: &[Role] = if greeting.two { &[Role::Encode, Role::Act] } else { &[Role::Step] };
     let process = Arc::new(process);
     let name = format!("{PYTHON} ({})", shortened(&greeting.name));
-    Ok(Network::of_engine((contract, digest, name), roles, |role, _, outputs| {
-        Arc::new(Call { process: Arc::clone(&process), role, outputs: outputs.to_vec() })
+    Ok(Network::of_engine((contract, digest, name), roles, |role, inputs, outputs| {
+        let of_neighbours = inputs.iter().position(|port| port.of_neighbours);
+        Arc::new(Call { process: Arc::clone(&process), role, of_neighbours, outputs: outputs.to_vec() })
     }))
 }
 
@@ -191,16 +195,14 @@ impl Process {
         Ok(greeting)
     }
 
-    /// Returns the outputs of a call. One that fails is an error, after which the process is started again if it has
-    /// ended or says nothing.
-    fn call(&self, role: Role, inputs: &[Array], outputs: &[Port]) -> Result<Vec<Array>, String> {
+    /// Returns the outputs of a call with so many places for neighbours. One that fails is an error, after which the
+    /// process is started again if it has ended or says nothing.
+    fn call(&self, (role, places): (Role, usize), inputs: &[Array], outputs: &[Port]) -> Result<Vec<Array>, String> {
         let mut link = self.locked();
         if link.stream.is_none() {
             self.again(&mut link)?;
         }
         let robots = inputs.first().and_then(|array| array.shape.first()).copied().unwrap_or(1);
-        let places = inputs.iter().zip(murmurate_onnx::network::ports(&self.contract, role).0);
-        let places = places.filter(|(_, port)| port.of_neighbours).map(|(array, _)| array.shape[1]).next().unwrap_or(0);
         let counts = [robots, places].map(|count| u32::try_from(count).unwrap_or(u32::MAX).to_le_bytes());
         let code = match role {
             Role::Step => 0_u8,

@@ -1,4 +1,4 @@
-//! What a link does for messages in parts: it asks for those that are missing, and tells which others lack.
+//! Messages in parts on a link: its requests for those that are missing, and those of other hosts.
 
 use super::{Lacking, is_part};
 use crate::messages::ids::HostId;
@@ -36,10 +36,7 @@ impl LinkState {
 impl Outgoing {
     /// Returns the reliability mode of a message on the link. Parts are repaired by those that join them.
     pub(in crate::net::protocol) fn reliability_of(&self, message: &Wire) -> Reliability {
-        match message {
-            Wire::Latent(latent) if is_part(latent) => Reliability::BestEffort,
-            message => self.setup.of(message.kind()),
-        }
+        if is_part(message) { Reliability::BestEffort } else { self.setup.of(message.kind()) }
     }
 
     /// Appends to `out` a datagram that asks for the parts `lacking`. On a link on which every datagram reaches every

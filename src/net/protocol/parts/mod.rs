@@ -17,7 +17,7 @@ use std::sync::Arc;
 
 use super::codec::{Content, DecodeError, TAG_BYTES};
 use crate::messages::ids::RobotId;
-use crate::messages::wire::{Encoding, Features, Form, GRAIN, Latent, MAX_PART_BYTES, Part, Piece, cut};
+use crate::messages::wire::{Encoding, Features, Form, GRAIN, Latent, MAX_PART_BYTES, Part, Piece, Wire, cut};
 use crate::time::Span;
 
 /// Share of the period over which the parts of a message leave. In the rest of it those that are lost are repaired: at
@@ -146,16 +146,16 @@ fn numbers(parts: u128) -> impl Iterator<Item = u8> {
     (0..128).filter(move |index| parts & (1 << index) != 0)
 }
 
-/// Returns whether a message is one of several parts of another.
-pub fn is_part(latent: &Latent) -> bool {
-    latent.part.is_some()
+/// Returns whether a message is one of the parts of another.
+pub fn is_part(message: &Wire) -> bool {
+    matches!(message, Wire::Latent(Latent { part: Some(_), .. }))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::messages::geometry::Motion;
-    use crate::messages::wire::{MAX_FLOATS, MAX_PARTS, Missing, Phase, Round, Wire};
+    use crate::messages::wire::{MAX_FLOATS, MAX_PARTS, Missing, Phase, Round};
     use crate::time::Time;
 
     pub(super) const FLOATS: usize = 6144;
