@@ -19,6 +19,6 @@ fn scripted(bencher: Bencher, mode: &str) {
 #[divan::bench(args = ["sim", "offboard"], sample_count = 10)]
 fn untrained_network(bencher: Bencher, mode: &str) {
     let trial = Trial::preset(mode, "passage").expect("a preset").episodes(1);
-    let trial = Trial { model: policy::untrained(1), ..trial };
+    let trial = Trial { models: policy::untrained(1).into(), ..trial };
     bencher.bench_local(|| trial.run());
 }

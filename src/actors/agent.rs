@@ -12,11 +12,10 @@ pub use slot::RobotPolicies;
 use std::sync::Arc;
 
 use self::slot::{Outcome, Slot};
-use super::neighbours::{SharedData, Step};
+use super::neighbours::SharedData;
 use crate::actor::Core;
 use crate::cells::{self, Cells};
 use crate::edge::Packet;
-use crate::hearing::CommRange;
 use crate::messages::geometry::{Task, Vec2, is_finite};
 use crate::messages::local::{Action, NEAR_M, OtherRobot, Percept, Progress};
 use crate::messages::round::RoundFollower;
@@ -58,7 +57,6 @@ pub enum Out {
 /// with their policies.
 pub struct Agent {
     scenario: Arc<dyn Scenario>,
-    range: CommRange,
     /// Longest wait of a joint step for the last percept. After it, the step runs without the missing robots.
     max_wait: Span,
     slots: Vec<Slot>,
@@ -87,13 +85,11 @@ pub struct Agent {
 
 impl Agent {
     /// Creates an Agent of the robots in `robots`; panics if they are not in the order of their ids. `scenario` defines
-    /// what a policy observes, `range` is the communication range between two robots of this Agent, and `max_wait` the
-    /// longest time for which a joint step waits for late percepts.
-    pub fn new(scenario: Arc<dyn Scenario>, range: CommRange, max_wait: Span, robots: Vec<RobotPolicies>) -> Agent {
+    /// what a policy observes, and `max_wait` is the longest time for which a joint step waits for late percepts.
+    pub fn new(scenario: Arc<dyn Scenario>, max_wait: Span, robots: Vec<RobotPolicies>) -> Agent {
         assert!(robots.is_sorted_by_key(|policies| policies.robot), "sums run over robots in the order of their ids");
         Agent {
             scenario,
-            range,
             max_wait,
             missing: robots.len(),
             shared: Vec::new(),
@@ -159,25 +155,30 @@ impl Agent {
     /// Returns a grid of the positions of all robots with a percept, so that each robot examines only those nearby.
     /// Returns `None` for few robots and for a range drawn per message, which has no bound.
     fn locate(&self) -> Option<Cells> {
-        if self.slots.len() <= cells::LINEAR_SEARCH_MAX || self.range.std_m > 0.0 {
+        let ranges = || self.slots.iter().map(|slot| slot.policies.range);
+        if self.slots.len() <= cells::LINEAR_SEARCH_MAX || ranges().any(|range| range.std_m > 0.0) {
             return None;
         }
+        let farthest_m = ranges().fold(NEAR_M, |most, range| most.max(range.mean_m));
         let nowhere = Vec2::repeat(f32::NAN);
         let at = |shared: &Option<SharedData>| shared.map_or(nowhere, |shared| shared.motion.position);
-        Cells::new(self.range.mean_m.max(NEAR_M), self.shared.iter().map(at))
+        Cells::new(farthest_m, self.shared.iter().map(at))
     }
 
     /// Encodes the observation of the robot in slot `at` and stores the data that the Agent's other robots read of this
     /// robot.
     fn share(&mut self, now: Time, at: usize) {
         let encoded = self.encode(now, at).is_some();
-        let Slot { policies, percept, features, .. } = &self.slots[at];
+        let slot = &self.slots[at];
+        let age = if slot.outcome == Outcome::Held { slot.age(now) } else { Span::ZERO };
+        let Slot { policies, percept, features, .. } = slot;
         let place = |at: usize| u32::try_from(at).expect("the latents of a step take less than four gigabytes");
         let range = encoded.then(|| [self.features.len(), self.features.len() + features.len()].map(place));
         let shared = percept.as_ref().map(|percept| SharedData {
             robot: policies.robot,
             motion: percept.estimate,
             features: range,
+            age,
         });
         self.shared.push(shared);
         if range.is_some() {
@@ -197,6 +198,9 @@ impl Agent {
             for (slot, shared) in self.slots.iter_mut().zip(&mut self.shared) {
                 let Some(SharedData { features, .. }) = shared else { continue };
                 let Some([begins, ends]) = features.map(|range| range.map(|at| at as usize)) else { continue };
+                if slot.outcome == Outcome::Held {
+                    continue;
+                }
                 slot.check(phase);
                 if slot.outcome == Outcome::Sound {
                     self.features[begins..ends].copy_from_slice(&slot.features);
@@ -212,10 +216,11 @@ impl Agent {
         self.find_near(motion.position);
         let phase = self.phase;
         let slot = &mut self.slots[at];
-        let width = slot.width(phase);
+        if slot.outcome == Outcome::Held {
+            return;
+        }
+        let step = slot.step((self.round, phase), &self.features);
         let Slot { policies, percept: Some(percept), own, values, features, .. } = slot else { return };
-        let frame = own.frame;
-        let step = Step { range: self.range, round: self.round, phase, width, frame, shared: &self.features };
         let companions = self.near.iter().filter(|other| **other != at).filter_map(|&other| self.shared[other]);
         // A message is drawn as received or not once a step, whatever the number of hops: by the same numbers.
         let mut ranges = policies.ranges.clone();
@@ -248,6 +253,10 @@ impl Agent {
         let task = bound_for(phase, task);
         let own = slot.policies.observe(&*self.scenario, &task, percept, now.since(self.episode_began));
         slot.own = own;
+        if !slot.is_due(phase) {
+            slot.outcome = Outcome::Held;
+            return slot.says().then_some(());
+        }
         if phase == Phase::Running {
             slot.steps(now, (&task, &own));
         }
@@ -277,12 +286,10 @@ impl Agent {
         let settled = now.since(self.began) >= SETTLING;
         let (phase, round) = (self.phase, self.round);
         let slot = &mut self.slots[at];
-        let width = slot.width(phase);
+        let step = slot.step((round, phase), &self.features);
         let (percept, task) = (slot.percept.as_ref()?, slot.task.as_ref()?);
         let task = bound_for(phase, task);
         let own = percept.estimate;
-        let frame = slot.own.frame;
-        let step = Step { range: self.range, round, phase, width, frame, shared: &self.features };
         let companions = self.near.iter().filter(|other| **other != at).filter_map(|&other| self.shared[other]);
         let neighbours = step.neighbours(percept, companions.clone(), &mut slot.policies.ranges);
 
@@ -307,10 +314,14 @@ impl Agent {
         }
         let velocity = match slot.outcome {
             Outcome::Sound | Outcome::Silent => Some(limited(velocity, limit)),
+            Outcome::Held => slot.holds(),
             Outcome::Failed => None,
             // The Controller stops the robot for it, as for any output that is not finite.
             Outcome::Invalid => Some(Vec2::repeat(f32::NAN)),
         };
+        if slot.outcome != Outcome::Held {
+            slot.hold(velocity);
+        }
         Some(Action {
             robot: slot.policies.robot,
             round,
@@ -383,6 +394,7 @@ impl Core for Agent {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::hearing::CommRange;
     use crate::messages::geometry::Motion;
     use crate::messages::ids::RobotId;
     use crate::messages::latch::Latch;
@@ -422,6 +434,8 @@ mod tests {
         let policies = |&robot: &u16| RobotPolicies {
             robot: RobotId(robot),
             dynamics: Dynamics::default(),
+            range: CommRange::fixed(2.0),
+            every: 1,
             channels: Bound::default(),
             run: Box::new(Counting),
             reset: Box::new(Counting),
@@ -429,7 +443,7 @@ mod tests {
             ranges: stream(),
         };
         let robots = robots.iter().map(policies).collect();
-        let mut agent = Agent::new(passage, CommRange::fixed(2.0), Span::from_millis(12), robots);
+        let mut agent = Agent::new(passage, Span::from_millis(12), robots);
         let task = Task { start: Vec2::new(0.0, -1.5), goal: Vec2::new(0.0, 1.5) };
         let tasks = [task; 3].into();
         let (phase, first, latch) = (Phase::Running, RobotId(0), Latch::default());
@@ -483,7 +497,7 @@ mod tests {
         // A drawn range, even with a tiny deviation, has no bound: all robots are examined.
         let out = [0.0, 1e-30].map(|std_m| {
             let (mut agent, mut out) = (agent(&robots), Vec::new());
-            agent.range.std_m = std_m;
+            agent.slots.iter_mut().for_each(|slot| slot.policies.range.std_m = std_m);
             for &robot in &robots {
                 agent.slots[usize::from(robot)].task = agent.slots[0].task;
                 agent.handle(Time::ZERO, percept(robot, f32::from(robot * 37 % 60) * 0.7, Vec::new()), &mut out);
@@ -677,8 +691,9 @@ mod tests {
             let (run, channels) = make();
             let stream = || Seed::of_run(0).stream("agent");
             let (robot, task, reset) = (slot.policies.robot, slot.task, Box::new(Counting));
+            let RobotPolicies { range, every, .. } = slot.policies;
             let (dynamics, actions, ranges) = (Dynamics::default(), stream(), stream());
-            *slot = Slot::new(RobotPolicies { robot, dynamics, channels, run, reset, actions, ranges });
+            *slot = Slot::new(RobotPolicies { robot, dynamics, range, every, channels, run, reset, actions, ranges });
             slot.task = task;
         }
     }
@@ -756,6 +771,29 @@ mod tests {
         }
         let steps = [100, 150, 200].map(|ms| step_of(&mut agent, ms)[1]);
         assert_eq!(steps, [([0.0, 0.0], 1.0), ([0.01, 0.0], 2.0), ([0.02, 0.0], 3.0)]);
+    }
+
+    #[test]
+    fn a_policy_with_a_longer_period_steps_at_its_own_ticks_and_holds_between() {
+        let mut agent = agent(&[0, 1]);
+        agent.slots[1].policies.every = 3;
+        for slot in &mut agent.slots {
+            slot.policies.run = Box::new(Remembering { steps: 0.0, said: [0.0] });
+            slot.policies.channels = Bound::default();
+        }
+        agent.slots[0].policies.run = Box::new(Counting);
+        // Of robot 1: its speed, and whether it broadcasts. Robot 0 hears it in each step, and counts it.
+        let mut step = |ms: u64| {
+            let (now, mut out) = (Time::ZERO + Span::from_millis(ms), Vec::new());
+            for robot in [0, 1] {
+                agent.handle(now, percept(robot, f32::from(robot), Vec::new()), &mut out);
+            }
+            let said = out.iter().filter(|out| matches!(out, Out::Latent(latent) if latent.robot == RobotId(1)));
+            (speeds(&out)[1].1, said.count())
+        };
+        let steps = [100, 150, 200, 250, 300, 350, 400].map(&mut step);
+        assert_eq!(steps.map(|(_, said)| said), [1, 0, 0, 1, 0, 0, 1]);
+        assert_eq!(steps.map(|(speed, _)| speed), [0.01, 0.01, 0.01, 0.02, 0.02, 0.02, 0.03]);
     }
 
     #[test]

@@ -21,11 +21,13 @@ pub(super) struct SharedData {
     /// Start and end of the robot's latent features within the list of all latents of the Agent's current step; `None`
     /// if the robot broadcasts nothing.
     pub features: Option<[u32; 2]>,
+    /// Time since the step in which the features were computed; zero if that is the current one.
+    pub age: Span,
 }
 
 /// Data of an Agent's current step that decide which messages the policy of one robot gets.
 pub(super) struct Step<'a> {
-    /// Communication range between the robots of the Agent.
+    /// Communication range within which the robot hears the others of its Agent.
     pub range: CommRange,
     /// Round that the Agent follows; messages that were sent in another round are not used.
     pub round: Round,
@@ -33,6 +35,8 @@ pub(super) struct Step<'a> {
     pub phase: Phase,
     /// Number of floats in a latent of the policy; messages of another length are not used.
     pub width: usize,
+    /// Age up to which messages of the others of the Agent are used.
+    pub hold: Span,
     /// Policy frame of the robot, into which neighbours' motions are rotated.
     pub frame: PolicyFrame,
     /// Latent features of the Agent's robots, one after the other.
@@ -49,7 +53,7 @@ impl<'a> Step<'a> {
         companions: impl Iterator<Item = SharedData>,
         ranges: &mut Stream,
     ) -> Vec<Neighbour<'a>> {
-        let Step { range, round, phase, width, frame, shared } = *self;
+        let Step { range, round, phase, width, hold, frame, shared } = *self;
         let usable =
             |heard: &&NeighbourLatent| heard.round == round && heard.phase == phase && heard.features.0.len() == width;
         let cached = percept.heard.iter().filter(usable).map(|heard| {
@@ -59,11 +63,11 @@ impl<'a> Step<'a> {
             )
         });
         let own = percept.estimate;
-        let joint = companions.filter_map(|other| {
+        let joint = companions.filter(|other| other.age <= hold).filter_map(|other| {
             let [begins, ends] = other.features?.map(|at| at as usize);
             range.admits(own.position, other.motion.position, ranges).then(|| {
                 let motion = frame.turn_motion(&other.motion);
-                (other.robot, Neighbour { motion, features: &shared[begins..ends], age: Span::ZERO })
+                (other.robot, Neighbour { motion, features: &shared[begins..ends], age: other.age })
             })
         });
         let mut neighbours: Vec<(RobotId, Neighbour)> = cached.chain(joint).collect();

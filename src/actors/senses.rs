@@ -18,8 +18,10 @@ pub enum In {
     Packet(u8, Box<[u8]>),
 }
 
-/// Sense of the robot with its name and the number of its values.
+/// Sense of the robot with its index, its name and the number of its values.
 pub struct Named {
+    /// Index of the sense among those of the team.
+    pub index: u8,
     /// Name of the sense in the deployment.
     pub name: String,
     /// Number of values.
@@ -32,7 +34,7 @@ pub struct Named {
 pub struct Senses {
     robot: RobotId,
     senses: Vec<Named>,
-    /// Number of inputs or values that were refused, by the index of the sense and by reason.
+    /// Number of inputs or values that were refused, by the place of the sense and by reason.
     refused: BTreeMap<(usize, &'static str), u64>,
     outputs: Vec<senses::Out>,
 }
@@ -43,7 +45,7 @@ impl Senses {
         Senses { robot, senses, refused: BTreeMap::new(), outputs: Vec::new() }
     }
 
-    /// Publishes what the sense with this `index` has put out.
+    /// Publishes what the sense at this place has put out.
     fn forward(&mut self, index: usize, out: &mut Vec<Sensed>) {
         for output in std::mem::take(&mut self.outputs) {
             let refused = match output {
@@ -52,7 +54,7 @@ impl Senses {
                     "its values are not as many as it has said"
                 }
                 senses::Out::Values { stamp_ns, values } => {
-                    let sense = u8::try_from(index).expect("a checked team has few senses");
+                    let sense = self.senses[index].index;
                     let sensed = Sensed { robot: self.robot, sense, stamp_ns, values: Features(values.into()) };
                     if sensed.is_sound() {
                         out.push(sensed);
@@ -89,10 +91,9 @@ impl Core for Senses {
                 }
             }
             In::Packet(index, packet) => {
-                let index = usize::from(index);
-                if let Some(named) = self.senses.get_mut(index) {
-                    named.sense.take(now, senses::In::Packet(&packet), &mut self.outputs);
-                    self.forward(index, out);
+                if let Some(at) = self.senses.iter().position(|named| named.index == index) {
+                    self.senses[at].sense.take(now, senses::In::Packet(&packet), &mut self.outputs);
+                    self.forward(at, out);
                 }
             }
         }
@@ -130,14 +131,14 @@ mod tests {
 
     #[test]
     fn values_are_published_with_the_index_of_their_sense_and_bad_ones_are_counted() {
-        let named = |name: &str| Named { name: name.to_owned(), floats: 2, sense: Box::new(Bytes) };
-        let mut senses = Senses::new(RobotId(3), vec![named("a"), named("b")]);
+        let named = |index: u8, name: &str| Named { index, name: name.to_owned(), floats: 2, sense: Box::new(Bytes) };
+        let mut senses = Senses::new(RobotId(3), vec![named(0, "a"), named(2, "c")]);
         let mut out = Vec::new();
-        for (index, packet) in [(1, vec![4, 5]), (0, vec![1]), (1, vec![1, 255]), (9, vec![1, 2])] {
+        for (index, packet) in [(2, vec![4, 5]), (0, vec![1]), (2, vec![1, 255]), (1, vec![1, 2])] {
             senses.handle(Time::from_nanos(7), In::Packet(index, packet.into()), &mut out);
         }
         let [sensed] = &out[..] else { panic!("one is valid: {out:?}") };
-        assert_eq!((sensed.robot, sensed.sense, sensed.stamp_ns), (RobotId(3), 1, 7));
+        assert_eq!((sensed.robot, sensed.sense, sensed.stamp_ns), (RobotId(3), 2, 7));
         assert_eq!(*sensed.values.0, [4.0, 5.0]);
         assert_eq!(senses.refused.values().sum::<u64>(), 2);
     }

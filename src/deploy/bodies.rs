@@ -48,7 +48,8 @@ impl Deployment {
 
     fn body_settings(&self, robot: RobotId) -> Settings {
         let own = self.bodies.get(&robot.0.to_string());
-        own.map_or_else(|| self.body.clone(), |own| own.or(&self.body))
+        let of_role = self.role_of(robot).map_or_else(|| self.body.clone(), |(_, role)| role.body.or(&self.body));
+        own.map_or_else(|| of_role.clone(), |own| own.or(&of_role))
     }
 
     /// Returns the chassis (drive and limits of speed) of all robots, indexed by robot. Panics if settings are invalid,
@@ -76,11 +77,18 @@ impl Deployment {
             return Err(ConfigError::field("bodies", why));
         }
         let check = |settings: &Settings| settings.chassis().and_then(|_| HardwareLimits::of(settings)).map(drop);
-        self.bodies.iter().try_for_each(|(number, own)| {
-            check(&own.or(&self.body)).map_err(|error| error.within(&format!("bodies.{number}")))
-        })?;
+        for (number, robot) in self.bodies.keys().filter_map(|number| Some((number, number.parse().ok()?))) {
+            check(&self.body_settings(RobotId(robot))).map_err(|error| error.within(&format!("bodies.{number}")))?;
+        }
+        for (name, role) in &self.roles {
+            check(&role.body.or(&self.body)).map_err(|error| error.within("body").within(name).within("roles"))?;
+        }
+        let own = |robot: &RobotId| {
+            let of_role = self.role_of(*robot).is_some_and(|(_, role)| !role.body.is_empty());
+            of_role || self.bodies.contains_key(&robot.0.to_string())
+        };
         // If every robot has settings of its own, the common ones need not be complete.
-        match self.bodies.len() == self.robots {
+        match RobotId::team(self.robots).all(|robot| own(&robot)) {
             true => Ok(()),
             false => check(&self.body).map_err(|error| error.within("body")),
         }

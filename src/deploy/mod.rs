@@ -8,6 +8,7 @@ pub mod conditions;
 mod judging;
 mod links;
 mod presets;
+mod roles;
 mod routes;
 mod senses;
 mod size;
@@ -15,6 +16,7 @@ pub mod team;
 mod ticks;
 
 pub use presets::MODES;
+pub use roles::{Role, Roles, roles_of};
 pub use routes::Routes;
 pub use senses::senses_of;
 
@@ -180,6 +182,9 @@ pub struct Deployment {
     /// Senses of all robots, by their names; empty for robots that perceive nothing of their surroundings.
     #[serde(default, skip_serializing_if = "Senses::is_empty")]
     pub senses: Senses,
+    /// Roles of robots that have a policy, a radius, a drive or senses of their own, by their names.
+    #[serde(default, skip_serializing_if = "Roles::is_empty")]
+    pub roles: Roles,
     /// Hosts of the team; the index of a host is its id.
     #[serde(rename = "host")]
     pub hosts: Vec<Host>,
@@ -271,6 +276,7 @@ impl Deployment {
             return wrong("host.state_server", format!("{servers} hosts run a state server; exactly one must"));
         }
         self.check_witness()?;
+        self.check_roles()?;
         self.check_senses()?;
         self.links.iter().try_for_each(Link::check)?;
         self.links.iter().try_for_each(Link::check_radio)?;

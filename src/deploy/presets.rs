@@ -72,6 +72,7 @@ impl Deployment {
             body: Default::default(),
             bodies: Default::default(),
             senses: Default::default(),
+            roles: Default::default(),
             plant: kinematic(),
             gap_m: None,
             scale: None,

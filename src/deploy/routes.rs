@@ -169,7 +169,7 @@ impl Routes {
             links: KINDS.iter().map(|&kind| link_of(kind).map(|index| LinkId(number(index)))).collect(),
             reading_hosts: (0..deployment.robots).map(reading_hosts).collect(),
             witness: deployment.witness,
-            senses: !deployment.senses.is_empty(),
+            senses: !deployment.sense_names().is_empty(),
             agent_hosts,
             agent_host,
             actuator_host,

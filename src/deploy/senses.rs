@@ -24,10 +24,16 @@ pub fn senses_of(text: &str) -> Result<Senses, ConfigError> {
 }
 
 impl Deployment {
-    /// Returns the deployment with these senses of its robots. If what they perceive has to cross hosts and no link
+    /// Returns the deployment with these senses of all its robots. If what they perceive has to cross hosts and no link
     /// carries it, the link that carries readings does.
     pub fn with_senses(mut self, senses: Senses) -> Deployment {
         self.senses = senses;
+        self.carrying_senses()
+    }
+
+    /// Returns the deployment with a link for what its robots perceive, if that has to cross hosts and no link carries
+    /// it: that of the readings.
+    pub(super) fn carrying_senses(mut self) -> Deployment {
         let carried = self.links.iter().any(|link| link.carries.contains(&Kind::Sensed));
         // The routes need a link for all that crosses, which the check of the deployment looks for.
         if !carried && Routes::of(&self).crosses(Kind::Sensed) {
@@ -57,12 +63,13 @@ impl Deployment {
 
     /// Checks number and names of the senses. An error names the field.
     pub(super) fn check_senses(&self) -> Result<(), ConfigError> {
-        if self.senses.len() > MAX_SENSES {
-            let why = format!("{} of them; a robot has at most {MAX_SENSES}", self.senses.len());
+        let names = self.sense_names();
+        if names.len() > MAX_SENSES {
+            let why = format!("{} of them; a team has at most {MAX_SENSES}", names.len());
             return Err(ConfigError::field("senses", why));
         }
         let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
-        match self.senses.keys().find(|name| name.is_empty() || name.len() > MAX_NAME || !name.chars().all(plain)) {
+        match names.iter().find(|name| name.is_empty() || name.len() > MAX_NAME || !name.chars().all(plain)) {
             None => Ok(()),
             Some(name) => {
                 let why = format!("a name is 1 to {MAX_NAME} of a-z, 0-9, '-' and '_'");

@@ -114,7 +114,7 @@ fn published(out: localizer::Out) -> Wire {
 pub(super) fn wire_source(clock: &Clock, trial: &Trial, graph: &Graph, process: &Process) {
     let (Some(host), Some(device)) = (process.ends.keys().next().copied(), &process.devices.source) else { return };
     let network = graph.network_of(host);
-    let axis_m_s = Some(trial.model.interface().limit_m_s);
+    let axis_m_s = Some(trial.models.limit_m_s());
     start_source(clock, &graph.source, device, (&trial.deployment, host, &trial.estimator, axis_m_s), move |out| {
         network.send(network::In::Publish(published(out)));
     });
@@ -180,7 +180,7 @@ pub(super) fn wire_world(
     let (persistent, placement) = (Rc::new(RefCell::new(PersistentPlant::new(plant))), trial.placement());
     let place = &graph.worlds[simulated[0].index()];
     let scenario = Arc::clone(&trial.scenario);
-    let (senses, perceives) = (graph.senses.clone(), !trial.deployment.senses.is_empty());
+    let (senses, perceives) = (graph.senses.clone(), !trial.deployment.sense_names().is_empty());
     let perceiving = simulated.clone();
     let make = move |_| {
         World::new(Rc::clone(&persistent), Arc::clone(&scenario), placement, &simulated, &others).with_scenes(perceives)

@@ -157,7 +157,7 @@ pub(crate) fn closed(host: &Host, trial: &Trial, registry: &Registry) -> Result<
 
 /// Returns the robots of each Agent of a host whose policies are computed by a worker.
 fn agents_apart(host: &Host, trial: &Trial) -> impl Iterator<Item = Vec<RobotId>> {
-    let all = host.agents.iter().filter(|_| trial.model.runs_apart());
+    let all = host.agents.iter().filter(|_| trial.models.run_apart());
     all.map(|robots| robots.iter().copied().map(RobotId).collect::<BTreeSet<_>>().into_iter().collect())
 }
 
@@ -223,11 +223,8 @@ pub(crate) fn open_senses(
     trial: &Trial,
     (devices, workers): (&mut Devices, &mut Workers),
 ) -> Result<(), DeviceError> {
-    if trial.deployment.senses.is_empty() {
-        return Ok(());
-    }
     for robot in host.simulates.iter().chain(&host.actuates).copied().map(RobotId) {
-        for (index, (name, parts)) in (0..).zip(trial.senses(robot)?) {
+        for (index, name, parts) in trial.senses(robot)? {
             let Some(worker) = parts.worker else { continue };
             worker.check().map_err(|error| error.within(&name).within("senses"))?;
             let gate = start_worker(worker, format!("{name} {}", robot.0), workers)?;

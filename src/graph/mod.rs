@@ -165,7 +165,6 @@ fn phase(trial: &Trial, name: &str, robot: RobotId, period: Span) -> Span {
 /// commanded points, which lie ahead of the centre of a differential drive. Therefore the least distances of the guard
 /// are larger by the offset of these points, and its geofence is smaller.
 fn guard_config(trial: &Trial, robot: RobotId, chassis: &[Chassis]) -> filter::Settings {
-    let interface = trial.model.interface();
     let own = &chassis[robot.index()];
     let others = RobotId::team(chassis.len()).zip(chassis.iter()).filter(|(other, _)| *other != robot);
     let farthest_m = others.map(|(_, other)| other.point_ahead_m).fold(0.0, f32::max);
@@ -174,9 +173,9 @@ fn guard_config(trial: &Trial, robot: RobotId, chassis: &[Chassis]) -> filter::S
         half_extent: trial.scenario.arena().half_extent.add_scalar(-own.point_ahead_m),
         walls: trial.scenario.arena().keep_outs.as_slice().into(),
         // At most the speed of the chassis, so that the guard judges the velocity that is really driven.
-        limit_m_s: interface.limit_m_s.min(own.speed_m_s),
+        limit_m_s: trial.models.of(robot).interface().limit_m_s.min(own.speed_m_s),
         clamp: trial.clamp,
-        period: interface.period,
+        period: trial.models.period(),
     }
 }
 
@@ -191,20 +190,20 @@ fn wire_robot(
 ) {
     let (at, id, seed) = (robot.index(), robot.0, trial.streams());
     let first = graph.routes.agent_robots(robot)[0];
-    let interface = trial.model.interface();
+    let (interface, period) = (trial.models.of(robot).interface(), trial.models.period());
     let config = cache::Config {
         robot,
-        period: interface.period,
+        period,
         // All robots of an agent tick at the same time, for a synchronous joint step.
-        phase: trial.deployment.tick_offset(first).unwrap_or_else(|| phase(trial, "agent", first, interface.period)),
-        range: trial.comm_range(),
+        phase: trial.deployment.tick_offset(first).unwrap_or_else(|| phase(trial, "agent", first, period)),
+        range: trial.comm_range(robot),
         hold: interface.hold,
         handling: trial.handling,
         estimator: trial.estimator,
         sensor_delay: trial.reading_delay(),
         own_age: Span::from_secs(trial.safety.own_state_s),
         limit_m_s: interface.limit_m_s,
-        senses: trial.deployment.senses.len(),
+        senses: trial.deployment.sense_names().len(),
     };
     let make = move |incarnation| Cache::new(config, seed.stream(&format!("cache/{id}/range/{incarnation}")));
     let (agent, controller) = (graph.agents[at].clone(), graph.controllers[at].clone());
@@ -315,7 +314,7 @@ fn wire_network(
 ) {
     let name = trial.deployment.hosts[usize::from(host.0)].name.clone();
     let (end, network) = (&process.ends[&host], &graph.networks[usize::from(host.0)]);
-    let what = (graph.routes.router(host), parts_of(&trial.model), info_span!("network", host = name));
+    let what = (graph.routes.router(host), parts_of(&trial.models), info_span!("network", host = name));
     let events = Rc::clone(&graph.events);
     let server = (graph.routes.server_host() == host).then(|| graph.server.clone());
     let report = move |event: Event| {

@@ -174,7 +174,11 @@ impl Graph {
             controllers: team().map(named("controller")).map(Mailbox::new).collect(),
             bodies: team().map(named("body")).map(Mailbox::new).collect(),
             sensors: team().map(named("localizer")).map(Mailbox::new).collect(),
-            senses: team().filter(|_| !deployment.senses.is_empty()).map(named("senses")).map(Mailbox::new).collect(),
+            senses: team()
+                .filter(|_| !deployment.sense_names().is_empty())
+                .map(named("senses"))
+                .map(Mailbox::new)
+                .collect(),
             source: Mailbox::new("localizer"),
             worlds,
             server: Mailbox::new("state server"),
@@ -186,7 +190,7 @@ impl Graph {
             recorder,
             episodes: EpisodeNotice::default(),
             routes,
-            policy: if process.emulated { 0 } else { trial.model.mark() },
+            policy: if process.emulated { 0 } else { trial.models.mark() },
             signed: process.ends.values().any(|end| end.key.as_ref().is_some_and(|key| key.signatures().is_some())),
         }
     }

@@ -22,10 +22,10 @@ pub(super) fn wire_senses(clock: &Clock, trial: &Rc<Trial>, graph: &Graph, robot
     let (trial, seed) = (Rc::clone(trial), trial.streams());
     let make = move |incarnation| {
         let all = trial.senses(robot).unwrap_or_else(|error| panic!("the senses were checked: {error}"));
-        let named = all.into_iter().map(|(name, parts)| {
+        let named = all.into_iter().map(|(index, name, parts)| {
             let stream = seed.stream(&format!("sense/{name}/{}/{incarnation}", robot.0));
             let sense = (parts.sense)(Site { robot, arena: trial.scenario.arena(), stream });
-            Named { name, floats: parts.layout.floats(), sense }
+            Named { index, name, floats: parts.layout.floats(), sense }
         });
         Senses::new(robot, named.collect())
     };

@@ -10,6 +10,7 @@ pub mod hops;
 pub mod manifest;
 pub mod mlp;
 mod model;
+mod models;
 pub mod orca;
 pub mod probe;
 pub mod roadmap;
@@ -19,6 +20,7 @@ pub mod shipped;
 pub mod weights;
 
 pub use model::{Model, ModelError, Origin};
+pub use models::{Models, Unequal};
 
 use std::sync::Arc;
 

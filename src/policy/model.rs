@@ -53,6 +53,9 @@ pub struct Origin {
     pub apart: bool,
     /// Form in which the policy's messages travel.
     pub form: Form,
+    /// Name of what the policy's messages mean, by which policies that were made for each other understand each other;
+    /// empty for a policy that understands no other one.
+    pub message: String,
     /// Whether the policy commands a yaw rate, which only a robot with a differential drive follows.
     pub turns: bool,
 }
@@ -280,6 +283,14 @@ impl Model {
         match self {
             Model::Custom(custom) => custom.origin.form,
             Model::Orca | Model::Gnn(..) | Model::Hops(..) => Form::default(),
+        }
+    }
+
+    /// Returns the name of what the policy's messages mean; empty if no other policy understands them.
+    pub fn message(&self) -> &str {
+        match self {
+            Model::Custom(custom) => &custom.origin.message,
+            Model::Orca | Model::Gnn(..) | Model::Hops(..) => "",
         }
     }
 

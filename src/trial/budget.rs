@@ -4,11 +4,12 @@ use std::fmt;
 
 use crate::config::ConfigError;
 use crate::deploy::{Deployment, Link};
+use crate::messages::ids::RobotId;
 use crate::messages::wire::{Encoding, Form, Kind};
 use crate::net::media::radio::bianchi::Saturation;
 use crate::net::media::radio::{Radio, Topology};
 use crate::net::protocol::parts;
-use crate::policy::{Interface, Model};
+use crate::policy::Models;
 
 /// Needs of a policy's messages on a link, without repairs and all else.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,7 +22,7 @@ pub struct Budget {
     pub floats: usize,
     /// Encoding of the floats.
     pub encoding: Encoding,
-    /// Messages of a robot in a second.
+    /// Messages of a robot in a second, of the mean of all.
     pub rate_hz: f64,
     /// Payload of the datagrams of all robots \[bit/s\].
     pub needs_bit_s: f64,
@@ -56,16 +57,18 @@ impl fmt::Display for Budget {
     }
 }
 
-/// Returns the budgets of the links on which messages in parts of `model` travel; none if its messages fit into a
+/// Returns the budgets of the links on which messages in parts of `models` travel; none if their messages fit into a
 /// datagram, or if none leaves its host.
-pub(super) fn of(deployment: &Deployment, model: &Model) -> Vec<Budget> {
-    let (Interface { features, period, .. }, form) = (model.interface(), model.form());
+pub(super) fn of(deployment: &Deployment, models: &Models) -> Vec<Budget> {
+    let (features, form, robots) = (models.features(), models.form(), deployment.robots);
+    let rate_hz = |robot: RobotId| 1.0 / models.of(robot).interface().period.as_secs();
+    let mean_hz = RobotId::team(robots).map(rate_hz).sum::<f64>() / robots as f64;
     let hosts = deployment.hosts.iter().filter(|host| !host.agents.is_empty()).count();
     if !form.is_in_parts(features) || hosts < 2 {
         return Vec::new();
     }
     let carrying = deployment.links.iter().filter(|link| link.carries.contains(&Kind::Latent));
-    carrying.map(|link| budget(link, (deployment.robots, hosts), (features, form), 1.0 / period.as_secs())).collect()
+    carrying.map(|link| budget(link, (robots, hosts), (features, form), mean_hz)).collect()
 }
 
 fn budget(link: &Link, (robots, hosts): (usize, usize), (floats, form): (usize, Form), rate_hz: f64) -> Budget {
@@ -88,9 +91,9 @@ fn budget(link: &Link, (robots, hosts): (usize, usize), (floats, form): (usize, 
     Budget { link, robots, floats, encoding: form.encoding, rate_hz, needs_bit_s, carries_bit_s, is_known }
 }
 
-/// Checks that the emulated radio channels of a deployment carry the messages of `model`.
-pub(super) fn check(deployment: &Deployment, model: &Model) -> Result<(), ConfigError> {
-    match of(deployment, model).into_iter().find(|budget| budget.is_known && budget.is_exceeded()) {
+/// Checks that the emulated radio channels of a deployment carry the messages of `models`.
+pub(super) fn check(deployment: &Deployment, models: &Models) -> Result<(), ConfigError> {
+    match of(deployment, models).into_iter().find(|budget| budget.is_known && budget.is_exceeded()) {
         None => Ok(()),
         Some(budget) => {
             let why = format!("{budget}: send fewer floats or steps, in a smaller encoding, or at a higher basic_rate");

@@ -30,7 +30,7 @@ use crate::hearing::Handling;
 use crate::messages::ids::RobotId;
 use crate::messages::wire::Stop;
 use crate::observation::{Bound, ChannelError, Dynamics};
-use crate::policy::{self, Model};
+use crate::policy::{self, Model, Models};
 use crate::random::Seed;
 use crate::registry::Registry;
 use crate::results::totals::Steps;
@@ -60,8 +60,8 @@ pub struct Trial {
     pub scenario: Arc<dyn Scenario>,
     /// Properties of the simulated robots, such as their largest acceleration and their sensor.
     pub physics: Physics,
-    /// Policy that drives the robots during an episode.
-    pub model: Model,
+    /// Policies that drive the robots during an episode: one for all, or one for each role.
+    pub models: Models,
     /// Starts and goals of the robots in each episode; their number is the number of episodes.
     pub layouts: Layouts,
     /// Seed of the run. The layouts (starts and goals) of the episodes are drawn from it alone.
@@ -143,7 +143,7 @@ impl Trial {
         registry: &Registry,
         deployment: Deployment,
         scenario: Arc<dyn Scenario>,
-        model: Model,
+        model: impl Into<Models>,
     ) -> Trial {
         assert_eq!(deployment.robots, scenario.robots(), "a deployment is made for the scenario's team");
         Trial {
@@ -152,7 +152,7 @@ impl Trial {
             registry: registry.clone(),
             deployment,
             scenario,
-            model,
+            models: model.into(),
             seed: 0,
             repeat: 0,
             range: None,
@@ -168,12 +168,12 @@ impl Trial {
         }
     }
 
-    /// Makes the trial of a team file, with the policy `model`. Each host of the team makes the same trial and runs its
+    /// Makes the trial of a team file, with the policies `models`. Each host of the team makes the same trial and runs its
     /// own part of it. An error names the wrong field.
-    pub fn of_host(registry: &Registry, team: &Team, model: Model) -> Result<Trial, TrialError> {
+    pub fn of_host(registry: &Registry, team: &Team, models: impl Into<Models>) -> Result<Trial, TrialError> {
         let scenario = registry.scenario(&team.scenario, &team.deployment.settings())?;
         let layouts = Layouts::of_scenario(&*scenario, team.seed, team.episodes);
-        let trial = Trial::with_registry(registry, team.deployment.clone(), scenario, model);
+        let trial = Trial::with_registry(registry, team.deployment.clone(), scenario, models);
         let SimulationSettings { physics, clamp, handling } = team.simulated;
         let (estimator, sensor_delay) = (team.estimator, team.sensor_delay);
         let (seed, safety) = (team.seed, team.safety);
@@ -189,9 +189,14 @@ impl Trial {
         self.clamp(clamp)
     }
 
-    /// Sets the policy that drives the robots during an episode.
-    pub fn model(mut self, model: Model) -> Trial {
-        self.model = model;
+    /// Sets the policy that drives all robots during an episode.
+    pub fn model(self, model: Model) -> Trial {
+        self.models(model)
+    }
+
+    /// Sets the policies that drive the robots during an episode.
+    pub fn models(mut self, models: impl Into<Models>) -> Trial {
+        self.models = models.into();
         self
     }
 
@@ -262,21 +267,33 @@ impl Trial {
         let plant = self.registry.plant(&deployment.plant);
         deployment.check_drives(plant.map_err(|error| ConfigError::field("plant", error.to_string()))?)?;
         self.safety.check()?;
-        let holonomic = |robot: &RobotId| self.deployment.chassis(*robot).point_ahead_m == 0.0;
-        if let Some(robot) = RobotId::team(self.deployment.robots).find(|robot| self.model.turns() && holonomic(robot))
-        {
-            let why = format!("it commands a yaw rate, and {robot} has a holonomic drive: it needs 'differential'");
-            return Err(ConfigError::field("policy", why));
-        }
         self.check_senses()?;
-        self.channels().map_err(|error| ConfigError::field("policy", error.to_string()))?;
-        budget::check(&self.deployment, &self.model)?;
+        RobotId::team(self.deployment.robots).try_for_each(|robot| self.check_policy(robot))?;
+        budget::check(&self.deployment, &self.models)?;
         if let Some((_, stop)) = self.stops.iter().find(|(_, stop)| usize::from(stop.by.0) >= deployment.hosts.len()) {
             let reason = format!("there is no host {}; there are {}, from 0", stop.by.0, deployment.hosts.len());
             return Err(ConfigError::field("stops", reason));
         }
         self.faults.check(&deployment.targets())?;
         self.faults.check_episodes(self.layouts.len())
+    }
+
+    /// Checks that a robot has the drive and the channels that its policy needs. An error names the field.
+    fn check_policy(&self, robot: RobotId) -> Result<(), ConfigError> {
+        let field = self.policy_field(robot);
+        if self.models.of(robot).turns() && self.deployment.chassis(robot).point_ahead_m == 0.0 {
+            let why = format!("it commands a yaw rate, and {robot} has a holonomic drive: it needs 'differential'");
+            return Err(ConfigError::field(field, why));
+        }
+        self.channels(robot).map(drop).map_err(|error| ConfigError::field(field, error.to_string()))
+    }
+
+    /// Returns the name of the field that states the policy of a robot.
+    fn policy_field(&self, robot: RobotId) -> String {
+        match self.deployment.role_of(robot).filter(|(_, role)| role.policy.is_some()) {
+            Some((name, _)) => format!("roles.{name}.policy"),
+            None => "policy".to_owned(),
+        }
     }
 
     /// Returns whether robots are placed at their starts before an episode, or drive there. Robots are placed if the
@@ -290,23 +307,26 @@ impl Trial {
         if place { Placement::Exact } else { self.deployment.placement }
     }
 
-    /// Returns the range within which robots use each other's messages: the trial's own, or that of the policy.
-    pub fn comm_range(&self) -> CommRange {
-        self.range.unwrap_or(CommRange::fixed(self.model.interface().radius_m))
+    /// Returns the range within which a robot uses the messages of others: the trial's own, or that of the robot's role,
+    /// or that of its policy.
+    pub fn comm_range(&self, robot: RobotId) -> CommRange {
+        let of_role = self.deployment.role_of(robot).and_then(|(_, role)| role.radius_m);
+        let radius_m = of_role.unwrap_or_else(|| self.models.of(robot).interface().radius_m);
+        self.range.unwrap_or(CommRange::fixed(radius_m))
     }
 
-    /// Returns the channels of the observation that the policy takes, joined with those of the scenario and the senses.
-    /// An error names a channel that the team has not, or has otherwise.
-    pub fn channels(&self) -> Result<Bound, ChannelError> {
+    /// Returns the channels of the observation that the policy of a robot takes, joined with those of the scenario and
+    /// the robot's senses. An error names a channel that the robot has not, or has otherwise.
+    pub fn channels(&self, robot: RobotId) -> Result<Bound, ChannelError> {
         let mut channels = self.scenario.channels();
-        channels.extend(self.sense_channels());
-        Bound::new(self.model.requests(), &channels)
+        channels.extend(self.sense_channels(robot));
+        Bound::new(self.models.of(robot).requests(), &channels)
     }
 
     /// Returns what the policy's messages need of the links on which they travel in parts; nothing if they fit into a
     /// datagram.
     pub fn budgets(&self) -> Vec<Budget> {
-        budget::of(&self.deployment, &self.model)
+        budget::of(&self.deployment, &self.models)
     }
 
     /// Returns the delay from a measurement to the arrival of its reading, for which the estimator can compensate.

@@ -11,6 +11,7 @@ mod policies;
 #[path = "../program/mod.rs"]
 mod program;
 mod refusals;
+mod roles;
 mod shells;
 mod sizes;
 mod study;

@@ -10,7 +10,7 @@ use murmurate::world::ContactRule;
 /// least `least` succeed and no robot touches anything.
 fn check(scenario: &str, robots: usize, least: usize) {
     let mut trial = Trial::of_team("onboard-adhoc", scenario, robots).expect("there is room").seed(3).episodes(12);
-    trial.model = Model::built_in("any-size", scenario).expect("it is built in");
+    trial.models = Model::built_in("any-size", scenario).expect("it is built in").into();
     (trial.physics.contacts, trial.physics.wall_radius_m, trial.physics.lag_s) = (ContactRule::Judge, 0.16, 0.5);
     let report = trial.clamp(Clamp::Deployed).safety(Safety::deployed()).run();
     let contacts = |verdict| matches!(verdict, Verdict::RobotCollision | Verdict::WallCollision);

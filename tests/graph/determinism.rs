@@ -43,7 +43,7 @@ fn the_same_seed_gives_the_same_trace() {
 
 #[test]
 fn a_sampled_policy_is_deterministic_too() {
-    let trial = || Trial { model: policy::untrained(4), ..busy("onboard-adhoc") }.episodes(1);
+    let trial = || Trial { models: policy::untrained(4).into(), ..busy("onboard-adhoc") }.episodes(1);
     assert_eq!(trace(&trial().run()), trace(&trial().run()));
 }
 

@@ -277,7 +277,7 @@ fn no_policy_makes_whole_teams_collide() {
     for wish in [Wish::Jitter, Wish::Chase] {
         for clamp in [Clamp::Deployed, Clamp::Training] {
             let mut trial = Trial::preset("onboard-adhoc", "passage").expect("a preset").seed(7).episodes(episodes);
-            trial.model = Model::custom("unsafe", INTERFACE, move |_| Box::new(Unsafe(wish)));
+            trial.models = Model::custom("unsafe", INTERFACE, move |_| Box::new(Unsafe(wish))).into();
             (trial.physics.contacts, trial.physics.wall_radius_m) = (ContactRule::Judge, HULL_M);
             trial.physics.lag_s = 0.5;
             trial.deployment =
@@ -316,7 +316,7 @@ fn a_policy_observes_whether_the_filter_is_on_and_the_lag_of_its_robot() {
         let seen = Arc::new(Mutex::new(Vec::new()));
         let mut trial = Trial::preset("onboard-adhoc", "passage").expect("a preset").lasting(Span::from_secs(20.0));
         let notes = Arc::clone(&seen);
-        trial.model = Model::custom("noting", INTERFACE, move |_| Box::new(Noting(Arc::clone(&notes))));
+        trial.models = Model::custom("noting", INTERFACE, move |_| Box::new(Noting(Arc::clone(&notes)))).into();
         trial.physics.lag_s = lag_s;
         let trial = if filtered { trial.safety(Safety::filter()) } else { trial };
         trial.run();

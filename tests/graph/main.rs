@@ -20,6 +20,7 @@ mod poses;
 mod radio;
 mod reference;
 mod robomaster;
+mod roles;
 mod safety;
 mod senses;
 mod shell;

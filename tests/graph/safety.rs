@@ -90,7 +90,7 @@ fn a_policy_with_invalid_outputs_moves_no_robot_and_the_episodes_are_aborted() {
     let model = Model::Gnn(Arc::new(GnnWeights::new(file)), Draw::Mean);
     for mode in ["sim", "offboard"] {
         for safety in [Safety::deployed(), Safety::emulated()] {
-            let report = Trial { model: model.clone(), safety, ..trial(mode, 2) }.run();
+            let report = Trial { models: model.clone().into(), safety, ..trial(mode, 2) }.run();
             assert!(report.finished && report.episodes.iter().all(|episode| episode.verdict == Verdict::Aborted));
             assert!(report.totals.safety.output > 0, "{mode}: {:?}", report.totals.safety);
             // A step of a reset may still be executed as the episode begins.
@@ -196,7 +196,7 @@ fn a_minimum_distance_reduces_collisions_of_a_policy_without_messages() {
     let model = weights::read(built_in("robust", "passage").expect("it is built in")).expect("and it can be read");
     let model = Model::Gnn(Arc::new(GnnWeights::new(model)), Draw::Mean);
     let collisions = |distance: Switch| {
-        let mut trial = Trial { model: model.clone(), ..trial("centralized", 9) }.episodes(24);
+        let mut trial = Trial { models: model.clone().into(), ..trial("centralized", 9) }.episodes(24);
         trial.range = Some(CommRange::fixed(0.0));
         (trial.physics.contacts, trial.physics.wall_radius_m) = (ContactRule::Judge, 0.16);
         trial.safety = Safety { distance, ..Safety::deployed() };

@@ -9,6 +9,7 @@ use murmurate::deploy::Deployment;
 use murmurate::deploy::conditions::Conditions;
 use murmurate::faults::FaultPlan;
 use murmurate::hearing::CommRange;
+use murmurate::registry::Registry;
 use murmurate::trial::Trial;
 use murmurate_robot::BadInput;
 use murmurate_robot::output::read_text;
@@ -20,12 +21,12 @@ pub fn file(path: &Path) -> Result<Conditions> {
 }
 
 /// Reads and checks a deployment file (TOML). It is an error if the file has a real robot, as a simulation has none.
-pub fn deployment(path: &Path) -> Result<Deployment> {
+pub fn deployment(path: &Path, registry: &Registry) -> Result<Deployment> {
     let text = read_text(path, "deployment file")?;
     let wrong = |error| BadInput(format!("the deployment file '{}': {error}", path.display()));
     let deployment = Deployment::from_toml(&text).map_err(wrong)?;
     deployment.check_simulated().map_err(wrong)?;
-    Ok(deployment)
+    Ok(deployment.from_folder(registry, path.parent().unwrap_or(Path::new(""))))
 }
 
 /// Returns the communication range that the flags `--comm-range-m` and `--comm-range-std-m` set: its mean `mean_m`
@@ -44,7 +45,7 @@ pub fn range(mean_m: Option<f32>, std_m: f32, trial: &Trial) -> Result<Option<Co
     if mean_m.is_none() && std_m == 0.0 {
         return Ok(None);
     }
-    let mean_m = mean_m.unwrap_or(trial.model.interface().radius_m);
+    let mean_m = mean_m.unwrap_or(trial.models.radius_m());
     Ok(Some(CommRange { mean_m, std_m }))
 }
 

@@ -151,7 +151,7 @@ fn draw(flag: &str, path: &Path, endings: &[(&str, Draw)]) -> Result<Draw> {
 
 fn stage<'a>(trial: &'a Trial, policy: &str, episode: u32) -> Backdrop<'a> {
     let (robots, scenario) = (trial.scenario.robots(), trial.scenario.name());
-    let window_s = trial.model.interface().hold.as_secs().clamp(0.1, 1.0);
+    let window_s = trial.models.hold().as_secs().clamp(0.1, 1.0);
     let many = if robots == 1 { "robot" } else { "robots" };
     Backdrop {
         title: format!("{robots} {many}, scenario {scenario}, mode {}", trial.deployment.mode),

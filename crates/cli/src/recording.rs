@@ -47,7 +47,7 @@ impl Recorded {
     /// Returns the description of a trial of `sim`. Its record is named after the repeat, such as `repeat-0003`.
     pub fn repeat(trial: &Trial) -> Recorded {
         let name = format!("repeat-{:04}", trial.repeat);
-        Recorded { name, policy: trial.model.digest().to_owned(), job: None }
+        Recorded { name, policy: trial.models.digest(), job: None }
     }
 }
 
@@ -103,7 +103,7 @@ impl Simulated {
         let mut beginning = self.beginning.clone();
         let identity = &mut beginning.identity;
         (identity.repeat, identity.policy, identity.job) = (trial.repeat, recorded.policy.clone(), recorded.job);
-        identity.engine = trial.model.engine().to_owned();
+        identity.engine = trial.models.engine();
         let topics = Topics::new(Stage::of(trial), Scope::Simulation, 0);
         let path = Simulated::path(&self.folder, &recorded.name);
         let recording = match Recording::start(&path, &beginning, topics, (WhenFull::Wait, self.retention)) {

@@ -84,6 +84,11 @@ pub struct Contract {
     pub action: Action,
 }
 
+/// Returns whether a text may be a name in reports.
+fn is_name(text: &str) -> bool {
+    !text.is_empty() && text.chars().count() <= MAX_NAME && !text.chars().any(char::is_control)
+}
+
 fn default_neighbours() -> usize {
     8
 }
@@ -297,7 +302,7 @@ impl Contract {
     /// Checks what no type says. An error names the first wrong field.
     fn check(&self) -> Result<(), ConfigError> {
         let refuse = |field: &str, why: String| Err(ConfigError::field(field, why));
-        if self.name.is_empty() || self.name.chars().count() > MAX_NAME || self.name.chars().any(char::is_control) {
+        if !is_name(&self.name) {
             return refuse("name", format!("it is not 1 to {MAX_NAME} printable characters"));
         }
         if !(10.0..=1000.0).contains(&self.rate_hz) {
@@ -316,6 +321,10 @@ impl Contract {
         if self.message.floats > MAX_FLOATS {
             let floats = self.message.floats;
             return refuse("message.floats", format!("{floats}; a message has at most {MAX_FLOATS}"));
+        }
+        let name = self.message.name.as_deref();
+        if name.is_some_and(|name| !is_name(name)) {
+            return refuse("message.name", format!("it is not 1 to {MAX_NAME} printable characters"));
         }
         if self.message.missing != Missing::Whole && !self.message.form().is_in_parts(self.message.floats) {
             let why = "its message fits into one datagram; leave it out, or send more floats or in another encoding";

@@ -4,11 +4,15 @@ use murmurate::messages::wire::{Encoding, Form, Missing};
 use serde::{Deserialize, Serialize};
 
 /// Message that a robot broadcasts in each step.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Message {
     /// Number of floats; zero if a robot's position and velocity are all that its neighbours use.
     pub floats: usize,
+    /// Name of what the floats mean, which other policies that were made for the same team have, too; `None` if only
+    /// robots of this very policy understand them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
     /// Encoding of the floats, to which they are rounded before they are sent.
     #[serde(default)]
     pub encoding: Encoding,

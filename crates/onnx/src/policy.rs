@@ -310,6 +310,7 @@ impl Network {
             engine: self.engine.clone(),
             apart: true,
             form: self.contract.message.form(),
+            message: self.contract.message.name.clone().unwrap_or_default(),
             turns: self.contract.action.kind == Kind::Twist,
         };
         let draw = (self.contract.action.distribution != Distribution::None).then_some(Draw::Mean);

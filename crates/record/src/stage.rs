@@ -60,7 +60,8 @@ pub struct StageSense {
 impl Stage {
     /// Returns the stage of a trial.
     pub fn of(trial: &Trial) -> Stage {
-        let range_m = trial.comm_range().mean_m;
+        let ranges = RobotId::team(trial.deployment.robots).map(|robot| trial.comm_range(robot).mean_m);
+        let range_m = ranges.fold(0.0, f32::max);
         let senses = trial.sense_layouts().into_iter().map(|(name, layout)| StageSense {
             name,
             rays_rad: layout.sweep.map(|sweep| {

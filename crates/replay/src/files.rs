@@ -3,7 +3,7 @@
 use std::fs::Permissions;
 use std::io;
 use std::os::unix::fs::PermissionsExt;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use murmurate_record::reader::Opened;
 use murmurate_record::share::ACCEPTED;
@@ -27,22 +27,14 @@ impl Files {
             .map_err(|error| failed(&error, "cannot make a folder for the record's files"))?;
         let mut files = Files { folder, files: Vec::new() };
         let named: Vec<_> = opened.attached.iter().filter(|(name, _)| name != ACCEPTED).collect();
-        let mut folders: Vec<&Path> = Vec::new();
-        for (index, (name, content)) in named.into_iter().enumerate() {
-            let last = Path::new(name).file_name().map_or("file".into(), |last| last.to_string_lossy().into_owned());
-            // The name comes from the record, which may be from an untrusted source.
-            let last: String = last.chars().filter(|c| c.is_ascii_alphanumeric() || "-_.".contains(*c)).collect();
-            let last = &last[last.len().saturating_sub(100)..];
-            // Files that were beside each other stay so: a policy's contract names its graphs.
-            let parent = Path::new(name).parent().unwrap_or(Path::new(""));
-            let place = folders.iter().position(|folder| *folder == parent).unwrap_or_else(|| {
-                folders.push(parent);
-                folders.len() - 1
-            });
-            let folder = files.folder().join(place.to_string());
+        let places: Vec<Place> = named.iter().map(|(name, _)| Place::of(Path::new(name))).collect();
+        let up = places.iter().map(|place| place.up).max().unwrap_or(0);
+        for (index, ((name, content), place)) in named.into_iter().zip(places).enumerate() {
+            let folder = place.folder(files.folder(), up);
             std::fs::create_dir_all(&folder)
                 .map_err(|error| failed(&error, &format!("cannot make '{}'", folder.display())))?;
-            let path = Some(folder.join(last)).filter(|path| !last.is_empty() && !path.exists());
+            let last = place.parts.last().map_or("file", String::as_str);
+            let path = Some(folder.join(last)).filter(|path| !path.exists());
             let path = path.unwrap_or_else(|| folder.join(format!("{index}-{last}")));
             std::fs::write(&path, content)
                 .map_err(|error| failed(&error, &format!("cannot write '{}'", path.display())))?;
@@ -62,10 +54,10 @@ impl Files {
         self.files.first().map(|(name, _)| &**name)
     }
 
-    /// Returns the path of the extracted policy file of a host's record, the second file that `LiveRecord` attaches;
-    /// `None` if the policy was given as a name in the registry.
-    pub fn policy(&self) -> Option<&Path> {
-        self.files.get(1).map(|(_, path)| &**path)
+    /// Returns the path of the extracted file that had this path when it was attached; `None` if there is none.
+    pub fn extracted(&self, name: &Path) -> Option<&Path> {
+        let found = self.files.iter().find(|(attached, _)| Path::new(attached) == name);
+        found.map(|(_, path)| &**path)
     }
 
     /// Returns the recorded command-line arguments, with the names of attached files replaced by the paths of the
@@ -88,6 +80,46 @@ impl Files {
         };
         arguments.iter().map(replaced).collect()
     }
+}
+
+/// Place of an attached file relative to the folder in which its program ran. Extracted files have the same places to
+/// each other, since files name others: a policy's contract its graphs, roles their policies.
+struct Place {
+    /// Number of folders above that in which the program ran.
+    up: usize,
+    /// Names of folders from there, and of the file, with few kinds of characters.
+    parts: Vec<String>,
+}
+
+impl Place {
+    fn of(name: &Path) -> Place {
+        let mut place = Place { up: 0, parts: Vec::new() };
+        for component in name.components() {
+            match component {
+                Component::ParentDir if place.parts.is_empty() => place.up += 1,
+                Component::ParentDir => drop(place.parts.pop()),
+                // The name comes from the record, which may be from an untrusted source.
+                Component::Normal(name) => place.parts.push(plain(&name.to_string_lossy())),
+                Component::CurDir | Component::RootDir | Component::Prefix(_) => {}
+            }
+        }
+        place
+    }
+
+    /// Returns the folder of the file within `root`, in which the program's folder is `up` folders deep.
+    fn folder(&self, root: &Path, up: usize) -> PathBuf {
+        let above = std::iter::repeat_n("up", up - self.up);
+        let parents = self.parts.iter().rev().skip(1).rev();
+        root.join("files").join(above.collect::<PathBuf>()).join(parents.collect::<PathBuf>())
+    }
+}
+
+/// Returns a name of a file or folder with plain characters only, and at most 100 of them.
+fn plain(name: &str) -> String {
+    let plain: String = name.chars().filter(|c| c.is_ascii_alphanumeric() || "-_.".contains(*c)).collect();
+    let last = plain[plain.len().saturating_sub(100)..].to_owned();
+    // A name that was made of others' characters may have become one that leads upwards.
+    if last.chars().all(|c| c == '.') { "file".to_owned() } else { last }
 }
 
 /// Returns an error that begins with the attempted operation.
@@ -116,12 +148,14 @@ mod tests {
         let opened = Opened { attached: attached.to_vec(), ..reader::open(&path).unwrap() };
         let files = Files::extract(&opened).unwrap();
         assert_eq!(files.team_file(), Some("teams/a.toml"));
-        let policy = files.policy().unwrap().to_owned();
+        let policy = files.extracted(Path::new("../../b c.toml")).unwrap().to_owned();
         assert_eq!(std::fs::read_to_string(&policy).unwrap(), "policy");
-        assert!(policy.starts_with(files.folder()) && policy.ends_with("1/bc.toml"), "{}", policy.display());
+        assert!(policy.starts_with(files.folder()) && policy.ends_with("files/bc.toml"), "{}", policy.display());
+        let from_team = files.extracted(Path::new("teams/a.toml")).unwrap().parent().unwrap().join("../../../bc.toml");
+        assert_eq!(std::fs::read_to_string(from_team).unwrap(), "policy", "files have their places to each other");
         let given = ["--team=teams/a.toml", "../../b c.toml@held", "teams/a.toml.old"].map(str::to_owned);
         let placed = files.in_place(&given);
-        assert_eq!(placed[0], format!("--team={}", files.folder().join("0/a.toml").display()));
+        assert_eq!(placed[0], format!("--team={}", files.folder().join("files/up/up/teams/a.toml").display()));
         assert_eq!(placed[1], format!("{}@held", policy.display()));
         assert_eq!(placed[2], given[2]);
         drop(files);

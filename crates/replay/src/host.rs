@@ -13,7 +13,7 @@ use murmurate::live::links::ProcessIdentity;
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::key::Key;
 use murmurate::net::protocol::signatures::Signatures;
-use murmurate::policy::Model;
+use murmurate::policy::Models;
 use murmurate::random::Seed;
 use murmurate::registry::Registry;
 use murmurate::time::Time;
@@ -79,13 +79,13 @@ impl Prepared {
     /// `messages` are those of the record, from the first one on.
     pub fn new(
         (path, identity, messages): (&Path, Identity, Messages),
-        (team, model): (&Team, Model),
+        (team, models): (&Team, Models),
         access: Access,
         registry: &Registry,
     ) -> Result<Prepared, ReplayError> {
         let none = || ReplayError::Unusable(format!("'{}' is not of a host", path.display()));
         let of = identity.host.as_ref().ok_or_else(none)?;
-        let trial = Trial::of_host(registry, team, model)?;
+        let trial = Trial::of_host(registry, team, models)?;
         let live = LiveHost::closed(team, &trial, access.key, registry, (&process(path, of)?, &of.transports))?;
         Ok(Prepared { turns: Turns::open(path)?, identity, messages, live, trusts: access.trusts })
     }

@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 use clap::Subcommand;
 use murmurate::config::shown::{self, counted};
 use murmurate::deploy::team::Origin;
-use murmurate::deploy::{Host, Senses};
+use murmurate::deploy::{Deployment, Host};
 use murmurate::graph::devices::{self, RunBy};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::registry::Registry;
@@ -78,16 +78,16 @@ fn check(args: &Check, registry: &Registry) -> Result<Ended> {
     let mode = shown::value(&deployment.mode);
     let path = shown::value(args.team.path().display());
     print(&format!("{path}: valid: mode {mode}, {}, {}, {keys}", counted(hosts, "host"), counted(links, "link")))?;
-    programs(&named, &deployment.senses, registry)?.into_iter().try_for_each(|line| print(&line))?;
+    programs(&named, deployment, registry)?.into_iter().try_for_each(|line| print(&line))?;
     Ok(Ended::Done)
 }
 
 /// Returns the lines that say which programs the hosts run: whoever may write a team file decides on them. None if they
 /// run none.
-fn programs(hosts: &[&Host], senses: &Senses, registry: &Registry) -> Result<Vec<String>> {
+fn programs(hosts: &[&Host], deployment: &Deployment, registry: &Registry) -> Result<Vec<String>> {
     let mut lines = Vec::new();
     for host in hosts {
-        let of_senses = programs_of_senses(host, senses, registry)?;
+        let of_senses = programs_of_senses(host, deployment, registry)?;
         for RunBy { device, command } in devices::programs(host, registry)?.into_iter().chain(of_senses) {
             let command: Vec<String> = command.iter().map(|word| quoted(word)).collect();
             let host = shown::value(&host.name);
@@ -101,10 +101,10 @@ fn programs(hosts: &[&Host], senses: &Senses, registry: &Registry) -> Result<Vec
 }
 
 /// Returns the programs that the senses of a host's robots run.
-fn programs_of_senses(host: &Host, senses: &Senses, registry: &Registry) -> Result<Vec<RunBy>> {
+fn programs_of_senses(host: &Host, deployment: &Deployment, registry: &Registry) -> Result<Vec<RunBy>> {
     let mut programs = Vec::new();
     for &robot in host.simulates.iter().chain(&host.actuates) {
-        for (name, settings) in senses {
+        for (_, name, settings) in deployment.senses_of(RobotId(robot)) {
             let parts = registry.sense(name, settings, RobotId(robot)).map_err(|error| error.within("senses"))?;
             let command = parts.worker.and_then(|worker| worker.runs());
             programs.extend(command.map(|command| RunBy { device: format!("{name} {robot}"), command }));

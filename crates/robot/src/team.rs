@@ -209,10 +209,9 @@ pub fn scenario(team: &Team, registry: &Registry) -> Result<Arc<dyn Scenario>> {
     Ok(registry.scenario(&team.scenario, &team.deployment.settings()).map_err(|e| BadInput(e.to_string()))?)
 }
 
-/// Loads the policy that the team file names, or otherwise the scenario's default policy, with warnings about its use
-/// by this team.
-pub fn policy(team: &Team, registry: &Registry) -> Result<policy::Loaded> {
+/// Loads the policies of the team's roles, and for all other robots the one that the team file names, or otherwise the
+/// scenario's default policy; with warnings about their use by this team.
+pub fn policy(team: &Team, registry: &Registry) -> Result<policy::LoadedTeam> {
     let scenario = scenario(team, registry)?;
-    let loaded = policy::load(registry, team.policy.as_deref(), None, &*scenario)?;
-    Ok(loaded.for_team(&team.deployment.team_chassis()))
+    policy::load_team(registry, team.policy.as_deref(), None, (&team.deployment, &*scenario))
 }

@@ -347,6 +347,8 @@ mod tests {
             RobotPolicies {
                 robot: RobotId(robot),
                 dynamics: Dynamics::default(),
+                range: CommRange::fixed(2.0),
+                every: 1,
                 channels: Bound::default(),
                 run: Box::new(Waiting { go_on: waits, steps: 0.0 }),
                 reset: Box::new(Waiting { go_on: None, steps: 0.0 }),
@@ -354,7 +356,7 @@ mod tests {
                 ranges: stream(),
             }
         });
-        Agent::new(passage, CommRange::fixed(2.0), Span::from_millis(12), policies.collect())
+        Agent::new(passage, Span::from_millis(12), policies.collect())
     }
 
     /// Part on the control thread, with a worker that waits for the test in each step.

@@ -1,9 +1,11 @@
 //! Robots of an Agent: their policies, and what each keeps from one step to the next.
 
+use crate::actors::neighbours::Step;
+use crate::hearing::CommRange;
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::ids::RobotId;
 use crate::messages::local::Percept;
-use crate::messages::wire::{Encoding, MAX_FLOATS, Phase, all_sound};
+use crate::messages::wire::{Encoding, MAX_FLOATS, Phase, Round, all_sound};
 use crate::observation::{Bound, Dynamics, Known, Observation};
 use crate::policy::{Broadcast, Policy};
 use crate::random::Stream;
@@ -16,6 +18,10 @@ pub struct RobotPolicies {
     pub robot: RobotId,
     /// How the robot follows the velocities that the policies command; a part of their observation.
     pub dynamics: Dynamics,
+    /// Communication range within which the robot hears the others of its Agent.
+    pub range: CommRange,
+    /// Number of control ticks from one step of the policy under test to the next; at least 1.
+    pub every: u32,
     /// Channels that the policy under test takes.
     pub channels: Bound,
     /// Policy under test, used in running episodes.
@@ -60,6 +66,11 @@ pub(super) struct Slot {
     pub values: Vec<f32>,
     /// Times of the robot's last step in a running episode, and of the one before it; `None` if there is none.
     stepped: [Option<Time>; 2],
+    /// Number of control ticks until the next step of the policy under test.
+    wait: u32,
+    /// Velocity of the last step, and whether its latent was sound, which hold until the next step; `None` after a step
+    /// that counts as none, and before the first one.
+    held: Option<(Vec2, bool)>,
     /// Latent features that the robot broadcasts in the current step.
     pub features: Vec<f32>,
     /// Outcome of the current step so far.
@@ -70,6 +81,8 @@ pub(super) struct Slot {
     pub widths: [usize; 2],
     /// Encodings to which the latent features are rounded: of the policy under test, and of the reset policy.
     encodings: [Encoding; 2],
+    /// Ages up to which messages are used: by the policy under test, and by the reset policy.
+    holds: [Span; 2],
     /// Longest time between two steps after which the policy under test goes on from its state.
     forgets_after: Option<Span>,
 }
@@ -81,6 +94,8 @@ pub(super) enum Outcome {
     Sound,
     /// The robot acts, and broadcasts nothing.
     Silent,
+    /// The policy has no step in this tick: what it made of its last one holds.
+    Held,
     /// The step counts as none: the robot stands for this tick and broadcasts nothing.
     Failed,
     /// The latent features are not finite or not of the declared length: the policy has diverged, which ends the
@@ -91,6 +106,7 @@ pub(super) enum Outcome {
 impl Slot {
     pub fn new(policies: RobotPolicies) -> Slot {
         let widths = [&policies.run, &policies.reset].map(|policy| policy.interface().features);
+        let holds = [&policies.run, &policies.reset].map(|policy| policy.interface().hold);
         let encodings = [&policies.run, &policies.reset].map(|policy| policy.form().encoding);
         let (values, forgets_after) = (vec![0.0; policies.channels.floats()], policies.run.forgets_after());
         Slot {
@@ -100,17 +116,28 @@ impl Slot {
             own: Observation::new(Motion::default(), Vec2::zeros()),
             values,
             stepped: [None; 2],
+            wait: 0,
+            held: None,
             features: Vec::new(),
             outcome: Outcome::Silent,
             reported: false,
             widths,
             encodings,
+            holds,
             forgets_after,
         }
     }
 
-    pub fn width(&self, phase: Phase) -> usize {
+    fn width(&self, phase: Phase) -> usize {
         self.widths[usize::from(phase != Phase::Running)]
+    }
+
+    /// Returns what decides about the messages that the robot gets in this step; `shared` has the latent features of the
+    /// Agent's robots.
+    pub fn step<'a>(&self, (round, phase): (Round, Phase), shared: &'a [f32]) -> Step<'a> {
+        let (range, width, frame) = (self.policies.range, self.width(phase), self.own.frame);
+        let hold = self.holds[usize::from(phase != Phase::Running)];
+        Step { range, round, phase, width, hold, frame, shared }
     }
 
     /// Takes the outcome of the step from the policy that is used in `phase`, after its `encode`.
@@ -164,7 +191,38 @@ impl Slot {
     /// Puts the policy under test back to its start, for a new episode.
     pub fn begin(&mut self) {
         self.stepped = [None; 2];
+        (self.wait, self.held) = (0, None);
         self.policies.run.reset();
+    }
+
+    /// Returns whether the policy that is used in `phase` has a step in this control tick, and counts the tick.
+    pub fn is_due(&mut self, phase: Phase) -> bool {
+        if phase != Phase::Running {
+            return true;
+        }
+        let due = self.wait == 0;
+        self.wait = if due { self.policies.every - 1 } else { self.wait - 1 };
+        due
+    }
+
+    /// Returns whether a sound latent of the last step holds in a tick without a step.
+    pub fn says(&self) -> bool {
+        self.held.is_some_and(|(_, sound)| sound)
+    }
+
+    /// Returns the velocity of the last step for a tick without one; `None` if the robot stands.
+    pub fn holds(&self) -> Option<Vec2> {
+        self.held.map(|(velocity, _)| velocity)
+    }
+
+    /// Keeps the velocity of this step for the ticks until the next one.
+    pub fn hold(&mut self, velocity: Option<Vec2>) {
+        self.held = velocity.map(|velocity| (velocity, self.outcome == Outcome::Sound));
+    }
+
+    /// Returns the time since the last step of the policy under test; zero if there is none.
+    pub fn age(&self, now: Time) -> Span {
+        self.stepped[0].map_or(Span::ZERO, |stepped| now.since(stepped))
     }
 
     /// Notes a step of a running episode at `now`, in which the robot's task is `task` and its observation is `own`
@@ -185,6 +243,8 @@ impl Slot {
     pub fn undo(&mut self, at: Time) {
         if self.stepped[0] == Some(at) {
             self.stepped[0] = self.stepped[1];
+            // It was not used, so nothing of it holds, and the next tick makes up for it.
+            (self.wait, self.held) = (0, None);
             self.policies.run.undo();
         }
     }

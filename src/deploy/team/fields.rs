@@ -128,7 +128,7 @@ impl Fields {
                 return format!("link.{name} has {}", fields.join(", "));
             }
             ["robot" | "host", name, ..] => return format!("{name} may have {}, link", OVERRIDES.join(", ")),
-            _ => team_fields().chain(["deployment", "senses", "link", "robot", "host"]),
+            _ => team_fields().chain(["deployment", "senses", "roles", "link", "robot", "host"]),
         };
         format!("there are {}", names.collect::<Vec<_>>().join(", "))
     }

@@ -24,7 +24,8 @@ use serde::Deserialize;
 use self::fields::EVERY_INTERFACE;
 use self::layers::{LayerValue, Layers, place};
 use self::size::{about_hulls, build};
-use super::{Deployment, Host, Link, MODES, Routes, Senses};
+use super::roles::placed;
+use super::{Deployment, Host, Link, MODES, Roles, Routes, Senses};
 use crate::config::{self, ConfigError};
 use crate::estimation;
 use crate::hearing::Handling;
@@ -91,7 +92,7 @@ pub struct SimulationSettings {
 }
 
 /// Tables of a team file that are read as a whole, not field by field.
-const WHOLE_TABLES: [&str; 3] = ["deployment", "safety", "senses"];
+const WHOLE_TABLES: [&str; 4] = ["deployment", "safety", "senses", "roles"];
 
 /// Content of a team file, with the environment variables and flags that override its fields. Settings common to all
 /// hosts were checked when it was read.
@@ -111,6 +112,8 @@ struct Inline {
     safety: Safety,
     #[serde(default)]
     senses: Senses,
+    #[serde(default)]
+    roles: Roles,
 }
 
 impl TeamFile {
@@ -132,7 +135,8 @@ impl TeamFile {
         let inline: Inline = config::from_toml(text)?;
         inline.safety.check().map_err(|error| error.within("safety"))?;
         let deployment = deployment(registry, inline.deployment, &layers)?;
-        let deployment = deployment.perceiving(registry, inline.senses)?;
+        let deployment = deployment.from_folder(registry, folder).perceiving(registry, inline.senses)?;
+        let deployment = deployment.in_roles(registry, placed(registry, inline.roles, folder))?;
         let safety = about_hulls(inline.safety, &layers, &deployment)?;
         let mut fields = vec![EVERY_INTERFACE.to_owned()];
         for link in &deployment.links {

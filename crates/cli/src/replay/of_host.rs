@@ -6,6 +6,7 @@ use anyhow::Result;
 
 use super::{Args, confine, sorted};
 use murmurate::deploy::team::Team;
+use murmurate::policy::Model;
 use murmurate::registry::Registry;
 use murmurate_record::identity::Identity;
 use murmurate_record::reader::Opened;
@@ -24,10 +25,9 @@ pub fn prepare(
     registry: &Registry,
 ) -> Result<(Prepared, String)> {
     let Opened { identity, messages, attached } = opened;
-    let policy = args.policy.as_deref().or(files.policy());
     let confined = confine(files, args.policy.as_deref());
     let team = team_of(&identity, files, registry, |team_args| {
-        team_args.set.extend(policy.map(|policy| format!("policy={}", policy.display())));
+        team_args.set.extend(args.policy.iter().map(|policy| format!("policy={}", policy.display())));
     })?;
     let of = identity.host.as_ref().expect("the caller has seen a host");
     // The path of the key file in the record is not used: the record may be from an untrusted source.
@@ -42,8 +42,11 @@ pub fn prepare(
     let policy = team::policy(&team, registry)?;
     drop(confined);
     // The recorded answers are those of the recorded policy.
-    let model = if args.policy.is_some() { policy.model.computed_inline() } else { policy.model };
-    let prepared = Prepared::new((path, identity, messages), (&team, model), access, registry);
+    let models = match args.policy {
+        Some(_) => policy.models.map(Model::computed_inline),
+        None => policy.models,
+    };
+    let prepared = Prepared::new((path, identity, messages), (&team, models), access, registry);
     Ok((prepared.map_err(sorted)?, policy.name))
 }
 
@@ -64,5 +67,12 @@ pub fn team_of(
     let file = team_args.read_as_of(registry, folder.as_deref(), &identity.variables)?;
     let name = identity.host.as_ref().map_or("", |host| &host.name);
     let id = file.host_named(name).map_err(|error| BadInput(error.to_string()))?;
-    team_args.for_host(&file, id)
+    let mut team = team_args.for_host(&file, id)?;
+    let of_roles = team.deployment.roles.values_mut().map(|role| &mut role.policy);
+    for policy in [&mut team.policy].into_iter().chain(of_roles).flatten() {
+        if let Some(extracted) = files.extracted(policy) {
+            *policy = extracted.to_owned();
+        }
+    }
+    Ok(team)
 }

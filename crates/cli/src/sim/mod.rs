@@ -127,6 +127,10 @@ pub struct Args {
     /// Senses of the robots, such as a lidar: a file with the tables [senses.NAME] of a team file (docs/senses.md)
     #[arg(long, value_name = "FILE.toml")]
     senses: Option<PathBuf>,
+    /// Roles of the robots, with a policy, a radius, a drive or senses of their own: a file with the tables [roles.NAME] of
+    /// a team file (docs/roles.md)
+    #[arg(long, value_name = "FILE.toml")]
+    roles: Option<PathBuf>,
     /// Seed of all random numbers
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -352,10 +356,12 @@ fn run_all(
 fn records(args: &Args, trials: &[(Trial, String)]) -> Result<Option<Simulated>> {
     let [(trial, _), ..] = trials else { return Ok(None) };
     let repeats = (0..args.repeats()).map(|repeat| Recorded::repeat(&Trial { repeat, ..trial.clone() }).name);
-    let named = [&args.deployment, &args.episodes_file, &args.conditions, &args.senses]
+    let of_roles = trial.deployment.roles.values().filter_map(|role| role.policy.as_ref());
+    let named = [&args.deployment, &args.episodes_file, &args.conditions, &args.senses, &args.roles]
         .into_iter()
         .flatten()
         .chain(&args.policy)
+        .chain(of_roles)
         .cloned();
     let texts = args.faults.iter().chain([&args.radio]).map(PathBuf::from);
     let files = named.chain(texts).collect();

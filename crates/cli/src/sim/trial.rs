@@ -82,7 +82,7 @@ fn refused(args: &Args, fitted: &Conditions, file: Option<&Deployment>, error: &
 /// Returns the trial that the flags of `sim` define for `policy` (`None` for the scenario's default policy), and the
 /// policy's name in reports. All other trials of the policy are repeats of it.
 pub fn of_flags(args: &Args, policy: Option<&Path>, registry: &Registry) -> Result<(Trial, String)> {
-    let file = args.deployment.as_deref().map(conditions::deployment).transpose()?;
+    let file = args.deployment.as_deref().map(|path| conditions::deployment(path, registry)).transpose()?;
     let fitted = &given(args)?;
     let settings = settings(args, fitted, file.as_ref());
     let scenario =
@@ -98,6 +98,9 @@ pub fn of_flags(args: &Args, policy: Option<&Path>, registry: &Registry) -> Resu
     if let Some(path) = &args.senses {
         deployment = perceiving(path, deployment, registry)?;
     }
+    if let Some(path) = &args.roles {
+        deployment = in_roles(path, deployment, registry)?;
+    }
     check_pace(&deployment, registry)?;
     deployment = network(args, fitted, deployment)?;
     deployment.placement = args.placement.unwrap_or(deployment.placement);
@@ -106,12 +109,12 @@ pub fn of_flags(args: &Args, policy: Option<&Path>, registry: &Registry) -> Resu
     }
     deployment.body = args.drive.over(&deployment.body)?;
     deployment.check().map_err(|e| BadInput(format!("--drive: {e}")))?;
-    let loaded = policy::load(registry, policy, args.action, &*scenario)?;
-    let policy::Loaded { model, name: policy, warnings } = loaded.for_team(&deployment.team_chassis());
+    let loaded = policy::load_team(registry, policy, args.action, (&deployment, &*scenario))?;
+    let policy::LoadedTeam { models, name: policy, warnings } = loaded;
     for warning in warnings.iter().filter(|_| !args.quiet) {
         talk(&format!("warning: {warning}"));
     }
-    let mut trial = Trial::with_registry(registry, deployment, Arc::clone(&scenario), model);
+    let mut trial = Trial::with_registry(registry, deployment, Arc::clone(&scenario), models);
     trial = trial.seed(args.seed).episodes(args.episodes());
     trial.handling = args.handling;
     trial.estimator = *registry.estimator(&args.estimator).expect("the flag takes names of the registry alone");
@@ -151,14 +154,24 @@ fn perceiving(path: &Path, deployment: Deployment, registry: &Registry) -> Resul
     Ok(deployment.perceiving(registry, senses).map_err(wrong)?)
 }
 
+/// Returns the deployment with the roles of a file.
+fn in_roles(path: &Path, deployment: Deployment, registry: &Registry) -> Result<Deployment> {
+    let text = read_text(path, "roles file")?;
+    let wrong = |error: ConfigError| BadInput(format!("the roles file '{}': {error}", path.display()));
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let roles = deploy::roles_of(registry, &text, folder).map_err(wrong)?;
+    Ok(deployment.in_roles(registry, roles).map_err(wrong)?)
+}
+
 /// Checks that no sense of a deployment needs a worker, which runs in real time.
 fn check_pace(deployment: &Deployment, registry: &Registry) -> Result<()> {
-    let works = |(name, settings): &(&String, &SenseSettings)| {
+    let works = |(_, name, settings): &(u8, &str, &SenseSettings)| {
         registry.sense(name, settings, RobotId(0)).is_ok_and(|parts| parts.worker.is_some())
     };
-    match deployment.senses.iter().find(works) {
+    let mut all = RobotId::team(deployment.robots).flat_map(|robot| deployment.senses_of(robot));
+    match all.find(works) {
         None => Ok(()),
-        Some((name, settings)) => {
+        Some((_, name, settings)) => {
             let why = format!("'{}' runs in real time, and 'sim' does not; take 'launch'", settings.kind);
             bad(format!("senses.{name}.kind: {why}"))
         }

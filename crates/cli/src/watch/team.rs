@@ -120,7 +120,7 @@ impl Page {
         // The machine of an operator need not have the policy file. Then the communication range is unknown.
         let policy = team::policy(&some, registry).ok();
         let routes = Routes::of(deployment);
-        let range_m = policy.as_ref().map(|policy| policy.model.interface().radius_m);
+        let range_m = policy.as_ref().map(|policy| policy.models.radius_m());
         let scene = Scene {
             scenario: some.scenario.clone(),
             mode: deployment.mode.clone(),

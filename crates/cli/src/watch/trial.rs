@@ -128,7 +128,7 @@ pub fn run(
 
 /// Returns what the page shows of a trial at first: ground, walls, number of robots, links and settings.
 fn scene(trial: &Trial, policy: &str) -> Scene {
-    let range_m = trial.range.map_or(trial.model.interface().radius_m, |range| range.mean_m);
+    let range_m = trial.range.map_or(trial.models.radius_m(), |range| range.mean_m);
     Scene {
         scenario: trial.scenario.name().to_owned(),
         mode: trial.deployment.mode.clone(),

@@ -18,7 +18,7 @@ use murmurate::deploy::team::{Team, TeamFile};
 use murmurate::graph::process::Graph;
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::link::DuplicateId;
-use murmurate::policy::Model;
+use murmurate::policy::Models;
 use murmurate::registry::Registry;
 use murmurate::results::totals::Steps;
 use murmurate::time::{Span, Time};
@@ -131,8 +131,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let file = team::key(&team)?;
     let key = file.as_ref().map(|file| file.key().confidential_if(team.confidential));
     let policy = crate::policy::room::checked(team::policy(&team, registry)?, key.as_ref())?;
-    let digest = policy.model.digest().to_owned();
-    let trial = args.trial(registry, &team, policy.model)?;
+    let digest = policy.models.digest();
+    let trial = args.trial(registry, &team, policy.models)?;
     let links = team.deployment.links.iter().map(|link| link.name.clone()).collect();
     let outlets = Outlets::open(args.json, args.trajectories.as_deref())?;
     let seen = Rc::new(Seen::new(outlets, links, keeper(file.as_ref())?));
@@ -145,7 +145,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         opened => opened?,
     };
     patience.end();
-    let files = [Some(args.team.file.clone()), team.policy.clone()].into_iter().flatten().collect();
+    let of_roles = team.deployment.roles.values().map(|role| role.policy.clone());
+    let files = [Some(args.team.file.clone()), team.policy.clone()].into_iter().chain(of_roles).flatten().collect();
     let record = LiveRecord::of_host(&args.record, (&team, &live), (began, known.as_ref()), (files, &digest))?;
     seen.record.set(record).ok();
     #[cfg(feature = "watch")]
@@ -323,8 +324,8 @@ impl Watch {
 
 impl Args {
     /// Returns the trial that the host runs, which reports every step if trajectories are written.
-    fn trial(&self, registry: &Registry, team: &Team, model: Model) -> Result<Trial> {
-        let mut trial = Trial::of_host(registry, team, model).map_err(|e| BadInput(e.to_string()))?;
+    fn trial(&self, registry: &Registry, team: &Team, models: Models) -> Result<Trial> {
+        let mut trial = Trial::of_host(registry, team, models).map_err(|e| BadInput(e.to_string()))?;
         if self.trajectories.is_some() {
             trial.steps = Steps::Reported;
             sees_whole_team(team)?;

@@ -10,11 +10,12 @@ pub mod room;
 
 use std::path::Path;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::Subcommand;
 use murmurate::chassis::{Chassis, DriveKind};
+use murmurate::deploy::Deployment;
 use murmurate::messages::ids::RobotId;
-use murmurate::policy::{Draw, Model};
+use murmurate::policy::{Draw, Model, Models, Unequal};
 use murmurate::registry::Registry;
 use murmurate::scenario::Scenario;
 
@@ -45,12 +46,23 @@ pub struct Loaded {
     pub warnings: Vec<String>,
 }
 
+/// Policies of a team that were loaded: one for all robots, or one for each role.
+pub struct LoadedTeam {
+    /// Models of the policies, by robot.
+    pub models: Models,
+    /// Name of the policy in reports; of several, with the names of their roles.
+    pub name: String,
+    /// Warnings about the use of the policies.
+    pub warnings: Vec<String>,
+}
+
 impl Loaded {
     /// Returns this policy for a team whose robots have these chassis. A warning is added if it was trained for another
     /// drive (kind, or distance of the commanded point).
     pub fn for_team(mut self, team: &[Chassis]) -> Loaded {
         let name = &self.name;
-        self.warnings.extend(other_drive(&self.model, team).map(|warning| format!("--policy {name}: {warning}")));
+        let team: Vec<(RobotId, Chassis)> = RobotId::team(team.len()).zip(team.iter().copied()).collect();
+        self.warnings.extend(other_drive(&self.model, &team).map(|warning| format!("--policy {name}: {warning}")));
         self
     }
 }
@@ -88,12 +100,62 @@ pub fn load(registry: &Registry, named: Option<&Path>, draw: Option<Draw>, scena
     Ok(Loaded { model, name, warnings })
 }
 
+/// Loads the policies of the team of `deployment`: that of each role, and `named` for the robots whose role has none, or
+/// the default policy of the scenario if that is `None`. `draw` replaces the files' choices between mean and sampled
+/// actions. An error names the flag, the file or the role.
+pub fn load_team(
+    registry: &Registry,
+    named: Option<&Path>,
+    draw: Option<Draw>,
+    (deployment, scenario): (&Deployment, &dyn Scenario),
+) -> Result<LoadedTeam> {
+    // A robot of no role, or of a role without a policy, has the team's.
+    let role_of = |robot| deployment.role_of(robot).filter(|(_, role)| role.policy.is_some());
+    let team: Vec<RobotId> = RobotId::team(deployment.robots).collect();
+    let mut names: Vec<Option<&str>> = Vec::new();
+    let mut of = Vec::new();
+    for robot in &team {
+        let name = role_of(*robot).map(|(name, _)| name);
+        let known = names.iter().position(|other| *other == name);
+        of.push(known.unwrap_or(names.len()));
+        if known.is_none() {
+            names.push(name);
+        }
+    }
+    if let (Some(named), false) = (named, names.contains(&None)) {
+        let why = format!("the policy '{}' is of no robot: each has one by its role", named.display());
+        return Err(BadInput(why).into());
+    }
+    let (mut roles, mut said, mut warnings) = (Vec::new(), Vec::new(), Vec::new());
+    for (index, name) in names.iter().enumerate() {
+        let file = name.map_or(named, |name| deployment.roles[name].policy.as_deref());
+        let robots = team.iter().filter(|robot| of[robot.index()] == index);
+        let chassis: Vec<(RobotId, Chassis)> = robots.map(|robot| (*robot, deployment.chassis(*robot))).collect();
+        let loaded = load(registry, file, draw, scenario);
+        let loaded = match name {
+            Some(name) => loaded.with_context(|| format!("roles.{name}.policy"))?,
+            None => loaded?,
+        };
+        warnings.extend(loaded.warnings);
+        let drive = other_drive(&loaded.model, &chassis);
+        warnings.extend(drive.map(|warning| format!("--policy {}: {warning}", loaded.name)));
+        said.push(name.map_or_else(|| loaded.name.clone(), |name| format!("{name}: {}", loaded.name)));
+        roles.push((name.unwrap_or_default().to_owned(), loaded.model));
+    }
+    let models = Models::of_roles(roles, of);
+    let models = models.map_err(|Unequal { role, why }| match &*role {
+        "" => BadInput(format!("policy: {why}")),
+        role => BadInput(format!("roles.{role}.policy: {why}")),
+    })?;
+    Ok(LoadedTeam { models, name: said.join(", "), warnings })
+}
+
 /// Returns a warning that names the first robot whose drive (kind or commanded point) is not the one that the policy
 /// was trained for; `None` if all agree, or if the policy does not state its drive.
-fn other_drive(model: &Model, team: &[Chassis]) -> Option<String> {
+fn other_drive(model: &Model, team: &[(RobotId, Chassis)]) -> Option<String> {
     let trained = model.trained_chassis()?;
-    let same = |chassis: &&Chassis| (chassis.drive, chassis.point_ahead_m) == (trained.drive, trained.point_ahead_m);
-    let (robot, chassis) = RobotId::team(team.len()).zip(team).find(|(_, chassis)| !same(chassis))?;
+    let same = |chassis: &Chassis| (chassis.drive, chassis.point_ahead_m) == (trained.drive, trained.point_ahead_m);
+    let (robot, chassis) = team.iter().find(|(_, chassis)| !same(chassis))?;
     let (theirs, ours) = (described(&trained), described(chassis));
     Some(format!("it was trained for {theirs}, and {robot} has {ours}: train it for these, with 'train --drive'"))
 }

@@ -8,17 +8,17 @@ use murmurate::messages::wire::{Features, Latent, Phase, Round, Wire};
 use murmurate::net::protocol::codec::{self, Flags, Header};
 use murmurate::net::protocol::key::Key;
 
-use super::Loaded;
+use super::LoadedTeam;
 use crate::BadInput;
 
-/// Returns a policy whose messages fit into datagrams that are sealed with `key`.
+/// Returns policies whose messages fit into datagrams that are sealed with `key`.
 ///
 /// # Errors
 /// If they do not fit.
-pub fn checked(policy: Loaded, key: Option<&Key>) -> Result<Loaded> {
-    let features = policy.model.interface().features;
+pub fn checked(policy: LoadedTeam, key: Option<&Key>) -> Result<LoadedTeam> {
+    let features = policy.models.features();
     // Parts are cut to the room that there is.
-    if !policy.model.form().is_in_parts(features) {
+    if !policy.models.form().is_in_parts(features) {
         check(&policy.name, features, key)?;
     }
     Ok(policy)

@@ -14,7 +14,6 @@ use murmurate::graph::event;
 use murmurate::live::LiveHost;
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::key::Key;
-use murmurate::policy::Interface;
 use murmurate::time::Time;
 use murmurate_record::file::Beginning;
 use murmurate_record::identity::{HostIdentity, Identity};
@@ -52,7 +51,7 @@ impl LiveRecord {
         let retention = flags.retention(team.record_last_s, team.record_size_mb)?;
         let name = team.deployment.hosts[usize::from(team.host.0)].name.clone();
         let mut identity = here(began, policy);
-        identity.engine = live.trial().model.engine().to_owned();
+        identity.engine = live.trial().models.engine();
         let (incarnation, seed, transports) = live.process();
         let file = format!("{name}-{incarnation:08x}");
         let seed = HEXLOWER.encode(&seed);
@@ -65,7 +64,7 @@ impl LiveRecord {
         let trial = live.trial();
         let heard: f64 = trial.budgets().iter().map(|budget| budget.needs_bit_s / 8.0).sum();
         // A worker's answers have all floats of its robots' messages.
-        let Interface { features, period, .. } = trial.model.interface();
+        let (features, period) = (trial.models.features(), trial.models.period());
         let answered = 4.0 * (trial.deployment.robots * features) as f64 / period.as_secs();
         record.inlet.expect((3.0 * heard + 1.5 * answered) as usize);
         Ok(Some(record))

@@ -102,7 +102,7 @@ fn limits(trial: &Trial, period_ns: i64) -> Limits {
 /// Fits all parameters of the twin (lag, slip, links, tick offsets) to the episodes `episodes` of a recorded run.
 /// `trial` has the run's own settings.
 pub fn fit(run: &Run, trial: &Trial, episodes: Range<u32>) -> Fitted {
-    let period_ns = trial.model.interface().period.as_nanos() as i64;
+    let period_ns = trial.models.period().as_nanos() as i64;
     let seed = Seed::of_run(trial.seed).child("twin");
     let within = episodes.start as usize..episodes.end as usize;
     let (motion, limits) = (&run.motion[within.clone()], limits(trial, period_ns));

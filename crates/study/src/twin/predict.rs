@@ -30,8 +30,8 @@ enum Passage {
 
 /// Returns the rules by which the robots of a trial use neighbours' messages: range, hold time and handling.
 pub fn rules(trial: &Trial) -> Rules {
-    let hold = trial.model.interface().hold;
-    Rules { range_m: trial.comm_range().mean_m, hold_ns: hold.as_nanos() as i64, handling: trial.handling }
+    let hold = trial.models.hold();
+    Rules { range_m: trial.comm_range(RobotId(0)).mean_m, hold_ns: hold.as_nanos() as i64, handling: trial.handling }
 }
 
 /// Returns the host of each robot's agent in a trial, in the order of the robots.

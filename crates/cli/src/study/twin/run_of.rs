@@ -101,7 +101,7 @@ pub fn read(named: &[PathBuf], registry: &Registry) -> Result<Recorded> {
         hosts: trial.deployment.hosts.len(),
         robots: trial.deployment.robots,
         rules: predict::rules(&trial),
-        period_ns: trial.model.interface().period.as_nanos() as i64,
+        period_ns: trial.models.period().as_nanos() as i64,
     };
     Ok(Recorded { run: Run::of(&logs, &alignment, &team), trial, policy, notes, digests })
 }
@@ -130,20 +130,17 @@ fn trial(paths: &[PathBuf], identities: &[Identity], logs: &[Log], registry: &Re
     };
     let (path, identity) = (&paths[judge], &identities[judge]);
     let files = Files::extract(&reader::open(path).map_err(wrong)?)?;
-    let policy = files.files.get(1).map(|(_, policy)| policy);
     let _confined = confine(&files, None);
-    let team = of_host::team_of(identity, &files, registry, |flags| {
-        flags.set.extend(policy.map(|policy| format!("policy={}", policy.display())));
-    })?;
+    let team = of_host::team_of(identity, &files, registry, |_| ())?;
     let loaded = team::policy(&team, registry)?;
-    if loaded.model.digest() != identity.policy {
+    if loaded.models.digest() != identity.policy {
         return bad(format!(
             "'{}' is of another policy than '{}' is in this program: use the program that made the record",
             path.display(),
             loaded.name
         ));
     }
-    let trial = Trial::of_host(registry, &team, loaded.model).map_err(|error| BadInput(error.to_string()))?;
+    let trial = Trial::of_host(registry, &team, loaded.models).map_err(|error| BadInput(error.to_string()))?;
     Ok((trial, loaded.name))
 }
 
