@@ -19,7 +19,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::messages::{
-    BatteryState, Float32MultiArray, Header, Odometry, PoseStamped, PoseWithCovarianceStamped, Stamp, Twist,
+    BatteryState, Float32MultiArray, Header, LaserScan, Odometry, PoseStamped, PoseWithCovarianceStamped, Stamp, Twist,
     TwistStamped, Typed, Vector3, dds_topic,
 };
 use super::packet::{Outgoing, Plan, Read, TopicState, Written};
@@ -81,23 +81,40 @@ trait Inlet: Send {
     fn type_name(&self) -> &'static str;
 }
 
-impl<M: IntoSample + Typed + DeserializeOwned + Send + 'static> Inlet for DataReaderCdr<M> {
+/// DDS reader of one topic, and the function that reduces a message to its content.
+struct Reduced<M: 'static, R> {
+    reader: DataReaderCdr<M>,
+    reduce: R,
+}
+
+impl<M, R> Inlet for Reduced<M, R>
+where
+    M: Typed + DeserializeOwned + Send + 'static,
+    R: Fn(&M) -> Result<Sample, &'static str> + Send,
+{
     fn source(&mut self) -> &mut dyn Source {
-        self
+        &mut self.reader
     }
 
     fn take(&mut self, each: &mut dyn FnMut(Result<Sample, String>)) {
+        // Of several scans the newest one alone counts.
+        let mut newest = None;
         for _ in 0..MOST_SAMPLES {
-            match self.take_next_sample() {
-                Ok(Some(message)) => each(message.value().sample().map_err(|why| format!("a message: {why}"))),
-                Ok(None) => return,
+            match self.reader.take_next_sample() {
+                Ok(Some(message)) => match (self.reduce)(message.value()) {
+                    Ok(scan @ Sample::Scan(_)) => newest = Some(scan),
+                    Ok(sample) => each(Ok(sample)),
+                    Err(why) => each(Err(format!("a message: {why}"))),
+                },
+                Ok(None) => break,
                 Err(_) => each(Err("a message is not of its type; see what publishes it".to_owned())),
             }
         }
+        newest.into_iter().for_each(|scan| each(Ok(scan)));
     }
 
     fn status(&mut self) -> Option<DataReaderStatus> {
-        self.try_recv_status()
+        self.reader.try_recv_status()
     }
 
     fn type_name(&self) -> &'static str {
@@ -175,7 +192,7 @@ impl Dds {
         for (index, (inlet, link)) in self.readers.iter_mut().enumerate() {
             inlet.take(&mut |sample| match sample {
                 Ok(sample) => each(index, sample),
-                Err(why) => link.state.problem = Some(why),
+                Err(why) => (link.state.problem, link.state.refused) = (Some(why), link.state.refused + 1),
             });
         }
     }
@@ -289,7 +306,7 @@ impl Dds {
 
 impl Link {
     fn new(topic: &str, written: bool) -> Link {
-        let state = TopicState { topic: topic.to_owned(), written, peers: 0, problem: None };
+        let state = TopicState { topic: topic.to_owned(), written, peers: 0, problem: None, refused: 0 };
         Link { state, matched: Vec::new(), strangers: Vec::new() }
     }
 
@@ -380,25 +397,25 @@ fn writer<M: Typed + Serialize>(participant: &DomainParticipant, name: &str) -> 
 
 fn inlet(participant: &DomainParticipant, name: &str, kind: Read) -> Result<Box<dyn Inlet>, String> {
     match kind {
-        Read::Odometry => reader::<Odometry>(participant, name),
-        Read::PoseStamped => reader::<PoseStamped>(participant, name),
-        Read::PoseWithCovarianceStamped => reader::<PoseWithCovarianceStamped>(participant, name),
-        Read::Battery => reader::<BatteryState>(participant, name),
+        Read::Odometry => reader(participant, name, Odometry::sample),
+        Read::PoseStamped => reader(participant, name, PoseStamped::sample),
+        Read::PoseWithCovarianceStamped => reader(participant, name, PoseWithCovarianceStamped::sample),
+        Read::Battery => reader(participant, name, BatteryState::sample),
+        Read::LaserScan(fan) => reader(participant, name, move |scan: &LaserScan| fan.take(scan).map(Sample::Scan)),
     }
 }
 
-fn reader<M>(participant: &DomainParticipant, name: &str) -> Result<Box<dyn Inlet>, String>
+fn reader<M, R>(participant: &DomainParticipant, name: &str, reduce: R) -> Result<Box<dyn Inlet>, String>
 where
-    M: IntoSample + Typed + DeserializeOwned + Send + 'static,
+    M: Typed + DeserializeOwned + Send + 'static,
+    R: Fn(&M) -> Result<Sample, &'static str> + Send + 'static,
 {
     let quality = quality(Reliability::BestEffort, DEPTH);
     let topic = topic::<M>(participant, name, &quality)?;
     let subscriber = participant.create_subscriber(&quality);
     let reader = subscriber.and_then(|subscriber| subscriber.create_datareader_no_key_cdr::<M>(&topic, Some(quality)));
-    match reader {
-        Ok(reader) => Ok(Box::new(reader)),
-        Err(error) => Err(format!("{name} cannot be subscribed to: {error:?}; start the host again")),
-    }
+    let reader = reader.map_err(|error| format!("{name} cannot be subscribed to: {error:?}; start the host again"))?;
+    Ok(Box::new(Reduced { reader, reduce }))
 }
 
 #[cfg(test)]
@@ -458,7 +475,7 @@ mod tests {
         let child_frame_id = "r1/base_link".to_owned();
         agrees("Odometry", Odometry { header: header.clone(), child_frame_id, pose: poses, twist: twists });
         let battery = BatteryState {
-            header,
+            header: header.clone(),
             voltage: 12.5,
             temperature: 31.0,
             current: -1.5,
@@ -476,6 +493,20 @@ mod tests {
             serial_number: "s-1".to_owned(),
         };
         agrees("BatteryState", battery);
+        let header = Header { frame_id: "laser".to_owned(), ..header };
+        let scan = LaserScan {
+            header,
+            angle_min: -1.5,
+            angle_max: 1.5,
+            angle_increment: 1.5,
+            time_increment: 0.25,
+            scan_time: 0.125,
+            range_min: 0.5,
+            range_max: 8.0,
+            ranges: vec![1.0, f32::INFINITY, 2.5],
+            intensities: vec![10.0],
+        };
+        agrees("LaserScan", scan);
         let dimension = |label: &str, stride| Dimension { label: label.to_owned(), size: 2, stride };
         let layout = MultiArrayLayout { dim: vec![dimension("row", 4), dimension("column", 2)], data_offset: 0 };
         agrees("Float32MultiArray", Float32MultiArray { layout, data: vec![1.0, 2.0, 3.0, 4.5] });

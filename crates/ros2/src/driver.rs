@@ -337,6 +337,7 @@ impl Driver for Ros2 {
             Ok(FromNode::Received(heard)) => match heard.sample {
                 Sample::Pose(pose) => self.odometry(now, pose, out),
                 Sample::Battery(charge) => self.battery = charge.map(|charge| (charge * 100.0).round() as u8),
+                Sample::Scan(_) => out.push(Out::Refused("a driver takes no scans")),
             },
             Ok(FromNode::Topic(state)) => self.topics.take(state),
             Ok(FromNode::Beat(_)) => {}
@@ -400,7 +401,7 @@ mod tests {
 
         fn topic(&mut self, ms: u64, topic: &str, peers: u32, problem: Option<&str>) {
             let (topic, problem) = (topic.to_owned(), problem.map(str::to_owned));
-            let state = FromNode::Topic(TopicState { topic, written: true, peers, problem });
+            let state = FromNode::Topic(TopicState { topic, written: true, peers, problem, refused: 0 });
             self.driver.receive(at_ms(ms), &packet::encode(&state), &mut self.out);
         }
 
@@ -536,6 +537,7 @@ mod tests {
             written: false,
             peers: 1,
             problem: Some("a message: its position is not finite; see whether the sender is localized".to_owned()),
+            refused: 1,
         };
         bench.driver.receive(at_ms(20), &packet::encode(&FromNode::Topic(state)), &mut bench.out);
         let (health, why) = reason(&mut bench).unwrap();
@@ -547,7 +549,7 @@ mod tests {
         let mut bench = Bench::new("");
         bench.odometry(0, 0.0);
         assert_eq!(bench.condition(), Some((Health::Ready, None)));
-        let state = TopicState { topic: "/r1/odom".to_owned(), written: false, peers: 2, problem: None };
+        let state = TopicState { topic: "/r1/odom".to_owned(), written: false, peers: 2, problem: None, refused: 0 };
         bench.driver.receive(at_ms(10), &packet::encode(&FromNode::Topic(state)), &mut bench.out);
         assert_eq!(bench.condition(), None, "a second publisher alone may be a base that was started again");
         bench.topic(20, "/r1/cmd_vel", 2, None);

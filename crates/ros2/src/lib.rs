@@ -1,7 +1,8 @@
 //! Communication with ROS 2 robots without an installation of ROS: messages, a child process of the host that speaks
 //! DDS (the DDS process), the packets between both, and a spare DDS process that can take over at once.
 //!
-//! The driver, the source and the observer of that name use it. DDS itself is in `dds` alone, behind the feature `dds`.
+//! The driver, the source, the sense and the observer of that name use it. DDS itself is in `dds` alone, behind the
+//! feature `dds`.
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
@@ -17,6 +18,8 @@ pub mod packet;
 pub mod pair;
 pub mod reading;
 pub mod sample;
+pub mod scan;
+pub mod sense;
 pub mod settings;
 pub mod source;
 pub mod supervisor;
@@ -31,11 +34,12 @@ pub const DIGEST: &str = env!("SOURCE_DIGEST");
 /// Whether DDS is built in: the feature `dds`.
 pub const BUILT: bool = cfg!(feature = "dds");
 
-/// Adds the driver, the source and the observer `ros2` to a registry.
+/// Adds the driver, the source, the sense and the observer `ros2` to a registry.
 pub fn add(registry: Registry) -> Registry {
     registry
         .with_driver(drivers::Entry { name: "ros2", about: driver::ABOUT, make: driver::make })
         .with_source(localization::Entry { name: "ros2", about: source::ABOUT, make: source::make })
+        .with_sense(sense::ENTRY)
         .with_observer(observer::ENTRY)
 }
 

@@ -181,6 +181,31 @@ pub struct BatteryState {
     pub serial_number: String,
 }
 
+/// ROS message `sensor_msgs/LaserScan`: distances along rays of a scanner that turns about the z axis of its frame.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LaserScan {
+    /// Time at which the first ray was measured, and name of the scanner's frame.
+    pub header: Header,
+    /// Angle of the first ray \[rad\], about the z axis of the frame from its x axis.
+    pub angle_min: f32,
+    /// Angle of the last ray \[rad\].
+    pub angle_max: f32,
+    /// Angle from each ray to the next one \[rad\]; negative for a scanner that turns clockwise.
+    pub angle_increment: f32,
+    /// Time from each ray to the next one \[s\].
+    pub time_increment: f32,
+    /// Time from one scan to the next one \[s\].
+    pub scan_time: f32,
+    /// Smallest distance that can be measured \[m\].
+    pub range_min: f32,
+    /// Largest distance that can be measured \[m\].
+    pub range_max: f32,
+    /// Distance along each ray \[m\]. Infinities and NaN are those of REP-117.
+    pub ranges: Vec<f32>,
+    /// Strength of each echo, in a unit of the scanner; empty if it is not measured.
+    pub intensities: Vec<f32>,
+}
+
 /// ROS message `std_msgs/MultiArrayDimension`: one dimension of an array.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Dimension {
@@ -238,6 +263,7 @@ typed! {
     PoseWithCovarianceStamped = "geometry_msgs::msg::dds_::PoseWithCovarianceStamped_",
     Odometry = "nav_msgs::msg::dds_::Odometry_",
     BatteryState = "sensor_msgs::msg::dds_::BatteryState_",
+    LaserScan = "sensor_msgs::msg::dds_::LaserScan_",
     Float32MultiArray = "std_msgs::msg::dds_::Float32MultiArray_",
 }
 

@@ -153,7 +153,7 @@ impl HostWriter {
         let topics = plan.writers.iter().map(|writer| (&writer.topic, true));
         for (topic, written) in topics.chain(plan.readers.iter().map(|reader| (&reader.topic, false))) {
             let problem = Some(problem.chars().take(300).collect());
-            self.send(&FromNode::Topic(TopicState { topic: topic.clone(), written, peers: 0, problem }));
+            self.send(&FromNode::Topic(TopicState { topic: topic.clone(), written, peers: 0, problem, refused: 0 }));
         }
         drop(self.lines);
         let _ = self.written.join();

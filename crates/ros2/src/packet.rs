@@ -7,6 +7,7 @@
 use serde::{Deserialize, Serialize};
 
 pub use super::sample::{PoseSample, Sample, TwistSample};
+use super::scan::Fan;
 
 /// Longest line \[bytes\] that a host and its DDS process accept from each other. The largest message is 512 floats of
 /// 12 digits.
@@ -80,7 +81,7 @@ pub enum Role {
 }
 
 /// Task of a DDS process, which connects a host to ROS 2: the topics to publish and to subscribe to, and its limits.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Plan {
     /// Name of the DDS process in log lines and error messages, such as `robot 1`.
@@ -131,7 +132,7 @@ impl Written {
 }
 
 /// Topic that a DDS process subscribes to, with the type of its messages.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Subscription {
     /// Full ROS name of the topic, such as `/r1/odom`.
@@ -141,7 +142,7 @@ pub struct Subscription {
 }
 
 /// Type of the messages on a topic that a DDS process subscribes to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Read {
     /// Messages `nav_msgs/Odometry`: pose and velocity of a robot.
@@ -152,6 +153,8 @@ pub enum Read {
     PoseWithCovarianceStamped,
     /// Messages `sensor_msgs/BatteryState`: condition of a robot's battery.
     Battery,
+    /// Messages `sensor_msgs/LaserScan`: distances about a robot, which are taken along these rays.
+    LaserScan(Fan),
 }
 
 /// Velocity command for a robot, in the robot's own axes, to be published on a command topic.
@@ -201,7 +204,7 @@ pub struct Vitals {
 }
 
 /// ROS message that a DDS process has received on a topic and passes to its host.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ReceivedMessage {
     /// Index of the topic in the list `readers` of the [`Plan`] of the DDS process.
@@ -224,6 +227,9 @@ pub struct TopicState {
     /// Newest reason for which another program's endpoint was not matched, or a message refused; `None` if there is
     /// none.
     pub problem: Option<String>,
+    /// Number of received messages that were refused.
+    #[serde(default)]
+    pub refused: u64,
 }
 
 /// Encodes a packet between a host and its DDS process as one line of JSON, including the newline.
@@ -270,6 +276,9 @@ fn decode<T: for<'a> Deserialize<'a>>(line: &[u8]) -> Result<T, PacketError> {
 
 #[cfg(test)]
 mod tests {
+    use murmurate::observation::Sweep;
+
+    use super::super::scan::ScanSample;
     use super::*;
 
     fn packets() -> (Vec<FromNode>, Vec<ToNode>) {
@@ -277,20 +286,26 @@ mod tests {
         let pose =
             PoseSample { stamp_ns: 12_000_000_034, x: 1.5, y: -2.5, yaw: Some(0.7), twist, ..Default::default() };
         let sample = Sample::Pose(pose);
+        let scan = ScanSample { stamp_ns: 5, ranges_m: vec![Some(1.25), None] };
         let problem = Some("a \"policy\"\n".to_owned());
         let from = vec![
             FromNode::Beat(Vitals { resident_mib: 12, matched: true }),
             FromNode::Received(ReceivedMessage { topic: 0, sample }),
             FromNode::Received(ReceivedMessage { topic: 1, sample: Sample::Battery(None) }),
-            FromNode::Topic(TopicState { topic: "/r1/odom".to_owned(), written: false, peers: 2, problem }),
+            FromNode::Received(ReceivedMessage { topic: 2, sample: Sample::Scan(scan) }),
+            FromNode::Topic(TopicState { topic: "/r1/odom".to_owned(), written: false, peers: 2, problem, refused: 3 }),
         ];
+        let fan = Fan::new(32, &Sweep::new(32, (-0.1, 1.3), 2.5), 0.25, true);
         let plan = Plan {
             name: "robot 1".to_owned(),
             domain: 3,
             interface: Some("lo".to_owned()),
             memory_mib: 192,
             writers: vec![Publication { topic: "/r1/cmd_vel".to_owned(), kind: Written::TwistUnstamped }],
-            readers: vec![Subscription { topic: "/r1/odom".to_owned(), kind: Read::Odometry }],
+            readers: vec![
+                Subscription { topic: "/r1/odom".to_owned(), kind: Read::Odometry },
+                Subscription { topic: "/r1/scan".to_owned(), kind: Read::LaserScan(fan) },
+            ],
         };
         let to = vec![
             ToNode::Open(plan),
@@ -354,6 +369,11 @@ mod tests {
         assert!(decode_from_node(far.as_bytes()).is_err());
         assert_eq!(decode_from_node(br#"{"heard":{"topic":0,"sample":{"battery":1.5}}}"#), Err(PacketError::Range));
         assert_eq!(decode_from_node(br#"{"heard":{"topic":300,"sample":{"battery":0.5}}}"#), Err(PacketError::Range));
+        for ranges in ["", "-1.0", "1e7"] {
+            let scan =
+                format!(r#"{{"heard":{{"topic":0,"sample":{{"scan":{{"stamp_ns":1,"ranges_m":[{ranges}]}}}}}}}}"#);
+            assert_eq!(decode_from_node(scan.as_bytes()), Err(PacketError::Range), "{ranges}");
+        }
         assert_eq!(decode_from_node(&vec![b' '; LONGEST + 1]), Err(PacketError::Long));
     }
 }

@@ -1,5 +1,5 @@
-//! Poses, velocities and battery charges in the form in which a host exchanges them with its DDS process, with their
-//! conversion from and to ROS messages. Does no I/O.
+//! Poses, velocities, scans and battery charges in the form in which a host exchanges them with its DDS process, with
+//! their conversion from and to ROS messages. Does no I/O.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,15 +9,18 @@ use super::messages::{
     BatteryState, Covariance, Header, Odometry, Pose, PoseStamped, PoseWithCovarianceStamped, Stamp,
     TwistWithCovariance,
 };
+use super::scan::ScanSample;
 
 /// Content of a received ROS message, reduced to what a driver or source uses.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Sample {
     /// Pose of a robot, with a velocity if the message has one.
     Pose(PoseSample),
     /// Charge of a robot's battery from 0 to 1; `None` if the charge is not measured.
     Battery(Option<f32>),
+    /// Distances along the rays of a sense.
+    Scan(ScanSample),
 }
 
 /// Pose of a robot in the frame of the ROS message, with the axes that the sender uses.
@@ -57,11 +60,13 @@ pub struct TwistSample {
 }
 
 impl Sample {
-    /// Whether all numbers are in range: pose and velocity are finite, deviations not negative, a charge from 0 to 1.
+    /// Whether all numbers are in range: pose and velocity are finite, deviations and distances not negative, a charge
+    /// from 0 to 1.
     pub fn is_sound(&self) -> bool {
         match self {
             Sample::Pose(pose) => pose.is_sound(),
             Sample::Battery(charge) => charge.is_none_or(|charge| (0.0..=1.0).contains(&charge)),
+            Sample::Scan(scan) => scan.is_sound(),
         }
     }
 }

@@ -262,7 +262,7 @@ impl Source for Poses {
         match packet::decode_from_node(packet) {
             Ok(FromNode::Received(heard)) => match heard.sample {
                 Sample::Pose(pose) => self.pose(now, usize::from(heard.topic), pose, out),
-                Sample::Battery(_) => out.push(Out::Refused("a source takes poses, not batteries")),
+                Sample::Battery(_) | Sample::Scan(_) => out.push(Out::Refused("a source takes poses alone")),
             },
             Ok(FromNode::Topic(state)) => self.topic(&state),
             Ok(FromNode::Beat(_)) => {}
@@ -390,7 +390,7 @@ mod tests {
     #[test]
     fn a_topic_of_two_publishers_is_named_once() {
         let mut source = Poses::new(Alignment::default(), &of(&[4, 7]));
-        let state = TopicState { topic: "/r7/pose".to_owned(), written: false, peers: 2, problem: None };
+        let state = TopicState { topic: "/r7/pose".to_owned(), written: false, peers: 2, problem: None, refused: 0 };
         (0..3).for_each(|_| source.topic(&state));
         assert_eq!(source.tracks.iter().map(|track| track.problems).collect::<Vec<_>>(), [0, 1]);
         assert!(source.tracks[1].problem.as_deref().unwrap().starts_with("it has 2 publishers"));

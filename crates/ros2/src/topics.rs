@@ -111,6 +111,7 @@ mod tests {
             written: topic.ends_with("vel"),
             peers,
             problem: None,
+            refused: 0,
         };
         for (odom, commands, twins) in [(1, 1, false), (1, 2, false), (2, 1, false), (2, 2, true), (1, 1, false)] {
             topics.take(state("/r0/odom", odom));

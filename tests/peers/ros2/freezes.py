@@ -3,7 +3,9 @@
     python3 freezes.py MURMURATE CASE [MOMENTS]
 
 CASE: kill, halt (the host of robot 0, with its agent), freeze, lost, stamp (a tracker at 100 Hz), odometry (at 10 Hz),
-gps (a real gpsd at 10 Hz is halted, of a rover without odometry), fused (the same, with odometry that goes on). Prints one line of JSON: the moments, the median and the worst time [ms]. Exit code 1 if a bar is missed.
+gps (a real gpsd at 10 Hz is halted, of a rover without odometry), fused (the same, with odometry that goes on), scan (the
+scanner of a robot whose policy takes its LaserScan at 20 Hz says nothing), scans (it contradicts itself). Prints one line
+of JSON: the moments, the median and the worst time [ms]. Exit code 1 if a bar is missed.
 """
 
 import json
@@ -12,17 +14,22 @@ import pathlib
 import random
 import re
 import signal
+import socket
 import statistics
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 
 HERE = pathlib.Path(__file__).resolve().parent
 ROOT = HERE.parents[2]
 ROVER = HERE.parent / "gps_rover.py"
-# Of GPS: own_state_s and 100 ms; with odometry, for alone_s longer.
+# Of GPS: own_state_s and 100 ms; with odometry, for alone_s longer. Of a scan: the 120 ms of the policy, a step of 50 ms, a
+# step of the robot of 20 ms, and 30 ms for DDS both ways and processes that wait for a processor.
 BARS_MS = {"kill": 250, "halt": 250, "freeze": 250, "lost": 250, "stamp": 250, "odometry": 400, "gps": 350, "fused": 500}
+BARS_MS |= {"scan": 220, "scans": 220}
+SCANNED = ("scan", "scans")
 GPSD_PORT = 29_473
 STARTS = ["/r0=-1.2,-2", "/r1=-0.6,-2", "/r2=0,-2", "/r3=0.6,-2", "/r4=1.2,-2"]
 
@@ -49,9 +56,46 @@ def team_file(case, folder):
         driver = f'driver = {{ name = "program", command = {command}, speed_m_s = 1.5 }}'
         text = re.sub(r'driver = \{ name = "ros2", namespace = "/r0".*', lambda _: driver, text)
         text = text.replace("[link.air]", "[safety]\nown_state_s = 0.25\n\n[link.air]")
+    if case in SCANNED:
+        policy = ROOT / "tests" / "onnx" / "data" / "lidar.policy.toml"
+        text = text.replace('scenario = "passage"', f'scenario = "swap"\npolicy = "{policy}"')
+        text += '\n[senses.lidar]\nkind = "ros2"\ninterface = "lo"\nrays = 32\nrange_m = 2.0\n'
     path = folder / "team.toml"
     path.write_text(text)
     return path
+
+
+class Phases(threading.Thread):
+    """Phase of the team, from the instructions of its state server (docs/wire.md). Robots reset without their scans."""
+
+    RUNNING, MODE = 3, 4
+    newest, other = None, -1.0  # The newest phase, and when another one than `RUNNING` was told last [s].
+
+    def run(self):
+        heard = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        heard.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        heard.bind(("239.255.77.30", 7730))
+        joined = socket.inet_aton("239.255.77.30") + socket.inet_aton("127.0.0.1")
+        heard.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, joined)
+        while True:
+            datagram = heard.recv(2048)
+            at = 14
+            while at + 3 <= len(datagram):
+                length = int.from_bytes(datagram[at + 1 : at + 3], "little")
+                if datagram[at] == self.MODE:
+                    self.newest = self.phase(datagram[at + 3 : at + 3 + length])
+                    self.other = self.other if self.newest == self.RUNNING else time.monotonic()
+                at += 3 + length
+
+    @staticmethod
+    def phase(body):
+        """The third field of a MessagePack array, after a pair of integers and an integer."""
+        at = 2
+        for field in range(4):
+            wide = {0xCC: 1, 0xCD: 2, 0xCE: 4, 0xCF: 8}.get(body[at], 0)
+            value = int.from_bytes(body[at + 1 : at + 1 + wide], "big") if wide else body[at]
+            at += 1 + wide
+        return value
 
 
 def main():
@@ -62,7 +106,8 @@ def main():
     log = folder / "applied"
     options = ["--tracker-hz", "100"] if case in ("freeze", "lost", "stamp") else []
     options += ["--odom-hz", "10"] if case == "odometry" else []
-    options += ["--fault", case] if case in ("freeze", "lost", "stamp", "odometry") else []
+    options += ["--scan-hz", "20"] if case in SCANNED else []
+    options += ["--fault", case] if case in ("freeze", "lost", "stamp", "odometry", *SCANNED) else []
     options += ["--receiver", str(GPSD_PORT)] if case == "fused" else []
     # The rover's log is that of robot 0.
     robots = [sys.executable, HERE / "robots.py", *options]
@@ -71,6 +116,12 @@ def main():
     if case in ("gps", "fused"):
         rover = ["rover", "--log", f"{log}.0", "--", "-1.2", "-2"] if case == "gps" else ["receiver"]
         at_fault = subprocess.Popen([sys.executable, ROVER, *rover[:1], "--port", str(GPSD_PORT), *rover[1:]])
+
+    phases = Phases(daemon=True)
+    phases.start()
+
+    def in_episode(since):
+        return case not in SCANNED or (phases.newest == Phases.RUNNING and phases.other < since)
 
     def start(name):
         return subprocess.Popen([program, "host", team, "--host", name], stdout=subprocess.DEVNULL, stderr=errors)
@@ -95,7 +146,7 @@ def main():
             if time.monotonic() - began > 60 + 30 * moments:
                 sys.exit(f"the robots do not move: see {folder}")
             recent = [speed for _, speed in speeds(time.monotonic() - 0.3)]
-            if len(recent) < 10 or min(recent) < 0.1:
+            if len(recent) < 10 or min(recent) < 0.1 or not in_episode(time.monotonic() - 0.1):
                 time.sleep(0.02)
                 continue
             time.sleep(random.random() * 0.1)
@@ -107,7 +158,8 @@ def main():
             time.sleep(1.0)
             after = list(speeds(at))
             moving = [when for when, speed in after if speed > 0]
-            times.append((moving[-1] - at + 0.02) * 1e3 if moving else 0.0)
+            if in_episode(at):
+                times.append((moving[-1] - at + 0.02) * 1e3 if moving else 0.0)
             if case == "kill":
                 hosts["robot-0"].wait()
                 hosts["robot-0"] = start("robot-0")

@@ -1,9 +1,11 @@
 #!/usr/bin/env bash
 # What five ROS 2 robots made of rclpy show: episodes of the tutorial and of the mixed team, the team as ROS messages, the
-# velocity that a robot applies after something has died, and forged packets at its DDS processes. Prints figures; exit
-# code 1 if a bar is missed.
+# velocity that a robot applies after something has died, such as its scanner, and forged packets at its DDS processes.
+# Prints figures; exit code 1 if a bar is missed.
 #
 #   bash tests/peers/ros2/full.sh PYTHON MURMURATE [EPISODES] [MOMENTS]
+#
+# PYTHON has rclpy as in docs/ros2.md, and ros-sensor-msgs==5.5.1.
 set -euo pipefail
 cd "$(dirname "$0")/../../.."
 python=$1 program=$2 episodes=${3:-64} moments=${4:-20} missed=0
@@ -31,7 +33,7 @@ crosses teams/ros2.toml "$episodes" $((episodes * 61 / 64)) /r0=-1.2,-2 /r1=-0.6
 wait "$watcher" || missed=1
 cat /tmp/murmurate-listen.txt
 crosses teams/mixed.toml 16 14 /r0=-1.2,-2 /r1=-0.6,-2 /r2=0,-2
-for case in kill halt freeze lost stamp odometry gps fused; do
+for case in kill halt freeze lost stamp odometry gps fused scan scans; do
     "$python" tests/peers/ros2/freezes.py "$program" "$case" "$moments" || missed=1
 done
 "$python" tests/peers/ros2/doctor.py "$program" || missed=1

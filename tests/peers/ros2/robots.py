@@ -1,11 +1,12 @@
 """The robots of examples/ros2_robots.py, with a log of the velocity that each applies, and with faults on demand.
 
-    python3 robots.py --log FILE [--odom-hz 50] [--tracker-hz 0] [--fault KIND] /r0=-1,-2 ...
+    python3 robots.py --log FILE [--odom-hz 50] [--tracker-hz 0] [--scan-hz 0] [--fault KIND] /r0=-1,-2 ...
 
 The log has a line for each robot and step: time [s], robot, speed [m/s]. SIGUSR1 begins the fault of the first robot
 (of all robots, if the tracker freezes), SIGUSR2 ends it. Kinds: odometry (no more Odometry), freeze (the tracker says
-nothing), lost (it leaves out the robot), stamp (it repeats its last message). With --receiver PORT the first robot tells
-the satellite receiver on it (../gps_rover.py) where it is.
+nothing), lost (it leaves out the robot), stamp (it repeats its last message), scan (no more LaserScan), scans (its
+LaserScan contradicts itself). Scanners see the other robots. Those of odd robots turn clockwise from behind. With
+--receiver PORT the first robot tells the satellite receiver on it (../gps_rover.py) where it is.
 """
 
 import argparse
@@ -20,7 +21,9 @@ import time
 import rclpy
 from geometry_msgs.msg import PoseStamped, Twist
 from rclpy.executors import SingleThreadedExecutor
+from sensor_msgs.msg import LaserScan
 
+HULL_M, SCAN_RAYS = 0.16, 360
 HERE = pathlib.Path(__file__).resolve()
 spec = importlib.util.spec_from_file_location("ros2_robots", HERE.parents[3] / "examples" / "ros2_robots.py")
 ros2_robots = importlib.util.module_from_spec(spec)
@@ -28,10 +31,11 @@ spec.loader.exec_module(ros2_robots)
 
 
 class Measured(ros2_robots.Robot):
-    """A robot with its log, its faults and a tracker."""
+    """A robot with its log, its faults, a tracker and a scanner. `team` has all robots, of which this is one."""
 
-    def __init__(self, number, start, options):
+    def __init__(self, number, start, options, team):
         super().__init__(*start)
+        self.team = team
         self.number, self.options, self.faulty = number, options, False
         self.log = open(f"{options.log}.{number}", "w")
         self.said, self.publish = 0.0, self.odometry.publish
@@ -41,6 +45,9 @@ class Measured(ros2_robots.Robot):
             self.tracker = self.create_publisher(PoseStamped, "pose", 10)
             self.last = None
             self.create_timer(1 / options.tracker_hz, self.track)
+        if options.scan_hz:
+            self.scanner = self.create_publisher(LaserScan, "scan", 10)
+            self.create_timer(1 / options.scan_hz, self.scan)
 
     def rarely(self, message):
         """Publishes odometry at its own rate."""
@@ -74,13 +81,40 @@ class Measured(ros2_robots.Robot):
             self.last.pose.orientation.z, self.last.pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
         self.tracker.publish(self.last)
 
+    def scan(self):
+        if self.faulty and self.options.fault == "scan":
+            return
+        message, step = LaserScan(), math.tau / SCAN_RAYS
+        message.header.stamp, message.header.frame_id = self.get_clock().now().to_msg(), "laser"
+        message.range_min, message.range_max = 0.05, 12.0
+        from_rad, message.angle_increment = (math.pi, -step) if self.number % 2 else (0.0, step)
+        message.angle_min = from_rad
+        message.angle_max = from_rad + message.angle_increment * (SCAN_RAYS - 1)
+        if self.faulty and self.options.fault == "scans":
+            message.angle_increment = 0.0
+        ranges, (x, y, yaw) = [math.inf] * SCAN_RAYS, self.pose
+        for other in self.team:
+            if other is self:
+                continue
+            dx, dy = other.pose[0] - x, other.pose[1] - y
+            far, bearing = math.hypot(dx, dy), math.atan2(dy, dx) - yaw
+            half = math.asin(min(1.0, HULL_M / max(far, 1e-9)))
+            for ray in range(SCAN_RAYS):
+                off = math.remainder(from_rad + (-step if self.number % 2 else step) * ray - bearing, math.tau)
+                if abs(off) < half:
+                    along = far * math.cos(off) - math.sqrt(HULL_M**2 - (far * math.sin(off)) ** 2)
+                    ranges[ray] = min(ranges[ray], along) if along >= message.range_min else -math.inf
+        message.ranges = ranges
+        self.scanner.publish(message)
+
 
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--log", required=True)
     parser.add_argument("--odom-hz", type=float, default=50)
     parser.add_argument("--tracker-hz", type=float, default=0)
-    parser.add_argument("--fault", choices=["odometry", "freeze", "lost", "stamp"])
+    parser.add_argument("--scan-hz", type=float, default=0)
+    parser.add_argument("--fault", choices=["odometry", "freeze", "lost", "stamp", "scan", "scans"])
     parser.add_argument("--receiver", type=int, metavar="PORT")
     parser.add_argument("robots", nargs="+", metavar="NAMESPACE=X,Y[,YAW]")
     options = parser.parse_args()
@@ -88,7 +122,7 @@ def main():
     executor, team = SingleThreadedExecutor(), []
     for number, argument in enumerate(options.robots):
         namespace, start = argument.split("=")
-        team.append(Measured(number, (namespace, *map(float, start.split(","))), options))
+        team.append(Measured(number, (namespace, *map(float, start.split(","))), options, team))
         executor.add_node(team[-1])
 
     def fault(begins):
