@@ -1,7 +1,7 @@
 //! Live page: the state of a running team in a browser, with the emergency stop. `team_view` builds the state from the
 //! messages that a process receives. `server` sends it to browsers and receives their commands.
 //!
-//! `snapshot`, `status`, `heard`, `team_view`, `timeline`, `metrics`, `orders` and `command` are pure. `host`,
+//! `snapshot`, `scans`, `status`, `team_view`, `timeline`, `metrics`, `orders` and `command` are pure. `host`,
 //! `request` and `session` do I/O on one thread of their own: the thread that drives the team publishes without
 //! waiting, and takes commands from a bounded queue. [The page on
 //! threats](https://github.com/murmurate/murmurate/blob/main/docs/watch.md) lists the refused requests and the reasons.
@@ -21,6 +21,7 @@ mod receptions;
 pub mod request;
 mod revisions;
 mod robot_view;
+pub mod scans;
 pub mod server;
 mod session;
 mod shared;

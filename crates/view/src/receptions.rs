@@ -1,8 +1,11 @@
 //! Reception statistics by receiving host and sending robot: time since the newest message arrived, and loss of the
-//! last 64.
+//! last 64; and the links between robots within range, which have them.
 
 use std::collections::BTreeMap;
 
+use super::snapshot::{LinkState, MAX_LINKS};
+use murmurate::cells::Cells;
+use murmurate::messages::geometry::Vec2;
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::time::{Span, Time};
 
@@ -49,6 +52,43 @@ impl Receptions {
         entry.bits = shifted(entry.bits, passed) | 1;
         entry.covered = (entry.covered + passed).clamp(1, u64::BITS);
         (entry.last, entry.number) = (now, number);
+    }
+
+    /// Returns the links between robots within `range_m` \[m\], the shortest [`MAX_LINKS`] of them, and the number of
+    /// omitted ones. `known` has the robots whose positions \[m\] are known, and `homes` the host of each robot's
+    /// agent.
+    pub fn links(&self, now: Time, homes: &[HostId], range_m: f32, known: &[(usize, Vec2)]) -> (Vec<LinkState>, usize) {
+        let grid = Cells::new(range_m, known.iter().map(|(_, at)| *at));
+        let (mut pairs, mut near) = (Vec::new(), Vec::new());
+        for (place, (_, at)) in known.iter().enumerate() {
+            match &grid {
+                Some(grid) => grid.near(*at, &mut near),
+                None => near = (0..known.len()).collect(),
+            }
+            for &other in near.iter().filter(|other| **other > place) {
+                let apart_m = (known[other].1 - *at).norm();
+                if apart_m <= range_m {
+                    pairs.push((apart_m, place, other));
+                }
+            }
+        }
+        let left_out = pairs.len().saturating_sub(MAX_LINKS);
+        if left_out > 0 {
+            pairs.select_nth_unstable_by(MAX_LINKS, |a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+            pairs.truncate(MAX_LINKS);
+        }
+        let link = |&(_, one, other): &(f32, usize, usize)| {
+            let (one, other) = (known[one].0, known[other].0);
+            let way = |from: usize, to: usize| self.link(now, homes[to], RobotId(from as u16));
+            let both = [way(one, other), way(other, one)];
+            LinkState {
+                one: one as u16,
+                other: other as u16,
+                age: both[0].zip(both[1]).map(|(a, b)| a.0.max(b.0)),
+                loss: both.iter().flatten().map(|(_, loss)| *loss).max(),
+            }
+        };
+        (pairs.iter().map(link).collect(), left_out)
     }
 
     /// Returns the time since a robot's latent last arrived at the host `at`, and the share \[%\] of the robot's last

@@ -1,12 +1,14 @@
 //! Snapshot of a team at one time, and its binary encoding for the page.
 //!
 //! All numbers are little-endian. The header has 16 bytes: version (1 byte), a zero byte, number of robots (2), time of
-//! the run \[ms\] (4), number of links (2), number of omitted links (2), four zero bytes.
+//! the run \[ms\] (4), number of links (2), number of omitted links (2), number of scans (2), two zero bytes.
 //!
 //! Then follow 9 bytes for each robot: x (2) and y (2) in units of the scene's `scale_m`, heading (2) in 1e-4 rad,
 //! phase (1), age (1) in 20 ms, flags (1). Then 6 bytes for each link: the two robots (2, 2), age (1) in 10 ms, loss
-//! (1) in %.
+//! (1) in %. Then each scan: robot (2), index of the sense (1), a zero byte, x (2), y (2) and heading (2) of the robot
+//! when the scan arrived, as above, number of rays (2), and the distance along each ray (2) in mm, 65535 for no echo.
 
+use super::scans::ScanState;
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::wire::Phase;
 use murmurate::time::{Span, Time};
@@ -21,6 +23,11 @@ pub const ROBOT_BYTES: usize = 9;
 pub const LINK_BYTES: usize = 6;
 /// Largest number of links in an encoded snapshot of a team: 36 kB, or 360 kB/s at ten snapshots a second.
 pub const MAX_LINKS: usize = 6000;
+
+/// Length of a scan in an encoded snapshot of a team without its distances, and that of a distance \[bytes\].
+pub const SCAN_BYTES: [usize; 2] = [12, 2];
+/// Code of a ray without an echo, and of one that is longer than can be encoded.
+const NO_ECHO: u16 = u16::MAX;
 
 /// Largest encoded coordinate: number of steps from the origin to the edge of the scene.
 const STEPS: f32 = 32_000.0;
@@ -78,6 +85,8 @@ pub struct Snapshot {
     pub links: Vec<LinkState>,
     /// Number of links that are left out because there are more than `MAX_LINKS` (6000).
     pub left_out: usize,
+    /// Newest scans of the robots' senses.
+    pub scans: Vec<ScanState>,
 }
 
 /// Returns the unit of encoded coordinates \[m\] with which positions up to `reach_m` \[m\] from the origin can be
@@ -90,15 +99,18 @@ impl Snapshot {
     /// Encodes the snapshot in the binary form for the live page. `scale_m` is the unit of encoded coordinates \[m\].
     pub fn encode(&self, scale_m: f32) -> Vec<u8> {
         let small = |number: usize| u16::try_from(number).unwrap_or(u16::MAX).to_le_bytes();
-        let mut bytes =
-            Vec::with_capacity(HEADER_BYTES + ROBOT_BYTES * self.robots.len() + LINK_BYTES * self.links.len());
+        let [scan, ray] = SCAN_BYTES;
+        let scans: usize = self.scans.iter().map(|one| scan + ray * one.ranges_m.len()).sum();
+        let robots = ROBOT_BYTES * self.robots.len();
+        let mut bytes = Vec::with_capacity(HEADER_BYTES + robots + LINK_BYTES * self.links.len() + scans);
         bytes.extend([VERSION, 0]);
         bytes.extend(small(self.robots.len()));
         let ms = self.now.since(Time::ZERO).as_nanos() / 1_000_000;
         bytes.extend(u32::try_from(ms).unwrap_or(u32::MAX).to_le_bytes());
         bytes.extend(small(self.links.len()));
         bytes.extend(small(self.left_out));
-        bytes.extend([0; 4]);
+        bytes.extend(small(self.scans.len()));
+        bytes.extend([0; 2]);
         for robot in &self.robots {
             let place = |number: Option<f32>| number.map_or(NO_NUMBER, |number| step(number / scale_m));
             bytes.extend(place(robot.position.map(|at| at.x)).to_le_bytes());
@@ -113,6 +125,16 @@ impl Snapshot {
             bytes.extend(link.other.to_le_bytes());
             bytes.push(aged(link.age, LINK_AGE));
             bytes.push(link.loss.map_or(NO_BYTE, |loss| loss.min(100)));
+        }
+        for scan in &self.scans {
+            bytes.extend(scan.robot.to_le_bytes());
+            bytes.extend([scan.sense, 0]);
+            let numbers = [scan.position.x / scale_m, scan.position.y / scale_m, scan.heading * 1e4];
+            numbers.into_iter().for_each(|number| bytes.extend(step(number).to_le_bytes()));
+            bytes.extend(small(scan.ranges_m.len()));
+            // An infinite one is the largest number.
+            let mm = |range: &f32| (range * 1000.0).round().clamp(0.0, NO_ECHO.into()) as u16;
+            scan.ranges_m.iter().for_each(|range| bytes.extend(mm(range).to_le_bytes()));
         }
         bytes
     }
@@ -170,16 +192,27 @@ mod tests {
         };
         let link = LinkState { one: 0, other: 1, age: Some(Span::from_millis(120)), loss: Some(7) };
         let now = Time::ZERO + Span::from_millis(1234);
-        let snapshot = Snapshot { now, robots: vec![robot, RobotState::default()], links: vec![link], left_out: 3 };
+        let scan = ScanState {
+            robot: 1,
+            sense: 2,
+            position: Vec2::new(1.0, -2.0),
+            heading: -0.5,
+            ranges_m: [1.2345, f32::INFINITY, 70.0].into(),
+        };
+        let robots = vec![robot, RobotState::default()];
+        let snapshot = Snapshot { now, robots, links: vec![link], left_out: 3, scans: vec![scan] };
         let bytes = snapshot.encode(scale_m(32.0));
-        assert_eq!(bytes.len(), 16 + 2 * 9 + 6);
-        assert_eq!(bytes[..16], [1, 0, 2, 0, 0xd2, 4, 0, 0, 1, 0, 3, 0, 0, 0, 0, 0]);
+        assert_eq!(bytes.len(), 16 + 2 * 9 + 6 + 12 + 3 * 2);
+        assert_eq!(bytes[..16], [1, 0, 2, 0, 0xd2, 4, 0, 0, 1, 0, 3, 0, 1, 0, 0, 0]);
         let number = |at: usize| i16::from_le_bytes([bytes[at], bytes[at + 1]]);
         assert_eq!([number(16), number(18), number(20)], [1000, -2000, -5000]);
         assert_eq!(bytes[22..25], [3, 2, 2]);
         assert_eq!([number(25), number(27), number(29)], [i16::MIN; 3], "nothing is made up");
         assert_eq!(bytes[31..34], [255, 255, 0]);
-        assert_eq!(bytes[34..], [0, 0, 1, 0, 12, 7]);
+        assert_eq!(bytes[34..40], [0, 0, 1, 0, 12, 7]);
+        assert_eq!(bytes[40..44], [1, 0, 2, 0]);
+        assert_eq!([number(44), number(46), number(48)], [1000, -2000, -5000]);
+        assert_eq!(bytes[50..], [3, 0, 0xd3, 4, 255, 255, 255, 255], "1235 mm, and nothing seen");
     }
 
     #[test]

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use serde::Serialize;
 
+use super::scans::ScanForm;
 use murmurate::messages::geometry::Planar;
 use murmurate::messages::ids::RobotId;
 use murmurate::scenario::arena::Arena;
@@ -45,6 +46,8 @@ pub struct Scene {
     pub control: &'static str,
     /// Names of the deployment's links. In an emulated team the page can put faults on them.
     pub links: Vec<String>,
+    /// Directions of the rays of each sense whose values are distances; empty if there is none.
+    pub scans: Vec<ScanForm>,
     /// Whether this process receives enough messages to show the links between robots.
     pub hears_links: bool,
     /// Whether this process knows the results of episodes.

@@ -5,16 +5,16 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::receptions::Receptions;
 use super::revisions::Revisions;
 use super::robot_view::{RobotView, SILENT};
-use super::snapshot::{LinkState, MAX_LINKS, RobotState, Snapshot};
+use super::scans::Scans;
+use super::snapshot::{RobotState, Snapshot};
 use super::status::{Goals, Log, PageStatus, Scene, Success};
-use murmurate::cells::Cells;
-use murmurate::messages::geometry::{Planar, Pose, Vec2};
+use murmurate::messages::geometry::{Planar, Pose};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::latch::{self, Latch};
 use murmurate::messages::local::Truth;
 use murmurate::messages::telemetry::GuardReport;
 use murmurate::messages::trigger::Trigger;
-use murmurate::messages::wire::{Located, Mode, Phase, Wire};
+use murmurate::messages::wire::{Located, Mode, Phase, Sensed, Wire};
 use murmurate::results::episode::Episode;
 use murmurate::safety::guard::SafetyCounts;
 use murmurate::scenario::judge::Verdict;
@@ -37,6 +37,7 @@ pub struct TeamView {
     revisions: Revisions,
     robots: Vec<RobotView>,
     receptions: Receptions,
+    scans: Scans,
     goals: Vec<Option<[f32; 2]>>,
     /// Number of changes of the goals so far.
     goals_changed: u64,
@@ -62,6 +63,7 @@ impl TeamView {
             revisions: Revisions::default(),
             robots: vec![RobotView::default(); robots],
             receptions: Receptions::new(robots, hosts),
+            scans: Scans::default(),
             goals: vec![None; robots],
             goals_changed: 0,
             leader: None,
@@ -136,6 +138,7 @@ impl TeamView {
                 }
             }
             Wire::Located(m) => self.located(now, m),
+            Wire::Sensed(m) => self.sensed(now, m),
             _ => {}
         }
     }
@@ -159,6 +162,15 @@ impl TeamView {
         let robots = self.robots.iter_mut().zip(&self.homes).filter(|(_, home)| **home == host);
         robots.for_each(|(robot, _)| robot.down = down);
         self.note(now, text);
+    }
+
+    /// Takes a scan for the page, unless it is of no sense with rays, or the robot's pose is unknown.
+    fn sensed(&mut self, now: Time, sensed: &Sensed) {
+        let robot = self.robots.get(sensed.robot.index());
+        let pose = robot.and_then(|robot| Some((robot.position?, robot.heading?.1)));
+        if let Some(pose) = pose.filter(|_| self.scene.scans.iter().any(|form| form.sense == sensed.sense)) {
+            self.scans.take(now, sensed, pose);
+        }
     }
 
     fn robot(&mut self, id: RobotId, change: impl FnOnce(&mut RobotView)) {
@@ -323,47 +335,14 @@ impl TeamView {
             touches: robot.touches,
             latched: robot.controller.is_some_and(|latch| !latch.is_clear()),
         };
-        let (links, left_out) = if self.scene.hears_links { self.links(now) } else { (Vec::new(), 0) };
-        Snapshot { now, robots: self.robots.iter().map(state).collect(), links, left_out }
-    }
-
-    /// Returns the links between robots within range, the shortest [`MAX_LINKS`] of them, and the number of omitted
-    /// ones.
-    fn links(&self, now: Time) -> (Vec<LinkState>, usize) {
-        let known: Vec<(usize, Vec2)> =
-            self.robots.iter().enumerate().filter_map(|(at, robot)| Some((at, robot.position?))).collect();
+        let known = self.robots.iter().enumerate().filter_map(|(at, robot)| Some((at, robot.position?)));
         let range_m = self.scene.range_m.unwrap_or(f32::INFINITY);
-        let grid = Cells::new(range_m, known.iter().map(|(_, at)| *at));
-        let (mut pairs, mut near) = (Vec::new(), Vec::new());
-        for (place, (_, at)) in known.iter().enumerate() {
-            match &grid {
-                Some(grid) => grid.near(*at, &mut near),
-                None => near = (0..known.len()).collect(),
-            }
-            for &other in near.iter().filter(|other| **other > place) {
-                let apart_m = (known[other].1 - *at).norm();
-                if apart_m <= range_m {
-                    pairs.push((apart_m, place, other));
-                }
-            }
-        }
-        let left_out = pairs.len().saturating_sub(MAX_LINKS);
-        if left_out > 0 {
-            pairs.select_nth_unstable_by(MAX_LINKS, |a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
-            pairs.truncate(MAX_LINKS);
-        }
-        let link = |&(_, one, other): &(f32, usize, usize)| {
-            let (one, other) = (known[one].0, known[other].0);
-            let way = |from: usize, to: usize| self.receptions.link(now, self.homes[to], RobotId(from as u16));
-            let both = [way(one, other), way(other, one)];
-            LinkState {
-                one: one as u16,
-                other: other as u16,
-                age: both[0].zip(both[1]).map(|(a, b)| a.0.max(b.0)),
-                loss: both.iter().flatten().map(|(_, loss)| *loss).max(),
-            }
+        let (links, left_out) = match self.scene.hears_links {
+            true => self.receptions.links(now, &self.homes, range_m, &known.collect::<Vec<_>>()),
+            false => (Vec::new(), 0),
         };
-        (pairs.iter().map(link).collect(), left_out)
+        let (robots, scans) = (self.robots.iter().map(state).collect(), self.scans.drawn(now));
+        Snapshot { now, robots, links, left_out, scans }
     }
 
     /// Returns the status of the team at the time `now`, as far as messages tell it. Fields that the calling process
@@ -416,8 +395,10 @@ impl TeamView {
 
 #[cfg(test)]
 mod tests {
+    use super::super::scans::ScanForm;
+    use super::super::snapshot::LinkState;
     use super::*;
-    use murmurate::messages::geometry::Motion;
+    use murmurate::messages::geometry::{Motion, Vec2};
     use murmurate::messages::wire;
     use murmurate::messages::wire::REVISION;
     use murmurate::messages::wire::{Condition, Features, Following, Heartbeat, Latent, Round, Telemetry};
@@ -505,6 +486,28 @@ mod tests {
         assert_eq!((status.late, status.guard), (vec![(2, 2)], vec![(2, "geofence", Some(2.0))]));
         assert_eq!(lines(&view.status(at(2500))), ["robot 2: late ticks", "robot 2: geofence", "robot 2: silent"]);
         assert!(view.status(at(60_001)).guard.is_empty(), "a minute later it tells nothing");
+    }
+
+    #[test]
+    fn scans_are_drawn_where_the_robot_was_and_other_senses_are_not() {
+        let mut view = view();
+        view.scene.scans = vec![ScanForm { sense: 1, ..ScanForm::default() }];
+        let sensed = |robot, sense| {
+            let values = Features([1.0, f32::INFINITY].into());
+            Wire::Sensed(Sensed { robot: RobotId(robot), sense, stamp_ns: 1, values })
+        };
+        view.receive(at(0), &sensed(0, 1));
+        assert!(view.snapshot(at(0)).scans.is_empty(), "where the robot is, is not known");
+        let motion = Motion::at_rest(Vec2::new(0.5, 0.0));
+        let reading = Wire::Reading(wire::Reading::of_point(RobotId(0), 1, motion));
+        let Wire::Reading(mut measured) = reading else { panic!("it is one") };
+        measured.pose.heading = Some(0.0);
+        view.receive(at(10), &Wire::Reading(measured));
+        [sensed(0, 1), sensed(0, 0), sensed(9, 1)].iter().for_each(|message| view.receive(at(20), message));
+        view.receive(at(30), &latent(0, 0.75));
+        let scans = view.snapshot(at(40)).scans;
+        let [scan] = &scans[..] else { panic!("one is of a sense with rays: {scans:?}") };
+        assert_eq!((scan.robot, scan.sense, scan.position, scan.heading), (0, 1, Vec2::new(0.5, 0.0), 0.0));
     }
 
     fn lines(status: &PageStatus) -> Vec<&str> {

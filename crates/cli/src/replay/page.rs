@@ -17,12 +17,14 @@ use murmurate::messages::wire::Wire;
 use murmurate::registry::Registry;
 use murmurate_record::reader::{self, Opened};
 use murmurate_record::share::trusted;
+use murmurate_record::stage::StageSense;
 use murmurate_replay::files::Files;
 use murmurate_replay::sights::{self, Keys, Shown};
 use murmurate_robot::output::talk;
 use murmurate_robot::temporary;
 use murmurate_robot::{BadInput, Ended, bad, key, signals};
 use murmurate_view::player::Player;
+use murmurate_view::scans::ScanForm;
 use murmurate_view::server::Publisher;
 use murmurate_view::snapshot;
 use murmurate_view::status::{PageStatus, PlayedRecord, Scene};
@@ -145,6 +147,12 @@ fn scene(shown: &Shown, name: &str) -> Scene {
         hull_m: stage.hull_m,
         range_m: stage.range_m,
         scale_m: snapshot::scale_m(x.max(y) + 2.0),
+        scans: {
+            let form = |(sense, of): (u8, &StageSense)| {
+                of.rays_rad.map(|rays_rad| ScanForm { sense, rays_rad, mount_m: of.mount_m })
+            };
+            (0..).zip(&stage.senses).filter_map(form).collect()
+        },
         hears_links: *hears_links,
         hears_results: *hears_results,
         ..Scene::default()

@@ -15,8 +15,8 @@ use super::PageFlags;
 use super::feed::Feed;
 use murmurate::actors::network;
 use murmurate::actors::order::OrderKind;
-use murmurate::deploy::Routes;
 use murmurate::deploy::team::TeamFile;
+use murmurate::deploy::{Deployment, Routes};
 use murmurate::graph::event::Event;
 use murmurate::graph::operator;
 use murmurate::live::links::ProcessIdentity;
@@ -27,6 +27,7 @@ use murmurate::results::episode::Episode;
 use murmurate::runtime::clock::Clock;
 use murmurate::runtime::real::run_real;
 use murmurate::runtime::shell::Mailbox;
+use murmurate::senses::Settings;
 use murmurate::time::{Span, Time};
 use murmurate_record::stage::Stage;
 use murmurate_robot::output::talk;
@@ -37,6 +38,7 @@ use murmurate_view::access::Control;
 use murmurate_view::command::Command;
 use murmurate_view::metrics::Metrics;
 use murmurate_view::orders::Orders;
+use murmurate_view::scans::ScanForm;
 use murmurate_view::server::{Publisher, Server};
 use murmurate_view::status::{Ending, Scene};
 use murmurate_view::team_view::TeamView;
@@ -128,6 +130,7 @@ impl Page {
             robots: deployment.robots,
             episodes: some.episodes,
             range_m: range_m.filter(|range_m| range_m.is_finite()),
+            scans: scans(deployment, registry),
             hears_links: false,
             hears_results: events.is_some(),
             ..Scene::of_arena(scenario.arena())
@@ -383,4 +386,13 @@ impl Desk {
 /// Returns the id of the host with this index in the deployment.
 fn id(host: usize) -> HostId {
     HostId(u16::try_from(host).expect("hosts are counted in u16"))
+}
+
+/// Returns the directions of the rays of each sense of a checked team whose values are distances along rays.
+fn scans(deployment: &Deployment, registry: &Registry) -> Vec<ScanForm> {
+    let senses = deployment.senses.iter().enumerate();
+    let form = |(at, (name, settings)): (usize, (&String, &Settings))| {
+        ScanForm::of(at, &registry.sense(name, settings, RobotId(0)).ok()?.layout)
+    };
+    senses.filter_map(form).collect()
 }

@@ -31,6 +31,7 @@ use murmurate_view::access::Control;
 use murmurate_view::command::Command;
 use murmurate_view::metrics::Metrics;
 use murmurate_view::orders::Orders;
+use murmurate_view::scans::ScanForm;
 use murmurate_view::server::Publisher;
 use murmurate_view::status::{Ending, LinkImpairment, PageStatus, Scene};
 use murmurate_view::team_view::TeamView;
@@ -138,6 +139,10 @@ fn scene(trial: &Trial, policy: &str) -> Scene {
         hull_m: trial.physics.wall_radius_m,
         range_m: Some(range_m).filter(|range_m| range_m.is_finite()),
         links: trial.deployment.links.iter().map(|link| link.name.clone()).collect(),
+        scans: {
+            let senses = trial.sense_layouts();
+            senses.iter().enumerate().filter_map(|(at, (_, layout))| ScanForm::of(at, layout)).collect()
+        },
         hears_links: true,
         hears_results: true,
         ..Scene::of_arena(trial.scenario.arena())
@@ -167,7 +172,7 @@ fn update(view: &mut TeamView, orders: &mut Orders, now: Time, host: HostId, eve
 
 /// Decodes a published datagram; `None` if its message is of a kind that the page does not show.
 fn wanted(frame: &Frame) -> Option<Wire> {
-    let kinds = [Kind::Latent, Kind::Heartbeat, Kind::Mode, Kind::Status];
+    let kinds = [Kind::Latent, Kind::Heartbeat, Kind::Mode, Kind::Status, Kind::Sensed];
     match codec::first(frame).ok()? {
         Content::Message(kind) if kinds.contains(&kind) => codec::decode(frame).ok().map(|(_, message)| message),
         _ => None,

@@ -2,7 +2,7 @@
 "use strict";
 
 const PHASES = ["needs reset", "resetting", "in place", "running", "at goal", "aborted", "finished", "waiting"];
-const HEADER = 16, ROBOT = 9, LINK = 6, UNKNOWN = -32768;
+const HEADER = 16, ROBOT = 9, LINK = 6, SCAN = 12, UNKNOWN = -32768, NO_ECHO = 65535;
 const STALE_MS = 700;      // Snapshot age [ms] at which the page turns grey; checked every 100 ms, so within 1 s.
 const TRAIL_MS = 150, TRAIL_LENGTH = 30;
 const MANY = 500;          // Number of links above which they are drawn thin and without dashes.
@@ -105,6 +105,7 @@ function setUp() {
   // Lines that are not drawn are not explained.
   for (const id of ["show-links", "colour"]) $(id).closest("label").hidden = !scene.hears_links;
   document.querySelector(".legend").hidden = !scene.hears_links;
+  $("show-scans").closest("label").hidden = scene.scans.length === 0;
   for (const id of ["link", "cut", "delay", "loss"]) $(id).closest(".row").hidden = scene.links.length === 0;
   $("histogram").replaceChildren(...Array.from({ length: BINS + 1 }, () => document.createElement("div")));
   const margin = scene.hull_m + 0.15, half = scene.half_extent;
@@ -387,6 +388,7 @@ function draw() {
   if ($("show-links").checked) drawLinks(at, pixel);
   if ($("show-trails").checked) drawTrails(n, pixel);
   if ($("show-goals").checked) drawGoals(at, hull, pixel);
+  if ($("show-scans").checked) drawScans(pixel);
   drawRobots(at, n, hull, pixel);
   counts.drawMs += performance.now() - began;
   counts.drawn++;
@@ -458,6 +460,35 @@ function drawTrails(n, pixel) {
   }
   pen.stroke();
   pen.globalAlpha = 1;
+}
+
+// Draws the newest scan of each robot: a thin line along each ray with an echo, and a dot at the echo.
+function drawScans(pixel) {
+  const lines = new Path2D(), dots = new Path2D(), count = world.getUint16(12, true), dot = 1.6 * pixel;
+  let at = HEADER + world.getUint16(2, true) * ROBOT + world.getUint16(8, true) * LINK;
+  for (let scan = 0; scan < count; scan++) {
+    const robot = world.getUint16(at, true), rays = world.getUint16(at + 10, true), ranges = at + SCAN;
+    const form = scene.scans.find(form => form.sense === world.getUint8(at + 2));
+    const [x, y, heading] = [4, 6, 8].map(field => world.getInt16(at + field, true));
+    at = ranges + 2 * rays;
+    if (!form || chosen !== null && robot !== chosen) continue;
+    const turn = heading / 1e4, [first, last] = form.rays_rad, [ahead, left] = form.mount_m;
+    const fromX = x * scene.scale_m + Math.cos(turn) * ahead - Math.sin(turn) * left;
+    const fromY = y * scene.scale_m + Math.sin(turn) * ahead + Math.cos(turn) * left;
+    for (let ray = 0; ray < rays; ray++) {
+      const mm = world.getUint16(ranges + 2 * ray, true);
+      if (mm === NO_ECHO) continue;
+      const angle = turn + first + (rays > 1 ? ray * (last - first) / (rays - 1) : 0);
+      const toX = fromX + mm / 1000 * Math.cos(angle), toY = fromY + mm / 1000 * Math.sin(angle);
+      lines.moveTo(fromX, fromY); lines.lineTo(toX, toY);
+      dots.moveTo(toX + dot, toY); dots.arc(toX, toY, dot, 0, 2 * Math.PI);
+    }
+  }
+  pen.strokeStyle = pen.fillStyle = colours.robot;
+  pen.lineWidth = pixel; pen.globalAlpha = 0.22;
+  pen.stroke(lines);
+  pen.globalAlpha = 1;
+  pen.fill(dots);
 }
 
 function drawGoals(at, hull, pixel) {
@@ -602,7 +633,7 @@ document.addEventListener("keydown", event => {
 });
 // Without this, releasing the space bar would press the button that has the focus.
 document.addEventListener("keyup", event => { if (event.code === "Space") event.preventDefault(); });
-for (const id of ["show-links", "show-trails", "show-goals", "show-range"]) $(id).onchange = () => { dirty = true; };
+for (const id of ["show-links", "show-trails", "show-goals", "show-range", "show-scans"]) $(id).onchange = () => { dirty = true; };
 $("colour").onchange = () => {
   const words = $("colour").value === "loss" ? ["≤ 5 %", "≤ 30 %", "more"] : ["≤ 0.1 s", "≤ 0.3 s", "older"];
   words.forEach((text, at) => set($(`legend-${at}`), text));
