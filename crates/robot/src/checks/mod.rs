@@ -2,8 +2,8 @@
 //! value.
 //!
 //! Local checks come first, then reception from other hosts. For this it sends link reports under ids of its own, so
-//! that running robots are not disturbed. The drivers and the source of the host are checked last, unless the host is
-//! running and uses them.
+//! that running robots are not disturbed. The drivers, the source and the senses of the host are checked last, unless
+//! the host is running and uses them.
 
 mod bench;
 mod devices;
@@ -11,6 +11,7 @@ mod finding;
 mod listen;
 mod local;
 mod notes;
+mod senses;
 mod table;
 mod wiggle;
 
@@ -101,6 +102,10 @@ pub fn examine(examination: &Examination) -> Result<Report> {
             if let bench::End::Interrupted = end {
                 report.interrupted = true;
                 break;
+            }
+            if !heard.hosts.contains(&team.host) {
+                let found = senses::look(team, examination.registry, listen_s)?;
+                report.checks.extend(found.into_iter().map(|found| Check::of(&host_of(team).name, found)));
             }
         }
         report.checks.extend(devices::at_one_place(&places).into_iter().map(|found| Check::of("here", found)));

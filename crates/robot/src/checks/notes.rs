@@ -169,6 +169,11 @@ pub fn of_driver(robot: RobotId) -> Vec<String> {
     with(|notes| notes.of_driver(robot))
 }
 
+/// Returns the collected warnings of the worker whose thread has this name.
+pub fn of_worker(thread: &str) -> Vec<String> {
+    with(|notes| notes.ranked(|note| (note.from == thread).then_some(note.text.as_str())))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
