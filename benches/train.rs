@@ -10,6 +10,7 @@ use murmurate::policy::manifest::Architecture;
 use murmurate::random::Seed;
 use murmurate::registry::Registry;
 use murmurate::scenario::{self, Settings};
+use murmurate::senses::Settings as SenseSettings;
 use murmurate_train::batch::{Batch, Graphs};
 use murmurate_train::conditions::EpisodeConditions;
 use murmurate_train::config::{Conditions, Config, CurriculumStage, Reward};
@@ -18,7 +19,7 @@ use murmurate_train::network::{Space, TrainableGnn};
 use murmurate_train::rollout::CHUNK;
 use murmurate_train::trainer::{Plan, Trainer};
 use murmurate_train::update::initial;
-use murmurate_train::vector::{Autoreset, Buffers, Content, Lengths, Options, VectorEnvironment};
+use murmurate_train::vector::{Autoreset, Buffers, Content, Lengths, Lidar, Options, VectorEnvironment};
 use rand::RngExt;
 
 fn main() {
@@ -74,12 +75,20 @@ fn rollout(bencher: Bencher, reward: &str) {
 }
 
 /// Vectorised environment with messages, as Python sees it: 1024 environments of five robots, one thread and random
-/// actions.
-#[divan::bench(args = ["perfect", "late"], sample_count = 20)]
+/// actions; perfect or late messages, or no messages, without a lidar and with one of 32 rays.
+#[divan::bench(args = ["perfect", "late", "silent", "lidar"], sample_count = 20)]
 fn vectorised(bencher: Bencher, conditions: &str) {
     const ENVIRONMENTS: usize = 1024;
     const STEPS: usize = 20;
     let config = preset("robust");
+    let alone = ["silent", "lidar"].contains(&conditions);
+    let lidar = || Lidar {
+        name: "lidar".to_owned(),
+        settings: SenseSettings {
+            kind: "lidar".to_owned(),
+            table: "rays = 32\nrange_m = 2.0".parse().expect("it is TOML"),
+        },
+    };
     let late = if conditions == "late" { 1.0 } else { 0.0 };
     let mut environments = VectorEnvironment::new(Options {
         scenario: scenario::build("passage", &Settings::default()).expect("the default passes its check"),
@@ -97,15 +106,17 @@ fn vectorised(bencher: Bencher, conditions: &str) {
         radius_m: config.policy.radius_m,
         limit_m_s: config.policy.limit_m_s,
         episode_s: config.episode_s,
-        content: Content::Observations,
+        content: if alone { Content::Nothing } else { Content::Observations },
         autoreset: Autoreset::SameStep,
+        lidar: (conditions == "lidar").then(lidar),
         seed: 1,
     });
-    let Lengths { robots, observation, message } = environments.lengths();
-    let (rows, edges) = (ENVIRONMENTS * robots, ENVIRONMENTS * robots * robots);
+    let Lengths { robots, observation, message, rays } = environments.lengths();
+    let (rows, edges) = (ENVIRONMENTS * robots, if alone { 0 } else { ENVIRONMENTS * robots * robots });
     let floats = |number: usize| vec![0.0f32; number];
     let (mut seen, mut last, mut reward) = (floats(rows * observation), floats(rows * observation), floats(rows));
     let (mut age_s, mut said) = (floats(edges), floats(edges * message));
+    let (mut scan, mut last_scan) = (floats(rows * rays), floats(rows * rays));
     let flags = |number: usize| vec![false; number];
     let (mut terminated, mut truncated) = (flags(ENVIRONMENTS), flags(ENVIRONMENTS));
     let (mut arrived, mut heard) = (flags(rows), flags(edges));
@@ -123,11 +134,14 @@ fn vectorised(bencher: Bencher, conditions: &str) {
                 heard: &mut heard,
                 age_s: &mut age_s,
                 message: &mut said,
+                scan: &mut scan,
+                last_scan: &mut last_scan,
             };
             environments.step(&actions, &[], buffers);
         }
     });
-    assert!(heard.iter().any(|heard| *heard), "messages arrive");
+    assert!(alone || heard.iter().any(|heard| *heard), "messages arrive");
+    assert!(rays == 0 || scan.iter().any(|distance| *distance < 2.0), "something is seen");
 }
 
 /// Forward pass for 4096 environments of five robots in range of each other, one thread, in both architectures.

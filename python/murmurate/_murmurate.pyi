@@ -46,6 +46,9 @@ class VecEnv:
             configuration, 0 in the presets.
         scale: Factor on the lengths of the task, 0.05 to 20; None takes the scenario's own.
         hull_m: Radius of a robot's hull [m], 0.01 to 0.85; None takes that of the paper's robots, 0.16.
+        senses: File of ``murmurate sim --senses`` with one sense of the kind ``lidar``, which all robots have. It scans
+            after each step, so its ``rate_hz`` and ``delay_s`` have to be left out. Its noise is drawn from the random
+            numbers of the environment.
 
     Attributes:
         obs: Observations (N, R, F): pairs of floats [m], policy frame, in the order of ``observation_fields``.
@@ -58,6 +61,9 @@ class VecEnv:
             messages.
         age: Time since the message in use arrived [s] (N, R, R), by receiver and then by sender.
         said: Content of the message in use (N, R, R, M), by receiver and then by sender.
+        scan: Distances along the K rays of each robot's lidar [m] (N, R, K), its range for no echo; (N, R, 0) without
+            one. They are numbered in the policy frame if the rays go all around, else in the robot's own frame.
+        last_scan: Distances (N, R, K) before an automatic reset: where an episode has ended, its last ones.
         scenario: Name of the task.
         num_envs: Number of environments N.
         num_robots: Number of robots R of each environment.
@@ -87,6 +93,8 @@ class VecEnv:
     heard: NDArray[np.bool_]
     age: NDArray[np.float32]
     said: NDArray[np.float32]
+    scan: NDArray[np.float32]
+    last_scan: NDArray[np.float32]
     scenario: str
     num_envs: int
     num_robots: int
@@ -122,6 +130,7 @@ class VecEnv:
         filtered: float | None = None,
         scale: float | None = None,
         hull_m: float | None = None,
+        senses: str | os.PathLike[str] | None = None,
     ) -> None: ...
     def step(self, actions: NDArray[np.float32], messages: NDArray[np.float32] | None = None) -> None:
         """Advances every environment by ``repeat`` steps of 50 ms.

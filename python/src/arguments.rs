@@ -1,11 +1,12 @@
 //! Arguments of `VecEnv`, from Python values to the settings of environments. A wrong one is a `ValueError` that begins
 //! with its name.
 
+use murmurate::deploy::senses_of;
 use murmurate::policy::manifest::Field;
 use murmurate::scenario::{Scenario, ScenarioError, Settings};
 use murmurate_train::config::{Conditions, Config, CurriculumStage, Reward};
 use murmurate_train::imitation::config::Config as Imitation;
-use murmurate_train::vector::{Autoreset, Content, Options};
+use murmurate_train::vector::{Autoreset, Content, Lidar, Options};
 use pyo3::exceptions::{PyUserWarning, PyValueError};
 use pyo3::prelude::*;
 
@@ -85,6 +86,7 @@ pub struct Arguments<'a, 'py> {
     pub filtered: Given<'a, 'py>,
     pub scale: Given<'a, 'py>,
     pub hull_m: Given<'a, 'py>,
+    pub senses: Given<'a, 'py>,
 }
 
 /// Reads a text among `names`, or the first of them if it is not given; returns its index.
@@ -155,6 +157,7 @@ impl Arguments<'_, '_> {
             hold_s: config.policy.hold_s,
             content,
             autoreset,
+            lidar: self.lidar()?,
             seed,
         };
         options.check().map_err(|error| PyValueError::new_err(error.to_string()))?;
@@ -174,6 +177,19 @@ impl Arguments<'_, '_> {
             (Content::Actions(_), Some(size)) => Ok(Content::Actions(whole("message_size", size, 1, 1024)? as usize)),
             (_, Some(_)) => Err(wrong("message_size", "it has no effect without message='action'")),
             (content, None) => Ok(content),
+        }
+    }
+
+    /// Returns the lidar in a file of senses, as `sim --senses` takes it.
+    fn lidar(&self) -> PyResult<Option<Lidar>> {
+        let Some(given) = self.senses else { return Ok(None) };
+        let file = text("senses", given)?;
+        let content = std::fs::read_to_string(&file).map_err(|error| wrong("senses", format!("'{file}': {error}")))?;
+        let senses = senses_of(&content).map_err(|error| wrong("senses", format!("'{file}': {error}")))?;
+        let mut all = senses.into_iter();
+        match (all.next(), all.next()) {
+            (Some((name, settings)), None) => Ok(Some(Lidar { name, settings })),
+            _ => Err(wrong("senses", format!("'{file}' has not one sense, which is a lidar"))),
         }
     }
 

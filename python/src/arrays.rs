@@ -17,6 +17,7 @@ pub struct Shapes {
     pub environments: [usize; 1],
     pub edges: [usize; 3],
     pub said: [usize; 4],
+    pub scan: [usize; 3],
 }
 
 impl Shapes {
@@ -24,7 +25,14 @@ impl Shapes {
         let (n, lengths) = (options.environments, options.lengths());
         let (r, f, m) = (lengths.robots, lengths.observation, lengths.message);
         let hearing = if m > 0 { n } else { 0 };
-        Shapes { obs: [n, r, f], rows: [n, r], environments: [n], edges: [hearing, r, r], said: [hearing, r, r, m] }
+        Shapes {
+            obs: [n, r, f],
+            rows: [n, r],
+            environments: [n],
+            edges: [hearing, r, r],
+            said: [hearing, r, r, m],
+            scan: [n, r, lengths.rays],
+        }
     }
 }
 

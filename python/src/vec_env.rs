@@ -57,6 +57,13 @@ pub struct VecEnv {
     /// Content of the message in use (N, R, R, M), by receiver and then by sender.
     #[pyo3(get)]
     said: Py<PyArrayDyn<f32>>,
+    /// Distances along the rays of each robot's lidar [m] (N, R, K), float32, its range for no echo; (N, R, 0) without
+    /// one. Rays all around are numbered in the policy frame, others in the robot's own frame.
+    #[pyo3(get)]
+    scan: Py<PyArrayDyn<f32>>,
+    /// Distances [m] (N, R, K) before an automatic reset: where an episode has ended, its last ones.
+    #[pyo3(get)]
+    last_scan: Py<PyArrayDyn<f32>>,
 }
 
 /// Mark that a thread works on the environments; dropping it takes it away.
@@ -82,6 +89,7 @@ macro_rules! with_buffers {
         let (mut terminated, mut truncated) = (open!(terminated, environments), open!(truncated, environments));
         let (mut arrived, mut heard) = (open!(arrived, rows), open!(heard, edges));
         let (mut age, mut said) = (open!(age, edges), open!(said, said));
+        let (mut scan, mut last_scan) = (open!(scan, scan), open!(last_scan, scan));
         #[allow(unused_mut, reason = "a step takes them apart")]
         let mut $buffers = Buffers {
             observation: obs.as_slice_mut()?,
@@ -93,6 +101,8 @@ macro_rules! with_buffers {
             heard: heard.as_slice_mut()?,
             age_s: age.as_slice_mut()?,
             message: said.as_slice_mut()?,
+            scan: scan.as_slice_mut()?,
+            last_scan: last_scan.as_slice_mut()?,
         };
         let mutex = &$self.environments;
         $py.detach(move || {
@@ -125,6 +135,8 @@ impl VecEnv {
             heard: zeros(py, &shapes.edges)?,
             age: zeros(py, &shapes.edges)?,
             said: zeros(py, &shapes.said)?,
+            scan: zeros(py, &shapes.scan)?,
+            last_scan: zeros(py, &shapes.scan)?,
         })
     }
 
@@ -153,11 +165,11 @@ impl VecEnv {
         scenario = None, num_envs = None, *, threads = None, conditions = None, message = None, message_size = None,
         autoreset = None, seed = Some(Seed(0)), num_robots = None, gap_m = None, episode_s = None, config = None,
         stage = None, penalties = None, repeat = None, radio = None, filtered = None,
-        scale = None, hull_m = None,
+        scale = None, hull_m = None, senses = None,
     ), text_signature = "(scenario='passage', num_envs=1, *, threads=1, conditions='perfect', message=None, \
         message_size=None, autoreset='same-step', seed=0, num_robots=None, gap_m=None, episode_s=None, config=None, \
         stage=None, penalties=None, repeat=None, radio=None, filtered=None, \
-        scale=None, hull_m=None)")]
+        scale=None, hull_m=None, senses=None)")]
     #[expect(clippy::too_many_arguments, reason = "keyword arguments of Python")]
     fn new(
         py: Python<'_>,
@@ -180,6 +192,7 @@ impl VecEnv {
         filtered: Given<'_, '_>,
         scale: Given<'_, '_>,
         hull_m: Given<'_, '_>,
+        senses: Given<'_, '_>,
     ) -> PyResult<VecEnv> {
         let arguments = Arguments {
             scenario,
@@ -200,6 +213,7 @@ impl VecEnv {
             filtered,
             scale,
             hull_m,
+            senses,
         };
         let this = VecEnv::made(py, arguments.options(py, Seed::or_drawn(seed, py)?)?)?;
         with_buffers!(this, py, |environments, buffers| environments.begin(buffers));
@@ -277,7 +291,7 @@ impl VecEnv {
         macro_rules! copied {
             ($($name:ident)*) => { $(self.$name.bind(py).copy_to(copy.$name.bind(py))?;)* };
         }
-        copied!(obs last_obs reward terminated truncated arrived heard age said);
+        copied!(obs last_obs reward terminated truncated arrived heard age said scan last_scan);
         Ok(copy)
     }
 

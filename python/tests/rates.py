@@ -5,8 +5,10 @@
 With `vmas` (pip install vmas) its `passage` and `navigation` are measured in turn with ours.
 """
 
+import pathlib
 import statistics
 import sys
+import tempfile
 import time
 
 import numpy as np
@@ -14,6 +16,8 @@ import numpy as np
 from murmurate import VecEnv
 
 N, ROUNDS, STEPS = 1024, 5, 100
+LIDAR = pathlib.Path(tempfile.mkdtemp()) / "lidar.toml"
+LIDAR.write_text("[senses.lidar]\nkind = 'lidar'\nrays = 32\nrange_m = 2.0\n")
 
 
 def ours(**options):
@@ -52,6 +56,7 @@ cases = {
     "passage, late": (ours(conditions="late"), STEPS, N),
     "passage, late, messages": (ours(conditions="late", message="observations"), STEPS, N),
     "passage, late, floats of policies": (ours(conditions="late", message="action"), STEPS, N),
+    "passage, perfect, lidar of 32 rays": (ours(senses=LIDAR), STEPS, N),
     "two robots: a crossing and its step": (crossing(), 50 * STEPS, 1),
 }
 if "vmas" in sys.argv:

@@ -1,6 +1,7 @@
 """The package on its own: buffers, refusals, bits, simulations and the command line. Runs with numpy and pytest alone."""
 
 import os
+import pickle
 import subprocess
 import sys
 
@@ -106,11 +107,41 @@ def test_wrong_actions_are_refused_by_name(change, words):
         ({"radio": "wifi"}, "radio"),
         ({"filtered": 1.0}, "filtered"),
         ({"conditions": "late", "filtered": 1.5}, "filtered"),
+        ({"senses": "nothing.toml"}, "senses"),
     ],
 )
 def test_wrong_arguments_are_refused_by_name(options, argument):
     with pytest.raises(ValueError, match=f"^{argument}"):
         VecEnv(**options)
+
+
+def test_a_lidar_scans_what_is_about_each_robot(tmp_path):
+    def senses(text):
+        (tmp_path / "senses.toml").write_text("[senses.eyes]\n" + text)
+        return tmp_path / "senses.toml"
+
+    lidar = "kind = 'lidar'\nrays = 16\nrange_m = 2.0\n"
+    env = VecEnv("swap", 3, num_robots=4, senses=senses(lidar), autoreset="disabled", seed=5)
+    assert env.scan.shape == env.last_scan.shape == (3, 4, 16) and env.scan.dtype == np.float32
+    assert VecEnv("swap", 3, num_robots=4).scan.shape == (3, 4, 0)
+    for _ in range(20):
+        env.step(zeros(env))
+        # The robots stand on open ground: the nearest echo is the nearest hull, or the rails.
+        assert env.scan.min() > 0.3 and env.scan.max() == 2.0 and np.array_equal(env.scan, env.last_scan)
+    before = env.scan.copy()
+    ahead = zeros(env)
+    ahead[:, 0, 0] = 1.0
+    for _ in range(12):
+        env.step(ahead)
+    moved = np.abs(env.scan - before).max(axis=2)
+    assert (moved[:, 0] > 0.05).all(), "the first robot of each team has moved"
+    assert np.array_equal(env.copy().scan, env.scan) and np.array_equal(pickle.loads(pickle.dumps(env)).scan, env.scan)
+    noisy = VecEnv("swap", 3, senses=senses(lidar + "noise_m = 0.05\n"))
+    noisy.step(zeros(noisy))
+    assert len(np.unique(noisy.scan[noisy.scan < 2.0])) > 50
+    for text, field in [("kind = 'relative'\nmost = 2\nrange_m = 1.0", "kind"), (lidar + "delay_s = 0.1", "delay_s")]:
+        with pytest.raises(ValueError, match=f"^senses.eyes.{field}"):
+            VecEnv("swap", senses=senses(text))
 
 
 def test_late_messages_are_those_of_the_medium_that_is_asked_for():

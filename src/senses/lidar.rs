@@ -15,7 +15,7 @@ use crate::messages::ids::RobotId;
 use crate::messages::local::Scene;
 use crate::observation::{Sweep, Unit};
 use crate::random::{self, RngExt, Stream};
-use crate::scenario::KeepOut;
+use crate::scenario::Arena;
 
 /// Description of the sense `lidar` in one line, for lists of all kinds.
 pub(super) const ABOUT: &str = "simulated: distances along rays to walls and the hulls of robots";
@@ -93,84 +93,136 @@ impl Config {
 
 /// Makes the parts of a lidar from its settings. The error names the wrong setting.
 pub(super) fn make(settings: &Settings, _: RobotId) -> Result<Parts, ConfigError> {
-    let config: Config = settings.read()?;
-    config.check().map_err(|error| error.within(&settings.name))?;
+    let config = checked(settings)?;
     let sweep = config.sweep();
     let layout = Layout { shape: vec![config.rays], unit: Unit::Metre, sweep: Some(sweep) };
-    Ok(Parts::simulated(layout, config.pace(), move |site| Lidar::new(&config, &sweep, site)))
+    let scanner = Scanner::new(&config, &sweep);
+    Ok(Parts::simulated(layout, config.pace(), move |site: Site| Lidar {
+        robot: site.robot,
+        scanner: scanner.clone(),
+        arena: site.arena.clone(),
+        stream: site.stream,
+    }))
 }
 
-/// Lidar of one simulated robot.
-struct Lidar {
-    robot: RobotId,
+/// Reads the settings of a lidar and checks them.
+fn checked(settings: &Settings) -> Result<Config, ConfigError> {
+    let config: Config = settings.read()?;
+    config.check().map_err(|error| error.within(&settings.name))?;
+    Ok(config)
+}
+
+/// Lidar without its schedule: distances along its rays from a place among walls and robots.
+#[derive(Clone, Debug)]
+pub struct Scanner {
     rays: Rays,
     mount: Vec2,
-    blocks: Vec<KeepOut>,
-    /// Half the inner length of the rails along x and y \[m\]; `None` if they are not seen.
-    rails: Option<Vec2>,
-    hull_m: f32,
+    /// Whether the rails about the ground are seen.
+    rails: bool,
     noise_m: f32,
     dropouts: f32,
-    range_m: f32,
-    stream: Stream,
+    sweep: Sweep,
 }
 
-impl Lidar {
-    fn new(config: &Config, sweep: &Sweep, site: Site) -> Lidar {
-        let hull_m = site.arena.hull_m();
-        Lidar {
-            robot: site.robot,
-            rays: Rays::new(config.rays, (sweep.from_rad, sweep.step_rad), config.range_m),
-            mount: Vec2::new(config.mount_m[0], config.mount_m[1]),
-            blocks: site.arena.keep_outs.clone(),
-            // The hull of a robot touches the rails when its centre is at the end of the ground.
-            rails: config.rails.then(|| site.arena.half_extent.add_scalar(hull_m)),
-            hull_m,
-            noise_m: config.noise_m,
-            dropouts: config.dropouts,
-            range_m: config.range_m,
-            stream: site.stream,
+impl Scanner {
+    /// Makes the scanner of a sense `lidar` called `name`, for scans that the caller makes when it wants them. The
+    /// error names the wrong setting; rate and delay are wrong, too.
+    pub fn of(name: &str, settings: &super::Settings) -> Result<Scanner, ConfigError> {
+        let wrong = |field: &str, why: &str| Err(ConfigError::field(format!("{name}.{field}"), why));
+        if settings.kind != "lidar" {
+            return wrong("kind", "a 'lidar' alone can be had here");
+        }
+        let config = checked(&settings.named(name))?;
+        match config {
+            Config { rate_hz: Some(_), .. } => wrong("rate_hz", "there is a scan in each step here; leave it out"),
+            Config { delay_s, .. } if delay_s > 0.0 => wrong("delay_s", "scans have no delay here; leave it out"),
+            _ => Ok(Scanner::new(&config, &config.sweep())),
         }
     }
 
-    /// Returns the distances along the rays \[m\], without noise; `None` if the robot is not in the scene.
-    fn distances(&mut self, scene: &Scene) -> Option<Vec<f32>> {
-        let at = scene.robots.binary_search_by_key(&self.robot, |standing| standing.robot).ok()?;
-        let own = &scene.robots[at];
-        let (x, y) = rotated(own.heading.into(), self.mount.x.into(), self.mount.y.into());
-        let origin = own.centre + Vec2::new(x as f32, y as f32);
-        let mut ranges = vec![0.0; self.rays.count()];
-        self.rays.place(origin, own.heading, &mut ranges);
-        for other in scene.robots.iter().filter(|other| other.robot != self.robot) {
-            self.rays.meet_disc(&Disc { centre: other.centre, radius_m: self.hull_m }, &mut ranges);
+    fn new(config: &Config, sweep: &Sweep) -> Scanner {
+        Scanner {
+            rays: Rays::new(config.rays, (sweep.from_rad, sweep.step_rad), config.range_m),
+            mount: Vec2::from(config.mount_m),
+            rails: config.rails,
+            noise_m: config.noise_m,
+            dropouts: config.dropouts,
+            sweep: *sweep,
         }
-        self.blocks.iter().for_each(|block| self.rays.meet_box(block, &mut ranges));
-        self.rails.iter().for_each(|half| self.rays.meet_rails(*half, &mut ranges));
-        self.rays.limit(&mut ranges);
-        Some(ranges)
+    }
+
+    /// Returns the directions and the range of the rays.
+    pub fn sweep(&self) -> &Sweep {
+        &self.sweep
+    }
+
+    /// Returns the number of rays.
+    pub fn rays(&self) -> usize {
+        self.rays.count()
+    }
+
+    /// Writes the distances along the rays into `ranges` \[m\], without noise; infinite for no echo. The robot is at
+    /// `centre` \[m\] with this `heading` \[rad\], world frame, and the angles of the rays count from the direction
+    /// `ahead` \[rad\]: its heading, for rays in its own frame. `others` are the centres of the other robots \[m\].
+    pub fn scan(
+        &mut self,
+        arena: &Arena,
+        (centre, heading, ahead): (Vec2, f32, f32),
+        others: impl Iterator<Item = Vec2>,
+        ranges: &mut [f32],
+    ) {
+        let mut origin = centre;
+        if self.mount != Vec2::zeros() {
+            let (x, y) = rotated(heading.into(), self.mount.x.into(), self.mount.y.into());
+            origin += Vec2::new(x as f32, y as f32);
+        }
+        let radius_m = arena.hull_m();
+        self.rays.place(origin, ahead, ranges);
+        others.for_each(|centre| self.rays.meet_disc(&Disc { centre, radius_m }, ranges));
+        arena.keep_outs.iter().for_each(|block| self.rays.meet_box(block, ranges));
+        if self.rails {
+            // The hull of a robot touches the rails when its centre is at the end of the ground.
+            self.rays.meet_rails(arena.half_extent.add_scalar(radius_m), ranges);
+        }
+        self.rays.limit(ranges);
     }
 
     /// Adds noise to the distances, and takes away the echoes that are lost. Without noise and losses no number is
     /// drawn; with them as many for each ray, whatever it meets.
-    fn disturb(&mut self, ranges: &mut [f32]) {
-        let (noise, most) = (self.noise_m, self.range_m);
+    pub fn disturb(&self, stream: &mut Stream, ranges: &mut [f32]) {
+        if self.noise_m <= 0.0 && self.dropouts <= 0.0 {
+            return;
+        }
+        let (noise, most) = (self.noise_m, self.sweep.range_m);
         for range in ranges {
             if noise > 0.0 {
-                let [off, _] = random::normals(&mut self.stream);
+                let [off, _] = random::normals(stream);
                 let noisy = (*range + noise * off as f32).max(0.0);
                 *range = if noisy <= most { noisy } else { f32::INFINITY };
             }
-            if self.dropouts > 0.0 && self.stream.random::<f32>() < self.dropouts {
+            if self.dropouts > 0.0 && stream.random::<f32>() < self.dropouts {
                 *range = f32::INFINITY;
             }
         }
     }
 }
 
+/// Lidar of one simulated robot.
+struct Lidar {
+    robot: RobotId,
+    scanner: Scanner,
+    arena: Arena,
+    stream: Stream,
+}
+
 impl Measure for Lidar {
     fn measure(&mut self, scene: &Scene) -> Option<Vec<f32>> {
-        let mut values = self.distances(scene)?;
-        self.disturb(&mut values);
+        let at = scene.robots.binary_search_by_key(&self.robot, |standing| standing.robot).ok()?;
+        let own = &scene.robots[at];
+        let others = scene.robots.iter().filter(|other| other.robot != self.robot).map(|other| other.centre);
+        let mut values = vec![0.0; self.scanner.rays()];
+        self.scanner.scan(&self.arena, (own.centre, own.heading, own.heading), others, &mut values);
+        self.scanner.disturb(&mut self.stream, &mut values);
         Some(values)
     }
 }
@@ -181,7 +233,7 @@ mod tests {
     use super::*;
     use crate::messages::local::Standing;
     use crate::random::Seed;
-    use crate::scenario::Arena;
+    use crate::scenario::KeepOut;
     use crate::time::{Span, Time};
 
     fn settings(text: &str) -> Settings {

@@ -14,6 +14,7 @@ mod relative;
 
 use serde::{Deserialize, Serialize};
 
+pub use self::lidar::Scanner;
 use self::paced::{Measure, Pace, Simulated};
 
 use crate::config::ConfigError;

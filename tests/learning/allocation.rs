@@ -6,9 +6,10 @@ use murmurate::observation::Observation;
 use murmurate::policy::{self, Model, Neighbour};
 use murmurate::random::Seed;
 use murmurate::scenario::{self, Settings};
+use murmurate::senses;
 use murmurate::time::Span;
 use murmurate_train::config::Config;
-use murmurate_train::vector::{Autoreset, Buffers, Content, Options, VectorEnvironment};
+use murmurate_train::vector::{Autoreset, Buffers, Content, Lidar, Options, VectorEnvironment};
 
 #[test]
 fn a_step_of_a_network_allocates_nothing() {
@@ -38,48 +39,100 @@ fn a_step_of_a_network_allocates_nothing() {
     assert_eq!(allocation_counter::measure(|| drop(std::hint::black_box(vec![0u8; 64]))).count_total, 1);
 }
 
+/// Buffers of environments.
+struct Memory {
+    floats: [Vec<f32>; 7],
+    flags: [Vec<bool>; 4],
+}
+
+impl Memory {
+    fn of(options: &Options) -> Memory {
+        let (n, lengths) = (options.environments, options.lengths());
+        let (rows, edges) = (n * lengths.robots, n * lengths.robots * lengths.robots);
+        let (edges, scan) = (if lengths.message > 0 { edges } else { 0 }, rows * lengths.rays);
+        let seen = rows * lengths.observation;
+        let floats = [seen, seen, rows, edges, edges * lengths.message, scan, scan].map(|length| vec![0.0f32; length]);
+        Memory { floats, flags: [n, n, rows, edges].map(|length| vec![false; length]) }
+    }
+
+    fn buffers(&mut self) -> Buffers<'_> {
+        let [observation, last_observation, reward, age_s, message, scan, last_scan] = &mut self.floats;
+        let [terminated, truncated, arrived, heard] = &mut self.flags;
+        Buffers {
+            observation,
+            last_observation,
+            reward,
+            terminated,
+            truncated,
+            arrived,
+            heard,
+            age_s,
+            message,
+            scan,
+            last_scan,
+        }
+    }
+}
+
 /// Makes environments and buffers of their sizes, and starts new episodes; the result is of no interest.
 fn allocate(options: Options) {
-    let (n, lengths) = (options.environments, options.lengths());
-    let (rows, edges) = (n * lengths.robots, n * lengths.robots * lengths.robots);
-    let edges = if lengths.message > 0 { edges } else { 0 };
-    let mut floats = [rows * lengths.observation, rows * lengths.observation, rows, edges, edges * lengths.message]
-        .map(|length| vec![0.0f32; length]);
-    let mut flags = [n, n, rows, edges].map(|length| vec![false; length]);
-    let [observation, last_observation, reward, age_s, message] = &mut floats;
-    let [terminated, truncated, arrived, heard] = &mut flags;
-    let buffers =
-        Buffers { observation, last_observation, reward, terminated, truncated, arrived, heard, age_s, message };
+    let mut memory = Memory::of(&options);
     let mut environments = VectorEnvironment::new(options);
-    environments.reset(|_| true, buffers);
+    environments.reset(|_| true, memory.buffers());
     std::hint::black_box(environments);
+}
+
+/// Returns 320 environments of this scenario without messages.
+fn environments(name: &str, robots: usize) -> Options {
+    let config = Config::preset("robust").expect("it is a preset");
+    Options {
+        scenario: scenario::build(name, &Settings::of(robots)).expect("such teams are supported"),
+        gap_m: None,
+        scale: None,
+        hull_m: None,
+        environments: 320,
+        threads: 1,
+        conditions: config.conditions.clone(),
+        reward: config.reward,
+        body: config.body.clone(),
+        observation: config.policy.observation.clone(),
+        radius_m: config.policy.radius_m,
+        limit_m_s: config.policy.limit_m_s,
+        episode_s: config.episode_s,
+        repeat: 1,
+        hold_s: config.policy.hold_s,
+        content: Content::Nothing,
+        autoreset: Autoreset::SameStep,
+        lidar: None,
+        seed: 1,
+    }
+}
+
+/// Returns a lidar of 64 rays with noise.
+fn lidar() -> Option<Lidar> {
+    let table = "rays = 64\nrange_m = 2.0\nnoise_m = 0.01\ndropouts = 0.1".parse().expect("it is TOML");
+    Some(Lidar { name: "eyes".to_owned(), settings: senses::Settings { kind: "lidar".to_owned(), table } })
+}
+
+#[test]
+fn a_step_with_a_lidar_allocates_no_more_than_one_without() {
+    let counted = |lidar| {
+        let options = Options { lidar, ..environments("passage", 5) };
+        let (mut memory, actions) = (Memory::of(&options), vec![0.5; 320 * 5 * 2]);
+        let mut environments = VectorEnvironment::new(options);
+        environments.begin(memory.buffers());
+        allocation_counter::measure(|| environments.step(&actions, &[], memory.buffers())).count_total
+    };
+    assert_eq!(counted(lidar()), counted(None));
 }
 
 #[test]
 fn environments_take_less_memory_than_was_reckoned_and_not_much_less() {
-    let config = Config::preset("robust").expect("it is a preset");
     for (name, robots) in [("passage", 2), ("passage", 12), ("flocking", 40)] {
-        for content in [Content::Nothing, Content::Observations, Content::Actions(64)] {
-            let mut options = Options {
-                scenario: scenario::build(name, &Settings::of(robots)).expect("such teams are supported"),
-                gap_m: None,
-                scale: None,
-                hull_m: None,
-                environments: 320,
-                threads: 1,
-                conditions: config.conditions.clone(),
-                reward: config.reward,
-                body: config.body.clone(),
-                observation: config.policy.observation.clone(),
-                radius_m: config.policy.radius_m,
-                limit_m_s: config.policy.limit_m_s,
-                episode_s: config.episode_s,
-                repeat: 1,
-                hold_s: config.policy.hold_s,
-                content,
-                autoreset: Autoreset::SameStep,
-                seed: 1,
-            };
+        let contents = [Content::Nothing, Content::Observations, Content::Actions(64)];
+        for (content, lidar) in contents.map(|content| (content, None)).into_iter().chain([(Content::Nothing, lidar())])
+        {
+            let mut options = Options { content, lidar, ..environments(name, robots) };
             (options.conditions.clean, options.conditions.deployed, options.conditions.filtered) = (0.0, 1.0, 1.0);
             let reckoned = options.memory_bytes();
             let taken = allocation_counter::measure(|| allocate(options)).bytes_max;

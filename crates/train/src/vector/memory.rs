@@ -39,7 +39,7 @@ impl Options {
         let outputs =
             if matches!(self.content, Content::Actions(_)) { r * m * size(HISTORY_STEPS) * float } else { 0.0 };
         let heard = if m > 0.0 { edges * (1.0 + float + m * float) } else { 0.0 };
-        let buffers = r * (2.0 * f * float + float + 1.0) + 2.0 + heard;
+        let buffers = r * (2.0 * (f + lengths.rays as f64) * float + float + 1.0) + 2.0 + heard;
         let all = size(self.environments) * MARGIN * (team + r * robot + outputs + buffers);
         all as u64 + (1 << 20)
     }

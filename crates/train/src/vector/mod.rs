@@ -5,9 +5,10 @@
 
 mod memory;
 mod options;
+mod scan;
 mod state;
 
-pub use options::{Autoreset, Content, Options};
+pub use options::{Autoreset, Content, Lidar, Options};
 pub use state::{StateError, options_of};
 
 use super::conditions::EpisodeConditions;
@@ -18,6 +19,7 @@ use super::observe;
 use super::parallel::in_parallel;
 use murmurate::messages::geometry::Vec2;
 use murmurate::random::{Seed, Stream};
+use murmurate::senses::Scanner;
 
 /// Number of environments that a thread takes at a time.
 const CHUNK: usize = 32;
@@ -47,6 +49,12 @@ pub struct Buffers<'a> {
     /// Content of the message in use, \[N, R, R, M\], by receiver and then by sender, zeros where there is none; empty
     /// without messages.
     pub message: &'a mut [f32],
+    /// Distances along the rays of each robot's lidar \[m\], \[N, R, K\], the range for no echo, after a reset where
+    /// there was one. Rays all around are numbered in the policy frame, others in the robot's own frame. Empty without
+    /// a lidar.
+    pub scan: &'a mut [f32],
+    /// Distances before a reset \[m\], \[N, R, K\]: where an episode has ended, its last ones.
+    pub last_scan: &'a mut [f32],
 }
 
 /// Numbers of robots and floats that give the lengths of one environment's part of each buffer.
@@ -58,6 +66,8 @@ pub struct Lengths {
     pub observation: usize,
     /// Number M of floats of a message; 0 without messages.
     pub message: usize,
+    /// Number K of rays of a lidar; 0 without one.
+    pub rays: usize,
 }
 
 impl Lengths {
@@ -79,7 +89,7 @@ impl<'a> Buffers<'a> {
             *rest = others;
             first
         }
-        let Lengths { robots, observation, message } = lengths;
+        let Lengths { robots, observation, message, rays } = lengths;
         let (rows, edges) = (environments * robots, environments * lengths.edges());
         Buffers {
             observation: cut(&mut self.observation, rows * observation),
@@ -91,6 +101,8 @@ impl<'a> Buffers<'a> {
             heard: cut(&mut self.heard, edges),
             age_s: cut(&mut self.age_s, edges),
             message: cut(&mut self.message, edges * message),
+            scan: cut(&mut self.scan, rows * rays),
+            last_scan: cut(&mut self.last_scan, rows * rays),
         }
     }
 }
@@ -106,6 +118,8 @@ struct Chunk {
     /// Floats that policies have put out for messages: by environment, then by step modulo `HISTORY_STEPS`, then by
     /// robot. Empty unless `Content::Actions`.
     outputs: Vec<f32>,
+    /// Lidar of the robot that is looked at; `None` without one.
+    scanner: Option<Scanner>,
 }
 
 /// Vectorised environment: N teams of R robots each, stepped together, with results in flat buffers of the caller.
@@ -131,6 +145,7 @@ impl VectorEnvironment {
                 streams: (0..rows).map(|row| stream_of(seed, first + row)).collect(),
                 velocities: vec![Vec2::zeros(); rows * robots],
                 outputs: vec![0.0; rows * outputs],
+                scanner: options.lidar.as_ref().map(|lidar| lidar.scanner().expect("checked settings are sound")),
             };
             (0..rows).for_each(|row| chunk.start(&options.conditions, row));
             chunk
@@ -221,6 +236,8 @@ impl VectorEnvironment {
                 if mask(environment) {
                     chunk.observe(options, row, one.observation);
                     one.last_observation.copy_from_slice(one.observation);
+                    chunk.scan(row, one.scan);
+                    one.last_scan.copy_from_slice(one.scan);
                     one.reward.fill(0.0);
                     one.terminated.fill(false);
                     one.truncated.fill(false);
@@ -282,11 +299,14 @@ impl Chunk {
                     break;
                 }
             }
+            self.scan(row, one.last_scan);
             if ended && options.autoreset == Autoreset::SameStep {
                 self.start(&options.conditions, row);
                 self.observe(options, row, one.observation);
+                self.scan(row, one.scan);
             } else {
                 one.observation.copy_from_slice(one.last_observation);
+                one.scan.copy_from_slice(one.last_scan);
             }
             self.receive(options, lengths, row, &mut one);
         }
@@ -301,7 +321,7 @@ impl Chunk {
         (row, outputs): (usize, &[f32]),
         one: &mut Buffers,
     ) -> bool {
-        let Chunk { environments, streams, velocities, outputs: kept } = self;
+        let Chunk { environments, streams, velocities, outputs: kept, .. } = self;
         if !kept.is_empty() {
             let (size, at) = (lengths.robots * lengths.message, environments.teams[row].step as usize);
             let to = (row * HISTORY_STEPS + at % HISTORY_STEPS) * size;
@@ -401,6 +421,7 @@ mod tests {
             episode_s: 1.0,
             content,
             autoreset: Autoreset::SameStep,
+            lidar: None,
             seed: 7,
         }
     }
@@ -414,9 +435,9 @@ mod tests {
 
     impl Memory {
         pub(super) fn of(environments: usize, lengths: Lengths) -> Memory {
-            let Lengths { robots, observation, message } = lengths;
-            let edges = lengths.edges();
-            let floats = [robots * observation, robots * observation, robots, edges, edges * message];
+            let Lengths { robots, observation, message, rays } = lengths;
+            let (edges, scan) = (lengths.edges(), robots * rays);
+            let floats = [robots * observation, robots * observation, robots, edges, edges * message, scan, scan];
             let flags = [1, 1, robots, edges];
             Memory {
                 floats: floats.map(|length| vec![0.0; environments * length]).to_vec(),
@@ -425,9 +446,23 @@ mod tests {
         }
 
         pub(super) fn buffers(&mut self) -> Buffers<'_> {
-            let [observation, last_observation, reward, age_s, message] = &mut self.floats[..] else { unreachable!() };
+            let [observation, last_observation, reward, age_s, message, scan, last_scan] = &mut self.floats[..] else {
+                unreachable!()
+            };
             let [terminated, truncated, arrived, heard] = &mut self.flags[..] else { unreachable!() };
-            Buffers { observation, last_observation, reward, terminated, truncated, arrived, heard, age_s, message }
+            Buffers {
+                observation,
+                last_observation,
+                reward,
+                terminated,
+                truncated,
+                arrived,
+                heard,
+                age_s,
+                message,
+                scan,
+                last_scan,
+            }
         }
     }
 

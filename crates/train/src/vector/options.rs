@@ -11,6 +11,7 @@ use murmurate::chassis::{self, Chassis};
 use murmurate::config::ConfigError;
 use murmurate::policy::manifest::Field;
 use murmurate::scenario::Scenario;
+use murmurate::senses::{self, Scanner};
 use murmurate::world::kinematic::PERIOD;
 
 /// Treatment of an environment whose episode has ended.
@@ -73,8 +74,26 @@ pub struct Options {
     pub content: Content,
     /// Treatment of an environment whose episode has ended.
     pub autoreset: Autoreset,
+    /// Lidar of each robot; `None` for robots without one.
+    pub lidar: Option<Lidar>,
     /// Seed from which the random streams of all environments are made.
     pub seed: u64,
+}
+
+/// Lidar of each robot of a vectorised environment, which scans after each step.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Lidar {
+    /// Name of the sense, by which a policy takes it.
+    pub name: String,
+    /// Settings of the sense; its kind is `lidar`.
+    pub settings: senses::Settings,
+}
+
+impl Lidar {
+    /// Makes the scanner of a robot. The error names the wrong setting, by the argument of the Python package.
+    pub fn scanner(&self) -> Result<Scanner, ConfigError> {
+        Scanner::of(&self.name, &self.settings).map_err(|error| error.within("senses"))
+    }
 }
 
 /// Largest number of environments: indices of robots and of their messages stay far below 2^32.
@@ -109,6 +128,7 @@ impl Options {
         self.body.chassis().map_err(|error| error.within("body"))?;
         self.reward.check()?;
         self.conditions.check()?;
+        self.lidar.as_ref().map(Lidar::scanner).transpose()?;
         let (name, weight) = (self.scenario.name(), self.reward.scenario);
         if weight > 0.0 && !has_reward(&*self.scenario) {
             let why =
@@ -139,7 +159,8 @@ impl Options {
             Content::Observations => observation,
             Content::Actions(floats) => floats,
         };
-        Lengths { robots: self.scenario.robots(), observation, message }
+        let rays = self.lidar.as_ref().map_or(0, |lidar| lidar.scanner().map_or(0, |scanner| scanner.rays()));
+        Lengths { robots: self.scenario.robots(), observation, message, rays }
     }
 
     /// Returns the largest number of decisions in an episode, each held for `repeat` steps.

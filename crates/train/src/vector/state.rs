@@ -9,7 +9,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use super::{Autoreset, Buffers, Chunk, Content, Lengths, Options, VectorEnvironment};
+use super::{Autoreset, Buffers, Chunk, Content, Lengths, Lidar, Options, VectorEnvironment};
 use crate::config::{Conditions, Reward};
 use crate::snapshot::Snapshot;
 use murmurate::chassis;
@@ -80,6 +80,8 @@ struct StoredOptions {
     hold_s: f64,
     message: Content,
     autoreset: Autoreset,
+    #[serde(default, rename = "senses")]
+    lidar: Option<Lidar>,
 }
 
 impl StoredOptions {
@@ -104,6 +106,7 @@ impl StoredOptions {
             hold_s: options.hold_s,
             message: options.content,
             autoreset: options.autoreset,
+            lidar: options.lidar.clone(),
         }
     }
 
@@ -198,6 +201,7 @@ pub fn options_of(bytes: &[u8], registry: &Registry) -> Result<Options, StateErr
         hold_s: of.hold_s,
         content: of.message,
         autoreset: of.autoreset,
+        lidar: of.lidar,
         seed: of.seed,
     };
     options.check().map_err(|error| StateError::Damaged(error.to_string()))?;
@@ -249,10 +253,11 @@ impl VectorEnvironment {
         bytes.resize(digest + DIGEST, 0);
         bytes.extend_from_slice(&(metadata.len() as u64).to_le_bytes());
         bytes.extend_from_slice(&metadata);
-        let Buffers { observation, last_observation, reward, terminated, truncated, arrived, heard, age_s, message } =
-            buffers;
+        let Buffers { observation, last_observation, reward, terminated, truncated, arrived, .. } = buffers;
+        let Buffers { heard, age_s, message, scan, last_scan, .. } = buffers;
         let outputs = self.chunks.iter().map(|chunk| &chunk.outputs[..]);
-        for floats in [&**observation, last_observation, reward, age_s, message].into_iter().chain(outputs) {
+        let floats = [&**observation, last_observation, reward, age_s, message, scan, last_scan];
+        for floats in floats.into_iter().chain(outputs) {
             floats.iter().for_each(|float| bytes.extend_from_slice(&float.to_le_bytes()));
         }
         for flags in [&**terminated, truncated, arrived, heard] {
@@ -289,10 +294,11 @@ impl VectorEnvironment {
             assert!(chunk.environments.restore(snapshot), "it was found to fit");
             chunk.streams.iter_mut().zip(&mut streams).for_each(|(stream, stored)| *stream = stored);
         }
-        let Buffers { observation, last_observation, reward, terminated, truncated, arrived, heard, age_s, message } =
-            buffers;
+        let Buffers { observation, last_observation, reward, terminated, truncated, arrived, .. } = buffers;
+        let Buffers { heard, age_s, message, scan, last_scan, .. } = buffers;
         let outputs = self.chunks.iter_mut().map(|chunk| &mut chunk.outputs[..]);
-        for floats in [observation, last_observation, reward, age_s, message].into_iter().chain(outputs) {
+        let floats = [observation, last_observation, reward, age_s, message, scan, last_scan];
+        for floats in floats.into_iter().chain(outputs) {
             numbers.floats(floats);
         }
         for flags in [terminated, truncated, arrived, heard] {
@@ -303,9 +309,9 @@ impl VectorEnvironment {
 
     /// Returns the length of the numbers of a state \[bytes\].
     fn numbers(&self) -> usize {
-        let Lengths { robots, observation, message } = self.lengths;
+        let Lengths { robots, observation, message, rays } = self.lengths;
         let (edges, outputs) = (self.lengths.edges(), self.lengths.outputs(self.options.content));
-        let floats = 2 * robots * observation + robots + edges * (1 + message) + outputs;
+        let floats = 2 * robots * (observation + rays) + robots + edges * (1 + message) + outputs;
         self.options.environments * (4 * floats + 2 + robots + edges)
     }
 }
