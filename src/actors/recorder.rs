@@ -23,6 +23,7 @@ use crate::net::media::radio::RadioCounts;
 use crate::net::protocol::codec::{self, Content, Flags, Frame, Header};
 use crate::net::protocol::link::LinkCounts;
 use crate::results::episode::{AbortReason, Episode, Judged};
+use crate::results::sensing::Sensings;
 use crate::results::totals::{Hearing, Published, Step, Steps, Totals};
 use crate::safety::guard::SafetyCounts;
 use crate::scenario::judge::{Judge, JudgedRobot, Judgement, Verdict};
@@ -126,6 +127,7 @@ pub(crate) struct Recorder {
     listener: Listener,
     /// For each robot: time of its last control step, and the neighbours whose messages it used, with their ages.
     heard: Vec<(Time, Vec<(RobotId, Span)>)>,
+    sensings: Sensings,
     round: Round,
     phase: Phase,
     since: Time,
@@ -156,6 +158,7 @@ impl Recorder {
             oldest_command: Span::ZERO,
             sightings: Sightings::new(robots),
             heard: vec![(Time::ZERO, Vec::new()); robots],
+            sensings: Sensings::default(),
             round: Round::default(),
             phase: Phase::NeedReset,
             since: Time::ZERO,
@@ -179,6 +182,9 @@ impl Recorder {
         if content == Content::Message(Kind::Latent) && self.follows_messages() {
             let (header, message) = codec::decode(frame).expect("a Network publishes whole datagrams");
             self.listener.published(now, datagram(&header), message.robot());
+        }
+        if content == Content::Message(Kind::Sensed) && self.config.steps == Steps::WithHearing {
+            self.sensings.take(codec::decode(frame).expect("a Network publishes whole datagrams").1, &self.team);
         }
         if !matches!(content, Content::Message(Kind::Mode | Kind::MotorCommand)) {
             return;
@@ -321,8 +327,8 @@ impl Recorder {
             }
         }
         if self.config.steps.kept() {
-            let hearing = self.hearing(now);
-            out.push(Out::Step(Step { episode: self.round.episode, phase: self.phase, samples, hearing }));
+            let (hearing, sensed) = (self.hearing(now), self.sensings.all());
+            out.push(Out::Step(Step { episode: self.round.episode, phase: self.phase, samples, hearing, sensed }));
         }
     }
 

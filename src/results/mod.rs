@@ -5,4 +5,5 @@ pub mod ages;
 pub mod episode;
 pub mod hardware;
 pub mod listening;
+pub mod sensing;
 pub mod totals;

@@ -1,6 +1,7 @@
 //! Results of a run beside its episodes: states of the team at each step, counts, and the trace.
 
 use super::listening::Listening;
+use super::sensing::Sensing;
 use crate::messages::ids::RobotId;
 use crate::messages::local::Sample;
 use crate::messages::wire::{KINDS, Phase};
@@ -21,6 +22,8 @@ pub struct Step {
     /// Messages of other robots that robots use at this instant, grouped by the receiving robot. Empty while no episode
     /// runs, and always if the trial was not set to keep them.
     pub hearing: Vec<Hearing>,
+    /// Newest values of the robots' senses; empty unless the trial was set to keep what robots hear.
+    pub sensed: Vec<Sensing>,
 }
 
 /// Whether the report of a trial contains its steps: the true states of all robots after each step of the World.
@@ -28,8 +31,8 @@ pub struct Step {
 pub enum Steps {
     /// The report contains the steps, but not the messages that robots use.
     Reported,
-    /// The report contains the steps and, for each step, which robot uses the messages of which others, and their ages.
-    /// It takes several times the memory of `Reported`; it is for pictures.
+    /// The report contains the steps and, for each step, which robot uses the messages of which others, their ages, and
+    /// the newest values of the robots' senses. It takes several times the memory of `Reported`; it is for pictures.
     WithHearing,
     /// The report does not contain the steps; episodes are judged by them all the same.
     Discarded,

@@ -163,5 +163,6 @@ fn stage<'a>(trial: &'a Trial, policy: &str, episode: u32) -> Backdrop<'a> {
         window: Span::from_secs(window_s),
         tasks: trial.layouts.episode(episode),
         chassis: trial.deployment.team_chassis().to_vec(),
+        sweeps: trial.sense_layouts().into_iter().map(|(_, layout)| layout.sweep).collect(),
     }
 }

@@ -198,7 +198,8 @@ mod tests {
             command: Vec2::zeros(),
             contacts: Contacts::default(),
         };
-        let step = Step { episode: 0, phase: Phase::Running, samples: vec![sample], hearing: Vec::new() };
+        let step =
+            Step { episode: 0, phase: Phase::Running, samples: vec![sample], hearing: Vec::new(), sensed: Vec::new() };
         outlets.step(&step);
         outlets.trajectories.as_ref().expect("they are asked for").0.flush(FLUSH_TIMEOUT);
         outlets.step(&step);

@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use super::scene::{Scene, SceneFrame};
+use super::scene::{Scan, Scene, SceneFrame};
 use super::sheet::{LOOK, escaped, walls};
 use murmurate::messages::geometry::Vec2;
 use murmurate::time::Span;
@@ -69,12 +69,30 @@ fn json(scene: &Scene, stride: usize) -> String {
         "times": differences(frames.iter().map(|frame| ms(frame.time) as i64)),
         "paths": (0..scene.robots()).map(|robot| path(&frames, robot)).collect::<Vec<_>>(),
         "links": scene.pairs().into_iter().map(|pair| link(&frames, pair, stage.window)).collect::<Vec<_>>(),
+        "scans": scans(&frames),
         "success": scene.ending.success,
         "verdict": scene.ending.text,
         "rings": rings,
     });
     // A closing script tag would end the script, even within a string.
     data.to_string().replace('<', "\\u003c")
+}
+
+/// Returns the scans of each frame: for each, the number of the robot, the place of the sense \[mm\], and the place of
+/// each echo from there \[cm\]. Empty if there are none.
+fn scans(frames: &[&SceneFrame]) -> Vec<Vec<Vec<i64>>> {
+    if frames.iter().all(|frame| frame.scans.is_empty()) {
+        return Vec::new();
+    }
+    let cm = |metres: f32| (f64::from(metres) * 100.0).round() as i64;
+    let scan = |scan: &Scan| {
+        let [x, y] = point(scan.from);
+        let head = [scan.robot as i64, x, y];
+        head.into_iter()
+            .chain(scan.echoes.iter().map(|at| at - scan.from).flat_map(|to| [cm(to.x), cm(to.y)]))
+            .collect()
+    };
+    frames.iter().map(|frame| frame.scans.iter().map(scan).collect()).collect()
 }
 
 /// Returns the first number and then the differences between successive numbers.

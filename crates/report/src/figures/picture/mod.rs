@@ -8,5 +8,5 @@ mod still;
 
 pub use film::film;
 pub use moving::moving;
-pub use scene::{Backdrop, Ending, Link, Ring, Scene, SceneFrame};
+pub use scene::{Backdrop, Ending, Link, Ring, Scan, Scene, SceneFrame};
 pub use still::still;

@@ -1,11 +1,15 @@
 //! Content of an episode's picture, from the steps of a trial.
 
+use std::f64::consts::FRAC_PI_2;
+
 use murmurate::chassis::Chassis;
 use murmurate::messages::geometry::{Task, Vec2};
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::local::Sample;
 use murmurate::messages::wire::Phase;
+use murmurate::observation::Sweep;
 use murmurate::results::episode::Episode;
+use murmurate::results::sensing::Sensing;
 use murmurate::results::totals::{Hearing, Step};
 use murmurate::scenario::judge::{Judge, JudgedRobot, Verdict};
 use murmurate::scenario::{Arena, Cost, Rules};
@@ -43,6 +47,8 @@ pub struct Backdrop<'a> {
     pub tasks: &'a [Task],
     /// Chassis of every robot.
     pub chassis: Vec<Chassis>,
+    /// Directions of the rays of each sense of the robots; `None` for one whose values are no distances.
+    pub sweeps: Vec<Option<Sweep>>,
 }
 
 impl Backdrop<'_> {
@@ -74,6 +80,19 @@ pub struct SceneFrame {
     pub points: Vec<Vec2>,
     /// Links at this instant, sorted: each is a pair of robots of which at least one uses a message of the other.
     pub links: Vec<Link>,
+    /// Newest scan of each sense of each robot.
+    pub scans: Vec<Scan>,
+}
+
+/// Scan of a robot: the places of its echoes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scan {
+    /// Number of the robot.
+    pub robot: usize,
+    /// Place of the sense when it was published \[m\], world frame.
+    pub from: Vec2,
+    /// Places of the echoes \[m\], world frame.
+    pub echoes: Vec<Vec2>,
 }
 
 /// Pair of robots of which at least one uses a message of the other.
@@ -166,7 +185,7 @@ impl<'a> Scene<'a> {
         }
         if frames.is_empty() {
             let at: Vec<Vec2> = stage.tasks.iter().map(|task| task.start).collect();
-            frames.push(SceneFrame { time: Span::ZERO, points: at.clone(), at, links: Vec::new() });
+            frames.push(SceneFrame { time: Span::ZERO, points: at.clone(), at, links: Vec::new(), scans: Vec::new() });
         }
         let ending = ending(&stage, episode, contact, &arrived, &frames[frames.len() - 1]);
         Scene { stage, frames, ending }
@@ -228,7 +247,25 @@ fn time(step: &Step) -> Time {
 fn frame(stage: &Backdrop, time: Span, step: &Step) -> SceneFrame {
     let at = step.samples.iter().map(|sample| sample.motion.position).collect();
     let points = step.samples.iter().map(|sample| stage.point(sample)).collect();
-    SceneFrame { time, at, points, links: links(&step.hearing) }
+    let scans = step.sensed.iter().filter_map(|sensing| scan(&stage.sweeps, sensing)).collect();
+    SceneFrame { time, at, points, links: links(&step.hearing), scans }
+}
+
+/// Returns the places of the echoes of a scan; `None` for values that are no distances.
+fn scan(sweeps: &[Option<Sweep>], sensing: &Sensing) -> Option<Scan> {
+    let Sensing { sensed, position, heading } = sensing;
+    let sweep = (*sweeps.get(usize::from(sensed.sense))?)?;
+    let along = |angle: f64, x: f64| {
+        let (sin, cos) = angle.sin_cos();
+        Vec2::new((cos * x) as f32, (sin * x) as f32)
+    };
+    let (heading, [ahead, left]) = (f64::from(*heading), sweep.mount_m.map(f64::from));
+    let from = position + along(heading, ahead) + along(heading + FRAC_PI_2, left);
+    let rays = sensed.values.0.iter().enumerate().filter(|(_, range)| range.is_finite());
+    let echo = |(ray, range): (usize, &f32)| {
+        from + along(heading + sweep.from_rad + sweep.step_rad * ray as f64, f64::from(*range))
+    };
+    Some(Scan { robot: sensed.robot.index(), from, echoes: rays.map(echo).collect() })
 }
 
 /// Returns one link for each pair of robots of which at least one uses a message of the other.
@@ -312,6 +349,7 @@ mod tests {
     use super::*;
     use murmurate::messages::geometry::Motion;
     use murmurate::messages::local::{Contacts, Sample};
+    use murmurate::messages::wire::{Features, Sensed};
     use murmurate::results::episode::{AbortCause, AbortReason, Judged};
 
     fn step(ms: u64, phase: Phase, xs: [f32; 2]) -> Step {
@@ -328,7 +366,7 @@ mod tests {
             Hearing { robot: RobotId(0), of: RobotId(1), age: Span::from_millis(20) },
             Hearing { robot: RobotId(1), of: RobotId(0), age: Span::from_millis(70) },
         ];
-        Step { episode: 0, phase, samples: RobotId::team(2).zip(xs).map(sample).collect(), hearing }
+        Step { episode: 0, phase, samples: RobotId::team(2).zip(xs).map(sample).collect(), hearing, sensed: Vec::new() }
     }
 
     #[test]
@@ -346,6 +384,7 @@ mod tests {
             window: Span::from_millis(200),
             tasks: &tasks,
             chassis: vec![Chassis::default(); 2],
+            sweeps: Vec::new(),
         };
         let steps = [
             step(1000, Phase::Resetting, [0.0, 1.0]),
@@ -382,5 +421,22 @@ mod tests {
         let ending = Scene::new(scene.stage.clone(), &aborted, &steps).ending;
         assert_eq!(ending.text, "Aborted after 0.15 s: robot 1 has not been heard for 1 s");
         assert_eq!(ending.rings.len(), 1, "and it is marked");
+    }
+
+    #[test]
+    fn echoes_are_where_the_rays_of_a_turned_robot_end() {
+        let sweeps = [None, Some(Sweep { mount_m: [0.5, 0.25], ..Sweep::new(3, (-FRAC_PI_2, 2.0 * FRAC_PI_2), 2.0) })];
+        let values = Features([1.0, f32::INFINITY, 2.0].into());
+        let sensing = |sense| {
+            let sensed = Sensed { robot: RobotId(1), sense, stamp_ns: 0, values: values.clone() };
+            Sensing { sensed, position: Vec2::new(1.0, 2.0), heading: FRAC_PI_2 as f32 }
+        };
+        let scan = scan(&sweeps, &sensing(1)).expect("it has rays");
+        let places = [(scan.from, (0.75, 2.5)), (scan.echoes[0], (1.75, 2.5)), (scan.echoes[1], (-1.25, 2.5))];
+        for (place, (x, y)) in places {
+            assert!((place - Vec2::new(x, y)).norm() < 1e-5, "{place:?}");
+        }
+        assert_eq!((scan.robot, scan.echoes.len()), (1, 2));
+        assert!(super::scan(&sweeps, &sensing(0)).is_none() && super::scan(&sweeps, &sensing(2)).is_none());
     }
 }
