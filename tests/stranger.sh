@@ -18,7 +18,7 @@ has() { # TEXT WORD...: refuses a text that lacks one of the words
 }
 
 has "$("$program" --help)" 'Usage: stranger'
-has "$("$program" sim --help)" round give-way glide passage orca rigid
+has "$("$program" sim --help)" round spread give-way glide mpe passage orca rigid
 has "$("$program" train --help)" round passage
 own=(sim --mode offboard --scenario round --policy give-way --plant glide)
 result=$("$program" "${own[@]}" --episodes 2 --repeats 1 --quiet --json)
@@ -28,6 +28,12 @@ has "$("$program" sim --scenario round --episodes 1 --repeats 1 --quiet)" 'polic
 has "$("$program" sim --plant glide --policy give-way --robots 3 --episodes 1 --repeats 1 --quiet)" 'scenario passage'
 # A wrong name is refused with a list of all names.
 has "$("$program" sim --scenario square --quiet 2>&1 || true)" square round passage
+
+# JaxMARL's recurrent team, whose robots have ids: docs/others.md has its return.
+spread=(sim --mode sim --scenario spread --plant mpe --policy examples/others/jaxmarl/spread.policy.toml)
+has "$("$program" "${spread[@]}" --episodes 100 --repeats 1 --quiet)" 'lack of reward' '100 of 100'
+has "$("$program" sim --scenario swap --policy examples/others/jaxmarl/spread.policy.toml --quiet 2>&1 || true)" \
+    "its input 'id' tells 3 robots apart, and the team has 8"
 
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

@@ -2,11 +2,15 @@
 //! crate.
 
 mod driver;
+mod mpe;
 mod plant;
 mod policy;
+#[cfg(test)]
+mod recorded;
 mod scenario;
 mod sense;
 mod source;
+mod spread;
 
 use murmurate::registry::Registry;
 
@@ -14,8 +18,10 @@ use murmurate::registry::Registry;
 pub fn registry() -> Registry {
     murmurate_cli::registry()
         .with_scenario(scenario::ROUND)
+        .with_scenario(spread::SPREAD)
         .with_policy(policy::GIVE_WAY)
         .with_plant(plant::GLIDE)
+        .with_plant(mpe::MPE)
         .with_driver(driver::DATAGRAMS)
         .with_source(source::BENCH)
         .with_sense(sense::CROWD)
