@@ -135,6 +135,19 @@ full-python:
     target/python/bin/pip install --quiet ./tests/stranger/python
     MURMURATE_FULL=1 target/python/bin/python -m pytest python/tests/test_parts.py
 
+# Policies of format 3 by the library onnxruntime of PyPI beside the program's own engine: checks, runs, and wrong libraries (4 minutes)
+full-onnxruntime:
+    python3 -m venv target/onnxruntime
+    target/onnxruntime/bin/pip install --quiet onnxruntime
+    cargo build --locked --release --features onnxruntime
+    bash tests/peers/python/onnxruntime.sh target/onnxruntime target/release/murmurate
+
+# Policies in Python on five robots: times of their steps, and processes that are killed, halted or take memory, 20 times each (20
+# minutes, wants an idle machine)
+full-python-robots python="python3":
+    cargo build --locked --release
+    {{python}} tests/peers/python/robots.py target/release/murmurate
+
 # The twin of a real run behind a relay between network namespaces: 64 episodes, fitted and predicted (12 minutes, root, ip)
 full-twin:
     cargo build --release

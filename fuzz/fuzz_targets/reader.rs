@@ -1,6 +1,8 @@
 //! Any bytes for the reader that the environment variable READER names: files, and what devices say.
 #![no_main]
 
+#[path = "../../tests/hostile/contracts.rs"]
+mod contracts;
 #[path = "../../tests/hostile/readers.rs"]
 mod readers;
 #[cfg(feature = "train")]
@@ -17,6 +19,10 @@ type Reader = fn(&[u8]) -> bool;
 /// All readers by name.
 const READERS: &[(&str, Reader)] = &[
     ("policy", readers::policy),
+    ("contract", contracts::contract),
+    ("graph", contracts::graph),
+    ("python", contracts::python),
+    ("roles", contracts::roles),
     ("team", readers::team),
     ("deployment", readers::deployment),
     ("faults", readers::faults),

@@ -20,6 +20,7 @@ class Inputs:
         edges: Features of the edges [R, K, E], zeros in empty places; None if there are none.
         own_message: The robot's message [R, M]: of the step before in ``step``, of this step in ``act``.
         state: What the policy remembers [R, S], zeros at the start; None if it remembers nothing.
+        id: The robot's place in the team, one-hot [R, N] or as a number [R, 1]; None without a table ``robots`` in the contract.
     """
 
     observation: Mapping[str, np.ndarray]
@@ -28,6 +29,7 @@ class Inputs:
     edges: np.ndarray | None = None
     own_message: np.ndarray | None = None
     state: np.ndarray | None = None
+    id: np.ndarray | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,8 +58,11 @@ class Policy:
         """Makes the policy for a contract, the content of its file."""
         self.contract = contract
 
-    def reset(self, seed: int) -> None:
-        """Called when a robot begins an episode. ``seed`` counts up from 0, for those that draw random numbers."""
+    def reset(self, seed: int, robot: int) -> None:
+        """Called when a robot begins an episode, or begins anew after a gap.
+
+        ``seed`` is for random numbers: it follows from the seed of the run, the robot and the number of its resets.
+        """
 
     def step(self, inputs: Inputs) -> Outputs:
         """Computes a whole step: action, message and state. The message is heard in the next step."""

@@ -1,16 +1,19 @@
-"""The process of a policy in Python, which a host starts: ``python -m murmurate.serve MODULE:CLASS SOCKET FOLDER``.
+"""The process of a policy in Python, which a host starts: ``python -m murmurate.serve MODULE:CLASS SOCKET
+FOLDER MEGABYTES``.
 
-It answers the host's calls on the socket, one after the other. Frames are those of ``crates/robot/src/policy/python.rs``.
+It answers the host's calls on the socket, one after the other. Frames are those of ``crates/onnx/src/frames.rs``.
 """
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import hashlib
 import importlib
 import inspect
 import json
 import os
+import resource
 import socket
 import struct
 import sys
@@ -24,7 +27,7 @@ import numpy as np
 from .policy import Inputs, Outputs, is_two
 
 #: Version of the protocol.
-PROTOCOL = 1
+PROTOCOL = 2
 #: Kinds of frames.
 HELLO, CALL, ANSWER, ERROR, RESET = range(5)
 #: Roles of calls, by their numbers.
@@ -33,8 +36,10 @@ ROLES = ("step", "encode", "act")
 _HEAD = struct.Struct("<IIB")
 #: Role, number of robots, number of places for neighbours.
 _CALL = struct.Struct("<BII")
+#: Robot and seed of a reset.
+_RESET = struct.Struct("<HQ")
 #: Fields of the inputs that are no observations.
-_FIELDS = ("messages", "edges", "heard", "own_message", "state")
+_FIELDS = ("messages", "edges", "heard", "own_message", "state", "id")
 #: Fields of the outputs by their names on the socket.
 _OUTPUTS = {"action": "action", "message": "message", "state_next": "state"}
 
@@ -93,7 +98,8 @@ class _Server:
         """Tells the policy that a robot begins an episode."""
         reset = getattr(self._policy, "reset", None)
         if reset is not None:
-            reset(int.from_bytes(body, "little"))
+            robot, seed = _RESET.unpack(body)
+            reset(seed, robot)
 
     def call(self, body: bytes) -> bytes:
         """Runs one call, and checks the shapes of what comes out."""
@@ -161,6 +167,15 @@ def serve(make: Callable[[Mapping[str, Any]], Any], stream: socket.socket) -> No
     _Server(make).serve(stream)
 
 
+def _limit_memory(megabytes: int) -> None:
+    """Makes allocations beyond so many megabytes fail, so that a policy that takes too much does not end others.
+
+    On Linux the limit is that of the memory that the process may write; other systems may not have it.
+    """
+    with contextlib.suppress(OSError, ValueError):
+        resource.setrlimit(resource.RLIMIT_DATA, (megabytes << 20, megabytes << 20))
+
+
 def _end_with_input() -> None:
     sys.stdin.buffer.read()
     os._exit(1)
@@ -168,7 +183,8 @@ def _end_with_input() -> None:
 
 def main() -> None:
     """Connects to the host's socket, and answers its calls with the class that is named."""
-    name, path, folder = sys.argv[1:4]
+    name, path, folder, megabytes = sys.argv[1:5]
+    _limit_memory(int(megabytes))
     sys.path.insert(0, folder)
     module, _, attribute = name.partition(":")
     if not module or not attribute:

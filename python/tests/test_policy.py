@@ -33,8 +33,8 @@ class Field(murmurate.Policy):
         super().__init__(contract)
         self.seeds, self.counts = [], set()
 
-    def reset(self, seed):
-        self.seeds.append(seed)
+    def reset(self, seed, robot):
+        self.seeds.append((robot, seed))
 
     def step(self, inputs):
         goal = inputs.observation["goal"]
@@ -55,7 +55,11 @@ def test_what_it_remembers_goes_in_and_comes_out_and_a_reset_has_a_seed():
     policy = Field()
     murmurate.sim("swap", policy, robots=3, episodes=2, repeats=1)
     assert {0.0, 1.0, 2.0} < policy.counts
-    assert policy.seeds == sorted(policy.seeds) and len(policy.seeds) >= 6
+    # Three robots in two episodes, each with a seed of its own, and the same ones in the next run.
+    assert sorted(robot for robot, _ in policy.seeds) == [0, 0, 1, 1, 2, 2] and len(set(policy.seeds)) == 6
+    again = Field()
+    murmurate.sim("swap", again, robots=3, episodes=2, repeats=1)
+    assert again.seeds == policy.seeds
 
 
 class Two(murmurate.Policy):

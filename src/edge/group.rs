@@ -4,13 +4,14 @@
 use std::io;
 use std::os::fd::OwnedFd;
 use std::os::unix::process::CommandExt;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, ChildStderr, ChildStdin, ChildStdout, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use nix::sys::signal::{Signal, kill, killpg};
 use nix::unistd::{Pid, getpgid, getsid};
 #[cfg(target_os = "linux")]
 use rustix::process::{PidfdFlags, pidfd_open};
+use rustix::process::{WaitId, WaitIdOptions, waitid};
 #[cfg(target_os = "linux")]
 use tokio::io::{Interest, unix::AsyncFd};
 
@@ -32,7 +33,7 @@ static STARTED: AtomicU32 = AtomicU32::new(0);
 
 /// Running program with a process group of its own. The group is killed when this is dropped.
 #[derive(Debug)]
-pub(super) struct Group {
+pub struct Group {
     child: Child,
     /// Number of the group, which is that of the program.
     id: Pid,
@@ -43,19 +44,52 @@ pub(super) struct Group {
     over: bool,
 }
 
+/// Ends of the pipes of a program, of those that it was started with.
+#[derive(Debug)]
+pub struct Pipes {
+    /// Pipe to its stdin.
+    pub stdin: Option<ChildStdin>,
+    /// Pipe from its stdout.
+    pub stdout: Option<ChildStdout>,
+    /// Pipe from its stderr.
+    pub stderr: Option<ChildStderr>,
+}
+
 impl Group {
     /// Starts the program with its arguments, and returns it with its stdin, stdout and stderr.
     pub(super) fn start(command: &[String]) -> io::Result<(Group, [OwnedFd; 3])> {
         let Some((program, arguments)) = command.split_first() else { return Err(io::ErrorKind::InvalidInput.into()) };
-        let mark = format!("{}.{}.", std::process::id(), STARTED.fetch_add(1, Ordering::Relaxed));
         let mut command = Command::new(program);
-        command.args(arguments).env(MARK, &mark).process_group(0);
-        let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
+        command.args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let (group, Pipes { stdin, stdout, stderr }) = Group::of(command)?;
+        let (Some(stdin), Some(stdout), Some(stderr)) = (stdin, stdout, stderr) else {
+            unreachable!("all three were asked for")
+        };
+        Ok((group, [stdin.into(), stdout.into(), stderr.into()]))
+    }
+
+    /// Starts the program of `command`, and returns it with the pipes that the command asks for.
+    pub fn of(mut command: Command) -> io::Result<(Group, Pipes)> {
+        let program = command.get_program().to_string_lossy().into_owned();
+        let mark = format!("{}.{}.", std::process::id(), STARTED.fetch_add(1, Ordering::Relaxed));
+        let mut child = command.env(MARK, &mark).process_group(0).spawn()?;
         let id = Pid::from_raw(i32::try_from(child.id()).expect("process numbers are small"));
-        let pipes = (child.stdin.take(), child.stdout.take(), child.stderr.take());
-        let (Some(stdin), Some(stdout), Some(stderr)) = pipes else { unreachable!("all three were asked for") };
-        let guard = guard(id, program);
-        Ok((Group { child, id, mark, guard, over: false }, [stdin.into(), stdout.into(), stderr.into()]))
+        let pipes = Pipes { stdin: child.stdin.take(), stdout: child.stdout.take(), stderr: child.stderr.take() };
+        let guard = guard(id, &program);
+        Ok((Group { child, id, mark, guard, over: false }, pipes))
+    }
+
+    /// Returns whether the program has ended. What it has forked may still run, until the group is ended.
+    pub fn has_ended(&self) -> bool {
+        // The program is not waited for: until then no other group can have its number.
+        let id = rustix::process::Pid::from_raw(self.id.as_raw()).expect("a process has a number above zero");
+        let looks = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
+        waitid(WaitId::Pid(id), looks).is_ok_and(|status| status.is_some())
+    }
+
+    /// Kills the program's group if it is not over, and returns how the program has ended.
+    pub fn finish(mut self) -> Option<ExitStatus> {
+        self.kill()
     }
 
     /// Returns a future that is ready when the program has ended. Its group has to be ended all the same.
@@ -70,19 +104,20 @@ impl Group {
         escaped(&self.mark, self.id)
     }
 
-    fn kill(&mut self) {
+    fn kill(&mut self) -> Option<ExitStatus> {
         if std::mem::replace(&mut self.over, true) {
-            return;
+            return None;
         }
         // An error says that nobody of the group is left. The program is not waited for before: until then no other
         // group can have its number.
         let _ = killpg(self.id, Signal::SIGKILL);
-        let _ = self.child.wait();
+        let status = self.child.wait().ok();
         if let Some(mut guard) = self.guard.take() {
             // It still waits for the end of this process.
             let _ = guard.kill();
             let _ = guard.wait();
         }
+        status
     }
 }
 

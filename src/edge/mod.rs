@@ -20,6 +20,7 @@ mod worker;
 
 pub use bell::Bell;
 pub use channel::{Gate, Input, PacketSender, Port, WorkerState};
+pub use group::{Group, Pipes};
 pub use panic::EndsProcess;
 pub use settings::Settings;
 pub(crate) use worker::join_all;

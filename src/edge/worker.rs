@@ -1,4 +1,4 @@
-//! Worker of a driver, source or observer: an actor on a thread of its own, which does the input and output.
+//! Worker of a driver, source, sense or observer: an actor on a thread of its own, which does the input and output.
 
 use std::io;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel, sync_channel};

@@ -4,6 +4,7 @@
 //! `MURMURATE_MUTATIONS=20000 cargo test --release --test hostile` is the whole of it (`just full-hostile`); without
 //! the variable it is a few hundred of each kind. An input that a reader does not survive is kept, and named.
 
+mod contracts;
 #[path = "../peers/natnet.rs"]
 mod fake;
 mod readers;
@@ -156,6 +157,36 @@ fn policy_files() {
     let names = ["python_full", "python_published", "conv_gatv2", "conv_three_hops", "conv_transformer"];
     let seeds = names.map(|name| file(&format!("tests/data/{name}.safetensors")));
     survives("policy", &seeds, readers::policy);
+}
+
+#[test]
+fn contracts_of_policies() {
+    let names = ["recurrent", "lidar", "wide", "scout", "id-one-hot"];
+    let seeds = names.map(|name| file(&format!("tests/onnx/data/{name}.policy.toml")));
+    survives("contract", &seeds, contracts::contract);
+}
+
+#[test]
+fn graphs_of_policies() {
+    survives("graph", &[file("tests/onnx/data/recurrent.onnx")], contracts::graph);
+}
+
+#[test]
+fn frames_of_a_policy_in_python() {
+    use murmurate_onnx::Contract;
+    use murmurate_onnx::frames::{Kind, PROTOCOL, frame};
+    let contract = String::from_utf8(file("tests/onnx/data/recurrent.policy.toml")).expect("text");
+    let contract = Contract::parse(&contract).expect("it is sound");
+    let floats = contract.action_floats() + contract.message.floats + contract.state_floats();
+    let greeting = format!("{{\"protocol\":{PROTOCOL},\"name\":\"A\",\"digest\":\"00\",\"two\":false}}");
+    let hello = frame(Kind::Hello, 1, greeting.as_bytes()).expect("it is short");
+    let answer = frame(Kind::Answer, 2, &0.5_f32.to_le_bytes().repeat(floats)).expect("it is short");
+    survives("python", &[[hello, answer].concat()], contracts::python);
+}
+
+#[test]
+fn roles_files() {
+    survives("roles", &[file("examples/roles.toml")], contracts::roles);
 }
 
 #[test]

@@ -35,7 +35,7 @@ fn text(bytes: &[u8]) -> Option<&str> {
 pub fn policy(bytes: &[u8]) -> bool {
     let Ok(model) = Model::from_file(bytes, "passage") else { return false };
     let passage = scenario::build("passage", &Settings::default()).expect("the default is sound");
-    let mut policy = model.instance(passage.arena());
+    let mut policy = model.instance(passage.arena(), RobotId(0));
     let observation = Observation::new(Motion::at_rest(Vec2::new(0.3, -1.5)), Vec2::new(-0.2, 1.5));
     let mut features = vec![0.0; policy.interface().features];
     let heard = vec![0.5; features.len()];

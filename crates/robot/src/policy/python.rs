@@ -1,79 +1,36 @@
-//! Policies in Python: the process that computes their steps, and the protocol on the socket to it.
-//!
-//! A frame is its length (u32), the number of the call (u32), its kind (u8) and a body; all numbers are little-endian.
-//! The host says hello with the contract and the arrays of each call as JSON; the policy answers with what it has.
-//! Then a call is a role (u8), the numbers of robots and of places for neighbours (u32 each) and the arrays as 32-bit
-//! floats, and its answer the arrays that come out. A call that has failed is answered by a line of text. The number
-//! tells a late answer from that of the present call.
+//! Policies in Python: the process that computes their steps, and the calls on the socket to it. The frames are those
+//! of `murmurate_onnx::frames`.
 
 mod child;
 
+use std::collections::BTreeMap;
 use std::io::{ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
-use std::process::Child;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
+use murmurate::messages::ids::RobotId;
 use murmurate_onnx::engine::{Array, Engine};
+use murmurate_onnx::frames::{self, Greeting, Kind};
 use murmurate_onnx::network::{Network, PYTHON, Port};
 use murmurate_onnx::structure::Role;
 use murmurate_onnx::{Contract, Parts};
-use serde::{Deserialize, Serialize};
 
-use self::child::{START, shortened, start};
+use self::child::{Child, START, shortened, start};
 use crate::BadInput;
 
-/// Version of the protocol.
-const PROTOCOL: u32 = 1;
 /// Longest time for one call. A robot does not wait for it: its Agent gives a step up after half a period.
 const CALL: Duration = Duration::from_secs(10);
 /// Pauses before a process is started again, one after the other \[s\]; the last one for all further ones.
 const PAUSES_S: [u64; 5] = [0, 1, 2, 4, 8];
 /// Time without a failure after which the pauses begin anew.
 const SOUND: Duration = Duration::from_secs(60);
-/// Longest frame that is read \[bytes\].
-const MAX_FRAME: usize = 64 << 20;
+/// Largest memory of a process, unless the contract says otherwise \[MB\].
+const MEMORY_MB: u32 = 4096;
 /// Prefix of the address of a process that serves a policy.
 const ADDRESS: &str = "unix:";
-
-/// Kinds of frames.
-mod kind {
-    pub const HELLO: u8 = 0;
-    pub const CALL: u8 = 1;
-    pub const ANSWER: u8 = 2;
-    pub const ERROR: u8 = 3;
-    pub const RESET: u8 = 4;
-}
-
-/// First frame of the host: the contract, and the arrays of the calls.
-#[derive(Serialize)]
-struct Hello<'a> {
-    protocol: u32,
-    contract: &'a Contract,
-    calls: Vec<Calls>,
-}
-
-/// Arrays of the calls of one role.
-#[derive(Serialize)]
-struct Calls {
-    role: &'static str,
-    inputs: Vec<Port>,
-    outputs: Vec<Port>,
-}
-
-/// Answer of the policy to the first frame.
-#[derive(Deserialize)]
-struct Greeting {
-    protocol: u32,
-    /// Name of the class.
-    name: String,
-    /// Digest of the class's source.
-    digest: String,
-    /// Whether it has the methods `encode` and `act`, and not `step`.
-    two: bool,
-}
 
 /// Process that computes the steps of a policy.
 struct Process {
@@ -99,7 +56,8 @@ struct Link {
     number: u32,
     failures: usize,
     failed: Option<Instant>,
-    resets: u32,
+    /// Seed with which each robot has begun anew last.
+    seeds: BTreeMap<RobotId, u64>,
 }
 
 /// Calls of one role.
@@ -117,8 +75,8 @@ impl Engine for Call {
         self.process.call((self.role, places), inputs, &self.outputs)
     }
 
-    fn reset(&self) {
-        self.process.reset();
+    fn reset(&self, robot: RobotId, seed: u64) {
+        self.process.reset(robot, seed);
     }
 }
 
@@ -151,9 +109,11 @@ pub fn network(parts: Parts, folder: &Path) -> Result<Network> {
     }))
 }
 
-/// Returns the digest of a contract and of the source of its class. Where the process is found does not count.
+/// Returns the digest of a contract and of the source of its class. Where the process is found, and how much memory it
+/// may take, do not count.
 fn digest_of(contract: &Contract, source: &str) -> Result<String> {
-    let contract = serde_json::to_string(&Contract { python: None, ..contract.clone() }).context("it is plain data")?;
+    let contract = Contract { python: None, memory_mb: None, ..contract.clone() };
+    let contract = serde_json::to_string(&contract).context("it is plain data")?;
     let sum = hmac_sha256::Hash::hash(format!("{contract} {source}").as_bytes());
     Ok(data_encoding::HEXLOWER.encode(&sum[..8]))
 }
@@ -171,28 +131,13 @@ impl Process {
                 (UnixStream::connect(path).map_err(why)?, None)
             }
             Source::Started(class, folder) => {
-                let (stream, child) = start(class, folder)?;
+                let (stream, child) = start(class, folder, self.contract.memory_mb.unwrap_or(MEMORY_MB))?;
                 (stream, Some(child))
             }
         };
         (link.stream, link.child) = (Some(stream), child);
-        let roles = [("step", Role::Step), ("encode", Role::Encode), ("act", Role::Act)];
-        let calls = roles.map(|(role, of)| {
-            let (inputs, outputs) = murmurate_onnx::network::ports(&self.contract, of);
-            Calls { role, inputs, outputs }
-        });
-        let hello = Hello { protocol: PROTOCOL, contract: &self.contract, calls: calls.into() };
-        let hello = serde_json::to_vec(&hello).map_err(|error| error.to_string())?;
-        let answer = link.exchange(kind::HELLO, &[&hello], START)?;
-        let greeting: Greeting =
-            serde_json::from_slice(&answer).map_err(|error| format!("it does not greet as a policy does: {error}"))?;
-        if greeting.protocol != PROTOCOL {
-            let theirs = greeting.protocol;
-            return Err(format!(
-                "it speaks protocol {theirs}, and this program {PROTOCOL}: install one version of both"
-            ));
-        }
-        Ok(greeting)
+        let answer = link.exchange(Kind::Hello, &frames::hello(&self.contract)?, START)?;
+        frames::greeting(&answer)
     }
 
     /// Returns the outputs of a call with so many places for neighbours. One that fails is an error, after which the
@@ -203,27 +148,8 @@ impl Process {
             self.again(&mut link)?;
         }
         let robots = inputs.first().and_then(|array| array.shape.first()).copied().unwrap_or(1);
-        let counts = [robots, places].map(|count| u32::try_from(count).unwrap_or(u32::MAX).to_le_bytes());
-        let code = match role {
-            Role::Step => 0_u8,
-            Role::Encode => 1,
-            Role::Act => 2,
-        };
-        let mut body = vec![code];
-        body.extend_from_slice(counts.as_flattened());
-        let floats = inputs.iter().flat_map(|array| &array.values);
-        floats.for_each(|float| body.extend_from_slice(&float.to_le_bytes()));
-        let answer = link.exchange(kind::CALL, &[&body], CALL)?;
-        let sizes: Vec<usize> = outputs.iter().map(|port| robots * port.axes.iter().product::<usize>()).collect();
-        if answer.len() != 4 * sizes.iter().sum::<usize>() {
-            return Err(format!("'{}' has answered {} bytes instead of its outputs", self.what, answer.len()));
-        }
-        let mut all = answer.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes));
-        let array = |(port, size): (&Port, usize)| {
-            let shape = std::iter::once(robots).chain(port.axes.iter().copied()).collect();
-            Array { shape, values: all.by_ref().take(size).collect() }
-        };
-        Ok(outputs.iter().zip(sizes).map(array).collect())
+        let answer = link.exchange(Kind::Call, &frames::call(role, (robots, places), inputs), CALL)?;
+        frames::outputs(&answer, robots, outputs).map_err(|why| format!("'{}': {why}", self.what))
     }
 
     /// Starts the process again, or connects to it again, unless it has just failed.
@@ -237,41 +163,39 @@ impl Process {
         }
         link.failures += 1;
         link.failed = Some(Instant::now());
-        let opened = self.open(link);
-        if opened.is_err() {
+        // Its robots go on in their episodes, for which it has to begin as the process before did.
+        let seeds: Vec<(RobotId, u64)> = link.seeds.iter().map(|(robot, seed)| (*robot, *seed)).collect();
+        let begun = self.open(link).and_then(|_| {
+            seeds.into_iter().try_for_each(|(robot, seed)| link.send(Kind::Reset, &frames::reset(robot, seed)))
+        });
+        if begun.is_err() {
             link.end();
         }
-        opened.map(drop)
+        begun
     }
 
-    fn reset(&self) {
+    fn reset(&self, robot: RobotId, seed: u64) {
         let mut link = self.locked();
-        let seed = link.resets;
-        link.resets = seed.wrapping_add(1);
+        link.seeds.insert(robot, seed);
         // A process that is gone is noticed with the next call.
-        let _ = link.send(kind::RESET, &[&seed.to_le_bytes()]);
+        let _ = link.send(Kind::Reset, &frames::reset(robot, seed));
     }
 }
 
 impl Link {
-    fn send(&mut self, kind: u8, body: &[&[u8]]) -> Result<(), String> {
-        let length = 5 + body.iter().map(|bytes| bytes.len()).sum::<usize>();
-        let mut frame =
-            u32::try_from(length).map_err(|_| "the inputs are too large".to_owned())?.to_le_bytes().to_vec();
-        frame.extend_from_slice(&self.number.to_le_bytes());
-        frame.push(kind);
-        body.iter().for_each(|bytes| frame.extend_from_slice(bytes));
+    fn send(&mut self, kind: Kind, body: &[u8]) -> Result<(), String> {
+        let frame = frames::frame(kind, self.number, body)?;
         let stream = self.stream.as_mut().ok_or("there is no process")?;
         stream.set_write_timeout(Some(CALL)).and_then(|()| stream.write_all(&frame)).map_err(|error| error.to_string())
     }
 
     /// Sends a frame and returns the body of its answer. Ends the connection if there is none in time.
-    fn exchange(&mut self, kind: u8, body: &[&[u8]], longest: Duration) -> Result<Vec<u8>, String> {
+    fn exchange(&mut self, kind: Kind, body: &[u8], longest: Duration) -> Result<Vec<u8>, String> {
         self.number = self.number.wrapping_add(1);
         let answer = self.send(kind, body).and_then(|()| self.receive(Instant::now() + longest));
         match answer {
-            Ok((kind::ERROR, text)) => Err(shortened(&String::from_utf8_lossy(&text))),
-            Ok((kind::ANSWER, body)) => Ok(body),
+            Ok((kind, text)) if kind == Kind::Error as u8 => Err(shortened(&String::from_utf8_lossy(&text))),
+            Ok((kind, body)) if kind == Kind::Answer as u8 => Ok(body),
             Ok((other, _)) => Err(format!("it has answered by a frame of kind {other}")),
             Err(why) => {
                 let status = self.end();
@@ -302,17 +226,13 @@ impl Link {
             Ok(())
         };
         loop {
-            let mut head = [0; 9];
+            let mut head = [0; frames::HEAD];
             read(&mut head)?;
-            let [l0, l1, l2, l3, n0, n1, n2, n3, kind] = head;
-            let length = usize::try_from(u32::from_le_bytes([l0, l1, l2, l3])).unwrap_or(usize::MAX);
-            if !(5..=MAX_FRAME).contains(&length) {
-                return Err(format!("it has sent a frame of {length} bytes"));
-            }
-            let mut body = vec![0; length - 5];
+            let head = frames::head(head)?;
+            let mut body = vec![0; head.body];
             read(&mut body)?;
-            if u32::from_le_bytes([n0, n1, n2, n3]) == self.number {
-                return Ok((kind, body));
+            if head.number == self.number {
+                return Ok((head.kind, body));
             }
         }
     }
@@ -320,17 +240,8 @@ impl Link {
     /// Ends the connection and the process. Returns how it has ended, if it had before.
     fn end(&mut self) -> Option<String> {
         self.stream = None;
-        let mut child = self.child.take()?;
-        let ended = child.try_wait().ok().flatten();
-        // One that is halted does not end by itself.
-        let _ = child.kill();
-        let _ = child.wait();
-        ended.map(|status| status.to_string())
-    }
-}
-
-impl Drop for Link {
-    fn drop(&mut self) {
-        self.end();
+        let child = self.child.take()?;
+        let ended = child.group.has_ended();
+        child.group.finish().filter(|_| ended).map(|status| status.to_string())
     }
 }
