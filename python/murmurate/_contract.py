@@ -12,7 +12,7 @@ from typing import Any
 from ._hops import Refused
 
 #: Inputs of a graph that are no observations.
-ROLES = ("messages", "edges", "heard", "own_message", "state")
+ROLES = ("messages", "edges", "heard", "own_message", "state", "id")
 #: Channels that every team has: number of floats, unit, and whether they are in a frame.
 CHANNELS = {
     "position": (2, "m", True),
@@ -37,10 +37,15 @@ SIGNS = ("own-minus-theirs", "theirs-minus-own")
 KINDS = {"velocity": "m/s", "acceleration": "m/s2", "twist": "m/s", "choice": None}
 DISTRIBUTIONS = ("none", "diagonal-normal")
 PADS = ("exact", "max")
+IDS = ("one-hot", "number")
 #: Number of floats of each feature of an edge.
 FEATURES = {"relative-position": 2, "relative-velocity": 2, "age": 1, "distance": 1, "bearing": 1}
 #: Features that depend on the sign and the frame.
 DIRECTED = ("relative-position", "relative-velocity", "bearing")
+
+
+#: Fields of an observation that a sense has.
+OF_SENSE = ("stale_after_s", "if_stale", "miss", "range_m", "from_rad")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,6 +57,7 @@ class Input:
     shape: tuple[int, ...]
     unit: str
     frame: str | None
+    sense: tuple[tuple[str, Any], ...] = ()
 
     @property
     def floats(self) -> int:
@@ -165,23 +171,32 @@ def _input(name: str | None, parameter: str, entry: Any, frame: str, known: dict
     if not fields or not isinstance(fields.setdefault("source", parameter), str):
         raise Refused("observations", None, f"'{parameter}': {entry!r} is neither the name of a channel nor its fields")
     source = fields["source"]
-    wrong = [field for field in fields if field not in ("source", "shape", "unit", "frame")]
+    known_fields = ("source", "shape", "unit", "frame", *OF_SENSE)
+    wrong = [field for field in fields if field not in known_fields]
     if wrong:
-        raise Refused("observations", None, f"'{parameter}': there is no field '{wrong[0]}', but source, shape, unit, frame")
+        why = f"'{parameter}': there is no field '{wrong[0]}', but {', '.join(known_fields)}"
+        raise Refused("observations", None, why)
     if source in CHANNELS:
         floats, unit, framed = CHANNELS[source]
         fields = {"shape": [floats], "unit": unit, "frame": frame if framed else None} | fields
     missing = [field for field in ("shape", "unit") if field not in fields]
     if missing:
         built_in = ", ".join(CHANNELS)
-        why = f"'{parameter}': '{source}' is none of the channels that every team has ({built_in}); give its shape and unit"
+        why = (
+            f"'{parameter}': '{source}' is none of the channels that every team has ({built_in}); give its shape and unit, "
+            "and stale_after_s if it is a sense"
+        )
         raise Refused("observations", None, why)
     shape = fields["shape"] if isinstance(fields["shape"], (list, tuple)) else [fields["shape"]]
     sizes = tuple(whole(f"observations: '{parameter}': shape", size, 1) for size in shape)
     among(f"observations: '{parameter}': unit", fields["unit"], UNITS)
     if fields.get("frame") is not None:
         among(f"observations: '{parameter}': frame", fields["frame"], FRAMES)
-    made = Input(name or source, source, sizes, fields["unit"], fields.get("frame"))
+    of_sense = tuple((field, fields[field]) for field in OF_SENSE if fields.get(field) is not None)
+    if of_sense and "stale_after_s" not in dict(of_sense):
+        why = f"'{parameter}': '{of_sense[0][0]}' is of a sense, which needs stale_after_s too"
+        raise Refused("observations", None, why)
+    made = Input(name or source, source, sizes, fields["unit"], fields.get("frame"), of_sense)
     if made.name in ROLES:
         raise Refused("observations", None, f"'{made.name}' is the name of an input that is no observation")
     if known.get(made.name, made) != made:
@@ -208,11 +223,18 @@ class Contract:
     action: dict[str, Any]
     license: str | None = None
     source: str | None = None
+    robots: dict[str, Any] | None = None
+    message_form: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     @property
     def edge_floats(self) -> int:
         """Number of floats of an edge."""
         return 0 if self.edges is None else sum(FEATURES[feature] for feature in self.edges["features"])
+
+    @property
+    def id_floats(self) -> int:
+        """Number of floats of the input ``id``; none if the policy does not tell robots apart."""
+        return 0 if self.robots is None else self.robots["most"] if self.robots["id"] == "one-hot" else 1
 
     @property
     def action_floats(self) -> int:
@@ -229,12 +251,14 @@ class Contract:
         tables: list[tuple[str, dict[str, Any]]] = []
         for one in self.observation:
             source = None if one.source == one.name else one.source
-            table = {"source": source, "shape": list(one.shape), "unit": one.unit, "frame": one.frame}
+            table = {"source": source, "shape": list(one.shape), "unit": one.unit, "frame": one.frame, **dict(one.sense)}
             tables.append((f"observation.{_key(one.name)}", table))
         if self.edges is not None:
             tables.append(("edges", self.edges))
+        if self.robots is not None:
+            tables.append(("robots", self.robots))
         if self.message:
-            tables.append(("message", {"floats": self.message}))
+            tables.append(("message", {"floats": self.message, **self.message_form}))
         if self.state:
             tables.append(("state", {"floats": self.state, "after_gap_s": self.after_gap_s}))
         tables.append(("action", self.action))

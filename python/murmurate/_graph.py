@@ -16,6 +16,7 @@ from ._contract import (
     DISTRIBUTIONS,
     FEATURES,
     FRAMES,
+    IDS,
     KINDS,
     PADS,
     ROLES,
@@ -58,6 +59,9 @@ def export_graph(
     edges: Sequence[str] = (),
     sign: Literal["own-minus-theirs", "theirs-minus-own"] | None = None,
     message: int | None = None,
+    message_name: str | None = None,
+    encoding: Literal["f32", "f16", "bf16", "int8"] | None = None,
+    missing: Literal["whole", "last", "zero"] | None = None,
     state: int | None = None,
     action: Literal["velocity", "acceleration", "twist", "choice"] = "velocity",
     limit: float | None = None,
@@ -71,6 +75,8 @@ def export_graph(
     max_neighbours: int | None = None,
     pad: Literal["exact", "max"] = "exact",
     after_gap_s: float | None = None,
+    id: Literal["one-hot", "number"] | None = None,
+    robots: int | None = None,
     name: str | None = None,
     license: str | None = None,
     source: str | None = None,
@@ -80,7 +86,7 @@ def export_graph(
     Either one module computes a whole step, and its message is heard in the next one; or ``encode`` makes the message and
     ``act`` the action, after the messages of the same step are heard. They are called with keyword arguments: **the names of the
     parameters of forward say what a module takes**. ``messages`` [R, K, M], ``edges`` [R, K, E], ``heard`` [R, K],
-    ``own_message`` [R, M] and ``state`` [R, S] are these inputs of a graph; every other parameter is an observation [R, ...].
+    ``own_message`` [R, M], ``state`` [R, S] and ``id`` [R, N] are these inputs of a graph; every other parameter is an observation [R, ...].
     A module returns a tensor, a tuple in the order action, message, state_next of those that it has, or a dictionary.
 
     Before a file is written or replaced, the program loads the policy and makes its own checks, and the graphs answer as the
@@ -94,7 +100,8 @@ def export_graph(
         like: Environment in which the policy was trained, a :class:`murmurate.VecEnv` or one of the faces. A parameter that is no
             channel takes its whole observation; radius, hold time and limit are its own.
         observations: What parameters observe: by their names, or for the only one: a channel such as "goal-minus-position", a list
-            of channels that are put one after the other, or a dictionary with ``source``, ``shape``, ``unit`` and ``frame``. A
+            of channels that are put one after the other, or a dictionary with ``source``, ``shape``, ``unit`` and ``frame``, and
+            of a sense, such as a lidar, also ``stale_after_s``, ``if_stale``, ``miss``, ``range_m`` and ``from_rad``. A
             parameter without an entry is the channel of its name, with "_" for "-".
         normalize: (mean, standard deviation) or (mean, standard deviation, limit) of what a parameter observes, by its
             name, or for the only one. The graph then takes what is not normalised.
@@ -104,6 +111,9 @@ def export_graph(
             [m], "bearing" [rad].
         sign: Sign of relative positions and velocities; without a default.
         message: Number of floats of a message; of ``encode`` it is found by running it.
+        message_name: Name of what the floats mean, which policies of other roles that understand them share.
+        encoding: Encoding to which the floats are rounded before they are sent; None takes "f32".
+        missing: Use of a message of which parts get lost, if it travels in parts; None takes "whole".
         state: Number of floats of the state; None takes the attribute ``state_floats`` of the module, else none.
         action: Kind of action; a "choice" is the largest output.
         limit: Largest value along each axis [m/s], for accelerations [m/s²]; None takes that of ``like``.
@@ -118,6 +128,8 @@ def export_graph(
         max_neighbours: Largest number of neighbours; None takes all others of the team of ``like``, else 8.
         pad: "max" for modules that need always ``max_neighbours`` places.
         after_gap_s: Longest pause after which the state still holds [s]; None takes 0.5, or two steps.
+        id: Form of the robot's place in its team, the input ``id``: "one-hot" with ``robots`` floats, or a "number" from 0 on.
+        robots: Number of robots of the largest team; needed for "one-hot". A larger team is refused.
         name, license, source: For people; None takes NAME for the first.
 
     Each module is in training or evaluation afterwards as it was before.
@@ -178,6 +190,8 @@ def _contract(modules: dict[str, nn.Module], given: dict[str, Any], graphs: dict
     contract = _without_modules(given, core, graphs)
     contract.observation = list({one.name: one for each in takes for one in each.inputs}.values())
     contract.message, contract.state = whole("message", message, 0), state
+    told = {"name": given["message_name"], "encoding": given["encoding"], "missing": given["missing"]}
+    contract.message_form = {field: said for field, said in told.items() if said is not None}
     norms = _norms(given["normalize"], takes, frame, core, seen)
 
     ready: dict[str, Any] = {}
@@ -232,7 +246,19 @@ def _without_modules(given: dict[str, Any], core: VecEnv | None, graphs: dict[st
         action=_action(given, of_env("limit_m_s", None)),
         license=given["license"],
         source=given["source"],
+        robots=_robots(given["id"], given["robots"]),
     )
+
+
+def _robots(form: str | None, most: int | None) -> dict[str, Any] | None:
+    """Returns the table of the robots of a team, if the policy tells them apart."""
+    if form is None:
+        if most is not None:
+            raise Refused("robots", None, "it is for policies that tell robots apart; give id='one-hot' or id='number'")
+        return None
+    if most is None and among("id", form, IDS) == "one-hot":
+        raise Refused("robots", None, "missing: the number of robots of the largest team, which is the size of 'id'")
+    return {"id": among("id", form, IDS)} | ({} if most is None else {"most": whole("robots", most, 1)})
 
 
 def _edges(features: Any, sign: str | None, frame: str) -> dict[str, Any] | None:

@@ -44,6 +44,10 @@ class Made:
         senders = rng.integers(0, ROBOTS, (ROBOTS, places))
         made = {one.name: self.normal(ROBOTS, *one.shape) for one in self.observation}
         made |= {"heard": mask, "own_message": self.said, "messages": self.said[senders] * mask[:, :, None]}
+        if contract.robots is not None:
+            number = np.arange(ROBOTS)[:, None] % contract.robots.get("most", ROBOTS)
+            one_hot = contract.robots["id"] == "one-hot"
+            made["id"] = (number == np.arange(contract.id_floats) if one_hot else number).astype(np.float32)
         return made | {"edges": self.normal(ROBOTS, places, contract.edge_floats) * mask[:, :, None]}
 
 

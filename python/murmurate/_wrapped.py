@@ -19,7 +19,7 @@ from ._hops import Refused
 #: Outputs of each graph, in the order of a tuple.
 OUTPUTS = {"step": ("action", "message", "state_next"), "encode": ("message", "state_next"), "act": ("action", "state_next")}
 #: Arguments of ``export_graph`` that an input of a graph needs.
-GIVE = {"messages": "message=N", "own_message": "message=N", "edges": "edges=[...]", "state": "state=N"}
+GIVE = {"messages": "message=N", "own_message": "message=N", "edges": "edges=[...]", "state": "state=N", "id": "id='one-hot' or 'number'"}
 #: Number of robots and of places for neighbours in the example of an export.
 EXAMPLE = (3, 5)
 
@@ -85,11 +85,11 @@ class Wrapped(nn.Module):
         self.kept = stack.floats(observed)
         self.own_state = contract.state - self.kept
         there = {"messages": contract.message, "own_message": contract.message, "edges": contract.edge_floats}
-        there |= {"heard": 1, "state": self.own_state}
+        there |= {"heard": 1, "state": self.own_state, "id": contract.id_floats}
         needed, optional = parameters_of(module, role)
         self.roles = [name for name in ROLES if name in needed or (name in optional and there[name])]
         for name in self.roles:
-            if role == "encode" and name not in ("state",):
+            if role == "encode" and name not in ("state", "id"):
                 raise Refused(role, module, f"it takes '{name}', and nothing is heard before it; that is for 'act'")
             if not there[name]:
                 raise Refused(role, module, f"it takes '{name}', and there is none; give {GIVE[name]}")
@@ -159,7 +159,7 @@ def example(inputs: Sequence[str], contract: Contract) -> tuple[Tensor, ...]:
     robots, places = EXAMPLE[0], contract.max_neighbours if contract.pad == "max" else EXAMPLE[1]
     shapes: dict[str, tuple[int, ...]] = {one.name: one.shape for one in contract.observation}
     shapes |= {"messages": (places, contract.message), "edges": (places, contract.edge_floats)}
-    shapes |= {"own_message": (contract.message,), "state": (contract.state,)}
+    shapes |= {"own_message": (contract.message,), "state": (contract.state,), "id": (contract.id_floats,)}
     drawn = torch.Generator().manual_seed(1)
     make = lambda name: torch.ones(robots, places) if name == "heard" else torch.randn(robots, *shapes[name], generator=drawn) / 2
     return tuple(make(name) for name in inputs)

@@ -103,6 +103,7 @@ def test_a_contract_is_read_by_the_program_as_it_was_meant(tmp_path):
     contract = _contract.Contract(
         name='of "two" \\ words ü', graphs={"graph": "p.onnx"}, rate_hz=20.0, radius_m=2.5, hold_s=0.25, max_neighbours=4, pad="exact",
         observation=[*goal.inputs, *velocity.inputs], edges=edges, message=6, state=12, after_gap_s=1e-1,
+        message_form={"name": "a pair", "encoding": "f16"},
         action=_graph._action(ACTION, None), license="MIT", source=None,
     )  # fmt: skip
     file = tmp_path / "p.policy.toml"
@@ -110,6 +111,7 @@ def test_a_contract_is_read_by_the_program_as_it_was_meant(tmp_path):
     told = json.loads(finished(["policy", "check", str(file), "--json"]))["manifest"]
     assert (told["name"], told["license"], told["hold_s"]) == (contract.name, "MIT", 0.25)
     assert told["state"] == {"floats": 12, "after_gap_s": 0.1} and told["message"]["floats"] == 6
+    assert (told["message"]["name"], told["message"]["encoding"]) == ("a pair", "f16")
     assert told["edges"]["sign"] == "own-minus-theirs" and told["observation"]["goal"]["source"] == "goal-minus-position"
     assert "source" not in told["observation"]["velocity"] and told["action"]["limit"] == 1.0
     file.write_text(contract.text("0" * 64), encoding="utf-8")

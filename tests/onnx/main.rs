@@ -1,7 +1,17 @@
-//! Policies of format 3: against a computation of their own in numpy, and what is refused.
+//! Policies of format 3: against a computation of their own in numpy, and what is refused. Scenario and
+//! plant of JaxMARL's team are those of the crate in `tests/stranger`.
 
+#[path = "../stranger/src/mpe.rs"]
+mod mpe;
+mod others;
 mod parity;
+#[cfg(test)]
+#[path = "../stranger/src/recorded.rs"]
+mod recorded;
 mod refused;
+#[path = "../stranger/src/spread.rs"]
+mod spread;
+mod team;
 
 use std::path::{Path, PathBuf};
 

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use murmurate::messages::geometry::{Motion, Vec2};
+use murmurate::messages::ids::RobotId;
 use murmurate::observation::{Bound, Known, Observation};
 use murmurate::policy::{Broadcast, Draw, Neighbour, Policy};
 use murmurate::random::Seed;
@@ -53,7 +54,7 @@ fn values(network: &Network, own: &Observation) -> Vec<f32> {
     let bound = Bound::new(&network.contract().requests(), &[]).expect("every team has these channels");
     let mut values = vec![0.0; bound.floats()];
     let task = murmurate::messages::geometry::Task { start: Vec2::zeros(), goal: own.goal };
-    bound.write(&Known { task: &task, own, sensed: &[] }, &mut values);
+    bound.write(&Known { task: &task, team: &[], own, sensed: &[] }, &mut values);
     values
 }
 
@@ -62,11 +63,11 @@ fn a_recurrent_policy_with_attention_answers_as_numpy_does() {
     let network = network("recurrent");
     check::check(&network).expect("it is sound");
     let steps: Vec<Step> = serde_json::from_slice(&super::bytes("recurrent.json")).expect("steps");
-    let mut robot = network.robot(Draw::Mean);
+    let mut robot = network.robot(RobotId(0), Draw::Mean);
     let (mut worst, mut said) = (0.0_f32, vec![0.0; 6]);
     for step in &steps {
         if step.reset {
-            robot.reset();
+            robot.reset(0);
             said.fill(0.0);
         }
         let own = Observation::new(motion(step.own), Vec2::from(step.goal));
@@ -96,7 +97,7 @@ fn a_recurrent_policy_with_attention_answers_as_numpy_does() {
 #[test]
 fn a_step_with_a_number_that_is_not_finite_counts_as_none() {
     let network = network("recurrent");
-    let mut robot = network.robot(Draw::Mean);
+    let mut robot = network.robot(RobotId(0), Draw::Mean);
     let mut stream = Seed::of_run(0).stream("draw");
     let own = Observation::new(motion([0.0, 0.0, 0.1, 0.0]), Vec2::new(1.0, 0.0));
     let good = values(&network, &own);
@@ -122,7 +123,7 @@ fn a_step_with_a_number_that_is_not_finite_counts_as_none() {
     let neighbour = Neighbour { motion: away, features: &[0.0; 6], age: Span::ZERO };
     step(&mut robot, &good, &[neighbour], &mut stream);
     assert_eq!(robot.broadcast(), Broadcast::Failed);
-    let mut other = self::network("recurrent").robot(Draw::Mean);
+    let mut other = self::network("recurrent").robot(RobotId(0), Draw::Mean);
     let mut fresh = Seed::of_run(0).stream("draw");
     step(&mut other, &good, &[], &mut fresh);
     let both = [&mut robot as &mut dyn Policy, &mut other].map(|robot| step(robot, &good, &[], &mut fresh));
@@ -134,7 +135,7 @@ fn a_step_with_a_number_that_is_not_finite_counts_as_none() {
 fn a_policy_without_a_message_is_heard_by_its_motion_from_the_first_step() {
     let network = network("silent");
     check::check(&network).expect("it is sound");
-    let mut robot = network.robot(Draw::Mean);
+    let mut robot = network.robot(RobotId(0), Draw::Mean);
     let own = Observation::new(Motion::default(), Vec2::zeros());
     let values = values(&network, &own);
     let own = Observation { values: &values, ..own };
@@ -149,7 +150,7 @@ fn a_policy_without_a_message_is_heard_by_its_motion_from_the_first_step() {
 #[test]
 fn a_robot_whose_step_has_failed_says_nothing_until_one_succeeds() {
     let network = network("recurrent");
-    let (mut robot, mut stream) = (network.robot(Draw::Mean), Seed::of_run(0).stream("draw"));
+    let (mut robot, mut stream) = (network.robot(RobotId(0), Draw::Mean), Seed::of_run(0).stream("draw"));
     let own = Observation::new(motion([0.0, 0.0, 0.1, 0.0]), Vec2::new(1.0, 0.0));
     let good = values(&network, &own);
     let bad = vec![f32::NAN; good.len()];
@@ -177,10 +178,84 @@ fn equal_inputs_give_equal_bits() {
     let message = [0.25; 6];
     let neighbours = [Neighbour { motion: Motion::default(), features: &message, age: Span::from_millis(20) }; 3];
     let run = || -> Vec<[u32; 2]> {
-        let (mut robot, mut stream) = (network.robot(Draw::Mean), Seed::of_run(0).stream("draw"));
+        let (mut robot, mut stream) = (network.robot(RobotId(0), Draw::Mean), Seed::of_run(0).stream("draw"));
         let velocities = (0..100).map(|at| robot.act(&own, &[], &neighbours[..at % 4], &mut stream));
         velocities.map(|velocity| [velocity.x.to_bits(), velocity.y.to_bits()]).collect()
     };
     let (here, there) = (run(), std::thread::scope(|scope| scope.spawn(run).join().expect("it ends")));
     assert_eq!(here, there, "on another thread, too");
+}
+
+#[test]
+fn each_robot_has_its_place_in_the_team_as_an_input() {
+    let of = [
+        ("id-one-hot", [[0.5, 0.0], [0.0, 0.25], [-0.5, -0.25]]),
+        ("id-number", [[0.0; 2], [0.125, 0.25], [0.25, 0.5]]),
+    ];
+    for (name, expected) in of {
+        let network = network(name);
+        check::check(&network).expect("it is sound");
+        let own = Observation::new(Motion::default(), Vec2::zeros());
+        let values = values(&network, &own);
+        let own = Observation { values: &values, ..own };
+        for (robot, expected) in RobotId::team(3).zip(expected) {
+            let mut policy = network.robot(robot, Draw::Mean);
+            policy.encode(&own, &mut []);
+            let velocity = policy.act(&own, &[], &[], &mut Seed::of_run(0).stream("draw"));
+            assert!((velocity - Vec2::from(expected)).norm() < 1e-6, "{name}, {robot}: {velocity}");
+        }
+    }
+    let network = network("id-one-hot");
+    let mut fourth = network.robot(RobotId(3), Draw::Mean);
+    let own = Observation { values: &[0.0; 2], ..Observation::new(Motion::default(), Vec2::zeros()) };
+    fourth.act(&own, &[], &[], &mut Seed::of_run(0).stream("draw"));
+    assert_eq!(fourth.broadcast(), Broadcast::Failed, "the graph tells three robots apart");
+    assert_eq!(network.model().most_robots(), Some(3));
+    assert_eq!(self::network("id-number").model().most_robots(), None);
+}
+
+#[test]
+fn graphs_of_further_hops_get_what_the_neighbours_made_in_the_hop_before() {
+    let network = network("hops");
+    check::check(&network).expect("it is sound");
+    // A row, in which each hears those beside it.
+    let goals = [1.0, 2.5, 4.0];
+    let near = [vec![1], vec![0, 2], vec![1]];
+    let mut robots: Vec<_> = RobotId::team(3).map(|robot| network.robot(robot, Draw::Mean)).collect();
+    let seen = goals.map(|x| {
+        let own = Observation::new(Motion::default(), Vec2::new(x, 0.0));
+        let values = values(&network, &own);
+        (own, values)
+    });
+    let own = |at: usize| Observation { values: &seen[at].1, ..seen[at].0 };
+    let mut messages = [[0.0; 3]; 3];
+    for (at, robot) in robots.iter_mut().enumerate() {
+        assert_eq!(robot.hops(), 3);
+        robot.encode(&own(at), &mut messages[at]);
+    }
+    let heard = |messages: &[[f32; 3]; 3], at: usize| -> Vec<[f32; 3]> {
+        near[at].iter().map(|other: &usize| messages[*other]).collect()
+    };
+    fn neighbours(messages: &[[f32; 3]]) -> Vec<Neighbour<'_>> {
+        let one = |features| Neighbour { motion: Motion::default(), features, age: Span::ZERO };
+        messages.iter().map(|message| one(&message[..])).collect()
+    }
+    for hop in [1, 2] {
+        let before = messages;
+        for (at, robot) in robots.iter_mut().enumerate() {
+            robot.relay(hop, &own(at), &mut messages[at], &neighbours(&heard(&before, at)));
+        }
+    }
+    assert_eq!(messages, [[1.0, 3.5, 11.0], [2.5, 7.5, 17.5], [4.0, 6.5, 14.0]]);
+    for (at, expected) in [0.175, 0.25, 0.175].into_iter().enumerate() {
+        let mut stream = Seed::of_run(0).stream("draw");
+        let velocity = robots[at].act(&own(at), &messages[at], &neighbours(&heard(&messages, at)), &mut stream);
+        assert!((velocity - Vec2::new(expected, 0.0)).norm() < 1e-6, "{velocity}");
+        assert_eq!(robots[at].broadcast(), Broadcast::Encoded);
+    }
+    // A hop that fails makes a step that counts as none.
+    robots[0].encode(&own(0), &mut messages[0]);
+    robots[0].relay(1, &own(0), &mut messages[0].clone(), &neighbours(&[[f32::NAN; 3]]));
+    let velocity = robots[0].act(&own(0), &messages[0], &[], &mut Seed::of_run(0).stream("draw"));
+    assert_eq!((velocity, robots[0].broadcast()), (Vec2::zeros(), Broadcast::Failed));
 }

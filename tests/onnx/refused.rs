@@ -136,3 +136,31 @@ fn what_is_no_onnx_file_is_refused() {
         assert!(said.starts_with("it is no ONNX file"), "{said}");
     }
 }
+
+#[test]
+fn a_contract_and_a_graph_that_do_not_agree_on_ids_are_refused() {
+    let table = "[robots]\nid = \"one-hot\"\n";
+    let cases = [
+        ("id-one-hot", table, "", "it takes an input 'id', and the contract has no table [robots]"),
+        (
+            "silent",
+            "[edges]",
+            "[robots]\nid = \"number\"\n[edges]",
+            "its contract has a table [robots], and no graph has an",
+        ),
+        ("id-one-hot", "\"one-hot\"", "\"number\"", "its input 'id' is [3] a robot: the contract says [1]"),
+        ("id-one-hot", "\"one-hot\"", "\"one-hot\"\nmost = 4", "its input 'id' is [3] a robot: the contract says [4]"),
+        ("id-one-hot", "\"one-hot\"", "\"one-hot\"\nmost = 0", "its contract: robots.most: 0 is not 1 to 4096"),
+        (
+            "id-one-hot",
+            "graph = \"id-one-hot.onnx\"",
+            "python = \"a:B\"",
+            "its contract: robots.most: it is missing: the number of robots of the largest team",
+        ),
+        ("id-one-hot", "[observation.goal]", "[observation.id]", "its contract: observation.id: the names messages, "),
+    ];
+    for (name, from, to, expected) in cases {
+        let found = refusal(name, from, to);
+        assert!(found.starts_with(expected), "{found}\nfor {to:?}, expected {expected}");
+    }
+}

@@ -1,8 +1,10 @@
 //! Check of a policy on made-up inputs, before a robot moves by it: what its files cannot say, such as what it computes
 //! without a neighbour.
 
+use std::ops::Range;
 use std::sync::Arc;
 
+use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::MAX_FEATURE;
 use murmurate::random::{self, Seed, Stream};
 
@@ -58,15 +60,42 @@ impl Checked<'_> {
                 Source::Heard => vec![robots, places],
                 Source::OwnMessage => vec![robots, contract.message.floats],
                 Source::State => vec![robots, contract.state_floats()],
+                Source::Id(floats) => vec![robots, *floats],
             };
             let count = shape.iter().product();
             let values = match source {
                 Source::Heard => vec![1.0; count],
+                Source::Id(floats) => self.ids(0..robots, *floats),
                 _ => (0..count).map(|_| DEVIATION * random::normals(stream)[0] as f32).collect(),
             };
             Array { shape, values }
         };
         self.graph.inputs.iter().map(|(_, source)| input(source)).collect()
+    }
+
+    /// Returns the input `id` of these robots, with `floats` floats each. Places beyond the largest team begin anew.
+    fn ids(&self, robots: Range<usize>, floats: usize) -> Vec<f32> {
+        let said = self.network.contract.robots.as_ref().expect("a graph with an id has a table of robots");
+        let most = self.network.most_robots.unwrap_or(usize::MAX);
+        let row = |robot: usize| {
+            let mut row = vec![0.0; floats];
+            said.write(RobotId((robot % most) as u16), &mut row).expect("it is a place of the largest team");
+            row
+        };
+        robots.flat_map(row).collect()
+    }
+
+    /// Runs the graph for each robot of the largest team.
+    fn each_robot(&self, inputs: &[Array]) -> Result<(), String> {
+        for robot in 0..self.network.most_robots.unwrap_or(1) {
+            let inputs = self.with(inputs.to_vec(), |source, values| {
+                if let Source::Id(floats) = source {
+                    values.copy_from_slice(&self.ids(robot..robot + 1, *floats));
+                }
+            });
+            self.run(&inputs, 1, &format!("the id of robot {robot}"))?;
+        }
+        Ok(())
     }
 
     /// Runs the graph, and checks that its outputs are finite and have one row for each robot. `what` describes the
@@ -105,6 +134,7 @@ impl Checked<'_> {
         if self.run(&inputs, 1, "the inputs of the check")? != outputs {
             return Err("equal inputs give different outputs".to_owned());
         }
+        self.each_robot(&inputs)?;
         self.alone(places, &mut stream, remarks)?;
         if hears {
             self.without_neighbours(counts[0], &mut stream)?;

@@ -4,24 +4,29 @@ use std::collections::BTreeMap;
 
 use murmurate::config::{self, ConfigError};
 use murmurate::messages::wire::{MAX_FLOATS, Missing};
-use murmurate::observation::{Frame, Request, Unit};
+use murmurate::observation::{Frame, Request};
 use murmurate::policy::Interface;
 use murmurate::time::Span;
 use serde::{Deserialize, Serialize};
 
+pub use crate::action::{Action, Distribution, Kind};
 pub use crate::message::Message;
 pub use crate::observed::Observed;
+pub use crate::robots::{Id, MAX_ROBOTS, Robots};
+use crate::role::Role;
 
 /// Version of the policy format that this crate reads.
 pub const FORMAT: u32 = 3;
 /// Key of the metadata of an ONNX file under which its contract is stored.
 pub const METADATA: &str = "murmurate";
 /// Names of the inputs of a graph that are no observations.
-pub const ROLES: [&str; 5] = ["messages", "edges", "heard", "own_message", "state"];
+pub const ROLES: [&str; 6] = ["messages", "edges", "heard", "own_message", "state", "id"];
 /// Largest number of floats that a policy keeps from one step to the next.
 pub const MAX_STATE: usize = 65_536;
 /// Largest number of neighbours that one call of a graph takes.
 pub const MAX_NEIGHBOURS: usize = 64;
+/// Largest number of graphs that make a message for a further hop.
+pub const MAX_RELAYS: usize = 15;
 /// Longest name that reports show \[characters\].
 const MAX_NAME: usize = 80;
 
@@ -40,6 +45,10 @@ pub struct Contract {
     /// File of the graph that makes the message, if that and the action are computed by two graphs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub encode: Option<String>,
+    /// Files of the graphs that make the message for a further hop each, in their order, if the robots of a step
+    /// exchange messages several times.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub relay: Vec<String>,
     /// File of the graph that makes the action, if that and the message are computed by two graphs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub act: Option<String>,
@@ -47,6 +56,9 @@ pub struct Contract {
     /// `unix:PATH`, the socket of a process that serves one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub python: Option<String>,
+    /// Largest memory of the process of a policy in Python \[MB\]; 4096 if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub memory_mb: Option<u32>,
     /// SHA-256 of the graph's file, or of both files one after the other, as hexadecimal digits.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sha256: Option<String>,
@@ -68,6 +80,9 @@ pub struct Contract {
     /// Number of places for neighbours in a call.
     #[serde(default)]
     pub pad: Pad,
+    /// Robots of the team, if the graphs tell them apart: the input `id`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robots: Option<Robots>,
     /// Observations that the graphs take, by the names of their inputs.
     #[serde(default)]
     pub observation: BTreeMap<String, Observed>,
@@ -164,58 +179,6 @@ pub struct State {
     pub after_gap_s: f64,
 }
 
-/// Meaning of the output `action`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Action {
-    /// Kind of action.
-    pub kind: Kind,
-    /// Unit of the output: m/s for velocities and twists, m/s2 for accelerations; left out for a choice.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub unit: Option<Unit>,
-    /// Frame of the output, or of the velocities of a choice.
-    #[serde(default)]
-    pub frame: Frame,
-    /// Largest value along each axis, in the unit of the output; what is larger is clamped. For a twist it is the speed
-    /// ahead. Left out for a choice.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub limit: Option<f32>,
-    /// Largest speed along each axis that is commanded \[m/s\]; `limit` for velocities if it is left out.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub speed_limit: Option<f32>,
-    /// Distribution of which the outputs are the parameters.
-    #[serde(default)]
-    pub distribution: Distribution,
-    /// Velocities \[m/s\] of a choice, in the order of the outputs; the largest output is taken.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub choices: Vec<[f32; 2]>,
-}
-
-/// Kind of action.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Kind {
-    /// Velocity: x and y.
-    Velocity,
-    /// Acceleration: x and y, added to the measured velocity over one period.
-    Acceleration,
-    /// Speed ahead and yaw rate \[rad/s\] of a robot with a differential drive.
-    Twist,
-    /// One of several velocities.
-    Choice,
-}
-
-/// Distribution of which the outputs of a policy are the parameters.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Distribution {
-    /// None: the output is the action.
-    #[default]
-    None,
-    /// Independent normal distributions: the means, then the natural logarithms of the standard deviations.
-    DiagonalNormal,
-}
-
 impl Contract {
     /// Reads a contract from TOML, or from JSON as it may stand in a graph's metadata, and checks it. An error names
     /// the wrong field.
@@ -250,13 +213,20 @@ impl Contract {
         Ok(contract)
     }
 
+    /// Returns the files of the graphs in the order of their calls, each with the part of a step that it computes.
+    pub fn files(&self) -> impl Iterator<Item = (Role, &String)> {
+        let [graph, encode, act] = [(Role::Step, &self.graph), (Role::Encode, &self.encode), (Role::Act, &self.act)]
+            .map(|(role, file)| file.iter().map(move |file| (role, file)));
+        graph.chain(encode).chain(self.relay.iter().map(|file| (Role::Relay, file))).chain(act)
+    }
+
     /// Returns the parameters that the rest of the system needs to run the policy.
     pub fn interface(&self) -> Interface {
         Interface {
             features: self.message.floats,
             radius_m: self.radius_m,
             period: Span::from_secs(1.0 / self.rate_hz),
-            limit_m_s: self.speed_limit(),
+            limit_m_s: self.action.speed_limit(),
             hold: Span::from_secs(self.hold_s),
         }
     }
@@ -286,17 +256,7 @@ impl Contract {
 
     /// Returns the number of floats of the output `action`.
     pub fn action_floats(&self) -> usize {
-        match (self.action.kind, self.action.distribution) {
-            (Kind::Choice, _) => self.action.choices.len(),
-            (_, Distribution::None) => 2,
-            (_, Distribution::DiagonalNormal) => 4,
-        }
-    }
-
-    fn speed_limit(&self) -> f32 {
-        let largest = self.action.choices.iter().flatten().fold(0.0_f32, |most, axis| most.max(axis.abs()));
-        let own = if self.action.kind == Kind::Choice { Some(largest) } else { self.action.limit };
-        self.action.speed_limit.or(own).unwrap_or(f32::NAN)
+        self.action.floats()
     }
 
     /// Checks what no type says. An error names the first wrong field.
@@ -315,6 +275,9 @@ impl Contract {
             return refuse("radius_m", format!("{} is not above zero", self.radius_m));
         }
         self.check_files()?;
+        if let Some(robots) = &self.robots {
+            robots.check(self.python.is_some())?;
+        }
         if !(1..=MAX_NEIGHBOURS).contains(&self.max_neighbours) {
             return refuse("max_neighbours", format!("{} is not 1 to {MAX_NEIGHBOURS}", self.max_neighbours));
         }
@@ -362,7 +325,7 @@ impl Contract {
                 return refuse("state.after_gap_s", format!("{after_gap_s} is less than one period"));
             }
         }
-        self.check_action()?;
+        self.action.check()?;
         self.interface().check().map_err(ConfigError::Syntax)
     }
 
@@ -378,49 +341,26 @@ impl Contract {
         if self.encode.is_some() != self.act.is_some() {
             return refuse("encode", "two graphs make a step: 'encode' and 'act' are both needed".to_owned());
         }
+        if self.relay.len() > MAX_RELAYS {
+            return refuse("relay", format!("{} of them; there are at most {MAX_RELAYS}", self.relay.len()));
+        }
+        if !self.relay.is_empty() && self.encode.is_none() {
+            return refuse("relay", "it is between 'encode' and 'act', which are missing".to_owned());
+        }
         if self.python.is_some() && (self.graph.is_some() || self.encode.is_some() || self.sha256.is_some()) {
             return refuse("python", "a policy in Python has no graphs; leave out one of both".to_owned());
         }
+        match self.memory_mb {
+            Some(_) if self.python.is_none() => {
+                return refuse("memory_mb", "it is for a policy in Python; leave it out".to_owned());
+            }
+            Some(memory_mb) if !(64..=1_000_000).contains(&memory_mb) => {
+                return refuse("memory_mb", format!("{memory_mb} is not 64 to 1000000"));
+            }
+            _ => {}
+        }
         if self.encode.is_some() && self.message.floats == 0 {
             return refuse("message.floats", "0, and a graph 'encode' has a message to make".to_owned());
-        }
-        Ok(())
-    }
-
-    fn check_action(&self) -> Result<(), ConfigError> {
-        let refuse = |field: &str, why: &str| Err(ConfigError::field(format!("action.{field}"), why));
-        let Action { kind, unit, limit, speed_limit, distribution, choices, .. } = &self.action;
-        let wanted = match kind {
-            Kind::Velocity | Kind::Twist => Some(Unit::MetrePerSecond),
-            Kind::Acceleration => Some(Unit::MetrePerSecondSquared),
-            Kind::Choice => None,
-        };
-        let above_zero = |value: &f32| *value > 0.0 && value.is_finite();
-        if *unit != wanted {
-            let why =
-                wanted.map_or("a choice has none".to_owned(), |unit| format!("it has to be {unit} for this kind"));
-            return refuse("unit", &why);
-        }
-        if *kind == Kind::Choice {
-            if choices.is_empty() || choices.len() > 256 || choices.iter().flatten().any(|axis| !axis.is_finite()) {
-                return refuse("choices", "a choice needs 1 to 256 velocities [x, y] in m/s");
-            }
-            if limit.is_some() || *distribution != Distribution::None {
-                return refuse("limit", "a choice has neither a limit nor a distribution");
-            }
-        } else if !choices.is_empty() {
-            return refuse("choices", "only a choice has them");
-        } else if !limit.as_ref().is_some_and(above_zero) {
-            return refuse("limit", "it is missing or not above zero");
-        }
-        if *kind == Kind::Acceleration && speed_limit.is_none() {
-            return refuse("speed_limit", "it is missing: the largest speed along each axis [m/s]");
-        }
-        if speed_limit.as_ref().is_some_and(|limit| !above_zero(limit)) {
-            return refuse("speed_limit", "it is not above zero");
-        }
-        if *kind == Kind::Twist && self.action.frame != Frame::Body {
-            return refuse("frame", "a twist is in the frame 'body'");
         }
         Ok(())
     }

@@ -9,7 +9,7 @@ use murmurate::observation::Observation;
 use murmurate::policy::{Draw, Interface};
 use murmurate::random::{self, Stream};
 
-use crate::contract::{Contract, Distribution, Kind};
+use crate::contract::{Contract, Distribution, Id, Kind};
 use crate::engine::{self, Engine};
 use crate::parts::{GraphFile, Parts, Refused};
 use crate::structure::Role;
@@ -32,6 +32,8 @@ pub(crate) enum Source {
     OwnMessage,
     /// State.
     State,
+    /// Place of the robot in its team, in so many floats.
+    Id(usize),
 }
 
 /// Meaning of an output of a graph.
@@ -61,6 +63,8 @@ pub struct Network {
     pub(crate) digest: String,
     /// Name and version of what computes it, and the kind of processor.
     pub(crate) engine: String,
+    /// Number of robots of the largest team that its graphs tell apart; `None` without a bound.
+    pub(crate) most_robots: Option<usize>,
 }
 
 impl std::fmt::Debug for Network {
@@ -76,15 +80,18 @@ impl Network {
         let Parts { contract, graphs: files, digest } = parts;
         let mut graphs = Vec::new();
         let mut missing: Vec<&String> = contract.observation.keys().collect();
+        let mut of_robots = Vec::new();
         for GraphFile { role, structure, bytes } in files {
             structure.check(&contract, role)?;
+            let id_floats = structure.id_floats(&contract)?;
+            of_robots.extend(id_floats);
             missing.retain(|name| structure.inputs.iter().all(|port| port.name != **name));
             let inputs: Vec<String> = structure.inputs.iter().map(|port| port.name.clone()).collect();
             let expected = structure.expected_outputs(&contract, role);
             let names: Vec<String> = expected.iter().map(|(name, _)| (*name).to_owned()).collect();
             let engine = engine::load(bytes, &inputs, &names)
                 .map_err(|why| Refused::Disagree(format!("its {}: {why}", role.field())))?;
-            let inputs = inputs.into_iter().map(|name| (name.clone(), source(&contract, &name))).collect();
+            let inputs = inputs.into_iter().map(|name| (name.clone(), source(&contract, &name, id_floats))).collect();
             let outputs = expected.into_iter().map(|(name, floats)| (name, output(name), floats)).collect();
             graphs.push(Graph { role, engine, inputs, outputs });
         }
@@ -92,8 +99,13 @@ impl Network {
             let why = format!("its contract has an observation '{name}', and no graph has an input of that name");
             return Err(Refused::Disagree(why));
         }
-        let interface = contract.interface();
-        Ok(Network { contract, graphs, interface, digest, engine: engine::about() })
+        if contract.robots.is_some() && of_robots.is_empty() {
+            let why = "its contract has a table [robots], and no graph has an input 'id'";
+            return Err(Refused::Disagree(why.to_owned()));
+        }
+        let (interface, engine) = (contract.interface(), engine::about());
+        let most_robots = most_robots(&contract, of_robots.into_iter().min());
+        Ok(Network { contract, graphs, interface, digest, engine, most_robots })
     }
 
     /// Makes the network of a policy whose steps `engine` computes, such as one in Python: for each role of `roles` it
@@ -104,10 +116,12 @@ impl Network {
         roles: &[Role],
         mut engine: impl FnMut(Role, &[Port], &[Port]) -> Arc<dyn Engine>,
     ) -> Network {
+        let id_floats = contract.robots.and_then(|robots| robots.floats());
         let graphs = roles.iter().map(|&role| {
             let (inputs, outputs) = ports(&contract, role);
             let engine = engine(role, &inputs, &outputs);
-            let inputs = inputs.into_iter().map(|port| (port.name.clone(), source(&contract, &port.name))).collect();
+            let inputs =
+                inputs.into_iter().map(|port| (port.name.clone(), source(&contract, &port.name, id_floats))).collect();
             let outputs = outputs.iter().map(|port| {
                 let what = output(&port.name);
                 let name = match what {
@@ -121,7 +135,8 @@ impl Network {
         });
         let graphs = graphs.collect();
         let interface = contract.interface();
-        Network { contract, graphs, interface, digest, engine: name }
+        let most_robots = most_robots(&contract, id_floats);
+        Network { contract, graphs, interface, digest, engine: name, most_robots }
     }
 
     /// Returns the contract of the policy.
@@ -157,11 +172,15 @@ pub fn ports(contract: &Contract, role: Role) -> (Vec<Port>, Vec<Port>) {
     let mut inputs: Vec<Port> =
         contract.requests().iter().map(|request| port(&request.input, false, &request.shape)).collect();
     let mut outputs = Vec::new();
+    let id = contract.robots.and_then(|robots| robots.floats());
+    inputs.extend(id.map(|floats| port("id", false, &[floats])));
     if role != Role::Encode {
         inputs.extend((message > 0).then(|| port("messages", true, &[message])));
         inputs.extend((edge > 0).then(|| port("edges", true, &[edge])));
         inputs.push(port("heard", true, &[]));
         inputs.extend((message > 0).then(|| port("own_message", false, &[message])));
+    }
+    if matches!(role, Role::Step | Role::Act) {
         outputs.push(port("action", false, &[contract.action_floats()]));
     }
     if role != Role::Act {
@@ -172,14 +191,21 @@ pub fn ports(contract: &Contract, role: Role) -> (Vec<Port>, Vec<Port>) {
     (inputs, outputs)
 }
 
-/// Returns the meaning of the input called `name`. The structure was checked, so every name is known.
-fn source(contract: &Contract, name: &str) -> Source {
+/// Returns the number of robots of the largest team that a policy tells apart, whose input `id` has `id_floats` floats.
+fn most_robots(contract: &Contract, id_floats: Option<usize>) -> Option<usize> {
+    contract.robots.and_then(|robots| if robots.id == Id::OneHot { id_floats } else { robots.most })
+}
+
+/// Returns the meaning of the input called `name`; `id` has `id_floats` floats. The structure was checked, so every
+/// name is known.
+fn source(contract: &Contract, name: &str, id_floats: Option<usize>) -> Source {
     match name {
         "messages" => Source::Messages,
         "edges" => Source::Edges,
         "heard" => Source::Heard,
         "own_message" => Source::OwnMessage,
         "state" => Source::State,
+        "id" => Source::Id(id_floats.expect("the structure was checked against the contract")),
         _ => {
             let mut begins = 0;
             for request in contract.requests() {
@@ -210,7 +236,7 @@ impl Network {
         if said.kind == Kind::Choice {
             let largest =
                 action.iter().enumerate().fold(0, |best, (at, value)| if *value > action[best] { at } else { best });
-            return own.out_of_frame(said.frame, Vec2::from(said.choices[largest]));
+            return self.velocity(own, own.out_of_frame(said.frame, Vec2::from(said.choices[largest])));
         }
         let mean = Vec2::new(action[0], action[1]);
         let drawn = match (said.distribution, draw) {
@@ -232,14 +258,20 @@ impl Network {
                 let ahead = Vec2::new(speed, yaw_rate * own.dynamics.point_ahead_m);
                 own.out_of_frame(said.frame, ahead)
             }
-            kind => {
+            _ => {
                 let clamped = drawn.map(|axis| axis.clamp(-limit, limit));
                 let turned = own.out_of_frame(said.frame, clamped);
-                match kind {
-                    Kind::Acceleration => own.motion.velocity + turned * self.interface.period.as_secs() as f32,
-                    _ => turned,
-                }
+                self.velocity(own, turned)
             }
+        }
+    }
+
+    /// Returns the velocity \[m/s\] that an action `turned` into the policy frame stands for: itself, or what the robot
+    /// has after a period if it is an acceleration.
+    fn velocity(&self, own: &Observation, turned: Vec2) -> Vec2 {
+        match self.contract.action.accelerates() {
+            true => own.motion.velocity + turned * self.interface.period.as_secs() as f32,
+            false => turned,
         }
     }
 }

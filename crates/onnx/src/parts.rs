@@ -61,12 +61,9 @@ impl Parts {
             Ok(contract) => contract,
             Err(error) => return Ok(Err(error.into())),
         };
-        let files = [(Role::Step, &contract.graph), (Role::Encode, &contract.encode), (Role::Act, &contract.act)];
         let mut graphs = Vec::new();
-        for (role, file) in files {
-            if let Some(file) = file {
-                graphs.push((role, read(file)?));
-            }
+        for (role, file) in contract.files() {
+            graphs.push((role, read(file)?));
         }
         if graphs.is_empty() && contract.python.is_none() {
             let missing =
@@ -131,6 +128,7 @@ fn same(inside: &str, contract: &Contract) -> bool {
     let without = |contract: &Contract| Contract {
         graph: None,
         encode: None,
+        relay: Vec::new(),
         act: None,
         python: None,
         sha256: None,

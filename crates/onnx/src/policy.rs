@@ -6,13 +6,14 @@
 use std::sync::Arc;
 
 use murmurate::messages::geometry::{Motion, Vec2};
+use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::{Form, MAX_FEATURE};
 use murmurate::observation::Observation;
 use murmurate::policy::{Broadcast, Draw, Interface, Model, Neighbour, Origin, Policy};
 use murmurate::random::Stream;
 use murmurate::time::Span;
 
-use crate::contract::{Distribution, Kind, Pad};
+use crate::contract::{Contract, Distribution, Kind, Pad};
 use crate::engine::Array;
 use crate::features;
 use crate::network::{Network, Output, Source};
@@ -21,6 +22,7 @@ use crate::structure::Role;
 /// Policy of one robot.
 pub(crate) struct Robot {
     network: Arc<Network>,
+    robot: RobotId,
     draw: Draw,
     /// Memory after the last step that succeeded.
     memory: Memory,
@@ -34,8 +36,10 @@ pub(crate) struct Robot {
     chosen: Vec<usize>,
     /// Progress of the present step.
     progress: Progress,
-    /// Whether the log has said why a step has failed, since the last one that succeeded.
+    /// Whether the log has been asked to say why a step has failed, since the last one that succeeded.
     reported: bool,
+    /// Number of times that steps have begun to fail.
+    failures: u64,
 }
 
 /// Numbers that a policy keeps from one step to the next; zeros at the start.
@@ -70,13 +74,14 @@ impl Memory {
 }
 
 impl Robot {
-    /// Creates the policy of a robot at its start.
-    pub(crate) fn new(network: Arc<Network>, draw: Draw) -> Robot {
+    /// Creates the policy of `robot` at its start.
+    pub(crate) fn new(network: Arc<Network>, robot: RobotId, draw: Draw) -> Robot {
         let empty = || Array { shape: Vec::new(), values: Vec::new() };
         let arrays = network.graphs.iter().map(|graph| graph.inputs.iter().map(|_| empty()).collect()).collect();
         let (message, state) = (network.contract.message.floats, network.contract.state_floats());
         Robot {
             network,
+            robot,
             draw,
             memory: Memory::new(message, state),
             before: Memory::new(message, state),
@@ -85,6 +90,7 @@ impl Robot {
             chosen: Vec::new(),
             progress: Progress::Encoded,
             reported: false,
+            failures: 0,
         }
     }
 
@@ -116,7 +122,7 @@ impl Robot {
     ) -> Result<Vec<Array>, String> {
         let Network { contract, graphs, .. } = &*self.network;
         let graph = &graphs[at];
-        let state = if graph.role == Role::Act { &self.encoded } else { &self.memory.state };
+        let state = if matches!(graph.role, Role::Relay | Role::Act) { &self.encoded } else { &self.memory.state };
         let heard = self.chosen.len();
         let places = if contract.pad == Pad::Max { contract.max_neighbours } else { heard.max(1) };
         for ((name, source), array) in graph.inputs.iter().zip(&mut self.arrays[at]) {
@@ -149,17 +155,20 @@ impl Robot {
                     values.resize(heard, 1.0);
                     values.resize(places, 0.0);
                 }
-                Source::OwnMessage => {
-                    shape.extend([1, message.len()]);
-                    values.extend_from_slice(message);
+                Source::OwnMessage | Source::State => {
+                    let row = if *source == Source::State { state } else { message };
+                    shape.extend([1, row.len()]);
+                    values.extend_from_slice(row);
                 }
-                Source::State => {
-                    shape.extend([1, state.len()]);
-                    values.extend_from_slice(state);
+                Source::Id(floats) => {
+                    shape.extend([1, *floats]);
+                    values.resize(*floats, 0.0);
+                    let robots = contract.robots.as_ref().expect("a graph with an id has a table of robots");
+                    robots.write(self.robot, values)?;
                 }
             }
             if !values.iter().all(|value| value.is_finite()) {
-                return Err(format!("its input '{name}' is not known or not finite"));
+                return Err(unknown(contract, name));
             }
         }
         let outputs = graph.engine.run(&self.arrays[at])?;
@@ -186,9 +195,19 @@ impl Robot {
         // Robots of the same Agent would hear the message of an older step as if it were new.
         (self.progress, self.memory.is_new) = (Progress::Failed, false);
         if !self.reported {
-            let policy = &self.network.contract.name;
-            tracing::error!(policy, why, "a step of the policy failed; its robot stands until one succeeds");
             self.reported = true;
+            self.failures += 1;
+            // What comes and goes is said at the times 1, 2, 4, 8, ...
+            if self.failures.is_power_of_two() {
+                let (policy, times) = (&self.network.contract.name, self.failures);
+                tracing::error!(
+                    policy,
+                    why,
+                    times,
+                    "a step of the policy failed; {} stands until one succeeds",
+                    self.robot
+                );
+            }
         }
     }
 
@@ -201,6 +220,19 @@ impl Robot {
             None => self.encoded.extend_from_slice(&self.memory.state),
         }
         Ok(message)
+    }
+
+    /// Computes the message for the hop `hop` from what the neighbours broadcast for the hop before.
+    fn relayed(
+        &mut self,
+        hop: usize,
+        own: &Observation,
+        message: &[f32],
+        neighbours: &[Neighbour],
+    ) -> Result<Vec<f32>, String> {
+        self.choose(&own.motion, neighbours);
+        let outputs = self.call(hop, own, message, neighbours)?;
+        Ok(self.pick(hop, &outputs, Output::Message).expect("a graph 'relay' has a message").to_vec())
     }
 
     fn velocity(
@@ -231,16 +263,28 @@ impl Robot {
     }
 }
 
+/// Says why an input of a graph has a value that is not finite.
+fn unknown(contract: &Contract, name: &str) -> String {
+    let observed = contract.observation.get(name);
+    match observed.and_then(|observed| observed.stale_after_s) {
+        Some(limit_s) => format!(
+            "its sense '{name}' has no values that are younger than stale_after_s = {limit_s}, or its heading is not \
+             known"
+        ),
+        None => format!("its input '{name}' is not known or not finite"),
+    }
+}
+
 impl Policy for Robot {
     fn interface(&self) -> Interface {
         self.network.interface
     }
 
-    fn reset(&mut self) {
+    fn reset(&mut self, seed: u64) {
         self.memory = Memory::new(self.memory.message.len(), self.memory.state.len());
         self.before.copy(&self.memory);
         if let Some(graph) = self.network.graphs.first() {
-            graph.engine.reset();
+            graph.engine.reset(self.robot, seed);
         }
     }
 
@@ -269,7 +313,25 @@ impl Policy for Robot {
         }
     }
 
+    fn hops(&self) -> usize {
+        1 + self.network.contract.relay.len()
+    }
+
+    fn relay(&mut self, hop: usize, own: &Observation, features: &mut [f32], neighbours: &[Neighbour]) {
+        if self.progress == Progress::Failed {
+            return;
+        }
+        match self.relayed(hop, own, features, neighbours) {
+            Ok(message) => features.copy_from_slice(&message),
+            Err(why) => self.fail(&why),
+        }
+    }
+
     fn act(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour], stream: &mut Stream) -> Vec2 {
+        if self.progress == Progress::Failed {
+            // A hop of the step has failed.
+            return Vec2::zeros();
+        }
         match self.velocity(own, features, neighbours, stream) {
             Ok(velocity) => {
                 self.progress = Progress::Acted;
@@ -296,9 +358,9 @@ impl Policy for Robot {
 }
 
 impl Network {
-    /// Returns a policy of one robot at its start.
-    pub fn robot(self: &Arc<Network>, draw: Draw) -> impl Policy + use<> {
-        Robot::new(Arc::clone(self), draw)
+    /// Returns the policy of `robot` at its start.
+    pub fn robot(self: &Arc<Network>, robot: RobotId, draw: Draw) -> impl Policy + use<> {
+        Robot::new(Arc::clone(self), robot, draw)
     }
 
     /// Returns the model of a team whose robots all have this policy. Actions of a distribution are its mean, unless
@@ -312,10 +374,12 @@ impl Network {
             form: self.contract.message.form(),
             message: self.contract.message.name.clone().unwrap_or_default(),
             turns: self.contract.action.kind == Kind::Twist,
+            most_robots: self.most_robots,
         };
         let draw = (self.contract.action.distribution != Distribution::None).then_some(Draw::Mean);
         let interface = self.interface;
-        let instance = move |_: &_, draw| Box::new(Robot::new(Arc::clone(&self), draw)) as Box<dyn Policy>;
+        let instance =
+            move |_: &_, robot, draw| Box::new(Robot::new(Arc::clone(&self), robot, draw)) as Box<dyn Policy>;
         Model::of_file(("onnx", interface), origin, draw, instance).expect("a contract checks its interface")
     }
 }

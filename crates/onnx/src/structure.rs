@@ -4,144 +4,16 @@ use std::collections::BTreeSet;
 
 use prost::Message;
 
-use crate::contract::{Contract, METADATA, Pad, ROLES};
-use crate::onnx::{DimensionProto, EXTERNAL, FLOAT, GraphProto, ModelProto, TensorProto, ValueInfoProto};
-
-/// Operators that a graph may have: those of feed-forward and recurrent networks, without loops, branches, random
-/// numbers and sizes that depend on values.
-pub const OPERATORS: [&str; 104] = [
-    "Abs",
-    "Acos",
-    "Add",
-    "And",
-    "ArgMax",
-    "ArgMin",
-    "Asin",
-    "Atan",
-    "AveragePool",
-    "BatchNormalization",
-    "Cast",
-    "CastLike",
-    "Ceil",
-    "Clip",
-    "Concat",
-    "Constant",
-    "ConstantOfShape",
-    "Conv",
-    "ConvTranspose",
-    "Cos",
-    "CumSum",
-    "DepthToSpace",
-    "Div",
-    "Einsum",
-    "Elu",
-    "Equal",
-    "Erf",
-    "Exp",
-    "Expand",
-    "EyeLike",
-    "Flatten",
-    "Floor",
-    "GRU",
-    "Gather",
-    "GatherElements",
-    "GatherND",
-    "Gelu",
-    "Gemm",
-    "GlobalAveragePool",
-    "GlobalMaxPool",
-    "Greater",
-    "GreaterOrEqual",
-    "HardSigmoid",
-    "HardSwish",
-    "Identity",
-    "InstanceNormalization",
-    "IsInf",
-    "IsNaN",
-    "LSTM",
-    "LayerNormalization",
-    "LeakyRelu",
-    "Less",
-    "LessOrEqual",
-    "Log",
-    "LogSoftmax",
-    "MatMul",
-    "Max",
-    "MaxPool",
-    "Mean",
-    "Min",
-    "Mod",
-    "Mul",
-    "Neg",
-    "Not",
-    "OneHot",
-    "Or",
-    "PRelu",
-    "Pad",
-    "Pow",
-    "Range",
-    "Reciprocal",
-    "ReduceL2",
-    "ReduceMax",
-    "ReduceMean",
-    "ReduceMin",
-    "ReduceProd",
-    "ReduceSum",
-    "ReduceSumSquare",
-    "Relu",
-    "Reshape",
-    "Round",
-    "ScatterElements",
-    "Shape",
-    "Sigmoid",
-    "Sign",
-    "Sin",
-    "Size",
-    "Slice",
-    "Softmax",
-    "Softplus",
-    "Split",
-    "Sqrt",
-    "Squeeze",
-    "Sub",
-    "Sum",
-    "Tan",
-    "Tanh",
-    "Tile",
-    "TopK",
-    "Transpose",
-    "Trilu",
-    "Unsqueeze",
-    "Where",
-    "Xor",
-];
-/// Largest number of operators in a graph.
-const MAX_NODES: usize = 20_000;
+use crate::contract::{Contract, MAX_ROBOTS, METADATA, Pad, ROLES};
+use crate::onnx::{DimensionProto, EXTERNAL, FLOAT, ModelProto, TensorProto, ValueInfoProto};
+pub use crate::operators::OPERATORS;
+use crate::operators::{check_nodes, check_sizes};
+pub use crate::refusal::StructureError;
+use crate::refusal::{refuse, shown};
+pub use crate::role::Role;
 
 /// Largest size of a weight along an axis, and of all axes together.
 const MAX_SIZE: [u64; 2] = [1 << 20, 1 << 26];
-
-/// Part of a step that a graph of a policy computes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Role {
-    /// A whole step: action, message and next state, from the observation, what was heard, and the state.
-    Step,
-    /// The message, from the observation and the state.
-    Encode,
-    /// The action and the next state, from the observation, the own message, what was heard, and the state.
-    Act,
-}
-
-impl Role {
-    /// Returns the name of the contract's field for the file of such a graph.
-    pub fn field(self) -> &'static str {
-        match self {
-            Role::Step => "graph",
-            Role::Encode => "encode",
-            Role::Act => "act",
-        }
-    }
-}
 
 /// Input or output of a graph.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -164,15 +36,6 @@ pub struct Structure {
     pub operators: usize,
     /// Contract in the metadata of the file.
     pub contract: Option<String>,
-}
-
-/// Error: a file is no graph that a policy may consist of; the text says why.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0}")]
-pub struct StructureError(String);
-
-fn refuse<T>(why: impl Into<String>) -> Result<T, StructureError> {
-    Err(StructureError(why.into()))
 }
 
 impl Structure {
@@ -223,7 +86,7 @@ impl Structure {
             };
             fits(port, &[floats], "output")?;
         }
-        if role != Role::Encode && takes("state") != (state > 0) {
+        if matches!(role, Role::Step | Role::Act) && takes("state") != (state > 0) {
             let graph = if takes("state") { "takes" } else { "does not take" };
             return refuse(format!("it {graph} an input 'state', and the contract has {state} floats of state"));
         }
@@ -235,11 +98,35 @@ impl Structure {
         let (message, state) = (contract.message.floats, contract.state_floats());
         let moves = self.outputs.iter().any(|port| port.name == "state_next");
         let all = [
-            ("action", contract.action_floats(), role != Role::Encode),
+            ("action", contract.action_floats(), matches!(role, Role::Step | Role::Act)),
             ("message", message, role != Role::Act && message > 0),
-            ("state_next", state, state > 0 && (role != Role::Encode || moves)),
+            (
+                "state_next",
+                state,
+                state > 0 && (matches!(role, Role::Step | Role::Act) || role == Role::Encode && moves),
+            ),
         ];
         all.into_iter().filter(|(_, _, there)| *there).map(|(name, floats, _)| (name, floats)).collect()
+    }
+
+    /// Returns the number of floats of the input `id` of a robot; `None` if the graph takes none. An error says that
+    /// contract and graph do not agree on it.
+    pub fn id_floats(&self, contract: &Contract) -> Result<Option<usize>, StructureError> {
+        let Some(port) = self.inputs.iter().find(|port| port.name == "id") else { return Ok(None) };
+        let Some(robots) = contract.robots else {
+            return refuse("it takes an input 'id', and the contract has no table [robots]");
+        };
+        let of_graph = port.shape.get(1).copied().flatten();
+        let Some(floats) = robots.floats().or(of_graph) else {
+            return refuse(
+                "its input 'id' has no fixed size, the number of robots of the largest team: add robots.most",
+            );
+        };
+        fits(port, &[floats], "input")?;
+        match (1..=MAX_ROBOTS).contains(&floats) {
+            true => Ok(Some(floats)),
+            false => refuse(format!("its input 'id' has {floats} floats: 1 to {MAX_ROBOTS} are expected")),
+        }
     }
 
     fn check_input(&self, port: &Port, contract: &Contract, role: Role) -> Result<(), StructureError> {
@@ -283,6 +170,7 @@ impl Structure {
             }
             "own_message" => fits(port, &[needs(message, "message")?], "input"),
             "state" => fits(port, &[needs(state, "state")?], "input"),
+            "id" => self.id_floats(contract).map(drop),
             other => match contract.observation.get(other) {
                 Some(observed) => fits(port, &observed.shape, "input"),
                 None => refuse(format!(
@@ -292,72 +180,6 @@ impl Structure {
             },
         }
     }
-}
-
-/// Checks operators and their number.
-fn check_nodes(graph: &GraphProto) -> Result<(), StructureError> {
-    if graph.node.is_empty() || graph.node.len() > MAX_NODES {
-        return refuse(format!("it has {} operators: 1 to {MAX_NODES} are expected", graph.node.len()));
-    }
-    for node in &graph.node {
-        let (operator, domain) = (node.op_type.as_str(), node.domain.as_str());
-        if !matches!(domain, "" | "ai.onnx") {
-            let (domain, operator) = (shown(domain), shown(operator));
-            return refuse(format!("its operator '{domain}.{operator}' is not one of ONNX's own"));
-        }
-        let known = OPERATORS.contains(&operator);
-        if !known || node.attribute.iter().any(|attribute| attribute.g.is_some() || !attribute.graphs.is_empty()) {
-            let operator = shown(operator);
-            return refuse(format!(
-                "its operator '{operator}' is not in the list of those that a policy may have: no loops, branches, \
-                 random numbers or sizes that depend on values (docs/policy-format-3.md)"
-            ));
-        }
-    }
-    Ok(())
-}
-
-/// Inputs of operators that are sizes or places, by their numbers; of all other operators none are.
-const SIZES: [(&str, &[usize]); 13] = [
-    ("ConstantOfShape", &[0]),
-    ("Range", &[0, 1, 2]),
-    ("Expand", &[1]),
-    ("Tile", &[1]),
-    ("OneHot", &[1]),
-    ("TopK", &[1]),
-    ("Pad", &[1, 3]),
-    ("Reshape", &[1]),
-    ("Slice", &[1, 2, 3, 4]),
-    ("Split", &[1]),
-    ("Squeeze", &[1]),
-    ("Unsqueeze", &[1]),
-    ("CumSum", &[1]),
-];
-
-/// Checks that no size within the graph depends on the values of its inputs, but on their shapes alone: such a graph
-/// could take any memory in a run that a check has not seen.
-fn check_sizes(graph: &GraphProto) -> Result<(), StructureError> {
-    let weights: BTreeSet<&str> = graph.initializer.iter().map(|tensor| tensor.name.as_str()).collect();
-    let given = graph.input.iter().map(|input| input.name.as_str()).filter(|name| !weights.contains(name));
-    let mut depends: BTreeSet<&str> = given.collect();
-    let later: BTreeSet<&str> = graph.node.iter().flat_map(|node| &node.output).map(String::as_str).collect();
-    let mut known = BTreeSet::new();
-    for node in &graph.node {
-        if node.input.iter().any(|input| later.contains(input.as_str()) && !known.contains(input.as_str())) {
-            return refuse("an operator comes before the one that makes its input, which ONNX does not permit");
-        }
-        known.extend(node.output.iter().map(String::as_str));
-        let operator = node.op_type.as_str();
-        let sizes = SIZES.iter().find(|(name, _)| *name == operator).map_or(&[][..], |(_, sizes)| *sizes);
-        let axes = if operator.starts_with("Reduce") { &[1][..] } else { sizes };
-        if axes.iter().any(|at| node.input.get(*at).is_some_and(|input| depends.contains(input.as_str()))) {
-            return refuse(format!("a size of its operator '{operator}' depends on the values of its inputs"));
-        }
-        if !matches!(operator, "Shape" | "Size") && node.input.iter().any(|input| depends.contains(input.as_str())) {
-            depends.extend(node.output.iter().map(String::as_str));
-        }
-    }
-    Ok(())
 }
 
 /// Checks that weights are in the file itself, and of a size that a policy may have.
@@ -401,10 +223,4 @@ fn fits(port: &Port, expected: &[usize], what: &str) -> Result<(), StructureErro
     let size = |size: &Option<usize>| size.map_or("any".to_owned(), |size| size.to_string());
     let (name, found) = (shown(&port.name), found.iter().map(size).collect::<Vec<_>>().join(", "));
     refuse(format!("its {what} '{name}' is [{found}] a robot: the contract says {expected:?}"))
-}
-
-/// Returns a name from a file as an error shows it: without control characters, and not too long.
-fn shown(name: &str) -> &str {
-    let plain = name.len() <= 60 && name.chars().all(|c| c.is_ascii_graphic() || c == ' ');
-    if plain { name } else { "(an unusual name)" }
 }

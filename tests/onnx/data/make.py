@@ -196,6 +196,37 @@ def lidar():
     save(model("lidar", nodes, [value("goal", "R", 2), value("lidar", "R", 32)], [value("action", "R", 2)], tensors), "lidar")
 
 
+def ids():
+    """Policies that tell robots apart: a velocity for each id, one-hot and as a number."""
+    nodes = [node("MatMul", ["id", "of_robot"], "own"), node("Add", ["own", "goal"], "action")]
+    tensors = {"of_robot": np.array([[0.5, 0], [0, 0.25], [-0.5, -0.25]], np.float32)}
+    save(model("ids", nodes, [value("goal", "R", 2), value("id", "R", 3)], [value("action", "R", 2)], tensors), "id-one-hot")
+    nodes = [node("MatMul", ["id", "of_robot"], "own"), node("Add", ["own", "goal"], "action")]
+    tensors = {"of_robot": np.array([[0.125, 0.25]], np.float32)}
+    save(model("ids", nodes, [value("goal", "R", 2), value("id", "R", 1)], [value("action", "R", 2)], tensors), "id-number")
+
+
+def hops():
+    """A policy of three hops: each adds what the robot and its neighbours had in the hop before, in a number of its own."""
+    first = np.array([[1, 0, 0], [0, 0, 0]], np.float32)
+    save(model("say", [node("MatMul", ["goal", "first"], "message")], [value("goal", "R", 2)], [value("message", "R", 3)],
+               {"first": first}), "hops-say")
+    heard = [value("messages", "R", "K", 3), value("heard", "R", "K")]
+    total = [node("Unsqueeze", ["heard", "two"], "there"), node("Mul", ["messages", "there"], "said"),
+             node("ReduceSum", ["said", "one"], "sum", keepdims=0)]
+    axes = {"one": np.array([1]), "two": np.array([2])}
+    for hop in (1, 2):
+        shift = np.zeros((3, 3), np.float32)
+        shift[hop - 1, hop] = 1
+        nodes = [*total, node("Add", ["sum", "own_message"], "all"), node("MatMul", ["all", "shift"], "added"),
+                 node("Add", ["own_message", "added"], "message")]
+        inputs = [*heard, value("own_message", "R", 3)]
+        save(model("relay", nodes, inputs, [value("message", "R", 3)], {**axes, "shift": shift}), f"hops-relay-{hop}")
+    last = np.array([[0, 0], [0, 0], [0.01, 0]], np.float32)
+    nodes = [*total, node("MatMul", ["sum", "last"], "action")]
+    save(model("act", nodes, heard, [value("action", "R", 2)], {**axes, "last": last}), "hops-act")
+
+
 def bad():
     """What a loader has to refuse: a division by the number of neighbours, and a loop."""
     nodes = [node("ReduceSum", ["heard", "one"], "n", keepdims=1), node("Div", ["goal", "n"], "action")]
@@ -218,4 +249,6 @@ field()
 silent()
 wide()
 lidar()
+ids()
+hops()
 bad()

@@ -1,9 +1,15 @@
 //! Engines: what runs a graph. An engine is one file here, and takes and gives arrays of 32-bit floats.
 
+#[cfg(feature = "onnxruntime")]
+mod onnxruntime;
 #[cfg(feature = "rten")]
 mod rten;
 
+use std::path::Path;
+
 use std::sync::Arc;
+
+use murmurate::messages::ids::RobotId;
 
 /// Array of 32-bit floats, the last axis running fastest.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,18 +26,36 @@ pub trait Engine: Send + Sync {
     /// theirs. An error is a sentence, also if the engine has panicked.
     fn run(&self, inputs: &[Array]) -> Result<Vec<Array>, String>;
 
-    /// Notes that a robot begins anew: its state is at its start. The default does nothing, for an engine that keeps
-    /// nothing from one call to the next.
-    fn reset(&self) {}
+    /// Notes that `robot` begins anew, with a seed for random numbers: its state is at its start. The default does
+    /// nothing, for an engine that keeps nothing from one call to the next.
+    fn reset(&self, _robot: RobotId, _seed: u64) {}
 }
 
-/// Name and version of the engine of this program; `None` if it was built without one.
-pub const NAME: Option<&str> = if cfg!(feature = "rten") { Some("rten 0.24.0") } else { None };
+/// Returns the name and version of the engine of this program; `None` if it was built without one.
+pub fn name() -> Option<&'static str> {
+    #[cfg(feature = "onnxruntime")]
+    if let Some(name) = onnxruntime::name() {
+        return Some(name);
+    }
+    cfg!(feature = "rten").then_some("rten 0.24.0")
+}
+
+/// Makes onnxruntime the engine of this process, by its library `path`. The first call counts. Does nothing in a
+/// program without the feature `onnxruntime`. An error is a sentence.
+pub fn open(path: &Path) -> Result<(), String> {
+    #[cfg(feature = "onnxruntime")]
+    return onnxruntime::open(path);
+    #[cfg(not(feature = "onnxruntime"))]
+    {
+        let _ = path;
+        Ok(())
+    }
+}
 
 /// Returns the name and version of the engine of this program, and the kind of processor that it runs on, on which the
 /// last digits of its numbers depend; empty without an engine.
 pub fn about() -> String {
-    let Some(name) = NAME else { return String::new() };
+    let Some(name) = name() else { return String::new() };
     #[cfg(target_arch = "x86_64")]
     let kind = {
         let [wide, fused] = [std::is_x86_feature_detected!("avx512f"), std::is_x86_feature_detected!("fma")];
@@ -55,6 +79,10 @@ pub fn about() -> String {
 
 /// Loads the graph with the content `bytes`, whose inputs and outputs have these names. An error is a sentence.
 pub fn load(bytes: Vec<u8>, inputs: &[String], outputs: &[String]) -> Result<Arc<dyn Engine>, String> {
+    #[cfg(feature = "onnxruntime")]
+    if onnxruntime::name().is_some() {
+        return onnxruntime::load(&bytes, inputs, outputs);
+    }
     #[cfg(feature = "rten")]
     return rten::load(bytes, inputs, outputs);
     #[cfg(not(feature = "rten"))]

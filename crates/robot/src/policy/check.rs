@@ -91,7 +91,7 @@ fn format_3(args: &Args) -> Result<Ended> {
         engine: if network.contract().python.is_some() {
             Some(murmurate_onnx::network::PYTHON)
         } else {
-            murmurate_onnx::engine::NAME
+            murmurate_onnx::engine::name()
         },
         sound,
     };

@@ -27,6 +27,10 @@ pub(super) struct Facts<'a> {
 pub(super) fn table(facts: &Facts) -> String {
     let contract = facts.manifest;
     let graphs = match &contract.encode {
+        Some(_) if !contract.relay.is_empty() => {
+            let hops = contract.relay.len() + 1;
+            format!("{}: the message in {hops} hops, then the action", hops + 1)
+        }
         Some(_) => "two: the message, then the action".to_owned(),
         None => "one for a whole step; its message is heard in the next one".to_owned(),
     };

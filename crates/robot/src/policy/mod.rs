@@ -100,8 +100,8 @@ pub fn load(registry: &Registry, named: Option<&Path>, draw: Option<Draw>, scena
     Ok(Loaded { model, name, warnings })
 }
 
-/// Loads the policies of the team of `deployment`: that of each role, and `named` for the robots whose role has none, or
-/// the default policy of the scenario if that is `None`. `draw` replaces the files' choices between mean and sampled
+/// Loads the policies of the team of `deployment`: that of each role, and `named` for the robots whose role has none,
+/// or the default policy of the scenario if that is `None`. `draw` replaces the files' choices between mean and sampled
 /// actions. An error names the flag, the file or the role.
 pub fn load_team(
     registry: &Registry,

@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use murmurate::messages::geometry::{Motion, Vec2};
+use murmurate::messages::ids::RobotId;
 use murmurate::observation::Observation;
 use murmurate::policy::{Draw, Neighbour, Policy};
 use murmurate::random::Seed;
@@ -29,6 +30,8 @@ const CHECK_TIMEOUT: Duration = Duration::from_secs(60);
 const CHECK_MEMORY: u64 = 4 << 30;
 /// Variable that is set for the process of a check.
 const CHILD: &str = "CHECKS_A_POLICY_OF_MURMURATE";
+/// Variable that names the library of onnxruntime.
+const LIBRARY: &str = "ORT_DYLIB_PATH";
 /// Number of steps of which the time is measured.
 const TIMED_STEPS: usize = 200;
 
@@ -84,13 +87,20 @@ fn is_beside(file: &str) -> bool {
     plain && file.len() <= 100 && !file.starts_with('.') && !file.is_empty()
 }
 
+/// Opens the library of onnxruntime that a variable names, for all graphs of this process.
+fn open_library() -> Result<()> {
+    let Some(path) = std::env::var_os(LIBRARY) else { return Ok(()) };
+    let opened = murmurate_onnx::engine::open(Path::new(&path));
+    opened.map_err(|why| BadInput(format!("{LIBRARY}: '{}': {why}", Path::new(&path).display())).into())
+}
+
 /// Returns the paths of the graphs that a policy's contract names; empty if `path` is no such contract.
 pub fn graphs(path: &Path) -> Vec<PathBuf> {
     let toml = path.extension() == Some(OsStr::new("toml"));
     let text = if toml { read_text(path, "policy file").ok() } else { None };
     let Some(contract) = text.and_then(|text| Contract::parse(&text).ok()) else { return Vec::new() };
     let folder = path.parent().unwrap_or(Path::new(""));
-    let names = [contract.graph, contract.encode, contract.act].into_iter().flatten();
+    let names = contract.files().map(|(_, name)| name);
     names.filter(|name| is_beside(name)).map(|name| folder.join(name)).collect()
 }
 
@@ -98,6 +108,7 @@ pub fn graphs(path: &Path) -> Vec<PathBuf> {
 /// program, and may take all of both. Returns the findings of the check, too.
 pub fn load(path: &Path) -> Result<(Arc<Network>, Sound)> {
     let refuse = |why: String| BadInput(format!("the policy file '{}': {why}", path.display()));
+    open_library()?;
     // What is wrong with a file is said before a process is started for it.
     let parts = parts(path)?.map_err(|why| refuse(why.to_string()))?;
     if parts.contract.python.is_some() {
@@ -140,6 +151,7 @@ pub fn too_slow(network: &Network, sound: &Sound) -> Option<String> {
 /// Checks the policy `path` in this process, for the one that has started it.
 pub fn check_here(path: &Path) -> Result<Checked> {
     limit_memory()?;
+    open_library()?;
     let loaded = parts(path)?.and_then(Network::load).map(Arc::new);
     let checked = loaded.and_then(|network| check::check(&network).map(|remarks| (network, remarks)));
     Ok(match checked {
@@ -217,7 +229,7 @@ fn step_us(network: &Arc<Network>) -> f64 {
     let neighbours = vec![neighbour; contract.max_neighbours];
     let own = Observation::new(Motion::default(), Vec2::new(1.0, 1.0));
     let own = Observation { values: &values, heading: Some(0.0), ..own };
-    let (mut robot, mut stream) = (network.robot(Draw::Mean), Seed::of_run(0).stream("timing"));
+    let (mut robot, mut stream) = (network.robot(RobotId(0), Draw::Mean), Seed::of_run(0).stream("timing"));
     let mut features = message.clone();
     let mut times: Vec<f64> = (0..TIMED_STEPS)
         .map(|_| {
